@@ -1,0 +1,172 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Every constant of the method under its own name, and the presets that choose among them.
+
+Standard library only: both processes import it. Values without a note are the paper's (Sec. 4 and
+supplementary "Implementation Details").
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from .errors import FiptError
+
+
+def _setting(default: Any, text: str) -> Any:
+    return field(default=default, metadata={"help": text})
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All settings of one run; JSON-serialisable, equal settings give equal results."""
+
+    preset: str = _setting("medium", "draft, medium or high: where the other settings start from")
+    seed: int = _setting(0, "seed of every random number in the run")
+    device: str = _setting("auto", "auto, cuda or llvm (CPU)")
+    rounds: int = _setting(2, "how often stages 2 and 3 are repeated after stage 1")
+
+    voxel_resolution: int = _setting(256, "radiance cache: voxels along each axis of the room's bounds")
+    roughness_levels: int = _setting(6, "roughness levels at which specular shading is baked")
+    roughness_min: float = _setting(0.02, "lowest roughness (authors' code; 0 is singular)")
+    diffuse_spp: int = _setting(64, "stage 1: samples a pixel for diffuse shading")
+    specular_spp: int = _setting(32, "stage 1: samples a pixel and roughness level for specular shading")
+    refine_diffuse_spp: int = _setting(64, "stage 3: samples a pixel for diffuse shading")
+    refine_specular_spp: int = _setting(32, "stage 3: samples a pixel and level for specular shading")
+    refine_depth: int = _setting(5, "stage 3: most surfaces a path may meet before it ends in the cache")
+    cache_roughness: float = _setting(0.6, "stage 3: rougher surfaces end a path in the radiance cache")
+    denoise: bool = _setting(True, "denoise shadings with Open Image Denoise")
+
+    training_steps: int = _setting(2000, "stage 2: optimiser steps of the first round")
+    later_training_steps: int = _setting(1000, "stage 2: optimiser steps of each later round")
+    batch_size: int = _setting(8192, "stage 2: pixels a step")
+    learning_rate: float = _setting(1e-3, "stage 2: Adam's first learning rate")
+    lambda_emission: float = _setting(1.0, "weight of the emission mask's L1 term l_e")
+    lambda_diffuse: float = _setting(5e-4, "weight of l_d, which prefers diffuse surfaces")
+    lambda_part: float = _setting(5e-3, "weight of l_p with part masks")
+    lambda_semantic: float = _setting(1e-3, "weight of l_p with semantic masks")
+    sigma_albedo: float = _setting(0.05 / 3.0, "semantic kernel: width in base colour")
+    sigma_position: float = _setting(0.3 / 3.0, "semantic kernel: width in the normalised box")
+    hash_levels: int = _setting(32, "hash grid: levels")
+    hash_features: int = _setting(2, "hash grid: features a level")
+    hash_log2_size: int = _setting(19, "hash grid: log2 of entries a level")
+    hash_base_resolution: int = _setting(16, "hash grid: cells along an axis at the coarsest level")
+    hash_growth: float = _setting(1.3, "hash grid: growth of resolution between levels")
+    brdf_width: int = _setting(64, "BRDF network: hidden width")
+    brdf_depth: int = _setting(2, "BRDF network: hidden layers")
+    emission_bands: int = _setting(10, "emission network: bands of the positional encoding")
+    emission_width: int = _setting(128, "emission network: hidden width")
+    emission_depth: int = _setting(6, "emission network: hidden layers")
+    checkpoint_steps: int = _setting(500, "stage 2: steps between training checkpoints")
+
+    emitter_threshold: float = _setting(0.01, "mean emission mask above which a triangle is an emitter")
+    emitter_samples: int = _setting(100, "positions a triangle at which the emission mask is sampled")
+    environment_width: int = _setting(256, "width in pixels of the estimated environment map")
+
+    texel_density: float = _setting(128.0, "texels a metre of the textures")
+    texture_size: int = _setting(2048, "largest width and height of one texture image")
+    atlas_mode: str = _setting("uv", "uv, or color_attribute where UVs can't work")
+    write_back: str = _setting("cycles", "cycles: textures corrected so that Cycles agrees; paper: as fitted")
+
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "draft": {
+        "rounds": 1,
+        "diffuse_spp": 32,
+        "specular_spp": 16,
+        "refine_diffuse_spp": 32,
+        "refine_specular_spp": 16,
+        "training_steps": 500,
+        "later_training_steps": 400,
+    },
+    "medium": {},
+    "high": {
+        "diffuse_spp": 256,
+        "specular_spp": 128,
+        "refine_diffuse_spp": 128,
+        "refine_specular_spp": 64,
+        "training_steps": 10000,
+        "later_training_steps": 5000,
+        "roughness_levels": 12,
+    },
+}
+
+
+def make_settings(preset: str = "medium", changes: Mapping[str, Any] | None = None) -> Settings:
+    """Settings of a preset with single values changed.
+
+    Args:
+        preset: a key of ``PRESETS``.
+        changes: field name to value; strings are converted to the field's type.
+
+    Raises:
+        FiptError: ``setting-unknown`` or ``setting-invalid``.
+    """
+    if preset not in PRESETS:
+        raise FiptError(
+            "setting-unknown", f"There is no preset '{preset}'.", f"Use one of: {', '.join(PRESETS)}."
+        )
+    values: dict[str, Any] = {"preset": preset, **PRESETS[preset]}
+    fields = {item.name: item for item in dataclasses.fields(Settings)}
+    for name, value in (changes or {}).items():
+        if name not in fields:
+            raise FiptError(
+                "setting-unknown", f"There is no setting '{name}'.", f"Use one of: {', '.join(fields)}."
+            )
+        values[name] = _convert(name, value, type(fields[name].default))
+    settings = Settings(**values)
+    _check(settings)
+    return settings
+
+
+def _convert(name: str, value: Any, kind: type) -> Any:
+    try:
+        if kind is bool:
+            if isinstance(value, str):
+                return {"true": True, "1": True, "false": False, "0": False}[value.lower()]
+            return bool(value)
+        if kind is int and isinstance(value, float) and value != int(value):
+            raise ValueError
+        return kind(value)
+    except (KeyError, TypeError, ValueError):
+        raise FiptError(
+            "setting-invalid", f"'{value}' is no value for setting '{name}'.", f"Give a {kind.__name__}."
+        ) from None
+
+
+def _check(settings: Settings) -> None:
+    choices = {
+        "device": ("auto", "cuda", "llvm"),
+        "atlas_mode": ("uv", "color_attribute"),
+        "write_back": ("cycles", "paper"),
+    }
+    for name, allowed in choices.items():
+        if getattr(settings, name) not in allowed:
+            raise FiptError(
+                "setting-invalid",
+                f"'{getattr(settings, name)}' is no value for setting '{name}'.",
+                f"Use one of: {', '.join(allowed)}.",
+            )
+    for item in dataclasses.fields(Settings):
+        value = getattr(settings, item.name)
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if number and (value != value or value < 0 or (value == 0 and item.name not in _MAY_BE_ZERO)):
+            raise FiptError(
+                "setting-invalid", f"Setting '{item.name}' is {value}.", "Give a number above zero."
+            )
+
+
+_MAY_BE_ZERO = {
+    "seed",
+    "rounds",
+    "lambda_emission",
+    "lambda_diffuse",
+    "lambda_part",
+    "lambda_semantic",
+    "emitter_threshold",
+    "emission_depth",
+    "brdf_depth",
+}

@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The paper's BRDF as Dr.Jit functions in the local shading frame (z is the normal).
+
+Paper Sec. 3, Eq. 1: f = kd/pi cos_i + F D G / (4 cos_o), the cosine included, with GGX D (alpha = sigma^2)
+and Schlick's F = ks F0 + F1. The paper leaves G open; as in the authors' data it is Schlick-Smith with
+k = (sigma + 1)^2 / 8. Baking, refinement and the forward renderer all use this file.
+
+Directions point away from the surface. `wo` is towards the viewer, `wi` towards the light.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+MIN_COSINE = 1e-4
+MIN_ROUGHNESS = 0.02
+
+
+def ggx_distribution(cos_h: mi.Float, alpha: mi.Float) -> mi.Float:
+    """GGX normal distribution D(h) in 1/sr; zero below the horizon.
+
+    Written with sin^2 = 1 - cos^2 so that sharp lobes (alpha ~ 4e-4) keep their precision near the peak.
+    """
+    alpha2 = dr.square(alpha)
+    cos2 = dr.square(cos_h)
+    sin2 = dr.maximum(1.0 - cos2, 0.0)
+    return dr.select(cos_h > 0.0, alpha2 / (dr.pi * dr.square(dr.fma(alpha2, cos2, sin2))), 0.0)
+
+
+def geometry_term(cos_i: mi.Float, cos_o: mi.Float, roughness: mi.Float) -> mi.Float:
+    """Schlick-Smith shadowing-masking G with k = (sigma + 1)^2 / 8."""
+    k = dr.square(roughness + 1.0) * 0.125
+    return cos_i * cos_o / (dr.fma(cos_i, 1.0 - k, k) * dr.fma(cos_o, 1.0 - k, k))
+
+
+def fresnel_terms(cos_d: mi.Float) -> tuple[mi.Float, mi.Float]:
+    """(F0, F1) of F = ks F0 + F1 (paper Eq. 7); `cos_d` is h.wi."""
+    x = dr.maximum(1.0 - cos_d, 0.0)
+    x2 = dr.square(x)
+    f1 = x2 * x2 * x
+    return 1.0 - f1, f1
+
+
+def diffuse_reflectance(base_color: mi.Color3f, metallic: mi.Float) -> mi.Color3f:
+    """kd = a (1 - m)."""
+    return base_color * (1.0 - metallic)
+
+
+def specular_reflectance(base_color: mi.Color3f, metallic: mi.Float) -> mi.Color3f:
+    """ks = 0.04 (1 - m) + a m."""
+    return 0.04 * (1.0 - metallic) + base_color * metallic
+
+
+def specular_lobes(wi: mi.Vector3f, wo: mi.Vector3f, roughness: mi.Float) -> tuple[mi.Float, mi.Float]:
+    """(F0 D G / (4 cos_o), F1 D G / (4 cos_o)), the integrands of L_s0 and L_s1 (paper Eq. 6), in 1/sr."""
+    h = dr.normalize(wi + wo)
+    cos_i, cos_o = wi.z, wo.z
+    lit = (cos_i > MIN_COSINE) & (cos_o > MIN_COSINE)
+    d = ggx_distribution(h.z, dr.square(roughness))
+    dg = dr.select(lit, d * geometry_term(cos_i, cos_o, roughness) / (4.0 * cos_o), 0.0)
+    f0, f1 = fresnel_terms(dr.dot(h, wi))
+    return f0 * dg, f1 * dg
+
+
+def evaluate(
+    wi: mi.Vector3f, wo: mi.Vector3f, base_color: mi.Color3f, roughness: mi.Float, metallic: mi.Float
+) -> mi.Color3f:
+    """The whole BRDF times cosine (paper Eq. 1), in 1/sr."""
+    s0, s1 = specular_lobes(wi, wo, roughness)
+    diffuse = dr.select((wi.z > 0.0) & (wo.z > 0.0), wi.z * dr.inv_pi, 0.0)
+    return (
+        diffuse_reflectance(base_color, metallic) * diffuse
+        + specular_reflectance(base_color, metallic) * s0
+        + s1
+    )
+
+
+def visible_normal_pdf(wi: mi.Vector3f, wo: mi.Vector3f, roughness: mi.Float) -> mi.Float:
+    """Solid-angle density of `wi` from :func:`sample_visible_normal`."""
+    alpha = dr.square(roughness)
+    h = dr.normalize(wi + wo)
+    cos_o = dr.maximum(wo.z, MIN_COSINE)
+    alpha2 = dr.square(alpha)
+    # Smith's G1(wo) / (4 cos_o) in one fraction
+    smith = 0.5 / (cos_o + dr.sqrt(dr.fma(1.0 - alpha2, dr.square(cos_o), alpha2)))
+    valid = (wi.z > 0.0) & (wo.z > 0.0)
+    return dr.select(valid, ggx_distribution(h.z, alpha) * smith, 0.0)
+
+
+def sample_visible_normal(sample: mi.Point2f, wo: mi.Vector3f, roughness: mi.Float) -> mi.Vector3f:
+    """Direction `wi` by reflecting `wo` at a visible GGX normal; may point below the horizon.
+
+    Spherical-cap construction: J. Dupuy and A. Benyoub, "Sampling Visible GGX Normals with Spherical
+    Caps", 2023.
+    """
+    alpha = dr.square(roughness)
+    stretched = dr.normalize(mi.Vector3f(alpha * wo.x, alpha * wo.y, dr.maximum(wo.z, MIN_COSINE)))
+    phi = 2.0 * dr.pi * sample.x
+    z = dr.fma(1.0 - sample.y, 1.0 + stretched.z, -stretched.z)
+    sin_theta = dr.safe_sqrt(1.0 - dr.square(z))
+    sin_phi, cos_phi = dr.sincos(phi)
+    cap = mi.Vector3f(sin_theta * cos_phi, sin_theta * sin_phi, z) + stretched
+    h = dr.normalize(mi.Vector3f(alpha * cap.x, alpha * cap.y, dr.maximum(cap.z, 1e-7)))
+    return 2.0 * dr.dot(wo, h) * h - wo
+
+
+def specular_probability(base_color: mi.Color3f, metallic: mi.Float) -> mi.Float:
+    """Share of samples that :func:`sample` spends on the specular lobe."""
+    kd = dr.mean(diffuse_reflectance(base_color, metallic))
+    ks = dr.mean(specular_reflectance(base_color, metallic))
+    return dr.clip(ks / dr.maximum(kd + ks, 1e-6), 0.1, 0.95)
+
+
+def pdf(
+    wi: mi.Vector3f, wo: mi.Vector3f, base_color: mi.Color3f, roughness: mi.Float, metallic: mi.Float
+) -> mi.Float:
+    """Solid-angle density of :func:`sample`."""
+    share = specular_probability(base_color, metallic)
+    cosine = dr.select((wi.z > 0.0) & (wo.z > 0.0), wi.z * dr.inv_pi, 0.0)
+    return share * visible_normal_pdf(wi, wo, roughness) + (1.0 - share) * cosine
+
+
+def sample(
+    choice: mi.Float,
+    sample2: mi.Point2f,
+    wo: mi.Vector3f,
+    base_color: mi.Color3f,
+    roughness: mi.Float,
+    metallic: mi.Float,
+) -> tuple[mi.Vector3f, mi.Color3f, mi.Float]:
+    """Sample the BRDF.
+
+    Args:
+        choice: uniform number that picks the lobe.
+        sample2: two uniform numbers.
+
+    Returns:
+        (wi, weight, pdf): direction, f/pdf with the cosine included, solid-angle density. All zero weight
+        where the direction is below the horizon.
+    """
+    share = specular_probability(base_color, metallic)
+    specular = sample_visible_normal(sample2, wo, roughness)
+    diffuse = mi.warp.square_to_cosine_hemisphere(sample2)
+    wi = dr.select(choice < share, specular, diffuse)
+    density = pdf(wi, wo, base_color, roughness, metallic)
+    valid = (wi.z > 0.0) & (density > 0.0)
+    value = evaluate(wi, wo, base_color, roughness, metallic)
+    return wi, dr.select(valid, value / density, 0.0), dr.select(valid, density, 0.0)
