@@ -1,0 +1,147 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The views of a run as the rest of the engine sees them: pinholes in Blender's world with linear images.
+
+Read from capture.json, which `ingest` wrote after checking everything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import conventions
+from ..job.errors import FiptError
+from ..job.runfolder import RunFolder, read_json
+from .images import read_ids, read_radiance
+
+CAPTURE_FORMAT = "fipt-capture"
+CAPTURE_VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One photograph: a pinhole camera and where its images lie.
+
+    Attributes:
+        name: unique in the capture, e.g. ``"train/000"``.
+        split: ``"train"`` or ``"held_back"`` (never shown to the estimation).
+        image: scene-linear radiance (EXR), undistorted, free of negative values.
+        width, height: size in pixels.
+        fx, fy, cx, cy: pinhole intrinsics in pixels; the centre of the first pixel is (0.5, 0.5).
+        camera_to_world: (4, 4) float64, OpenCV axes, Blender world in metres.
+        parts, semantics: id images of the same size, or None.
+    """
+
+    name: str
+    split: str
+    image: Path
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    camera_to_world: np.ndarray
+    parts: Path | None = None
+    semantics: Path | None = None
+
+    @property
+    def intrinsics(self) -> np.ndarray:
+        """The camera matrix K (3, 3) float64 in pixels."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def rays(self, z_depth: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Origins and directions (height*width, 3) f32 of all pixel centres; see `conventions.pixel_rays`."""
+        return conventions.pixel_rays(self, z_depth)
+
+    def radiance(self) -> np.ndarray:
+        """The photograph, (height, width, 3) float32 scene-linear radiance."""
+        return read_radiance(self.image)
+
+    def part_ids(self) -> np.ndarray | None:
+        """Part ids (height, width) int32, or None where the view has none."""
+        return None if self.parts is None else read_ids(self.parts)
+
+    def semantic_ids(self) -> np.ndarray | None:
+        """Semantic ids (height, width) int32, or None where the view has none."""
+        return None if self.semantics is None else read_ids(self.semantics)
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """All views of a run, and the way from the source's coordinates to ours.
+
+    Attributes:
+        source: the format it was read from.
+        world_from_source: (4, 4) float64 similarity for anything in source coordinates, the mesh included.
+        mesh: mesh file in source coordinates, or None where none was found.
+        views: in the order of capture.json.
+    """
+
+    source: str
+    world_from_source: np.ndarray
+    mesh: Path | None
+    views: tuple[View, ...]
+
+    @property
+    def train(self) -> list[View]:
+        """The views that the estimation may use."""
+        return [view for view in self.views if view.split == "train"]
+
+    @property
+    def held_back(self) -> list[View]:
+        """The views kept aside to judge the result by."""
+        return [view for view in self.views if view.split == "held_back"]
+
+
+def load_capture(run: RunFolder) -> Capture:
+    """Read capture.json of a run.
+
+    Raises:
+        FiptError: ``file-missing``, ``file-damaged``, ``capture-version`` or ``path-outside``.
+    """
+    data = read_json(run.capture_json)
+    if data.get("format") != CAPTURE_FORMAT or data.get("version") != CAPTURE_VERSION:
+        raise FiptError(
+            "capture-version",
+            f"{run.capture_json} is not a capture of version {CAPTURE_VERSION}.",
+            "Start a new run in another folder.",
+        )
+    try:
+        return Capture(
+            source=str(data["source"]),
+            world_from_source=np.array(data["world_from_source"], np.float64).reshape(4, 4),
+            mesh=None if data["mesh"] is None else run.resolve(data["mesh"]),
+            views=tuple(_view(run, entry) for entry in data["views"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise FiptError(
+            "file-damaged", f"{run.capture_json} lacks or garbles an entry ({error}).", "Start a new run."
+        ) from None
+
+
+def _view(run: RunFolder, entry: dict[str, Any]) -> View:
+    return View(
+        name=str(entry["name"]),
+        split=str(entry["split"]),
+        image=run.resolve(entry["image"]),
+        width=int(entry["width"]),
+        height=int(entry["height"]),
+        fx=float(entry["fx"]),
+        fy=float(entry["fy"]),
+        cx=float(entry["cx"]),
+        cy=float(entry["cy"]),
+        camera_to_world=np.array(entry["camera_to_world"], np.float64).reshape(4, 4),
+        parts=None if entry["parts"] is None else run.resolve(entry["parts"]),
+        semantics=None if entry["semantics"] is None else run.resolve(entry["semantics"]),
+    )
+
+
+def load_images(views: Sequence[View]) -> list[np.ndarray]:
+    """The photographs of views, each (height, width, 3) float32; sizes may differ between views."""
+    return [view.radiance() for view in views]
