@@ -187,8 +187,9 @@ def project(points: ArrayLike, view: PinholeView) -> tuple[FloatArray, FloatArra
     camera = (np.asarray(points, np.float64) - pose[:3, 3]) @ pose[:3, :3]
     depth = camera[:, 2]
     safe = np.where(depth > 0.0, depth, np.nan)
-    pixels = np.stack([view.fx * camera[:, 0] / safe + view.cx, view.fy * camera[:, 1] / safe + view.cy], axis=1)
-    return pixels, depth
+    x = view.fx * camera[:, 0] / safe + view.cx
+    y = view.fy * camera[:, 1] / safe + view.cy
+    return np.stack([x, y], axis=1), depth
 
 
 # --- Blender's camera parameters -------------------------------------------------------------------------
@@ -232,7 +233,9 @@ def intrinsics_to_blender(
     )
 
 
-def blender_to_intrinsics(width: int, height: int, camera: BlenderCamera) -> tuple[float, float, float, float]:
+def blender_to_intrinsics(
+    width: int, height: int, camera: BlenderCamera
+) -> tuple[float, float, float, float]:
     """Intrinsics (fx, fy, cx, cy) in pixels of a Blender perspective camera of any sensor fit."""
     aspect = camera.pixel_aspect_y / camera.pixel_aspect_x
     fit = camera.sensor_fit

@@ -7,10 +7,13 @@ OpenEXR reads and writes EXR; Pillow reads PNG masks.
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
+from PIL import Image, UnidentifiedImageError
 
 from ..job.errors import FiptError
 from ..job.runfolder import atomic_path
@@ -52,7 +55,7 @@ def read_radiance(path: Path) -> np.ndarray:
         raise FiptError(
             "image-ldr",
             f"{path} is a {path.suffix or 'nameless'} file; scene-linear HDR radiance is needed.",
-            "Merge the exposures and save OpenEXR (.exr) files; 8-bit photographs and .hdr files can't be used.",
+            "Merge the exposures and save OpenEXR (.exr); 8-bit photographs and .hdr files can't be used.",
         )
     file = _open_exr(path)
     for index in range(len(file.parts)):
@@ -118,13 +121,11 @@ def write_exr(path: Path, array: np.ndarray, half: bool = False) -> None:
         values = values.astype(np.float32)
     planes = {"Y": values} if values.ndim == 2 else dict(zip("RGB", np.moveaxis(values, -1, 0), strict=True))
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    # Through memory, because OpenEXR's own writing loses the system's reason for a failure.
+    buffer = io.BytesIO()
+    OpenEXR.File(header, {name: np.ascontiguousarray(plane) for name, plane in planes.items()}).write(buffer)
     with atomic_path(path) as temporary:
-        try:
-            OpenEXR.File(header, {name: np.ascontiguousarray(plane) for name, plane in planes.items()}).write(
-                str(temporary)
-            )
-        except RuntimeError as error:  # OpenEXR keeps no errno, so a full disk can't be told apart
-            raise OSError(0, f"OpenEXR: {error}") from error
+        temporary.write_bytes(buffer.getbuffer())
 
 
 def _missing(path: Path) -> FiptError:
@@ -139,9 +140,12 @@ def _open_exr(path: Path, header_only: bool = False) -> OpenEXR.File:
     if not path.is_file():
         raise _missing(path)
     try:
-        return OpenEXR.File(str(path), separate_channels=True, header_only=header_only)
+        file = OpenEXR.File(str(path), separate_channels=True, header_only=header_only)
     except (RuntimeError, ValueError, TypeError) as error:
         raise _unreadable(path, error) from None
+    if not file.parts:  # OpenEXR only prints a warning where pixels are cut off
+        raise _unreadable(path, "the file is cut off or damaged")
+    return file
 
 
 def _colour_channels(names: list[str]) -> list[str] | None:
@@ -157,7 +161,7 @@ def _colour_channels(names: list[str]) -> list[str] | None:
     return None
 
 
-def _display_plane(path: Path, header: dict, channel: OpenEXR.Channel) -> np.ndarray:
+def _display_plane(path: Path, header: dict[str, Any], channel: OpenEXR.Channel) -> np.ndarray:
     """One channel (height, width) on the display window."""
     if channel.xSampling != 1 or channel.ySampling != 1:
         raise _unreadable(path, f"channel {channel.name} is subsampled")
@@ -176,9 +180,7 @@ def _display_plane(path: Path, header: dict, channel: OpenEXR.Channel) -> np.nda
     return plane
 
 
-def _open_with_pillow(path: Path):
-    from PIL import Image, UnidentifiedImageError
-
+def _open_with_pillow(path: Path) -> Image.Image:
     if not path.is_file():
         raise _missing(path)
     try:

@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reader for COLMAP models, binary and text, through pycolmap."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from .rig import (
+    PARTS_FOLDER,
+    SEMANTICS_FOLDER,
+    Lens,
+    Note,
+    ReadOptions,
+    Rig,
+    RigView,
+    damaged,
+    find_ids,
+    find_image,
+    find_mesh,
+    view_name,
+)
+
+NAME = "colmap"
+LOOKS_FOR = "cameras.bin or cameras.txt with images and points3D, in the folder or its sparse/0"
+MODEL_FOLDERS = (".", "sparse/0", "sparse", "0", "dense/sparse", "dense/0/sparse", "colmap/sparse/0")
+IMAGE_FOLDERS = ("hdr", "exr", "images", "input", "Image", ".")
+MESH_FOLDERS = (".", "dense", "dense/0")
+MESH_STEMS = ("scene", "mesh", "meshed-poisson", "meshed-delaunay", "fused")
+
+
+def detect(path: Path) -> bool:
+    """Whether a folder holds a COLMAP model."""
+    return _model_folder(path) is not None
+
+
+def read(path: Path, options: ReadOptions) -> Rig:
+    """Read all registered images of the model, in the order of their names.
+
+    Photographs are looked for in ``options.images`` and the usual folders beside the model, EXR files
+    first (models are often solved on tone-mapped copies). COLMAP's world has no declared up axis.
+
+    Raises:
+        FiptError: ``rig-damaged``.
+    """
+    folder = _model_folder(path)
+    if folder is None:
+        raise damaged(path, "there is no COLMAP model")
+    try:
+        model = pycolmap.Reconstruction(str(folder))
+        images = sorted((model.images[i] for i in model.reg_image_ids()), key=lambda image: image.name)
+        entries = [(image.name, model.cameras[image.camera_id], _camera_to_world(image)) for image in images]
+    except (RuntimeError, ValueError, KeyError, IndexError, OSError) as error:
+        raise damaged(folder, error) from None
+    roots = _roots(path, folder)
+    folders = [options.images] if options.images else []
+    folders += [root / name for root in roots for name in IMAGE_FOLDERS]
+    views = []
+    for name, camera, pose in entries:
+        stem = view_name(name)
+        views.append(
+            RigView(
+                name=stem,
+                split=None,
+                image=find_image(folders, name),
+                width=int(camera.width),
+                height=int(camera.height),
+                lens=Lens(camera.model_name, tuple(float(value) for value in camera.params)),
+                camera_to_world=pose,
+                parts=_ids(roots, PARTS_FOLDER, stem),
+                semantics=_ids(roots, SEMANTICS_FOLDER, stem),
+            )
+        )
+    mesh = find_mesh([root / name for root in roots for name in MESH_FOLDERS], MESH_STEMS)
+    return Rig(NAME, tuple(views), None, mesh, _notes(folder))
+
+
+def _is_model(folder: Path) -> bool:
+    return any(
+        (folder / f"cameras{suffix}").is_file() and (folder / f"images{suffix}").is_file()
+        for suffix in (".bin", ".txt")
+    )
+
+
+def _model_folder(path: Path) -> Path | None:
+    return next((path / name for name in MODEL_FOLDERS if _is_model(path / name)), None)
+
+
+def _roots(path: Path, folder: Path) -> list[Path]:
+    """Folders to look for images and meshes in: the capture's own, and those above sparse/0."""
+    roots = [path]
+    folder = folder.resolve()
+    if folder.name.isdigit():
+        folder = folder.parent
+    if folder.name == "sparse":
+        folder = folder.parent
+    if folder not in (path.resolve(), *roots):
+        roots.append(folder)
+    return roots
+
+
+def _camera_to_world(image: pycolmap.Image) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3] = image.cam_from_world().inverse().matrix()
+    return pose
+
+
+def _ids(roots: list[Path], folder: str, stem: str) -> Path | None:
+    for root in roots:
+        found = find_ids(root / folder, stem)
+        if found is not None:
+            return found
+    return None
+
+
+def _notes(folder: Path) -> tuple[Note, ...]:
+    """A warning where the solver left several unconnected models."""
+    if not folder.name.isdigit():
+        return ()
+    others = [other.name for other in folder.parent.iterdir() if other != folder and _is_model(other)]
+    if not others:
+        return ()
+    return (
+        Note(
+            "several-models",
+            f"COLMAP left {len(others) + 1} unconnected models; only '{folder.name}' is used.",
+            "Name the folder of another model as the capture, or solve the photographs again.",
+        ),
+    )

@@ -1,0 +1,170 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Undoing lens distortion in image and intrinsics together; COLMAP's camera models, through pycolmap.
+
+pycolmap's own image undistortion quantises to 8 bit, so that only its camera models are used and float
+images are resampled here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import pycolmap
+
+from ..job.errors import FiptError
+from .rig import Lens
+
+
+@dataclass(frozen=True)
+class Pinhole:
+    """Size and intrinsics in pixels of an image without distortion."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+def lens_camera(lens: Lens, width: int, height: int) -> pycolmap.Camera:
+    """The pycolmap camera of a lens.
+
+    Raises:
+        FiptError: ``camera-model`` for a model or parameters that no perspective camera has.
+    """
+    try:
+        camera = pycolmap.Camera(
+            model=lens.model, width=width, height=height, params=np.array(lens.parameters, np.float64)
+        )
+        valid = camera.verify_params() and not camera.is_spherical()
+    except (RuntimeError, ValueError, TypeError, KeyError, AttributeError):
+        valid = False
+    if not valid:
+        raise FiptError(
+            "camera-model",
+            f"The camera model {lens.model} with {len(lens.parameters)} parameters can't be used.",
+            "Export perspective or fisheye images; split panoramas into perspective views.",
+        )
+    return camera
+
+
+def lens_pinhole(lens: Lens, width: int, height: int) -> Pinhole:
+    """The lens without its distortion, on the original image.
+
+    Raises:
+        FiptError: ``camera-model``.
+    """
+    return _pinhole(lens_camera(lens, width, height))
+
+
+def is_distorted(lens: Lens, width: int, height: int) -> bool:
+    """Whether straight lines bend: fisheyes do even where all their coefficients are zero.
+
+    Raises:
+        FiptError: ``camera-model``.
+    """
+    camera = lens_camera(lens, width, height)
+    return not (camera.is_perspective_pinhole() and camera.is_undistorted())
+
+
+def undistorted_pinhole(lens: Lens, width: int, height: int) -> Pinhole:
+    """The pinhole that a distorted image is resampled to: it shows nothing from outside the image.
+
+    Raises:
+        FiptError: ``camera-model`` where the distortion can't be undone.
+    """
+    camera = lens_camera(lens, width, height)
+    pinhole = _pinhole(pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(blank_pixels=0.0), camera))
+    x, y = np.linspace(0.5, pinhole.width - 0.5, 33), np.linspace(0.5, pinhole.height - 0.5, 33)
+    positions = _source_positions(camera, pinhole, x, y)
+    inside = (positions > -1.0).all() and (positions < [width + 1.0, height + 1.0]).all()
+    if not inside:  # NaN included
+        raise FiptError(
+            "camera-model",
+            f"The lens distortion {lens.model} {lens.parameters} can't be undone over the whole image.",
+            "Check the distortion coefficients, or undistort the photographs before.",
+        )
+    return pinhole
+
+
+class Undistortion:
+    """The resampling from a distorted image to its `undistorted_pinhole`.
+
+    Raises:
+        FiptError: ``camera-model``.
+    """
+
+    def __init__(self, lens: Lens, width: int, height: int) -> None:
+        self.pinhole = undistorted_pinhole(lens, width, height)
+        self._source_shape = (height, width)
+        positions = _source_positions(
+            lens_camera(lens, width, height),
+            self.pinhole,
+            np.arange(self.pinhole.width) + 0.5,
+            np.arange(self.pinhole.height) + 0.5,
+        )
+        column = np.clip(np.floor(positions[:, 0]).astype(np.int64), 0, width - 1)
+        row = np.clip(np.floor(positions[:, 1]).astype(np.int64), 0, height - 1)
+        self._nearest = row * width + column
+        x = np.clip(positions[:, 0] - 0.5, 0.0, width - 1.0)
+        y = np.clip(positions[:, 1] - 0.5, 0.0, height - 1.0)
+        left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+        right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+        u, v = (x - left).astype(np.float32), (y - top).astype(np.float32)
+        self._corners = (
+            (top * width + left, (1.0 - u) * (1.0 - v)),
+            (top * width + right, u * (1.0 - v)),
+            (bottom * width + left, (1.0 - u) * v),
+            (bottom * width + right, u * v),
+        )
+
+    def image(self, pixels: np.ndarray) -> np.ndarray:
+        """Resample an image (source height, source width, C) bilinearly to (height, width, C) float32."""
+        planes = []
+        for plane in np.moveaxis(self._checked(pixels), -1, 0):
+            flat = np.ascontiguousarray(plane, np.float32).ravel()
+            planes.append(sum(weight * flat[index] for index, weight in self._corners))
+        return np.stack(planes, axis=-1).reshape(self.pinhole.height, self.pinhole.width, -1)
+
+    def ids(self, ids: np.ndarray) -> np.ndarray:
+        """Resample an id image (source height, source width) by nearest neighbour."""
+        return self._checked(ids).ravel()[self._nearest].reshape(self.pinhole.height, self.pinhole.width)
+
+    def _checked(self, pixels: np.ndarray) -> np.ndarray:
+        if pixels.shape[:2] != self._source_shape:
+            raise ValueError(f"an image of {pixels.shape[:2]} for a camera of {self._source_shape}")
+        return pixels
+
+
+@lru_cache(maxsize=2)  # one camera held upright and across is the usual mixture; each entry is large
+def undistortion(lens: Lens, width: int, height: int) -> Undistortion:
+    """The resampling of a lens; the last two are kept.
+
+    Raises:
+        FiptError: ``camera-model``.
+    """
+    return Undistortion(lens, width, height)
+
+
+def _pinhole(camera: pycolmap.Camera) -> Pinhole:
+    return Pinhole(
+        int(camera.width),
+        int(camera.height),
+        float(camera.focal_length_x),
+        float(camera.focal_length_y),
+        float(camera.principal_point_x),
+        float(camera.principal_point_y),
+    )
+
+
+def _source_positions(
+    camera: pycolmap.Camera, pinhole: Pinhole, columns: np.ndarray, rows: np.ndarray
+) -> np.ndarray:
+    """Positions (rows * columns, 2) in the distorted image of positions in the undistorted one."""
+    x, y = np.meshgrid((columns - pinhole.cx) / pinhole.fx, (rows - pinhole.cy) / pinhole.fy)
+    points = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
+    return np.asarray(camera.img_from_cam(points))

@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reader for the FIPT authors' real captures: cam.txt and K_list.txt beside Image/ and segmentation/.
+
+Both text files start with the number of views; then each view has three lines of three numbers: origin,
+look-at point and up vector in cam.txt, the camera matrix in K_list.txt.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ..job.errors import FiptError
+from .images import read_size
+from .rig import Lens, ReadOptions, Rig, RigView, damaged, find_mesh
+
+NAME = "fipt-real"
+LOOKS_FOR = "cam.txt and K_list.txt"
+# cam.txt is written with few digits, so that up and viewing direction are only nearly perpendicular
+PERPENDICULAR_TOLERANCE = 1e-2
+
+
+def detect(path: Path) -> bool:
+    """Whether a folder has this layout."""
+    return (path / "cam.txt").is_file() and (path / "K_list.txt").is_file()
+
+
+def read(path: Path, options: ReadOptions) -> Rig:
+    """Read all views; the layout has no splits and does not say which axis is up.
+
+    Raises:
+        FiptError: ``rig-damaged``, ``pose-not-rotation``, ``image-size`` where an image is not the one that
+            its camera matrix was calibrated for, ``image-missing`` or ``image-unreadable``.
+    """
+    poses = _read_blocks(path / "cam.txt")
+    matrices = _read_blocks(path / "K_list.txt")
+    if len(poses) != len(matrices):
+        raise damaged(path / "K_list.txt", f"{len(matrices)} camera matrices for {len(poses)} poses")
+    folder = options.images or path / "Image"
+    views = []
+    for index, (pose, matrix) in enumerate(zip(poses, matrices, strict=True)):
+        image = folder / f"{index:03d}_0001.exr"
+        width, height = read_size(image)
+        parts = path / "IndexMA" / image.name
+        semantics = path / "segmentation" / f"{index:03d}.exr"
+        views.append(
+            RigView(
+                name=f"{index:03d}",
+                split=None,
+                image=image,
+                width=width,
+                height=height,
+                lens=_lens(path / "K_list.txt", index, matrix, width, height),
+                camera_to_world=_look_at(path / "cam.txt", index, pose),
+                parts=parts if parts.is_file() else None,
+                semantics=semantics if semantics.is_file() else None,
+            )
+        )
+    return Rig(NAME, tuple(views), None, find_mesh([path], ["scene", "mesh"]))
+
+
+def _read_blocks(path: Path) -> np.ndarray:
+    """The (N, 3, 3) numbers of a file with a count and 3 N lines."""
+    try:
+        words = path.read_text(encoding="utf-8").split()
+        count = int(words[0])
+        values = np.array(words[1:], np.float64)
+    except (OSError, ValueError, IndexError) as error:
+        raise damaged(path, error) from None
+    if values.size != count * 9:
+        raise damaged(path, f"{values.size} numbers for {count} views, 9 each")
+    return values.reshape(count, 3, 3)
+
+
+def _look_at(path: Path, index: int, rows: np.ndarray) -> np.ndarray:
+    """Camera-to-world (4, 4), OpenCV axes, from origin, look-at point and up vector."""
+    origin, target, up = rows
+    lengths = np.linalg.norm(target - origin), np.linalg.norm(up)
+    if not (np.isfinite(rows).all() and min(lengths) > 0.0):
+        raise damaged(path, f"view {index} has no viewing direction")
+    forward = (target - origin) / lengths[0]
+    up = up / lengths[1]
+    if abs(forward @ up) > PERPENDICULAR_TOLERANCE:
+        raise FiptError(
+            "pose-not-rotation",
+            f"View {index} in {path} has an up vector that is not perpendicular to its viewing direction.",
+            "Export the camera poses again.",
+        )
+    down = -(up - (up @ forward) * forward)
+    down /= np.linalg.norm(down)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([np.cross(down, forward), down, forward], axis=1)
+    pose[:3, 3] = origin
+    return pose
+
+
+def _lens(path: Path, index: int, matrix: np.ndarray, width: int, height: int) -> Lens:
+    if not np.isfinite(matrix).all() or abs(matrix[0, 1]) > 1e-6 * abs(matrix[0, 0]):
+        raise damaged(path, f"the camera matrix of view {index} has skew or is not finite")
+    fx, fy, cx, cy = (float(v) for v in (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]))
+    # The format states no image size; a principal point far from the centre tells of another one.
+    if abs(cx / width - 0.5) > 0.25 or abs(cy / height - 0.5) > 0.25:
+        raise FiptError(
+            "image-size",
+            f"View {index} is {width} x {height}, but its camera matrix has the principal point "
+            f"({cx:.1f}, {cy:.1f}).",
+            "Use the images that the cameras were calibrated for, or scale K_list.txt with them.",
+        )
+    return Lens("PINHOLE", (fx, fy, cx, cy))

@@ -1,0 +1,83 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reader for the FIPT authors' synthetic layout: train|val/transforms.json with Image/ and id images."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from ..conventions import fipt_to_opencv_camera
+from .images import read_size
+from .rig import Lens, ReadOptions, Rig, RigView, damaged, find_mesh, read_json_rig, read_pose
+
+NAME = "fipt-synthetic"
+LOOKS_FOR = "train/transforms.json beside train/Image/"
+SPLITS = {"train": "train", "val": "held_back"}
+
+
+def detect(path: Path) -> bool:
+    """Whether a folder has this layout."""
+    return (path / "train" / "transforms.json").is_file() and (path / "train" / "Image").is_dir()
+
+
+def read(path: Path, options: ReadOptions) -> Rig:
+    """Read the splits train and, where present, val (held back).
+
+    Cameras have X left, Y up, Z forward, one horizontal field of view and a centred principal point;
+    the world is Y up unless the JSON says otherwise under "up_axis". IndexMA are part ids, segmentation
+    semantic ids.
+
+    Raises:
+        FiptError: ``rig-damaged``, ``image-missing`` or ``image-unreadable``.
+    """
+    views: list[RigView] = []
+    up_axis = "y"
+    for folder, split in SPLITS.items():
+        json_path = path / folder / "transforms.json"
+        if not json_path.is_file():
+            continue
+        data = read_json_rig(json_path)
+        up_axis = str(data.get("up_axis", up_axis))
+        for index, frame in enumerate(data["frames"]):
+            if not isinstance(frame, dict):
+                raise damaged(json_path, f"frame {index} is no object")
+            views.append(_view(json_path, split, index, frame, data))
+    return Rig(NAME, tuple(views), up_axis, find_mesh([path], ["scene", "mesh"]))
+
+
+def _view(json_path: Path, split: str, index: int, frame: dict[str, Any], data: dict[str, Any]) -> RigView:
+    root = json_path.parent
+    image = _image(root, index, frame)
+    number = image.stem.removesuffix("_0001")
+    try:
+        if "width" in data and "height" in data:
+            width, height = int(data["width"]), int(data["height"])
+        else:
+            width, height = read_size(image)
+        focal = 0.5 * width / math.tan(0.5 * float(data["camera_angle_x"]))
+        matrix = frame["transform_matrix"]
+    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
+        raise damaged(json_path, error) from None
+    parts = root / "IndexMA" / image.name
+    semantics = root / "segmentation" / f"{number}.exr"
+    return RigView(
+        name=f"{root.name}/{number}",
+        split=split,
+        image=image,
+        width=width,
+        height=height,
+        lens=Lens("PINHOLE", (focal, focal, 0.5 * width, 0.5 * height)),
+        camera_to_world=fipt_to_opencv_camera(read_pose(json_path, matrix)),
+        parts=parts if parts.is_file() else None,
+        semantics=semantics if semantics.is_file() else None,
+    )
+
+
+def _image(root: Path, index: int, frame: dict[str, Any]) -> Path:
+    """The frame's own path where it names an EXR, else the authors' numbering by position in the list."""
+    named = frame.get("file_path")
+    if isinstance(named, str) and named.lower().endswith(".exr"):
+        return root / named
+    return root / "Image" / f"{index:03d}_0001.exr"

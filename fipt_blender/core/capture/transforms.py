@@ -1,0 +1,182 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reader for transforms.json as nerfstudio, instant-ngp and NeRF's synthetic scenes write it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..conventions import opengl_to_opencv_camera, transform_poses
+from ..job.errors import FiptError
+from .images import read_size
+from .rig import (
+    PARTS_FOLDER,
+    SEMANTICS_FOLDER,
+    Lens,
+    Note,
+    ReadOptions,
+    Rig,
+    RigView,
+    damaged,
+    find_ids,
+    find_image,
+    find_mesh,
+    read_json_rig,
+    read_pose,
+    view_name,
+)
+
+NAME = "transforms"
+LOOKS_FOR = "transforms.json or transforms_train.json"
+# one file a split, as in NeRF's synthetic scenes
+SPLIT_FILES = {
+    "transforms_train.json": "train",
+    "transforms_val.json": "held_back",
+    "transforms_test.json": "held_back",
+}
+SPLIT_LISTS = {"train_filenames": "train", "val_filenames": "held_back", "test_filenames": "held_back"}
+PINHOLES = ("", "PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
+FISHEYES = ("OPENCV_FISHEYE", "FISHEYE")
+
+
+def detect(path: Path) -> bool:
+    """Whether a path is such a file or a folder with one."""
+    if path.is_file():
+        return path.suffix.lower() == ".json"
+    return (path / "transforms.json").is_file() or (path / "transforms_train.json").is_file()
+
+
+def read(path: Path, options: ReadOptions) -> Rig:
+    """Read the frames of transforms.json, or of transforms_train|val|test.json.
+
+    Cameras have OpenGL axes. The world is the one that the poses are written in (Z up unless "up_axis"
+    says otherwise), or with ``undo_applied_transform`` the one before nerfstudio's ``applied_transform``.
+    Intrinsics (fl_x, fl_y, cx, cy, w, h, k1 k2 p1 p2 k3, or k1 to k4 of a fisheye) stand in each frame or
+    once for all; ``camera_angle_x`` and ``camera_angle_y`` stand in for missing focal lengths.
+
+    Raises:
+        FiptError: ``rig-damaged``, ``camera-model``, ``intrinsics-missing``, ``image-missing`` or
+            ``image-unreadable``.
+    """
+    if path.is_file():
+        files: dict[Path, str | None] = {path: None}
+    elif (path / "transforms.json").is_file():
+        files = {path / "transforms.json": None}
+    else:
+        files = {path / name: split for name, split in SPLIT_FILES.items() if (path / name).is_file()}
+    root = path.parent if path.is_file() else path
+    views: list[RigView] = []
+    up_axis: str | None = None
+    masks = 0
+    for json_path, split in files.items():
+        data = read_json_rig(json_path)
+        back = _applied_inverse(json_path, data) if options.undo_applied_transform else None
+        # which axis was up before the applied transform stands nowhere
+        up_axis = data.get("up_axis", "z" if back is None else None)
+        lists = {name: split for key, split in SPLIT_LISTS.items() for name in data.get(key) or ()}
+        for frame in data["frames"]:
+            if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
+                raise damaged(json_path, "a frame has no file_path")
+            split_of_frame = lists.get(frame["file_path"], split)
+            views.append(_view(json_path, {**data, **frame}, split_of_frame, back, options))
+            masks += "mask_path" in frame
+    notes = []
+    if masks:
+        notes.append(
+            Note(
+                "mask-ignored",
+                f"{masks} frames have a mask_path; masks of pixels to leave out are not used.",
+                f"Part and semantic ids belong into the folders {PARTS_FOLDER} and {SEMANTICS_FOLDER}.",
+            )
+        )
+    mesh = find_mesh([root], ["scene", "mesh", "meshed-poisson", "poisson_mesh"])
+    return Rig(NAME, tuple(views), up_axis, mesh, tuple(notes))
+
+
+def _view(
+    json_path: Path, frame: dict[str, Any], split: str | None, back: np.ndarray | None, options: ReadOptions
+) -> RigView:
+    """One view from the file's values overridden by the frame's."""
+    root = json_path.parent
+    image = find_image([folder for folder in (options.images, root) if folder], frame["file_path"])
+    pose = opengl_to_opencv_camera(read_pose(json_path, frame.get("transform_matrix")))
+    if back is not None:
+        pose = transform_poses(back, pose)
+    try:
+        if "w" in frame and "h" in frame:
+            width, height = int(frame["w"]), int(frame["h"])
+        else:
+            width, height = read_size(image)
+        lens = _lens(json_path, frame, width, height)
+    except (TypeError, ValueError, ZeroDivisionError) as error:
+        raise damaged(json_path, error) from None
+    name = view_name(frame["file_path"])
+    return RigView(
+        name=name,
+        split=split,
+        image=image,
+        width=width,
+        height=height,
+        lens=lens,
+        camera_to_world=pose,
+        parts=find_ids(root / PARTS_FOLDER, name),
+        semantics=find_ids(root / SEMANTICS_FOLDER, name),
+    )
+
+
+def _lens(json_path: Path, frame: dict[str, Any], width: int, height: int) -> Lens:
+    fx, fy = _focal_lengths(json_path, frame, width, height)
+    centre = (float(frame.get("cx", 0.5 * width)), float(frame.get("cy", 0.5 * height)))
+    k1, k2, k3, k4, p1, p2 = (float(frame.get(key) or 0.0) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
+    model = str(frame.get("camera_model", "")).upper()
+    if model in FISHEYES or frame.get("is_fisheye"):
+        return Lens("OPENCV_FISHEYE", (fx, fy, *centre, k1, k2, k3, k4))
+    # COLMAP's FULL_OPENCV divides by its k4; nerfstudio multiplies, which no model here does
+    if model not in PINHOLES or k4 != 0.0:
+        raise FiptError(
+            "camera-model",
+            f"{json_path} has the camera model {model or 'pinhole'}" + (" with k4." if k4 != 0.0 else "."),
+            "Export perspective or OpenCV fisheye images; split panoramas into perspective views.",
+        )
+    if k3 != 0.0:
+        return Lens("FULL_OPENCV", (fx, fy, *centre, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0))
+    if any((k1, k2, p1, p2)):
+        return Lens("OPENCV", (fx, fy, *centre, k1, k2, p1, p2))
+    return Lens("PINHOLE", (fx, fy, *centre))
+
+
+def _focal_lengths(json_path: Path, frame: dict[str, Any], width: int, height: int) -> tuple[float, float]:
+    """Focal lengths in pixels; what is missing is taken from the other axis (square pixels)."""
+    fx = fy = None
+    if frame.get("camera_angle_x"):
+        fx = 0.5 * width / math.tan(0.5 * float(frame["camera_angle_x"]))
+    if frame.get("camera_angle_y"):
+        fy = 0.5 * height / math.tan(0.5 * float(frame["camera_angle_y"]))
+    if frame.get("fl_x"):
+        fx = float(frame["fl_x"])
+    if frame.get("fl_y"):
+        fy = float(frame["fl_y"])
+    if fx is None and fy is None:
+        raise FiptError(
+            "intrinsics-missing",
+            f"{json_path} gives no focal length for {frame['file_path']}.",
+            "Add fl_x (pixels) or camera_angle_x (radians).",
+        )
+    fx = fy if fx is None else fx
+    return float(fx), float(fx if fy is None else fy)  # type: ignore[arg-type]
+
+
+def _applied_inverse(json_path: Path, data: dict[str, Any]) -> np.ndarray:
+    """Similarity (4, 4) from the file's world to the one before applied_transform and applied_scale."""
+    applied = np.eye(4)
+    if data.get("applied_transform") is not None:
+        applied = read_pose(json_path, data["applied_transform"])
+    try:
+        applied[:3] *= float(data.get("applied_scale", 1.0))
+        return np.linalg.inv(applied)
+    except (TypeError, ValueError, np.linalg.LinAlgError) as error:
+        raise damaged(json_path, error) from None
