@@ -1,0 +1,335 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A job as a sequence of steps, each an engine command or a function on Blender's data.
+
+One definition serves the window (a timer calls `advance`) and background runs (`run`). Standard library
+only. Which steps are finished, with which inputs, is kept in the run folder's steps.json.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..core.job.errors import FiptError
+from ..core.job.runfolder import read_json, write_json
+from .process import EngineProcess, Message
+
+STEPS_VERSION = 1
+
+
+@dataclass
+class Step:
+    """One step of a job.
+
+    Attributes:
+        name: stable identifier, the key in steps.json.
+        text: what the user reads while it runs.
+        weight: its expected share of the job's time (seconds, roughly).
+        inputs: JSON-serialisable values on which its result depends, besides the steps before it.
+        command: arguments of an engine command, or None for a function.
+        function: what to call on Blender's data, or None for a command; may return warnings.
+        outputs: files that must exist for the step to count as finished.
+        repeat: whether to do it again when finished, because its result lives in Blender's memory.
+        reset: called when inputs changed since a result was written, to remove what is stale.
+        restore: brings the work of this step and of all before it back into Blender's memory; called instead
+            of them when all are finished and a later step is not.
+    """
+
+    name: str
+    text: str
+    weight: float
+    inputs: Mapping[str, Any] = field(default_factory=dict)
+    command: Sequence[str] | None = None
+    function: Callable[[], Sequence[Message] | None] | None = None
+    outputs: Sequence[Path] = ()
+    repeat: bool = False
+    reset: Callable[[], None] | None = None
+    restore: Callable[[], None] | None = None
+
+
+class StepRecord:
+    """steps.json: name → {key, finished, seconds, warnings}."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._steps: dict[str, dict[str, Any]] = {}
+        if path.exists():
+            data = read_json(path)
+            if data.get("version") == STEPS_VERSION and isinstance(data.get("steps"), dict):
+                self._steps = data["steps"]
+
+    def key(self, name: str) -> str | None:
+        """The key with which a step was last started."""
+        entry = self._steps.get(name)
+        return entry.get("key") if isinstance(entry, dict) else None
+
+    def finished(self, step: Step, key: str) -> bool:
+        """Whether a step's result for these inputs is there."""
+        return (
+            self.key(step.name) == key
+            and self._steps[step.name].get("finished") is True
+            and all(path.exists() for path in step.outputs)
+        )
+
+    def store(
+        self,
+        name: str,
+        key: str,
+        finished: bool,
+        seconds: float = 0.0,
+        warnings: Sequence[Message] = (),
+    ) -> None:
+        """Note that a step was started or finished, and what it warned of.
+
+        Raises:
+            FiptError: ``disk-full`` or ``run-unwritable``.
+        """
+        self._steps[name] = {
+            "key": key,
+            "finished": finished,
+            "seconds": round(seconds, 2),
+            "warnings": list(warnings),
+        }
+        write_json(self._path, {"format": "fipt-steps", "version": STEPS_VERSION, "steps": self._steps})
+
+
+def chain_keys(steps: Sequence[Step]) -> list[str]:
+    """One key a step: the hash of its inputs and of the key before it."""
+    keys, previous = [], ""
+    for step in steps:
+        text = json.dumps([previous, step.name, step.inputs], sort_keys=True, default=str)
+        previous = hashlib.sha256(text.encode()).hexdigest()[:24]
+        keys.append(previous)
+    return keys
+
+
+class Job:
+    """Runs steps one after another and turns their messages into the job's own.
+
+    Args:
+        steps: what to do, in order.
+        record: what an earlier run finished.
+        start_engine: starts an engine command; raises FiptError where it can't.
+        log: file for tracebacks of functions.
+        result: called at the end, gives the `done` message's files and data.
+        resume: whether finished steps are skipped.
+
+    Attributes:
+        error: the `error` message that ended the job, or None.
+        cancelled: whether `cancel` ended it.
+    """
+
+    def __init__(
+        self,
+        steps: Sequence[Step],
+        record: StepRecord,
+        start_engine: Callable[[Sequence[str]], EngineProcess],
+        log: Path,
+        result: Callable[[], tuple[list[str], dict[str, Any]]],
+        resume: bool = True,
+    ) -> None:
+        self.error: Message | None = None
+        self.cancelled = False
+        self._steps = list(steps)
+        self._keys = chain_keys(self._steps)
+        self._record = record
+        self._start_engine = start_engine
+        self._log = log
+        self._result = result
+        self._modes = self._plan() if resume else ["run"] * len(self._steps)
+        self._position = -1
+        self._announced = False
+        self._process: EngineProcess | None = None
+        self._ended = False
+        self._memory = 0.0
+        self._warnings: list[Message] = []
+        self._weight_skipped = sum(
+            step.weight for step, mode in zip(self._steps, self._modes, strict=True) if mode != "run"
+        )
+        self._weight_total = sum(step.weight for step in self._steps) or 1.0
+        self._weight_done = self._weight_skipped
+        self._started = time.monotonic()
+        self._step_started = self._started
+
+    def _plan(self) -> list[str]:
+        """What to do with each step: "run", "skip" or "restore".
+
+        Finished steps are skipped up to the first unfinished one, save those whose result is in memory alone.
+        """
+        modes: list[str] = []
+        needed = intact = True
+        for step, key in zip(self._steps, self._keys, strict=True):
+            if not step.repeat:
+                intact = intact and self._record.finished(step, key)
+            if intact and step.restore is not None:
+                modes = ["skip"] * len(modes) + ["restore"]
+            else:
+                modes.append("skip" if intact and not step.repeat else "run")
+            needed = not intact
+        return modes if needed else ["skip"] * len(modes)
+
+    @property
+    def finished(self) -> bool:
+        """Whether `advance` has nothing more to do."""
+        return self._ended
+
+    @property
+    def step(self) -> Step | None:
+        """The step that runs now or is announced."""
+        return self._steps[self._position] if 0 <= self._position < len(self._steps) else None
+
+    def advance(self) -> list[Message]:
+        """Do what can be done now and return the messages since the last call.
+
+        Engine commands never make it wait. A function on Blender's data runs as a whole, in the call after
+        the one that announced it, so that a window can show its text first.
+        """
+        if self._ended:
+            return []
+        try:
+            return self._advance()
+        except FiptError as error:
+            return self._fail(
+                {"type": "error", "code": error.code, "text": error.text, "remedy": error.remedy}
+            )
+
+    def run(self, on_message: Callable[[Message], None], interval: float = 0.05) -> bool:
+        """Work until the end, handing over each message; True when all went well.
+
+        An exception in between, Ctrl-C among them, cancels the job first.
+        """
+        try:
+            while not self._ended:
+                for message in self.advance():
+                    on_message(message)
+                if self._process is not None and self._process.running:
+                    time.sleep(interval)
+        except BaseException:
+            self.cancel()
+            raise
+        return self.error is None and not self.cancelled
+
+    def cancel(self) -> None:
+        """End the job, and the engine with it; finished steps stay."""
+        if not self._ended:
+            self._ended = True
+            self.cancelled = True
+        if self._process is not None:
+            self._process.cancel()
+            self._process = None
+
+    def _advance(self) -> list[Message]:
+        if self._process is not None:
+            return self._watch(self._process)
+        if not self._announced:
+            return self._announce_next()
+        step = self._steps[self._position]
+        self._announced = False
+        if self._modes[self._position] == "restore":
+            self._call(step, step.restore)
+            return []
+        if step.command is not None:
+            self._process = self._start_engine(step.command)
+            return []
+        self._warnings = list(self._call(step, step.function) or ())
+        return [*self._warnings, *self._complete(step)]
+
+    def _announce_next(self) -> list[Message]:
+        self._position += 1
+        while self._position < len(self._steps) and self._modes[self._position] == "skip":
+            self._position += 1
+        if self._position >= len(self._steps):
+            self._ended = True
+            files, data = self._result()
+            return [{"type": "done", "files": files, "data": data}]
+        step, key = self._steps[self._position], self._keys[self._position]
+        if self._modes[self._position] == "restore":
+            self._announced = True
+            return []
+        if step.reset is not None and self._record.key(step.name) != key:
+            step.reset()
+        if not (step.repeat and self._record.finished(step, key)):
+            self._record.store(step.name, key, finished=False)
+        self._announced = True
+        self._step_started = time.monotonic()
+        self._warnings = []
+        stage = {"type": "stage", "name": step.name, "index": self._position, "count": len(self._steps)}
+        return [{**stage, "text": step.text}, self._progress(0.0, None)]
+
+    def _watch(self, process: EngineProcess) -> list[Message]:
+        step = self._steps[self._position]
+        messages = []
+        for message in process.poll():
+            if message["type"] == "progress":
+                self._memory = max(self._memory, float(message.get("memory_gb") or 0.0))
+                fraction, remaining = message.get("fraction", 0.0), message.get("remaining_seconds")
+                messages.append(self._progress(fraction, remaining))
+            elif message["type"] == "stage":
+                place = {"index": self._position, "count": len(self._steps)}
+                messages.append({**message, "name": f"{step.name}/{message['name']}", **place})
+            elif message["type"] == "warning":
+                self._warnings.append(message)
+                messages.append(message)
+            elif message["type"] == "error":
+                process.error = message
+        if not process.running:
+            self._process = None
+            if process.error is not None:
+                return messages + self._fail(process.error)
+            messages += self._complete(step)
+        return messages
+
+    def _call(
+        self, step: Step, function: Callable[[], Sequence[Message] | None] | None
+    ) -> Sequence[Message] | None:
+        assert function is not None
+        try:
+            return function()
+        except FiptError:
+            raise
+        except Exception as error:  # the last net: any failure must end with a message
+            with open(self._log, "a", encoding="utf-8") as log:
+                log.write(traceback.format_exc())
+            raise FiptError(
+                "blender-step-failed",
+                f"The step '{step.text}' failed: {type(error).__name__}: {error}",
+                f"{self._log} tells more; please report it.",
+            ) from error
+
+    def _complete(self, step: Step) -> list[Message]:
+        seconds = time.monotonic() - self._step_started
+        self._record.store(step.name, self._keys[self._position], True, seconds, self._warnings)
+        message = self._progress(1.0, None)
+        self._weight_done += step.weight
+        return [message]
+
+    def _progress(self, step_fraction: float, step_remaining: float | None) -> Message:
+        weight = self._steps[self._position].weight
+        done = self._weight_done + weight * min(max(step_fraction, 0.0), 1.0)
+        elapsed = time.monotonic() - self._started
+        worked = done - self._weight_skipped
+        remaining = None
+        if worked > 0.02 * self._weight_total:
+            pace = elapsed / worked
+            after = self._weight_total - self._weight_done - weight
+            here = weight * (1.0 - step_fraction) * pace if step_remaining is None else step_remaining
+            remaining = round(here + after * pace, 1)
+        return {
+            "type": "progress",
+            "fraction": round(done / self._weight_total, 4),
+            "stage_fraction": round(step_fraction, 4),
+            "remaining_seconds": remaining,
+            "memory_gb": self._memory,
+        }
+
+    def _fail(self, message: Message) -> list[Message]:
+        self.error = message
+        self._ended = True
+        return [message]

@@ -1,0 +1,337 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The one command line, behind `__main__.py` and behind `blender --command fipt`.
+
+Exit status: 0 all went well, 1 the job failed (`error: ...` on stderr), 2 wrong usage, 130 stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+from .bridge.interpreter import engine_command, engine_environment, find_engine_python
+from .bridge.process import EngineProcess, Message
+from .core.conventions import UP_AXES
+from .core.job.errors import FiptError
+from .core.job.runfolder import PRODUCT_VERSION
+from .core.job.settings import PRESETS, make_settings
+from .mainjob import PARTS, RENDER_KINDS, MainJobOptions, make_main_job
+
+FORMATS = ("auto", "fipt-synthetic", "fipt-real", "transforms", "colmap")
+_LINE_SECONDS = 5.0
+_REFRESH_SECONDS = 0.2
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The only definition of commands, options and their help."""
+    parser = argparse.ArgumentParser(
+        prog="fipt",
+        description="Estimate the materials and lights of a room from posed HDR photographs and its mesh.",
+    )
+    parser.add_argument("--version", action="version", version=f"fipt {PRODUCT_VERSION}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    estimate = commands.add_parser(
+        "estimate",
+        help="run the whole job on a capture",
+        description="Run the whole job: read the capture, estimate materials and lights, write a .blend with"
+        " textures and emissive fixtures, Cycles renders and a report.",
+    )
+    add = estimate.add_argument
+    add("capture", type=Path, metavar="CAPTURE", help="the capture's folder or its camera file")
+    add("--mesh", type=Path, metavar="FILE", help="the room's mesh (default: the one beside the cameras)")
+    add("--output", type=Path, metavar="DIR", help="the run folder (default: ./CAPTURE-fipt)")
+    add("--preset", choices=tuple(PRESETS), default="medium", help="quality against time (default: medium)")
+    add("--device", choices=("auto", "cuda", "llvm"), help="GPU (cuda) or CPU (llvm) (default: auto)")
+    add("--seed", type=int, metavar="N", help="seed of every random number (default: 0)")
+    add("--rounds", type=int, metavar="N", help="how often training and refinement are repeated")
+    add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one constant of the method")
+    add("--format", choices=FORMATS, default="auto", help="layout of the capture (default: auto)")
+    up_axes = ("auto", *UP_AXES)
+    add("--up-axis", choices=up_axes, default="auto", help="up axis of the capture; --up-axis=-y for -y")
+    add("--scale", type=float, default=1.0, metavar="S", help="metres per unit of the capture (default: 1)")
+    add("--hold-back", type=int, metavar="N", help="hold back every N-th view to judge by; 0 for none")
+    add("--images", type=Path, metavar="DIR", help="where the HDR photographs lie")
+    add("--clamp-negative", action="store_true", help="take negative radiance in photographs as zero")
+    add(
+        "--undo-applied-transform",
+        action="store_true",
+        help="transforms.json: the mesh has the coordinates from before nerfstudio's applied_transform",
+    )
+    add("--parts", choices=PARTS, default="auto", help="where material parts come from (default: auto)")
+    add("--no-renders", action="store_true", help="make no Cycles renders")
+    add("--render-spp", type=int, default=128, metavar="N", help="Cycles samples a pixel (default: 128)")
+    add("--render-view", default="", metavar="NAME", help="the view to render (default: a held-back one)")
+    add("--resume", action="store_true", help="keep what an earlier run in the same folder finished")
+
+    check = commands.add_parser("check", help="say whether the engine works here, and on which device")
+    for command in (estimate, check):
+        add = command.add_argument
+        add("--engine-python", metavar="PATH", help="the Python that has the engine's packages")
+        add("--quiet", action="store_true", help="print nothing but warnings and errors")
+        add("--json", action="store_true", help="print the messages as JSON, one a line")
+    return parser
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command line and return its exit status; never raises SystemExit."""
+    try:
+        arguments = make_parser().parse_args(list(argv))
+    except SystemExit as end:  # argparse; Blender would turn it into a traceback
+        return end.code if isinstance(end.code, int) else 2
+    return _estimate(arguments) if arguments.command == "estimate" else _check(arguments)
+
+
+def make_options(arguments: argparse.Namespace) -> MainJobOptions:
+    """The job's options from parsed arguments.
+
+    Raises:
+        FiptError: ``setting-unknown``, ``setting-invalid`` or ``option-invalid``.
+    """
+    changes: dict[str, Any] = {}
+    for text in arguments.set:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise FiptError("option-invalid", f"'--set {text}' has no '='.", "Write --set NAME=VALUE.")
+        changes[name.strip()] = value.strip()
+    for name in ("device", "seed", "rounds"):
+        if getattr(arguments, name) is not None:
+            changes[name] = getattr(arguments, name)
+    if arguments.render_spp < 1:
+        raise FiptError("option-invalid", f"--render-spp is {arguments.render_spp}.", "Give at least 1.")
+    if arguments.hold_back is not None and (arguments.hold_back < 0 or arguments.hold_back == 1):
+        raise FiptError(
+            "option-invalid", f"--hold-back is {arguments.hold_back}.", "Give 0 for none, or at least 2."
+        )
+    if not 0.0 < arguments.scale < float("inf"):
+        raise FiptError("option-invalid", f"--scale {arguments.scale} is no scale.", "Give a number above 0.")
+    capture = arguments.capture
+    folder = capture if capture.suffix == "" else capture.parent
+    return MainJobOptions(
+        capture=capture,
+        output=arguments.output or Path.cwd() / f"{folder.absolute().name}-fipt",
+        mesh=arguments.mesh,
+        settings=make_settings(arguments.preset, changes),
+        format=arguments.format,
+        up_axis=arguments.up_axis,
+        scale=arguments.scale,
+        hold_back=arguments.hold_back,
+        images=arguments.images,
+        clamp_negative=arguments.clamp_negative,
+        undo_applied_transform=arguments.undo_applied_transform,
+        parts=arguments.parts,
+        renders=() if arguments.no_renders else RENDER_KINDS,
+        render_view=arguments.render_view,
+        render_spp=arguments.render_spp,
+        resume=arguments.resume,
+        engine_python=arguments.engine_python,
+    )
+
+
+def _estimate(arguments: argparse.Namespace) -> int:
+    try:
+        options = make_options(arguments)
+    except FiptError as error:
+        print(f"error: {error.text} {error.remedy}", file=sys.stderr)
+        return 2
+    try:
+        job = make_main_job(options)
+    except FiptError as error:
+        return _report_error(arguments, error)
+    run_log = options.output / "log.txt"
+    with _own_stdout(run_log) as stream, _interrupts() as interrupts:
+        display = _Display(stream, arguments.json, arguments.quiet)
+
+        def show(message: Message) -> None:
+            if message["type"] == "stage":
+                interrupts(not message["name"].startswith("render-"))
+            display.show(message)
+
+        try:
+            good = job.run(show)
+        except KeyboardInterrupt:
+            display.end_line()
+            print("stopped; the same command with --resume continues from here.", file=sys.stderr)
+            return 130
+    return 0 if good else 1
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    try:
+        python = find_engine_python(arguments.engine_python)
+        process = EngineProcess(engine_command(python, "check"), Path(os.devnull), engine_environment())
+    except FiptError as error:
+        return _report_error(arguments, error)
+    except OSError as error:
+        explained = FiptError(
+            "engine-missing", f"The engine's Python can't be started ({error}).", "Name another interpreter."
+        )
+        return _report_error(arguments, explained)
+    display = _Display(sys.stdout, arguments.json, arguments.quiet)
+
+    def show(message: Message) -> None:
+        display.show(message)
+        if message["type"] == "done" and not arguments.json and not arguments.quiet:
+            for name, value in message.get("data", {}).items():
+                print(f"{name}: {value}")
+
+    try:
+        return 0 if process.run_blocking(show) else 1
+    except KeyboardInterrupt:
+        return 130
+
+
+def _report_error(arguments: argparse.Namespace, error: FiptError) -> int:
+    message = {"type": "error", "code": error.code, "text": error.text, "remedy": error.remedy}
+    _Display(sys.stdout, arguments.json, arguments.quiet).show(message)
+    return 1
+
+
+class _Display:
+    """Shows messages: one line that changes on a terminal, plain lines now and then elsewhere, or JSON."""
+
+    def __init__(self, stream: IO[str], as_json: bool, quiet: bool) -> None:
+        self._stream = stream
+        self._json = as_json
+        self._quiet = quiet
+        self._terminal = stream.isatty() and not as_json
+        self._text = ""
+        self._last = -1e9
+        self._line_open = False
+
+    def show(self, message: Message) -> None:
+        """Show one message."""
+        kind = message["type"]
+        if self._json:
+            self._stream.write(json.dumps(message) + "\n")
+            self._stream.flush()
+        if kind in ("warning", "error"):
+            self.end_line()
+            print(f"{kind}: {message['text']} {message['remedy']}", file=sys.stderr, flush=True)
+        if self._json or self._quiet:
+            return
+        if kind == "stage":
+            self._text = message["text"]
+            self._last = -1e9
+        elif kind == "progress":
+            self._progress(message)
+        elif kind == "done":
+            self.end_line()
+            self._files(message["files"])
+
+    def end_line(self) -> None:
+        """Leave the changing line, so that other output starts on its own."""
+        if self._line_open:
+            self._stream.write("\n")
+            self._stream.flush()
+            self._line_open = False
+
+    def _progress(self, message: Message) -> None:
+        now = time.monotonic()
+        if now - self._last < (_REFRESH_SECONDS if self._terminal else _LINE_SECONDS):
+            return
+        self._last = now
+        line = f"{100 * message['fraction']:3.0f} %  {self._text}"
+        if message.get("remaining_seconds") is not None:
+            line += f", {format_seconds(message['remaining_seconds'])} left"
+        if self._terminal:
+            width = _terminal_width(self._stream)
+            self._stream.write(f"\r{line[: width - 1]}\x1b[K")
+            self._line_open = True
+        else:
+            self._stream.write(line + "\n")
+        self._stream.flush()
+
+    def _files(self, files: Sequence[str]) -> None:
+        for name in files:
+            try:
+                size = format_size(os.path.getsize(name))
+            except OSError:
+                size = "?"
+            self._stream.write(f"{size:>9}  {name}\n")
+        self._stream.flush()
+
+
+def format_seconds(seconds: float) -> str:
+    """A time for people: "45 s", "3 min 20 s", "1 h 5 min"."""
+    whole = int(seconds + 0.5)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+def format_size(size: int) -> str:
+    """A file size for people, in powers of 1000."""
+    value = float(size)
+    for unit in ("B", "kB", "MB", "GB"):
+        if value < 1000 or unit == "GB":
+            break
+        value /= 1000
+    return f"{value:.0f} {unit}" if unit == "B" else f"{value:.1f} {unit}"
+
+
+def _terminal_width(stream: IO[str]) -> int:
+    try:
+        return os.get_terminal_size(stream.fileno()).columns or 80
+    except OSError:
+        return 80
+
+
+@contextmanager
+def _own_stdout(log: Path) -> Iterator[IO[str]]:
+    """Stdout for the display alone; what Blender prints there goes to the log meanwhile.
+
+    Blender prints in C, so the file descriptor itself is moved, and put back at the end.
+    """
+    sys.stdout.flush()
+    try:
+        kept = os.dup(1)
+        with open(log, "ab") as file:
+            os.dup2(file.fileno(), 1)
+    except OSError:  # no console (Windows), or a full disk: share it then
+        yield sys.stdout
+        return
+    stream = os.fdopen(kept, "w", encoding="utf-8", errors="replace", buffering=1)
+    try:
+        yield stream
+    finally:
+        sys.stdout.flush()
+        stream.flush()
+        os.dup2(kept, 1)
+        stream.close()
+
+
+@contextmanager
+def _interrupts() -> Iterator[Callable[[bool], None]]:
+    """Ctrl-C and SIGTERM as KeyboardInterrupt, also where Blender has put a handler of its own.
+
+    Yields a switch: off, the signal ends the process at once, for the renders, in which Python has no turn
+    (no engine runs then, and everything finished is on disk).
+    """
+    numbers = (signal.SIGINT, signal.SIGTERM)
+
+    def interrupt(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    def switch(on: bool) -> None:
+        for number in numbers:
+            signal.signal(number, interrupt if on else signal.SIG_DFL)
+
+    before = [signal.getsignal(number) for number in numbers]
+    switch(True)
+    try:
+        yield switch
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)

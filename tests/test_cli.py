@@ -1,0 +1,226 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command line: usage, exit status, output for people and for scripts."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from fipt_blender import cli
+from fipt_blender.bridge.process import EngineProcess
+from fipt_blender.bridge.sequence import Job, Step, StepRecord
+from fipt_blender.core.job.errors import FiptError
+
+PACKAGE = Path(cli.__file__).parent
+GOOD = (
+    "import json, time\n"
+    'for i in range(3): print(json.dumps({"type": "progress", "fraction": i / 2, "remaining_seconds": 70}))\n'
+    'print(json.dumps({"type": "warning", "code": "w", "text": "Odd.", "remedy": "Even it."}))\n'
+    'print(json.dumps({"type": "done", "files": [], "data": {}}))\n'
+)
+BAD = (
+    "import json, sys\n"
+    'print(json.dumps({"type": "error", "code": "mesh-empty", "text": "No mesh.", "remedy": "Give one."}))\n'
+    "sys.exit(1)"
+)
+
+
+@pytest.fixture
+def capture(tmp_path, monkeypatch):
+    """A folder to name as capture, and the working directory for default outputs."""
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "room"
+    folder.mkdir()
+    return folder
+
+
+def fake_job(monkeypatch, script: str) -> list:
+    """Replace the main job by one engine command; returns the options that it was made with."""
+    seen = []
+
+    def make(options):
+        seen.append(options)
+        options.output.mkdir(exist_ok=True)
+        log = options.output / "log.txt"
+        result = options.output / "result.bin"
+        result.write_bytes(b"x" * 1500)
+
+        def start(arguments):
+            return EngineProcess([sys.executable, "-c", script], log)
+
+        step = Step("estimate", "Estimating", 1.0, command=["estimate"])
+        record = StepRecord(options.output / "steps.json")
+        return Job([step], record, start, log, lambda: ([str(result)], {}))
+
+    monkeypatch.setattr(cli, "make_main_job", make)
+    return seen
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        [],
+        ["dance"],
+        ["estimate"],
+        ["estimate", "room", "--preset", "best"],
+        ["estimate", "room", "--seed", "x"],
+        ["estimate", "room", "--set", "rounds"],
+        ["estimate", "room", "--set", "no_such_setting=1"],
+        ["estimate", "room", "--set", "rounds=many"],
+        ["estimate", "room", "--rounds", "-1"],
+        ["estimate", "room", "--scale", "0"],
+        ["estimate", "room", "--scale", "nan"],
+        ["estimate", "room", "--hold-back", "1"],
+        ["estimate", "room", "--render-spp", "0"],
+        ["estimate", "room", "--parts", "guess"],
+    ],
+)
+def test_wrong_usage_is_status_2_with_text_on_stderr(argv, capsys):
+    assert cli.main(argv) == 2
+    output = capsys.readouterr()
+    assert "error: " in output.err and output.out == ""
+
+
+def test_help_and_version(capsys):
+    assert cli.main(["--help"]) == 0 and cli.main(["estimate", "--help"]) == 0
+    text = capsys.readouterr().out
+    for option in ("--mesh", "--preset", "--resume", "--engine-python", "--json", "--hold-back"):
+        assert option in text
+    assert cli.main(["--version"]) == 0
+
+
+def test_options_reach_the_job(capture, monkeypatch, capsys):
+    seen = fake_job(monkeypatch, GOOD)
+    arguments = "estimate room --preset draft --seed 7 --device llvm --rounds 0 --set texel_density=64"
+    arguments += " --no-renders --up-axis=-y --scale 0.01 --hold-back 5 --parts none --mesh m.obj --resume"
+    assert cli.main(arguments.split()) == 0
+    options = seen[0]
+    settings = options.settings
+    assert (settings.preset, settings.seed, settings.device, settings.rounds) == ("draft", 7, "llvm", 0)
+    assert settings.texel_density == 64.0 and options.renders == () and options.resume
+    assert (options.up_axis, options.scale, options.hold_back) == ("-y", 0.01, 5)
+    assert (options.parts, options.mesh) == ("none", Path("m.obj"))
+    assert options.output == capture.parent / "room-fipt"
+
+
+def test_a_good_run_shows_progress_and_ends_with_the_files(capture, monkeypatch, capfd):
+    fake_job(monkeypatch, GOOD)
+    assert cli.main(["estimate", "room"]) == 0
+    output = capfd.readouterr()
+    lines = output.out.splitlines()
+    assert lines[0].strip().startswith("0 %") and "Estimating" in lines[0]
+    assert lines[-1].split() == ["1.5", "kB", str(capture.parent / "room-fipt" / "result.bin")]
+    assert output.err == "warning: Odd. Even it.\n"
+
+
+def test_json_prints_messages_alone(capture, monkeypatch, capfd):
+    fake_job(monkeypatch, GOOD)
+    assert cli.main(["estimate", "room", "--json"]) == 0
+    messages = [json.loads(line) for line in capfd.readouterr().out.splitlines()]
+    assert messages[0]["type"] == "stage" and messages[-1]["type"] == "done"
+
+
+def test_quiet_prints_no_progress(capture, monkeypatch, capfd):
+    fake_job(monkeypatch, GOOD)
+    assert cli.main(["estimate", "room", "--quiet"]) == 0
+    output = capfd.readouterr()
+    assert output.out == "" and "warning" in output.err
+
+
+def test_a_failed_job_is_status_1_with_text_and_remedy(capture, monkeypatch, capfd):
+    fake_job(monkeypatch, BAD)
+    assert cli.main(["estimate", "room"]) == 1
+    assert "error: No mesh. Give one.\n" in capfd.readouterr().err
+
+
+def test_a_job_that_cannot_start_is_status_1(capture, monkeypatch, capfd):
+    def make(options):
+        raise FiptError("engine-missing", "No engine.", "Install it.")
+
+    monkeypatch.setattr(cli, "make_main_job", make)
+    assert cli.main(["estimate", "room"]) == 1
+    assert capfd.readouterr().err == "error: No engine. Install it.\n"
+
+
+def test_what_blender_prints_meanwhile_goes_to_the_log(capture, monkeypatch, capfd):
+    log = capture.parent / "log.txt"
+    with cli._own_stdout(log) as stream:
+        os.write(1, b"Fra:1 Mem:20M\n")
+        stream.write("ours\n")
+    os.write(1, b"after\n")
+    assert capfd.readouterr().out == "ours\nafter\n"
+    assert log.read_text() == "Fra:1 Mem:20M\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+def test_ctrl_c_ends_the_engine_and_says_how_to_go_on(capture):
+    script = (
+        "import sys\n"
+        "from pathlib import Path\n"
+        f"sys.path.insert(0, {str(PACKAGE.parent)!r})\n"
+        "from fipt_blender import cli\n"
+        "from fipt_blender.bridge.process import EngineProcess\n"
+        "from fipt_blender.bridge.sequence import Job, Step, StepRecord\n"
+        "inner = 'import json, os, time\\n'\n"
+        'inner += \'print(json.dumps({"type": "stage", "name": str(os.getpid()), "text": ""}), flush=True)\\n\'\n'
+        "inner += 'time.sleep(60)'\n"
+        "def make(options):\n"
+        "    options.output.mkdir()\n"
+        "    log = options.output / 'log.txt'\n"
+        "    start = lambda arguments: EngineProcess([sys.executable, '-c', inner], log)\n"
+        "    record = StepRecord(options.output / 'steps.json')\n"
+        "    return Job([Step('a', 'A', 1.0, command=['a'])], record, start, log, lambda: ([], {}))\n"
+        "cli.make_main_job = make\n"
+        "sys.exit(cli.main(['estimate', 'room', '--json']))\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    engine = None
+    while engine is None:
+        message = json.loads(process.stdout.readline())
+        if message["type"] == "stage" and message["name"].startswith("a/"):
+            engine = int(message["name"][2:])
+    started = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=10)
+    assert process.returncode == 130 and time.monotonic() - started < 3.0
+    assert "--resume" in errors and "Traceback" not in errors
+    with pytest.raises(ProcessLookupError):
+        os.kill(engine, 0)
+
+
+@pytest.mark.parametrize("command", [[str(PACKAGE / "__main__.py")], ["-m", PACKAGE.name], [str(PACKAGE)]])
+def test_the_package_runs_as_a_file_and_as_a_module(command, tmp_path):
+    for arguments, status in ((["--version"], 0), (["dance"], 2), (["estimate", "no such folder"], 1)):
+        result = subprocess.run(
+            [sys.executable, *command, *arguments],
+            cwd=PACKAGE.parent if command[0] == "-m" else tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert result.returncode == status, result.stderr
+        assert "Traceback" not in result.stderr
+    assert "error: The capture no such folder does not exist." in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0.2, "0 s"), (59.4, "59 s"), (59.6, "1 min 0 s"), (3900, "1 h 5 min")]
+)
+def test_times_for_people(seconds, text):
+    assert cli.format_seconds(seconds) == text
+
+
+@pytest.mark.parametrize(("size", "text"), [(7, "7 B"), (1500, "1.5 kB"), (2_340_000, "2.3 MB")])
+def test_sizes_for_people(size, text):
+    assert cli.format_size(size) == text
