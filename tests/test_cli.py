@@ -170,7 +170,8 @@ def test_ctrl_c_ends_the_engine_and_says_how_to_go_on(capture):
         "from fipt_blender.bridge.process import EngineProcess\n"
         "from fipt_blender.bridge.sequence import Job, Step, StepRecord\n"
         "inner = 'import json, os, time\\n'\n"
-        'inner += \'print(json.dumps({"type": "stage", "name": str(os.getpid()), "text": ""}), flush=True)\\n\'\n'
+        'inner += \'message = {"type": "stage", "name": str(os.getpid()), "text": ""}\\n\'\n'
+        "inner += 'print(json.dumps(message), flush=True)\\n'\n"
         "inner += 'time.sleep(60)'\n"
         "def make(options):\n"
         "    options.output.mkdir()\n"
