@@ -1,0 +1,318 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Every reader gives back the cameras that the capture was written from."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from capture_samples import (
+    level_pose,
+    make_samples,
+    write_colmap,
+    write_fipt_real,
+    write_fipt_synthetic,
+    write_mesh,
+    write_transforms,
+)
+
+from fipt_blender.core.capture.formats import FORMATS, detect_format, read_rig
+from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.capture.rig import Lens, ReadOptions, find_image, view_name
+from fipt_blender.core.job.errors import FiptError
+
+
+def read(path, **options):
+    return read_rig(path, "auto", ReadOptions(**options))
+
+
+def assert_same_cameras(rig, samples):
+    assert len(rig.views) == len(samples)
+    for view, sample in zip(rig.views, samples, strict=True):
+        assert view.image.is_file() and view.image.stem == sample.stem
+        assert (view.width, view.height) == (sample.width, sample.height)
+        assert view.lens.model == sample.lens.model
+        np.testing.assert_allclose(view.lens.parameters, sample.lens.parameters, atol=1e-9)
+        np.testing.assert_allclose(view.camera_to_world, sample.pose, atol=1e-5)
+
+
+@pytest.mark.parametrize("model", ["PINHOLE", "OPENCV"])
+@pytest.mark.parametrize("text", [True, False])
+def test_colmap(tmp_path, text, model):
+    samples = make_samples(5, up=(0.0, -1.0, 0.0), model=model)
+    write_colmap(tmp_path, samples, text)
+    write_mesh(tmp_path / "scene.obj")
+    write_exr(tmp_path / "parts" / "001_0001.exr", np.ones((48, 32)))
+    for path in (tmp_path, tmp_path / "sparse" / "0"):  # found from the capture and from the model
+        rig = read(path)
+        assert rig.source == "colmap" and rig.up_axis is None and not rig.notes
+        assert_same_cameras(rig, samples)
+        assert rig.mesh is not None and rig.mesh.samefile(tmp_path / "scene.obj")
+        assert [view.parts is not None for view in rig.views] == [False, True, False, False, False]
+
+
+def test_colmap_without_registered_poses_and_with_other_models(tmp_path):
+    write_colmap(tmp_path, make_samples(2), text=True)
+    other = tmp_path / "sparse" / "1"
+    other.mkdir()
+    for name in ("cameras.txt", "images.txt"):
+        (other / name).write_text("")
+    assert [note.code for note in read(tmp_path).notes] == ["several-models"]
+
+
+def test_colmap_point_cloud_is_no_mesh(tmp_path):
+    write_colmap(tmp_path, make_samples(2), text=True)
+    header = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\n{}end_header\n0\n"
+    (tmp_path / "dense").mkdir()
+    (tmp_path / "dense" / "fused.ply").write_text(header.format(""))
+    assert read(tmp_path).mesh is None
+    faces = "element face 1\nproperty list uchar int vertex_indices\n"
+    (tmp_path / "dense" / "meshed-poisson.ply").write_text(header.format(faces))
+    assert read(tmp_path).mesh == tmp_path / "dense" / "meshed-poisson.ply"
+
+
+def test_damaged_colmap(tmp_path):
+    write_colmap(tmp_path, make_samples(2), text=False)
+    (tmp_path / "sparse" / "0" / "images.bin").write_bytes(b"\x05\0\0")
+    with pytest.raises(FiptError) as caught:
+        read(tmp_path)
+    assert caught.value.code == "rig-damaged"
+
+
+@pytest.mark.parametrize("model", ["PINHOLE", "OPENCV"])
+def test_transforms(tmp_path, model):
+    samples = make_samples(4, model=model)
+    write_transforms(tmp_path, samples)
+    write_mesh(tmp_path / "mesh.obj")
+    write_exr(tmp_path / "semantics" / "002_0001.exr", np.ones((32, 48)))
+    for path in (tmp_path, tmp_path / "transforms.json"):
+        rig = read(path)
+        assert rig.source == "transforms" and rig.up_axis == "z" and rig.mesh == tmp_path / "mesh.obj"
+        assert_same_cameras(rig, samples)
+        assert [view.semantics is not None for view in rig.views] == [False, False, True, False]
+
+
+def edit_json(path, change):
+    data = json.loads(path.read_text())
+    change(data)
+    path.write_text(json.dumps(data))
+
+
+def test_transforms_with_global_intrinsics_and_names_without_suffix(tmp_path):
+    samples = make_samples(4)[::2]
+    write_transforms(tmp_path, samples)
+
+    def change(data):
+        first = data["frames"][0]
+        data.update({key: first[key] for key in ("w", "h", "fl_x", "fl_y", "cx", "cy")})
+        data["frames"] = [
+            {"file_path": "./" + f["file_path"][:-4], "transform_matrix": f["transform_matrix"][:3]}
+            for f in data["frames"]
+        ]
+
+    edit_json(tmp_path / "transforms.json", change)
+    assert_same_cameras(read(tmp_path), samples)
+
+
+def test_transforms_with_a_field_of_view_takes_the_size_from_the_image(tmp_path):
+    samples = make_samples(2)
+    write_transforms(tmp_path, samples)
+
+    def change(data):
+        data["camera_angle_x"] = 1.0
+        for frame in data["frames"]:
+            for key in ("w", "h", "fl_x", "fl_y", "cx", "cy"):
+                del frame[key]
+
+    edit_json(tmp_path / "transforms.json", change)
+    for view, width, height in zip(read(tmp_path).views, (48, 32), (32, 48), strict=True):
+        focal = 0.5 * width / math.tan(0.5)
+        assert (view.width, view.height) == (width, height)
+        np.testing.assert_allclose(view.lens.parameters, (focal, focal, 0.5 * width, 0.5 * height))
+
+
+@pytest.mark.parametrize(
+    ("extra", "lens"),
+    [
+        (
+            {"camera_model": "OPENCV_FISHEYE", "k1": 0.1, "k4": 0.2},
+            Lens("OPENCV_FISHEYE", (0.1, 0.0, 0.0, 0.2)),
+        ),
+        ({"is_fisheye": True, "k2": 0.1}, Lens("OPENCV_FISHEYE", (0.0, 0.1, 0.0, 0.0))),
+        ({"k1": 0.1, "p2": 0.01}, Lens("OPENCV", (0.1, 0.0, 0.0, 0.01))),
+        ({"k1": 0.1, "k3": 0.01}, Lens("FULL_OPENCV", (0.1, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0))),
+        ({"camera_model": "OPENCV", "k1": 0.0}, Lens("PINHOLE", ())),
+    ],
+)
+def test_transforms_distortion(tmp_path, extra, lens):
+    write_transforms(tmp_path, make_samples(1), **extra)
+    view = read(tmp_path).views[0]
+    assert view.lens.model == lens.model
+    np.testing.assert_allclose(view.lens.parameters[4:], lens.parameters)
+
+
+@pytest.mark.parametrize(
+    "extra", [{"camera_model": "EQUIRECTANGULAR"}, {"camera_model": "OPENCV", "k4": 0.1}]
+)
+def test_transforms_with_lenses_that_have_no_pinhole(tmp_path, extra):
+    write_transforms(tmp_path, make_samples(1), **extra)
+    with pytest.raises(FiptError) as caught:
+        read(tmp_path)
+    assert caught.value.code == "camera-model"
+
+
+def test_transforms_before_the_applied_transform(tmp_path):
+    samples = make_samples(3)
+    applied = np.array([[0.0, 1, 0, 0.5], [1, 0, 0, 0], [0, 0, -1, 0]])
+    written = []
+    for sample in samples:
+        pose = np.vstack([applied, [0, 0, 0, 1]]) @ sample.pose
+        pose[:3, 3] *= 2.0
+        written.append(type(sample)(sample.stem, sample.width, sample.height, sample.lens, pose))
+    write_transforms(tmp_path, written, applied_transform=applied.tolist(), applied_scale=2.0)
+    assert_same_cameras(read(tmp_path), written)
+    rig = read(tmp_path, undo_applied_transform=True)
+    assert_same_cameras(rig, samples)
+    assert rig.up_axis is None
+
+
+def test_transforms_splits_masks_and_up_axis(tmp_path):
+    write_transforms(tmp_path, make_samples(3), up_axis="y")
+
+    def change(data):
+        data["val_filenames"] = ["images/001_0001.exr"]
+        data["frames"][0]["mask_path"] = "masks/0.png"
+
+    edit_json(tmp_path / "transforms.json", change)
+    rig = read(tmp_path)
+    assert [view.split for view in rig.views] == [None, "held_back", None]
+    assert [note.code for note in rig.notes] == ["mask-ignored"] and rig.up_axis == "y"
+
+
+def test_transforms_one_file_a_split(tmp_path):
+    write_transforms(tmp_path, make_samples(2))
+    (tmp_path / "transforms_test.json").write_text((tmp_path / "transforms.json").read_text())
+    (tmp_path / "transforms.json").rename(tmp_path / "transforms_train.json")
+    assert [view.split for view in read(tmp_path).views] == ["train", "train", "held_back", "held_back"]
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("{", "rig-damaged"),
+        ("[]", "rig-damaged"),
+        ('{"frames": [3]}', "rig-damaged"),
+        ('{"frames": [{"file_path": "a.exr", "w": 4, "h": 4, "fl_x": 1}]}', "rig-damaged"),
+        ('{"frames": [{"file_path": "a.exr", "w": "x", "h": 4, "transform_matrix": 0}]}', "rig-damaged"),
+    ],
+)
+def test_damaged_transforms(tmp_path, text, code):
+    (tmp_path / "transforms.json").write_text(text)
+    with pytest.raises(FiptError) as caught:
+        read(tmp_path)
+    assert caught.value.code == code
+
+
+def test_transforms_without_focal_length(tmp_path):
+    write_transforms(tmp_path, make_samples(1))
+    edit_json(tmp_path / "transforms.json", lambda data: [data["frames"][0].pop(k) for k in ("fl_x", "fl_y")])
+    with pytest.raises(FiptError) as caught:
+        read(tmp_path)
+    assert caught.value.code == "intrinsics-missing"
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_fipt_synthetic(tmp_path, named):
+    rng = np.random.default_rng(1)
+    poses = [level_pose(rng, np.array([0.0, 1.0, 0.0])) for _ in range(5)]
+    write_fipt_synthetic(tmp_path, {"train": poses[:3], "val": poses[3:]}, named)
+    write_mesh(tmp_path / "scene.obj")
+    rig = read(tmp_path)
+    assert rig.source == "fipt-synthetic" and rig.up_axis == "y" and rig.mesh == tmp_path / "scene.obj"
+    names = ["train/000", "train/001", "train/002", "val/000", "val/001"]
+    assert [view.name for view in rig.views] == names
+    assert [view.split for view in rig.views] == ["train"] * 3 + ["held_back"] * 2
+    focal = 12.0 / math.tan(0.6)
+    for view, pose in zip(rig.views, poses, strict=True):
+        np.testing.assert_allclose(view.camera_to_world, pose, atol=1e-5)
+        np.testing.assert_allclose(view.lens.parameters, (focal, focal, 12.0, 8.0))
+        assert view.image.is_file() and view.parts.is_file() and view.semantics.is_file()
+
+
+def test_fipt_real(tmp_path):
+    samples = make_samples(4, up=(0.0, -1.0, 0.0))
+    write_fipt_real(tmp_path, samples)
+    write_mesh(tmp_path / "scene.obj")
+    write_exr(tmp_path / "segmentation" / "003.exr", np.ones((48, 32)))
+    rig = read(tmp_path)
+    assert rig.source == "fipt-real" and rig.up_axis is None and rig.mesh == tmp_path / "scene.obj"
+    assert_same_cameras(rig, samples)
+    assert [view.semantics is not None for view in rig.views] == [False, False, False, True]
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "code"),
+    [
+        ("cam.txt", lambda lines: lines[:-1], "rig-damaged"),
+        ("cam.txt", lambda lines: ["x", *lines[1:]], "rig-damaged"),
+        ("K_list.txt", lambda lines: ["1", *lines[1:4]], "rig-damaged"),
+        ("cam.txt", lambda lines: [*lines[:3], "0.5 0.5 0.5", *lines[4:]], "pose-not-rotation"),
+        ("K_list.txt", lambda lines: [lines[0], "80 0 96", "0 80 64", *lines[3:]], "image-size"),
+    ],
+)
+def test_damaged_fipt_real(tmp_path, file, change, code):
+    write_fipt_real(tmp_path, make_samples(2))
+    lines = (tmp_path / file).read_text().splitlines()
+    (tmp_path / file).write_text("\n".join(change(lines)))
+    with pytest.raises(FiptError) as caught:
+        read(tmp_path)
+    assert caught.value.code == code
+
+
+def test_unknown_format_lists_what_was_sought(tmp_path):
+    with pytest.raises(FiptError) as caught:
+        detect_format(tmp_path)
+    assert caught.value.code == "format-unknown"
+    assert all(name in caught.value.text for name in FORMATS)
+    with pytest.raises(FiptError) as caught:
+        detect_format(tmp_path / "nowhere")
+    assert caught.value.code == "capture-missing"
+    write_transforms(tmp_path, make_samples(1))
+    with pytest.raises(FiptError) as caught:
+        read_rig(tmp_path, "colmap", ReadOptions())
+    assert caught.value.code == "format-unknown"
+
+
+def test_nerfstudio_folder_is_read_as_transforms_unless_told(tmp_path):
+    samples = make_samples(2)
+    write_colmap(tmp_path, samples, text=False)
+    write_transforms(tmp_path, samples)
+    assert detect_format(tmp_path) == "transforms"
+    assert read_rig(tmp_path, "colmap", ReadOptions()).source == "colmap"
+
+
+def test_images_are_found_by_stem_with_exr_first(tmp_path):
+    hdr = tmp_path / "hdr"
+    for path in (tmp_path / "a.jpg", tmp_path / "frame.0001.jpg", hdr / "a.exr"):
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(b"")
+    assert find_image([tmp_path, hdr], "a.jpg") == hdr / "a.exr"
+    assert find_image([tmp_path], "a.jpg") == tmp_path / "a.jpg"
+    assert find_image([tmp_path], "frame.0001") == tmp_path / "frame.0001.jpg"
+    assert find_image([hdr, tmp_path], "b.jpg") == hdr / "b.jpg"
+
+
+@pytest.mark.parametrize(
+    ("path", "name"),
+    [
+        ("./images/a.jpg", "images/a"),
+        ("../x/b.0001.exr", "x/b.0001"),
+        ("C:\\x\\c.png", "x/c"),
+        ("/d/e", "d/e"),
+    ],
+)
+def test_view_names_stay_inside_a_folder(path, name):
+    assert view_name(path) == name
