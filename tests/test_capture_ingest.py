@@ -1,0 +1,378 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`ingest` end to end: good captures become capture.json, bad ones an error and nothing on disk."""
+
+from __future__ import annotations
+
+import io
+import json
+
+import numpy as np
+import pytest
+from capture_samples import (
+    level_pose,
+    make_samples,
+    radiance,
+    write_colmap,
+    write_fipt_real,
+    write_fipt_synthetic,
+    write_mesh,
+    write_transforms,
+)
+
+from fipt_blender.core import conventions
+from fipt_blender.core.__main__ import main
+from fipt_blender.core.capture import checks
+from fipt_blender.core.capture.distortion import undistorted_pinhole
+from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
+from fipt_blender.core.capture.ingest import IngestOptions, ingest
+from fipt_blender.core.capture.views import load_capture, load_images
+from fipt_blender.core.job.errors import FiptError
+from fipt_blender.core.job.messages import Reporter, parse_message
+from fipt_blender.core.job.runfolder import RunFolder
+from fipt_blender.core.job.settings import make_settings
+
+
+def run_ingest(capture, run, **options):
+    """Ingest and return the messages."""
+    stream = io.StringIO()
+    ingest(capture, run, IngestOptions(**options), Reporter(stream))
+    return [parse_message(line) for line in stream.getvalue().splitlines()]
+
+
+def warnings(messages):
+    return [message["code"] for message in messages if message["type"] == "warning"]
+
+
+@pytest.fixture
+def run(tmp_path):
+    return RunFolder(tmp_path / "run")
+
+
+def test_transforms_become_views_in_metres(tmp_path, run):
+    samples = make_samples(9, up=(0.0, 1.0, 0.0))
+    write_transforms(tmp_path / "in", samples)
+    write_mesh(tmp_path / "room.obj")
+    run.create(make_settings("draft"))
+    messages = run_ingest(
+        tmp_path / "in", run, up_axis="y", scale=0.5, mesh=tmp_path / "room.obj", hold_back=4
+    )
+    assert warnings(messages) == []
+    assert messages[-1]["type"] == "done" and messages[-1]["data"]["held_back"] == 2
+    assert [message["fraction"] for message in messages if message["type"] == "progress"][-1] >= 0.8
+    assert run.read().preset == "draft"  # settings are left alone
+    capture = load_capture(run)
+    assert capture.source == "transforms" and capture.mesh == tmp_path / "room.obj"
+    np.testing.assert_allclose(capture.world_from_source, conventions.world_from_source("y", 0.5))
+    assert [view.split for view in capture.views].index("held_back") == 2
+    assert len(capture.train) == 7 and len(capture.held_back) == 2
+    for index, (view, sample) in enumerate(zip(capture.views, samples, strict=True)):
+        x, y, z = sample.pose[:3, 3]
+        np.testing.assert_allclose(view.camera_to_world[:3, 3], [0.5 * x, -0.5 * z, 0.5 * y], atol=1e-9)
+        assert view.camera_to_world.dtype == np.float64
+        assert (view.fx, view.fy, view.cx, view.cy) == sample.lens.parameters
+        np.testing.assert_allclose(view.radiance(), radiance(index, view.width, view.height), rtol=2.0**-11)
+        origins, directions = view.rays()
+        assert origins.shape == directions.shape == (view.width * view.height, 3)
+    assert [image.shape for image in load_images(capture.views[:2])] == [(32, 48, 3), (48, 32, 3)]
+    assert capture.views[0].part_ids() is None and capture.views[0].semantic_ids() is None
+    assert not run.images.exists()  # nothing had to change
+
+
+def test_fipt_synthetic_through_the_command(tmp_path, run, monkeypatch):
+    rng = np.random.default_rng(3)
+    poses = [level_pose(rng, np.array([0.0, 1.0, 0.0])) for _ in range(4)]
+    write_fipt_synthetic(tmp_path / "in", {"train": poses[:3], "val": poses[3:]})
+    monkeypatch.setattr("fipt_blender.core.__main__.claim_stdout", io.StringIO)
+    assert main(["ingest", str(tmp_path / "in"), str(run.root), "--hold-back=0"]) == 0
+    capture = load_capture(run)
+    assert [view.name for view in capture.held_back] == ["val/000"]
+    assert capture.mesh is None
+    np.testing.assert_array_equal(capture.views[2].part_ids(), 3)
+    np.testing.assert_array_equal(capture.views[2].semantic_ids(), 50)
+    assert run.read() == make_settings()
+
+
+@pytest.mark.parametrize("up", [(0, -1, 0), (0, 0, 1), (0, 1, 0), (-1, 0, 0)])
+def test_level_cameras_tell_which_way_is_up(tmp_path, run, up):
+    write_fipt_real(tmp_path / "in", make_samples(6, up=np.array(up, float)))
+    run_ingest(tmp_path / "in", run)
+    mean_down = np.mean([view.camera_to_world[:3, 1] for view in load_capture(run).views], axis=0)
+    assert mean_down[2] < -0.5 and np.abs(mean_down[:2]).max() < 0.5
+
+
+@pytest.mark.parametrize(
+    "write", [write_transforms, lambda root, samples: write_colmap(root, samples, False)]
+)
+def test_distorted_images_and_masks_are_undistorted(tmp_path, run, write):
+    samples = make_samples(3, model="OPENCV")
+    write(tmp_path / "in", samples)
+    ids = np.random.default_rng(0).integers(0, 9, (32, 48))
+    write_exr(tmp_path / "in" / "parts" / "000_0001.exr", ids)
+    messages = run_ingest(tmp_path / "in", run, hold_back=0)
+    assert messages[-1]["data"]["undistorted"] == 3
+    for view, sample in zip(load_capture(run).views, samples, strict=True):
+        pinhole = undistorted_pinhole(sample.lens, sample.width, sample.height)
+        assert view.image.is_relative_to(run.images)
+        assert (view.width, view.height) == (pinhole.width, pinhole.height) != (sample.width, sample.height)
+        assert (view.fx, view.fy, view.cx, view.cy) == (pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
+        assert view.radiance().shape == (view.height, view.width, 3)
+    first = load_capture(run).views[0]
+    assert first.part_ids().shape == (first.height, first.width)
+    assert set(np.unique(first.part_ids())) <= set(np.unique(ids))
+    paths = [view["image"] for view in json.loads(run.capture_json.read_text())["views"]]
+    assert all(path.startswith("images/") for path in paths)  # the run folder can be moved
+
+
+def test_run_is_moved(tmp_path, run):
+    write_transforms(tmp_path / "in", make_samples(1, model="OPENCV"))
+    run_ingest(tmp_path / "in", run, hold_back=0)
+    moved = RunFolder(run.root.rename(tmp_path / "elsewhere"))
+    assert load_capture(moved).views[0].radiance().ndim == 3
+
+
+def test_nearly_orthonormal_poses_are_made_exact(tmp_path, run):
+    samples = make_samples(2)
+    samples[0].pose[:3, :3] += 2e-4 * np.random.default_rng(0).normal(size=(3, 3))
+    write_transforms(tmp_path / "in", samples)
+    run_ingest(tmp_path / "in", run)
+    rotation = load_capture(run).views[0].camera_to_world[:3, :3]
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+
+
+def test_names_and_splits(tmp_path, run):
+    """Two images of one stem get two names; the format's own held-back views win over --hold-back."""
+    samples = make_samples(3)
+    write_transforms(tmp_path / "in", samples)
+    path = tmp_path / "in" / "transforms.json"
+    data = json.loads(path.read_text())
+    (tmp_path / "in" / "images" / "002_0001.exr").rename(tmp_path / "in" / "002_0001.exr")
+    data["frames"][2]["file_path"] = "../in/002_0001.exr"
+    data["frames"].append({**data["frames"][0]})
+    data["test_filenames"] = ["images/001_0001.exr"]
+    path.write_text(json.dumps(data))
+    run_ingest(tmp_path / "in", run, hold_back=2)
+    names = [(view.name, view.split) for view in load_capture(run).views]
+    assert names == [
+        ("images/000_0001", "train"),
+        ("images/001_0001", "held_back"),
+        ("in/002_0001", "train"),
+        ("images/000_0001~2", "train"),
+    ]
+
+
+# --- photographs that are wrong ----------------------------------------------------------------------------
+
+
+def set_pixels(tmp_path, change, name="001_0001"):
+    path = tmp_path / "in" / "images" / f"{name}.exr"
+    pixels = read_radiance(path)
+    write_exr(path, change(pixels))
+
+
+def put(pixels, value):
+    pixels[3, 4, 1] = value
+    return pixels
+
+
+def change_frame(tmp_path, change):
+    path = tmp_path / "in" / "transforms.json"
+    data = json.loads(path.read_text())
+    change(data["frames"][1])
+    path.write_text(json.dumps(data))
+
+
+def scale_pose(frame):
+    frame["transform_matrix"] = (np.array(frame["transform_matrix"]) * 1.01).tolist()
+
+
+def mirror_pose(frame):
+    frame["transform_matrix"] = (np.array(frame["transform_matrix"]) @ np.diag([-1, 1, 1, 1])).tolist()
+
+
+def nan_pose(frame):
+    frame["transform_matrix"][0][3] = float("nan")
+
+
+def name_png(tmp_path):
+    path = tmp_path / "in" / "images" / "001_0001"
+    path.with_suffix(".exr").unlink()
+    path.with_suffix(".png").write_bytes(b"x")
+    change_frame(tmp_path, lambda frame: frame.update(file_path="images/001_0001.png"))
+
+
+def black(tmp_path):
+    for index in range(3):
+        set_pixels(tmp_path, lambda pixels: pixels * 0.0, f"{index:03d}_0001")
+
+
+BAD = {
+    "missing": ("image-missing", lambda p: (p / "in/images/001_0001.exr").unlink()),
+    "size": ("image-size", lambda p: set_pixels(p, lambda x: x[:-1])),
+    "nan": ("image-not-finite", lambda p: set_pixels(p, lambda x: put(x, np.nan))),
+    "inf": ("image-not-finite", lambda p: set_pixels(p, lambda x: put(x, np.inf))),
+    "negative": ("image-negative", lambda p: set_pixels(p, lambda x: put(x, -0.1))),
+    "ldr": ("image-ldr", name_png),
+    "black": ("image-black", black),
+    "unreadable": ("image-unreadable", lambda p: (p / "in/images/001_0001.exr").write_text("x")),
+    "scaled": ("pose-not-rotation", lambda p: change_frame(p, scale_pose)),
+    "mirrored": ("pose-not-rotation", lambda p: change_frame(p, mirror_pose)),
+    "nan pose": ("pose-not-rotation", lambda p: change_frame(p, nan_pose)),
+    "focal": ("intrinsics-invalid", lambda p: change_frame(p, lambda f: f.update(fl_x=-40.0))),
+    "centre": ("intrinsics-invalid", lambda p: change_frame(p, lambda f: f.update(cx=400.0))),
+    "mask size": ("mask-size", lambda p: write_exr(p / "in/parts/001_0001.exr", np.ones((4, 4)))),
+    "mask": ("mask-not-ids", lambda p: write_exr(p / "in/parts/001_0001.exr", np.full((48, 32), 0.5))),
+    "no frames": ("no-views", lambda p: (p / "in/transforms.json").write_text('{"frames": []}')),
+    "no format": ("format-unknown", lambda p: (p / "in/transforms.json").unlink()),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_captures_leave_nothing_behind(tmp_path, run, case):
+    code, spoil = BAD[case]
+    # the first view is distorted, so that a late error would find its image already written
+    samples = make_samples(3)
+    samples[0] = make_samples(1, model="OPENCV")[0]
+    write_transforms(tmp_path / "in", samples)
+    spoil(tmp_path)
+    with pytest.raises(FiptError) as caught:
+        run_ingest(tmp_path / "in", run)
+    assert caught.value.code == code
+    assert caught.value.text and caught.value.remedy
+    assert not run.root.exists()
+    run.create(make_settings())
+    before = sorted(run.root.rglob("*"))
+    with pytest.raises(FiptError):
+        run_ingest(tmp_path / "in", run)
+    assert sorted(run.root.rglob("*")) == before and not run.capture_json.exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "code"),
+    [
+        ({"scale": 0.0}, "setting-invalid"),
+        ({"scale": float("nan")}, "setting-invalid"),
+        ({"hold_back": 1}, "setting-invalid"),
+        ({"hold_back": -3}, "setting-invalid"),
+        ({"format": "colmap"}, "format-unknown"),
+    ],
+)
+def test_bad_options(tmp_path, run, options, code):
+    write_transforms(tmp_path / "in", make_samples(2))
+    with pytest.raises(FiptError) as caught:
+        run_ingest(tmp_path / "in", run, **options)
+    assert caught.value.code == code and not run.root.exists()
+
+
+def test_missing_mesh(tmp_path, run):
+    write_transforms(tmp_path / "in", make_samples(2))
+    with pytest.raises(FiptError) as caught:
+        run_ingest(tmp_path / "in", run, mesh=tmp_path / "no.obj")
+    assert caught.value.code == "mesh-missing" and not run.root.exists()
+
+
+def test_run_of_another_version_is_left_alone(tmp_path, run):
+    write_transforms(tmp_path / "in", make_samples(2))
+    run.create(make_settings())
+    data = json.loads(run.run_json.read_text())
+    run.run_json.write_text(json.dumps({**data, "version": 99}))
+    with pytest.raises(FiptError) as caught:
+        run_ingest(tmp_path / "in", run)
+    assert caught.value.code == "run-version" and not run.capture_json.exists()
+
+
+def test_full_disk_while_writing(tmp_path, run, monkeypatch):
+    """The second undistorted image does not fit: the first goes too, and there is no capture.json."""
+    write_transforms(tmp_path / "in", make_samples(3, model="OPENCV"))
+    calls = []
+
+    def full(path, array, half=False):
+        calls.append(path)
+        if len(calls) == 2:
+            raise FiptError("disk-full", f"The disk is full; {path}.", "Free some space.")
+        write_exr(path, array, half)
+
+    monkeypatch.setattr("fipt_blender.core.capture.ingest.write_exr", full)
+    with pytest.raises(FiptError) as caught:
+        run_ingest(tmp_path / "in", run)
+    assert caught.value.code == "disk-full"
+    assert not run.capture_json.exists() and not list(run.images.rglob("*.exr"))
+
+
+# --- photographs that are doubtful -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("value", "options"), [(-1e-5, {}), (-0.1, {"clamp_negative": True})])
+def test_negative_values_are_clamped_in_a_copy(tmp_path, run, value, options):
+    write_transforms(tmp_path / "in", make_samples(2))
+    set_pixels(tmp_path, lambda pixels: put(pixels, value))
+    assert warnings(run_ingest(tmp_path / "in", run, **options)) == ["image-negative"]
+    views = load_capture(run).views
+    assert views[1].image.is_relative_to(run.images) and not views[0].image.is_relative_to(run.images)
+    original = read_radiance(tmp_path / "in" / "images" / "001_0001.exr")
+    np.testing.assert_array_equal(views[1].radiance(), np.maximum(original, 0.0))
+
+
+def srgb_decoded(codes):
+    values = codes / 255.0
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+
+
+@pytest.mark.parametrize("half", [False, True])
+@pytest.mark.parametrize("decode", [lambda codes: codes / 255.0, srgb_decoded])
+def test_eight_bit_values_in_an_exr_are_noticed(tmp_path, run, decode, half):
+    write_transforms(tmp_path / "in", make_samples(2))
+    codes = np.random.default_rng(0).integers(0, 256, (48, 32, 3))
+    write_exr(tmp_path / "in" / "images" / "001_0001.exr", decode(codes), half)
+    assert "image-maybe-ldr" in warnings(run_ingest(tmp_path / "in", run))
+
+
+def test_dark_hdr_is_not_taken_for_ldr():
+    dark = np.random.default_rng(0).random((64, 64, 3), np.float32).astype(np.float16).astype(np.float32)
+    assert not checks.pixel_statistics(None, dark).looks_ldr
+
+
+def highlight():
+    """A warm highlight (64, 64, 3) that rises far above what its surroundings reach."""
+    y, x = np.mgrid[-1:1:64j, -1:1:64j]
+    noise = np.random.default_rng(0).lognormal(0.0, 0.05, (64, 64, 3))
+    return np.exp(-8.0 * (x**2 + y**2))[..., None] * [40.0, 28.0, 15.0] * noise + 0.1
+
+
+def test_clipped_highlights_are_noticed():
+    clipped = checks.pixel_statistics(None, np.minimum(highlight(), 10.0).astype(np.float32)).clipped
+    assert clipped == pytest.approx((highlight() >= 10.0).any(axis=2).mean())
+    assert checks.pixel_statistics(None, highlight().astype(np.float32)).clipped == 0.0
+
+
+def test_a_lamp_of_even_radiance_is_not_taken_for_clipping():
+    pixels = np.minimum(highlight(), 10.0)
+    pixels[10:30, 10:30] = [50.0, 40.0, 30.0]
+    assert checks.pixel_statistics(None, pixels.astype(np.float16).astype(np.float32)).clipped == 0.0
+
+
+def test_undistorted_ids_keep_large_values(tmp_path, run):
+    write_transforms(tmp_path / "in", make_samples(1, model="OPENCV"))
+    write_exr(tmp_path / "in" / "parts" / "000_0001.exr", np.full((32, 48), 2**24 - 1))
+    run_ingest(tmp_path / "in", run, hold_back=0)
+    np.testing.assert_array_equal(read_ids(load_capture(run).views[0].parts), 2**24 - 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        (lambda data: data.update(version=2), "capture-version"),
+        (lambda data: data["views"][0].pop("fx"), "file-damaged"),
+        (lambda data: data["views"][0].update(camera_to_world=[1, 2]), "file-damaged"),
+        (lambda data: data["views"][0].update(image="../../secret.exr"), "path-outside"),
+    ],
+)
+def test_changed_capture_json_is_refused(tmp_path, run, change, code):
+    write_transforms(tmp_path / "in", make_samples(2))
+    run_ingest(tmp_path / "in", run)
+    data = json.loads(run.capture_json.read_text())
+    change(data)
+    run.capture_json.write_text(json.dumps(data))
+    with pytest.raises(FiptError) as caught:
+        load_capture(run)
+    assert caught.value.code == code
