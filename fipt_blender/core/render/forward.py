@@ -33,7 +33,7 @@ class RenderSettings:
     Attributes:
         spp: paths a pixel, at random positions in the pixel (box filter).
         seed: seed of all random numbers.
-        depth: most surfaces a path may meet.
+        depth: most reflections of a path between camera and light.
         roulette_depth: from this surface on, paths end by chance in proportion to what they carry.
         denoise: run Open Image Denoise with albedo and normal guides.
     """
@@ -150,7 +150,8 @@ def trace_paths(lit: LitRoom, ray: Any, generator: Any, settings: RenderSettings
         radiance += dr.select(active, throughput * met, 0.0)
 
         emitter = lights.is_emitter(surface.triangle, surface.valid)
-        active &= surface.valid & ~emitter
+        # After the last reflection a path may still meet a light: that is the other half of its MIS pair.
+        active &= surface.valid & ~emitter & (depth < settings.depth)
         base_color, roughness, metallic = lit.materials.lookup(surface.position, surface.triangle, active)
         reflectance = brdf.diffuse_reflectance(base_color, metallic) + brdf.specular_reflectance(
             base_color, metallic
@@ -184,7 +185,7 @@ def trace_paths(lit: LitRoom, ray: Any, generator: Any, settings: RenderSettings
         active &= (pdf_brdf > 0.0) & (dr.dot(side, direction) > 0.0)
         depth += 1
         survival = dr.select(depth > settings.roulette_depth, dr.minimum(dr.max(throughput), 0.95), 1.0)
-        active &= (generator.next_float32() < survival) & (depth < settings.depth)
+        active &= generator.next_float32() < survival
         throughput *= dr.select(active, dr.rcp(dr.maximum(survival, 1e-6)), 0.0)
         ray = room.leave(surface.position, side, direction)
         return active, depth, ray, throughput, pdf_brdf, radiance, albedo, normal, generator
