@@ -73,6 +73,23 @@ def test_data_window_is_placed_on_the_display_window(tmp_path):
     assert read_size(tmp_path / "a.exr") == (8, 6)
 
 
+def test_declared_primaries_become_rec709(tmp_path):
+    """ACEScg (AP1, white near D60): its white stays white, its red is the published one in Rec.709."""
+    ap1 = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
+    pixels = np.array([[[1, 1, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1]]], np.float32)
+    write_channels(tmp_path / "a.exr", planes(pixels=pixels), chromaticities=ap1)
+    expected = [
+        [1.0, 1.0, 1.0],
+        [1.70505, -0.13026, -0.02400],
+        [-0.62179, 1.14080, -0.12897],
+        [-0.08326, -0.01055, 1.15297],
+    ]
+    np.testing.assert_allclose(read_radiance(tmp_path / "a.exr")[0], expected, atol=1e-4)
+    rec709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+    write_channels(tmp_path / "b.exr", planes(), chromaticities=rec709)
+    np.testing.assert_array_equal(read_radiance(tmp_path / "b.exr"), PIXELS)
+
+
 def error_code(function, path):
     with pytest.raises(FiptError) as caught:
         function(path)

@@ -21,6 +21,9 @@ from ..job.runfolder import atomic_path
 EXR_SUFFIX = ".exr"
 MASK_SUFFIXES = (".exr", ".png")
 HALF_MAX = 65504.0
+REC709 = np.array([0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290])
+BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+MAX_ID = 2**24 - 1  # colour masks end here, and 32-bit floats hold all of them exactly
 
 
 def read_size(path: Path) -> tuple[int, int]:
@@ -36,11 +39,21 @@ def read_size(path: Path) -> tuple[int, int]:
     return int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1
 
 
+def is_rec709(path: Path) -> bool:
+    """Whether an EXR's values are Rec.709 as stored, so that any program reads them as `read_radiance` does.
+
+    Raises:
+        FiptError: ``image-missing`` or ``image-unreadable``.
+    """
+    return _other_primaries(_open_exr(path, header_only=True).header()) is None
+
+
 def read_radiance(path: Path) -> np.ndarray:
     """Scene-linear radiance of an EXR image.
 
     Reads R, G, B, or one channel Y, of the first layer that has them, half or float; an image whose data
-    window differs from its display window is cut or padded with black to the display window.
+    window differs from its display window is cut or padded with black to the display window. Other
+    primaries that the header declares are converted to Rec.709.
 
     Returns:
         (height, width, 3) float32, units as stored.
@@ -65,7 +78,11 @@ def read_radiance(path: Path) -> np.ndarray:
             continue
         header = file.header(index)
         planes = [_display_plane(path, header, channels[name]) for name in names]
-        return np.stack(planes if len(planes) == 3 else planes * 3, axis=-1).astype(np.float32)
+        if len(planes) == 1:
+            return np.repeat(planes[0].astype(np.float32)[..., None], 3, axis=-1)
+        pixels = np.stack(planes, axis=-1).astype(np.float32)
+        primaries = _other_primaries(header)
+        return pixels if primaries is None else _to_rec709(path, pixels, primaries)
     raise FiptError(
         "image-channels",
         f"{path} has no R, G, B or Y channels.",
@@ -98,8 +115,8 @@ def read_ids(path: Path) -> np.ndarray:
             f"{path} holds fractions: it is no image of ids.",
             "Save id images without antialiasing, one whole number a part.",
         )
-    if np.abs(values).max(initial=0.0) > np.iinfo(np.int32).max:
-        raise FiptError("mask-not-ids", f"{path} holds ids above 2147483647.", "Use smaller ids.")
+    if np.abs(values).max(initial=0.0) > MAX_ID:
+        raise FiptError("mask-not-ids", f"{path} holds ids above {MAX_ID}.", "Use smaller ids.")
     return np.round(values).astype(np.int32)
 
 
@@ -159,6 +176,33 @@ def _colour_channels(names: list[str]) -> list[str] | None:
             if all(channel in by_layer[layer] for channel in wanted):
                 return [by_layer[layer][channel] for channel in wanted]
     return None
+
+
+def _other_primaries(header: dict[str, Any]) -> np.ndarray | None:
+    """The header's chromaticities (8,) where it declares other ones than Rec.709."""
+    if "chromaticities" not in header:
+        return None
+    values = np.asarray(header["chromaticities"], np.float64)
+    return None if np.abs(values - REC709).max() < 1e-3 else values  # writers round them differently
+
+
+def _xyz_from_rgb(chromaticities: np.ndarray) -> np.ndarray:
+    """(3, 3) to CIE XYZ from linear RGB; chromaticities are x, y of red, green, blue and white."""
+    x, y = chromaticities.reshape(4, 2).T
+    xyz = np.stack([x / y, np.ones(4), (1.0 - x - y) / y])  # one column each, at luminance 1
+    return xyz[:, :3] * np.linalg.solve(xyz[:, :3], xyz[:, 3])
+
+
+def _to_rec709(path: Path, pixels: np.ndarray, chromaticities: np.ndarray) -> np.ndarray:
+    """Pixels (..., 3) float32 from the given primaries to Rec.709, white to white (Bradford)."""
+    try:
+        source, target = _xyz_from_rgb(chromaticities), _xyz_from_rgb(REC709)
+        adapted = (BRADFORD @ target.sum(axis=1)) / (BRADFORD @ source.sum(axis=1))
+        adaptation = np.linalg.solve(BRADFORD, adapted[:, None] * BRADFORD)
+        matrix = np.linalg.solve(target, adaptation @ source)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise _unreadable(path, f"its chromaticities are impossible: {error}") from None
+    return pixels @ matrix.T.astype(np.float32)
 
 
 def _display_plane(path: Path, header: dict[str, Any], channel: OpenEXR.Channel) -> np.ndarray:

@@ -23,7 +23,7 @@ from ..job.settings import make_settings
 from . import checks
 from .distortion import Pinhole, is_distorted, lens_pinhole, undistorted_pinhole, undistortion
 from .formats import FORMATS, read_rig
-from .images import read_ids, read_radiance, read_size, write_exr
+from .images import is_rec709, read_ids, read_radiance, read_size, write_exr
 from .rig import ReadOptions, Rig, RigView
 from .views import CAPTURE_FORMAT, CAPTURE_VERSION
 
@@ -293,26 +293,25 @@ def _write_images(
     """
     files: dict[str, Path | None] = {"image": view.image, "parts": view.parts, "semantics": view.semantics}
     distorted = is_distorted(view.lens, view.width, view.height)
-    if not (distorted or negative):
+    if not distorted and not negative and is_rec709(view.image):
         return files
 
-    def write(kind: str, target: Path, pixels: np.ndarray) -> None:
+    def write(kind: str, pixels: np.ndarray) -> None:
+        target = run_folder.images / kind / f"{view.name}.exr"
         write_exr(target, pixels)
         written.append(target)
         files[kind] = target
 
     pixels = np.maximum(read_radiance(view.image), 0.0)
-    target = run_folder.images / f"{view.name}.exr"
     if not distorted:
-        write("image", target, pixels)
+        write("image", pixels)
         return files
     resampling = undistortion(view.lens, view.width, view.height)
-    write("image", target, resampling.image(pixels))
+    write("image", resampling.image(pixels))
     for kind in ("parts", "semantics"):
         source = files[kind]
         if source is not None:
-            # 32-bit floats hold ids up to 2^24 exactly, which is where colour masks end
-            write(kind, run_folder.images / kind / f"{view.name}.exr", resampling.ids(read_ids(source)))
+            write(kind, resampling.ids(read_ids(source)))
     return files
 
 
