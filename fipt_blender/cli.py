@@ -182,10 +182,13 @@ def _check(arguments: argparse.Namespace) -> int:
         display.show(message)
         if message["type"] == "done" and not arguments.json and not arguments.quiet:
             for name, value in message.get("data", {}).items():
-                print(f"{name}: {value}")
+                if isinstance(value, dict):
+                    value = ", ".join(f"{key} {item or 'missing'}" for key, item in value.items())
+                print(f"{name.replace('_', ' ')}: {'none' if value is None else value}")
 
     try:
-        return 0 if process.run_blocking(show) else 1
+        good = process.run_blocking(show)
+        return 0 if good and process.done and process.done["data"].get("ready", True) else 1
     except KeyboardInterrupt:
         return 130
 

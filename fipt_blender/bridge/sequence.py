@@ -22,6 +22,7 @@ from ..core.job.runfolder import read_json, write_json
 from .process import EngineProcess, Message
 
 STEPS_VERSION = 1
+_PRIOR_SECONDS = 30.0
 
 
 @dataclass
@@ -31,7 +32,7 @@ class Step:
     Attributes:
         name: stable identifier, the key in steps.json.
         text: what the user reads while it runs.
-        weight: its expected share of the job's time (seconds, roughly).
+        weight: its expected time in seconds, on a small machine.
         inputs: JSON-serialisable values on which its result depends, besides the steps before it.
         command: arguments of an engine command, or None for a function.
         function: what to call on Blender's data, or None for a command; may return warnings.
@@ -314,18 +315,15 @@ class Job:
         weight = self._steps[self._position].weight
         done = self._weight_done + weight * min(max(step_fraction, 0.0), 1.0)
         elapsed = time.monotonic() - self._started
-        worked = done - self._weight_skipped
-        remaining = None
-        if worked > 0.02 * self._weight_total:
-            pace = elapsed / worked
-            after = self._weight_total - self._weight_done - weight
-            here = weight * (1.0 - step_fraction) * pace if step_remaining is None else step_remaining
-            remaining = round(here + after * pace, 1)
+        # Weights are seconds on a small machine; the first steps alone say little about this one.
+        pace = (elapsed + _PRIOR_SECONDS) / (done - self._weight_skipped + _PRIOR_SECONDS)
+        after = self._weight_total - self._weight_done - weight
+        here = weight * (1.0 - step_fraction) * pace if step_remaining is None else step_remaining
         return {
             "type": "progress",
             "fraction": round(done / self._weight_total, 4),
             "stage_fraction": round(step_fraction, 4),
-            "remaining_seconds": remaining,
+            "remaining_seconds": round(here + after * pace, 1),
             "memory_gb": self._memory,
         }
 
