@@ -54,9 +54,8 @@ class EngineProcess:
         self._finished = False
         self._last_stray = ""
         self._pending = {"stdout": b"", "stderr": b""}
-        windows = sys.platform == "win32"
         flags = 0
-        if windows:
+        if sys.platform == "win32":
             flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.BELOW_NORMAL_PRIORITY_CLASS
         self._process = subprocess.Popen(
             list(command),
@@ -65,10 +64,10 @@ class EngineProcess:
             stderr=subprocess.PIPE,
             bufsize=0,
             env=None if environment is None else dict(environment),
-            start_new_session=not windows,
+            start_new_session=True,  # ignored on Windows
             creationflags=flags,
         )
-        if not windows:
+        if sys.platform != "win32":
             # From here and not in the child: preexec_fn is unsafe in a process with threads, as Blender is.
             try:
                 os.setpriority(os.PRIO_PGRP, self._process.pid, _NICENESS)

@@ -1,5 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
+# mypy: disable-error-code="valid-type"
 """The main job as an operator: modal with ESC in a window, blocking when a script executes it."""
 
 from __future__ import annotations

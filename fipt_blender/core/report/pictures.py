@@ -60,7 +60,11 @@ def resize_to(image: np.ndarray, width: int, height: int) -> np.ndarray:
     if image.shape[:2] == (height, width):
         return image
     channels = [
-        np.asarray(Image.fromarray(image[..., channel].astype(np.float32)).resize((width, height), Image.BOX))
+        np.asarray(
+            Image.fromarray(image[..., channel].astype(np.float32)).resize(
+                (width, height), Image.Resampling.BOX
+            )
+        )
         for channel in range(image.shape[2])
     ]
     return np.stack(channels, axis=-1)
