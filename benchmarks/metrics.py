@@ -1,0 +1,161 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The metrics of the paper's experiments (Sec. 6.1 and 6.2) as pure functions, and stricter ones beside them.
+
+Two protocols. PAPER: pixels set aside are black in both images and count as right, map values are 8 bit,
+roughness is clamped to the model's range: what comparing the maps that the authors' code draws amounts to.
+STRICT: pixels set aside do not count at all, values are floats and unclamped, and in rendered images
+pixels that are clipped in the truth do not count. Map errors are pooled over all pixels of a split;
+PSNRs of rendered images are means over images. The paper does not define log L2; here it is the mean
+squared difference of log(1 + radiance).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+GAMMA = 1.0 / 2.2
+DIFFUSE_ROUGHNESS = 0.999  # half floats and filtering keep "1" above this
+MIN_ROUGHNESS = 0.02
+
+
+@dataclass(frozen=True)
+class Maps:
+    """Maps of one view, true or predicted.
+
+    Attributes:
+        kd: (H, W, 3) diffuse reflectance.
+        a_prime: (H, W, 3) reflectance a' = integral of f over the hemisphere.
+        base_color: (H, W, 3).
+        roughness: (H, W).
+        metallic: (H, W).
+        emission: (H, W, 3) emitted radiance.
+        hit: (H, W) bool, whether the pixel sees the mesh.
+    """
+
+    kd: np.ndarray
+    a_prime: np.ndarray
+    base_color: np.ndarray
+    roughness: np.ndarray
+    metallic: np.ndarray
+    emission: np.ndarray
+    hit: np.ndarray
+
+
+def psnr(squared_error: float) -> float:
+    """PSNR in dB of a mean squared error of values in [0, 1]; capped at 100 dB for equal images."""
+    return float(-10.0 * np.log10(max(squared_error, 1e-10)))
+
+
+def quantised(values: np.ndarray) -> np.ndarray:
+    """Values as an 8-bit image holds them."""
+    return np.round(np.clip(values, 0.0, 1.0) * 255.0) / 255.0
+
+
+def pooled_psnr(
+    predicted: Sequence[np.ndarray],
+    true: Sequence[np.ndarray],
+    kept: Sequence[np.ndarray],
+    strict: bool,
+) -> float | None:
+    """PSNR over the pixels of all views.
+
+    Args:
+        predicted, true: (H, W) or (H, W, C) each.
+        kept: (H, W) bool; the others are set aside.
+        strict: see the module's text.
+
+    Returns:
+        dB, or None where no pixel is kept.
+    """
+    total, count, used = 0.0, 0, 0
+    for one, other, mask in zip(predicted, true, kept, strict=True):
+        one, other = one.astype(np.float64), other.astype(np.float64)
+        if not strict:
+            one, other = quantised(one), quantised(other)
+        error = ((one - other) ** 2).reshape(*mask.shape, -1)[mask]
+        total += float(error.sum())
+        used += int(mask.sum())
+        channels = 1 if one.ndim == 2 else one.shape[2]
+        count += (int(mask.sum()) if strict else mask.size) * channels
+    return psnr(total / count) if used else None
+
+
+def surfaces(true: Maps) -> np.ndarray:
+    """(H, W) bool: pixels that count for materials; emitters and what lies beyond the mesh are set aside."""
+    return true.hit & ~(true.emission > 0.0).any(axis=-1)
+
+
+def diffuse_surfaces(true: Maps) -> np.ndarray:
+    """(H, W) bool: pixels that count for kd, those of true roughness 1."""
+    return surfaces(true) & (true.roughness >= DIFFUSE_ROUGHNESS)
+
+
+def map_metrics(predicted: Sequence[Maps], true: Sequence[Maps], strict: bool) -> dict[str, float | None]:
+    """kd, a', sigma and metallic PSNR, emission IoU and log L2 of the views of one split."""
+    plain = [surfaces(view) for view in true]
+    diffuse = [diffuse_surfaces(view) for view in true]
+
+    def of(name: str, kept: Sequence[np.ndarray]) -> float | None:
+        pair = [[getattr(view, name) for view in side] for side in (predicted, true)]
+        if name == "roughness" and not strict:
+            pair = [[np.clip(image, MIN_ROUGHNESS, 1.0) for image in side] for side in pair]
+        return pooled_psnr(*pair, kept, strict)
+
+    return {
+        "kd_psnr": of("kd", diffuse),
+        "a_prime_psnr": of("a_prime", plain),
+        "sigma_psnr": of("roughness", plain),
+        "metallic_psnr": of("metallic", plain),
+        "emission_iou": emission_iou([view.emission for view in predicted], [view.emission for view in true]),
+        "emission_log_l2": log_l2([view.emission for view in predicted], [view.emission for view in true]),
+    }
+
+
+def emission_iou(predicted: Sequence[np.ndarray], true: Sequence[np.ndarray]) -> float:
+    """Intersection over union of the pixels with emission, over all views; 1 where there is none in either.
+
+    Args:
+        predicted, true: (H, W, 3) emitted radiance.
+    """
+    both = either = 0
+    for one, other in zip(predicted, true, strict=True):
+        first, second = (one > 0.0).any(axis=-1), (other > 0.0).any(axis=-1)
+        both += int((first & second).sum())
+        either += int((first | second).sum())
+    return both / either if either else 1.0
+
+
+def log_l2(predicted: Sequence[np.ndarray], true: Sequence[np.ndarray]) -> float:
+    """Mean over all pixels and channels of the squared difference of log(1 + radiance)."""
+    total, count = 0.0, 0
+    for one, other in zip(predicted, true, strict=True):
+        error = np.log1p(np.maximum(one, 0.0).astype(np.float64)) - np.log1p(other.astype(np.float64))
+        total += float((error**2).sum())
+        count += error.size
+    return total / count
+
+
+def tone_mapped(radiance: np.ndarray) -> np.ndarray:
+    """Radiance clipped to [0, 1] and raised to 1/2.2, float64."""
+    return np.clip(radiance.astype(np.float64), 0.0, 1.0) ** GAMMA
+
+
+def image_psnr(predicted: np.ndarray, true: np.ndarray, strict: bool = False) -> float | None:
+    """PSNR of one rendered image (H, W, 3) after tone mapping; None where no pixel counts."""
+    error = (tone_mapped(predicted) - tone_mapped(true)) ** 2
+    if strict:
+        error = error[(true < 1.0).any(axis=-1)]
+    return psnr(float(error.mean())) if error.size else None
+
+
+def mean_image_psnr(
+    predicted: Sequence[np.ndarray], true: Sequence[np.ndarray], strict: bool = False
+) -> float | None:
+    """Mean over images of `image_psnr`, or None without images."""
+    values = [image_psnr(one, other, strict) for one, other in zip(predicted, true, strict=True)]
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
