@@ -1,0 +1,141 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The room's mesh file into the scene, in the capture's world.
+
+Blender's importers read the file; none of them may turn the axes, since the capture's
+`world_from_source` does that for cameras and mesh alike.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..core import conventions
+from ..core.job.errors import FiptError
+from .outliner import ROOM, collection, move_to
+
+_AS_STORED = {"forward_axis": "Y", "up_axis": "Z"}
+# suffix -> (operator module, operator, arguments). Of several entries the first that exists is used.
+IMPORTERS: dict[str, list[tuple[str, str, dict[str, Any]]]] = {
+    ".obj": [("wm", "obj_import", {**_AS_STORED, "validate_meshes": True})],
+    ".ply": [("wm", "ply_import", _AS_STORED)],
+    ".stl": [("wm", "stl_import", _AS_STORED)],
+    ".gltf": [("import_scene", "gltf", {})],
+    ".glb": [("import_scene", "gltf", {})],
+    ".fbx": [("wm", "fbx_import", {}), ("import_scene", "fbx", {})],
+    ".usd": [("wm", "usd_import", {})],
+    ".usdc": [("wm", "usd_import", {})],
+    ".usda": [("wm", "usd_import", {})],
+    ".usdz": [("wm", "usd_import", {})],
+}
+# glTF is Y up by definition and always turned; this turns it back to the file's coordinates.
+_UNDO = {suffix: np.linalg.inv(conventions.world_from_source("y")) for suffix in (".gltf", ".glb")}
+
+
+def import_room(
+    path: str | Path, world_from_source: np.ndarray, scene: bpy.types.Scene | None = None
+) -> list[str]:
+    """Import a mesh file into the collection "FIPT Room".
+
+    Transforms end up in the mesh data, so that every object's matrix is the identity. FBX and USD state
+    their own axes and units; they are taken as Blender's importer turns them, before `world_from_source`.
+
+    Args:
+        path: OBJ, PLY, STL, glTF, FBX or USD file.
+        world_from_source: 4x4, the file's coordinates to Blender's world.
+        scene: where the collection goes; the context's scene by default.
+
+    Returns:
+        Names of the mesh objects, in the order of the file.
+
+    Raises:
+        FiptError: ``mesh-missing``, ``mesh-format``, ``mesh-unreadable`` or ``mesh-empty``.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FiptError("mesh-missing", f"The mesh {path} does not exist.", "Restore it, or choose another.")
+    before = {item.as_pointer() for item in bpy.data.objects}
+    _run_importer(path)
+    new = [item for item in bpy.data.objects if item.as_pointer() not in before]
+    bpy.context.view_layer.update()
+    matrices = {item.name: np.array(item.matrix_world, np.float64) for item in new}
+    target = collection(scene or bpy.context.scene, ROOM)
+    similarity = np.asarray(world_from_source, np.float64) @ _UNDO.get(path.suffix.lower(), np.eye(4))
+    meshes = [item for item in new if item.type == "MESH" and len(item.data.polygons)]
+    for item in meshes:
+        if item.data.users > 1:
+            item.data = item.data.copy()
+        item.parent = None
+        transform_mesh(item.data, similarity @ matrices[item.name])
+        item.matrix_world = Matrix.Identity(4)
+        move_to(item, target)
+    names = [item.name for item in meshes]
+    for item in [each for each in new if each not in meshes]:
+        bpy.data.objects.remove(item)
+    if not names:
+        raise FiptError("mesh-empty", f"{path} holds no faces.", "Choose a file with a triangle mesh.")
+    return names
+
+
+def _run_importer(path: Path) -> None:
+    suffix = path.suffix.lower()
+    for module, name, arguments in IMPORTERS.get(suffix, []):
+        operator = getattr(getattr(bpy.ops, module), name)
+        try:
+            operator.get_rna_type()
+        except KeyError:
+            continue
+        try:
+            result = operator(filepath=str(path), **arguments)
+        except RuntimeError as error:
+            raise _unreadable(path, str(error).strip()) from None
+        if "FINISHED" not in result:
+            raise _unreadable(path, "Blender's importer gave up")
+        return
+    raise FiptError(
+        "mesh-format",
+        f"This Blender can't import {suffix or 'nameless'} files ({path}).",
+        "Export the mesh as OBJ, PLY or glTF.",
+    )
+
+
+def _unreadable(path: Path, reason: str) -> FiptError:
+    return FiptError("mesh-unreadable", f"{path} can't be read ({reason}).", "Export the mesh again.")
+
+
+def transform_mesh(mesh: bpy.types.Mesh, matrix: np.ndarray) -> None:
+    """Apply a 4x4 matrix to a mesh; shading normals turn with it, mirroring keeps faces outwards."""
+    linear = matrix[:3, :3]
+    mirrored = float(np.linalg.det(linear)) < 0.0
+    custom = mesh.has_custom_normals
+    if custom:
+        order, normals = _ordered_normals(mesh)
+        turned = normals @ np.linalg.inv(linear)
+        turned /= np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-30)
+    mesh.transform(Matrix(matrix.tolist()))
+    if mirrored:
+        mesh.flip_normals()
+    if custom:
+        order, _ = _ordered_normals(mesh)
+        restored = np.empty_like(turned)
+        restored[order] = turned
+        mesh.normals_split_custom_set(restored.astype(np.float32).tolist())
+    mesh.update()
+
+
+def _ordered_normals(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Face corners sorted by polygon and vertex, which flipping a face does not change."""
+    vertex = np.empty(len(mesh.loops), np.int32)
+    mesh.loops.foreach_get("vertex_index", vertex)
+    total = np.empty(len(mesh.polygons), np.int32)
+    mesh.polygons.foreach_get("loop_total", total)
+    polygon = np.repeat(np.arange(len(total)), total)
+    order = np.lexsort((vertex, polygon))
+    normals = np.empty(len(mesh.loops) * 3, np.float32)
+    mesh.corner_normals.foreach_get("vector", normals)
+    return order, normals.reshape(-1, 3).astype(np.float64)[order]

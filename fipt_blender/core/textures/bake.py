@@ -1,0 +1,230 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Engine command `textures`: the estimated fields sampled at every texel of the atlas.
+
+Each texel's centre is a point on the room; the fields are queried there, points that no photograph saw
+are filled from their part, and the space between islands is padded.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from ..job.errors import FiptError
+from ..job.messages import Reporter
+from ..job.runfolder import RunFolder, atomic_path, read_json, write_json
+from .fill import fill_unseen, seen_statistics
+from .padding import pad
+from .raster import nearest_triangle_map
+from .write_back import cycles_base_color
+
+QUERY_POINTS = 1 << 18
+PAD_TEXELS = 8
+MAPS = ("base_color", "roughness", "metallic", "coverage")
+
+
+class FieldSource(Protocol):
+    """What baking asks of the estimate; `core.material.fields.Fields` is one."""
+
+    def query(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]: ...
+    def observed(self, positions: np.ndarray) -> np.ndarray: ...
+
+
+@dataclass
+class Samples:
+    """The fields at points of the room."""
+
+    base_color: np.ndarray  # (N,3)
+    roughness: np.ndarray  # (N,)
+    metallic: np.ndarray  # (N,)
+    coverage: np.ndarray  # (N,) 0 to 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("run", type=Path, help="run folder with estimated fields and an atlas")
+
+
+def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
+    """Bake the textures of a run.
+
+    Raises:
+        FiptError: ``file-missing`` or ``file-damaged`` where an earlier step did not finish.
+    """
+    from ..material.fields import Fields
+
+    folder = RunFolder(arguments.run)
+    settings = folder.read()
+    fields = Fields.load(folder)
+    reporter.plan([1.0])
+    reporter.stage("textures", "Baking textures")
+    files = bake(folder, fields, settings.write_back == "cycles", reporter.progress)
+    reporter.done([str(path) for path in files])
+
+
+def bake(
+    folder: RunFolder,
+    fields: FieldSource,
+    for_cycles: bool,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> list[Path]:
+    """Write textures/ and textures.json, or corner_fields.npz in colour-attribute mode.
+
+    Args:
+        folder: with room, atlas and, where the parts are known, results/parts.npz.
+        fields: what to bake.
+        for_cycles: correct the base colour so that Cycles reflects what the paper's BRDF does.
+        progress: called with 0 to 1.
+
+    Returns:
+        The files written.
+    """
+    atlas = read_json(folder.atlas_json)
+    arrays = _load(folder.atlas_npz, ("corner_uv", "triangle_image"))
+    room = _load(folder.room_npz, ("vertices", "triangles", "triangle_object"))
+    corners = room["vertices"][room["triangles"]]
+    parts = triangle_parts(folder, room["triangle_object"])
+    if atlas["mode"] == "color_attribute":
+        return [_bake_corners(folder, fields, corners, parts, for_cycles, progress)]
+    # Medians of parts come from all images, since a part may be spread over several.
+    entries = atlas["images"]
+    points: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    samples: list[Samples] = []
+    for index, entry in enumerate(entries):
+        mine = np.flatnonzero(arrays["triangle_image"] == index)
+        size = np.array([entry["width"], entry["height"]], np.float64)
+        texel, triangle, weights = nearest_triangle_map(
+            arrays["corner_uv"][mine] * size, int(entry["width"]), int(entry["height"])
+        )
+        positions = np.einsum("nk,nkc->nc", weights, corners[mine[triangle]]).astype(np.float32)
+        points.append((texel, positions, parts[mine[triangle]]))
+        samples.append(sample_fields(fields, positions))
+        progress(0.6 * (index + 1) / len(entries))
+    statistics = seen_statistics(
+        [(position, part) for _, position, part in points], [_stack(each) for each in samples]
+    )
+    written: list[Path] = []
+    listed = []
+    for index, entry in enumerate(entries):
+        texel, positions, part = points[index]
+        finished = _finish(samples[index], positions, part, statistics, for_cycles)
+        paths = _write_image(folder, entry, texel, finished)
+        written += [folder.root / path for path in paths.values()]
+        listed.append({"name": entry["name"], **paths})
+        progress(0.6 + 0.4 * (index + 1) / len(entries))
+    write_json(folder.textures_json, {"images": listed})
+    return [*written, folder.textures_json]
+
+
+def sample_fields(fields: FieldSource, positions: np.ndarray) -> Samples:
+    """Query the fields in chunks; values are clipped to what a texture may hold.
+
+    Args:
+        fields: the estimate.
+        positions: (N,3) f32 world.
+    """
+    count = len(positions)
+    result = Samples(
+        np.zeros((count, 3), np.float32),
+        np.zeros(count, np.float32),
+        np.zeros(count, np.float32),
+        np.zeros(count, np.float32),
+    )
+    for first in range(0, count, QUERY_POINTS):
+        chunk = slice(first, first + QUERY_POINTS)
+        base_color, roughness, metallic = fields.query(positions[chunk])
+        result.base_color[chunk] = np.clip(base_color, 0.0, 1.0)
+        result.roughness[chunk] = np.clip(np.reshape(roughness, -1), 0.0, 1.0)
+        result.metallic[chunk] = np.clip(np.reshape(metallic, -1), 0.0, 1.0)
+        result.coverage[chunk] = np.clip(np.reshape(fields.observed(positions[chunk]), -1), 0.0, 1.0)
+    return result
+
+
+def triangle_parts(folder: RunFolder, triangle_object: np.ndarray) -> np.ndarray:
+    """Part of each triangle (T,) i32 from results/parts.npz; the objects where there are no parts."""
+    path = folder.results / "parts.npz"
+    if not path.exists():
+        return triangle_object
+    return _load(path, ("triangle_part",))["triangle_part"]
+
+
+def _load(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            return {name: data[name] for name in names}
+    except FileNotFoundError:
+        raise FiptError("file-missing", f"{path} does not exist.", "Run the step that writes it.") from None
+    except (OSError, KeyError, ValueError) as error:
+        raise FiptError("file-damaged", f"{path} can't be read ({error}).", "Write it again.") from None
+
+
+def _stack(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+    values = np.column_stack([samples.base_color, samples.roughness, samples.metallic])
+    return values, samples.coverage
+
+
+def _finish(
+    samples: Samples, positions: np.ndarray, part: np.ndarray, statistics, for_cycles: bool
+) -> Samples:
+    values, coverage = _stack(samples)
+    values = fill_unseen(values, coverage, positions, part, statistics)
+    base_color, roughness, metallic = values[:, :3], values[:, 3], values[:, 4]
+    if for_cycles:
+        base_color = cycles_base_color(base_color, roughness, metallic)
+    return Samples(base_color.astype(np.float32), roughness, metallic, coverage)
+
+
+def _write_image(folder: RunFolder, entry: dict, texel: np.ndarray, samples: Samples) -> dict[str, str]:
+    from ..capture.images import write_exr
+
+    width, height = int(entry["width"]), int(entry["height"])
+    filled = np.zeros(width * height, bool)
+    filled[texel] = True
+    image = np.zeros((width * height, 6), np.float32)
+    image[texel] = np.column_stack(
+        [samples.base_color, samples.roughness, samples.metallic, samples.coverage]
+    )
+    # Row 0 is v = 0 here and the top in files.
+    padded = pad(image.reshape(height, width, 6), filled.reshape(height, width), PAD_TEXELS)[::-1]
+    channels = {"base_color": slice(0, 3), "roughness": 3, "metallic": 4, "coverage": 5}
+    paths = {}
+    for name in MAPS:
+        paths[name] = f"textures/{entry['name']}.{name}.exr"
+        write_exr(folder.root / paths[name], padded[..., channels[name]], half=True)
+    return paths
+
+
+def _bake_corners(
+    folder: RunFolder,
+    fields: FieldSource,
+    corners: np.ndarray,
+    parts: np.ndarray,
+    for_cycles: bool,
+    progress: Callable[[float], None],
+) -> Path:
+    count = len(corners)
+    # A thousandth inwards: at a corner itself the neighbouring surface could answer.
+    inwards = corners + 1e-3 * (corners.mean(axis=1, keepdims=True) - corners)
+    positions = inwards.reshape(-1, 3).astype(np.float32)
+    part = np.repeat(parts, 3)
+    samples = sample_fields(fields, positions)
+    progress(0.8)
+    statistics = seen_statistics([(positions, part)], [_stack(samples)])
+    samples = _finish(samples, positions, part, statistics, for_cycles)
+    path = folder.textures / "corner_fields.npz"
+    with atomic_path(path) as temporary:
+        np.savez(
+            temporary,
+            base_color=samples.base_color.reshape(count, 3, 3),
+            roughness=samples.roughness.reshape(count, 3),
+            metallic=samples.metallic.reshape(count, 3),
+            coverage=samples.coverage.reshape(count, 3),
+        )
+    progress(1.0)
+    return path

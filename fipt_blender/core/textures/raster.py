@@ -1,0 +1,174 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Triangles in the plane of an image to the texels they cover, with barycentric coordinates.
+
+Numpy only: the Blender side uses it to judge UVs, the engine to bake. Texel (column i, row j) has its
+centre at (i + 0.5, j + 0.5); row 0 lies at v = 0, so rows run upwards as V does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+# Candidate texels handled at once: bounds the memory of one chunk to about 0.5 GB.
+CHUNK_TEXELS = 2_000_000
+
+
+def covered_texels(
+    corners: np.ndarray, width: int, height: int, reach: float = 0.0
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """Texels whose centre lies inside a triangle, or within `reach` texels of it.
+
+    Args:
+        corners: (T,3,2) positions in texels.
+        width, height: of the image in texels.
+        reach: distance in texels up to which texels outside a triangle count; 0.75 makes the result
+            conservative (a triangle thinner than a texel is never lost).
+
+    Yields:
+        Chunks of (texel (M,) i64 flat index row * width + column, triangle (M,) i64,
+        barycentric (M,3) f32 of the nearest point of the triangle, distance (M,) f32 in texels).
+        A texel comes once for each triangle that covers it.
+    """
+    corners = np.asarray(corners, np.float64)
+    low = np.floor(corners.min(axis=1) - 0.5 - reach).astype(np.int64) + 1
+    high = np.ceil(corners.max(axis=1) - 0.5 + reach).astype(np.int64)
+    # Centres exactly on the border of a triangle count as inside, hence one texel more on each side.
+    low = np.clip(low - 1, 0, (width, height))
+    high = np.clip(high + 1, 0, (width, height))
+    extent = np.maximum(high - low, 0)
+    count = extent[:, 0] * extent[:, 1]
+    for first, last in _chunks(count):
+        yield from _cover(corners[first:last], low[first:last], extent[first:last], first, width, reach)
+
+
+def _chunks(count: np.ndarray) -> Iterator[tuple[int, int]]:
+    ends = np.cumsum(count)
+    first = 0
+    while first < len(count):
+        before = ends[first - 1] if first else 0
+        last = max(int(np.searchsorted(ends, before + CHUNK_TEXELS, side="right")), first + 1)
+        yield first, last
+        first = last
+
+
+def _cover(
+    corners: np.ndarray, low: np.ndarray, extent: np.ndarray, offset: int, width: int, reach: float
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    count = extent[:, 0] * extent[:, 1]
+    triangle = np.repeat(np.arange(len(corners)), count)
+    if not len(triangle):
+        return
+    within = np.arange(len(triangle)) - np.repeat(np.cumsum(count) - count, count)
+    column = low[triangle, 0] + within % np.maximum(extent[triangle, 0], 1)
+    row = low[triangle, 1] + within // np.maximum(extent[triangle, 0], 1)
+    point = np.stack([column + 0.5, row + 0.5], axis=1)
+
+    edges = np.roll(corners, -1, axis=1) - corners
+    lengths = np.linalg.norm(edges, axis=2)
+    doubled_area = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
+    sign = np.where(doubled_area < 0.0, -1.0, 1.0)
+    # Signed distance of the texel to each edge's line, positive inside.
+    keep = np.ones(len(triangle), bool)
+    inside = np.abs(doubled_area)[triangle] > 1e-12
+    for corner in range(3):
+        to_point = point - corners[triangle, corner]
+        edge = edges[triangle, corner]
+        area = sign[triangle] * (edge[:, 0] * to_point[:, 1] - edge[:, 1] * to_point[:, 0])
+        keep &= area >= -(reach + 1e-9) * lengths[triangle, corner] - 1e-12
+        inside &= area >= -1e-9
+    keep &= inside | (reach > 0.0)
+    triangle, point, inside = triangle[keep], point[keep], inside[keep]
+    texel = (row * width + column)[keep]
+
+    barycentric = np.empty((len(triangle), 3))
+    distance = np.zeros(len(triangle))
+    inner = np.flatnonzero(inside)
+    barycentric[inner] = _barycentric(corners[triangle[inner]], point[inner], doubled_area[triangle[inner]])
+    outer = np.flatnonzero(~inside)
+    if len(outer):
+        barycentric[outer], distance[outer] = _nearest_on_border(corners[triangle[outer]], point[outer])
+        near = distance <= reach
+        texel, triangle, barycentric, distance = (
+            texel[near],
+            triangle[near],
+            barycentric[near],
+            distance[near],
+        )
+    yield texel, triangle + offset, barycentric.astype(np.float32), distance.astype(np.float32)
+
+
+def _barycentric(corners: np.ndarray, point: np.ndarray, doubled_area: np.ndarray) -> np.ndarray:
+    weights = np.empty((len(point), 3))
+    for corner in range(3):
+        start = corners[:, (corner + 1) % 3]
+        edge = corners[:, (corner + 2) % 3] - start
+        to_point = point - start
+        weights[:, corner] = (edge[:, 0] * to_point[:, 1] - edge[:, 1] * to_point[:, 0]) / doubled_area
+    weights = np.clip(weights, 0.0, 1.0)
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
+def _nearest_on_border(corners: np.ndarray, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    best = np.full(len(point), np.inf)
+    weights = np.zeros((len(point), 3))
+    for corner in range(3):
+        start, end = corners[:, corner], corners[:, (corner + 1) % 3]
+        edge = end - start
+        length2 = np.maximum((edge * edge).sum(axis=1), 1e-30)
+        along = np.clip(((point - start) * edge).sum(axis=1) / length2, 0.0, 1.0)
+        distance = np.linalg.norm(start + along[:, None] * edge - point, axis=1)
+        closer = distance < best
+        best = np.where(closer, distance, best)
+        weights[closer] = 0.0
+        weights[closer, corner] = 1.0 - along[closer]
+        weights[closer, (corner + 1) % 3] = along[closer]
+    return weights, best
+
+
+def nearest_triangle_map(
+    corners: np.ndarray, width: int, height: int, reach: float = 0.75
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """For each texel near a triangle, the nearest triangle and the point on it.
+
+    Args:
+        corners: (T,3,2) positions in texels.
+        width, height: of the image.
+        reach: see `covered_texels`.
+
+    Returns:
+        texel (M,) i64 flat indices, sorted and unique; triangle (M,) i64; barycentric (M,3) f32.
+        Ties go to the triangle with the lowest index, so that the result does not depend on chunking.
+    """
+    best_distance = np.full(width * height, np.inf, np.float32)
+    best_triangle = np.full(width * height, -1, np.int64)
+    best_weights = np.zeros((width * height, 3), np.float32)
+    for texel, triangle, weights, distance in covered_texels(corners, width, height, reach):
+        order = np.lexsort((triangle, distance, texel))
+        texel, first = np.unique(texel[order], return_index=True)
+        chosen = order[first]
+        closer = distance[chosen] < best_distance[texel]
+        texel, chosen = texel[closer], chosen[closer]
+        best_distance[texel] = distance[chosen]
+        best_triangle[texel] = triangle[chosen]
+        best_weights[texel] = weights[chosen]
+    texel = np.flatnonzero(best_triangle >= 0)
+    return texel, best_triangle[texel], best_weights[texel]
+
+
+def cover_count(corners: np.ndarray, width: int, height: int) -> np.ndarray:
+    """How many triangles cover each texel centre, (height, width) i32.
+
+    Neighbours that share an edge don't count twice: triangles are shrunk by a thousandth of a texel.
+    """
+    corners = np.asarray(corners, np.float64)
+    centre = corners.mean(axis=1, keepdims=True)
+    offset = corners - centre
+    size = np.linalg.norm(offset, axis=2, keepdims=True)
+    shrunk = centre + offset * np.maximum(1.0 - 1e-3 / np.maximum(size, 1e-12), 0.0)
+    count = np.zeros(width * height, np.int32)
+    for texel, _, _, _ in covered_texels(shrunk, width, height):
+        np.add.at(count, texel, 1)
+    return count.reshape(height, width)

@@ -1,0 +1,102 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender cameras project as the views' pinholes do."""
+
+import bpy
+import numpy as np
+import pytest
+from bpy_extras.object_utils import world_to_camera_view
+from mathutils import Vector
+
+from fipt_blender.blend import cameras
+from fipt_blender.core.job.errors import FiptError
+from fipt_blender.core.job.runfolder import RunFolder, write_json
+from fipt_blender.core.job.settings import make_settings
+
+INTRINSICS = {
+    "plain": dict(width=192, height=108, fx=150.0, fy=150.0, cx=96.0, cy=54.0),
+    "off-centre": dict(width=192, height=108, fx=150.0, fy=150.0, cx=80.3, cy=61.7),
+    "fx > fy": dict(width=192, height=108, fx=180.0, fy=140.0, cx=90.0, cy=50.0),
+    "fx < fy": dict(width=192, height=108, fx=140.0, fy=180.0, cx=101.0, cy=57.0),
+    "portrait": dict(width=108, height=192, fx=150.0, fy=155.0, cx=50.0, cy=101.0),
+}
+
+
+@pytest.fixture
+def run(tmp_path):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    folder = RunFolder(tmp_path / "run")
+    folder.create(make_settings())
+    random = np.random.default_rng(3)
+    views = []
+    for name, intrinsics in INTRINSICS.items():
+        rotation, _ = np.linalg.qr(random.normal(size=(3, 3)))
+        pose = np.eye(4)
+        pose[:3, :3] = rotation * np.sign(np.linalg.det(rotation))
+        pose[:3, 3] = random.uniform(-2, 2, 3)
+        views.append(
+            {"name": f"train/{name}", "split": "train", "image": "images/a.exr", "parts": None,
+             "semantics": None, "camera_to_world": pose.tolist(), **intrinsics}
+        )  # fmt: skip
+    views[0]["split"] = "held_back"
+    write_json(folder.capture_json, {"format": "fipt-capture", "version": 1, "views": views})
+    image = bpy.data.images.new("a", 192, 108, float_buffer=True)
+    folder.images.mkdir()
+    image.filepath_raw, image.file_format = str(folder.images / "a.exr"), "OPEN_EXR"
+    image.save()
+    bpy.data.images.remove(image)
+    folder.views = views
+    return folder
+
+
+def test_projection_agrees_with_the_pinhole(run):
+    cameras.add_cameras(run)
+    scene = bpy.context.scene
+    random = np.random.default_rng(0)
+    for view in run.views:
+        camera = cameras.find_camera(view["name"])
+        cameras.use_view(scene, camera)
+        bpy.context.view_layer.update()
+        assert (scene.render.resolution_x, scene.render.resolution_y) == (view["width"], view["height"])
+        pose = np.array(view["camera_to_world"])
+        pixels = random.uniform(0, 1, (50, 2)) * [view["width"], view["height"]]
+        rays = np.column_stack(
+            [(pixels[:, 0] - view["cx"]) / view["fx"], (pixels[:, 1] - view["cy"]) / view["fy"], np.ones(50)]
+        )
+        points = (rays * random.uniform(1, 3, (50, 1))) @ pose[:3, :3].T + pose[:3, 3]
+        for point, pixel in zip(points, pixels, strict=True):
+            x, y, depth = world_to_camera_view(scene, camera, Vector(point))
+            projected = np.array([x * view["width"], (1.0 - y) * view["height"]])
+            assert depth > 0
+            # Blender keeps single precision: 1e-4 pixels is two parts in a million of the width.
+            assert np.abs(projected - pixel).max() < 1e-4
+        # world_to_camera_view ignores the render engine's own path: the projection matrix says the same.
+        matrix = np.array(
+            camera.calc_matrix_camera(
+                bpy.context.evaluated_depsgraph_get(), x=view["width"], y=view["height"],
+                scale_x=scene.render.pixel_aspect_x, scale_y=scene.render.pixel_aspect_y,
+            ),
+            np.float64,
+        ) @ np.linalg.inv(np.array(camera.matrix_world, np.float64))  # fmt: skip
+        clip = np.column_stack([points, np.ones(50)]) @ matrix.T
+        ndc = clip[:, :2] / clip[:, 3:]
+        projected = (ndc * [0.5, -0.5] + 0.5) * [view["width"], view["height"]]
+        assert np.abs(projected - pixels).max() < 1e-4
+
+
+def test_cameras_carry_photographs_and_are_not_doubled(run):
+    names = cameras.add_cameras(run)
+    assert cameras.add_cameras(run) == names
+    assert len(bpy.data.objects) == len(run.views)
+    camera = bpy.data.objects[names[0]]
+    assert camera["fipt_split"] == "held_back"
+    assert [each.name for each in camera.users_collection] == ["FIPT Cameras"]
+    image = camera.data.background_images[0].image
+    assert image.is_float and image.colorspace_settings.name == "Linear Rec.709"
+    assert len(bpy.data.images) == 1
+
+
+def test_unknown_view(run):
+    with pytest.raises(FiptError) as error:
+        cameras.find_camera("train/none")
+    assert error.value.code == "view-missing"

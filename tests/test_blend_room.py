@@ -1,0 +1,187 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Meshes in and out: imports without a turn of axes, evaluated world-space exports."""
+
+import math
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Euler, Matrix
+
+from fipt_blender.blend import mesh_import, room_export
+from fipt_blender.core import conventions
+from fipt_blender.core.job.errors import FiptError
+from fipt_blender.core.job.runfolder import RunFolder
+from fipt_blender.core.job.settings import make_settings
+
+# A tetrahedron-like shape without symmetry, so that any turn or mirroring shows.
+POINTS = np.array([(0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3)], np.float64)
+FACES = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)]
+
+
+@pytest.fixture(autouse=True)
+def empty_file():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+@pytest.fixture
+def run(tmp_path):
+    folder = RunFolder(tmp_path / "run")
+    folder.create(make_settings())
+    return folder
+
+
+def write_obj(path: Path, faces=FACES) -> Path:
+    lines = ["o tetra"] + ["v {} {} {}".format(*point) for point in POINTS]
+    lines += ["f " + " ".join(str(index + 1) for index in face) for face in faces]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def write_ply(path: Path) -> Path:
+    header = [
+        "ply", "format ascii 1.0", f"element vertex {len(POINTS)}", "property float x", "property float y",
+        "property float z", f"element face {len(FACES)}", "property list uchar int vertex_indices",
+        "end_header",
+    ]  # fmt: skip
+    rows = [" ".join(map(str, point)) for point in POINTS] + ["3 " + " ".join(map(str, f)) for f in FACES]
+    path.write_text("\n".join(header + rows) + "\n")
+    return path
+
+
+def write_gltf(path: Path) -> Path:
+    import base64
+    import json
+
+    data = POINTS.astype("<f4").tobytes() + np.array(FACES, "<u2").tobytes()
+    uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+    path.write_text(
+        json.dumps(
+            {
+                "asset": {"version": "2.0"},
+                "scene": 0,
+                "scenes": [{"nodes": [0]}],
+                "nodes": [{"mesh": 0, "name": "tetra"}],
+                "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+                "buffers": [{"byteLength": len(data), "uri": uri}],
+                "bufferViews": [
+                    {"buffer": 0, "byteOffset": 0, "byteLength": 48},
+                    {"buffer": 0, "byteOffset": 48, "byteLength": 24},
+                ],
+                "accessors": [
+                    {
+                        "bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3",
+                        "min": POINTS.min(0).tolist(), "max": POINTS.max(0).tolist(),
+                    },
+                    {"bufferView": 1, "componentType": 5123, "count": 12, "type": "SCALAR"},
+                ],
+            }
+        )
+    )  # fmt: skip
+    return path
+
+
+def canonical(vertices, triangles):
+    """Triangles as sorted rows of coordinates, each begun at its lowest corner: order-free, winding kept."""
+    corners = np.round(np.asarray(vertices, np.float64)[triangles], 4) + 0.0
+    rows = []
+    for triangle in corners:
+        start = min(range(3), key=lambda index: tuple(triangle[index]))
+        rows.append(tuple(np.roll(triangle, -start, axis=0).ravel()))
+    return sorted(rows)
+
+
+@pytest.mark.parametrize(
+    ("name", "writer"), [("a.obj", write_obj), ("a.ply", write_ply), ("a.gltf", write_gltf)]
+)
+def test_import_applies_world_from_source_and_nothing_else(tmp_path, run, name, writer):
+    matrix = conventions.world_from_source("y", 0.5)
+    matrix[:3, 3] = (1.0, 2.0, 3.0)
+    names = mesh_import.import_room(writer(tmp_path / name), matrix)
+    item = bpy.data.objects[names[0]]
+    assert item.matrix_world == Matrix.Identity(4)
+    assert [each.name for each in item.users_collection] == ["FIPT Room"]
+    room = room_export.export_room([item], run)
+    expected = conventions.transform_points(matrix, POINTS)
+    assert canonical(room.vertices, room.triangles) == canonical(expected, FACES)
+
+
+def test_mirroring_transform_keeps_faces_outwards(tmp_path, run):
+    names = mesh_import.import_room(write_obj(tmp_path / "a.obj"), np.diag([-1.0, 1.0, 1.0, 1.0]))
+    room = room_export.export_room([bpy.data.objects[names[0]]], run)
+    corners = room.vertices[room.triangles]
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    away = corners.mean(axis=1) - room.vertices.mean(axis=0)
+    assert ((outward * away).sum(axis=1) > 0).all()
+
+
+def test_import_errors(tmp_path):
+    with pytest.raises(FiptError) as error:
+        mesh_import.import_room(tmp_path / "nothing.obj", np.eye(4))
+    assert error.value.code == "mesh-missing"
+    (tmp_path / "a.xyz").write_text("")
+    with pytest.raises(FiptError) as error:
+        mesh_import.import_room(tmp_path / "a.xyz", np.eye(4))
+    assert error.value.code == "mesh-format"
+    with pytest.raises(FiptError) as error:
+        mesh_import.import_room(write_obj(tmp_path / "b.obj", faces=[]), np.eye(4))
+    assert error.value.code == "mesh-empty"
+    assert not bpy.data.objects
+
+
+def test_degenerate_and_inverted_faces_survive(tmp_path, run):
+    mesh = bpy.data.meshes.new("m")
+    mesh.from_pydata([(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 1, 0)], [], [(0, 1, 2), (0, 3, 1)])
+    item = bpy.data.objects.new("m", mesh)
+    bpy.context.scene.collection.objects.link(item)
+    room = room_export.export_room([item], run)
+    assert len(room.triangles) == 2
+    assert np.isfinite(room.corner_normals).all()
+    assert np.allclose(np.linalg.norm(room.corner_normals, axis=2), 1.0, atol=1e-5)
+    assert room.corner_normals[1, 0, 2] == pytest.approx(-1.0)
+
+
+def test_export_of_modifiers_mirrored_scale_and_materials(run):
+    bpy.ops.mesh.primitive_cube_add(size=2.0)
+    item = bpy.context.object
+    item.scale, item.rotation_euler, item.location = (-1.0, 2.0, 0.5), Euler((0.3, 0.2, 0.1)), (4.0, 5.0, 6.0)
+    item.modifiers.new("Bevel", "BEVEL").width = 0.1
+    for name in ("first", "second"):
+        item.data.materials.append(bpy.data.materials.new(name))
+    item.data.polygons[2].material_index = 1
+    bpy.context.view_layer.update()
+    room = room_export.export_room([item], run, parts="materials")
+    assert len(room.triangles) > 12
+    corners = room.vertices[room.triangles].astype(np.float64)
+    face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    away = corners.mean(axis=1) - np.array(item.location)
+    assert ((face * away).sum(axis=1) > 0).all()
+    assert ((room.corner_normals * face[:, None]).sum(axis=2) > 0).all()
+    # The six sides keep their areas' plane distances: a box of half sizes 1, 2, 0.5 in its own frame.
+    local = (corners.reshape(-1, 3) - np.array(item.location)) @ np.array(Euler((0.3, 0.2, 0.1)).to_matrix())
+    assert np.allclose(np.abs(local).max(axis=0), [1.0, 2.0, 0.5], atol=1e-5)
+    assert room.materials == ["first", "second"]
+    assert set(np.unique(room.triangle_material)) == {0, 1}
+    again = room_export.read_room(run)
+    assert np.array_equal(again.triangles, room.triangles) and again.objects == [item.name]
+
+
+def test_custom_normals_reach_the_export(run):
+    bpy.ops.mesh.primitive_plane_add()
+    item = bpy.context.object
+    tilted = np.array([math.sin(0.3), 0.0, math.cos(0.3)])
+    item.data.normals_split_custom_set([tilted.tolist()] * 4)
+    item.rotation_euler = (0.0, 0.0, math.pi / 2)
+    bpy.context.view_layer.update()
+    room = room_export.export_room([item], run)
+    assert np.allclose(room.corner_normals, [0.0, math.sin(0.3), math.cos(0.3)], atol=1e-3)
+
+
+def test_export_without_faces_is_an_error(run):
+    item = bpy.data.objects.new("m", bpy.data.meshes.new("m"))
+    with pytest.raises(FiptError) as error:
+        room_export.export_room([item], run)
+    assert error.value.code == "mesh-empty"
+    assert not run.room_npz.exists()
