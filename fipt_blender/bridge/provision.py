@@ -1,0 +1,130 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Shared libraries that no Python package brings, fetched into a folder of ours.
+
+Neither root nor a change of the system is needed: packages are unpacked, never installed.
+Standard library only.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import tempfile
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+DEBIAN_LLVM = ("libllvm19", "libllvm20", "libllvm21", "libllvm18", "libllvm17t64", "libllvm17")
+# What bpy and Dr.Jit link to on Linux, with the packages which those need in turn.
+DEBIAN_LIBRARIES = (
+    *("libx11-6", "libxrender1", "libxfixes3", "libxi6", "libxkbcommon0", "libsm6", "libice6", "libgl1"),
+    *("libegl1", "libglx0", "libglvnd0", "libxcb1", "libxau6", "libxdmcp6", "libxext6", "libuuid1"),
+    *("libxxf86vm1", "libbsd0", "libmd0", "libatomic1"),
+)
+
+
+def wheel_libraries(wheel: Path, folder: Path, names: Sequence[str]) -> list[Path]:
+    """Copy the shared libraries whose names start with one of `names` out of a wheel.
+
+    Returns:
+        The files written into `folder`.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    with zipfile.ZipFile(wheel) as archive:
+        for member in archive.namelist():
+            name = member.rpartition("/")[2]
+            if ".so" not in name or not name.startswith(tuple(names)):
+                continue
+            data = archive.read(member)
+            if data[:4] == b"\x7fELF":  # not a linker script of the same name
+                (folder / name).write_bytes(data)
+                written.append(folder / name)
+    return written
+
+
+class DebianPackages:
+    """Debian's (or a derivative's) packages without root: private lists, private cache, unpacked files.
+
+    Use as a context manager; the lists are fetched once. `available` is False elsewhere than on such a
+    system.
+    """
+
+    def __enter__(self) -> DebianPackages:
+        self._temporary = tempfile.TemporaryDirectory(prefix="fipt-apt-")
+        self._root = Path(self._temporary.name)
+        self.available = all(shutil.which(tool) for tool in ("apt-get", "dpkg-deb", "dpkg-query"))
+        if self.available:
+            for name in ("lists/partial", "cache/archives/partial", "packages"):
+                (self._root / name).mkdir(parents=True)
+            self._apt("update")  # some source may fail; what counts is whether the packages are found
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._temporary.cleanup()
+
+    def _apt(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        options = {
+            "Dir::State::Lists": self._root / "lists",
+            "Dir::Cache": self._root / "cache",
+            "APT::Sandbox::User": "root",
+            "APT::Update::Post-Invoke": "",
+            "Debug::NoLocking": "true",
+        }
+        command = ["apt-get", "-q", *(f"-o{key}={value}" for key, value in options.items()), *arguments]
+        return subprocess.run(
+            command,
+            cwd=self._root / "packages",
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    def missing(self, names: Sequence[str]) -> list[str]:
+        """Those of the packages that are not installed."""
+        command = ["dpkg-query", "-W", "-f", "${Package} ${db:Status-Status}\\n", *names]
+        output = subprocess.run(command, capture_output=True, text=True, check=False).stdout
+        installed = {line.split()[0] for line in output.splitlines() if line.endswith(" installed")}
+        return [name for name in names if name not in installed]
+
+    def needed(self, name: str) -> list[str]:
+        """A package with all that it depends on and that is not installed; empty where unknown."""
+        result = self._apt("install", "--simulate", "--no-install-recommends", name)
+        if result.returncode != 0:
+            return []
+        # "Inst name (version ...": new; "Inst name [old] (new ...": an upgrade, which is left alone
+        return re.findall(r"^Inst (\S+) \(", result.stdout, re.MULTILINE)
+
+    def unpack(self, names: Sequence[str]) -> Path | None:
+        """Download packages and unpack them into a folder that lives as long as this object.
+
+        Packages which the release does not have are passed over. None where none came.
+        """
+        downloads = self._root / "packages"
+        for name in names:
+            self._apt("download", name)
+        root = Path(tempfile.mkdtemp(dir=self._root))
+        archives = sorted(downloads.glob("*.deb"))
+        for archive in archives:
+            subprocess.run(["dpkg-deb", "-x", str(archive), str(root)], check=True)
+            archive.unlink()
+        return root if archives else None
+
+
+def copy_libraries(root: Path, folder: Path) -> list[Path]:
+    """Copy every shared library below `root` flat into `folder`, under each name that it has there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for path in sorted(root.rglob("*.so*")):
+        source = path
+        if path.is_symlink():
+            target = Path(path.readlink())
+            # absolute links mean the unpacked tree, not the system
+            source = root / target.relative_to("/") if target.is_absolute() else path.parent / target
+        if source.is_file() and not (folder / path.name).exists():
+            shutil.copyfile(source, folder / path.name)
+            written.append(folder / path.name)
+    return written

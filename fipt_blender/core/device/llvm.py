@@ -1,0 +1,299 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Finding an LLVM with which Mitsuba's CPU variants work, each candidate tried in a child process.
+
+Dr.Jit takes the first libLLVM that the loader knows, and many of them abort the process (LLVM 14 to 16
+on CPUs with AVX-512). Verdicts are kept, so that only the first start on a machine pays for the trial.
+Standard library only; Mitsuba is never imported in this process.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from ..job.errors import FiptError
+from . import probe
+
+LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
+PROBE_SECONDS = 180.0
+GOOD_VERSIONS = range(17, 24)  # those older abort on common CPUs, those newer are untried: last resorts
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Outcome of a trial: whether the variant works, the reason where not, and whether to remember it."""
+
+    works: bool
+    reason: str
+    lasting: bool = True
+
+
+def cache_folder() -> Path:
+    """The user's folder for what may be lost: $FIPT_CACHE, or the platform's cache folder."""
+    if named := os.environ.get("FIPT_CACHE"):
+        return Path(named)
+    home = Path(os.path.expanduser("~"))  # Path.home() raises where there is none
+    if sys.platform == "win32":
+        base = Path(os.environ.get("LOCALAPPDATA", home / "AppData" / "Local"))
+    elif sys.platform == "darwin":
+        base = home / "Library" / "Caches"
+    else:
+        base = Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
+    return base / "fipt_blender"
+
+
+def environment_folder(python: Path) -> Path:
+    """The folder of the environment that an interpreter belongs to (its ``sys.prefix`` for a venv)."""
+    return python.parent.parent if python.parent.name in ("bin", "Scripts") else python.parent
+
+
+def private_folder(python: Path) -> Path:
+    """Where an environment keeps an LLVM of its own, with the libraries that it needs beside it."""
+    return environment_folder(python) / "llvm"
+
+
+def _system_patterns() -> Iterator[tuple[Path, str]]:
+    """Places where LLVM is usually installed, as (folder, pattern)."""
+    if sys.platform == "win32":
+        for variable in ("ProgramFiles", "ProgramW6432", "LOCALAPPDATA"):
+            if base := os.environ.get(variable):
+                yield Path(base), "LLVM*/bin/LLVM-C.dll"
+                yield Path(base) / "Programs", "LLVM*/bin/LLVM-C.dll"
+    elif sys.platform == "darwin":
+        for base in ("/opt/homebrew/opt", "/usr/local/opt"):
+            yield Path(base), "llvm*/lib/libLLVM*.dylib"
+        yield Path("/opt/local/libexec"), "llvm-*/lib/libLLVM*.dylib"
+    else:
+        for base in ("/usr/lib", "/usr/lib64", "/usr/local/lib", "/usr/local/lib64"):
+            yield Path(base), "libLLVM*.so*"
+        yield Path("/usr/lib"), "*-linux-gnu*/libLLVM*.so*"
+        yield Path("/usr/lib"), "llvm-*/lib/libLLVM*.so*"
+        yield Path("/usr/lib"), "llvm*/lib64/libLLVM*.so*"
+        yield Path("/usr/lib64"), "llvm*/lib*/libLLVM*.so*"
+
+
+def library_version(library: Path) -> int:
+    """Major version of an LLVM library by its name or folder; 0 where neither tells."""
+    name = re.search(r"(?:libLLVM|LLVM-C)[-.](?:so\.)?(\d+)", library.name)
+    folder = re.search(r"llvm(?:@|-)?(?:[/\\])?(\d+)", str(library.parent), re.IGNORECASE)
+    found = name or folder
+    return int(found.group(1)) if found else 0
+
+
+def order_candidates(libraries: Sequence[Path]) -> list[Path]:
+    """Most promising first: good versions newest first, then newer and unknown ones, then older ones.
+
+    Links to the same file count once.
+    """
+
+    def rank(library: Path) -> tuple[int, int]:
+        version = library_version(library)
+        tier = 0 if version in GOOD_VERSIONS else 1 if version == 0 or version > GOOD_VERSIONS[-1] else 2
+        return tier, -version
+
+    unique: dict[Path, Path] = {}
+    for library in libraries:
+        real = library.resolve()
+        if real.is_file():
+            unique.setdefault(real, real)
+    return sorted(unique, key=rank)
+
+
+def llvm_candidates(python: Path) -> list[Path]:
+    """Every LLVM library worth a trial, best first.
+
+    The one that the user names in DRJIT_LIBLLVM_PATH leads, then the environment's own, then the system's.
+    """
+    found: list[Path] = []
+    if named := os.environ.get(LLVM_VARIABLE):
+        found += [path for path in [Path(named)] if path.is_file()]
+    names = {"win32": "LLVM-C*.dll", "darwin": "libLLVM*.dylib"}.get(sys.platform, "libLLVM*.so*")
+    own: list[Path] = []
+    for folder in (private_folder(python), environment_folder(python) / "lib"):
+        own += folder.glob(names)
+    found += order_candidates(own)
+    system = [path for base, pattern in _system_patterns() for path in base.glob(pattern)]
+    return list(dict.fromkeys([path.resolve() for path in found] + order_candidates(system)))
+
+
+def companions(library: Path) -> list[str]:
+    """Libraries to load before an environment's own LLVM: those that lie beside it.
+
+    Only an environment's own folder holds such a set; beside a system's LLVM lies the whole system.
+    """
+    if library.parent.name != "llvm":
+        return []
+    return [str(path) for path in sorted(library.parent.iterdir()) if not path.name.startswith("libLLVM")]
+
+
+def try_variant(python: Path, variant: str, library: Path | None = None) -> Verdict:
+    """Run the probe's workload in a child of the given interpreter.
+
+    Args:
+        python: interpreter with Mitsuba.
+        variant: ``"llvm_ad_rgb"`` or ``"cuda_ad_rgb"``.
+        library: the LLVM to use.
+
+    Raises:
+        FiptError: ``package-missing`` where Mitsuba itself can't be imported, ``engine-missing`` where
+            the interpreter can't be started.
+    """
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    libraries: list[str] = []
+    if library is not None:
+        environment[LLVM_VARIABLE] = str(library)
+        libraries = companions(library)
+    same = _is_this_interpreter(python)
+    paths = [entry for entry in sys.path if Path(entry).is_absolute()] if same else []
+    command = [str(python), "-I", probe.__file__, variant, json.dumps(paths), json.dumps(libraries)]
+    with tempfile.TemporaryFile() as log:
+        try:
+            status = subprocess.run(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=environment,
+                timeout=PROBE_SECONDS,
+                check=False,
+            ).returncode
+        except subprocess.TimeoutExpired:
+            return Verdict(False, f"no answer within {PROBE_SECONDS:.0f} seconds", lasting=False)
+        except OSError as error:
+            raise FiptError(
+                "engine-missing",
+                f"The engine's Python {python} can't be started ({error}).",
+                "Name another interpreter, or create the engine's environment again.",
+            ) from None
+        log.seek(0)
+        output = log.read().decode("utf-8", "replace")
+    if probe.IMPORTED not in output:
+        raise FiptError(
+            "package-missing",
+            f"Mitsuba can't be imported by {python} ({_reason(output) or f'exit status {status}'}).",
+            "Create the engine's environment again.",
+        )
+    if status == 0 and probe.PASSED in output:
+        return Verdict(True, "")
+    if status < 0:
+        # SIGKILL comes from outside (out of memory, an impatient user): no verdict on the library
+        return Verdict(False, f"the process died of signal {-status}", lasting=status != -9)
+    return Verdict(False, _reason(output) or f"exit status {status}")
+
+
+def remembered(key: str, trial: Callable[[], Verdict], cache: Path | None = None) -> Verdict:
+    """The verdict kept under a key, or that of the trial, which is then kept.
+
+    A cache that can't be read or written costs time, nothing else.
+    """
+    file = (cache or cache_folder()) / "devices.json"
+    verdicts: dict[str, dict[str, object]] = {}
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+        verdicts = data if isinstance(data, dict) else {}
+    except (OSError, ValueError):
+        pass
+    kept = verdicts.get(key)
+    if isinstance(kept, dict) and isinstance(kept.get("works"), bool):
+        return Verdict(bool(kept["works"]), str(kept.get("reason", "")))
+    verdict = trial()
+    if verdict.lasting:
+        verdicts[key] = {"works": verdict.works, "reason": verdict.reason}
+        temporary = file.with_name(f".{os.getpid()}.{file.name}")
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            temporary.write_text(json.dumps(verdicts, indent=1), encoding="utf-8")
+            temporary.replace(file)
+        except OSError:
+            temporary.unlink(missing_ok=True)
+    return verdict
+
+
+def package_key(python: Path) -> str:
+    """What a verdict depends on besides the library: machine, Mitsuba and Dr.Jit."""
+    if _is_this_interpreter(python):
+        versions = [importlib.metadata.version(name) for name in ("mitsuba", "drjit")]
+    else:
+        site = environment_folder(python)
+        patterns = ("lib/python*/site-packages/*.dist-info", "Lib/site-packages/*.dist-info")
+        infos = [info for pattern in patterns for info in site.glob(pattern)]
+        versions = sorted(info.name for info in infos if info.name.split("-")[0] in ("mitsuba", "drjit"))
+        versions = [name.removesuffix(".dist-info").partition("-")[2] for name in reversed(versions)]
+    return "|".join([platform.node(), platform.machine(), *versions])
+
+
+def find_llvm(python: Path, cache: Path | None = None) -> Path:
+    """The best LLVM that works with an interpreter's Mitsuba.
+
+    Args:
+        python: interpreter of the engine.
+        cache: folder where verdicts are kept; None: ``cache_folder()``.
+
+    Raises:
+        FiptError: ``llvm-missing`` naming what to install, ``package-missing``, ``engine-missing``.
+    """
+    failures: list[str] = []
+    machine = None
+    for library in llvm_candidates(python):
+        machine = machine or package_key(python)
+        status = library.stat()
+        key = f"{machine}|{library}|{status.st_mtime_ns}|{status.st_size}"
+        verdict = remembered(key, partial(try_variant, python, "llvm_ad_rgb", library), cache)
+        if verdict.works:
+            return library
+        failures.append(f"{library} ({verdict.reason})")
+    text = "Mitsuba needs LLVM to compute on the CPU, and this machine has none."
+    if failures:
+        text = f"Mitsuba needs LLVM to compute on the CPU, and none here works: {'; '.join(failures)}."
+    raise FiptError("llvm-missing", text, install_remedy())
+
+
+def install_remedy() -> str:
+    """What to install on this platform, in one or two sentences."""
+    if sys.platform == "win32":
+        how = "Install LLVM 19 or newer from the LLVM project's releases (its LLVM-C.dll is used)."
+    elif sys.platform == "darwin":
+        how = "Install LLVM with: brew install llvm"
+    else:
+        release = _os_release()
+        family = f"{release.get('ID', '')} {release.get('ID_LIKE', '')}"
+        if "debian" in family or "ubuntu" in family:
+            how = "Install LLVM 19 with: apt-get install libllvm19"
+        elif any(name in family for name in ("fedora", "rhel", "centos")):
+            how = "Install LLVM with: dnf install llvm-libs"
+        elif "arch" in family:
+            how = "Install LLVM with: pacman -S llvm-libs"
+        elif "suse" in family:
+            how = "Install LLVM with: zypper install libLLVM19"
+        else:
+            how = "Install the shared library of LLVM 19 or newer (libLLVM.so)."
+    return f"{how} Or set {LLVM_VARIABLE} to one that works."
+
+
+def _os_release() -> dict[str, str]:
+    try:
+        return platform.freedesktop_os_release()
+    except OSError:
+        return {}
+
+
+def _is_this_interpreter(python: Path) -> bool:
+    return os.path.normcase(python) == os.path.normcase(sys.executable)
+
+
+def _reason(output: str) -> str:
+    """The line of a failed child's output that tells most: a missing library, else the last."""
+    lines = [line.strip() for line in output.splitlines() if line.strip() and line.strip() != probe.IMPORTED]
+    missing = [line for line in lines if "cannot open shared object file" in line]
+    return (missing or lines or [""])[-1][:200]

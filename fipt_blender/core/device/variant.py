@@ -1,0 +1,104 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The one place that chooses Mitsuba's variant, and torch's device with it.
+
+Mitsuba and torch are imported when a function is called: LLVM's path must be known before.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from pathlib import Path
+
+from ..job.errors import FiptError
+from .llvm import LLVM_VARIABLE, Verdict, companions, find_llvm, package_key, remembered, try_variant
+from .probe import preload
+
+VARIANTS = {"llvm": "llvm_ad_rgb", "cuda": "cuda_ad_rgb"}
+
+
+def set_variant(device: str = "auto", cache: Path | None = None) -> str:
+    """Set Mitsuba's variant for this process; calling it again changes nothing.
+
+    Args:
+        device: ``"cuda"``, ``"llvm"`` (CPU), or ``"auto"``: CUDA where it works, else LLVM. A process that
+            has a variant already keeps it under ``"auto"``.
+        cache: folder where verdicts on devices are kept; None: the user's cache folder.
+
+    Returns:
+        The variant's name, ``"cuda_ad_rgb"`` or ``"llvm_ad_rgb"``.
+
+    Raises:
+        FiptError: ``llvm-missing``, ``cuda-missing``, ``setting-invalid``.
+    """
+    if device not in ("auto", *VARIANTS):
+        raise FiptError("setting-invalid", f"'{device}' is no device.", "Use one of: auto, cuda, llvm.")
+    current = _current_variant()
+    if current is not None and (device == "auto" or current == VARIANTS[device]):
+        return current
+    python = Path(sys.executable)
+    if device == "auto":
+        device = "cuda" if cuda_verdict(python, cache).works else "llvm"
+    elif device == "cuda" and not (verdict := cuda_verdict(python, cache)).works:
+        raise FiptError(
+            "cuda-missing",
+            f"CUDA was asked for and does not work here: {verdict.reason}.",
+            "Install NVIDIA's driver (with OptiX), or choose the device 'auto' or 'llvm'.",
+        )
+    if device == "llvm":
+        library = find_llvm(python, cache)
+        os.environ[LLVM_VARIABLE] = str(library)
+        preload(companions(library))
+    import mitsuba
+
+    mitsuba.set_variant(VARIANTS[device])
+    return VARIANTS[device]
+
+
+def torch_device() -> str:
+    """Torch's device that belongs to the variant in force: ``"cuda"`` or ``"cpu"``."""
+    import torch
+
+    cuda = (_current_variant() or "").startswith("cuda") and torch.cuda.is_available()
+    return "cuda" if cuda else "cpu"
+
+
+def cuda_verdict(python: Path, cache: Path | None = None) -> Verdict:
+    """Whether Mitsuba's CUDA variant traces rays here; tried in a child where there is a driver."""
+    driver = cuda_driver_version()
+    if driver is None:
+        return Verdict(False, "this machine has no NVIDIA driver with a device")
+    key = f"{package_key(python)}|cuda|{driver}"
+    return remembered(key, lambda: try_variant(python, VARIANTS["cuda"]), cache)
+
+
+def cuda_driver_version() -> int | None:
+    """The NVIDIA driver's CUDA version (e.g. 12040) where it has a device, else None."""
+    name = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
+    try:
+        driver = ctypes.CDLL(name)
+    except OSError:
+        return None
+    count, version = ctypes.c_int(0), ctypes.c_int(0)
+    if driver.cuInit(0) != 0 or driver.cuDeviceGetCount(ctypes.byref(count)) != 0 or count.value == 0:
+        return None
+    return version.value if driver.cuDriverGetVersion(ctypes.byref(version)) == 0 else None
+
+
+def cuda_device_name() -> str | None:
+    """Name of the first CUDA device, or None."""
+    if cuda_driver_version() is None:
+        return None
+    driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+    device, name = ctypes.c_int(0), ctypes.create_string_buffer(256)
+    if driver.cuDeviceGet(ctypes.byref(device), 0) != 0 or driver.cuDeviceGetName(name, 256, device) != 0:
+        return None
+    return name.value.decode("utf-8", "replace")
+
+
+def _current_variant() -> str | None:
+    """The variant in force, without importing Mitsuba for the question."""
+    mitsuba = sys.modules.get("mitsuba")
+    return None if mitsuba is None else mitsuba.variant()
