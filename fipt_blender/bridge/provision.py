@@ -117,14 +117,20 @@ class DebianPackages:
 def copy_libraries(root: Path, folder: Path) -> list[Path]:
     """Copy every shared library below `root` flat into `folder`, under each name that it has there."""
     folder.mkdir(parents=True, exist_ok=True)
+    copies: dict[Path, Path] = {}
     written = []
     for path in sorted(root.rglob("*.so*")):
         source = path
         if path.is_symlink():
-            target = Path(path.readlink())
+            target = path.readlink()
             # absolute links mean the unpacked tree, not the system
             source = root / target.relative_to("/") if target.is_absolute() else path.parent / target
-        if source.is_file() and not (folder / path.name).exists():
-            shutil.copyfile(source, folder / path.name)
-            written.append(folder / path.name)
+        copy = folder / path.name
+        if not source.is_file() or copy.exists():
+            continue
+        if (first := copies.setdefault(source.resolve(), copy)) == copy:
+            shutil.copyfile(source, copy)
+        else:
+            copy.hardlink_to(first)
+        written.append(copy)
     return written

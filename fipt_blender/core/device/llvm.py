@@ -9,6 +9,7 @@ Standard library only; Mitsuba is never imported in this process.
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import json
 import os
@@ -23,6 +24,7 @@ from functools import partial
 from pathlib import Path
 
 from ..job.errors import FiptError
+from ..job.runfolder import write_json
 from . import probe
 
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
@@ -210,13 +212,8 @@ def remembered(key: str, trial: Callable[[], Verdict], cache: Path | None = None
     verdict = trial()
     if verdict.lasting:
         verdicts[key] = {"works": verdict.works, "reason": verdict.reason}
-        temporary = file.with_name(f".{os.getpid()}.{file.name}")
-        try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            temporary.write_text(json.dumps(verdicts, indent=1), encoding="utf-8")
-            temporary.replace(file)
-        except OSError:
-            temporary.unlink(missing_ok=True)
+        with contextlib.suppress(FiptError):
+            write_json(file, verdicts)
     return verdict
 
 

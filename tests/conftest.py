@@ -1,0 +1,54 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What every test starts from: an LLVM found as the product finds it, fixed seeds, an empty run folder."""
+
+from __future__ import annotations
+
+import os
+import random
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+if str(ROOT) not in sys.path:
+    sys.path.insert(0, str(ROOT))
+
+from fipt_blender.core.device.llvm import LLVM_VARIABLE, companions, find_llvm  # noqa: E402
+from fipt_blender.core.device.probe import preload  # noqa: E402
+from fipt_blender.core.job.errors import FiptError  # noqa: E402
+from fipt_blender.core.job.runfolder import RunFolder  # noqa: E402
+from fipt_blender.core.job.settings import make_settings  # noqa: E402
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Choose LLVM before any test module imports Mitsuba: Dr.Jit looks for it once."""
+    try:
+        library = find_llvm(Path(sys.executable))
+    except FiptError as error:
+        raise pytest.UsageError(str(error)) from None
+    preload(companions(library))
+    os.environ[LLVM_VARIABLE] = str(library)
+
+
+@pytest.fixture(autouse=True)
+def fixed_seeds() -> None:
+    """Python's and numpy's global generators start alike in every test."""
+    random.seed(0)
+    np.random.seed(0)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """A seeded generator."""
+    return np.random.default_rng(0)
+
+
+@pytest.fixture
+def run_folder(tmp_path: Path) -> RunFolder:
+    """A new run folder with the draft preset's settings."""
+    run = RunFolder(tmp_path / "run")
+    run.create(make_settings("draft"))
+    return run

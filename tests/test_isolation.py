@@ -1,0 +1,112 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The two sides stay apart: the engine without bpy, Blender's side without the engine's packages."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "fipt_blender"
+CORE = PACKAGE / "core"
+HEAVY = ("mitsuba", "drjit", "torch", "OpenEXR", "pycolmap", "pyoidn")
+# What Blender's side may import of the engine: the standard library and numpy are enough for these.
+SHARED = ("conventions", "job.errors", "job.messages", "job.settings", "job.runfolder", "textures.raster")
+LIGHT_MODULES = (*SHARED, "device.llvm", "device.variant", "device.probe", "device.check")
+
+BLOCK = """
+import importlib, sys
+sys.path.insert(0, sys.argv[1])
+for name in sys.argv[2].split(","):
+    sys.modules[name] = None
+for name in sys.argv[3].split(","):
+    importlib.import_module(name)
+"""
+
+
+def imported_modules(file: Path) -> set[str]:
+    """Absolute top-level names that a file imports anywhere, functions included."""
+    names = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            names.add(node.module.partition(".")[0])
+    return names
+
+
+def relative_targets(file: Path) -> set[str]:
+    """Modules below fipt_blender that a file imports relatively, as dotted paths."""
+    package = file.relative_to(PACKAGE).with_suffix("").parts[:-1]
+    targets = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            up = node.level - 1
+            assert up <= len(package), f"{file} imports from outside the package"
+            base = [*package[: len(package) - up], *(node.module or "").split(".")]
+            stem = [part for part in base if part]
+            for alias in node.names:
+                path = PACKAGE.joinpath(*stem, alias.name)
+                is_module = path.is_dir() or path.with_suffix(".py").exists()
+                targets.add(".".join([*stem, alias.name] if is_module else stem))
+    return targets
+
+
+def import_blocked(blocked: tuple[str, ...], modules: list[str]) -> subprocess.CompletedProcess[str]:
+    arguments = [str(ROOT), ",".join(blocked), ",".join(modules)]
+    return subprocess.run([sys.executable, "-I", "-c", BLOCK, *arguments], capture_output=True, text=True)
+
+
+def module_names(folder: Path) -> list[str]:
+    names = []
+    for file in sorted(folder.rglob("*.py")):
+        parts = file.relative_to(ROOT).with_suffix("").parts
+        names.append(".".join(parts[:-1] if parts[-1] == "__init__" else parts))
+    return [name for name in names if not name.endswith("__main__")]
+
+
+def blender_side() -> list[Path]:
+    return [file for file in sorted(PACKAGE.rglob("*.py")) if CORE not in file.parents]
+
+
+def test_the_block_blocks() -> None:
+    result = import_blocked(("json",), ["json"])
+    assert result.returncode != 0 and "json" in result.stderr
+
+
+def test_engine_imports_without_bpy() -> None:
+    modules = [*module_names(CORE), "fipt_blender.core.__main__"]
+    code_first = "fipt_blender.core.device.variant"  # LLVM must be chosen before Mitsuba is imported
+    result = import_blocked(("bpy", "bmesh", "mathutils"), [code_first, *modules])
+    assert result.returncode == 0, result.stderr
+
+
+def test_light_modules_import_without_the_engines_packages() -> None:
+    modules = [f"fipt_blender.core.{name}" for name in LIGHT_MODULES]
+    result = import_blocked((*HEAVY, "bpy"), modules)
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize("file", blender_side(), ids=lambda file: str(file.relative_to(PACKAGE)))
+def test_blender_side_keeps_to_its_room(file: Path) -> None:
+    assert not imported_modules(file) & {*HEAVY, "fipt_blender"}
+    core = {target.removeprefix("core.") for target in relative_targets(file) if target.startswith("core")}
+    assert core <= set(SHARED), f"{file} imports heavy rooms of the engine: {core - set(SHARED)}"
+
+
+@pytest.mark.parametrize("file", sorted(CORE.rglob("*.py")), ids=lambda file: str(file.relative_to(CORE)))
+def test_core_keeps_to_its_room(file: Path) -> None:
+    assert not imported_modules(file) & {"bpy", "bmesh", "mathutils", "fipt_blender"}
+    outside = {target for target in relative_targets(file) if not (target + ".").startswith("core.")}
+    assert not outside, f"{file} imports from outside core: {outside}"
+
+
+def test_dev_py_needs_the_standard_library_only() -> None:
+    assert imported_modules(ROOT / "dev.py") - set(sys.stdlib_module_names) == {"fipt_blender"}
+    for name in ("bridge/provision.py", "bridge/interpreter.py", "core/device/llvm.py"):
+        assert imported_modules(PACKAGE / name) <= set(sys.stdlib_module_names)

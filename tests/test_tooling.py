@@ -1,0 +1,153 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""dev.py and what it makes: the extension's zip, the manifest, pins, set-up that runs once."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from fipt_blender.bridge import provision
+
+ROOT = Path(__file__).resolve().parent.parent
+# Blender's fixed list of tags for add-ons
+TAGS = """3D View,Add Curve,Add Mesh,Animation,Bake,Camera,Compositing,Development,Game Engine,Geometry Nodes,
+Grease Pencil,Import-Export,Lighting,Material,Modeling,Mesh,Node,Object,Paint,Pipeline,Physics,Render,Rigging,
+Scene,Sculpt,Sequencer,System,Text Editor,Tracking,User Interface,UV""".replace("\n", "").split(",")
+
+
+@pytest.fixture(scope="module")
+def dev() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("dev", ROOT / "dev.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_versions_agree(dev: ModuleType) -> None:
+    versions = dev.read_versions()
+    assert len(set(versions.values())) == 1, versions
+    assert re.fullmatch(r"\d+\.\d+\.\d+", versions["pyproject.toml"])
+
+
+def test_manifest_keeps_blenders_rules() -> None:
+    manifest = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
+    assert manifest["schema_version"] == "1.0.0" and manifest["type"] == "add-on"
+    assert manifest["id"] == "fipt_blender" and "blender" not in manifest["name"].lower()
+    for text in (manifest["tagline"], *manifest["permissions"].values()):
+        assert len(text) <= 64 and text[-1].isalnum()
+    assert set(manifest["tags"]) <= set(TAGS)
+    assert manifest["license"] == ["SPDX:GPL-3.0-or-later"]
+    assert manifest["blender_version_min"].count(".") == 2
+
+
+def test_zip_is_the_extension_and_reproducible(dev: ModuleType, tmp_path: Path) -> None:
+    first, second = dev.build_extension(tmp_path / "a"), dev.build_extension(tmp_path / "b")
+    assert first.read_bytes() == second.read_bytes()
+    with zipfile.ZipFile(first) as archive:
+        names = archive.namelist()
+        assert archive.testzip() is None
+        manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
+    assert first.name == f"fipt_blender-{manifest['version']}.zip"
+    assert {"__init__.py", "__main__.py", "LICENSE", "core/__main__.py", "cli.py"} <= set(names)
+    assert names == sorted(names)
+    foreign = ("tests", "examples", "benchmarks", "fipt_blender", "dist", "out")
+    for name in names:
+        assert "__pycache__" not in name and not name.endswith(".pyc") and not name.startswith(".")
+        assert name.split("/")[0] not in foreign
+
+
+def test_build_refuses_versions_that_disagree(
+    dev: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    versions = {"blender_manifest.toml": "0.1.0", "pyproject.toml": "0.2.0"}
+    monkeypatch.setattr(dev, "read_versions", lambda: versions)
+    with pytest.raises(dev.SetupError, match=r"0\.2\.0"):
+        dev.build_extension(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_every_pin_is_exact(dev: ModuleType) -> None:
+    pins = dev.read_pins()
+    assert set(pins) == {"engine", "blender", "dev", "llvm"}
+    for requirement in (pin for group in pins.values() for pin in group):
+        assert re.match(r"[A-Za-z0-9-]+==[0-9][0-9a-z.]*(;|$)", requirement), requirement
+
+
+def test_set_up_is_done_once_and_again_when_something_changed(dev: ModuleType, tmp_path: Path) -> None:
+    pins = {"engine": ["torch==1"]}
+    key = dev.setup_key(pins, tmp_path)
+    assert key == dev.setup_key(pins, tmp_path)
+    assert key != dev.setup_key({"engine": ["torch==2"]}, tmp_path)
+    assert key != dev.setup_key(pins, tmp_path / "moved")
+    stamp, python, library = tmp_path / "setup.json", tmp_path / "python", tmp_path / "libLLVM.so"
+    assert not dev.is_set_up(key, stamp, python)
+    for file in (python, library):
+        file.touch()
+    stamp.write_text(json.dumps({"key": key, "llvm": str(library)}))
+    assert dev.is_set_up(key, stamp, python)
+    assert not dev.is_set_up("other", stamp, python)
+    library.unlink()
+    assert not dev.is_set_up(key, stamp, python)
+    stamp.write_text("{")
+    assert not dev.is_set_up(key, stamp, python)
+
+
+def test_unknown_command_and_help() -> None:
+    command = [sys.executable, str(ROOT / "dev.py")]
+    unknown = subprocess.run([*command, "nonsense"], capture_output=True, text=True)
+    assert unknown.returncode == 2 and "demo" in unknown.stdout
+    helped = subprocess.run([*command, "--help"], capture_output=True, text=True)
+    assert helped.returncode == 0 and helped.stdout == unknown.stdout
+
+
+def test_unsupported_python_is_named(
+    dev: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(dev, "SUPPORTED_PYTHONS", ((2, 7),))
+    monkeypatch.setattr(dev, "other_python", lambda: None)
+    assert dev.main(["test"]) == 1
+    assert "Python 2.7 is needed" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_exit_status_of_the_child_is_passed_on(dev: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dev, "VENV_PYTHON", Path(sys.executable))
+    assert dev.call("-c", "raise SystemExit(7)") == 7
+    assert dev.call("-c", "import os; os.kill(os.getpid(), 6)") == 134
+
+
+def test_wheel_libraries_takes_shared_libraries_only(tmp_path: Path) -> None:
+    wheel = tmp_path / "a.whl"
+    with zipfile.ZipFile(wheel, "w") as archive:
+        archive.writestr("x.data/data/lib/libLLVM.so.23.1", b"\x7fELF library")
+        archive.writestr("x.data/data/lib/deep/libc++.so", b"INPUT(libc++.so.1)")
+        archive.writestr("x.data/data/lib/libLTO.so.23.1", b"\x7fELF other")
+        archive.writestr("x.data/data/lib/libLLVM.a", b"\x7fELF archive")
+    written = provision.wheel_libraries(wheel, tmp_path / "llvm", ("libLLVM", "libc++"))
+    assert written == [tmp_path / "llvm" / "libLLVM.so.23.1"]
+    assert written[0].read_bytes() == b"\x7fELF library"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="symbolic links")
+def test_copy_libraries_keeps_each_name_and_stays_inside_the_tree(tmp_path: Path) -> None:
+    lib = tmp_path / "root" / "usr" / "lib"
+    (lib / "llvm").mkdir(parents=True)
+    (lib / "llvm" / "libLLVM.so.1").write_bytes(b"a")
+    (lib / "libLLVM.so.19.1").symlink_to("/usr/lib/llvm/libLLVM.so.1")
+    (lib / "libz3.so.4").symlink_to("libz3.so.4.8")
+    (lib / "libz3.so.4.8").write_bytes(b"z")
+    (lib / "libgone.so.1").symlink_to("/usr/lib/gone")
+    provision.copy_libraries(tmp_path / "root", tmp_path / "out")
+    contents = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
+    llvm = {"libLLVM.so.1": b"a", "libLLVM.so.19.1": b"a"}
+    assert contents == {**llvm, "libz3.so.4": b"z", "libz3.so.4.8": b"z"}
