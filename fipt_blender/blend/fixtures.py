@@ -13,7 +13,7 @@ import json
 import bmesh
 import bpy
 import numpy as np
-from mathutils import Vector
+from mathutils import Matrix, Vector
 
 from ..core.job.errors import FiptError
 from ..core.job.runfolder import RunFolder, read_json
@@ -105,7 +105,7 @@ def _fixture_object(fixture: dict, parts: list[tuple[bpy.types.Object, np.ndarra
     mesh.from_pydata([tuple(point - centre) for point in points], [], faces)
     mesh.materials.append(emission_material(name, fixture["radiance"], fixture["back_radiance"]))
     item = bpy.data.objects.new(name, mesh)
-    item.location = centre
+    item.matrix_world = Matrix.Translation(centre)
     item[FIXTURE] = name
     item[FIXTURE_SOURCES] = json.dumps([source.name for source, _ in parts])
     return item

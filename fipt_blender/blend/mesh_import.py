@@ -116,7 +116,7 @@ def transform_mesh(mesh: bpy.types.Mesh, matrix: np.ndarray) -> None:
     if custom:
         order, normals = _ordered_normals(mesh)
         turned = normals @ np.linalg.inv(linear)
-        turned /= np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-30)
+        turned = turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-30)
     mesh.transform(Matrix(matrix.tolist()))
     if mirrored:
         mesh.flip_normals()

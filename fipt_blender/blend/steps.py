@@ -32,6 +32,7 @@ from .placement import (
 from .save import save_blend
 from .world import apply_environment
 
+RERENDERS = 3
 NEW_LIGHT = "FIPT New Light"
 # A chrome ball shows at once shadow, reflections and the light that the room sends.
 INSERTED_KIND = "mirror_ball"
@@ -91,6 +92,7 @@ class RoomSteps:
         path = self._run.root / BLEND_NAME
         if self._options.own_file:
             save_blend(path)
+            path.with_suffix(".blend1").unlink(missing_ok=True)
         else:
             bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, check_existing=False)
 
@@ -99,8 +101,11 @@ class RoomSteps:
         bpy.ops.wm.open_mainfile(filepath=str(self._run.root / BLEND_NAME), load_ui=False)
 
     def rerender(self) -> None:
-        """The view as it was photographed."""
-        self._render("rerender")
+        """The chosen view as it was photographed, and further held-back ones."""
+        chosen, _ = self._view()
+        views = preferred_views(read_json(self._run.capture_json), self._options.render_view)
+        others = [view["name"] for view in views if view["split"] == "held_back" and view["name"] != chosen]
+        self._render("rerender", [chosen, *others[: RERENDERS - 1]])
 
     def relight(self) -> None:
         """The view with the estimated lights off and a new area light below the ceiling."""
@@ -118,7 +123,7 @@ class RoomSteps:
             NEW_LIGHT, [radiance] * 3, size=(place.size, place.size), matrix=matrix, as_mesh=True
         )
         try:
-            self._render("relight")
+            self._render("relight", [self._view()[0]])
         finally:
             bpy.data.objects.remove(light)
             lights.set_estimated_lights(True)
@@ -139,17 +144,14 @@ class RoomSteps:
             bpy.context.scene, Vector(support.point), kind=INSERTED_KIND, size=2.0 * support.radius
         )
         try:
-            self._render("insert")
+            self._render("insert", [view])
         finally:
             bpy.data.objects.remove(item)
         return []
 
-    def _render(self, kind: str) -> None:
-        settings = self._options.settings
-        view, _ = self._view()
-        renders.render_list(
-            self._run, bpy.context.scene, kind, [view], self._options.render_spp, seed=settings.seed
-        )
+    def _render(self, kind: str, views: list[str]) -> None:
+        spp, seed = self._options.render_spp, self._options.settings.seed
+        renders.render_list(self._run, bpy.context.scene, kind, views, spp, seed)
 
     def _photograph(self, name: str) -> np.ndarray:
         """Radiance (H,W,3) of a view."""

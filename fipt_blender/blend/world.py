@@ -42,6 +42,9 @@ def apply_environment(run: RunFolder, scene: bpy.types.Scene | None = None) -> b
         node.image = load_texture(run.results / environment["image"], is_data=False)
         node.projection = "EQUIRECTANGULAR"
         links.new(node.outputs["Color"], background.inputs["Color"])
+        if hasattr(world, "cycles"):  # Cycles' automatic choice is 4096, seconds before every render
+            world.cycles.sampling_method = "MANUAL"
+            world.cycles.sample_map_resolution = max(2 * node.image.size[0], 64)
     world[STRENGTH] = background.inputs["Strength"].default_value
     if scene.world is not None and scene.world != world:
         scene[ORIGINAL_WORLD] = scene.world

@@ -19,7 +19,7 @@ import numpy as np
 from ..job.errors import FiptError
 from ..job.messages import Reporter
 from ..job.runfolder import RunFolder, atomic_path, read_json, write_json
-from .fill import fill_unseen, seen_statistics
+from .fill import SeenStatistics, fill_unseen, seen_statistics
 from .padding import pad
 from .raster import nearest_triangle_map
 from .write_back import cycles_base_color
@@ -57,10 +57,10 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     Raises:
         FiptError: ``file-missing`` or ``file-damaged`` where an earlier step did not finish.
     """
-    from ..material.fields import Fields
-
     folder = RunFolder(arguments.run)
     settings = folder.read()
+    from ..material.fields import Fields  # takes seconds: after what can fail at once
+
     fields = Fields.load(folder)
     reporter.plan([1.0])
     reporter.stage("textures", "Baking textures")
@@ -170,7 +170,7 @@ def _stack(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _finish(
-    samples: Samples, positions: np.ndarray, part: np.ndarray, statistics, for_cycles: bool
+    samples: Samples, positions: np.ndarray, part: np.ndarray, statistics: SeenStatistics, for_cycles: bool
 ) -> Samples:
     values, coverage = _stack(samples)
     values = fill_unseen(values, coverage, positions, part, statistics)
@@ -192,11 +192,11 @@ def _write_image(folder: RunFolder, entry: dict, texel: np.ndarray, samples: Sam
     )
     # Row 0 is v = 0 here and the top in files.
     padded = pad(image.reshape(height, width, 6), filled.reshape(height, width), PAD_TEXELS)[::-1]
-    channels = {"base_color": slice(0, 3), "roughness": 3, "metallic": 4, "coverage": 5}
-    paths = {}
+    planes = dict(zip(MAPS, (padded[..., :3], *np.moveaxis(padded[..., 3:], -1, 0)), strict=True))
+    paths: dict[str, str] = {}
     for name in MAPS:
         paths[name] = f"textures/{entry['name']}.{name}.exr"
-        write_exr(folder.root / paths[name], padded[..., channels[name]], half=True)
+        write_exr(folder.root / paths[name], planes[name], half=True)
     return paths
 
 

@@ -1,0 +1,287 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Results on the room: materials applied and taken back, fixtures and lights of the right radiance."""
+
+import math
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix, Vector
+
+from fipt_blender.blend import (
+    cameras,
+    fixtures,
+    insert,
+    lights,
+    materials,
+    originals,
+    renders,
+    room_export,
+    save,
+    uvs,
+    world,
+)
+from fipt_blender.core.job.errors import FiptError
+from fipt_blender.core.job.runfolder import RunFolder, read_json, write_json
+from fipt_blender.core.job.settings import make_settings
+from fipt_blender.core.textures import bake
+
+
+class ConstantFields:
+    base_color, roughness, metallic = (0.6, 0.3, 0.1), 0.7, 0.25
+
+    def query(self, positions):
+        count = len(positions)
+        base_color = np.tile(self.base_color, (count, 1))
+        return base_color, np.full(count, self.roughness), np.full(count, self.metallic)
+
+    def observed(self, positions):
+        return np.ones(len(positions))
+
+
+@pytest.fixture(autouse=True)
+def empty_file():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+@pytest.fixture
+def room(tmp_path):
+    """A run of two objects: a panel of 3 quads, the last one a lamp, mirrored; and a cube with slots."""
+    mesh = bpy.data.meshes.new("panel")
+    points = [(x, y, 0.0) for x in range(4) for y in range(2)]
+    mesh.from_pydata(points, [], [(2 * i, 2 * i + 2, 2 * i + 3, 2 * i + 1) for i in range(3)])
+    panel = bpy.data.objects.new("panel", mesh)
+    panel.matrix_world = Matrix.Translation((5, 0, 0)) @ Matrix.Diagonal((-1, 1, 1, 1))
+    bpy.context.scene.collection.objects.link(panel)
+    bpy.ops.mesh.primitive_cube_add(location=(0, 5, 0))
+    cube = bpy.context.object
+    cube.modifiers.new("Bevel", "BEVEL")
+    for name in ("red", "green", "blue"):
+        cube.data.materials.append(bpy.data.materials.new(name))
+    cube.material_slots[1].link = "OBJECT"
+    cube.material_slots[1].material = bpy.data.materials.new("own")
+    cube.data.polygons.foreach_set("material_index", np.array([0, 1, 2, 2, 1, 0], np.int32))
+    bpy.context.view_layer.update()
+    run = RunFolder(tmp_path / "run")
+    run.create(make_settings(changes={"texel_density": 16.0}))
+    prepare(run, [panel, cube])
+    return run, [panel, cube]
+
+
+def prepare(run, objects, **changes):
+    settings = make_settings(changes={"texel_density": 16.0, **changes})
+    arrays = room_export.export_room(objects, run)
+    lamp = np.flatnonzero((arrays.triangle_object == 0) & (arrays.triangle_polygon == 2))
+    write_json(
+        run.emitters_json,
+        {
+            "fixtures": [
+                {"name": "Fixture.001", "triangles": lamp.tolist(), "radiance": [8.0, 4.0, 2.0],
+                 "back_radiance": [0.0, 1.0, 0.0],
+                 "area": 1.0, "centroid": [2.5, 0.5, 0.0], "power": [0, 0, 0]}
+            ],
+            "environment": None,
+        },
+    )  # fmt: skip
+    uvs.make_atlas(objects, run, settings)
+    bake.bake(run, ConstantFields(), for_cycles=False)
+
+
+def snapshot(item):
+    """All that must come back."""
+    mesh = item.data
+    indices = np.empty(len(mesh.polygons), np.int32)
+    mesh.polygons.foreach_get("material_index", indices)
+    return (
+        mesh.name,
+        indices.tolist(),
+        [(slot.link, slot.material and slot.material.name) for slot in item.material_slots],
+        [material and material.name for material in mesh.materials],
+        [layer.name for layer in mesh.uv_layers],
+        [attribute.name for attribute in mesh.attributes],
+        [(modifier.name, modifier.show_viewport, modifier.show_render) for modifier in item.modifiers],
+        sorted(item.keys()),
+    )
+
+
+def test_apply_and_restore_bring_everything_back(room):
+    run, objects = room
+    before = [snapshot(item) for item in objects]
+    applied = materials.apply_results(run, objects)
+    assert applied.fixtures == ["Fixture.001"] and len(applied.materials) == 1
+    assert [slot.material.name for slot in objects[1].material_slots] == applied.materials
+    assert len(objects[0].data.polygons) == 2  # the third is the fixture
+    again = materials.apply_results(run, objects)
+    assert again == applied and len(objects[0].data.polygons) == 2
+    assert originals.restore_original(objects) == [item.name for item in objects]
+    assert [snapshot(item) for item in objects] == before
+    assert "Fixture.001" not in bpy.data.objects
+    assert originals.restore_original(objects) == []
+
+
+def test_material_tree(room):
+    run, objects = room
+    name = materials.apply_results(run, objects).materials[0]
+    nodes = bpy.data.materials[name].node_tree.nodes
+    principled = nodes["FIPT Principled"]
+    for label in ("Base Color", "Roughness", "Metallic"):
+        assert principled.inputs[label].links[0].from_node == nodes[f"FIPT {label}"]
+    assert not nodes["FIPT Coverage"].outputs["Color"].is_linked
+    for label, is_data in materials.MAPS.values():
+        image = nodes[f"FIPT {label}"].image
+        assert image.colorspace_settings.is_data == is_data and image.is_float
+    pixels = np.empty(len(nodes["FIPT Base Color"].image.pixels), np.float32)
+    nodes["FIPT Base Color"].image.pixels.foreach_get(pixels)
+    assert np.allclose(pixels.reshape(-1, 4)[:, :3], ConstantFields.base_color, atol=1e-3)
+    pixels = np.empty(len(nodes["FIPT Roughness"].image.pixels), np.float32)
+    nodes["FIPT Roughness"].image.pixels.foreach_get(pixels)
+    assert np.allclose(pixels.reshape(-1, 4)[:, :3], ConstantFields.roughness, atol=1e-3)
+
+
+def test_colour_attributes(room):
+    run, objects = room
+    prepare(run, objects, atlas_mode="color_attribute")
+    materials.apply_results(run, objects)
+    mesh = objects[1].data
+    attribute = mesh.attributes["FIPT Base Color"]
+    assert (attribute.data_type, attribute.domain) == ("FLOAT_COLOR", "CORNER")
+    values = np.empty(len(mesh.loops) * 4, np.float32)
+    attribute.data.foreach_get("color", values)
+    assert np.allclose(values.reshape(-1, 4), (*ConstantFields.base_color, 1.0), atol=1e-5)
+    image = look_at(Vector((0, 5, 4)), Vector((0, 5, 0)), background=1.0)
+    assert image.mean() < 0.9  # not the default white
+
+
+def look_at(position, target, background=0.0, spp=16, size=9, ortho=0.1):
+    """A small render of the middle of what a camera sees."""
+    scene = bpy.context.scene
+    if background:
+        scene.world = bpy.data.worlds.new("w")
+        if scene.world.node_tree is None:
+            scene.world.use_nodes = True
+        scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (background,) * 3 + (1,)
+    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
+    scene.collection.objects.link(camera)
+    camera.data.type, camera.data.ortho_scale = "ORTHO", ortho
+    direction = target - position
+    turn = direction.to_track_quat("-Z", "Y").to_matrix().to_4x4()
+    camera.matrix_world = Matrix.Translation(position) @ turn
+    scene.camera = camera
+    scene.render.resolution_x = scene.render.resolution_y = size
+    return renders.render_pixels(scene, spp=spp)
+
+
+def test_fixture_emits_its_radiance_on_each_side(room):
+    run, objects = room
+    materials.apply_results(run, objects)
+    world.apply_environment(run)
+    fixture = bpy.data.objects["Fixture.001"]
+    assert [each.name for each in fixture.users_collection] == ["FIPT Fixtures"]
+    normal = (fixture.matrix_world.to_3x3() @ fixture.data.polygons[0].normal).normalized()
+    centre = fixture.matrix_world.translation
+    assert (centre - Vector((2.5, 0.5, 0.0))).length < 1e-5
+    # The mirrored panel's normals look up, as its triangles in room.npz do.
+    assert normal.z > 0.99
+    front = look_at(centre + 2 * normal, centre)
+    assert np.allclose(front, [8.0, 4.0, 2.0], rtol=1e-4)
+    back = look_at(centre - 2 * normal, centre)
+    assert np.allclose(back, [0.0, 1.0, 0.0], atol=1e-4)
+    fixtures.set_fixture_enabled("Fixture.001", False)
+    assert not look_at(centre + 2 * normal, centre).any()
+    lights.set_estimated_lights(True)
+    assert np.allclose(look_at(centre + 2 * normal, centre), front, rtol=1e-4)
+    with pytest.raises(FiptError):
+        fixtures.set_fixture_enabled("Fixture.999", True)
+
+
+@pytest.mark.parametrize("as_mesh", [False, True])
+def test_area_light_has_the_radiance_asked_for(as_mesh):
+    """A diffuse floor of albedo 0.5 below a square light: radiance by the analytic form factor."""
+    radiance, height, half = np.array([3.0, 2.0, 1.0]), 1.0, 0.5
+    corners = [(-half, -half, height), (-half, half, height), (half, half, height), (half, -half, height)]
+    light = lights.add_area_light("light", radiance, vertices=corners, as_mesh=as_mesh)
+    assert light.matrix_world.to_3x3() @ Vector((0, 0, -1)) == Vector((0, 0, -1))
+    bpy.ops.mesh.primitive_plane_add(size=0.2)
+    material = bpy.data.materials.new("floor")
+    if material.node_tree is None:
+        material.use_nodes = True
+    nodes = material.node_tree.nodes
+    nodes.clear()
+    diffuse, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
+    diffuse.inputs["Color"].default_value = (0.5, 0.5, 0.5, 1.0)
+    material.node_tree.links.new(diffuse.outputs[0], output.inputs["Surface"])
+    bpy.context.object.data.materials.append(material)
+    # Irradiance below the centre of a parallel square: 4 corners of the differential form factor.
+    x = half / math.hypot(half, height)
+    form = 4.0 / (2.0 * math.pi) * (2.0 * x * math.atan(half / math.hypot(half, height)))
+    expected = 0.5 * radiance * form
+    image = look_at(Vector((0, -0.7, 0.7)), Vector((0, 0, 0)), spp=256, ortho=0.02)
+    assert np.allclose(image.mean(axis=(0, 1)), expected, rtol=0.01)
+
+
+def test_environment_direction(room):
+    run, _ = room
+    from fipt_blender.core import conventions
+    from fipt_blender.core.capture.images import write_exr
+
+    directions = conventions.equirect_pixel_directions(64, 32)
+    write_exr(run.environment_exr, (directions * 0.5 + 0.5).astype(np.float32))
+    data = read_json(run.emitters_json)
+    write_json(
+        run.emitters_json, {**data, "environment": {"image": "environment.exr", "observed_share": 1.0}}
+    )
+    for item in list(bpy.data.objects):
+        bpy.data.objects.remove(item)
+    world.apply_environment(run)
+    for direction in ((1, 0.2, 0.1), (-0.3, 1, 0.4), (0.2, -0.5, -0.8)):
+        unit = Vector(direction).normalized()
+        image = look_at(Vector((0, 0, 0)), unit)
+        assert np.allclose(image.mean(axis=(0, 1)), np.array(unit) * 0.5 + 0.5, atol=0.03)
+
+
+def test_views_rendered_to_the_run_and_relit_from_the_saved_file(room, tmp_path):
+    run, objects = room
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])  # looks down
+    pose[:3, 3] = (3.5, 0.5, 3.0)
+    view = {
+        "name": "val/000", "split": "held_back", "image": "images/none.exr", "width": 24, "height": 12,
+        "fx": 20.0, "fy": 20.0, "cx": 12.0, "cy": 6.0, "camera_to_world": pose.tolist(),
+        "parts": None, "semantics": None,
+    }  # fmt: skip
+    write_json(run.capture_json, {"format": "fipt-capture", "version": 1, "views": [view]})
+    cameras.add_cameras(run)
+    materials.apply_results(run, objects)
+    world.apply_environment(run)
+    renders.set_up_scene(bpy.context.scene)
+    resolution = bpy.context.scene.render.resolution_x
+    blend = tmp_path / "out" / "room.blend"
+    save.save_blend(blend)
+    assert all(image.filepath.startswith("//") for image in bpy.data.images if image.source == "FILE")
+    (path,) = renders.render_cycles_views(run, blend, ["val/000"], spp=4, denoise=False)
+    image = renders.read_pixels(path)
+    assert image.shape == (12, 24, 3) and image.max() == pytest.approx(8.0, rel=1e-3)
+    assert bpy.context.scene.render.resolution_x == resolution
+    corners = [(3, 0, 1), (3, 1, 1), (4, 1, 1), (4, 0, 1)]
+    relight = {"vertices": corners, "radiance": [1.0, 2.0, 3.0]}
+    (path,) = renders.render_cycles_views(run, blend, ["val/000"], relight=relight, spp=4, denoise=False)
+    relit = renders.read_pixels(path)
+    assert relit.max() < 3.0  # lamp off, the new light's black back towards the camera
+    assert relit.max() > 0.0
+    kinds = [entry["kind"] for entry in read_json(run.renders_json)["renders"]]
+    assert kinds == ["rerender", "relight"]
+
+
+def test_object_stands_on_the_floor_in_view():
+    bpy.ops.mesh.primitive_plane_add(size=4.0, location=(0, 0, -1))
+    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
+    camera.matrix_world = Matrix.Translation((0, -3, 1)) @ Matrix.Rotation(math.radians(60), 4, "X")
+    bpy.context.scene.collection.objects.link(camera)
+    bpy.context.view_layer.update()
+    position, normal = insert.find_floor(bpy.context.scene, camera)
+    assert position.z == pytest.approx(-1.0, abs=1e-5) and normal.z > 0.99
+    for kind in insert.MATERIALS:
+        item = insert.insert_object(bpy.context.scene, position, normal, kind, size=0.4)
+        bpy.context.view_layer.update()
+        heights = [(item.matrix_world @ vertex.co).z for vertex in item.data.vertices]
+        assert min(heights) == pytest.approx(-1.0, abs=1e-4) and max(heights) == pytest.approx(-0.6, abs=1e-4)

@@ -1,0 +1,205 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Baking an analytic field: textures looked up at random surface points give the field back."""
+
+import json
+
+import numpy as np
+import pytest
+
+from fipt_blender.core.capture.images import read_radiance
+from fipt_blender.core.job.errors import FiptError
+from fipt_blender.core.job.runfolder import RunFolder, read_json, write_json
+from fipt_blender.core.job.settings import make_settings
+from fipt_blender.core.textures import bake, padding, raster
+
+TEXELS = 40  # a metre
+
+
+class AnalyticFields:
+    """Smooth functions of position; nothing with x above `seen_up_to` was seen."""
+
+    def __init__(self, seen_up_to=np.inf):
+        self.seen_up_to = seen_up_to
+
+    def query(self, positions):
+        x, y, z = positions.astype(np.float64).T
+        base_color = np.stack([0.5 + 0.4 * np.sin(2 * x), 0.2 + 0.3 * y, 0.5 + 0.4 * np.cos(3 * z)], axis=1)
+        return base_color, 0.2 + 0.3 * x, 0.5 + 0.5 * np.sin(y + z)
+
+    def observed(self, positions):
+        return (positions[:, 0] <= self.seen_up_to).astype(np.float32)
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Two squares that share an edge in space (at x = 1) but lie apart, one of them turned, in the atlas."""
+    folder = RunFolder(tmp_path / "run")
+    folder.create(make_settings(changes={"write_back": "paper"}))
+    vertices = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (2, 0, 0.5), (2, 1, 0.5)], np.float32)
+    triangles = np.array([(0, 1, 2), (0, 2, 3), (1, 4, 5), (1, 5, 2)], np.int32)
+    np.savez(
+        folder.room_npz,
+        vertices=vertices,
+        triangles=triangles,
+        corner_normals=np.tile(np.float32([0, 0, 1]), (4, 3, 1)),
+        triangle_object=np.array([0, 0, 1, 1], np.int32),
+        triangle_material=np.full(4, -1, np.int32),
+        triangle_polygon=np.array([0, 0, 0, 0], np.int32),
+    )
+    write_json(folder.room_json, {"objects": ["a", "b"], "materials": [], "parts": "none"})
+    width, height = 112, 64
+    a = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * TEXELS + 8.3
+    b = np.array([(0, 0), (0, 1), (-1, 1), (-1, 0)]) * TEXELS + (100.6, 10.1)  # turned by a quarter
+    uv = np.array([a[[0, 1, 2]], a[[0, 2, 3]], b[[0, 1, 2]], b[[0, 2, 3]]]) / (width, height)
+    np.savez(folder.atlas_npz, corner_uv=uv.astype(np.float32), triangle_image=np.zeros(4, np.int32))
+    write_json(
+        folder.atlas_json,
+        {"mode": "uv", "images": [{"name": "Room.001", "width": width, "height": height}]},
+    )
+    return folder
+
+
+def surface_points(folder, count=2000):
+    """Random points: positions (N,3), UVs (N,2), triangle (N,)."""
+    random = np.random.default_rng(0)
+    with np.load(folder.room_npz) as room, np.load(folder.atlas_npz) as atlas:
+        triangle = random.integers(0, 4, count)
+        weights = random.dirichlet((1, 1, 1), count)
+        weights[: count // 4, 0] = 0.0  # a quarter of them on edges, where seams are
+        weights /= weights.sum(axis=1, keepdims=True)
+        corners = room["vertices"][room["triangles"]]
+        return (
+            np.einsum("nk,nkc->nc", weights, corners[triangle]),
+            np.einsum("nk,nkc->nc", weights, atlas["corner_uv"][triangle]),
+            triangle,
+        )
+
+
+def look_up(image, uv):
+    """Bilinear lookup with V up, as renderers do."""
+    height, width = image.shape[:2]
+    x = uv[:, 0] * width - 0.5
+    y = (1.0 - uv[:, 1]) * height - 0.5
+    x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
+    fx, fy = (x - x0)[:, None], (y - y0)[:, None]
+    pixel = lambda dy, dx: image[np.clip(y0 + dy, 0, height - 1), np.clip(x0 + dx, 0, width - 1)]  # noqa: E731
+    return (pixel(0, 0) * (1 - fx) + pixel(0, 1) * fx) * (1 - fy) + (
+        pixel(1, 0) * (1 - fx) + pixel(1, 1) * fx
+    ) * fy
+
+
+def read_map(folder, name):
+    entry = read_json(folder.textures_json)["images"][0]
+    return read_radiance(folder.root / entry[name])
+
+
+def test_baked_field_equals_the_field_on_the_surface(run):
+    fields = AnalyticFields()
+    bake.bake(run, fields, for_cycles=False)
+    positions, uv, _ = surface_points(run)
+    base_color, roughness, metallic = fields.query(positions)
+    # The steepest field changes by 1.2 a metre; a bound of half a texel covers interpolation and half floats.
+    bound = 1.2 * 0.5 / TEXELS
+    assert np.abs(look_up(read_map(run, "base_color"), uv) - base_color).max() < bound
+    assert np.abs(look_up(read_map(run, "roughness"), uv)[:, 0] - roughness).max() < bound
+    assert np.abs(look_up(read_map(run, "metallic"), uv)[:, 0] - metallic).max() < bound
+    assert (read_map(run, "coverage") > 0.99).all()  # padding included
+
+
+def test_unseen_texels_take_their_parts_median(run):
+    fields = AnalyticFields(seen_up_to=1.5)
+    bake.bake(run, fields, for_cycles=False)
+    positions, uv, _ = surface_points(run)
+    unseen = positions[:, 0] > 1.55
+    found = look_up(read_map(run, "base_color"), uv)
+    # The part of the unseen points is object b (x above 1): its seen half has x in [1, 1.5].
+    x = np.linspace(1.0, 1.5, 1000)
+    assert np.allclose(found[unseen][:, 0], np.median(0.5 + 0.4 * np.sin(2 * x)), atol=0.01)
+    assert np.abs(look_up(read_map(run, "coverage"), uv)[unseen]).max() < 1e-3
+    base_color, _, _ = fields.query(positions)
+    seen = positions[:, 0] < 1.45
+    assert np.abs(found - base_color)[seen].max() < 1.2 * 0.5 / TEXELS
+
+
+def test_parts_without_a_seen_point_take_the_nearest(run):
+    np.savez(run.results / "parts.npz", triangle_part=np.array([0, 0, -1, -1], np.int32))
+    bake.bake(run, AnalyticFields(seen_up_to=0.999), for_cycles=False)
+    _, uv, triangle = surface_points(run)
+    found = look_up(read_map(run, "roughness"), uv)[triangle >= 2]
+    # Nearest seen points have x just below 1: roughness 0.2 + 0.3.
+    assert np.abs(found - 0.5).max() < 0.03
+
+
+def test_colour_attributes_hold_the_field_at_corners(run):
+    write_json(run.atlas_json, {"mode": "color_attribute", "images": []})
+    fields = AnalyticFields()
+    bake.bake(run, fields, for_cycles=False)
+    with np.load(run.textures / "corner_fields.npz") as corner, np.load(run.room_npz) as room:
+        positions = room["vertices"][room["triangles"]].reshape(-1, 3)
+        expected = fields.query(positions)
+        assert np.abs(corner["base_color"].reshape(-1, 3) - expected[0]).max() < 2e-3
+        assert np.abs(corner["roughness"].ravel() - expected[1]).max() < 2e-3
+
+
+def test_missing_atlas_is_explained(run):
+    run.atlas_npz.unlink()
+    with pytest.raises(FiptError) as error:
+        bake.bake(run, AnalyticFields(), for_cycles=False)
+    assert error.value.code == "file-missing"
+
+
+def test_command_is_listed_and_fails_with_a_message(run, capfd):
+    import subprocess
+    import sys
+
+    child = subprocess.run(
+        [sys.executable, "-m", "fipt_blender.core", "textures", str(run.root / "nothing")],
+        capture_output=True,
+        text=True,
+    )
+    messages = [json.loads(line) for line in child.stdout.splitlines()]
+    assert child.returncode == 1 and messages[-1]["type"] == "error"
+
+
+# --- rasteriser ------------------------------------------------------------------------------------------
+
+
+def test_every_triangle_gets_a_texel_however_thin():
+    random = np.random.default_rng(1)
+    start = random.uniform(4, 60, (200, 2))
+    end = np.clip(start + random.uniform(-10, 10, (200, 2)), 2, 62)
+    corners = np.stack([start, end, end + random.uniform(-0.01, 0.01, (200, 2))], axis=1)
+    hit = {int(t) for _, triangle, *_ in raster.covered_texels(corners, 64, 64, 0.75) for t in triangle}
+    assert hit == set(range(200))
+
+
+def test_texel_centres_are_exact_and_shared_edges_count_once():
+    size = 97
+    corners = np.array([[(3.2, 4.1), (90.7, 6.0), (80.3, 91.9)], [(3.2, 4.1), (80.3, 91.9), (10.0, 88.0)]])
+    for texel, triangle, weights, distance in raster.covered_texels(corners, size, size):
+        centre = np.stack([texel % size, texel // size], axis=1) + 0.5
+        assert np.abs(np.einsum("nk,nkc->nc", weights, corners[triangle]) - centre).max() < 1e-3
+        assert not distance.any()
+    count = raster.cover_count(corners, size, size)
+    area = sum(
+        0.5 * abs(np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])) for triangle in corners
+    )
+    assert (count > 0).sum() == pytest.approx(area, rel=0.01)
+    assert count.max() == 1
+    assert (raster.cover_count(np.concatenate([corners, corners]), size, size) > 1).sum() > 0.99 * area
+
+
+def test_padding_keeps_islands_and_fills_everything():
+    random = np.random.default_rng(2)
+    filled = np.zeros((70, 51), bool)
+    filled[10:20, 5:15] = filled[50:53, 40:42] = True
+    image = random.uniform(0.2, 0.8, (70, 51, 3)).astype(np.float32)
+    padded = padding.pad(image, filled, 8)
+    assert np.array_equal(padded[filled], image[filled])
+    assert padded.min() >= 0.2 - 1e-6 and padded.max() <= 0.8 + 1e-6
+    assert not padding.pad(image, np.zeros_like(filled)).any()
+    # Near an island the padding is its border's, not an average of everything.
+    constant = np.zeros((70, 51, 1), np.float32)
+    constant[10:20, 5:15] = 1.0
+    assert (padding.pad(constant, filled, 8)[10:20, 15:23] == 1.0).all()
