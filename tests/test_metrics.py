@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from benchmarks import metrics
+from benchmarks import accuracy, metrics, truth
 from benchmarks.metrics import Maps
 
 
@@ -96,3 +96,29 @@ def test_rendered_images() -> None:
     mean = metrics.mean_image_psnr([predicted, predicted], [true, predicted])
     assert mean == pytest.approx((metrics.image_psnr(predicted, true) + 100.0) / 2.0)
     assert metrics.mean_image_psnr([], []) is None
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+def test_filtered_ground_truth_is_recognised(filtered: bool) -> None:
+    """A disc of roughness 0.3 on 1, sampled at pixel centres or averaged over 8 x 8 positions a pixel."""
+    side, fine = 32, 8
+    x, y = np.meshgrid(*[(np.arange(side * fine) + 0.5) / fine] * 2)
+    disc = np.where((x - 15.3) ** 2 + (y - 17.1) ** 2 < 90.0, 0.3, 1.0).reshape(side, fine, side, fine)
+    roughness = disc.mean(axis=(1, 3)) if filtered else disc[:, fine // 2, :, fine // 2]
+    maps = dataclasses.replace(make_maps(), roughness=roughness)
+    assert truth.maps_are_filtered([maps]) is filtered
+    assert truth.maps_are_filtered([dataclasses.replace(maps, roughness=np.ones((9, 9)))]) is False
+
+
+def test_bounds() -> None:
+    result = {"held_back": {"kd_psnr": 25.0, "relight_psnr": None}, "seconds": 100.0}
+    good = {"held_back": {"kd_psnr": [20.0, None]}, "seconds": [None, 200.0]}
+    assert accuracy.out_of_bounds(result, good) == []
+    bad = {"held_back": {"kd_psnr": [26.0, None], "relight_psnr": [1.0, None]}, "seconds": [None, 50.0]}
+    assert len(accuracy.out_of_bounds(result, bad)) == 3
+
+
+def test_views_are_spread_evenly() -> None:
+    assert accuracy.spread(list(range(10)), 5) == [0, 2, 4, 6, 8]
+    assert accuracy.spread([1, 2], 5) == [1, 2]
+    assert accuracy.spread([1, 2], 0) == []

@@ -1,0 +1,283 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""python3 dev.py accuracy CAPTURE: run the main job on a capture with ground truth and score the result.
+
+The capture has the FIPT authors' synthetic layout (benchmarks/truth.py). Prints one table, the paper's
+protocol and the stricter one (benchmarks/metrics.py), for training and for held-back views.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks import metrics, picture_page, truth
+from fipt_blender.core.capture.images import read_radiance, write_exr
+from fipt_blender.core.capture.views import View, load_capture
+from fipt_blender.core.job.errors import FiptError
+from fipt_blender.core.job.messages import parse_message
+from fipt_blender.core.job.runfolder import PRODUCT_VERSION, RunFolder, read_json, write_json
+
+ROOT = Path(__file__).resolve().parent.parent
+SPLITS = ("training", "held_back")
+IMAGE_METRICS = ("view_synthesis_psnr", "relight_psnr")
+METRICS = (
+    "kd_psnr",
+    "a_prime_psnr",
+    "sigma_psnr",
+    "metallic_psnr",
+    "emission_iou",
+    "emission_log_l2",
+    *IMAGE_METRICS,
+    "view_synthesis_cycles_psnr",
+    "relight_cycles_psnr",
+)
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The command's options."""
+    parser = argparse.ArgumentParser(prog="dev.py accuracy", description=(__doc__ or "").partition("\n")[0])
+    add = parser.add_argument
+    add("capture", type=Path, metavar="CAPTURE", help="capture with ground truth")
+    add("--preset", default="medium", help="draft, medium or high (default: medium)")
+    add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one setting of the run")
+    add("--output", type=Path, metavar="RUN", help="run folder to make (default: a temporary one)")
+    add("--reuse", type=Path, metavar="RUN", help="score this finished run instead of making one")
+    add("--json", type=Path, metavar="FILE", help="write all figures there")
+    add("--maps", type=Path, metavar="DIR", help="write predicted maps and images in the capture's layout")
+    add("--page", type=Path, metavar="DIR", help="write the picture page there (default: RUN/accuracy)")
+    add("--bounds", type=Path, metavar="FILE", help="fail where a figure leaves the bounds in this file")
+    add("--skip-cycles", action="store_true", help="leave out the renders in Cycles")
+    add("--spp", type=int, default=128, help="paths a pixel of the renders, denoised (default: 128)")
+    add("--train-views", type=int, default=16, help="training views whose maps count (default: 16)")
+    add("--train-renders", type=int, default=4, help="training views that are rendered (default: 4)")
+    return parser
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command; 0, 1 for a failure or a figure out of bounds."""
+    arguments = make_parser().parse_args(list(argv))
+    try:
+        if arguments.reuse or arguments.output:
+            return evaluate(arguments, arguments.reuse or arguments.output)
+        with tempfile.TemporaryDirectory(prefix="fipt-accuracy-") as folder:
+            return evaluate(arguments, Path(folder) / "run")
+    except FiptError as error:
+        print(f"error: {error.text} {error.remedy}", file=sys.stderr)
+        return 1
+
+
+def evaluate(arguments: argparse.Namespace, folder: Path) -> int:
+    """Make the run where asked to, score it and write what is wanted."""
+    figures: dict[str, Any] = {}
+    if not arguments.reuse:
+        figures = run_main_job(arguments.capture, folder, arguments.preset, arguments.set)
+    run = RunFolder(folder)
+    figures = {**recorded_costs(run), **figures}
+    result = score(run, arguments)
+    result |= figures
+    result |= {"version": PRODUCT_VERSION, "settings": asdict(run.read())}
+    print(format_table(result))
+    if arguments.json:
+        write_json(arguments.json.absolute(), result)
+    broken = out_of_bounds(result, read_json(arguments.bounds)) if arguments.bounds else []
+    for line in broken:
+        print(f"out of bounds: {line}", file=sys.stderr)
+    return 1 if broken else 0
+
+
+def run_main_job(capture: Path, output: Path, preset: str, changes: Sequence[str]) -> dict[str, Any]:
+    """Run the product's own command line; returns wall seconds and peak memory of its engine.
+
+    Raises:
+        FiptError: ``run-failed``; the reason is on stderr.
+    """
+    command = [sys.executable, str(ROOT / "fipt_blender" / "__main__.py"), "estimate", str(capture)]
+    command += ["--output", str(output), "--preset", preset, "--no-renders", "--json"]
+    for change in changes:
+        command += ["--set", change]
+    started, memory, shown = time.monotonic(), 0.0, -1
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        for line in process.stdout or ():
+            message = parse_message(line)
+            if message is None:
+                continue
+            if message["type"] == "stage":
+                print(f"{time.monotonic() - started:6.0f} s  {message['text']}", file=sys.stderr, flush=True)
+            if message["type"] == "progress":
+                memory = max(memory, float(message["memory_gb"]))
+                if int(message["fraction"] * 20) > shown:
+                    shown = int(message["fraction"] * 20)
+                    print(f"{100 * message['fraction']:3.0f} %", file=sys.stderr, flush=True)
+    if process.returncode:
+        raise FiptError("run-failed", "The main job failed.", "Mend what it reports above.")
+    return {"seconds": round(time.monotonic() - started, 1), "peak_memory_gb": memory}
+
+
+def recorded_costs(run: RunFolder) -> dict[str, Any]:
+    """Seconds by step, and what the engine counted, from a run's own records."""
+    costs: dict[str, Any] = {"seconds": None, "peak_memory_gb": None}
+    steps = run.root / "steps.json"
+    if steps.exists():
+        seconds = {name: step["seconds"] for name, step in read_json(steps)["steps"].items()}
+        costs |= {"seconds": round(sum(seconds.values()), 1), "step_seconds": seconds}
+    if run.statistics_json.exists():
+        costs["statistics"] = read_json(run.statistics_json)
+        costs["peak_memory_gb"] = costs["statistics"].get("peak_memory_gb")
+    return costs
+
+
+def score(run: RunFolder, arguments: argparse.Namespace) -> dict[str, Any]:
+    """All figures of a finished run by split; writes maps and the picture page on the way."""
+    # Mitsuba, torch: not before the main job's own processes are gone.
+    from benchmarks import predict
+    from fipt_blender.core.render.forward import RenderSettings, render_view
+
+    capture = load_capture(run)
+    relight = truth.read_relight(arguments.capture, capture)
+    chosen = {"training": spread(capture.train, arguments.train_views), "held_back": capture.held_back}
+    rendered = {"training": spread(capture.train, arguments.train_renders), "held_back": capture.held_back}
+    lit, table = predict.load_result(run)
+    settings = RenderSettings(spp=arguments.spp)
+    page = picture_page.PicturePage(arguments.page or run.root / "accuracy")
+    result: dict[str, Any] = {}
+    for split in SPLITS:
+        true = [truth.read_maps(view) for view in chosen[split]]
+        filtered = truth.maps_are_filtered(true)
+        predicted = [predict.predict_maps(lit, view, filtered) for view in chosen[split]]
+        figures: dict[str, Any] = dict.fromkeys(METRICS)
+        strict: dict[str, Any] = dict.fromkeys(METRICS)
+        if true:
+            figures |= metrics.map_metrics(predicted, true, strict=False)
+            strict |= metrics.map_metrics(predicted, true, strict=True)
+        images = [render_view(lit, view, settings, stream) for stream, view in enumerate(rendered[split])]
+        truths = [view.radiance() for view in rendered[split]]
+        enter(figures, strict, "view_synthesis_psnr", images, truths)
+        result[split] = {**figures, "strict": strict, "views": len(true), "rendered_views": len(images)}
+        result[split]["maps_are_filtered"] = filtered
+        if split == "held_back":
+            for view, one, other in zip(chosen[split], predicted, true, strict=True):
+                page.add_maps(view.name, one, other)
+                if arguments.maps:
+                    truth.write_maps(arguments.maps, view, one)
+            for view, image, other in zip(rendered[split], images, truths, strict=True):
+                page.add_images(view.name, "Photograph, re-render", image, other)
+                if arguments.maps:
+                    folder = arguments.maps / truth.split_folder(view).name / "Image"
+                    write_exr(folder / view.image.name, image)
+    if relight is not None:
+        dark = predict.relit(lit, table, relight)
+        images = [render_view(dark, view, settings, stream) for stream, view in enumerate(relight.views)]
+        truths = [read_radiance(view.image) for view in relight.views]
+        enter(result["held_back"], result["held_back"]["strict"], "relight_psnr", images, truths)
+        for view, image, other in zip(relight.views, images, truths, strict=True):
+            page.add_images(view.name, "Relit", image, other)
+            if arguments.maps:
+                write_exr(arguments.maps / "relight" / view.image.name, image)
+    if not arguments.skip_cycles:
+        score_cycles(run, arguments.spp, rendered, relight, result)
+    page.write(result)
+    return result
+
+
+def enter(
+    figures: dict[str, Any], strict: dict[str, Any], name: str, images: Sequence[Any], truths: Sequence[Any]
+) -> None:
+    """Put the mean PSNR of rendered images into both protocols' figures."""
+    figures[name] = metrics.mean_image_psnr(images, truths)
+    strict[name] = metrics.mean_image_psnr(images, truths, strict=True)
+
+
+def spread(views: Sequence[View], count: int) -> list[View]:
+    """At most `count` views, evenly spread over the list."""
+    if count >= len(views):
+        return list(views)
+    return [views[i * len(views) // count] for i in range(count)]
+
+
+def score_cycles(
+    run: RunFolder,
+    spp: int,
+    rendered: dict[str, list[View]],
+    relight: truth.Relight | None,
+    result: dict[str, Any],
+) -> None:
+    """Render the views in Cycles in a process of its own and enter their PSNRs.
+
+    Raises:
+        FiptError: ``run-failed`` where Blender fails.
+    """
+    wanted: dict[str, Any] = {"rerender": [view.name for split in SPLITS for view in rendered[split]]}
+    wanted["relight"] = None
+    if relight is not None and len(relight.vertices) == 4:
+        wanted["relight"] = {
+            "views": [view.name for view in relight.views],
+            "vertices": relight.vertices.tolist(),
+            "radiance": relight.radiance.tolist(),
+        }
+    command = [sys.executable, str(ROOT / "benchmarks" / "cycles_views.py"), str(run.root), str(spp)]
+    ended = subprocess.run(command, input=json.dumps(wanted), text=True, stdout=sys.stderr, check=False)
+    if ended.returncode:
+        raise FiptError("run-failed", "The renders in Cycles failed.", "Mend what Blender reports above.")
+    images = {
+        (entry["kind"], entry["view"]): run.resolve(entry["image"])
+        for entry in read_json(run.renders_json)["renders"]
+    }
+    for split in SPLITS:
+        found = [read_radiance(images["rerender", view.name]) for view in rendered[split]]
+        truths = [view.radiance() for view in rendered[split]]
+        enter(result[split], result[split]["strict"], "view_synthesis_cycles_psnr", found, truths)
+    if wanted["relight"] is not None and relight is not None:
+        found = [read_radiance(images["relight", view.name]) for view in relight.views]
+        truths = [read_radiance(view.image) for view in relight.views]
+        figures = result["held_back"]
+        enter(figures, figures["strict"], "relight_cycles_psnr", found, truths)
+
+
+def format_table(result: dict[str, Any]) -> str:
+    """The figures as text: a column a split and protocol."""
+    columns = [(split, protocol) for split in SPLITS for protocol in ("paper", "strict")]
+    lines = [f"{'':28s}" + "".join(f"{split + ' ' + protocol:>18s}" for split, protocol in columns)]
+    for name in METRICS:
+        cells = []
+        for split, protocol in columns:
+            figures = result[split] if protocol == "paper" else result[split]["strict"]
+            value = figures[name]
+            digits = ".2e" if name.endswith("log_l2") else ".3f" if name.endswith("iou") else ".2f"
+            cells.append(f"{'-':>18s}" if value is None else f"{value:18{digits}}")
+        lines.append(f"{name:28s}" + "".join(cells))
+    for name in ("seconds", "peak_memory_gb", "version"):
+        lines.append(f"{name:28s}{result.get(name)!s:>18s}")
+    return "\n".join(lines)
+
+
+def out_of_bounds(result: dict[str, Any], bounds: dict[str, Any]) -> list[str]:
+    """What violates bounds of the form {"held_back": {"kd_psnr": [lowest or null, highest or null]}}.
+
+    A figure that is missing violates its bounds; bounds on "seconds" stand at the top level.
+    """
+    broken = []
+    for group, entries in bounds.items():
+        named = entries.items() if isinstance(entries, dict) else [("", entries)]
+        for name, (low, high) in named:
+            value = result.get(group, {}).get(name) if name else result.get(group)
+            label = f"{group} {name}".strip()
+            if value is None:
+                broken.append(f"{label} is missing")
+            elif (low is not None and value < low) or (high is not None and value > high):
+                broken.append(f"{label} is {value:.4g}, allowed is {low} to {high}")
+    return broken
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,114 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a finished run says about a view: its maps, taken where the ground truth takes them.
+
+That is the pixel's centre, or the mean over random positions in the pixel. Emitters are black in all maps
+but their emission.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from benchmarks.metrics import Maps
+from fipt_blender.core.capture.images import read_radiance
+from fipt_blender.core.capture.views import View
+from fipt_blender.core.job.runfolder import RunFolder, read_json
+from fipt_blender.core.material import brdf
+from fipt_blender.core.material.fields import Fields
+from fipt_blender.core.render.environment import EnvironmentLight
+from fipt_blender.core.render.forward import LitRoom, add_light, camera_rays, joined, switched_off
+from fipt_blender.core.render.lights import AreaLights, EmitterTable
+from fipt_blender.core.render.surfaces import LatticeMaterials, SurfaceMaterials
+from fipt_blender.core.scene.room import load_room
+
+from .truth import Relight
+
+LATTICE_SPACING = 0.01  # metres; a pixel of the test captures sees more
+
+
+def load_result(run: RunFolder, spacing: float = LATTICE_SPACING) -> tuple[LitRoom, EmitterTable]:
+    """The room of a finished run with its estimated materials and lights, and the table of its emitters."""
+    room = load_room(run)
+    fields = Fields.load(run)
+    materials = LatticeMaterials(room, lambda positions, triangles: fields.query(positions), spacing)
+    data = read_json(run.emitters_json)
+    table = EmitterTable.from_fixtures(data)
+    lights = AreaLights(room.vertices, room.triangles, table)
+    environment = None
+    if data.get("environment"):
+        environment = EnvironmentLight(read_radiance(run.results / data["environment"]["image"]))
+    return LitRoom(room, materials, lights, environment), table
+
+
+class _Padded:
+    """Materials of a room for the same room with more triangles; those are emitters and reflect nothing."""
+
+    def __init__(self, materials: SurfaceMaterials, count: int) -> None:
+        self._materials, self._count = materials, count
+
+    def lookup(self, position: Any, triangle: Any, active: Any = True) -> tuple[Any, Any, Any]:
+        active = mi.Bool(active) & (triangle < self._count)
+        return self._materials.lookup(position, dr.select(active, triangle, 0), active)
+
+
+def relit(lit: LitRoom, table: EmitterTable, relight: Relight) -> LitRoom:
+    """The same room with its own lights off, the environment too, and one new light."""
+    room, added = add_light(lit.room, relight.vertices, relight.triangles, relight.radiance)
+    lights = AreaLights(room.vertices, room.triangles, joined(switched_off(table), added))
+    return LitRoom(room, _Padded(lit.materials, len(lit.room.triangles)), lights)
+
+
+def predict_maps(lit: LitRoom, view: View, filtered: bool, spp: int = 128, seed: int = 0) -> Maps:
+    """Maps of one view.
+
+    Args:
+        filtered: average over the pixel instead of looking at its centre.
+        spp: BRDF samples a pixel for a' (the paper's 128), and positions where filtered.
+    """
+    count = view.width * view.height
+    rows = max(1, (1 << 21) // (spp * view.width))
+    sums = np.zeros((count, 14), np.float32)
+    hits = np.zeros(count, np.float32)
+    for start in range(0, count, rows * view.width):
+        pixels = min(rows * view.width, count - start)
+        index = dr.arange(mi.UInt32, pixels * spp)
+        generator = mi.PCG32(
+            size=pixels * spp, initstate=mi.UInt64(seed), initseq=mi.UInt64(index) + start * spp
+        )
+        shift = mi.Point2f(generator.next_float32(), generator.next_float32()) if filtered else mi.Point2f(0.5)
+        ray = camera_rays(view, start + index // spp, shift)
+        surface = lit.room.intersect(ray)
+        cosine = -dr.dot(surface.geometric_normal, ray.d)
+        emission = lit.lights.radiance(surface.triangle, cosine, surface.valid)
+        reflects = surface.valid & ~lit.lights.is_emitter(surface.triangle, surface.valid)
+        base_color, roughness, metallic = lit.materials.lookup(surface.position, surface.triangle, reflects)
+        toward_viewer = mi.Frame3f(surface.normal).to_local(-ray.d)
+        sample = mi.Point2f(generator.next_float32(), generator.next_float32())
+        kd = brdf.diffuse_reflectance(base_color, metallic)
+        # The diffuse part of a' is known; only the specular one needs samples.
+        light = brdf.sample_visible_normal(sample, toward_viewer, roughness)
+        density = brdf.visible_normal_pdf(light, toward_viewer, roughness)
+        s0, s1 = brdf.specular_lobes(light, toward_viewer, roughness)
+        specular = brdf.specular_reflectance(base_color, metallic) * s0 + s1
+        a_prime = kd + dr.select(density > 0.0, specular / density, 0.0)
+        values = [dr.select(reflects, part, 0.0) for part in (*kd, *a_prime, *base_color, roughness, metallic)]
+        columns = [*values, *emission, dr.select(surface.valid, 1.0, 0.0)]
+        dr.eval(columns)
+        means = np.stack([np.array(dr.block_sum(column, spp)) for column in columns], axis=-1) / spp
+        part = slice(start, start + pixels)
+        sums[part], hits[part] = means[:, :-1], means[:, -1]
+    maps = sums.reshape(view.height, view.width, -1)
+    return Maps(
+        kd=maps[..., 0:3],
+        a_prime=maps[..., 3:6],
+        base_color=maps[..., 6:9],
+        roughness=maps[..., 9],
+        metallic=maps[..., 10],
+        emission=maps[..., 11:14],
+        hit=(hits > 0.0).reshape(view.height, view.width),
+    )
