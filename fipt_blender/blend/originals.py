@@ -67,6 +67,7 @@ def restore_original(objects: Iterable[bpy.types.Object]) -> list[str]:
         The names of the objects that were changed back.
     """
     restored = []
+    unused = []
     for item in objects:
         if ORIGINAL_MESH not in item:
             continue
@@ -87,8 +88,9 @@ def restore_original(objects: Iterable[bpy.types.Object]) -> list[str]:
                 del item[OBJECT_SLOT.format(index)]
         del item[ORIGINAL_MESH], item[ORIGINAL_STATE]
         if ours.users == 0:
-            bpy.data.meshes.remove(ours)
+            unused.append(ours)
         restored.append(item.name)
+    bpy.data.batch_remove(unused)
     _remove_fixtures(set(restored))
     return restored
 

@@ -8,7 +8,7 @@ then brought to one texel density and packed into few images. The artist's own l
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -113,22 +113,28 @@ def _make_uv_atlas(
     corner_uv = np.zeros((len(room.triangles), 3, 2))
     island = np.full(len(room.triangles), -1, np.int64)
     areas = triangle_areas(room.vertices[room.triangles])
-    kept, unwrapped = [], []
-    island_count = 0
+    kept: list[str] = []
+    to_unwrap: list[int] = []
     for index, item in enumerate(objects):
         triangles = np.flatnonzero(room.triangle_object == index)
-        vertex_ids, area = room.triangles[triangles], areas[triangles]
         uv = active_corner_uv(item)
-        own_island = uv_islands(vertex_ids, uv) if uv is not None and _is_finite(uv) else None
-        if uv is not None and own_island is not None and uvs_usable(uv, own_island, area):
-            kept.append(item.name)
-        else:
-            uv = unwrap(item.data, is_mirrored(item))
-            own_island = uv_islands(vertex_ids, uv)
-            unwrapped.append(item.name)
+        if uv is not None and _is_finite(uv):
+            own_island = uv_islands(room.triangles[triangles], uv)
+            if uvs_usable(uv, own_island, areas[triangles]):
+                kept.append(item.name)
+                corner_uv[triangles] = uv
+                island[triangles] = own_island
+                continue
+        to_unwrap.append(index)
+    for index, uv in zip(to_unwrap, unwrap([objects[index] for index in to_unwrap]), strict=True):
+        triangles = np.flatnonzero(room.triangle_object == index)
         corner_uv[triangles] = uv
-        island[triangles] = own_island + island_count
-        island_count += int(own_island.max(initial=-1)) + 1
+        island[triangles] = uv_islands(room.triangles[triangles], uv)
+    unwrapped = [objects[index].name for index in to_unwrap]
+    # Islands were numbered within their object; now over the room.
+    many = int(island.max(initial=0)) + 1
+    _, island = np.unique(room.triangle_object.astype(np.int64) * many + island, return_inverse=True)
+    island_count = int(island.max(initial=-1)) + 1
 
     # Islands without area in space or in the plane can't hold texels.
     world_area = np.bincount(island, areas, island_count)
@@ -215,46 +221,56 @@ def _corner_uv(mesh: bpy.types.Mesh, layer: bpy.types.MeshUVLoopLayer, mirrored:
     return uv.reshape(-1, 2).astype(np.float64)[loops]
 
 
-def unwrap(mesh: bpy.types.Mesh, mirrored: bool) -> np.ndarray:
-    """Unwrap by projection from several sides (Smart UV Project) without touching the mesh.
+def unwrap(items: Sequence[bpy.types.Object]) -> list[np.ndarray]:
+    """Unwrap by projection from several sides (Smart UV Project) without touching the objects.
 
-    The operator runs in a scene of its own on a copy, so that neither selection, mode nor visibility of
-    the artist's scene matter.
+    The operator runs once, on copies in a scene of their own, so that neither selection, mode nor
+    visibility of the artist's scene matter.
 
     Returns:
-        (T,3,2) f64 by triangle corner of the mesh's triangulation.
+        For each object (T,3,2) f64 by triangle corner.
     """
-    copy = mesh.copy()
-    while copy.uv_layers:
-        copy.uv_layers.remove(copy.uv_layers[0])
-    copy.uv_layers.new(name=UV_LAYER)
-    for name in ("hide", "select"):
-        values = np.full(len(copy.polygons), name == "select")
-        copy.polygons.foreach_set(name, values)
-        copy.vertices.foreach_set(name, np.full(len(copy.vertices), name == "select"))
-        copy.edges.foreach_set(name, np.full(len(copy.edges), name == "select"))
+    if not items:
+        return []
     scene = bpy.data.scenes.new("FIPT unwrap")
-    item = bpy.data.objects.new("FIPT unwrap", copy)
+    layer = scene.view_layers[0]
+    copies = [_blank_copy(item.data) for item in items]
+    stand_ins = [bpy.data.objects.new("FIPT unwrap", copy) for copy in copies]
     try:
-        scene.collection.objects.link(item)
-        layer = scene.view_layers[0]
-        layer.objects.active = item
-        item.select_set(True, view_layer=layer)
+        for stand_in in stand_ins:
+            scene.collection.objects.link(stand_in)
+            stand_in.select_set(True, view_layer=layer)
+        first = stand_ins[0]
+        layer.objects.active = first
         with bpy.context.temp_override(
-            scene=scene, view_layer=layer, active_object=item, object=item, selected_objects=[item]
+            scene=scene, view_layer=layer, active_object=first, object=first, selected_objects=stand_ins
         ):
             bpy.ops.object.mode_set(mode="EDIT")
             try:
-                with bpy.context.temp_override(edit_object=item, active_object=item, object=item):
+                with bpy.context.temp_override(edit_object=first):
                     bpy.ops.mesh.select_all(action="SELECT")
                     bpy.ops.uv.smart_project(island_margin=0.0, area_weight=0.0, scale_to_bounds=False)
             finally:
                 bpy.ops.object.mode_set(mode="OBJECT")
-        return _corner_uv(copy, copy.uv_layers[UV_LAYER], mirrored)
+        return [
+            _corner_uv(copy, copy.uv_layers[UV_LAYER], is_mirrored(item))
+            for copy, item in zip(copies, items, strict=True)
+        ]
     finally:
-        bpy.data.objects.remove(item)
-        bpy.data.meshes.remove(copy)
+        bpy.data.batch_remove([*stand_ins, *copies])
         bpy.data.scenes.remove(scene)
+
+
+def _blank_copy(mesh: bpy.types.Mesh) -> bpy.types.Mesh:
+    """A copy with one empty UV layer and everything visible and selected."""
+    copy = mesh.copy()
+    while copy.uv_layers:
+        copy.uv_layers.remove(copy.uv_layers[0])
+    copy.uv_layers.new(name=UV_LAYER)
+    for name, value in (("hide", False), ("select", True)):
+        for elements in (copy.polygons, copy.vertices, copy.edges):
+            elements.foreach_set(name, np.full(len(elements), value))
+    return copy
 
 
 def write_layer(item: bpy.types.Object, corner_uv: np.ndarray) -> None:
