@@ -80,7 +80,9 @@ def predict_maps(lit: LitRoom, view: View, filtered: bool, spp: int = 128, seed:
         generator = mi.PCG32(
             size=pixels * spp, initstate=mi.UInt64(seed), initseq=mi.UInt64(index) + start * spp
         )
-        shift = mi.Point2f(generator.next_float32(), generator.next_float32()) if filtered else mi.Point2f(0.5)
+        shift = mi.Point2f(generator.next_float32(), generator.next_float32())
+        if not filtered:
+            shift = mi.Point2f(0.5)
         ray = camera_rays(view, start + index // spp, shift)
         surface = lit.room.intersect(ray)
         cosine = -dr.dot(surface.geometric_normal, ray.d)
@@ -96,8 +98,9 @@ def predict_maps(lit: LitRoom, view: View, filtered: bool, spp: int = 128, seed:
         s0, s1 = brdf.specular_lobes(light, toward_viewer, roughness)
         specular = brdf.specular_reflectance(base_color, metallic) * s0 + s1
         a_prime = kd + dr.select(density > 0.0, specular / density, 0.0)
-        values = [dr.select(reflects, part, 0.0) for part in (*kd, *a_prime, *base_color, roughness, metallic)]
-        columns = [*values, *emission, dr.select(surface.valid, 1.0, 0.0)]
+        materials = [*kd, *a_prime, *base_color, roughness, metallic]
+        columns = [*[dr.select(reflects, value, 0.0) for value in materials], *emission]
+        columns.append(dr.select(surface.valid, 1.0, 0.0))
         dr.eval(columns)
         means = np.stack([np.array(dr.block_sum(column, spp)) for column in columns], axis=-1) / spp
         part = slice(start, start + pixels)

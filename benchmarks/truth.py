@@ -123,9 +123,11 @@ def read_relight(folder: Path, capture: Capture) -> Relight | None:
         vertices = conventions.transform_points(capture.world_from_source, light["vertices"])
         triangles = np.array(light["faces"], np.int64).reshape(-1, 3)
         normal = conventions.transform_normals(capture.world_from_source, light["normal"])
-        cross = np.cross(*(vertices[triangles[0, 1:]] - vertices[triangles[0, 0]]))
-        if cross @ normal < 0.0:
-            vertices, triangles = vertices[::-1], len(vertices) - 1 - triangles[:, ::-1]
+        if np.cross(vertices[1] - vertices[0], vertices[2] - vertices[1]) @ normal < 0.0:
+            vertices, triangles = vertices[::-1], len(vertices) - 1 - triangles
+        corners = vertices[triangles]
+        facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) @ normal
+        triangles[facing < 0.0] = triangles[facing < 0.0][:, ::-1]
         views = []
         for entry in data["views"]:
             pose = conventions.fipt_to_opencv_camera(entry["transform_matrix"])
