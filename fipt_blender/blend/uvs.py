@@ -248,6 +248,7 @@ def unwrap(items: Sequence[bpy.types.Object]) -> list[np.ndarray]:
             bpy.ops.object.mode_set(mode="EDIT")
             try:
                 with bpy.context.temp_override(edit_object=first):
+                    bpy.ops.mesh.reveal()
                     bpy.ops.mesh.select_all(action="SELECT")
                     bpy.ops.uv.smart_project(island_margin=0.0, area_weight=0.0, scale_to_bounds=False)
             finally:
@@ -262,14 +263,11 @@ def unwrap(items: Sequence[bpy.types.Object]) -> list[np.ndarray]:
 
 
 def _blank_copy(mesh: bpy.types.Mesh) -> bpy.types.Mesh:
-    """A copy with one empty UV layer and everything visible and selected."""
+    """A copy with one empty UV layer."""
     copy = mesh.copy()
     while copy.uv_layers:
         copy.uv_layers.remove(copy.uv_layers[0])
     copy.uv_layers.new(name=UV_LAYER)
-    for name, value in (("hide", False), ("select", True)):
-        for elements in (copy.polygons, copy.vertices, copy.edges):
-            elements.foreach_set(name, np.full(len(elements), value))
     return copy
 
 
