@@ -77,13 +77,16 @@ def predict_maps(lit: LitRoom, view: View, filtered: bool, spp: int = 128, seed:
     for start in range(0, count, rows * view.width):
         pixels = min(rows * view.width, count - start)
         index = dr.arange(mi.UInt32, pixels * spp)
+        first = dr.opaque(mi.UInt32, start)  # a literal would make a new kernel for every chunk
         generator = mi.PCG32(
-            size=pixels * spp, initstate=mi.UInt64(seed), initseq=mi.UInt64(index) + start * spp
+            size=pixels * spp,
+            initstate=mi.UInt64(seed),
+            initseq=mi.UInt64(first) * spp + mi.UInt64(index),
         )
         shift = mi.Point2f(generator.next_float32(), generator.next_float32())
         if not filtered:
             shift = mi.Point2f(0.5)
-        ray = camera_rays(view, start + index // spp, shift)
+        ray = camera_rays(view, first + index // spp, shift)
         surface = lit.room.intersect(ray)
         cosine = -dr.dot(surface.geometric_normal, ray.d)
         emission = lit.lights.radiance(surface.triangle, cosine, surface.valid)

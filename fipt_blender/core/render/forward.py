@@ -216,8 +216,9 @@ def camera_rays(view: PinholeView, pixel: Any, shift: Any) -> Any:
     y = mi.Float(pixel // view.width) + shift.y
     local = dr.normalize(mi.Vector3f((x - view.cx) / view.fx, (y - view.cy) / view.fy, 1.0))
     pose = np.asarray(view.camera_to_world, np.float64)
-    origin = mi.Point3f([float(value) for value in pose[:3, 3]])
-    return mi.Ray3f(origin, mi.Matrix3f(pose[:3, :3].tolist()) @ local)
+    columns = [mi.Vector3f([dr.opaque(mi.Float, float(v)) for v in pose[:3, k]]) for k in range(4)]
+    direction = columns[0] * local.x + columns[1] * local.y + columns[2] * local.z
+    return mi.Ray3f(mi.Point3f(columns[3]), direction)
 
 
 def render_view(lit: LitRoom, view: PinholeView, settings: RenderSettings, stream: int = 0) -> np.ndarray:
@@ -232,13 +233,15 @@ def render_view(lit: LitRoom, view: PinholeView, settings: RenderSettings, strea
     for start in range(0, count, at_once):
         pixels = min(at_once, count - start)
         index = dr.arange(mi.UInt32, pixels * settings.spp)
+        # Opaque: as literals they would make a new kernel for every chunk and view.
+        first = dr.opaque(mi.UInt32, start)
         generator = mi.PCG32(
             size=pixels * settings.spp,
-            initstate=mi.UInt64((settings.seed << 32) + stream),
-            initseq=mi.UInt64(index) + start * settings.spp,
+            initstate=dr.opaque(mi.UInt64, (settings.seed << 32) + stream),
+            initseq=mi.UInt64(first) * settings.spp + mi.UInt64(index),
         )
         shift = mi.Point2f(generator.next_float32(), generator.next_float32())
-        ray = camera_rays(view, start + index // settings.spp, shift)
+        ray = camera_rays(view, first + index // settings.spp, shift)
         result = trace_paths(lit, ray, generator, settings)
         dr.eval(result.radiance, result.albedo, result.normal)  # one kernel for all of them
         for plane, values in zip(planes, (result.radiance, result.albedo, result.normal), strict=True):

@@ -113,7 +113,7 @@ class LatticeMaterials:
 
     Args:
         room: the room.
-        query: the fields; called with at most a few hundred thousand points at once.
+        query: the fields; called with about half a million points at once.
         spacing: distance of the samples in metres; see `make_lattice`.
         most_points: see `make_lattice`.
     """
@@ -175,7 +175,7 @@ class LatticeMaterials:
 
 
 def sample_lattice(
-    room: Room, lattice: Lattice, query: FieldQuery, chunk: int = 200_000
+    room: Room, lattice: Lattice, query: FieldQuery, chunk: int = 1 << 19
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Fields at the lattice's points: base colour (N, 3), roughness (N,), metallic (N,), float32."""
     base_color = np.zeros((lattice.count, 3), np.float32)
