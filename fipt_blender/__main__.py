@@ -11,6 +11,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+import traceback
 from pathlib import Path
 
 
@@ -37,7 +38,11 @@ def _arguments() -> list[str]:
 
 def main() -> None:
     """Run the command line and leave with its exit status."""
-    status = importlib.import_module(".cli", _package()).main(_arguments())
+    try:
+        status = importlib.import_module(".cli", _package()).main(_arguments())
+    except Exception:  # after a script's exception Blender would end with status 0
+        traceback.print_exc()
+        status = 1
     sys.stdout.flush()
     sys.stderr.flush()
     # Not sys.exit: Blender goes on after a script's end, and bpy as a module can hang or crash while it ends.

@@ -32,7 +32,7 @@ PARTS = ("auto", "objects", "materials", "masks", "none")
 RENDER_KINDS = ("rerender", "relight", "insert")
 _TEXTURE_SETTINGS = ("texel_density", "texture_size", "atlas_mode", "write_back")
 _RENDER_TEXTS = {
-    "rerender": "Rendering the view again with the estimated room",
+    "rerender": "Rendering held-back views with the estimated room",
     "relight": "Rendering the view with the estimated lights off and a new area light",
     "insert": "Rendering the view with an inserted object",
 }

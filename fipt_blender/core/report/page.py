@@ -37,7 +37,7 @@ MAPS = ("base_color", "roughness", "metallic", "emission")
 MAX_MAP_VIEWS = 4
 MAX_PHOTOS = 8
 _KINDS = {
-    "rerender": "The view rendered again",
+    "rerender": "A view rendered again",
     "relight": "Estimated lights off, a new area light on",
     "insert": "With an inserted object",
 }
@@ -72,6 +72,7 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
     for index, entry in enumerate(renders):
         shots.append(_shot(run, capture, entry, album, exposure))
         progress(0.6 * (index + 1) / len(renders))
+    values = [shot["psnr"] for shot in shots if shot["psnr"] is not None]
     photos = [] if capture is None else _photos(capture, album, exposure)
     progress(0.8)
     emitters = _optional(run.emitters_json)
@@ -82,6 +83,7 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
         "capture": capture,
         "counts": _counts(capture),
         "shots": shots,
+        "mean_psnr": float(np.mean(values)) if values else None,
         "photos": photos,
         "exposure": exposure,
         "error_full": ERROR_FULL,
