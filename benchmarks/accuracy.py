@@ -12,7 +12,6 @@ import argparse
 import json
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -51,7 +50,7 @@ def make_parser() -> argparse.ArgumentParser:
     add("capture", type=Path, metavar="CAPTURE", help="capture with ground truth")
     add("--preset", default="medium", help="draft, medium or high (default: medium)")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one setting of the run")
-    add("--output", type=Path, metavar="RUN", help="run folder to make (default: a temporary one)")
+    add("--output", type=Path, metavar="RUN", help="run folder to make (default: below out/accuracy)")
     add("--reuse", type=Path, metavar="RUN", help="score this finished run instead of making one")
     add("--json", type=Path, metavar="FILE", help="write all figures there")
     add("--maps", type=Path, metavar="DIR", help="write predicted maps and images in the capture's layout")
@@ -68,10 +67,8 @@ def main(argv: Sequence[str]) -> int:
     """Run the command; 0, 1 for a failure or a figure out of bounds."""
     arguments = make_parser().parse_args(list(argv))
     try:
-        if arguments.reuse or arguments.output:
-            return evaluate(arguments, arguments.reuse or arguments.output)
-        with tempfile.TemporaryDirectory(prefix="fipt-accuracy-") as folder:
-            return evaluate(arguments, Path(folder) / "run")
+        default = ROOT / "out" / "accuracy" / f"{arguments.capture.absolute().name}-{arguments.preset}"
+        return evaluate(arguments, arguments.reuse or arguments.output or default)
     except FiptError as error:
         print(f"error: {error.text} {error.remedy}", file=sys.stderr)
         return 1
@@ -88,6 +85,7 @@ def evaluate(arguments: argparse.Namespace, folder: Path) -> int:
     result |= figures
     result |= {"version": PRODUCT_VERSION, "settings": asdict(run.read())}
     print(format_table(result))
+    print(f"pictures: {(arguments.page or run.root / 'accuracy') / 'index.html'}")
     if arguments.json:
         write_json(arguments.json.absolute(), result)
     broken = out_of_bounds(result, read_json(arguments.bounds)) if arguments.bounds else []
