@@ -8,6 +8,7 @@ Exit status: 0 all went well, 1 the job failed (`error: ...` on stderr), 2 wrong
 from __future__ import annotations
 
 import argparse
+import ctypes
 import json
 import os
 import signal
@@ -310,6 +311,8 @@ def _own_stdout(log: Path) -> Iterator[IO[str]]:
         yield stream
     finally:
         sys.stdout.flush()
+        if sys.platform != "win32":
+            ctypes.CDLL(None).fflush(None)  # what Blender's C code has printed but not yet written
         stream.flush()
         os.dup2(kept, 1)
         stream.close()
