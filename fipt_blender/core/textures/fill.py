@@ -89,10 +89,14 @@ def _nearest(positions: np.ndarray, candidates: np.ndarray) -> np.ndarray:
     """Index of the candidate nearest to the middle of each position's cell."""
     low = candidates.min(axis=0)
     size = max(float((candidates.max(axis=0) - low).max()) / CELLS, 1e-9)
-    cells, inverse = np.unique(np.floor((positions - low) / size), axis=0, return_inverse=True)
-    centres = low + (cells + 0.5) * size
-    nearest = np.empty(len(cells), np.int64)
-    for first in range(0, len(cells), 1024):
+    cell = np.floor((positions - low) / size).astype(np.int64)
+    origin = cell.min(axis=0)
+    shape = cell.max(axis=0) - origin + 1
+    # One number a cell: sorting rows would take many times as long.
+    keys, inverse = np.unique(np.ravel_multi_index((cell - origin).T, shape), return_inverse=True)
+    centres = low + (np.stack(np.unravel_index(keys, shape), axis=1) + origin + 0.5) * size
+    nearest = np.empty(len(centres), np.int64)
+    for first in range(0, len(centres), 1024):
         block = centres[first : first + 1024]
         distance = ((block[:, None] - candidates[None]) ** 2).sum(axis=2)
         nearest[first : first + 1024] = distance.argmin(axis=1)
