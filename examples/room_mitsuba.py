@@ -33,6 +33,19 @@ def linear(path: Path) -> np.ndarray:
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
+def denoise(radiance: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Open Image Denoise with guides, (H, W, 3) each.
+
+    The images are mirrored beyond their borders first: in the outermost pixels, which have neighbours on one
+    side only, the denoiser leaves fireflies standing.
+    """
+    margin = min(24, *(size - 1 for size in radiance.shape[:2]))
+    beyond = [(margin, margin), (margin, margin), (0, 0)]
+    guided = (np.maximum(radiance, 0), np.clip(albedo, 0, 1), normal)
+    padded = [np.pad(image, beyond, mode="reflect").astype(np.float32) for image in guided]
+    return np.maximum(pyoidn.denoise(*padded, hdr=True)[margin:-margin, margin:-margin], 0)
+
+
 @dataclass
 class Surfaces:
     """What rays hit, on the host; N rays. Everything is zero where nothing is hit.
@@ -107,11 +120,7 @@ class LoadedRoom:
             whole = mi.render(self.scene, integrator=paths, **args).numpy()
             total += count * (whole - mi.render(self.scene, integrator=direct, **args).numpy())
             left -= count
-        albedo = np.clip(maps["albedo"], 0, 1).astype(np.float32)
-        smooth = pyoidn.denoise(
-            np.maximum(total / spp, 0), albedo, maps["_normal"].astype(np.float32), hdr=True
-        )
-        return np.maximum(smooth, 0) + maps["Emit"]
+        return denoise(total / spp, maps["albedo"], maps["_normal"]) + maps["Emit"]
 
     def trace(self, origins: np.ndarray, directions: np.ndarray) -> Surfaces:
         """First hits of rays (N, 3), (N, 3)."""

@@ -38,7 +38,7 @@ def tiny(tmp_path_factory) -> Path:
     script = [sys.executable, str(EXAMPLES / "make_room.py"), "--out", str(folder), "--views", "2"]
     result = subprocess.run(
         [*script, "--size", f"{WIDTH}x{HEIGHT}", "--spp", "4", "--seed", "3"],
-        capture_output=True, text=True, timeout=120, env=os.environ,
+        capture_output=True, text=True, timeout=400, env=os.environ,
     )  # fmt: skip
     assert result.returncode == 0, result.stdout + result.stderr
     return folder
