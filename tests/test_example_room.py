@@ -94,7 +94,7 @@ def test_tiny_build_has_every_file(tiny, files):
 
 def test_ids_lie_where_the_geometry_is(tiny, files):
     """Scene, poses and images agree on axes: known 3D points land on their own part."""
-    assert check_ids(files, tiny, "train") > 100
+    assert check_ids(files, tiny, "train") > 30
 
 
 def test_mirrored_camera_would_be_noticed(tiny, files):
