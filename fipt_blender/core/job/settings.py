@@ -30,15 +30,21 @@ class Settings:
     rounds: int = _setting(2, "how often stages 2 and 3 are repeated after stage 1")
 
     voxel_resolution: int = _setting(256, "radiance cache: voxels along each axis of the room's bounds")
-    roughness_levels: int = _setting(6, "roughness levels at which specular shading is baked")
+    roughness_levels: int = _setting(8, "roughness levels at which specular shading is baked")
+    roughness_spacing: float = _setting(1.5, "exponent of the levels' spacing; 1 is the paper's linear one")
     roughness_min: float = _setting(0.02, "lowest roughness (authors' code; 0 is singular)")
     diffuse_spp: int = _setting(64, "stage 1: samples a pixel for diffuse shading")
-    specular_spp: int = _setting(32, "stage 1: samples a pixel and roughness level for specular shading")
+    specular_spp: int = _setting(16, "stage 1: samples a pixel and roughness level for specular shading")
+    light_spp: int = _setting(32, "stage 1: samples a pixel aimed at bright triangles")
     refine_diffuse_spp: int = _setting(64, "stage 3: samples a pixel for diffuse shading")
-    refine_specular_spp: int = _setting(32, "stage 3: samples a pixel and level for specular shading")
+    refine_specular_spp: int = _setting(16, "stage 3: samples a pixel and level for specular shading")
+    refine_light_spp: int = _setting(32, "stage 3: samples a pixel aimed at emitters")
     refine_depth: int = _setting(5, "stage 3: most surfaces a path may meet before it ends in the cache")
     cache_roughness: float = _setting(0.6, "stage 3: rougher surfaces end a path in the radiance cache")
-    denoise: bool = _setting(True, "denoise shadings with Open Image Denoise")
+    denoise: bool = _setting(True, "denoise diffuse shading with Open Image Denoise")
+    denoise_specular: bool = _setting(
+        False, "denoise specular shading too: costs more time than the rays that it saves"
+    )
 
     training_steps: int = _setting(2000, "stage 2: optimiser steps of the first round")
     later_training_steps: int = _setting(1000, "stage 2: optimiser steps of each later round")
@@ -76,21 +82,26 @@ PRESETS: dict[str, dict[str, Any]] = {
     "draft": {
         "rounds": 1,
         "diffuse_spp": 32,
-        "specular_spp": 16,
+        "specular_spp": 8,
+        "light_spp": 16,
         "refine_diffuse_spp": 32,
-        "refine_specular_spp": 16,
+        "refine_specular_spp": 8,
+        "refine_light_spp": 16,
         "training_steps": 500,
         "later_training_steps": 400,
     },
     "medium": {},
     "high": {
         "diffuse_spp": 256,
-        "specular_spp": 128,
-        "refine_diffuse_spp": 128,
+        "specular_spp": 64,
+        "light_spp": 128,
+        "refine_diffuse_spp": 256,
         "refine_specular_spp": 64,
+        "refine_light_spp": 128,
         "training_steps": 10000,
         "later_training_steps": 5000,
         "roughness_levels": 12,
+        "denoise_specular": True,
     },
 }
 

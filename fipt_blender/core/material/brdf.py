@@ -18,15 +18,14 @@ MIN_COSINE = 1e-4
 MIN_ROUGHNESS = 0.02
 
 
-def ggx_distribution(cos_h: mi.Float, alpha: mi.Float) -> mi.Float:
-    """GGX normal distribution D(h) in 1/sr; zero below the horizon.
+def ggx_distribution(h: mi.Vector3f, alpha: mi.Float) -> mi.Float:
+    """GGX normal distribution D(h) in 1/sr of a unit half vector; zero below the horizon.
 
-    Written with sin^2 = 1 - cos^2 so that sharp lobes (alpha ~ 4e-4) keep their precision near the peak.
+    Written with sin^2 = x^2 + y^2: near the peak of sharp lobes (alpha ~ 4e-4) 1 - cos^2 has no digits left.
     """
     alpha2 = dr.square(alpha)
-    cos2 = dr.square(cos_h)
-    sin2 = dr.maximum(1.0 - cos2, 0.0)
-    return dr.select(cos_h > 0.0, alpha2 / (dr.pi * dr.square(dr.fma(alpha2, cos2, sin2))), 0.0)
+    sin2 = dr.fma(h.x, h.x, dr.square(h.y))
+    return dr.select(h.z > 0.0, alpha2 / (dr.pi * dr.square(dr.fma(alpha2, dr.square(h.z), sin2))), 0.0)
 
 
 def geometry_term(cos_i: mi.Float, cos_o: mi.Float, roughness: mi.Float) -> mi.Float:
@@ -58,7 +57,7 @@ def specular_lobes(wi: mi.Vector3f, wo: mi.Vector3f, roughness: mi.Float) -> tup
     h = dr.normalize(wi + wo)
     cos_i, cos_o = wi.z, wo.z
     lit = (cos_i > MIN_COSINE) & (cos_o > MIN_COSINE)
-    d = ggx_distribution(h.z, dr.square(roughness))
+    d = ggx_distribution(h, dr.square(roughness))
     dg = dr.select(lit, d * geometry_term(cos_i, cos_o, roughness) / (4.0 * cos_o), 0.0)
     f0, f1 = fresnel_terms(dr.dot(h, wi))
     return f0 * dg, f1 * dg
@@ -86,7 +85,7 @@ def visible_normal_pdf(wi: mi.Vector3f, wo: mi.Vector3f, roughness: mi.Float) ->
     # Smith's G1(wo) / (4 cos_o) in one fraction
     smith = 0.5 / (cos_o + dr.sqrt(dr.fma(1.0 - alpha2, dr.square(cos_o), alpha2)))
     valid = (wi.z > 0.0) & (wo.z > 0.0)
-    return dr.select(valid, ggx_distribution(h.z, alpha) * smith, 0.0)
+    return dr.select(valid, ggx_distribution(h, alpha) * smith, 0.0)
 
 
 def sample_visible_normal(sample: mi.Point2f, wo: mi.Vector3f, roughness: mi.Float) -> mi.Vector3f:

@@ -1,0 +1,38 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Engine command `estimate`: the three stages of the paper on a run folder, resumable stage by stage.
+
+Order (paper Sec. 4): pixels, stage 1 (bake), then stage 2 (train, emitters), and `rounds` times stage 3
+(refine) and stage 2 again.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..device.variant import set_variant
+from .messages import Reporter
+from .runfolder import RunFolder
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("run", type=Path, help="run folder with capture.json and room.npz")
+
+
+def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
+    """Estimate materials and lights.
+
+    Raises:
+        FiptError: where the run folder lacks something or the capture can't be used.
+    """
+    folder = RunFolder(arguments.run)
+    settings = folder.read()
+    set_variant(settings.device)
+    # The stages import Mitsuba names at load, which needs the variant.
+    from .stages import Estimation
+
+    estimation = Estimation(folder, settings, reporter)
+    estimation.run()
+    reporter.done([str(path) for path in estimation.files()], estimation.summary())

@@ -1,0 +1,428 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The stages of one estimation, each with a checkpoint: what a killed run has done is not done again."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import torch
+
+from ..capture.images import write_exr
+from ..capture.views import load_capture
+from ..device.variant import torch_device
+from ..light.cache import SIDES, SurfaceLookup, VoxelGrid, make_grid, pool
+from ..light.emitters import (
+    Fixture,
+    bright_triangles,
+    emitter_table,
+    find_emitters,
+    group_fixtures,
+)
+from ..light.environment import Environment, estimate_environment
+from ..light.radiance import CachedRadiance, TracedRadiance
+from ..light.shadings import SampleCounts, roughness_levels
+from ..light.views import ShadingStore, bake_views, open_shadings
+from ..material.fields import Fields, count_coverage, new_networks_generator, room_box
+from ..material.networks import BrdfNetwork, EmissionNetwork, emission_mask, useful_hash_levels
+from ..material.projection import project
+from ..material.training import TrainingData, pretrain, train
+from ..render.environment import EnvironmentLight
+from ..render.lights import AreaLights
+from ..scene.labels import Parts, choose_parts
+from ..scene.pixels import PixelStore, fill_pixels, open_pixels
+from ..scene.room import load_room, triangle_normals
+from .checkpoints import Checkpoints, input_key
+from .errors import FiptError
+from .messages import Reporter, peak_memory_gb
+from .runfolder import RunFolder, explained_write_errors, write_json
+from .settings import Settings
+
+# Pixels that the closed-form start looks at; more change nothing but its time.
+PROJECTION_PIXELS = 600_000
+# Expected seconds of each stage in proportion, for the progress bar only.
+_WEIGHTS = {"pixels": 0.1, "shadings": 1.0, "training": 1.6, "refinement": 1.2}
+
+
+class Estimation:
+    """One estimation on a run folder.
+
+    Args:
+        folder: holds capture.json and room.npz.
+        settings: of the run.
+        reporter: gets stages, progress and warnings.
+    """
+
+    def __init__(self, folder: RunFolder, settings: Settings, reporter: Reporter) -> None:
+        self.folder, self.settings, self.reporter = folder, settings, reporter
+        self.device = torch.device(torch_device())
+        self.capture = load_capture(folder)
+        self.room = load_room(folder)
+        if not self.capture.train:
+            raise FiptError("views-none", "The capture has no training views.", "Add photographs.")
+        self.levels = roughness_levels(
+            settings.roughness_levels, settings.roughness_min, settings.roughness_spacing
+        )
+        self.box = room_box(self.room.bounds)
+        self.checkpoints = Checkpoints(
+            folder.stage, input_key(settings, [folder.capture_json, folder.room_npz, folder.room_json])
+        )
+        self.pixels: PixelStore
+        self.parts: Parts
+        self.grid: VoxelGrid
+        self.environment: Environment | None = None
+        self.scale = 1.0
+        self.fixtures: list[Fixture] = []
+        self.brdf: BrdfNetwork
+        self.emission: EmissionNetwork
+
+    def run(self) -> None:
+        """All stages that are not done yet."""
+        rounds = self.settings.rounds
+        names = ["pixels", "shadings", "training-0"]
+        for index in range(1, rounds + 1):
+            names += [f"refinement-{index}", f"training-{index}"]
+        steps = [self.settings.training_steps] + [self.settings.later_training_steps] * rounds
+        weights = []
+        for name in names:
+            kind, _, index = name.partition("-")
+            share = steps[int(index)] / max(steps[0], 1) if kind == "training" else 1.0
+            weights.append(_WEIGHTS[kind] * share)
+        self.reporter.plan(weights)
+        with explained_write_errors(self.folder.stage):
+            self._stage(names[0], "Tracing the photographs' pixels", self._trace, self._load_pixels)
+            self._prepare()
+            self._stage(names[1], "Stage 1: baking shadings from the photographs", self._bake, lambda: None)
+            for index in range(rounds + 1):
+                if index:
+                    self._stage(
+                        f"refinement-{index}",
+                        f"Stage 3: refining shadings (round {index} of {rounds})",
+                        lambda i=index: self._refine(i),
+                        lambda: None,
+                    )
+                self._stage(
+                    f"training-{index}",
+                    f"Stage 2: training materials (round {index} of {rounds})",
+                    lambda i=index: self._train(i, steps[i]),
+                    lambda i=index: self._load_training(i),
+                )
+            self._write_results()
+
+    def _stage(
+        self,
+        name: str,
+        text: str,
+        work: Callable[[], dict[str, Any] | None],
+        load: Callable[[], None],
+    ) -> None:
+        """Do one stage, or load its results where a checkpoint says that it is done."""
+        if self.checkpoints.done(name):
+            load()
+            self.reporter.skip()
+            return
+        self.reporter.stage(name, text)
+        started = time.monotonic()
+        facts = work() or {}
+        facts["seconds"] = round(time.monotonic() - started, 2)
+        if facts.get("rays"):
+            facts["mrays_per_second"] = round(facts["rays"] / facts["seconds"] / 1e6, 3)
+        self.checkpoints.mark(name, facts)
+
+    # Pixels
+
+    def _trace(self) -> dict[str, Any]:
+        self.pixels = open_pixels(self.folder.stage / "pixels", self.capture.train, create=True)
+        self.scale = fill_pixels(self.pixels, self.room, None, self.reporter.progress)
+        self.checkpoints.remember("scale", self.scale)
+        return {"rays": 5 * len(self.pixels)}
+
+    def _load_pixels(self) -> None:
+        self.pixels = open_pixels(self.folder.stage / "pixels", self.capture.train)
+        self.scale = float(self.checkpoints.recall("scale"))
+
+    def _prepare(self) -> None:
+        """Everything that follows from the pixels and is quick to make again."""
+        ranges = self.pixels.ranges
+        triangles = [
+            np.asarray(self.pixels.triangle[ranges[i] : ranges[i + 1]]) for i in range(len(ranges) - 1)
+        ]
+        self.parts = choose_parts(self.room, self.capture.train, triangles)
+        self.hit = np.flatnonzero(self.pixels.triangle >= 0)
+        triangle = self.pixels.triangle[self.hit]
+        normals = triangle_normals(self.room.vertices, self.room.triangles)
+        side = np.where(self.pixels.front[self.hit], 1.0, -1.0)
+        position = np.asarray(self.pixels.position[self.hit])
+        seen = normals[triangle] * side[:, None]
+        rng = np.random.default_rng([self.settings.seed, 1])
+        self.grid = make_grid(self.room, position, seen, self.settings.voxel_resolution, rng)
+        self.entries = self.grid.entries(position, seen)
+        self.environment = self._estimate_environment()
+        distance = np.linalg.norm(
+            position[::7] - self.pixels.camera_positions()[self.pixels.view_of(self.hit[::7])], axis=1
+        )
+        focal = np.array([min(view.fx, view.fy) for view in self.pixels.views])
+        footprint = float(np.median(distance / focal[self.pixels.view_of(self.hit[::7])]))
+        generator = new_networks_generator(self.settings)
+        self.hash_levels = useful_hash_levels(self.settings, self.box.extent, footprint)
+        self.brdf = BrdfNetwork(self.settings, self.hash_levels, generator, self.device)
+        self.emission = EmissionNetwork(self.settings, generator, self.device)
+
+    def _estimate_environment(self) -> Environment | None:
+        missed = np.flatnonzero(self.pixels.triangle < 0)
+        if not len(missed):
+            return None
+        directions = np.empty((len(missed), 3))
+        view_of = self.pixels.view_of(missed)
+        for index in np.unique(view_of):
+            _, rays = self.pixels.views[index].rays()
+            chosen = view_of == index
+            directions[chosen] = rays[missed[chosen] - self.pixels.ranges[index]]
+        radiance = np.asarray(self.pixels.radiance[missed])
+        return estimate_environment(directions, radiance, self.settings.environment_width)
+
+    # Stage 1
+
+    def _environment_light(self) -> EnvironmentLight | None:
+        return None if self.environment is None else EnvironmentLight(self.environment.image)
+
+    def _cache(self, without: np.ndarray | None = None) -> SurfaceLookup:
+        """The radiance cache of all pixels, or of all but those on the triangles `without` ((T,) bool)."""
+        keep = slice(None)
+        if without is not None and without.any():
+            keep = ~without[self.pixels.triangle[self.hit]]
+        radiance = np.asarray(self.pixels.radiance[self.hit[keep]])
+        return SurfaceLookup(self.grid, pool(self.grid, self.entries[keep], radiance)[0])
+
+    def _bake(self) -> dict[str, Any]:
+        settings = self.settings
+        store = self._open_shadings(create=True)
+        guide = bright_triangles(
+            self.room,
+            np.asarray(self.pixels.triangle),
+            np.asarray(self.pixels.front),
+            np.asarray(self.pixels.radiance),
+        )
+        rays = bake_views(
+            store,
+            self.pixels,
+            self.room,
+            CachedRadiance(self.room, self._cache(), self._environment_light()),
+            AreaLights(self.room.vertices, self.room.triangles, guide),
+            self.levels,
+            SampleCounts(settings.diffuse_spp, settings.specular_spp, settings.light_spp),
+            settings.denoise,
+            settings.denoise_specular,
+            settings.seed * 31 + 1,
+            self.reporter.progress,
+        )
+        return {"rays": rays}
+
+    def _open_shadings(self, create: bool = False) -> ShadingStore:
+        return open_shadings(self.folder.stage / "shadings", len(self.pixels), len(self.levels), create)
+
+    # Stage 2
+
+    def _training_data(self) -> TrainingData:
+        shadings = self._open_shadings()
+        part = np.full(len(self.pixels), -1, np.int32)
+        part[self.hit] = self.parts.triangle_part[self.pixels.triangle[self.hit]]
+        pure = np.asarray(self.pixels.pure)[self.hit]
+        # Mixed pixels only count where no pixel sees the surface alone.
+        alone = np.bincount(self.entries, pure, minlength=len(self.grid.voxels) * SIDES)
+        pool_rows = self.hit[pure | (alone[self.entries] == 0)]
+        return TrainingData(
+            pool=pool_rows,
+            position=self.pixels.position,
+            radiance=self.pixels.radiance,
+            part=part,
+            diffuse=shadings.diffuse,
+            specular=shadings.specular,
+            levels=self.levels,
+            part_kind=self.parts.kind,
+            normalise=self.box.normalise,
+        )
+
+    def _train(self, index: int, steps: int) -> dict[str, Any]:
+        settings = self.settings
+        data = self._training_data()
+        checkpoint = self.folder.stage / f"training-{index}.pt"
+        if index == 0 and not checkpoint.exists():
+            self._start_closed_form(data)
+        train(
+            self.brdf,
+            self.emission,
+            data,
+            settings,
+            steps,
+            index,
+            self.device,
+            checkpoint,
+            self.reporter.progress,
+        )
+        self._extract_emitters(index)
+        self.checkpoints.save_tensors(
+            f"networks-{index}", {"brdf": self.brdf.state_dict(), "emission": self.emission.state_dict()}
+        )
+        checkpoint.unlink(missing_ok=True)
+        return {"steps": steps, "hash_levels": self.hash_levels}
+
+    def _start_closed_form(self, data: TrainingData) -> None:
+        rng = np.random.default_rng([self.settings.seed, 2])
+        rows = data.pool
+        if len(rows) > PROJECTION_PIXELS:
+            rows = np.sort(rng.choice(rows, PROJECTION_PIXELS, replace=False))
+        entry = np.zeros(len(self.pixels), np.int64)
+        entry[self.hit] = self.entries
+        guess = project(
+            np.asarray(data.radiance[rows], np.float32),
+            np.asarray(data.diffuse[rows], np.float32),
+            np.asarray(data.specular[rows], np.float32),
+            self.levels,
+            entry[rows],
+            data.part[rows],
+        )
+        pretrain(self.brdf, data, guess, rows, self.settings, self.device)
+
+    def _load_training(self, index: int) -> None:
+        state = self.checkpoints.load_tensors(f"networks-{index}", self.device)
+        self.brdf.load_state_dict(state["brdf"])
+        self.emission.load_state_dict(state["emission"])
+        self._extract_emitters(index)
+
+    def _mask(self, positions: np.ndarray) -> np.ndarray:
+        result = np.empty(len(positions), np.float32)
+        with torch.no_grad():
+            for start in range(0, len(positions), 1 << 16):
+                part = slice(start, start + (1 << 16))
+                inputs = torch.from_numpy(self.box.normalise(positions[part])).to(self.device)
+                result[part] = emission_mask(self.emission(inputs)).cpu().numpy()
+        return result
+
+    def _extract_emitters(self, index: int) -> None:
+        rng = np.random.default_rng([self.settings.seed, 3, index])
+        emitting = find_emitters(
+            self.room, self._mask, self.settings.emitter_threshold, self.settings.emitter_samples, rng
+        )
+        self.fixtures = group_fixtures(
+            self.room,
+            emitting,
+            np.asarray(self.pixels.triangle),
+            np.asarray(self.pixels.front),
+            np.asarray(self.pixels.pure),
+            np.asarray(self.pixels.radiance),
+        )
+
+    # Stage 3
+
+    def _refine(self, index: int) -> dict[str, Any]:
+        settings = self.settings
+        table = emitter_table(self.fixtures)
+        lights = AreaLights(self.room.vertices, self.room.triangles, table)
+        emitting = np.zeros(len(self.room.triangles), bool)
+        emitting[table.triangles] = True
+        source = TracedRadiance(
+            self.room,
+            self._cache(without=emitting),
+            self._material_lookup(),
+            lights,
+            self._environment_light(),
+            settings.cache_roughness,
+            settings.refine_depth,
+        )
+        rays = bake_views(
+            self._open_shadings(create=True),
+            self.pixels,
+            self.room,
+            source,
+            lights,
+            self.levels,
+            SampleCounts(settings.refine_diffuse_spp, settings.refine_specular_spp, settings.refine_light_spp),
+            settings.denoise,
+            settings.denoise_specular,
+            settings.seed * 31 + 1 + index,
+            self.reporter.progress,
+        )
+        return {"rays": rays}
+
+    def _material_lookup(self) -> SurfaceLookup:
+        """The BRDF network's values at the mean seen position of each cache entry."""
+        position = np.asarray(self.pixels.position[self.hit])
+        mean, count = pool(self.grid, self.entries, position)
+        values = np.zeros((len(mean), 5), np.float32)
+        values[:, 3] = 1.0
+        seen = np.flatnonzero(count)
+        color, roughness, metallic = self._fields().query(mean[seen])
+        found = np.concatenate([color, roughness[:, None], metallic[:, None]], axis=1)
+        return SurfaceLookup(self.grid, pool(self.grid, seen, found)[0])
+
+    # Results
+
+    def _fields(self) -> Fields:
+        coverage = count_coverage(self.box, np.asarray(self.pixels.position[self.hit]))
+        return Fields(self.brdf, self.box, coverage)
+
+    def _write_results(self) -> None:
+        folder = self.folder
+        folder.results.mkdir(parents=True, exist_ok=True)
+        self._fields().save(folder)
+        np.savez(folder.results / "parts.npz", triangle_part=self.parts.triangle_part)
+        environment = None
+        if self.environment is not None:
+            write_exr(folder.environment_exr, self.environment.image * self.scale)
+            environment = {
+                "image": folder.environment_exr.name,
+                "observed_share": self.environment.observed_share,
+            }
+        fixtures = [
+            _describe(fixture, f"Fixture.{number:03d}", self.scale)
+            for number, fixture in enumerate(self.fixtures, start=1)
+        ]
+        if not fixtures and environment is None:
+            self.reporter.warning(
+                "no-emitter",
+                "No surface was found to emit light, and no view looks outside.",
+                "Check that a photograph shows the lamps, and that they are not over-exposed.",
+            )
+        write_json(folder.emitters_json, {"fixtures": fixtures, "environment": environment})
+        write_json(folder.statistics_json, self.summary())
+
+    def summary(self) -> dict[str, Any]:
+        """Stage times, rays and memory."""
+        return {
+            "stages": self.checkpoints.facts(),
+            "peak_memory_gb": round(peak_memory_gb(), 3),
+            "pixels": len(self.pixels),
+            "triangles": len(self.room.triangles),
+            "fixtures": len(self.fixtures),
+            "part_kind": self.parts.kind,
+            "radiance_scale": self.scale,
+            "variant": mi.variant(),
+            "settings": asdict(self.settings),
+        }
+
+    def files(self) -> list[Path]:
+        """The results in open formats."""
+        folder = self.folder
+        wanted = [folder.fields_npz, folder.emitters_json, folder.environment_exr, folder.statistics_json]
+        return [path for path in wanted if path.exists()]
+
+
+def _describe(fixture: Fixture, name: str, scale: float) -> dict[str, Any]:
+    """A fixture for emitters.json, in the photographs' units; power is pi A L of both sides, in watts."""
+    front, back = fixture.radiance * scale, fixture.back_radiance * scale
+    return {
+        "name": name,
+        "triangles": fixture.triangles.tolist(),
+        "radiance": front.tolist(),
+        "back_radiance": back.tolist(),
+        "area": fixture.area,
+        "centroid": fixture.centroid.tolist(),
+        "power": (np.pi * fixture.area * (front + back)).tolist(),
+    }

@@ -1,0 +1,191 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The radiance cache L': all photographs averaged on a sparse voxel grid over the surfaces (paper Sec. 4.2).
+
+A voxel keeps six values, one for each dominant direction of the surface's normal, so that the two sides of
+a lamp shade or a thin wall, or the two walls of a corner, do not mix. Voxels that no view saw take the mean
+of the smallest coarser voxel that has data, instead of black.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..scene.room import Room, triangle_normals
+
+SIDES = 6
+# Hits are moved off their surface by this share of a voxel, so that a wall on a voxel border stays in one.
+LIFT = 0.25
+
+
+@dataclass(frozen=True)
+class VoxelGrid:
+    """Voxels that hold surfaces, and where their rows are.
+
+    Attributes:
+        low: (3,) float64 lowest corner, metres.
+        size: (3,) float64 edge lengths of a voxel, metres.
+        resolution: voxels along each axis.
+        rows: (resolution^3,) int32 row of each voxel; empty voxels near a surface point to a neighbour's
+            row, others to row 0.
+        voxels: (M,) int64 flat voxel index of each row.
+    """
+
+    low: np.ndarray
+    size: np.ndarray
+    resolution: int
+    rows: np.ndarray
+    voxels: np.ndarray
+
+    def flat_index(self, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """(N,) int64 flat voxel index of surface points with normals on the seen side."""
+        cell = (positions + normals * (LIFT * self.size) - self.low) / self.size
+        cell = np.clip(cell.astype(np.int64), 0, self.resolution - 1)
+        return (cell[:, 0] * self.resolution + cell[:, 1]) * self.resolution + cell[:, 2]
+
+    def entries(self, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """(N,) int64 cache entry (row times six plus side) of surface points."""
+        return self.rows[self.flat_index(positions, normals)].astype(np.int64) * SIDES + side_index(normals)
+
+
+def side_index(normals: np.ndarray) -> np.ndarray:
+    """(N,) int64 in 0..5: dominant axis of each normal, twice, plus one where it is negative."""
+    axis = np.abs(normals).argmax(axis=1)
+    negative = np.take_along_axis(normals, axis[:, None], axis=1)[:, 0] < 0
+    return axis * 2 + negative
+
+
+def make_grid(
+    room: Room, positions: np.ndarray, normals: np.ndarray, resolution: int, rng: np.random.Generator
+) -> VoxelGrid:
+    """Grid over the room's bounds with a row for each voxel that a surface passes through.
+
+    Args:
+        positions: (N, 3) seen surface points, metres.
+        normals: (N, 3) their geometric normals on the seen side.
+    """
+    low, high = room.bounds
+    extent = np.maximum(high - low, 1e-3 * (high - low).max())
+    size = extent / (resolution - 2)
+    low = low - size  # a free layer, so that lifted points stay inside
+    grid = VoxelGrid(low, size, resolution, np.zeros(0, np.int32), np.zeros(0, np.int64))
+    samples, sample_normals = sample_surface(room, float(np.median(size)), rng)
+    flat = [grid.flat_index(positions, normals)]
+    flat += [grid.flat_index(samples, sign * sample_normals) for sign in (1.0, -1.0)]
+    voxels = np.unique(np.concatenate(flat))
+    rows = np.full(resolution**3, -1, np.int32)
+    rows[voxels] = np.arange(len(voxels), dtype=np.int32)
+    _point_to_neighbours(rows.reshape((resolution,) * 3))
+    return VoxelGrid(low, size, resolution, np.maximum(rows, 0), voxels)
+
+
+def sample_surface(room: Room, spacing: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Points all over the mesh, about `spacing` / 2 metres apart, with their geometric normals, (S, 3) each."""
+    wanted = room.areas * 4.0 / spacing**2
+    # A room of odd scale must not ask for billions of points.
+    wanted *= min(1.0, 4e6 / max(wanted.sum(), 1.0))
+    counts = np.maximum(np.ceil(wanted).astype(np.int64), 1)
+    triangle = np.repeat(np.arange(len(counts)), counts)
+    u, v = rng.random((2, len(triangle)))
+    root = np.sqrt(u)
+    corners = room.vertices[room.triangles[triangle]].astype(np.float64)
+    weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=1)
+    points = np.einsum("nc,ncd->nd", weights, corners)
+    return points, triangle_normals(room.vertices, room.triangles)[triangle]
+
+
+def _point_to_neighbours(rows: np.ndarray) -> None:
+    """Let each empty voxel that touches a filled one refer to it, in place; rounding may query it."""
+    filled = rows >= 0
+    for axis in range(3):
+        for step in (1, -1):
+            source = np.roll(rows, step, axis=axis)
+            usable = np.roll(filled, step, axis=axis) & (rows < 0)
+            edge = [slice(None)] * 3
+            edge[axis] = slice(0, 1) if step == 1 else slice(-1, None)
+            usable[tuple(edge)] = False  # np.roll wraps around
+            rows[usable] = source[usable]
+
+
+def pool(grid: VoxelGrid, entries: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Average values on cache entries and fill the entries without any.
+
+    Args:
+        entries: (N,) entry of each value.
+        values: (N, C) floats.
+
+    Returns:
+        (filled (M * 6, C) float32, count (M * 6,) int64 values that fell into each entry).
+    """
+    total = len(grid.voxels) * SIDES
+    count = np.bincount(entries, minlength=total)
+    sums = np.stack([np.bincount(entries, column, minlength=total) for column in values.T], axis=1)
+    mean = sums / np.maximum(count, 1)[:, None]
+    missing = count == 0
+    cell = np.stack(np.unravel_index(grid.voxels, (grid.resolution,) * 3), axis=1)
+    level = 0
+    while missing.any() and (grid.resolution >> level) > 1:
+        level += 1
+        _fill_from_coarser(mean, count, missing, cell >> level, (grid.resolution >> level) + 1)
+    if missing.any():
+        mean[missing] = values.mean(axis=0) if len(values) else 0.0
+    return mean.astype(np.float32), count
+
+
+def _fill_from_coarser(
+    mean: np.ndarray, count: np.ndarray, missing: np.ndarray, coarse: np.ndarray, size: int
+) -> None:
+    """Give missing entries the mean of the observed ones in their coarse voxel and side, in place."""
+    voxel = (coarse[:, 0] * size + coarse[:, 1]) * size + coarse[:, 2]
+    key = (voxel[:, None] * SIDES + np.arange(SIDES)).reshape(-1)
+    observed = count > 0
+    length = size**3 * SIDES
+    number = np.bincount(key[observed], minlength=length)
+    found = missing & (number[key] > 0)
+    for channel in range(mean.shape[1]):
+        sums = np.bincount(key[observed], mean[observed, channel], minlength=length)
+        mean[found, channel] = sums[key[found]] / number[key[found]]
+    missing &= ~found
+
+
+class SurfaceLookup:
+    """Values on the entries of a grid, to be gathered at ray hits inside Dr.Jit kernels.
+
+    Args:
+        grid: the voxels.
+        values: (M * 6, C) float32.
+    """
+
+    def __init__(self, grid: VoxelGrid, values: np.ndarray) -> None:
+        self._resolution = grid.resolution
+        self._low = [float(value) for value in grid.low]
+        self._size = [float(value) for value in grid.size]
+        self._rows = mi.Int32(grid.rows)
+        self._channels = values.shape[1]
+        self._values = mi.Float(np.ascontiguousarray(values, np.float32).reshape(-1))
+
+    def __call__(self, position: Any, side_normal: Any, active: Any = True) -> list[Any]:
+        """The C values at surface points.
+
+        Args:
+            position: Point3f, metres.
+            side_normal: geometric normal on the side of interest.
+        """
+        n = mi.Vector3f(side_normal)
+        size, low = mi.Vector3f(*self._size), mi.Point3f(*self._low)
+        cell = mi.Point3i(dr.floor((position + n * size * LIFT - low) / size))
+        cell = dr.clip(cell, 0, self._resolution - 1)
+        voxel = (cell.x * self._resolution + cell.y) * self._resolution + cell.z
+        row = dr.gather(mi.Int32, self._rows, mi.UInt32(voxel), active)
+        a = dr.abs(n)
+        # The same choice as side_index: the first of equal axes wins.
+        axis = dr.select((a.x >= a.y) & (a.x >= a.z), 0, dr.select(a.y >= a.z, 1, 2))
+        component = dr.select(axis == 0, n.x, dr.select(axis == 1, n.y, n.z))
+        entry = mi.UInt32(row * SIDES + axis * 2 + dr.select(component < 0.0, 1, 0))
+        base = entry * self._channels
+        return [dr.gather(mi.Float, self._values, base + i, active) for i in range(self._channels)]

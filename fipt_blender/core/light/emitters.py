@@ -1,0 +1,244 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Emitters from the emission mask (paper Sec. 4.4 "Emitter extraction"), grouped into fixtures.
+
+A triangle whose mean mask is above the threshold emits; its radiance is the median of the pixels that see
+it, as an emitter is taken to reflect nothing. Connected triangles of like radiance make a fixture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..render.lights import LUMINANCE, EmitterTable
+from ..scene.labels import weld
+from ..scene.room import Room
+
+# A side of a triangle emits if it is at least this bright against the brighter side.
+DIM_SIDE = 0.1
+# Neighbours belong to one fixture where their radiance differs by less than this factor.
+ALIKE = 1.5
+# Triangles that no pixel saw join a fixture whose connected piece of mesh is mostly emitter.
+MOSTLY = 0.5
+SCREENING_SAMPLES = 8
+
+
+@dataclass(frozen=True)
+class Fixture:
+    """A lamp: connected triangles with one radiance a side.
+
+    Attributes:
+        triangles: (n,) int64 room triangle indices.
+        radiance: (3,) of the front side, in the units of the pixels.
+        back_radiance: (3,) of the back side.
+        area: square metres.
+        centroid: (3,) area-weighted, metres.
+    """
+
+    triangles: np.ndarray
+    radiance: np.ndarray
+    back_radiance: np.ndarray
+    area: float
+    centroid: np.ndarray
+
+
+def find_emitters(
+    room: Room,
+    mask: Callable[[np.ndarray], np.ndarray],
+    threshold: float,
+    samples: int,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """(T,) bool, triangles whose mean emission mask over random points exceeds the threshold.
+
+    Triangles are screened with a few samples first; only those with any response get all of them.
+
+    Args:
+        mask: (N, 3) world positions to (N,) alpha.
+        samples: points a triangle.
+    """
+    everything = np.arange(len(room.triangles))
+    screened = mask(_points(room, everything, SCREENING_SAMPLES, rng)).reshape(-1, SCREENING_SAMPLES)
+    candidates = everything[screened.max(axis=1) > 0.1 * threshold]
+    found = np.zeros(len(everything), bool)
+    for start in range(0, len(candidates), 4096):
+        part = candidates[start : start + 4096]
+        mean = mask(_points(room, part, samples, rng)).reshape(-1, samples).mean(axis=1)
+        found[part] = mean > threshold
+    return found
+
+
+def _points(room: Room, triangles: np.ndarray, samples: int, rng: np.random.Generator) -> np.ndarray:
+    """(len(triangles) * samples, 3) float32 points, uniform on each triangle."""
+    u, v = rng.random((2, len(triangles), samples), dtype=np.float32)
+    root = np.sqrt(u)
+    weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=-1)
+    corners = room.vertices[room.triangles[triangles]]
+    return np.einsum("tsc,tcd->tsd", weights, corners).reshape(-1, 3)
+
+
+def side_medians(
+    triangle: np.ndarray, front: np.ndarray, pure: np.ndarray, radiance: np.ndarray, group: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Per-channel median radiance of each group's two sides.
+
+    Pixels that see more than the emitter are left out where a group has others.
+
+    Args:
+        triangle: (N,) triangle of each pixel.
+        front: (N,) whether its front is seen.
+        pure: (N,) whether the pixel sees nothing else.
+        radiance: (N, 3).
+        group: (T,) int group of each triangle, negative without.
+
+    Returns:
+        (groups, 2, 3) medians, front first, and (groups, 2) pixels behind them.
+    """
+    groups = int(group.max(initial=-1)) + 1
+    medians = np.zeros((groups, 2, 3))
+    counts = np.zeros((groups, 2), np.int64)
+    pixel_group = np.where(triangle >= 0, group[np.maximum(triangle, 0)], -1)
+    inside = np.flatnonzero(pixel_group >= 0)
+    key = pixel_group[inside] * 2 + ~front[inside]
+    order = np.argsort(key, kind="stable")
+    starts = np.flatnonzero(np.diff(key[order], prepend=-1))
+    for part in np.split(inside[order], starts[1:]) if len(inside) else []:
+        clean = part[pure[part]]
+        chosen = clean if len(clean) else part
+        where = pixel_group[part[0]], int(not front[part[0]])
+        medians[where] = np.median(radiance[chosen], axis=0)
+        counts[where] = len(chosen)
+    return medians, counts
+
+
+def group_fixtures(
+    room: Room,
+    emitting: np.ndarray,
+    triangle: np.ndarray,
+    front: np.ndarray,
+    pure: np.ndarray,
+    radiance: np.ndarray,
+) -> list[Fixture]:
+    """Fixtures of the emitting triangles, brightest power first.
+
+    Args:
+        emitting: (T,) bool.
+        triangle, front, pure, radiance: of the pixels, as in :func:`side_medians`.
+    """
+    corners = weld(room.vertices)[room.triangles]
+    emitting = _complete(room, corners, emitting, triangle)
+    ids = np.flatnonzero(emitting)
+    if not len(ids):
+        return []
+    own = np.full(len(emitting), -1, np.int64)
+    own[ids] = np.arange(len(ids))
+    medians, counts = side_medians(triangle, front, pure, radiance, own)
+    brightness = (medians * (counts > 0)[..., None] @ LUMINANCE).max(axis=1)
+    seen = counts.sum(axis=1) > 0
+    group = np.full(len(emitting), -1, np.int64)
+    group[ids] = _connected(corners[ids], brightness, seen)
+    medians, counts = side_medians(triangle, front, pure, radiance, group)
+    fixtures = []
+    for index in range(len(medians)):
+        members = np.flatnonzero(group == index)
+        sides = medians[index] * (counts[index] > 0)[:, None]
+        light = sides @ LUMINANCE
+        if not light.max() > 0.0:
+            continue
+        sides = np.where((light >= DIM_SIDE * light.max())[:, None], sides, 0.0)
+        area = room.areas[members]
+        if not area.sum() > 0.0:
+            continue
+        middle = room.vertices[room.triangles[members]].mean(axis=1)
+        centroid = (middle * area[:, None]).sum(axis=0) / area.sum()
+        fixtures.append(Fixture(members, sides[0], sides[1], float(area.sum()), centroid))
+    return sorted(fixtures, key=lambda f: -f.area * float((f.radiance + f.back_radiance) @ LUMINANCE))
+
+
+def _complete(room: Room, corners: np.ndarray, emitting: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+    """Add triangles that no pixel saw where most of the seen area of their piece of mesh emits."""
+    piece = _pieces(corners)
+    seen = np.zeros(len(emitting), bool)
+    seen[triangle[triangle >= 0]] = True
+    area = room.areas
+    seen_area = np.bincount(piece, area * seen)
+    emitting_area = np.bincount(piece, area * (seen & emitting))
+    mostly = emitting_area > MOSTLY * np.maximum(seen_area, 1e-30)
+    return emitting | (~seen & mostly[piece])
+
+
+def _pieces(corners: np.ndarray) -> np.ndarray:
+    """(T,) int64 connected piece of each triangle, by shared (welded) vertices."""
+    label = np.arange(int(corners.max(initial=0)) + 1)
+    while True:
+        lowest = label[corners].min(axis=1)
+        update = label.copy()
+        np.minimum.at(update, corners.reshape(-1), np.repeat(lowest, 3))
+        update = update[update]  # pointer jumping
+        if (update == label).all():
+            return np.unique(label[corners[:, 0]], return_inverse=True)[1]
+        label = update
+
+
+def _connected(corners: np.ndarray, brightness: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """(n,) int64 group of each emitting triangle: neighbours (shared vertex) of like brightness.
+
+    Triangles without pixels join any neighbour.
+    """
+    label = np.arange(len(corners))
+    order = np.argsort(corners.reshape(-1), kind="stable")
+    vertex = corners.reshape(-1)[order]
+    owner = order // 3
+    first = np.concatenate([[True], vertex[1:] != vertex[:-1]])
+    anchor = owner[np.maximum.accumulate(np.where(first, np.arange(len(owner)), 0))]
+    pairs = np.concatenate(
+        [np.stack([owner[1:], owner[:-1]], axis=1)[vertex[1:] == vertex[:-1]], np.stack([owner, anchor], axis=1)]
+    )
+    low, high = np.sort(brightness[pairs], axis=1).T
+    like = ~(seen[pairs].all(axis=1)) | (high <= ALIKE * np.maximum(low, 1e-12))
+    pairs = pairs[like]
+    while True:
+        lowest = label[pairs].min(axis=1)
+        update = label.copy()
+        np.minimum.at(update, pairs.reshape(-1), np.repeat(lowest, 2))
+        update = update[update]
+        if (update == label).all():
+            return np.unique(label, return_inverse=True)[1]
+        label = update
+
+
+def emitter_table(fixtures: list[Fixture]) -> EmitterTable:
+    """The fixtures' triangles as light sources."""
+    if not fixtures:
+        return EmitterTable.empty()
+    return EmitterTable(
+        np.concatenate([f.triangles for f in fixtures]).astype(np.int32),
+        np.concatenate([np.tile(f.radiance, (len(f.triangles), 1)) for f in fixtures]).astype(np.float32),
+        np.concatenate([np.tile(f.back_radiance, (len(f.triangles), 1)) for f in fixtures]).astype(np.float32),
+    )
+
+
+def bright_triangles(
+    room: Room, triangle: np.ndarray, front: np.ndarray, radiance: np.ndarray, factor: float = 8.0
+) -> EmitterTable:
+    """Triangles worth aiming rays at before any emitter is known: much brighter than the room's mean.
+
+    Only sampling depends on them, never the result's expectation.
+    """
+    count = len(room.triangles)
+    sides = []
+    for side in (front, ~front):
+        chosen = (triangle >= 0) & side
+        number = np.bincount(triangle[chosen], minlength=count)
+        sums = [np.bincount(triangle[chosen], radiance[chosen, c], minlength=count) for c in range(3)]
+        sides.append(np.stack(sums, axis=1) / np.maximum(number, 1)[:, None])
+    light = np.maximum(sides[0] @ LUMINANCE, sides[1] @ LUMINANCE)
+    seen = light > 0
+    mean = float(np.average(light[seen], weights=room.areas[seen])) if (room.areas * seen).sum() > 0 else 0.0
+    bright = np.flatnonzero(light > factor * mean) if mean > 0 else np.zeros(0, np.int64)
+    return EmitterTable(
+        bright.astype(np.int32), sides[0][bright].astype(np.float32), sides[1][bright].astype(np.float32)
+    )

@@ -1,0 +1,193 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Baking of the diffuse and specular shadings (paper Sec. 4.1 to 4.3, Eq. 6, 8 and 9).
+
+One kernel serves stage 1 and stage 3; they differ in where the radiance along a ray comes from
+(:mod:`.radiance`). All rays of a pixel are one pool: cosine samples, visible-normal samples of every
+roughness level and samples aimed at lights are weighted by the balance heuristic and count for L_d and for
+L_s0 and L_s1 of every level at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..material import brdf
+from ..render.lights import AreaLights
+from .radiance import RadianceSource, new_path
+
+# Low-discrepancy increments of the R2 sequence (M. Roberts, 2018).
+_R2 = (0.7548776662466927, 0.5698402909980532)
+
+
+@dataclass(frozen=True)
+class SampleCounts:
+    """Samples a pixel: cosine-distributed, for each roughness level, and aimed at lights."""
+
+    diffuse: int
+    specular: int
+    light: int
+
+
+@dataclass(frozen=True)
+class ShadingPoints:
+    """Surface points to shade; numpy arrays, one row a pixel.
+
+    Attributes:
+        position: (N, 3) float32, metres.
+        normal: (N, 3) float32 unit shading normal towards the viewer.
+        geometric_normal: (N, 3) float32 unit, on the viewer's side.
+        view_direction: (N, 3) float32 unit, towards the viewer.
+    """
+
+    position: np.ndarray
+    normal: np.ndarray
+    geometric_normal: np.ndarray
+    view_direction: np.ndarray
+
+
+@dataclass(frozen=True)
+class Shadings:
+    """Baked shadings of some points, in the units of the radiance source.
+
+    Attributes:
+        diffuse: (N, 3) float32, L_d.
+        specular: (N, K, 2, 3) float32, L_s0 and L_s1 at each roughness level.
+    """
+
+    diffuse: np.ndarray
+    specular: np.ndarray
+
+
+def roughness_levels(count: int, lowest: float, spacing: float) -> np.ndarray:
+    """(count,) float32 roughness levels from `lowest` to 1.
+
+    `spacing` 1 is the paper's linear spacing; above 1 the levels stand closer where lobes are sharp and
+    linear interpolation errs most.
+    """
+    t = np.linspace(0.0, 1.0, count) ** spacing
+    return (lowest + (1.0 - lowest) * t).astype(np.float32)
+
+
+def bake(
+    points: ShadingPoints,
+    source: RadianceSource,
+    lights: AreaLights,
+    levels: np.ndarray,
+    counts: SampleCounts,
+    seed: int,
+) -> Shadings:
+    """Estimate L_d, L_s0 and L_s1 of each point.
+
+    Unbiased for the radiance that `source` returns: what a ray meets first is either one of `lights`, which
+    all techniques may sample, or not, which only the BRDF techniques sample; both parts have weights that
+    sum to one.
+
+    Args:
+        lights: triangles to aim at; only their sampling is used, radiance always comes from `source`.
+        seed: of the random numbers; the same seed gives the same result.
+    """
+    width = len(points.position)
+    if not width:
+        return Shadings(np.zeros((0, 3), np.float32), np.zeros((0, len(levels), 2, 3), np.float32))
+    accumulators = _bake_kernel(
+        _vector(mi.Point3f, points.position),
+        mi.Frame3f(_vector(mi.Normal3f, points.normal)),
+        _vector(mi.Normal3f, points.geometric_normal),
+        _vector(mi.Vector3f, points.view_direction),
+        source,
+        lights,
+        [float(level) for level in levels],
+        counts.diffuse,
+        counts.specular,
+        counts.light if lights.count else 0,
+        seed,
+    )
+    dr.eval(accumulators)
+    arrays = [np.array(value).T for value in accumulators]
+    specular = np.stack(arrays[1:], axis=1).reshape(width, len(levels), 2, 3)
+    return Shadings(arrays[0], specular)
+
+
+def _vector(kind: Any, array: np.ndarray) -> Any:
+    return kind(np.ascontiguousarray(np.asarray(array, np.float32).T))
+
+
+@dr.syntax
+def _bake_kernel(
+    position: Any,
+    frame: Any,
+    geometric: Any,
+    view: Any,
+    source: RadianceSource,
+    lights: AreaLights,
+    levels: list[float],
+    cosine_count: int,
+    level_count: int,
+    light_count: int,
+    seed: int,
+) -> list[Any]:
+    """One loop over the vertices of all paths of a pixel: each pass adds a vertex to the path of sample i,
+    and a path that ends makes room for the next sample."""
+    wo = frame.to_local(view)
+    wo.z = dr.maximum(wo.z, 1e-3)  # interpolated normals may tip just over the horizon
+    wo = dr.normalize(wo)
+    rng = mi.PCG32(dr.width(position), dr.opaque(mi.UInt64, seed))
+    shift = mi.Point2f(rng.next_float32(), rng.next_float32())
+    accumulators = [mi.Color3f(0.0) for _ in range(1 + 2 * len(levels))]
+    roughness_of = mi.Float(levels)
+    brdf_count = cosine_count + level_count * len(levels)
+    total = brdf_count + light_count
+    i = mi.UInt32(0)
+    starts = mi.Bool(True)
+    wi = mi.Vector3f(0.0, 0.0, 1.0)
+    direction = mi.Vector3f(0.0, 0.0, 1.0)
+    density = mi.Float(1.0)
+    path = new_path(dr.width(position))
+    while i < total:
+        # A new path's direction, by one of the techniques.
+        u = mi.Point2f(shift.x + i * _R2[0], shift.y + i * _R2[1])
+        u = u - dr.floor(u)
+        level = dr.clip((mi.Int32(i) - cosine_count) // level_count, 0, len(levels) - 1)
+        roughness = dr.gather(mi.Float, roughness_of, mi.UInt32(level))
+        cosine = mi.warp.square_to_cosine_hemisphere(u)
+        first = dr.select(i < cosine_count, cosine, brdf.sample_visible_normal(u, wo, roughness))
+        aimed = starts & (i >= brdf_count)
+        if dr.hint(light_count > 0, mode="scalar"):
+            target = lights.sample(rng.next_float32(), u.x, u.y)
+            first = dr.select(aimed, frame.to_local(dr.normalize(target.position - position)), first)
+        wi = dr.select(starts, first, wi)
+        path = dr.select(starts, new_path(), path)
+        direction = dr.select(starts, frame.to_world(wi), direction)
+        path.origin = dr.select(starts, position + mi.Vector3f(geometric) * source.offset, path.origin)
+        alive = ~starts | ((wi.z > 0.0) & (dr.dot(direction, geometric) > 0.0))
+        hit = source.intersect(mi.Ray3f(path.origin, direction), alive)
+
+        pdf = cosine_count * dr.maximum(wi.z, 0.0) * dr.inv_pi
+        for roughness_level in levels:
+            pdf += level_count * brdf.visible_normal_pdf(wi, wo, roughness_level)
+        if dr.hint(light_count > 0, mode="scalar"):
+            emitter = lights.pdf_direction(
+                hit.triangle, hit.distance, dr.dot(hit.geometric_normal, direction), hit.valid
+            )
+            # An aimed ray that meets something else first belongs to the other techniques.
+            alive &= ~aimed | (emitter > 0.0)
+            pdf += light_count * emitter
+        density = dr.select(starts, pdf, density)
+        alive &= density > 1e-20
+        path, direction, goes_on = source.step(path, direction, hit, rng, alive)
+        starts = ~goes_on
+
+        weighted = dr.select(starts, path.radiance / dr.maximum(density, 1e-20), 0.0)
+        accumulators[0] += weighted * (dr.maximum(wi.z, 0.0) * dr.inv_pi)
+        for k in range(len(levels)):
+            s0, s1 = brdf.specular_lobes(wi, wo, levels[k])
+            accumulators[1 + 2 * k] += weighted * s0
+            accumulators[2 + 2 * k] += weighted * s1
+        i += dr.select(starts, mi.UInt32(1), mi.UInt32(0))
+    return accumulators

@@ -1,0 +1,199 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Stage 2: fitting the networks to the photographs with fixed shadings (paper Sec. 4.5).
+
+Every random choice depends on (seed, round, step) alone, so a training that was killed goes on from its last
+checkpoint and ends with the same weights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ..job.runfolder import atomic_path
+from ..job.settings import Settings
+from . import losses
+from .networks import BrdfNetwork, EmissionNetwork, emission_mask
+from .projection import Guess
+
+# Share of steps in which the learning rate has fallen to a tenth.
+_DECAY = 0.1
+_PRETRAINING_STEPS = 200
+_PRETRAINING_RATE = 5e-3
+_PARTNERS = 1024
+
+
+@dataclass
+class TrainingData:
+    """Per-pixel arrays that training draws from; memory-mapped arrays will do.
+
+    Attributes:
+        pool: (P,) int64 pixels to train on.
+        position: (N, 3) float32 normalised to the unit cube by `normalise`.
+        radiance: (N, 3) in units of the capture's median.
+        part: (N,) int part of each pixel, negative without.
+        diffuse: (N, 3) L_d.
+        specular: (N, K, 2, 3) L_s0 and L_s1.
+        levels: (K,) roughness levels.
+        part_kind: part, semantic or none.
+        normalise: world positions to the unit cube.
+    """
+
+    pool: np.ndarray
+    position: np.ndarray
+    radiance: np.ndarray
+    part: np.ndarray
+    diffuse: np.ndarray
+    specular: np.ndarray
+    levels: np.ndarray
+    part_kind: str
+    normalise: Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass
+class Batch:
+    """Rows of the training data as tensors on the training device."""
+
+    position: torch.Tensor
+    radiance: torch.Tensor
+    part: torch.Tensor
+    diffuse: torch.Tensor
+    specular: torch.Tensor
+
+
+def gather_batch(data: TrainingData, rows: np.ndarray, device: torch.device) -> Batch:
+    """Read rows; sorted access keeps memory-mapped files fast."""
+    rows = np.sort(rows)
+
+    def tensor(array: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(np.asarray(array[rows], np.float32)).to(device)
+
+    return Batch(
+        position=torch.from_numpy(data.normalise(np.asarray(data.position[rows]))).to(device),
+        radiance=tensor(data.radiance),
+        part=torch.from_numpy(np.asarray(data.part[rows], np.int64)).to(device),
+        diffuse=tensor(data.diffuse),
+        specular=tensor(data.specular),
+    )
+
+
+def total_loss(
+    brdf: BrdfNetwork,
+    emission: EmissionNetwork,
+    batch: Batch,
+    levels: torch.Tensor,
+    part_kind: str,
+    settings: Settings,
+    partners: torch.Tensor,
+) -> torch.Tensor:
+    """l + l_e + l_d + l_p of one batch (paper Eq. 12 to 17)."""
+    prediction = brdf(batch.position)
+    raw = emission(batch.position)
+    rendered, highlight = losses.factorised_rendering(prediction, batch.diffuse, batch.specular, levels)
+    loss = losses.rendering_loss(rendered, emission_mask(raw), batch.radiance)
+    loss = loss + settings.lambda_emission * losses.emission_loss(raw)
+    loss = loss + settings.lambda_diffuse * losses.diffuse_loss(prediction)
+    if part_kind == "part":
+        loss = loss + settings.lambda_part * losses.part_loss(prediction, highlight, batch.part)
+    elif part_kind == "semantic":
+        loss = loss + settings.lambda_semantic * losses.semantic_loss(
+            prediction,
+            batch.position,
+            batch.part,
+            partners,
+            settings.sigma_albedo,
+            settings.sigma_position,
+        )
+    return loss
+
+
+def pretrain(
+    brdf: BrdfNetwork,
+    data: TrainingData,
+    guess: Guess,
+    guess_rows: np.ndarray,
+    settings: Settings,
+    device: torch.device,
+) -> None:
+    """Fit the BRDF network to a closed-form guess before the first round.
+
+    Args:
+        guess: values at the pixels `guess_rows`.
+    """
+    optimiser = torch.optim.Adam(brdf.parameters(), lr=_PRETRAINING_RATE, fused=True)
+    for step in range(_PRETRAINING_STEPS):
+        rng = np.random.default_rng([settings.seed, 1000, step])
+        chosen = rng.integers(0, len(guess_rows), min(settings.batch_size, len(guess_rows)))
+        position = torch.from_numpy(data.normalise(np.asarray(data.position[guess_rows[chosen]]))).to(device)
+        found = brdf(position)
+        # Inside the sigmoid's range, so that the rendering loss can still move away from 0 and 1.
+        target = torch.from_numpy(
+            np.concatenate(
+                [guess.base_color, guess.roughness[:, None], guess.metallic[:, None]], axis=1
+            )[chosen].clip(0.02, 0.98)
+        ).to(device)
+        values = torch.cat([found.base_color, found.roughness[:, None], found.metallic[:, None]], dim=1)
+        loss = (values - target).square().sum(dim=1).mean()
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        optimiser.step()
+        for group in optimiser.param_groups:
+            group["lr"] = _PRETRAINING_RATE * _DECAY ** ((step + 1) / _PRETRAINING_STEPS)
+
+
+def train(
+    brdf: BrdfNetwork,
+    emission: EmissionNetwork,
+    data: TrainingData,
+    settings: Settings,
+    steps: int,
+    round_index: int,
+    device: torch.device,
+    checkpoint: Path | None,
+    progress: Callable[[float], None],
+) -> None:
+    """Optimise both networks in place with Adam.
+
+    Args:
+        steps: optimiser steps of this round.
+        checkpoint: file for checkpoints, continued from where it exists; None writes none.
+        progress: called with the share of steps done.
+    """
+    parameters = [*brdf.parameters(), *emission.parameters()]
+    optimiser = torch.optim.Adam(parameters, lr=settings.learning_rate, betas=(0.9, 0.99), fused=True)
+    start = 0
+    if checkpoint is not None and checkpoint.exists():
+        state = torch.load(checkpoint, map_location=device, weights_only=True)
+        brdf.load_state_dict(state["brdf"])
+        emission.load_state_dict(state["emission"])
+        optimiser.load_state_dict(state["optimiser"])
+        start = int(state["step"])
+    levels = torch.from_numpy(data.levels).to(device)
+    size = min(settings.batch_size, len(data.pool))
+    for step in range(start, steps):
+        for group in optimiser.param_groups:
+            group["lr"] = settings.learning_rate * _DECAY ** (step / steps)
+        rng = np.random.default_rng([settings.seed, round_index, step])
+        batch = gather_batch(data, data.pool[rng.integers(0, len(data.pool), size)], device)
+        partners = torch.from_numpy(rng.integers(0, size, min(_PARTNERS, size))).to(device)
+        loss = total_loss(brdf, emission, batch, levels, data.part_kind, settings, partners)
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        optimiser.step()
+        progress((step + 1) / steps)
+        if checkpoint is not None and (step + 1) % settings.checkpoint_steps == 0 and step + 1 < steps:
+            with atomic_path(checkpoint) as temporary:
+                torch.save(
+                    {
+                        "brdf": brdf.state_dict(),
+                        "emission": emission.state_dict(),
+                        "optimiser": optimiser.state_dict(),
+                        "step": step + 1,
+                    },
+                    temporary,
+                )

@@ -1,0 +1,135 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Parts: which triangles are of one material, for the regularisation of roughness and metallic.
+
+From the mesh's objects or material slots, or from id images, fused onto the triangles by majority so that
+all views agree (paper, supplementary "Semantic segmentation acquisition").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..capture.views import View
+from .room import Room
+
+NO_PART = -1
+
+
+@dataclass(frozen=True)
+class Parts:
+    """A part for each triangle.
+
+    Attributes:
+        triangle_part: (T,) int32 from 0, NO_PART without one.
+        kind: ``part`` (one material each), ``semantic`` (classes of several materials) or ``none``.
+    """
+
+    triangle_part: np.ndarray
+    kind: str
+
+
+def choose_parts(room: Room, views: Sequence[View], triangles: Sequence[np.ndarray]) -> Parts:
+    """Parts from the source that room.json names; ``auto`` takes the finest that there is.
+
+    Args:
+        triangles: for each view the (H * W,) triangle seen by each pixel, negative where none.
+    """
+    source = room.parts
+    if source == "auto":
+        if any(view.parts for view in views):
+            source = "masks"
+        elif any(view.semantics for view in views):
+            source = "semantics"
+        elif len(np.unique(room.triangle_material)) > 1:
+            source = "materials"
+        elif len(np.unique(room.triangle_object)) > 1:
+            source = "objects"
+        else:
+            source = "none"
+    if source == "masks" and not any(view.parts for view in views):
+        source = "semantics"
+    if source == "semantics" and not any(view.semantics for view in views):
+        source = "none"
+    count = len(room.triangles)
+    if source == "objects":
+        return Parts(room.triangle_object.astype(np.int32), "part")
+    if source == "materials":
+        return Parts(_compact(room.triangle_material), "part")
+    if source in ("masks", "semantics"):
+        images = [view.part_ids() if source == "masks" else view.semantic_ids() for view in views]
+        fused = fuse_masks(images, triangles, count)
+        spread = spread_labels(fused, weld(room.vertices)[room.triangles])
+        return Parts(_compact(spread), "part" if source == "masks" else "semantic")
+    return Parts(np.full(count, NO_PART, np.int32), "none")
+
+
+def fuse_masks(
+    masks: Sequence[np.ndarray | None], triangles: Sequence[np.ndarray], count: int
+) -> np.ndarray:
+    """Each triangle takes the id that most of its pixels have.
+
+    Args:
+        masks: (H, W) int ids of each view, or None; negative ids and 0 (nothing hit) do not count.
+        triangles: (H * W,) triangle seen by each pixel of each view, negative where none.
+        count: number of triangles.
+
+    Returns:
+        (count,) int64 ids, NO_PART where no labelled pixel saw the triangle. Ties go to the lower id.
+    """
+    keys: list[np.ndarray] = []
+    numbers: list[np.ndarray] = []
+    span = 1 + max((int(mask.max(initial=0)) for mask in masks if mask is not None), default=0)
+    for mask, triangle in zip(masks, triangles, strict=True):
+        if mask is None:
+            continue
+        ids = mask.reshape(-1).astype(np.int64)
+        valid = (ids > 0) & (triangle >= 0)
+        key, number = np.unique(triangle[valid].astype(np.int64) * span + ids[valid], return_counts=True)
+        keys.append(key)
+        numbers.append(number)
+    label = np.full(count, NO_PART, np.int64)
+    if not keys:
+        return label
+    key, inverse = np.unique(np.concatenate(keys), return_inverse=True)
+    votes = np.bincount(inverse, np.concatenate(numbers))
+    # The last assignment to a triangle wins, so sort by votes, then by descending id.
+    order = np.lexsort((-(key % span), votes))
+    label[key[order] // span] = key[order] % span
+    return label
+
+
+def spread_labels(labels: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Give triangles without a label the highest one among their neighbours, ring by ring.
+
+    Args:
+        labels: (T,) int, negative without.
+        triangles: (T, 3) welded vertex indices; triangles are neighbours where they share a vertex.
+    """
+    labels = labels.astype(np.int64).copy()
+    while True:
+        vertex = np.full(int(triangles.max(initial=0)) + 1, NO_PART, np.int64)
+        known = labels >= 0
+        np.maximum.at(vertex, triangles[known].reshape(-1), np.repeat(labels[known], 3))
+        found = ~known & (vertex[triangles].max(axis=1) >= 0)
+        if not found.any():
+            return labels
+        labels[found] = vertex[triangles[found]].max(axis=1)
+
+
+def weld(vertices: np.ndarray) -> np.ndarray:
+    """(V,) int64 index of each vertex after merging those at the same place (to 1e-6 of the extent)."""
+    extent = float(np.ptp(vertices, axis=0).max(initial=0.0)) or 1.0
+    cells = np.round(vertices.astype(np.float64) / (1e-6 * extent)).astype(np.int64)
+    return np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def _compact(labels: np.ndarray) -> np.ndarray:
+    """(T,) int32 labels numbered from 0 without gaps; negative ones become NO_PART."""
+    result = np.full(len(labels), NO_PART, np.int32)
+    known = labels >= 0
+    result[known] = np.unique(labels[known], return_inverse=True)[1]
+    return result

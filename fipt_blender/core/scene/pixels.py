@@ -1,0 +1,185 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What each pixel of the training views sees, and all that is stored per pixel.
+
+Arrays are memory-mapped .npy files in the run's stage folder, so that a capture need not fit into RAM.
+Pixels of all views stand one after the other; `ranges` says where each view begins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..capture.images import read_radiance
+from ..capture.views import View
+from ..job.errors import FiptError
+from .room import Room, Surface
+
+NO_TRIANGLE = -1
+
+
+@dataclass
+class PixelStore:
+    """Per-pixel arrays of all training views, memory-mapped.
+
+    Attributes:
+        views: the training views in order.
+        ranges: (n + 1,) int64; view i has pixels ranges[i] to ranges[i + 1].
+        radiance: (N, 3) float32 photographed radiance in units of the capture's median.
+        position: (N, 3) float32 first hit, world metres.
+        normal: (N, 3) float32 shading normal towards the viewer.
+        triangle: (N,) int32, NO_TRIANGLE where the mesh is missed.
+        front: (N,) bool, whether the triangle's front is seen.
+        pure: (N,) bool, whether the whole pixel sees one smooth surface (paper's blind spot: mixed pixels).
+    """
+
+    views: list[View]
+    ranges: np.ndarray
+    radiance: np.ndarray
+    position: np.ndarray
+    normal: np.ndarray
+    triangle: np.ndarray
+    front: np.ndarray
+    pure: np.ndarray
+
+    def __len__(self) -> int:
+        return int(self.ranges[-1])
+
+    def camera_positions(self) -> np.ndarray:
+        """(n, 3) float32 camera centre of each view."""
+        return np.array([view.camera_to_world[:3, 3] for view in self.views], np.float32)
+
+    def view_of(self, pixels: np.ndarray) -> np.ndarray:
+        """Index of the view that each pixel index belongs to."""
+        return np.searchsorted(self.ranges, pixels, side="right") - 1
+
+
+_ARRAYS: dict[str, tuple[type, tuple[int, ...]]] = {
+    "radiance": (np.float32, (3,)),
+    "position": (np.float32, (3,)),
+    "normal": (np.float32, (3,)),
+    "triangle": (np.int32, ()),
+    "front": (np.bool_, ()),
+    "pure": (np.bool_, ()),
+}
+
+
+def open_array(path: Path, shape: tuple[int, ...], dtype: type, create: bool) -> np.ndarray:
+    """A memory-mapped .npy array; new and zero with `create`, else read-only."""
+    if create:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return np.lib.format.open_memmap(path, mode="w+", dtype=dtype, shape=shape)
+    array = np.lib.format.open_memmap(path, mode="r")
+    if array.shape != shape or array.dtype != dtype:
+        raise FiptError("file-damaged", f"{path} does not fit the capture.", "Start the run anew.")
+    return array
+
+
+def open_pixels(folder: Path, views: list[View], create: bool = False) -> PixelStore:
+    """Open (or make) the arrays of the given views in `folder`."""
+    counts = [view.width * view.height for view in views]
+    ranges = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    total = int(ranges[-1])
+    arrays = {
+        name: open_array(folder / f"{name}.npy", (total, *tail), dtype, create)
+        for name, (dtype, tail) in _ARRAYS.items()
+    }
+    return PixelStore(views=views, ranges=ranges, **arrays)
+
+
+def trace_pixels(room: Room, view: View, shift: tuple[float, float] = (0.0, 0.0)) -> Surface:
+    """First surface seen through each pixel (row-major), at the centre plus `shift` in pixels."""
+    width, height = view.width, view.height
+    index = dr.arange(mi.UInt32, width * height)
+    # Opaque numbers: literals would make a kernel of its own for each view.
+    numbers = [view.fx, view.fy, view.cx - shift[0] - 0.5, view.cy - shift[1] - 0.5]
+    fx, fy, cx, cy = (dr.opaque(mi.Float, float(number)) for number in numbers)
+    row = index // dr.opaque(mi.UInt32, width)
+    column = index - row * dr.opaque(mi.UInt32, width)
+    local = dr.normalize(mi.Vector3f((mi.Float(column) - cx) / fx, (mi.Float(row) - cy) / fy, 1.0))
+    pose = np.asarray(view.camera_to_world, np.float64)
+    x_axis, y_axis, z_axis = (opaque_vector(mi.Vector3f, pose[:3, axis]) for axis in range(3))
+    direction = x_axis * local.x + y_axis * local.y + z_axis * local.z
+    return room.intersect(mi.Ray3f(opaque_vector(mi.Point3f, pose[:3, 3]), direction))
+
+
+def opaque_vector(kind: type, values: np.ndarray) -> mi.Vector3f:
+    """Three numbers that Dr.Jit must not bake into kernels."""
+    return kind(*[dr.opaque(mi.Float, float(value)) for value in values])
+
+
+def fill_pixels(
+    store: PixelStore, room: Room, labels: np.ndarray | None, progress: Callable[[float], None]
+) -> float:
+    """Trace all views, read their photographs, and return the capture's radiance scale.
+
+    The scale is the median luminance of all pixels that are not black; `store.radiance` is divided by it,
+    so that nothing after this depends on exposure.
+
+    Args:
+        labels: (T,) part of each triangle, or None; pixels across part borders are not pure.
+
+    Raises:
+        FiptError: ``mesh-unseen`` where no view sees the mesh, ``images-black``.
+    """
+    luminances = []
+    seen = 0
+    for i, view in enumerate(store.views):
+        part = slice(int(store.ranges[i]), int(store.ranges[i + 1]))
+        image = read_radiance(view.image).reshape(-1, 3)
+        store.radiance[part] = image
+        sample = image[:: max(1, len(image) // 20000)].mean(axis=1)
+        luminances.append(sample[sample > 0])
+        surface = trace_pixels(room, view)
+        valid = np.array(surface.valid)
+        seen += int(valid.sum())
+        triangle = np.where(valid, np.array(surface.triangle).astype(np.int32), NO_TRIANGLE)
+        store.triangle[part] = triangle
+        store.position[part] = np.where(valid[:, None], np.array(surface.position).T, 0.0)
+        store.normal[part] = np.where(valid[:, None], np.array(surface.normal).T, 0.0)
+        store.front[part] = np.array(surface.front)
+        store.pure[part] = _pure(room, view, surface, labels)
+        progress((i + 1) / len(store.views))
+    if not seen:
+        raise FiptError(
+            "mesh-unseen",
+            "No camera sees the mesh.",
+            "Check the up axis and the scale: the cameras and the mesh must lie in one space.",
+        )
+    luminance = np.concatenate(luminances)
+    if not len(luminance):
+        raise FiptError("images-black", "All photographs are black.", "Check the images of the capture.")
+    scale = float(np.median(luminance))
+    for i in range(len(store.views)):
+        part = slice(int(store.ranges[i]), int(store.ranges[i + 1]))
+        store.radiance[part] /= scale
+    return scale
+
+
+def _pure(room: Room, view: View, centre: Surface, labels: np.ndarray | None) -> np.ndarray:
+    """Whether the corners of each pixel see the same part, at about the same place and slope."""
+    valid = centre.valid
+    label = None if labels is None else mi.Int32(labels.astype(np.int32))
+    cosine = dr.abs(dr.dot(centre.normal, _toward(view, centre)))
+    # Half a pixel's diagonal on the tangent plane, with room for curvature.
+    reach = 1.5 * centre.distance / dr.opaque(mi.Float, float(min(view.fx, view.fy))) / dr.maximum(cosine, 0.05)
+    pure = mi.Bool(valid)
+    for shift in ((-0.45, -0.45), (0.45, -0.45), (-0.45, 0.45), (0.45, 0.45)):
+        corner = trace_pixels(room, view, shift)
+        pure &= corner.valid & (dr.norm(corner.position - centre.position) < reach)
+        pure &= dr.dot(corner.normal, centre.normal) > 0.8
+        if label is not None:
+            here = dr.gather(mi.Int32, label, centre.triangle, valid)
+            pure &= dr.gather(mi.Int32, label, corner.triangle, corner.valid) == here
+    return np.array(pure)
+
+
+def _toward(view: View, surface: Surface) -> mi.Vector3f:
+    centre = opaque_vector(mi.Point3f, np.asarray(view.camera_to_world)[:3, 3])
+    return dr.normalize(centre - surface.position)
