@@ -24,14 +24,16 @@ from ..light.emitters import (
     emitter_table,
     find_emitters,
     group_fixtures,
+    reflection_explains,
 )
 from ..light.environment import Environment, estimate_environment
 from ..light.radiance import CachedRadiance, TracedRadiance
 from ..light.shadings import SampleCounts, roughness_levels
 from ..light.views import ShadingStore, bake_views, open_shadings
 from ..material.fields import Fields, count_coverage, new_networks_generator, room_box
+from ..material.losses import factorised_rendering
 from ..material.networks import BrdfNetwork, EmissionNetwork, emission_mask, useful_hash_levels
-from ..material.projection import project
+from ..material.projection import Guess, project
 from ..material.training import TrainingData, pretrain, train
 from ..render.environment import EnvironmentLight
 from ..render.lights import AreaLights
@@ -229,15 +231,30 @@ class Estimation:
 
     # Stage 2
 
-    def _training_data(self) -> TrainingData:
+    def _training_data(self) -> tuple[TrainingData, Guess, np.ndarray]:
+        """What training draws from, with the closed-form guess at some of its pixels."""
         shadings = self._open_shadings()
         part = np.full(len(self.pixels), -1, np.int32)
         part[self.hit] = self.parts.triangle_part[self.pixels.triangle[self.hit]]
         pure = np.asarray(self.pixels.pure)[self.hit]
         # Mixed pixels only count where no pixel sees the surface alone.
         alone = np.bincount(self.entries, pure, minlength=len(self.grid.voxels) * SIDES)
-        pool_rows = self.hit[pure | (alone[self.entries] == 0)]
-        return TrainingData(
+        rows = pool_rows = self.hit[pure | (alone[self.entries] == 0)]
+        if len(rows) > PROJECTION_PIXELS:
+            rng = np.random.default_rng([self.settings.seed, 2])
+            rows = np.sort(rng.choice(rows, PROJECTION_PIXELS, replace=False))
+        entry = np.zeros(len(self.pixels), np.int64)
+        entry[self.hit] = self.entries
+        guess = project(
+            np.asarray(self.pixels.radiance[rows], np.float32),
+            np.asarray(shadings.diffuse[rows], np.float32),
+            np.asarray(shadings.specular[rows], np.float32),
+            self.levels,
+            entry[rows],
+            # A semantic class holds several materials: no single pair would fit it.
+            part[rows] if self.parts.kind == "part" else np.full(len(rows), -1, np.int32),
+        )
+        data = TrainingData(
             pool=pool_rows,
             position=self.pixels.position,
             radiance=self.pixels.radiance,
@@ -246,20 +263,22 @@ class Estimation:
             specular=shadings.specular,
             levels=self.levels,
             part_kind=self.parts.kind,
+            part_roughness=guess.part_roughness,
+            part_metallic=guess.part_metallic,
             normalise=self.box.normalise,
         )
+        return data, guess, rows
 
     def _train(self, index: int, steps: int) -> dict[str, Any]:
-        settings = self.settings
-        data = self._training_data()
+        data, guess, rows = self._training_data()
         checkpoint = self.folder.stage / f"training-{index}.pt"
         if index == 0 and not checkpoint.exists():
-            self._start_closed_form(data)
+            pretrain(self.brdf, self.emission, data, guess, rows, self.settings, self.device)
         train(
             self.brdf,
             self.emission,
             data,
-            settings,
+            self.settings,
             steps,
             index,
             self.device,
@@ -272,23 +291,6 @@ class Estimation:
         )
         checkpoint.unlink(missing_ok=True)
         return {"steps": steps, "hash_levels": self.hash_levels}
-
-    def _start_closed_form(self, data: TrainingData) -> None:
-        rng = np.random.default_rng([self.settings.seed, 2])
-        rows = data.pool
-        if len(rows) > PROJECTION_PIXELS:
-            rows = np.sort(rng.choice(rows, PROJECTION_PIXELS, replace=False))
-        entry = np.zeros(len(self.pixels), np.int64)
-        entry[self.hit] = self.entries
-        guess = project(
-            np.asarray(data.radiance[rows], np.float32),
-            np.asarray(data.diffuse[rows], np.float32),
-            np.asarray(data.specular[rows], np.float32),
-            self.levels,
-            entry[rows],
-            data.part[rows],
-        )
-        pretrain(self.brdf, data, guess, rows, self.settings, self.device)
 
     def _load_training(self, index: int) -> None:
         state = self.checkpoints.load_tensors(f"networks-{index}", self.device)
@@ -310,13 +312,40 @@ class Estimation:
         emitting = find_emitters(
             self.room, self._mask, self.settings.emitter_threshold, self.settings.emitter_samples, rng
         )
+        triangle = np.asarray(self.pixels.triangle)
+        emitting &= ~self._explained(emitting)
         self.fixtures = group_fixtures(
             self.room,
             emitting,
-            np.asarray(self.pixels.triangle),
+            triangle,
             np.asarray(self.pixels.front),
             np.asarray(self.pixels.pure),
             np.asarray(self.pixels.radiance),
+        )
+
+    def _explained(self, emitting: np.ndarray) -> np.ndarray:
+        """(T,) bool, triangles whose photographed radiance reflection explains: no emitters, whatever the
+        mask says beside a lamp."""
+        on_emitter = emitting[self.pixels.triangle[self.hit]]
+        rows = self.hit[on_emitter]
+        if not len(rows):
+            return np.zeros(len(emitting), bool)
+        shadings = self._open_shadings()
+        rendered = np.empty((len(rows), 3), np.float32)
+        levels = torch.from_numpy(self.levels).to(self.device)
+        with torch.no_grad():
+            for start in range(0, len(rows), 1 << 15):
+                part = rows[start : start + (1 << 15)]
+                position = self.box.normalise(np.asarray(self.pixels.position[part]))
+                arrays = (position, shadings.diffuse[part], shadings.specular[part])
+                inputs = [torch.from_numpy(np.asarray(a, np.float32)).to(self.device) for a in arrays]
+                value = factorised_rendering(self.brdf(inputs[0]), inputs[1], inputs[2], levels)[0]
+                rendered[start : start + len(part)] = value.cpu().numpy()
+        return reflection_explains(
+            np.asarray(self.pixels.triangle[rows]),
+            np.asarray(self.pixels.radiance[rows]),
+            rendered,
+            len(emitting),
         )
 
     # Stage 3

@@ -23,6 +23,8 @@ DIM_SIDE = 0.1
 ALIKE = 1.5
 # Triangles that no pixel saw join a fixture whose connected piece of mesh is mostly emitter.
 MOSTLY = 0.5
+# Share of an emitter's radiance that reflection must leave unexplained.
+LEAST_EXCESS = 0.3
 SCREENING_SAMPLES = 8
 
 
@@ -78,6 +80,28 @@ def _points(room: Room, triangles: np.ndarray, samples: int, rng: np.random.Gene
     weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=-1)
     corners = room.vertices[room.triangles[triangles]]
     return np.einsum("tsc,tcd->tsd", weights, corners).reshape(-1, 3)
+
+
+def reflection_explains(
+    triangle: np.ndarray, radiance: np.ndarray, rendered: np.ndarray, count: int
+) -> np.ndarray:
+    """(count,) bool, triangles where the median pixel's radiance is mostly reflected light.
+
+    Args:
+        triangle: (N,) triangle of each pixel.
+        radiance: (N, 3) photographed.
+        rendered: (N, 3) reflected radiance L_r of the estimate.
+    """
+    photographed = radiance @ LUMINANCE
+    excess = (photographed - rendered @ LUMINANCE) / np.maximum(photographed, 1e-12)
+    result = np.zeros(count, bool)
+    order = np.lexsort((excess, triangle))
+    number = np.bincount(triangle, minlength=count)
+    first = np.cumsum(number) - number
+    seen = np.flatnonzero(number)
+    middle = order[first[seen] + number[seen] // 2]
+    result[seen] = excess[middle] < LEAST_EXCESS
+    return result
 
 
 def side_medians(

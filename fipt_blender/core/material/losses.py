@@ -63,9 +63,16 @@ def emission_loss(raw: torch.Tensor) -> torch.Tensor:
     return raw.abs().mean()
 
 
-def diffuse_loss(prediction: Prediction) -> torch.Tensor:
-    """l_d without its weight: mean |1 - sigma| + |m| (paper Eq. 14)."""
-    return ((1.0 - prediction.roughness).abs() + prediction.metallic.abs()).mean()
+def diffuse_loss(
+    prediction: Prediction, roughness: torch.Tensor | float = 1.0, metallic: torch.Tensor | float = 0.0
+) -> torch.Tensor:
+    """l_d without its weight: mean |sigma_0 - sigma| + |m_0 - m| (paper Eq. 14, where sigma_0 = 1, m_0 = 0).
+
+    Args:
+        roughness, metallic: what a surface without highlights is drawn to: diffuse as in the paper, or the
+            closed-form estimate of its part, which itself prefers diffuse.
+    """
+    return ((roughness - prediction.roughness).abs() + (metallic - prediction.metallic).abs()).mean()
 
 
 def part_loss(prediction: Prediction, highlight: torch.Tensor, part: torch.Tensor) -> torch.Tensor:

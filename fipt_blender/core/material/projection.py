@@ -16,12 +16,13 @@ import numpy as np
 
 # Metallic is almost always 0 or 1; one value between catches mixtures of both.
 METALLIC_CANDIDATES = (0.0, 0.5, 1.0)
+MIXTURE_PRIOR = 0.01
 # Residuals are relative to radiance; darker than this share of the median counts absolutely.
 DARK = 0.05
-# How much larger the mean squared relative residual may be for a surface that is diffuse: the l_d of Eq. 14.
-DIFFUSE_PRIOR = 1e-3
-# Photographs of emitters do not follow the rendering; residuals stop counting here (robust loss).
-LARGEST_RESIDUAL = 0.25
+# How much the robust cost of a specular surface must be below that of a diffuse one: the l_d of Eq. 14.
+DIFFUSE_PRIOR = 0.015
+# Photographed radiance above this multiple of what a white surface would reflect is emission.
+CLEAR_EMISSION = 1.5
 
 
 @dataclass(frozen=True)
@@ -32,11 +33,17 @@ class Guess:
         base_color: (N, 3) float32 of the pixel's cell.
         roughness: (N,) float32 of the pixel's part.
         metallic: (N,) float32 of the pixel's part.
+        emitting: (N,) bool, brighter than any reflection.
+        part_roughness: (parts,) float32.
+        part_metallic: (parts,) float32.
     """
 
     base_color: np.ndarray
     roughness: np.ndarray
     metallic: np.ndarray
+    emitting: np.ndarray
+    part_roughness: np.ndarray
+    part_metallic: np.ndarray
 
 
 def project(
@@ -66,30 +73,71 @@ def project(
     counted = known & shared
     population = np.maximum(np.bincount(part[counted], minlength=parts), 1)
     weight = 1.0 / (radiance + DARK) ** 2
-    best = np.full(parts, np.inf)
-    roughness = np.ones(parts, np.float32)
-    metallic = np.zeros(parts, np.float32)
-    for k in range(len(levels)):
-        for m in METALLIC_CANDIDATES:
+    scale = np.full(parts, np.inf)
+    totals = np.empty((len(levels), len(METALLIC_CANDIDATES), parts))
+    # The diffuse candidate comes first: its median residual sets each part's scale.
+    for k in reversed(range(len(levels))):
+        for j, m in enumerate(METALLIC_CANDIDATES):
             slope, offset = _line(diffuse, specular[:, k], m)
             color = _fit(radiance, slope, offset, weight, cell_id, cells)
             residual = radiance - offset - color[cell_id] * slope
-            cost = np.minimum((residual**2 * weight).mean(axis=1), LARGEST_RESIDUAL)
-            total = np.bincount(part[counted], cost[counted], minlength=parts) / population
-            total += DIFFUSE_PRIOR * ((1.0 - levels[k]) + m)
-            better = total < best
-            best[better] = total[better]
-            roughness[better], metallic[better] = levels[k], m
+            squared = (residual**2 * weight).mean(axis=1)[counted]
+            if np.isinf(scale).any():
+                scale = _median_by(part[counted], squared, parts)
+            # Cauchy's cost: a part of the pixels (edges, stray shadings) never follows the model.
+            cost = np.log1p(squared / scale[part[counted]])
+            prior = DIFFUSE_PRIOR * ((1.0 - levels[k]) + m) + (MIXTURE_PRIOR if 0.0 < m < 1.0 else 0.0)
+            totals[k, j] = np.bincount(part[counted], cost, minlength=parts) / population + prior
+    roughness, metallic = _best_pair(totals, levels)
     pixel_roughness = np.where(known, roughness[np.maximum(part, 0)] if parts else 1.0, 1.0)
     pixel_metallic = np.where(known, metallic[np.maximum(part, 0)] if parts else 0.0, 0.0)
     chosen = np.abs(levels[None, :] - pixel_roughness[:, None]).argmin(axis=1)
     slope, offset = _line(diffuse, specular[np.arange(len(chosen)), chosen], pixel_metallic[:, None])
     color = _fit(radiance, slope, offset, weight, cell_id, cells)
+    white = diffuse + offset
+    emitting = (radiance > CLEAR_EMISSION * white).all(axis=1) & (radiance.mean(axis=1) > 1.0)
     return Guess(
         color[cell_id].astype(np.float32),
         pixel_roughness.astype(np.float32),
         pixel_metallic.astype(np.float32),
+        emitting,
+        roughness,
+        metallic,
     )
+
+
+def _best_pair(totals: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Roughness and metallic of least cost for each part, the roughness refined between levels.
+
+    Args:
+        totals: (K, M, parts) cost of each roughness level and metallic candidate.
+    """
+    count, candidates, parts = totals.shape
+    if not parts:
+        return np.zeros(0, np.float32), np.zeros(0, np.float32)
+    best = totals.reshape(-1, parts).argmin(axis=0)
+    k, j = best // candidates, best % candidates
+    index = np.arange(parts)
+    inner = np.clip(k, 1, count - 2)
+    x = np.stack([levels[inner - 1], levels[inner], levels[inner + 1]]).astype(np.float64)
+    y = np.stack([totals[inner + step, j, index] for step in (-1, 0, 1)])
+    # Vertex of the parabola through the best level and its neighbours.
+    d0, d2 = x[1] - x[0], x[1] - x[2]
+    top = d0**2 * (y[1] - y[2]) - d2**2 * (y[1] - y[0])
+    bottom = d0 * (y[1] - y[2]) - d2 * (y[1] - y[0])
+    vertex = x[1] - 0.5 * top / np.where(np.abs(bottom) > 1e-15, bottom, np.inf)
+    refined = np.where(k == inner, np.clip(vertex, x[0], x[2]), levels[k])
+    return refined.astype(np.float32), np.array(METALLIC_CANDIDATES, np.float32)[j]
+
+
+def _median_by(group: np.ndarray, values: np.ndarray, groups: int) -> np.ndarray:
+    """(groups,) median of the values of each group; 1 for empty groups."""
+    order = np.lexsort((values, group))
+    count = np.bincount(group, minlength=groups)
+    first = np.cumsum(count) - count
+    middle = np.minimum(first + count // 2, max(len(values) - 1, 0))
+    medians = values[order][middle] if len(values) else np.ones(groups)
+    return np.where(count > 0, np.maximum(medians, 1e-12), 1.0)
 
 
 def _line(

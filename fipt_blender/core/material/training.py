@@ -24,7 +24,9 @@ from .projection import Guess
 # Share of steps in which the learning rate has fallen to a tenth.
 _DECAY = 0.1
 _PRETRAINING_STEPS = 200
-_PRETRAINING_RATE = 5e-3
+_PRETRAINING_RATE = 3e-3
+# Raw emission mask to which clear emitters are fitted at first.
+_SEED_MASK = 1.0
 _PARTNERS = 1024
 
 
@@ -41,6 +43,7 @@ class TrainingData:
         specular: (N, K, 2, 3) L_s0 and L_s1.
         levels: (K,) roughness levels.
         part_kind: part, semantic or none.
+        part_roughness, part_metallic: (parts,) closed-form estimates that l_d draws to.
         normalise: world positions to the unit cube.
     """
 
@@ -52,6 +55,8 @@ class TrainingData:
     specular: np.ndarray
     levels: np.ndarray
     part_kind: str
+    part_roughness: np.ndarray
+    part_metallic: np.ndarray
     normalise: Callable[[np.ndarray], np.ndarray]
 
 
@@ -64,6 +69,8 @@ class Batch:
     part: torch.Tensor
     diffuse: torch.Tensor
     specular: torch.Tensor
+    start_roughness: torch.Tensor
+    start_metallic: torch.Tensor
 
 
 def gather_batch(data: TrainingData, rows: np.ndarray, device: torch.device) -> Batch:
@@ -73,10 +80,15 @@ def gather_batch(data: TrainingData, rows: np.ndarray, device: torch.device) -> 
     def tensor(array: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.asarray(array[rows], np.float32)).to(device)
 
+    part = np.asarray(data.part[rows], np.int64)
+    roughness = np.where(part >= 0, data.part_roughness[part], 1.0) if len(data.part_roughness) else 1.0
+    metallic = np.where(part >= 0, data.part_metallic[part], 0.0) if len(data.part_metallic) else 0.0
     return Batch(
+        start_roughness=torch.as_tensor(roughness, dtype=torch.float32, device=device),
+        start_metallic=torch.as_tensor(metallic, dtype=torch.float32, device=device),
         position=torch.from_numpy(data.normalise(np.asarray(data.position[rows]))).to(device),
         radiance=tensor(data.radiance),
-        part=torch.from_numpy(np.asarray(data.part[rows], np.int64)).to(device),
+        part=torch.from_numpy(part).to(device),
         diffuse=tensor(data.diffuse),
         specular=tensor(data.specular),
     )
@@ -97,7 +109,9 @@ def total_loss(
     rendered, highlight = losses.factorised_rendering(prediction, batch.diffuse, batch.specular, levels)
     loss = losses.rendering_loss(rendered, emission_mask(raw), batch.radiance)
     loss = loss + settings.lambda_emission * losses.emission_loss(raw)
-    loss = loss + settings.lambda_diffuse * losses.diffuse_loss(prediction)
+    loss = loss + settings.lambda_diffuse * losses.diffuse_loss(
+        prediction, batch.start_roughness, batch.start_metallic
+    )
     if part_kind == "part":
         loss = loss + settings.lambda_part * losses.part_loss(prediction, highlight, batch.part)
     elif part_kind == "semantic":
@@ -114,36 +128,42 @@ def total_loss(
 
 def pretrain(
     brdf: BrdfNetwork,
+    emission: EmissionNetwork,
     data: TrainingData,
     guess: Guess,
     guess_rows: np.ndarray,
     settings: Settings,
     device: torch.device,
 ) -> None:
-    """Fit the BRDF network to a closed-form guess before the first round.
+    """Fit both networks to a closed-form guess before the first round.
+
+    A quarter of each batch are pixels that must emit, so that a bulb of a few pixels is not lost.
 
     Args:
         guess: values at the pixels `guess_rows`.
     """
-    optimiser = torch.optim.Adam(brdf.parameters(), lr=_PRETRAINING_RATE, fused=True)
+    parameters = [*brdf.parameters(), *emission.parameters()]
+    optimiser = torch.optim.Adam(parameters, lr=_PRETRAINING_RATE, fused=True)
+    bright = np.flatnonzero(guess.emitting)
+    size = min(settings.batch_size, len(guess_rows))
+    values = np.concatenate([guess.base_color, guess.roughness[:, None], guess.metallic[:, None]], axis=1)
     for step in range(_PRETRAINING_STEPS):
+        for group in optimiser.param_groups:
+            group["lr"] = _PRETRAINING_RATE * _DECAY ** (step / _PRETRAINING_STEPS)
         rng = np.random.default_rng([settings.seed, 1000, step])
-        chosen = rng.integers(0, len(guess_rows), min(settings.batch_size, len(guess_rows)))
+        chosen = rng.integers(0, len(guess_rows), size)
+        if len(bright):
+            chosen[: size // 4] = bright[rng.integers(0, len(bright), size // 4)]
         position = torch.from_numpy(data.normalise(np.asarray(data.position[guess_rows[chosen]]))).to(device)
-        found = brdf(position)
         # Inside the sigmoid's range, so that the rendering loss can still move away from 0 and 1.
-        target = torch.from_numpy(
-            np.concatenate(
-                [guess.base_color, guess.roughness[:, None], guess.metallic[:, None]], axis=1
-            )[chosen].clip(0.02, 0.98)
-        ).to(device)
-        values = torch.cat([found.base_color, found.roughness[:, None], found.metallic[:, None]], dim=1)
-        loss = (values - target).square().sum(dim=1).mean()
+        target = torch.from_numpy(values[chosen].clip(0.02, 0.98)).to(device)
+        mask = torch.from_numpy(guess.emitting[chosen].astype(np.float32) * _SEED_MASK).to(device)
+        found = brdf(position)
+        outputs = torch.cat([found.base_color, found.roughness[:, None], found.metallic[:, None]], dim=1)
+        loss = (outputs - target).square().sum(dim=1).mean() + (emission(position) - mask).square().mean()
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
-        for group in optimiser.param_groups:
-            group["lr"] = _PRETRAINING_RATE * _DECAY ** ((step + 1) / _PRETRAINING_STEPS)
 
 
 def train(
