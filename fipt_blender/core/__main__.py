@@ -56,7 +56,7 @@ def main(argv: list[str] | None = None) -> int:
     except MemoryError:
         traceback.print_exc()
         reporter.error(
-            "out-of-memory", "The engine ran out of memory.", "Use a smaller preset, or fewer or smaller views."
+            "out-of-memory", "The engine ran out of memory.", "Use a smaller preset or fewer views."
         )
         return 1
     except Exception as error:  # the last net: the window must learn of any failure

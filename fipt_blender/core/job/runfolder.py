@@ -95,7 +95,7 @@ class RunFolder:
         if data.get("version") != RUN_VERSION:
             raise FiptError(
                 "run-version",
-                f"The run folder {self.root} has format version {data.get('version')}; this is {RUN_VERSION}.",
+                f"The run folder {self.root} has version {data.get('version')}, and this is {RUN_VERSION}.",
                 "Start a new run in another folder, or open it with the version that made it.",
             )
         values = dict(data.get("settings", {}))

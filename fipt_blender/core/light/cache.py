@@ -85,7 +85,7 @@ def make_grid(
 
 
 def sample_surface(room: Room, spacing: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Points all over the mesh, about `spacing` / 2 metres apart, with their geometric normals, (S, 3) each."""
+    """Points all over the mesh, about `spacing` / 2 metres apart, and geometric normals, (S, 3) each."""
     wanted = room.areas * 4.0 / spacing**2
     # A room of odd scale must not ask for billions of points.
     wanted *= min(1.0, 4e6 / max(wanted.sum(), 1.0))

@@ -95,7 +95,9 @@ def view_points(
     toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-12)
     triangle = np.maximum(pixels.triangle[first:last], 0)
     side = np.where(pixels.front[first:last], 1.0, -1.0).astype(np.float32)
-    return ShadingPoints(position, np.asarray(pixels.normal[first:last]), normals[triangle] * side[:, None], toward)
+    return ShadingPoints(
+        position, np.asarray(pixels.normal[first:last]), normals[triangle] * side[:, None], toward
+    )
 
 
 def _bake_seen(

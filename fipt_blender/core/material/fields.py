@@ -78,7 +78,7 @@ class Fields:
         return base_color, roughness, metallic
 
     def observed(self, positions: np.ndarray) -> np.ndarray:
-        """(N,) float32 coverage: 0 where no training photograph saw the surface, towards 1 with more pixels."""
+        """(N,) float32 coverage: 0 where no photograph saw the surface, towards 1 with more pixels."""
         return self.coverage[coverage_cells(self.box, positions)]
 
     @classmethod

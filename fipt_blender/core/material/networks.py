@@ -8,6 +8,7 @@ encoding with 10 bands and six hidden layers of 128, one skip in the middle, to 
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import torch
@@ -120,7 +121,7 @@ def useful_hash_levels(settings: Settings, extent: float, footprint: float) -> i
 
 
 def _mlp(widths: list[int], generator: torch.Generator, device: torch.device) -> torch.nn.ModuleList:
-    pairs = zip(widths[:-1], widths[1:], strict=True)
+    pairs = itertools.pairwise(widths)
     return torch.nn.ModuleList([_linear(a, b, generator, device) for a, b in pairs])
 
 

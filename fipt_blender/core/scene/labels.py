@@ -67,9 +67,7 @@ def choose_parts(room: Room, views: Sequence[View], triangles: Sequence[np.ndarr
     return Parts(np.full(count, NO_PART, np.int32), "none")
 
 
-def fuse_masks(
-    masks: Sequence[np.ndarray | None], triangles: Sequence[np.ndarray], count: int
-) -> np.ndarray:
+def fuse_masks(masks: Sequence[np.ndarray | None], triangles: Sequence[np.ndarray], count: int) -> np.ndarray:
     """Each triangle takes the id that most of its pixels have.
 
     Args:

@@ -8,6 +8,7 @@ Pixels of all views stand one after the other; `ranges` says where each view beg
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,7 +75,12 @@ def open_array(path: Path, shape: tuple[int, ...], dtype: type, create: bool) ->
     """A memory-mapped .npy array; new and zero with `create`, else read-only."""
     if create:
         path.parent.mkdir(parents=True, exist_ok=True)
-        return np.lib.format.open_memmap(path, mode="w+", dtype=dtype, shape=shape)
+        array = np.lib.format.open_memmap(path, mode="w+", dtype=dtype, shape=shape)
+        if hasattr(os, "posix_fallocate"):
+            # Without blocks of its own, a mapped file on a full disk kills the process instead of raising.
+            with path.open("r+b") as file:
+                os.posix_fallocate(file.fileno(), 0, max(path.stat().st_size, 1))
+        return array
     array = np.lib.format.open_memmap(path, mode="r")
     if array.shape != shape or array.dtype != dtype:
         raise FiptError("file-damaged", f"{path} does not fit the capture.", "Start the run anew.")
@@ -168,7 +174,8 @@ def _pure(room: Room, view: View, centre: Surface, labels: np.ndarray | None) ->
     label = None if labels is None else mi.Int32(labels.astype(np.int32))
     cosine = dr.abs(dr.dot(centre.normal, _toward(view, centre)))
     # Half a pixel's diagonal on the tangent plane, with room for curvature.
-    reach = 1.5 * centre.distance / dr.opaque(mi.Float, float(min(view.fx, view.fy))) / dr.maximum(cosine, 0.05)
+    pixel = centre.distance / dr.opaque(mi.Float, float(min(view.fx, view.fy)))
+    reach = 1.5 * pixel / dr.maximum(cosine, 0.05)
     pure = mi.Bool(valid)
     for shift in ((-0.45, -0.45), (0.45, -0.45), (-0.45, 0.45), (0.45, 0.45)):
         corner = trace_pixels(room, view, shift)

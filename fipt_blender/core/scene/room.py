@@ -170,7 +170,9 @@ def load_room(run: RunFolder) -> Room:
             **_names(run),
         )
     except (KeyError, ValueError, OSError) as error:
-        raise FiptError("mesh-damaged", f"{run.room_npz} can't be read ({error}).", "Export it again.") from None
+        raise FiptError(
+            "mesh-damaged", f"{run.room_npz} can't be read ({error}).", "Export it again."
+        ) from None
     check_room(room)
     return room
 
