@@ -73,6 +73,7 @@ class CachedRadiance:
     def __init__(self, room: Room, cache: SurfaceLookup, environment: EnvironmentLight | None) -> None:
         self._room, self._cache, self._environment = room, cache, environment
         self.offset = room.offset
+        _make_ready(room)
 
     def intersect(self, ray: Any, active: Any) -> Surface:
         """First surface along the ray."""
@@ -112,6 +113,7 @@ class TracedRadiance:
         self._lights, self._environment = lights, environment
         self._cache_roughness, self._depth = cache_roughness, depth
         self.offset = room.offset
+        _make_ready(room)
 
     def intersect(self, ray: Any, active: Any) -> Surface:
         """First surface along the ray."""
@@ -182,6 +184,11 @@ class TracedRadiance:
         value = brdf.evaluate(wi, wo, base_color, roughness, metallic)
         density = light.pdf + brdf.pdf(wi, wo, base_color, roughness, metallic)
         return dr.select(usable, value * light.radiance / dr.maximum(density, 1e-20), mi.Color3f(0.0))
+
+
+def _make_ready(room: Room) -> None:
+    """Let the room make its arrays now: that can't happen while the baking loop is recorded."""
+    room.intersect(mi.Ray3f([0, 0, 0], [0, 0, 1]))
 
 
 def _outside(environment: EnvironmentLight | None, direction: Any, active: Any) -> Any:
