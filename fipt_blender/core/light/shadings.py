@@ -175,8 +175,9 @@ def _bake_kernel(
             emitter = lights.pdf_direction(
                 hit.triangle, hit.distance, dr.dot(hit.geometric_normal, direction), hit.valid
             )
-            # An aimed ray that meets something else first belongs to the other techniques.
-            alive &= ~aimed | (emitter > 0.0)
+            # An aimed ray that meets something else first belongs to the other techniques, and where that is
+            # another light, to the samples aimed at that one.
+            alive &= ~aimed | ((emitter > 0.0) & (hit.triangle == target.triangle))
             pdf += light_count * emitter
         density = dr.select(starts, pdf, density)
         alive &= density > 1e-20
