@@ -170,9 +170,9 @@ class Estimation:
             position[::7] - self.pixels.camera_positions()[self.pixels.view_of(self.hit[::7])], axis=1
         )
         focal = np.array([min(view.fx, view.fy) for view in self.pixels.views])
-        footprint = float(np.median(distance / focal[self.pixels.view_of(self.hit[::7])]))
+        self.footprint = float(np.median(distance / focal[self.pixels.view_of(self.hit[::7])]))
         generator = new_networks_generator(self.settings)
-        self.hash_levels = useful_hash_levels(self.settings, self.box.extent, footprint)
+        self.hash_levels = useful_hash_levels(self.settings, self.box.extent, self.footprint)
         self.brdf = BrdfNetwork(self.settings, self.hash_levels, generator, self.device)
         self.emission = EmissionNetwork(self.settings, generator, self.device)
 
@@ -321,6 +321,7 @@ class Estimation:
             np.asarray(self.pixels.front),
             np.asarray(self.pixels.pure),
             np.asarray(self.pixels.radiance),
+            reach=2.0 * self.footprint,
         )
 
     def _explained(self, emitting: np.ndarray) -> np.ndarray:
@@ -339,7 +340,7 @@ class Estimation:
                 position = self.box.normalise(np.asarray(self.pixels.position[part]))
                 arrays = (position, shadings.diffuse[part], shadings.specular[part])
                 inputs = [torch.from_numpy(np.asarray(a, np.float32)).to(self.device) for a in arrays]
-                value = factorised_rendering(self.brdf(inputs[0]), inputs[1], inputs[2], levels)[0]
+                value = factorised_rendering(self.brdf(inputs[0]), inputs[1], inputs[2], levels)
                 rendered[start : start + len(part)] = value.cpu().numpy()
         return reflection_explains(
             np.asarray(self.pixels.triangle[rows]),
@@ -372,7 +373,9 @@ class Estimation:
             source,
             lights,
             self.levels,
-            SampleCounts(settings.refine_diffuse_spp, settings.refine_specular_spp, settings.refine_light_spp),
+            SampleCounts(
+                settings.refine_diffuse_spp, settings.refine_specular_spp, settings.refine_light_spp
+            ),
             settings.denoise,
             settings.denoise_specular,
             settings.seed * 31 + 1 + index,

@@ -145,12 +145,15 @@ def group_fixtures(
     front: np.ndarray,
     pure: np.ndarray,
     radiance: np.ndarray,
+    reach: float,
 ) -> list[Fixture]:
     """Fixtures of the emitting triangles, brightest power first.
 
     Args:
         emitting: (T,) bool.
         triangle, front, pure, radiance: of the pixels, as in :func:`side_medians`.
+        reach: metres; what only mixed pixels saw within this distance of a brighter fixture is taken for the
+            fixture's own light in those pixels, no lamp.
     """
     corners = weld(room.vertices)[room.triangles]
     emitting = _complete(room, corners, emitting, triangle)
@@ -165,7 +168,9 @@ def group_fixtures(
     group = np.full(len(emitting), -1, np.int64)
     group[ids] = _connected(corners[ids], brightness, seen)
     medians, counts = side_medians(triangle, front, pure, radiance, group)
+    clean = _seen_clean(triangle, pure, group, len(medians))
     fixtures = []
+    trusted = []
     for index in range(len(medians)):
         members = np.flatnonzero(group == index)
         sides = medians[index] * (counts[index] > 0)[:, None]
@@ -179,7 +184,43 @@ def group_fixtures(
         middle = room.vertices[room.triangles[members]].mean(axis=1)
         centroid = (middle * area[:, None]).sum(axis=0) / area.sum()
         fixtures.append(Fixture(members, sides[0], sides[1], float(area.sum()), centroid))
-    return sorted(fixtures, key=lambda f: -f.area * float((f.radiance + f.back_radiance) @ LUMINANCE))
+        trusted.append(bool(clean[index]))
+    kept = [
+        fixture
+        for fixture, sure in zip(fixtures, trusted, strict=True)
+        if sure or not _beside_brighter(room, fixture, fixtures, trusted, reach)
+    ]
+    return sorted(kept, key=lambda f: -f.area * _brightness(f))
+
+
+def _brightness(fixture: Fixture) -> float:
+    """Luminance of both sides."""
+    return float((fixture.radiance + fixture.back_radiance) @ LUMINANCE)
+
+
+def _seen_clean(triangle: np.ndarray, pure: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:
+    """(groups,) bool, groups that some pixel sees without anything else in it."""
+    seen = group[triangle[(triangle >= 0) & pure]]
+    return np.bincount(seen[seen >= 0], minlength=groups) > 0
+
+
+def _beside_brighter(
+    room: Room, fixture: Fixture, fixtures: list[Fixture], trusted: list[bool], reach: float
+) -> bool:
+    """Whether the box around a brighter, clearly seen fixture comes within reach of this one's box."""
+    low, high = _extent(room, fixture)
+    for other, sure in zip(fixtures, trusted, strict=True):
+        if sure and _brightness(other) > _brightness(fixture):
+            other_low, other_high = _extent(room, other)
+            gap = np.maximum(np.maximum(low - other_high, other_low - high), 0.0)
+            if np.linalg.norm(gap) < reach:
+                return True
+    return False
+
+
+def _extent(room: Room, fixture: Fixture) -> tuple[np.ndarray, np.ndarray]:
+    corners = room.vertices[room.triangles[fixture.triangles]].reshape(-1, 3)
+    return corners.min(axis=0), corners.max(axis=0)
 
 
 def _complete(room: Room, corners: np.ndarray, emitting: np.ndarray, triangle: np.ndarray) -> np.ndarray:
@@ -218,9 +259,8 @@ def _connected(corners: np.ndarray, brightness: np.ndarray, seen: np.ndarray) ->
     owner = order // 3
     first = np.concatenate([[True], vertex[1:] != vertex[:-1]])
     anchor = owner[np.maximum.accumulate(np.where(first, np.arange(len(owner)), 0))]
-    pairs = np.concatenate(
-        [np.stack([owner[1:], owner[:-1]], axis=1)[vertex[1:] == vertex[:-1]], np.stack([owner, anchor], axis=1)]
-    )
+    chain = np.stack([owner[1:], owner[:-1]], axis=1)[vertex[1:] == vertex[:-1]]
+    pairs = np.concatenate([chain, np.stack([owner, anchor], axis=1)])
     low, high = np.sort(brightness[pairs], axis=1).T
     like = ~(seen[pairs].all(axis=1)) | (high <= ALIKE * np.maximum(low, 1e-12))
     pairs = pairs[like]
@@ -238,10 +278,11 @@ def emitter_table(fixtures: list[Fixture]) -> EmitterTable:
     """The fixtures' triangles as light sources."""
     if not fixtures:
         return EmitterTable.empty()
+    sizes = [len(fixture.triangles) for fixture in fixtures]
     return EmitterTable(
-        np.concatenate([f.triangles for f in fixtures]).astype(np.int32),
-        np.concatenate([np.tile(f.radiance, (len(f.triangles), 1)) for f in fixtures]).astype(np.float32),
-        np.concatenate([np.tile(f.back_radiance, (len(f.triangles), 1)) for f in fixtures]).astype(np.float32),
+        np.concatenate([fixture.triangles for fixture in fixtures]).astype(np.int32),
+        np.repeat([fixture.radiance for fixture in fixtures], sizes, axis=0).astype(np.float32),
+        np.repeat([fixture.back_radiance for fixture in fixtures], sizes, axis=0).astype(np.float32),
     )
 
 

@@ -33,17 +33,17 @@ def interpolate_specular(
 def reflectances(prediction: Prediction) -> tuple[torch.Tensor, torch.Tensor]:
     """kd = a (1 - m) and ks = 0.04 (1 - m) + a m, each (N, 3)."""
     metallic = prediction.metallic[:, None]
-    return prediction.base_color * (1.0 - metallic), 0.04 * (1.0 - metallic) + prediction.base_color * metallic
+    color = prediction.base_color
+    return color * (1.0 - metallic), 0.04 * (1.0 - metallic) + color * metallic
 
 
 def factorised_rendering(
     prediction: Prediction, diffuse: torch.Tensor, specular: torch.Tensor, levels: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """L_r = kd L_d + ks L_s0 + L_s1 (paper Eq. 5) and its specular share, each (N, 3)."""
+) -> torch.Tensor:
+    """L_r = kd L_d + ks L_s0 + L_s1 (paper Eq. 5), (N, 3)."""
     kd, ks = reflectances(prediction)
     s0, s1 = interpolate_specular(specular, prediction.roughness, levels)
-    highlight = ks * s0 + s1
-    return kd * diffuse + highlight, highlight
+    return kd * diffuse + ks * s0 + s1
 
 
 def tone_map(radiance: torch.Tensor) -> torch.Tensor:
@@ -63,36 +63,25 @@ def emission_loss(raw: torch.Tensor) -> torch.Tensor:
     return raw.abs().mean()
 
 
-def diffuse_loss(
-    prediction: Prediction, roughness: torch.Tensor | float = 1.0, metallic: torch.Tensor | float = 0.0
+def diffuse_loss(prediction: Prediction) -> torch.Tensor:
+    """l_d without its weight: mean |1 - sigma| + |m| (paper Eq. 14)."""
+    return ((1.0 - prediction.roughness).abs() + prediction.metallic.abs()).mean()
+
+
+def part_loss(
+    prediction: Prediction, roughness: torch.Tensor, metallic: torch.Tensor, known: torch.Tensor
 ) -> torch.Tensor:
-    """l_d without its weight: mean |sigma_0 - sigma| + |m_0 - m| (paper Eq. 14, where sigma_0 = 1, m_0 = 0).
+    """l_p without its weight: distance of roughness and metallic to those of the part (paper Eq. 15).
+
+    The paper's sigma' and m' are means over the part's pixels in the batch, weighted by highlights (Eq. 16).
+    Here they are the part's closed-form estimate, which all its pixels made together.
 
     Args:
-        roughness, metallic: what a surface without highlights is drawn to: diffuse as in the paper, or the
-            closed-form estimate of its part, which itself prefers diffuse.
+        roughness, metallic: (N,) sigma' and m'.
+        known: (N,) bool, pixels that belong to a part.
     """
-    return ((roughness - prediction.roughness).abs() + (metallic - prediction.metallic).abs()).mean()
-
-
-def part_loss(prediction: Prediction, highlight: torch.Tensor, part: torch.Tensor) -> torch.Tensor:
-    """l_p without its weight: distance to the highlight-weighted mean of the part (paper Eq. 15 and 16).
-
-    Args:
-        highlight: (N, 3) specular share of the rendering; the weight w(x') is its L1 norm.
-        part: (N,) int64 ids from 0; negative ids take no part.
-    """
-    inside = part >= 0
-    if not bool(inside.any()):
-        return prediction.roughness.sum() * 0.0
-    ids = part[inside]
-    values = torch.stack([prediction.roughness, prediction.metallic], dim=1)[inside]
-    weight = highlight.detach().abs().sum(dim=1)[inside] + 1e-4
-    count = int(ids.max()) + 1
-    weighted = torch.zeros((count, 3), device=values.device, dtype=values.dtype)
-    weighted.index_add_(0, ids, torch.cat([values.detach() * weight[:, None], weight[:, None]], dim=1))
-    mean = weighted[:, :2] / weighted[:, 2:].clamp_min(1e-12)
-    return (values - mean[ids]).abs().sum() / len(part)
+    distance = (prediction.roughness - roughness).abs() + (prediction.metallic - metallic).abs()
+    return (distance * known).mean()
 
 
 def semantic_loss(

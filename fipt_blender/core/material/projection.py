@@ -20,7 +20,9 @@ MIXTURE_PRIOR = 0.01
 # Residuals are relative to radiance; darker than this share of the median counts absolutely.
 DARK = 0.05
 # How much the robust cost of a specular surface must be below that of a diffuse one: the l_d of Eq. 14.
-DIFFUSE_PRIOR = 0.015
+DIFFUSE_PRIOR = 0.004
+# Standard errors by which a gain over the diffuse candidate is discounted.
+CAUTION = 1.0
 # Photographed radiance above this multiple of what a white surface would reflect is emission.
 CLEAR_EMISSION = 1.5
 
@@ -71,9 +73,9 @@ def project(
     known = part >= 0
     shared = np.bincount(cell_id, minlength=cells)[cell_id] > 1  # a cell of one pixel fits everything
     counted = known & shared
-    population = np.maximum(np.bincount(part[counted], minlength=parts), 1)
     weight = 1.0 / (radiance + DARK) ** 2
     scale = np.full(parts, np.inf)
+    diffuse_cost: np.ndarray | None = None
     totals = np.empty((len(levels), len(METALLIC_CANDIDATES), parts))
     # The diffuse candidate comes first: its median residual sets each part's scale.
     for k in reversed(range(len(levels))):
@@ -86,8 +88,10 @@ def project(
                 scale = _median_by(part[counted], squared, parts)
             # Cauchy's cost: a part of the pixels (edges, stray shadings) never follows the model.
             cost = np.log1p(squared / scale[part[counted]])
+            if diffuse_cost is None:
+                diffuse_cost = cost
             prior = DIFFUSE_PRIOR * ((1.0 - levels[k]) + m) + (MIXTURE_PRIOR if 0.0 < m < 1.0 else 0.0)
-            totals[k, j] = np.bincount(part[counted], cost, minlength=parts) / population + prior
+            totals[k, j] = prior + _cautious_mean(cost - diffuse_cost, part[counted], parts)
     roughness, metallic = _best_pair(totals, levels)
     pixel_roughness = np.where(known, roughness[np.maximum(part, 0)] if parts else 1.0, 1.0)
     pixel_metallic = np.where(known, metallic[np.maximum(part, 0)] if parts else 0.0, 0.0)
@@ -128,6 +132,14 @@ def _best_pair(totals: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, np.n
     vertex = x[1] - 0.5 * top / np.where(np.abs(bottom) > 1e-15, bottom, np.inf)
     refined = np.where(k == inner, np.clip(vertex, x[0], x[2]), levels[k])
     return refined.astype(np.float32), np.array(METALLIC_CANDIDATES, np.float32)[j]
+
+
+def _cautious_mean(gain: np.ndarray, part: np.ndarray, parts: int) -> np.ndarray:
+    """(parts,) mean of each part's values plus `CAUTION` standard errors: few pixels prove little."""
+    count = np.maximum(np.bincount(part, minlength=parts), 1)
+    mean = np.bincount(part, gain, minlength=parts) / count
+    variance = np.bincount(part, gain**2, minlength=parts) / count - mean**2
+    return mean + CAUTION * np.sqrt(np.maximum(variance, 0.0) / count)
 
 
 def _median_by(group: np.ndarray, values: np.ndarray, groups: int) -> np.ndarray:

@@ -43,7 +43,7 @@ class TrainingData:
         specular: (N, K, 2, 3) L_s0 and L_s1.
         levels: (K,) roughness levels.
         part_kind: part, semantic or none.
-        part_roughness, part_metallic: (parts,) closed-form estimates that l_d draws to.
+        part_roughness, part_metallic: (parts,) closed-form estimates, sigma' and m' of l_p.
         normalise: world positions to the unit cube.
     """
 
@@ -69,8 +69,8 @@ class Batch:
     part: torch.Tensor
     diffuse: torch.Tensor
     specular: torch.Tensor
-    start_roughness: torch.Tensor
-    start_metallic: torch.Tensor
+    part_roughness: torch.Tensor
+    part_metallic: torch.Tensor
 
 
 def gather_batch(data: TrainingData, rows: np.ndarray, device: torch.device) -> Batch:
@@ -84,8 +84,8 @@ def gather_batch(data: TrainingData, rows: np.ndarray, device: torch.device) -> 
     roughness = np.where(part >= 0, data.part_roughness[part], 1.0) if len(data.part_roughness) else 1.0
     metallic = np.where(part >= 0, data.part_metallic[part], 0.0) if len(data.part_metallic) else 0.0
     return Batch(
-        start_roughness=torch.as_tensor(roughness, dtype=torch.float32, device=device),
-        start_metallic=torch.as_tensor(metallic, dtype=torch.float32, device=device),
+        part_roughness=torch.as_tensor(roughness, dtype=torch.float32, device=device),
+        part_metallic=torch.as_tensor(metallic, dtype=torch.float32, device=device),
         position=torch.from_numpy(data.normalise(np.asarray(data.position[rows]))).to(device),
         radiance=tensor(data.radiance),
         part=torch.from_numpy(part).to(device),
@@ -106,14 +106,14 @@ def total_loss(
     """l + l_e + l_d + l_p of one batch (paper Eq. 12 to 17)."""
     prediction = brdf(batch.position)
     raw = emission(batch.position)
-    rendered, highlight = losses.factorised_rendering(prediction, batch.diffuse, batch.specular, levels)
+    rendered = losses.factorised_rendering(prediction, batch.diffuse, batch.specular, levels)
     loss = losses.rendering_loss(rendered, emission_mask(raw), batch.radiance)
     loss = loss + settings.lambda_emission * losses.emission_loss(raw)
-    loss = loss + settings.lambda_diffuse * losses.diffuse_loss(
-        prediction, batch.start_roughness, batch.start_metallic
-    )
+    loss = loss + settings.lambda_diffuse * losses.diffuse_loss(prediction)
     if part_kind == "part":
-        loss = loss + settings.lambda_part * losses.part_loss(prediction, highlight, batch.part)
+        loss = loss + settings.lambda_part * losses.part_loss(
+            prediction, batch.part_roughness, batch.part_metallic, batch.part >= 0
+        )
     elif part_kind == "semantic":
         loss = loss + settings.lambda_semantic * losses.semantic_loss(
             prediction,

@@ -34,7 +34,6 @@ from .pictures import (
 )
 
 MAPS = ("base_color", "roughness", "metallic", "emission")
-MAX_MAP_VIEWS = 4
 MAX_PHOTOS = 8
 _KINDS = {
     "rerender": "A view rendered again",
@@ -88,7 +87,6 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
         "exposure": exposure,
         "error_full": ERROR_FULL,
         "map_rows": _maps(run, album, exposure),
-        "map_names": MAPS,
         "fixtures": [_fixture(entry) for entry in emitters.get("fixtures", [])],
         "environment": _environment(run, emitters.get("environment"), album, exposure),
         "stages": _stages(statistics),
@@ -171,25 +169,17 @@ def _counts(capture: Capture | None) -> dict[str, int]:
 
 
 def _maps(run: RunFolder, album: _Album, exposure: float) -> list[dict[str, Any]]:
-    """Rows of material maps that the engine wrote as results/maps/VIEW_MAP.exr."""
-    found: dict[str, dict[str, Path]] = {}
-    for path in sorted((run.results / "maps").glob("*.exr")):
-        for name in MAPS:
-            if path.stem.endswith(f"_{name}"):
-                found.setdefault(path.stem[: -len(name) - 1], {})[name] = path
+    """Rows of the material maps that `textures` wrote."""
     rows = []
-    for view, paths in list(found.items())[:MAX_MAP_VIEWS]:
-        images: dict[str, str | None] = dict.fromkeys(MAPS)
-        for name, path in paths.items():
-            values = read_radiance(path)
+    for entry in _optional(run.results / "maps" / "maps.json").get("views", []):
+        images = {}
+        for name in MAPS:
+            values = read_radiance(run.resolve(entry[name]))
             # Roughness and metallic are data: shown as they are.
-            display = (
-                values
-                if name in ("roughness", "metallic")
-                else to_display(values, exposure if name == "emission" else 1.0)
-            )
-            images[name] = album.add(name.replace("_", "-"), np.nan_to_num(display))
-        rows.append({"view": view, "images": images})
+            if name in ("base_color", "emission"):
+                values = to_display(values, exposure if name == "emission" else 1.0)
+            images[name] = album.add(name.replace("_", "-"), values)
+        rows.append({"view": str(entry["view"]), "images": images})
     return rows
 
 

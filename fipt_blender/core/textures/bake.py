@@ -16,6 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
+from ..capture.views import load_capture
 from ..job.errors import FiptError
 from ..job.messages import Reporter
 from ..job.runfolder import RunFolder, atomic_path, read_json, write_json
@@ -52,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
-    """Bake the textures of a run.
+    """Bake the textures of a run, and the maps of a few of its views.
 
     Raises:
         FiptError: ``file-missing`` or ``file-damaged`` where an earlier step did not finish.
@@ -62,9 +63,12 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     from ..material.fields import Fields  # takes seconds: after what can fail at once
 
     fields = Fields.load(folder)
+    from .view_maps import write_view_maps  # needs the variant that the fields have chosen
+
     reporter.plan([1.0])
     reporter.stage("textures", "Baking textures")
     files = bake(folder, fields, settings.write_back == "cycles", reporter.progress)
+    files += write_view_maps(folder, fields, load_capture(folder).views)
     reporter.done([str(path) for path in files])
 
 
