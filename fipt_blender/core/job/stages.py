@@ -43,7 +43,7 @@ from ..scene.room import load_room, triangle_normals
 from .checkpoints import Checkpoints, input_key
 from .errors import FiptError
 from .messages import Reporter, peak_memory_gb
-from .runfolder import RunFolder, explained_write_errors, write_json
+from .runfolder import RunFolder, atomic_path, explained_write_errors, write_json
 from .settings import Settings
 
 # Pixels that the closed-form start looks at; more change nothing but its time.
@@ -93,8 +93,8 @@ class Estimation:
         steps = [self.settings.training_steps] + [self.settings.later_training_steps] * rounds
         weights = []
         for name in names:
-            kind, _, index = name.partition("-")
-            share = steps[int(index)] / max(steps[0], 1) if kind == "training" else 1.0
+            kind, _, number = name.partition("-")
+            share = steps[int(number)] / max(steps[0], 1) if kind == "training" else 1.0
             weights.append(_WEIGHTS[kind] * share)
         self.reporter.plan(weights)
         with explained_write_errors(self.folder.stage):
@@ -285,9 +285,15 @@ class Estimation:
             checkpoint,
             self.reporter.progress,
         )
-        self._extract_emitters(index)
+        emitting = self._find_emitters(index)
+        self._group_fixtures(emitting)
         self.checkpoints.save_tensors(
-            f"networks-{index}", {"brdf": self.brdf.state_dict(), "emission": self.emission.state_dict()}
+            f"networks-{index}",
+            {
+                "brdf": self.brdf.state_dict(),
+                "emission": self.emission.state_dict(),
+                "emitting": torch.from_numpy(emitting),
+            },
         )
         checkpoint.unlink(missing_ok=True)
         return {"steps": steps, "hash_levels": self.hash_levels}
@@ -296,7 +302,8 @@ class Estimation:
         state = self.checkpoints.load_tensors(f"networks-{index}", self.device)
         self.brdf.load_state_dict(state["brdf"])
         self.emission.load_state_dict(state["emission"])
-        self._extract_emitters(index)
+        # Not found anew: the shadings that it took may have been refined since, or half refined.
+        self._group_fixtures(state["emitting"].cpu().numpy())
 
     def _mask(self, positions: np.ndarray) -> np.ndarray:
         result = np.empty(len(positions), np.float32)
@@ -307,17 +314,19 @@ class Estimation:
                 result[part] = emission_mask(self.emission(inputs)).cpu().numpy()
         return result
 
-    def _extract_emitters(self, index: int) -> None:
+    def _find_emitters(self, index: int) -> np.ndarray:
+        """(T,) bool, triangles that emit."""
         rng = np.random.default_rng([self.settings.seed, 3, index])
         emitting = find_emitters(
             self.room, self._mask, self.settings.emitter_threshold, self.settings.emitter_samples, rng
         )
-        triangle = np.asarray(self.pixels.triangle)
-        emitting &= ~self._explained(emitting)
+        return emitting & ~self._explained(emitting)
+
+    def _group_fixtures(self, emitting: np.ndarray) -> None:
         self.fixtures = group_fixtures(
             self.room,
             emitting,
-            triangle,
+            np.asarray(self.pixels.triangle),
             np.asarray(self.pixels.front),
             np.asarray(self.pixels.pure),
             np.asarray(self.pixels.radiance),
@@ -404,7 +413,8 @@ class Estimation:
         folder = self.folder
         folder.results.mkdir(parents=True, exist_ok=True)
         self._fields().save(folder)
-        np.savez(folder.results / "parts.npz", triangle_part=self.parts.triangle_part)
+        with atomic_path(folder.results / "parts.npz") as temporary:
+            np.savez(temporary, triangle_part=self.parts.triangle_part)
         environment = None
         if self.environment is not None:
             write_exr(folder.environment_exr, self.environment.image * self.scale)
