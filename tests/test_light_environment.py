@@ -1,0 +1,48 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The environment map: what pixels saw comes back, the rest is filled, medians ignore outliers."""
+
+import mitsuba as mi
+import numpy as np
+
+mi.set_variant("llvm_ad_rgb")
+
+from fipt_blender.core.conventions import equirect_pixel_directions  # noqa: E402
+from fipt_blender.core.light.environment import estimate_environment  # noqa: E402
+from fipt_blender.core.render.environment import EnvironmentLight  # noqa: E402
+
+
+def test_pixels_that_look_outside_give_the_map_back(rng: np.random.Generator) -> None:
+    image = rng.uniform(0.1, 2.0, (16, 32, 3)).astype(np.float32)
+    directions = np.repeat(equirect_pixel_directions(32, 16).reshape(-1, 3), 3, axis=0)
+    radiance = np.repeat(image.reshape(-1, 3), 3, axis=0)
+    radiance[1::3] *= 50.0  # a stray pixel in each cell: the median forgets it
+    order = rng.permutation(len(directions))
+    found = estimate_environment(directions[order], radiance[order], 32)
+    assert found is not None and found.observed_share == 1.0
+    np.testing.assert_array_equal(found.image, image)
+    # and rays that leave the room look it up in the same place
+    light = EnvironmentLight(found.image)
+    rays = mi.Vector3f(directions[::3].T.astype(np.float32).copy())
+    np.testing.assert_allclose(np.array(light.radiance(rays)).T, image.reshape(-1, 3))
+
+
+def test_unseen_cells_take_the_nearest_ones() -> None:
+    """Only a window to the east is seen: everything has its radiance, across the seam of the map too."""
+    directions = equirect_pixel_directions(64, 32).reshape(-1, 3)
+    east = directions[:, 0] > 0.9
+    found = estimate_environment(directions[east], np.tile([[1.0, 2.0, 3.0]], (east.sum(), 1)), 64)
+    assert found is not None
+    np.testing.assert_allclose(found.image, np.tile([1.0, 2.0, 3.0], (32, 64, 1)), rtol=1e-6)
+    assert abs(found.observed_share - 0.05) < 0.01  # (1 - 0.9) / 2 of the sphere
+    west = directions[:, 0] < -0.95
+    radiance = np.where(east[:, None], 4.0, 1.0) * np.ones(3)
+    both = estimate_environment(directions[east | west], radiance[east | west], 64)
+    assert both is not None
+    flat = both.image.reshape(-1, 3)
+    assert (flat[directions[:, 0] > 0.8] == 4.0).mean() > 0.9
+    assert (flat[directions[:, 0] < -0.85] == 1.0).mean() > 0.9
+
+
+def test_no_pixel_outside_is_no_environment() -> None:
+    assert estimate_environment(np.zeros((0, 3)), np.zeros((0, 3)), 64) is None
