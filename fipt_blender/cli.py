@@ -68,9 +68,9 @@ def make_parser() -> argparse.ArgumentParser:
         action="store_true",
         help="transforms.json: the mesh has the coordinates from before nerfstudio's applied_transform",
     )
-    add("--parts", choices=PARTS, default="auto", help="where material parts come from (default: auto)")
+    add("--parts", choices=PARTS, default="auto", help="what tells materials apart (default: auto, the finest there is)")
     add("--no-renders", action="store_true", help="make no Cycles renders")
-    add("--render-spp", type=int, default=128, metavar="N", help="Cycles samples a pixel (default: 128)")
+    add("--render-spp", type=int, default=64, metavar="N", help="Cycles samples a pixel (default: 64)")
     add("--render-view", default="", metavar="NAME", help="the view to render (default: a held-back one)")
     add("--resume", action="store_true", help="keep what an earlier run in the same folder finished")
 

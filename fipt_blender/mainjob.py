@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from .blend.steps import RoomSteps
 
 BLEND_NAME = "room.blend"
-PARTS = ("auto", "objects", "materials", "masks", "none")
+PARTS = ("auto", "masks", "semantics", "materials", "objects", "none")
 RENDER_KINDS = ("rerender", "relight", "insert")
 _TEXTURE_SETTINGS = ("texel_density", "texture_size", "atlas_mode", "write_back")
 _RENDER_TEXTS = {
@@ -80,7 +80,7 @@ class MainJobOptions:
     parts: str = "auto"
     renders: tuple[str, ...] = RENDER_KINDS
     render_view: str = ""
-    render_spp: int = 128
+    render_spp: int = 64
     resume: bool = False
     engine_python: str | None = None
     own_file: bool = True

@@ -42,13 +42,13 @@ ARRAYS = (
 )
 
 
-def export_room(objects: Iterable[bpy.types.Object], run: RunFolder, parts: str = "none") -> Room:
+def export_room(objects: Iterable[bpy.types.Object], run: RunFolder, parts: str = "auto") -> Room:
     """Write the objects' triangles to the run folder; objects that carry results are restored first.
 
     Args:
         objects: those that are no meshes are left out.
         run: the run folder; room.npz and room.json are written.
-        parts: where part labels come from: "objects", "materials", "masks" or "none".
+        parts: where part labels come from: one of `mainjob.PARTS`; the engine resolves "auto".
 
     Raises:
         FiptError: ``mesh-empty`` where no triangle is left; the run folder's write errors.

@@ -71,11 +71,7 @@ class RoomSteps:
 
     def export_room(self) -> None:
         """room.npz and room.json for the engine."""
-        objects = self._objects()
-        parts = self._options.parts
-        if parts == "auto":
-            parts = choose_parts(read_json(self._run.capture_json), objects)
-        room_export.export_room(objects, self._run, parts)
+        room_export.export_room(self._objects(), self._run, self._options.parts)
 
     def make_atlas(self) -> None:
         """UVs onto the room and atlas.npz for the engine."""
@@ -169,16 +165,6 @@ class RoomSteps:
             geometry = [(view["name"], view_geometry(view)) for view in views]
             self._choice = choose_view(make_cast(room_export.read_room(self._run)), geometry)
         return self._choice
-
-
-def choose_parts(capture: dict[str, Any], objects: list[bpy.types.Object]) -> str:
-    """Where part labels come from when the user leaves it open: masks, else objects, else materials."""
-    if any(view.get("parts") or view.get("semantics") for view in capture["views"]):
-        return "masks"
-    if len(objects) > 1:
-        return "objects"
-    used = {slot.material.name for item in objects for slot in item.material_slots if slot.material}
-    return "materials" if len(used) > 1 else "none"
 
 
 def preferred_views(capture: dict[str, Any], name: str = "") -> list[dict[str, Any]]:
