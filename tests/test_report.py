@@ -17,7 +17,7 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.runfolder import RunFolder, write_json
 from fipt_blender.core.job.settings import make_settings
-from fipt_blender.core.report.page import format_duration, swatch, write_report
+from fipt_blender.core.report.page import MAPS, format_duration, swatch, write_report
 from fipt_blender.core.report.pictures import (
     choose_exposure,
     error_picture,
@@ -70,8 +70,10 @@ def run(tmp_path) -> RunFolder:
         write_exr(run.renders / f"{kind}.exr", image(2) * 1.1)
         renders.append({"kind": kind, "view": views[2]["name"], "image": f"renders/{kind}.exr"})
     write_json(run.renders_json, {"renders": renders})
-    for name in ("base_color", "roughness", "metallic", "emission"):
-        write_exr(run.results / "maps" / f"val_000_{name}.exr", image(5))
+    maps = {name: f"results/maps/000_{name}.exr" for name in MAPS}
+    for path in maps.values():
+        write_exr(run.root / path, image(5))
+    write_json(run.results / "maps" / "maps.json", {"views": [{"view": NASTY, **maps}]})
     fixture = {"name": NASTY, "triangles": [1, 2], "radiance": [10.0, 8.0, 4.0], "back_radiance": [0, 0, 0]}
     fixture |= {"area": 0.25, "centroid": [0, 0, 2], "power": [7.9, 6.3, 3.1]}
     environment = {"image": "results/environment.exr", "observed_share": 0.12}
