@@ -224,9 +224,11 @@ def score_cycles(
             "radiance": relight.radiance.tolist(),
         }
     command = [sys.executable, str(ROOT / "benchmarks" / "cycles_views.py"), str(run.root), str(spp)]
-    ended = subprocess.run(command, input=json.dumps(wanted), text=True, stdout=sys.stderr, check=False)
+    print("rendering in Cycles", file=sys.stderr, flush=True)
+    with open(run.log, "ab") as log:  # Blender tells a lot
+        ended = subprocess.run(command, input=json.dumps(wanted).encode(), stdout=log, stderr=log, check=False)
     if ended.returncode:
-        raise FiptError("run-failed", "The renders in Cycles failed.", "Mend what Blender reports above.")
+        raise FiptError("run-failed", "The renders in Cycles failed.", f"Mend what {run.log} reports.")
     images = {
         (entry["kind"], entry["view"]): run.resolve(entry["image"])
         for entry in read_json(run.renders_json)["renders"]

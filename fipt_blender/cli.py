@@ -68,7 +68,7 @@ def make_parser() -> argparse.ArgumentParser:
         action="store_true",
         help="transforms.json: the mesh has the coordinates from before nerfstudio's applied_transform",
     )
-    add("--parts", choices=PARTS, default="auto", help="what tells materials apart (default: auto, the finest there is)")
+    add("--parts", choices=PARTS, default="auto", help="what tells materials apart (default: auto)")
     add("--no-renders", action="store_true", help="make no Cycles renders")
     add("--render-spp", type=int, default=64, metavar="N", help="Cycles samples a pixel (default: 64)")
     add("--render-view", default="", metavar="NAME", help="the view to render (default: a held-back one)")
