@@ -98,7 +98,8 @@ def project(
     chosen = np.abs(levels[None, :] - pixel_roughness[:, None]).argmin(axis=1)
     slope, offset = _line(diffuse, specular[np.arange(len(chosen)), chosen], pixel_metallic[:, None])
     color = _fit(radiance, slope, offset, weight, cell_id, cells)
-    white = diffuse + offset
+    # A white surface, of this roughness and metallic or diffuse: metals mirror lamps without being lamps.
+    white = np.maximum(diffuse, slope) + offset
     emitting = (radiance > CLEAR_EMISSION * white).all(axis=1) & (radiance.mean(axis=1) > 1.0)
     return Guess(
         color[cell_id].astype(np.float32),
