@@ -1,0 +1,90 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The closed-form start finds known materials again, through noise and stray pixels."""
+
+import numpy as np
+import pytest
+
+from fipt_blender.core.light.shadings import roughness_levels
+from fipt_blender.core.material.projection import project
+
+LEVELS = roughness_levels(8, 0.02, 1.5)
+CELLS, VIEWS = 300, 8
+
+
+def synthetic(rng: np.random.Generator, truths: list[tuple[float, float]], noise: float, stray: float):
+    """Pixels of one part for each (roughness, metallic): radiance, shadings, cells, parts and base colours.
+
+    Highlights differ between views and grow sharper with lower roughness, as they do in a room.
+    """
+    parts = len(truths)
+    count = parts * CELLS * VIEWS
+    part = np.repeat(np.arange(parts), CELLS * VIEWS)
+    cell = np.repeat(np.arange(parts * CELLS), VIEWS)
+    diffuse = np.repeat(rng.uniform(0.5, 2.0, (parts * CELLS, 1)), VIEWS, axis=0) * [1.0, 0.9, 0.8]
+    angle = rng.exponential(0.35, count)[:, None]  # between the mirror direction and a lamp
+    width = 0.03 + 0.9 * LEVELS**2
+    s0 = 0.3 + 6.0 * np.exp(-((angle / width) ** 2)) * np.minimum(0.25 / width, 6.0)
+    s1 = 0.03 * s0
+    specular = np.stack([s0, s1], axis=2)[..., None] * [1.0, 0.95, 0.9]
+    color = rng.uniform(0.1, 0.9, (parts * CELLS, 3))[cell]
+    radiance = np.empty((count, 3))
+    for index, (roughness, metallic) in enumerate(truths):
+        rows = part == index
+        level = np.abs(LEVELS - roughness).argmin()
+        ks = 0.04 * (1 - metallic) + color[rows] * metallic
+        radiance[rows] = color[rows] * (1 - metallic) * diffuse[rows] + ks * specular[rows, level, 0]
+        radiance[rows] += specular[rows, level, 1]
+    radiance *= 1.0 + noise * rng.normal(size=radiance.shape)
+    wrong = rng.random(count) < stray
+    radiance[wrong] *= rng.uniform(0.0, 5.0, (wrong.sum(), 1))
+    arrays = (radiance, diffuse, specular)
+    return [np.asarray(a, np.float32) for a in arrays], cell, part, color
+
+
+@pytest.mark.parametrize("noise, stray, within", [(0.0, 0.0, 0.01), (0.03, 0.05, 0.06)])
+def test_known_materials_are_recovered(
+    rng: np.random.Generator, noise: float, stray: float, within: float
+) -> None:
+    truths = [(1.0, 0.0), (float(LEVELS[3]), 0.0), (float(LEVELS[2]), 1.0), (float(LEVELS[5]), 1.0)]
+    arrays, cell, part, color = synthetic(rng, truths, noise, stray)
+    guess = project(*arrays, LEVELS, cell, part)
+    assert guess.part_metallic.tolist() == [metallic for _, metallic in truths]
+    for found, (roughness, _) in zip(guess.part_roughness, truths, strict=True):
+        assert found == pytest.approx(roughness, abs=0.08)
+    for index in range(len(truths)):
+        rows = part == index
+        assert np.median(np.abs(guess.base_color[rows] - color[rows])) < within
+    assert (guess.roughness == guess.part_roughness[part]).all()
+    assert guess.emitting.mean() <= 0.2 * stray  # strays five times too bright pass for light
+
+
+def test_pixels_without_part_are_diffuse_and_lamps_are_marked(rng: np.random.Generator) -> None:
+    (radiance, diffuse, specular), cell, part, color = synthetic(rng, [(1.0, 0.0)], 0.01, 0.0)
+    part[:] = -1
+    lamp = cell < 5
+    radiance[lamp] = 40.0
+    guess = project(radiance, diffuse, specular, LEVELS, cell, part)
+    assert (guess.roughness == 1.0).all() and (guess.metallic == 0.0).all()
+    assert guess.emitting[lamp].all() and not guess.emitting[~lamp].any()
+    assert np.median(np.abs(guess.base_color[~lamp] - color[~lamp])) < 0.02
+    assert len(guess.part_roughness) == 0
+
+
+def test_cells_of_different_parts_stay_apart(rng: np.random.Generator) -> None:
+    """The same voxel holds a red and a blue part."""
+    count = 400
+    part = np.arange(count) % 2
+    color = np.where(part[:, None] == 0, [0.8, 0.1, 0.1], [0.1, 0.1, 0.8])
+    light = rng.uniform(0.5, 2.0, (count, 1)) * np.ones(3)
+    specular = np.full((count, len(LEVELS), 2, 3), 1e-3, np.float32)
+    guess = project((color * light).astype(np.float32), light, specular, LEVELS, np.zeros(count, int), part)
+    np.testing.assert_allclose(guess.base_color, color, atol=0.01)
+
+
+def test_an_empty_part_id_does_no_harm(rng: np.random.Generator) -> None:
+    arrays, cell, part, _ = synthetic(rng, [(1.0, 0.0), (float(LEVELS[3]), 1.0)], 0.01, 0.0)
+    part = part * 2  # part 1 has no pixel
+    guess = project(*arrays, LEVELS, cell, part)
+    assert len(guess.part_roughness) == 3 and np.isfinite(guess.part_roughness).all()
+    assert guess.part_metallic[2] == 1.0
