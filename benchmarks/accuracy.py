@@ -226,7 +226,8 @@ def score_cycles(
     command = [sys.executable, str(ROOT / "benchmarks" / "cycles_views.py"), str(run.root), str(spp)]
     print("rendering in Cycles", file=sys.stderr, flush=True)
     with open(run.log, "ab") as log:  # Blender tells a lot
-        ended = subprocess.run(command, input=json.dumps(wanted).encode(), stdout=log, stderr=log, check=False)
+        text = json.dumps(wanted).encode()
+        ended = subprocess.run(command, input=text, stdout=log, stderr=log, check=False)
     if ended.returncode:
         raise FiptError("run-failed", "The renders in Cycles failed.", f"Mend what {run.log} reports.")
     images = {
