@@ -34,7 +34,7 @@ from ..material.fields import Fields, count_coverage, new_networks_generator, ro
 from ..material.losses import factorised_rendering
 from ..material.networks import BrdfNetwork, EmissionNetwork, emission_mask, useful_hash_levels
 from ..material.projection import Guess, project
-from ..material.training import TrainingData, pretrain, train
+from ..material.training import PRETRAINING_STEPS, TrainingData, pretrain, train
 from ..render.environment import EnvironmentLight
 from ..render.lights import AreaLights
 from ..scene.labels import Parts, choose_parts
@@ -272,8 +272,18 @@ class Estimation:
     def _train(self, index: int, steps: int) -> dict[str, Any]:
         data, guess, rows = self._training_data()
         checkpoint = self.folder.stage / f"training-{index}.pt"
+        before = PRETRAINING_STEPS / (PRETRAINING_STEPS + steps) if index == 0 else 0.0
         if index == 0 and not checkpoint.exists():
-            pretrain(self.brdf, self.emission, data, guess, rows, self.settings, self.device)
+            pretrain(
+                self.brdf,
+                self.emission,
+                data,
+                guess,
+                rows,
+                self.settings,
+                self.device,
+                lambda done: self.reporter.progress(before * done),
+            )
         train(
             self.brdf,
             self.emission,
@@ -283,7 +293,7 @@ class Estimation:
             index,
             self.device,
             checkpoint,
-            self.reporter.progress,
+            lambda done: self.reporter.progress(before + (1.0 - before) * done),
         )
         emitting = self._find_emitters(index)
         self._group_fixtures(emitting)

@@ -23,7 +23,7 @@ from .projection import Guess
 
 # Share of steps in which the learning rate has fallen to a tenth.
 _DECAY = 0.1
-_PRETRAINING_STEPS = 200
+PRETRAINING_STEPS = 200
 _PRETRAINING_RATE = 3e-3
 # Raw emission mask to which clear emitters are fitted at first.
 _SEED_MASK = 1.0
@@ -134,6 +134,7 @@ def pretrain(
     guess_rows: np.ndarray,
     settings: Settings,
     device: torch.device,
+    progress: Callable[[float], None],
 ) -> None:
     """Fit both networks to a closed-form guess before the first round.
 
@@ -141,15 +142,16 @@ def pretrain(
 
     Args:
         guess: values at the pixels `guess_rows`.
+        progress: called with the share of steps done.
     """
     parameters = [*brdf.parameters(), *emission.parameters()]
     optimiser = torch.optim.Adam(parameters, lr=_PRETRAINING_RATE, fused=True)
     bright = np.flatnonzero(guess.emitting)
     size = min(settings.batch_size, len(guess_rows))
     values = np.concatenate([guess.base_color, guess.roughness[:, None], guess.metallic[:, None]], axis=1)
-    for step in range(_PRETRAINING_STEPS):
+    for step in range(PRETRAINING_STEPS):
         for group in optimiser.param_groups:
-            group["lr"] = _PRETRAINING_RATE * _DECAY ** (step / _PRETRAINING_STEPS)
+            group["lr"] = _PRETRAINING_RATE * _DECAY ** (step / PRETRAINING_STEPS)
         rng = np.random.default_rng([settings.seed, 1000, step])
         chosen = rng.integers(0, len(guess_rows), size)
         if len(bright):
@@ -164,6 +166,7 @@ def pretrain(
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
+        progress((step + 1) / PRETRAINING_STEPS)
 
 
 def train(
