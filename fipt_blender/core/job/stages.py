@@ -7,6 +7,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,6 @@ import mitsuba as mi
 import numpy as np
 import torch
 
-from ..capture.images import write_exr
 from ..capture.views import load_capture
 from ..device.variant import torch_device
 from ..light.cache import SIDES, SurfaceLookup, VoxelGrid, make_grid, pool
@@ -26,13 +26,12 @@ from ..light.emitters import (
     group_fixtures,
     reflection_explains,
 )
-from ..light.environment import Environment, estimate_environment
+from ..light.environment import Environment, estimate_environment, outside_pixels
 from ..light.radiance import CachedRadiance, TracedRadiance
 from ..light.shadings import SampleCounts, roughness_levels
 from ..light.views import ShadingStore, bake_views, open_shadings
-from ..material.fields import Fields, count_coverage, new_networks_generator, room_box
-from ..material.losses import factorised_rendering
-from ..material.networks import BrdfNetwork, EmissionNetwork, emission_mask, useful_hash_levels
+from ..material.fields import Fields, count_coverage, mask_at, new_networks_generator, render_pixels, room_box
+from ..material.networks import BrdfNetwork, EmissionNetwork, useful_hash_levels
 from ..material.projection import Guess, project
 from ..material.training import PRETRAINING_STEPS, TrainingData, pretrain, train
 from ..render.environment import EnvironmentLight
@@ -43,7 +42,8 @@ from ..scene.room import load_room, triangle_normals
 from .checkpoints import Checkpoints, input_key
 from .errors import FiptError
 from .messages import Reporter, peak_memory_gb
-from .runfolder import RunFolder, atomic_path, explained_write_errors, write_json
+from .results import write_results
+from .runfolder import RunFolder, explained_write_errors, write_json
 from .settings import Settings
 
 # Pixels that the closed-form start looks at; more change nothing but its time.
@@ -106,14 +106,14 @@ class Estimation:
                     self._stage(
                         f"refinement-{index}",
                         f"Stage 3: refining shadings (round {index} of {rounds})",
-                        lambda i=index: self._refine(i),
+                        partial(self._refine, index),
                         lambda: None,
                     )
                 self._stage(
                     f"training-{index}",
                     f"Stage 2: training materials (round {index} of {rounds})",
-                    lambda i=index: self._train(i, steps[i]),
-                    lambda i=index: self._load_training(i),
+                    partial(self._train, index, steps[index]),
+                    partial(self._load_training, index),
                 )
             self._write_results()
 
@@ -165,7 +165,7 @@ class Estimation:
         rng = np.random.default_rng([self.settings.seed, 1])
         self.grid = make_grid(self.room, position, seen, self.settings.voxel_resolution, rng)
         self.entries = self.grid.entries(position, seen)
-        self.environment = self._estimate_environment()
+        self.environment = estimate_environment(*outside_pixels(self.pixels), self.settings.environment_width)
         distance = np.linalg.norm(
             position[::7] - self.pixels.camera_positions()[self.pixels.view_of(self.hit[::7])], axis=1
         )
@@ -175,19 +175,6 @@ class Estimation:
         self.hash_levels = useful_hash_levels(self.settings, self.box.extent, self.footprint)
         self.brdf = BrdfNetwork(self.settings, self.hash_levels, generator, self.device)
         self.emission = EmissionNetwork(self.settings, generator, self.device)
-
-    def _estimate_environment(self) -> Environment | None:
-        missed = np.flatnonzero(self.pixels.triangle < 0)
-        if not len(missed):
-            return None
-        directions = np.empty((len(missed), 3))
-        view_of = self.pixels.view_of(missed)
-        for index in np.unique(view_of):
-            _, rays = self.pixels.views[index].rays()
-            chosen = view_of == index
-            directions[chosen] = rays[missed[chosen] - self.pixels.ranges[index]]
-        radiance = np.asarray(self.pixels.radiance[missed])
-        return estimate_environment(directions, radiance, self.settings.environment_width)
 
     # Stage 1
 
@@ -295,7 +282,9 @@ class Estimation:
             checkpoint,
             lambda done: self.reporter.progress(before + (1.0 - before) * done),
         )
-        emitting = self._find_emitters(index)
+        # The last entry serves triangles without a part.
+        constant = np.append(guess.part_emits, False)[self.parts.triangle_part]
+        emitting = self._find_emitters(index, constant)
         self._group_fixtures(emitting)
         self.checkpoints.save_tensors(
             f"networks-{index}",
@@ -315,22 +304,24 @@ class Estimation:
         # Not found anew: the shadings that it took may have been refined since, or half refined.
         self._group_fixtures(state["emitting"].cpu().numpy())
 
-    def _mask(self, positions: np.ndarray) -> np.ndarray:
-        result = np.empty(len(positions), np.float32)
-        with torch.no_grad():
-            for start in range(0, len(positions), 1 << 16):
-                part = slice(start, start + (1 << 16))
-                inputs = torch.from_numpy(self.box.normalise(positions[part])).to(self.device)
-                result[part] = emission_mask(self.emission(inputs)).cpu().numpy()
-        return result
-
-    def _find_emitters(self, index: int) -> np.ndarray:
-        """(T,) bool, triangles that emit."""
+    def _find_emitters(self, index: int, constant: np.ndarray) -> np.ndarray:
+        """(T,) bool, triangles that emit; those of `constant` ((T,) bool) do whatever the mask says."""
         rng = np.random.default_rng([self.settings.seed, 3, index])
-        emitting = find_emitters(
-            self.room, self._mask, self.settings.emitter_threshold, self.settings.emitter_samples, rng
+        marked = find_emitters(
+            self.room,
+            lambda positions: mask_at(self.emission, self.box, positions),
+            self.settings.emitter_threshold,
+            self.settings.emitter_samples,
+            rng,
         )
-        return emitting & ~self._explained(emitting)
+        rows = self.hit[marked[self.pixels.triangle[self.hit]]]
+        shadings = self._open_shadings()
+        rendered = render_pixels(
+            self.brdf, self.box, self.pixels.position, shadings.diffuse, shadings.specular, self.levels, rows
+        )
+        triangle, radiance = self.pixels.triangle[rows], self.pixels.radiance[rows]
+        explained = reflection_explains(triangle, radiance, rendered, len(marked))
+        return (marked & ~explained) | constant
 
     def _group_fixtures(self, emitting: np.ndarray) -> None:
         self.fixtures = group_fixtures(
@@ -341,31 +332,6 @@ class Estimation:
             np.asarray(self.pixels.pure),
             np.asarray(self.pixels.radiance),
             reach=2.0 * self.footprint,
-        )
-
-    def _explained(self, emitting: np.ndarray) -> np.ndarray:
-        """(T,) bool, triangles whose photographed radiance reflection explains: no emitters, whatever the
-        mask says beside a lamp."""
-        on_emitter = emitting[self.pixels.triangle[self.hit]]
-        rows = self.hit[on_emitter]
-        if not len(rows):
-            return np.zeros(len(emitting), bool)
-        shadings = self._open_shadings()
-        rendered = np.empty((len(rows), 3), np.float32)
-        levels = torch.from_numpy(self.levels).to(self.device)
-        with torch.no_grad():
-            for start in range(0, len(rows), 1 << 15):
-                part = rows[start : start + (1 << 15)]
-                position = self.box.normalise(np.asarray(self.pixels.position[part]))
-                arrays = (position, shadings.diffuse[part], shadings.specular[part])
-                inputs = [torch.from_numpy(np.asarray(a, np.float32)).to(self.device) for a in arrays]
-                value = factorised_rendering(self.brdf(inputs[0]), inputs[1], inputs[2], levels)
-                rendered[start : start + len(part)] = value.cpu().numpy()
-        return reflection_explains(
-            np.asarray(self.pixels.triangle[rows]),
-            np.asarray(self.pixels.radiance[rows]),
-            rendered,
-            len(emitting),
         )
 
     # Stage 3
@@ -420,30 +386,9 @@ class Estimation:
         return Fields(self.brdf, self.box, coverage)
 
     def _write_results(self) -> None:
-        folder = self.folder
-        folder.results.mkdir(parents=True, exist_ok=True)
-        self._fields().save(folder)
-        with atomic_path(folder.results / "parts.npz") as temporary:
-            np.savez(temporary, triangle_part=self.parts.triangle_part)
-        environment = None
-        if self.environment is not None:
-            write_exr(folder.environment_exr, self.environment.image * self.scale)
-            environment = {
-                "image": folder.environment_exr.name,
-                "observed_share": self.environment.observed_share,
-            }
-        fixtures = [
-            _describe(fixture, f"Fixture.{number:03d}", self.scale)
-            for number, fixture in enumerate(self.fixtures, start=1)
-        ]
-        if not fixtures and environment is None:
-            self.reporter.warning(
-                "no-emitter",
-                "No surface was found to emit light, and no view looks outside.",
-                "Check that a photograph shows the lamps, and that they are not over-exposed.",
-            )
-        write_json(folder.emitters_json, {"fixtures": fixtures, "environment": environment})
-        write_json(folder.statistics_json, self.summary())
+        fields, lights = self._fields(), (self.fixtures, self.environment)
+        write_results(self.folder, fields, self.parts, *lights, self.scale, self.reporter)
+        write_json(self.folder.statistics_json, self.summary())
 
     def summary(self) -> dict[str, Any]:
         """Stage times, rays and memory."""
@@ -464,17 +409,3 @@ class Estimation:
         folder = self.folder
         wanted = [folder.fields_npz, folder.emitters_json, folder.environment_exr, folder.statistics_json]
         return [path for path in wanted if path.exists()]
-
-
-def _describe(fixture: Fixture, name: str, scale: float) -> dict[str, Any]:
-    """A fixture for emitters.json, in the photographs' units; power is pi A L of both sides, in watts."""
-    front, back = fixture.radiance * scale, fixture.back_radiance * scale
-    return {
-        "name": name,
-        "triangles": fixture.triangles.tolist(),
-        "radiance": front.tolist(),
-        "back_radiance": back.tolist(),
-        "area": fixture.area,
-        "centroid": fixture.centroid.tolist(),
-        "power": (np.pi * fixture.area * (front + back)).tolist(),
-    }

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..conventions import direction_to_equirect
+from ..scene.pixels import PixelStore
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,18 @@ class Environment:
 
     image: np.ndarray
     observed_share: float
+
+
+def outside_pixels(pixels: PixelStore) -> tuple[np.ndarray, np.ndarray]:
+    """World directions (M, 3) and radiance (M, 3) of the pixels that miss the mesh."""
+    missed = np.flatnonzero(pixels.triangle < 0)
+    directions = np.empty((len(missed), 3))
+    view_of = pixels.view_of(missed)
+    for index in np.unique(view_of):
+        _, rays = pixels.views[index].rays()
+        chosen = view_of == index
+        directions[chosen] = rays[missed[chosen] - pixels.ranges[index]]
+    return directions, np.asarray(pixels.radiance[missed])
 
 
 def estimate_environment(directions: np.ndarray, radiance: np.ndarray, width: int) -> Environment | None:

@@ -17,7 +17,8 @@ from ..device.variant import set_variant, torch_device
 from ..job.errors import FiptError
 from ..job.runfolder import RunFolder, atomic_path
 from ..job.settings import Settings
-from .networks import BrdfNetwork
+from .losses import factorised_rendering
+from .networks import BrdfNetwork, EmissionNetwork, emission_mask
 
 CHUNK = 1 << 17
 COVERAGE_RESOLUTION = 128
@@ -143,3 +144,44 @@ def count_coverage(box: Box, positions: np.ndarray) -> np.ndarray:
     """(R^3,) float32 coverage grid from all positions that pixels saw."""
     count = np.bincount(coverage_cells(box, positions), minlength=COVERAGE_RESOLUTION**3)
     return (1.0 - np.exp(-count / FULLY_SEEN)).astype(np.float32)
+
+
+@torch.no_grad()
+def mask_at(network: EmissionNetwork, box: Box, positions: np.ndarray) -> np.ndarray:
+    """(N,) float32 emission mask alpha at (N, 3) world positions."""
+    device = next(network.parameters()).device
+    result = np.empty(len(positions), np.float32)
+    for start in range(0, len(positions), CHUNK):
+        part = slice(start, start + CHUNK)
+        inputs = torch.from_numpy(box.normalise(positions[part])).to(device)
+        result[part] = emission_mask(network(inputs)).cpu().numpy()
+    return result
+
+
+@torch.no_grad()
+def render_pixels(
+    network: BrdfNetwork,
+    box: Box,
+    position: np.ndarray,
+    diffuse: np.ndarray,
+    specular: np.ndarray,
+    levels: np.ndarray,
+    rows: np.ndarray,
+) -> np.ndarray:
+    """(len(rows), 3) float32 reflected radiance L_r (paper Eq. 5) of some pixels.
+
+    Args:
+        position: (N, 3) world positions of all pixels; memory-mapped arrays will do.
+        diffuse, specular: their shadings (N, 3) and (N, K, 2, 3), at the roughness `levels`.
+        rows: (R,) pixels wanted.
+    """
+    device = next(network.parameters()).device
+    level = torch.from_numpy(levels).to(device)
+    result = np.empty((len(rows), 3), np.float32)
+    for start in range(0, len(rows), CHUNK):
+        part = rows[start : start + CHUNK]
+        arrays = (box.normalise(np.asarray(position[part])), diffuse[part], specular[part])
+        inputs = [torch.from_numpy(np.asarray(array, np.float32)).to(device) for array in arrays]
+        value = factorised_rendering(network(inputs[0]), inputs[1], inputs[2], level)
+        result[start : start + len(part)] = value.cpu().numpy()
+    return result

@@ -1,0 +1,68 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Results of an estimation in open formats: fields, parts, fixtures and the environment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..capture.images import write_exr
+from ..light.emitters import Fixture
+from ..light.environment import Environment
+from ..material.fields import Fields
+from ..scene.labels import Parts
+from .messages import Reporter
+from .runfolder import RunFolder, atomic_path, write_json
+
+
+def write_results(
+    folder: RunFolder,
+    fields: Fields,
+    parts: Parts,
+    fixtures: Sequence[Fixture],
+    environment: Environment | None,
+    scale: float,
+    reporter: Reporter,
+) -> None:
+    """Write the results folder, but for the statistics.
+
+    Args:
+        fixtures, environment: in units of the capture's median.
+        scale: radiance of that median in the photographs.
+        reporter: gets the warning ``no-emitter`` where nothing lights the room.
+    """
+    folder.results.mkdir(parents=True, exist_ok=True)
+    fields.save(folder)
+    with atomic_path(folder.results / "parts.npz") as temporary:
+        np.savez(temporary, triangle_part=parts.triangle_part)
+    outside = None
+    if environment is not None:
+        write_exr(folder.environment_exr, environment.image * scale)
+        outside = {"image": folder.environment_exr.name, "observed_share": environment.observed_share}
+    described = [
+        _describe(fixture, f"Fixture.{number:03d}", scale) for number, fixture in enumerate(fixtures, start=1)
+    ]
+    if not described and outside is None:
+        reporter.warning(
+            "no-emitter",
+            "No surface was found to emit light, and no view looks outside.",
+            "Check that a photograph shows the lamps, and that they are not over-exposed.",
+        )
+    write_json(folder.emitters_json, {"fixtures": described, "environment": outside})
+
+
+def _describe(fixture: Fixture, name: str, scale: float) -> dict[str, Any]:
+    """A fixture for emitters.json, in the photographs' units; power is pi A L of both sides, in watts."""
+    front, back = fixture.radiance * scale, fixture.back_radiance * scale
+    return {
+        "name": name,
+        "triangles": fixture.triangles.tolist(),
+        "radiance": front.tolist(),
+        "back_radiance": back.tolist(),
+        "area": fixture.area,
+        "centroid": fixture.centroid.tolist(),
+        "power": (np.pi * fixture.area * (front + back)).tolist(),
+    }
