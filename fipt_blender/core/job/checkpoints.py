@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import shutil
 from collections.abc import Sequence
@@ -79,8 +80,7 @@ class Checkpoints:
 
     def save_tensors(self, name: str, state: dict[str, Any]) -> None:
         """Write network weights, whole or not at all."""
-        with atomic_path(self._folder / f"{name}.pt") as temporary:
-            torch.save(state, temporary)
+        save_tensors(self._folder / f"{name}.pt", state)
 
     def load_tensors(self, name: str, device: torch.device) -> dict[str, Any]:
         """Read network weights; never runs code from the file.
@@ -95,3 +95,15 @@ class Checkpoints:
             raise FiptError(
                 "file-damaged", f"{path} can't be read ({error}).", "Delete the run's stage folder."
             ) from None
+
+
+def save_tensors(path: Path, state: dict[str, Any]) -> None:
+    """Write tensors, whole or not at all.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``; torch's own writer hides what the system said.
+    """
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(buffer.getbuffer())

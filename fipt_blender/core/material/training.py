@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ..job.runfolder import atomic_path
+from ..job.checkpoints import save_tensors
 from ..job.settings import Settings
 from . import losses
 from .networks import BrdfNetwork, EmissionNetwork, emission_mask
@@ -210,13 +210,10 @@ def train(
         optimiser.step()
         progress((step + 1) / steps)
         if checkpoint is not None and (step + 1) % settings.checkpoint_steps == 0 and step + 1 < steps:
-            with atomic_path(checkpoint) as temporary:
-                torch.save(
-                    {
-                        "brdf": brdf.state_dict(),
-                        "emission": emission.state_dict(),
-                        "optimiser": optimiser.state_dict(),
-                        "step": step + 1,
-                    },
-                    temporary,
-                )
+            state = {
+                "brdf": brdf.state_dict(),
+                "emission": emission.state_dict(),
+                "optimiser": optimiser.state_dict(),
+                "step": step + 1,
+            }
+            save_tensors(checkpoint, state)
