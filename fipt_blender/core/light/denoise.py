@@ -1,30 +1,40 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Open Image Denoise on shading images, with guides."""
+"""Open Image Denoise, with guides: for baked shadings and for rendered images."""
 
 from __future__ import annotations
 
 import numpy as np
 import pyoidn
 
+# Images are mirrored outwards by this many pixels: at a border, where it sees one side only, the denoiser
+# leaves fireflies standing.
+MARGIN = 16
+
 
 class Denoiser:
     """Denoises HDR images of one size that share their guides.
 
     Args:
-        albedo: (H, W, 3) float32 in [0, 1], an image without noise whose edges the result keeps.
+        albedo: (H, W, 3) float32 in [0, 1], whose edges the result keeps.
         normal: (H, W, 3) float32 unit normals, any space.
+        clean_guides: whether the guides are free of noise.
 
     Use as a context manager; images are finite and non-negative.
     """
 
-    def __init__(self, albedo: np.ndarray, normal: np.ndarray) -> None:
+    def __init__(self, albedo: np.ndarray, normal: np.ndarray, clean_guides: bool) -> None:
+        height, width = albedo.shape[:2]
+        self._pad = [(min(MARGIN, height - 1),) * 2, (min(MARGIN, width - 1),) * 2, (0, 0)]
+        self._inside = (
+            slice(self._pad[0][0], self._pad[0][0] + height),
+            slice(self._pad[1][0], self._pad[1][0] + width),
+        )
         self._device = pyoidn.Device()
         self._device.commit()
         self._filter = pyoidn.Filter(self._device, pyoidn.OIDN_FILTER_TYPE_RT)
         # The filter keeps pointers into these arrays.
-        self._albedo = np.ascontiguousarray(albedo, np.float32)
-        self._normal = np.ascontiguousarray(normal, np.float32)
+        self._albedo, self._normal = self._mirror(albedo), self._mirror(normal)
         self._color = np.zeros_like(self._albedo)
         self._output = np.zeros_like(self._albedo)
         for name, image in (
@@ -35,8 +45,11 @@ class Denoiser:
         ):
             self._filter.set_image(name, image, pyoidn.OIDN_FORMAT_FLOAT3)
         self._filter.set_bool("hdr", True)
-        self._filter.set_bool("cleanAux", True)
+        self._filter.set_bool("cleanAux", clean_guides)
         self._filter.commit()
+
+    def _mirror(self, image: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(np.pad(image, self._pad, mode="reflect"), np.float32)
 
     def __enter__(self) -> Denoiser:
         return self
@@ -47,9 +60,9 @@ class Denoiser:
 
     def __call__(self, color: np.ndarray) -> np.ndarray:
         """(H, W, 3) float32 denoised image, never negative."""
-        self._color[...] = color
+        self._color[...] = self._mirror(color)
         self._filter.execute()
         error = self._device.get_error()
         if error:
             raise RuntimeError(f"Open Image Denoise failed: {error}")
-        return np.maximum(self._output, 0.0)
+        return np.maximum(self._output[self._inside], 0.0)

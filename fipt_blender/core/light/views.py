@@ -131,7 +131,7 @@ def _bake_seen(
 def _denoise(shadings: Shadings, normal: np.ndarray, size: tuple[int, int], specular_too: bool) -> Shadings:
     height, width = size
     guide = np.ones((height, width, 3), np.float32)
-    with Denoiser(guide, normal.reshape(height, width, 3)) as denoiser:
+    with Denoiser(guide, normal.reshape(height, width, 3), clean_guides=True) as denoiser:
         diffuse = denoiser(shadings.diffuse.reshape(height, width, 3)).reshape(-1, 3)
         if not specular_too:
             return Shadings(diffuse, shadings.specular)

@@ -17,6 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..conventions import PinholeView
+from ..light.denoise import Denoiser
 from ..material import brdf
 from ..scene.room import Room
 from .environment import EnvironmentLight
@@ -255,9 +256,8 @@ def render_view(lit: LitRoom, view: PinholeView, settings: RenderSettings, strea
 
 def denoise(radiance: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Open Image Denoise on an HDR image (H, W, 3) float32, guided by albedo and world normals."""
-    import pyoidn
-
-    return np.maximum(pyoidn.denoise(radiance, albedo, normal, hdr=True), 0.0)
+    with Denoiser(albedo, normal, clean_guides=False) as denoiser:
+        return denoiser(radiance)
 
 
 def render_views(
