@@ -8,6 +8,7 @@ surfaces until it meets an emitter or a surface rough enough for the cache (pape
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import drjit as dr
@@ -20,6 +21,7 @@ from ..scene.room import Room, Surface
 from .cache import SurfaceLookup
 
 
+@dataclass  # not frozen: Dr.Jit's loops write their state back into it
 class Path:
     """State of one light path per lane.
 
@@ -32,14 +34,6 @@ class Path:
         origin: Point3f of the ray to be traced next.
     """
 
-    DRJIT_STRUCT = {
-        "radiance": mi.Color3f,
-        "throughput": mi.Color3f,
-        "brdf_pdf": mi.Float,
-        "depth": mi.UInt32,
-        "origin": mi.Point3f,
-    }
-
     radiance: Any
     throughput: Any
     brdf_pdf: Any
@@ -49,10 +43,13 @@ class Path:
 
 def new_path(width: int = 1) -> Path:
     """A path that has not left its pixel's surface yet; the caller sets the origin."""
-    path = dr.zeros(Path, width)
-    path.throughput = mi.Color3f(1.0)
-    path.brdf_pdf = mi.Float(-1.0)
-    return path
+    return Path(
+        radiance=dr.zeros(mi.Color3f, width),
+        throughput=mi.Color3f(1.0),
+        brdf_pdf=mi.Float(-1.0),
+        depth=dr.zeros(mi.UInt32, width),
+        origin=dr.zeros(mi.Point3f, width),
+    )
 
 
 class RadianceSource(Protocol):
