@@ -30,6 +30,9 @@ class Environment:
 def outside_pixels(pixels: PixelStore) -> tuple[np.ndarray, np.ndarray]:
     """World directions (M, 3) and radiance (M, 3) of the pixels that miss the mesh."""
     missed = np.flatnonzero(pixels.triangle < 0)
+    clean = np.asarray(pixels.pure[missed])
+    if clean.any():  # the colour of a window's frame, in the pixels at its edge, is no light from outside
+        missed = missed[clean]
     directions = np.empty((len(missed), 3))
     view_of = pixels.view_of(missed)
     for index in np.unique(view_of):

@@ -37,7 +37,8 @@ class PixelStore:
         normal: (N, 3) float32 shading normal towards the viewer.
         triangle: (N,) int32, NO_TRIANGLE where the mesh is missed.
         front: (N,) bool, whether the triangle's front is seen.
-        pure: (N,) bool, whether the whole pixel sees one smooth surface (paper's blind spot: mixed pixels).
+        pure: (N,) bool, whether the whole pixel sees one smooth surface, or nothing but the outside (paper's
+            blind spot: mixed pixels).
     """
 
     views: list[View]
@@ -169,22 +170,23 @@ def fill_pixels(
 
 
 def _pure(room: Room, view: View, centre: Surface, labels: np.ndarray | None) -> np.ndarray:
-    """Whether the corners of each pixel see the same part, at about the same place and slope."""
+    """Whether the corners of each pixel see the same part, at about the same place and slope; or outside."""
     valid = centre.valid
     label = None if labels is None else mi.Int32(labels.astype(np.int32))
     cosine = dr.abs(dr.dot(centre.normal, _toward(view, centre)))
     # Half a pixel's diagonal on the tangent plane, with room for curvature.
     pixel = centre.distance / dr.opaque(mi.Float, float(min(view.fx, view.fy)))
     reach = 1.5 * pixel / dr.maximum(cosine, 0.05)
-    pure = mi.Bool(valid)
+    pure, outside = mi.Bool(valid), ~valid
     for shift in ((-0.45, -0.45), (0.45, -0.45), (-0.45, 0.45), (0.45, 0.45)):
         corner = trace_pixels(room, view, shift)
+        outside &= ~corner.valid
         pure &= corner.valid & (dr.norm(corner.position - centre.position) < reach)
         pure &= dr.dot(corner.normal, centre.normal) > 0.8
         if label is not None:
             here = dr.gather(mi.Int32, label, centre.triangle, valid)
             pure &= dr.gather(mi.Int32, label, corner.triangle, corner.valid) == here
-    return np.array(pure)
+    return np.array(pure | outside)
 
 
 def _toward(view: View, surface: Surface) -> mi.Vector3f:
