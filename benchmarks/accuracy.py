@@ -20,7 +20,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks import metrics, picture_page, truth
+from benchmarks import cycles_views, metrics, picture_page, truth
 from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.capture.views import View, load_capture
 from fipt_blender.core.job.errors import FiptError
@@ -230,10 +230,8 @@ def score_cycles(
         ended = subprocess.run(command, input=text, stdout=log, stderr=log, check=False)
     if ended.returncode:
         raise FiptError("run-failed", "The renders in Cycles failed.", f"Mend what {run.log} reports.")
-    images = {
-        (entry["kind"], entry["view"]): run.resolve(entry["image"])
-        for entry in read_json(run.renders_json)["renders"]
-    }
+    listed = read_json(cycles_views.apart(RunFolder(run.root)).renders_json)["renders"]
+    images = {(entry["kind"], entry["view"]): run.resolve(entry["image"]) for entry in listed}
     for split in SPLITS:
         found = [read_radiance(images["rerender", view.name]) for view in rendered[split]]
         truths = [view.radiance() for view in rendered[split]]

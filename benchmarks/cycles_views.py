@@ -14,13 +14,21 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from fipt_blender.blend.renders import render_cycles_views
 from fipt_blender.core.job.runfolder import RunFolder
 
 
+def apart(run: RunFolder) -> RunFolder:
+    """The same run with a renders folder of its own, so that the user's own stay as they are."""
+    run.renders = run.root / "accuracy" / "renders"
+    run.renders_json = run.renders / "renders.json"
+    return run
+
+
 def main() -> None:
-    """Render what stdin asks for into the run's renders folder."""
-    run, spp = RunFolder(sys.argv[1]), int(sys.argv[2])
+    """Render what stdin asks for below the run's accuracy folder."""
+    run, spp = apart(RunFolder(sys.argv[1])), int(sys.argv[2])
+    from fipt_blender.blend.renders import render_cycles_views  # bpy
+
     wanted = json.load(sys.stdin)
     blend = run.root / "room.blend"
     render_cycles_views(run, blend, wanted["rerender"], spp=spp)
