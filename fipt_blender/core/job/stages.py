@@ -241,6 +241,8 @@ class Estimation:
             # A semantic class holds several materials: no single pair would fit it.
             part[rows] if self.parts.kind == "part" else np.full(len(rows), -1, np.int32),
         )
+        # Parts that none of these rows saw are diffuse.
+        unseen = max(int(part.max(initial=-1)) + 1 - len(guess.part_roughness), 0)
         data = TrainingData(
             pool=pool_rows,
             position=self.pixels.position,
@@ -250,8 +252,8 @@ class Estimation:
             specular=shadings.specular,
             levels=self.levels,
             part_kind=self.parts.kind,
-            part_roughness=guess.part_roughness,
-            part_metallic=guess.part_metallic,
+            part_roughness=np.pad(guess.part_roughness, (0, unseen), constant_values=1.0),
+            part_metallic=np.pad(guess.part_metallic, (0, unseen)),
             normalise=self.box.normalise,
         )
         return data, guess, rows
