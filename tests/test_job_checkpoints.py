@@ -4,6 +4,7 @@
 
 import errno
 import os
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -58,9 +59,9 @@ def test_the_key_follows_all_that_matters(tmp_path: Path) -> None:
     assert input_key(SMALL, [file]) != key
 
 
+@pytest.mark.filterwarnings("ignore:Detected pickle protocol")
 def test_damaged_weights_are_an_error_of_ours_and_run_no_code(tmp_path: Path) -> None:
     checkpoints = Checkpoints(tmp_path / "stage", "a")
-    import pickle
 
     class Touch:
         def __reduce__(self):
@@ -93,6 +94,7 @@ WRITERS = {
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # a zip file closed twice
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_full_disk_is_said_so_and_keeps_what_was_there(name: str, tmp_path: Path) -> None:
     run = RunFolder(tmp_path / "run")

@@ -168,8 +168,16 @@ def _check(settings: Settings) -> None:
             raise FiptError(
                 "setting-invalid", f"Setting '{item.name}' is {value}.", "Give a number above zero."
             )
+        if number and value < _LEAST.get(item.name, value):
+            raise FiptError(
+                "setting-invalid",
+                f"Setting '{item.name}' is {value}.",
+                f"Give at least {_LEAST[item.name]}.",
+            )
 
 
+# Below these there is nothing to interpolate between, or no room inside the free border.
+_LEAST = {"roughness_levels": 3, "voxel_resolution": 8, "environment_width": 4}
 _MAY_BE_ZERO = {
     "seed",
     "rounds",
