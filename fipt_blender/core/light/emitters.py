@@ -25,6 +25,10 @@ ALIKE = 1.5
 MOSTLY = 0.5
 # Share of an emitter's radiance that reflection must leave unexplained.
 LEAST_EXCESS = 0.3
+# What is both this weak against all light and this dim against the brightest lamp is an error of the
+# shadings beside a lamp, and lights nothing.
+WEAK = 1e-3
+DIM = 0.1
 SCREENING_SAMPLES = 8
 
 
@@ -190,7 +194,14 @@ def group_fixtures(
         for fixture, sure in zip(fixtures, trusted, strict=True)
         if sure or not _beside_brighter(room, fixture, fixtures, trusted, reach)
     ]
-    return sorted(kept, key=lambda f: -f.area * _brightness(f))
+    total = sum(fixture.area * _brightness(fixture) for fixture in kept)
+    brightest = max((_brightness(fixture) for fixture in kept), default=0.0)
+    lamps = [
+        fixture
+        for fixture in kept
+        if fixture.area * _brightness(fixture) > WEAK * total or _brightness(fixture) > DIM * brightest
+    ]
+    return sorted(lamps, key=lambda f: -f.area * _brightness(f))
 
 
 def _brightness(fixture: Fixture) -> float:
