@@ -31,6 +31,8 @@ def pytest_configure(config: pytest.Config) -> None:
         raise pytest.UsageError(str(error)) from None
     preload(companions(library))
     os.environ[LLVM_VARIABLE] = str(library)
+    # As in the engine: torch's threads must not spin while Dr.Jit's or another process's work.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 
 @pytest.fixture(autouse=True)
