@@ -23,13 +23,22 @@ from .settings import Settings
 _LATER = {"texel_density", "texture_size", "atlas_mode", "write_back", "preset", "checkpoint_steps"}
 
 
-def input_key(settings: Settings, files: Sequence[Path]) -> str:
-    """Hash of all that the estimation depends on: its settings and the bytes of its input files."""
+def input_key(settings: Settings, files: Sequence[Path], images: Sequence[Path] = ()) -> str:
+    """Hash of all that the estimation depends on.
+
+    Args:
+        settings: those that the estimation reads count.
+        files: count by their bytes.
+        images: count by size and time of change: reading all photographs would take too long.
+    """
     digest = hashlib.sha256()
     values = {name: value for name, value in asdict(settings).items() if name not in _LATER}
     digest.update(json.dumps(values, sort_keys=True).encode())
     for path in files:
         digest.update(path.read_bytes() if path.exists() else b"missing")
+    for path in images:
+        status = path.stat() if path.exists() else None
+        digest.update(f"{status.st_size} {status.st_mtime_ns}".encode() if status else b"missing")
     return digest.hexdigest()
 
 

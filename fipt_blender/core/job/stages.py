@@ -72,9 +72,9 @@ class Estimation:
             settings.roughness_levels, settings.roughness_min, settings.roughness_spacing
         )
         self.box = room_box(self.room.bounds)
-        self.checkpoints = Checkpoints(
-            folder.stage, input_key(settings, [folder.capture_json, folder.room_npz, folder.room_json])
-        )
+        files = [folder.capture_json, folder.room_npz, folder.room_json]
+        images = [path for v in self.capture.train for path in (v.image, v.parts, v.semantics) if path]
+        self.checkpoints = Checkpoints(folder.stage, input_key(settings, files, images))
         self.pixels: PixelStore
         self.parts: Parts
         self.grid: VoxelGrid
@@ -315,6 +315,7 @@ class Estimation:
             self.settings.emitter_threshold,
             self.settings.emitter_samples,
             rng,
+            large=(10.0 * self.footprint) ** 2,
         )
         rows = self.hit[marked[self.pixels.triangle[self.hit]]]
         shadings = self._open_shadings()

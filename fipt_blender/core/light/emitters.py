@@ -57,18 +57,20 @@ def find_emitters(
     threshold: float,
     samples: int,
     rng: np.random.Generator,
+    large: float = np.inf,
 ) -> np.ndarray:
     """(T,) bool, triangles whose mean emission mask over random points exceeds the threshold.
 
-    Triangles are screened with a few samples first; only those with any response get all of them.
+    Small triangles are screened with a few samples first; only those with any response get all of them.
 
     Args:
         mask: (N, 3) world positions to (N,) alpha.
         samples: points a triangle.
+        large: square metres from which a triangle, which may be a lamp in part, gets all samples.
     """
     everything = np.arange(len(room.triangles))
     screened = mask(_points(room, everything, SCREENING_SAMPLES, rng)).reshape(-1, SCREENING_SAMPLES)
-    candidates = everything[screened.max(axis=1) > 0.1 * threshold]
+    candidates = everything[(screened.max(axis=1) > 0.1 * threshold) | (room.areas >= large)]
     found = np.zeros(len(everything), bool)
     for start in range(0, len(candidates), 4096):
         part = candidates[start : start + 4096]
