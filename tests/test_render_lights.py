@@ -76,7 +76,7 @@ def test_points_are_uniform_by_area() -> None:
     assert np.max(residual) < 1e-6
     assert coordinates.min() > -1e-5 and coordinates.sum(axis=0).max() < 1 + 1e-5
     cells = np.floor(np.clip(coordinates, 0, 0.999999) * 8).astype(int)
-    # fold the upper half of the unit square's diagonal cells: only whole cells below the diagonal are compared
+    # only whole cells below the unit square's diagonal are compared
     whole = cells.sum(axis=0) < 7
     histogram = np.bincount(cells[0, whole] * 8 + cells[1, whole], minlength=64)
     expected = inside.sum() * 2.0 / 64.0
