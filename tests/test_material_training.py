@@ -36,6 +36,7 @@ def make_data(kind: str = "part") -> TrainingData:
     radiance[lamp] = 30.0
     return TrainingData(
         pool=np.arange(count),
+        donor=np.arange(count),
         position=position * 4.0 - 2.0,
         radiance=radiance.astype(np.float32),
         part=part,

@@ -37,7 +37,7 @@ from ..material.training import PRETRAINING_STEPS, TrainingData, pretrain, train
 from ..render.environment import EnvironmentLight
 from ..render.lights import AreaLights
 from ..scene.labels import Parts, choose_parts
-from ..scene.pixels import PixelStore, fill_pixels, open_pixels
+from ..scene.pixels import PixelStore, fill_pixels, find_donors, open_pixels
 from ..scene.room import load_room, triangle_normals
 from .checkpoints import Checkpoints, input_key
 from .errors import FiptError
@@ -48,6 +48,8 @@ from .settings import Settings
 
 # Pixels that the closed-form start looks at; more change nothing but its time.
 PROJECTION_PIXELS = 600_000
+# Steps in the image within which a mixed pixel borrows from a pure one of its part.
+DONOR_REACH = 4
 # Expected seconds of each stage in proportion, for the progress bar only.
 _WEIGHTS = {"pixels": 0.1, "shadings": 1.0, "training": 1.6, "refinement": 1.2}
 
@@ -224,9 +226,13 @@ class Estimation:
         part = np.full(len(self.pixels), -1, np.int32)
         part[self.hit] = self.parts.triangle_part[self.pixels.triangle[self.hit]]
         pure = np.asarray(self.pixels.pure)[self.hit]
-        # Mixed pixels only count where no pixel sees the surface alone.
+        # Mixed pixels show themselves only where no pixel sees the surface alone.
         alone = np.bincount(self.entries, pure, minlength=len(self.grid.voxels) * SIDES)
-        rows = pool_rows = self.hit[pure | (alone[self.entries] == 0)]
+        donors = find_donors(self.pixels, part, DONOR_REACH if self.parts.kind == "part" else 0)
+        lonely = self.hit[(alone[self.entries] == 0) & (donors[self.hit] < 0)]
+        donors[lonely] = lonely
+        pool_rows = np.flatnonzero(donors >= 0)
+        rows = pool_rows[donors[pool_rows] == pool_rows]
         if len(rows) > PROJECTION_PIXELS:
             rng = np.random.default_rng([self.settings.seed, 2])
             rows = np.sort(rng.choice(rows, PROJECTION_PIXELS, replace=False))
@@ -245,6 +251,7 @@ class Estimation:
         unseen = max(int(part.max(initial=-1)) + 1 - len(guess.part_roughness), 0)
         data = TrainingData(
             pool=pool_rows,
+            donor=donors,
             position=self.pixels.position,
             radiance=self.pixels.radiance,
             part=part,

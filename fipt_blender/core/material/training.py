@@ -36,6 +36,8 @@ class TrainingData:
 
     Attributes:
         pool: (P,) int64 pixels to train on.
+        donor: (N,) int64 pixel whose radiance and shadings are taken for each of them: itself, or a pure one
+            beside a mixed one.
         position: (N, 3) float32 normalised to the unit cube by `normalise`.
         radiance: (N, 3) in units of the capture's median.
         part: (N,) int part of each pixel, negative without.
@@ -48,6 +50,7 @@ class TrainingData:
     """
 
     pool: np.ndarray
+    donor: np.ndarray
     position: np.ndarray
     radiance: np.ndarray
     part: np.ndarray
@@ -76,9 +79,10 @@ class Batch:
 def gather_batch(data: TrainingData, rows: np.ndarray, device: torch.device) -> Batch:
     """Read rows; sorted access keeps memory-mapped files fast."""
     rows = np.sort(rows)
+    shown = data.donor[rows]
 
     def tensor(array: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(np.asarray(array[rows], np.float32)).to(device)
+        return torch.from_numpy(np.asarray(array[shown], np.float32)).to(device)
 
     part = np.asarray(data.part[rows], np.int64)
     roughness = np.where(part >= 0, data.part_roughness[part], 1.0) if len(data.part_roughness) else 1.0
