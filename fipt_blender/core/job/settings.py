@@ -52,7 +52,9 @@ class Settings:
     learning_rate: float = _setting(1e-3, "stage 2: Adam's first learning rate")
     lambda_emission: float = _setting(1.0, "weight of the emission mask's L1 term l_e")
     lambda_diffuse: float = _setting(5e-4, "weight of l_d, which prefers diffuse surfaces")
-    lambda_part: float = _setting(5e-3, "weight of l_p with part masks")
+    lambda_part: float = _setting(
+        5e-2, "weight of l_p with part masks, towards the closed form (paper: 5e-3, towards a batch's mean)"
+    )
     lambda_semantic: float = _setting(1e-3, "weight of l_p with semantic masks")
     sigma_albedo: float = _setting(0.05 / 3.0, "semantic kernel: width in base colour")
     sigma_position: float = _setting(0.3 / 3.0, "semantic kernel: width in the normalised box")
