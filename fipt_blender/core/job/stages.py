@@ -17,7 +17,7 @@ import torch
 
 from ..capture.views import load_capture
 from ..device.variant import torch_device
-from ..light.cache import SIDES, SurfaceLookup, VoxelGrid, make_grid, pool
+from ..light.cache import SurfaceLookup, pool
 from ..light.emitters import (
     Fixture,
     bright_triangles,
@@ -26,7 +26,7 @@ from ..light.emitters import (
     group_fixtures,
     reflection_explains,
 )
-from ..light.environment import Environment, estimate_environment, outside_pixels
+from ..light.observations import Observations, observe
 from ..light.radiance import CachedRadiance, TracedRadiance
 from ..light.shadings import SampleCounts, roughness_levels
 from ..light.views import ShadingStore, bake_views, open_shadings
@@ -34,11 +34,10 @@ from ..material.fields import Fields, count_coverage, mask_at, new_networks_gene
 from ..material.networks import BrdfNetwork, EmissionNetwork, useful_hash_levels
 from ..material.projection import Guess, project
 from ..material.training import PRETRAINING_STEPS, TrainingData, pretrain, train
-from ..render.environment import EnvironmentLight
 from ..render.lights import AreaLights
 from ..scene.labels import Parts, choose_parts
-from ..scene.pixels import PixelStore, fill_pixels, find_donors, open_pixels
-from ..scene.room import load_room, triangle_normals
+from ..scene.pixels import PixelStore, fill_pixels, mark_pure, open_pixels
+from ..scene.room import load_room
 from .checkpoints import Checkpoints, input_key
 from .errors import FiptError
 from .messages import Reporter, peak_memory_gb
@@ -48,8 +47,6 @@ from .settings import Settings
 
 # Pixels that the closed-form start looks at; more change nothing but its time.
 PROJECTION_PIXELS = 600_000
-# Steps in the image within which a mixed pixel borrows from a pure one of its part.
-DONOR_REACH = 4
 # Expected seconds of each stage in proportion, for the progress bar only.
 _WEIGHTS = {"pixels": 0.1, "shadings": 1.0, "training": 1.6, "refinement": 1.2}
 
@@ -79,8 +76,7 @@ class Estimation:
         self.checkpoints = Checkpoints(folder.stage, input_key(settings, files, images))
         self.pixels: PixelStore
         self.parts: Parts
-        self.grid: VoxelGrid
-        self.environment: Environment | None = None
+        self.seen: Observations
         self.scale = 1.0
         self.fixtures: list[Fixture] = []
         self.brdf: BrdfNetwork
@@ -143,53 +139,36 @@ class Estimation:
 
     def _trace(self) -> dict[str, Any]:
         self.pixels = open_pixels(self.folder.stage / "pixels", self.capture.train, create=True)
-        self.scale = fill_pixels(self.pixels, self.room, None, self.reporter.progress)
+        self.scale = fill_pixels(self.pixels, self.room, lambda done: self.reporter.progress(0.4 * done))
+        self.parts = self._choose_parts()
+        mark_pure(
+            self.pixels,
+            self.room,
+            self.parts.triangle_part,
+            lambda done: self.reporter.progress(0.4 + 0.6 * done),
+        )
         self.checkpoints.remember("scale", self.scale)
-        return {"rays": 5 * len(self.pixels)}
+        return {"rays": 6 * len(self.pixels)}
 
     def _load_pixels(self) -> None:
         self.pixels = open_pixels(self.folder.stage / "pixels", self.capture.train)
         self.scale = float(self.checkpoints.recall("scale"))
+        self.parts = self._choose_parts()
+
+    def _choose_parts(self) -> Parts:
+        bounds = zip(self.pixels.ranges[:-1], self.pixels.ranges[1:], strict=True)
+        triangles = [np.asarray(self.pixels.triangle[first:last]) for first, last in bounds]
+        return choose_parts(self.room, self.capture.train, triangles)
 
     def _prepare(self) -> None:
         """Everything that follows from the pixels and is quick to make again."""
-        ranges = self.pixels.ranges
-        triangles = [
-            np.asarray(self.pixels.triangle[ranges[i] : ranges[i + 1]]) for i in range(len(ranges) - 1)
-        ]
-        self.parts = choose_parts(self.room, self.capture.train, triangles)
-        self.hit = np.flatnonzero(self.pixels.triangle >= 0)
-        triangle = self.pixels.triangle[self.hit]
-        normals = triangle_normals(self.room.vertices, self.room.triangles)
-        side = np.where(self.pixels.front[self.hit], 1.0, -1.0)
-        position = np.asarray(self.pixels.position[self.hit])
-        seen = normals[triangle] * side[:, None]
-        rng = np.random.default_rng([self.settings.seed, 1])
-        self.grid = make_grid(self.room, position, seen, self.settings.voxel_resolution, rng)
-        self.entries = self.grid.entries(position, seen)
-        self.environment = estimate_environment(*outside_pixels(self.pixels), self.settings.environment_width)
-        distance = np.linalg.norm(
-            position[::7] - self.pixels.camera_positions()[self.pixels.view_of(self.hit[::7])], axis=1
-        )
-        focal = np.array([min(view.fx, view.fy) for view in self.pixels.views])
-        self.footprint = float(np.median(distance / focal[self.pixels.view_of(self.hit[::7])]))
+        self.seen = observe(self.room, self.pixels, self.parts, self.settings)
         generator = new_networks_generator(self.settings)
-        self.hash_levels = useful_hash_levels(self.settings, self.box.extent, self.footprint)
+        self.hash_levels = useful_hash_levels(self.settings, self.box.extent, self.seen.footprint)
         self.brdf = BrdfNetwork(self.settings, self.hash_levels, generator, self.device)
         self.emission = EmissionNetwork(self.settings, generator, self.device)
 
     # Stage 1
-
-    def _environment_light(self) -> EnvironmentLight | None:
-        return None if self.environment is None else EnvironmentLight(self.environment.image)
-
-    def _cache(self, without: np.ndarray | None = None) -> SurfaceLookup:
-        """The radiance cache of all pixels, or of all but those on the triangles `without` ((T,) bool)."""
-        keep = slice(None)
-        if without is not None and without.any():
-            keep = ~without[self.pixels.triangle[self.hit]]
-        radiance = np.asarray(self.pixels.radiance[self.hit[keep]])
-        return SurfaceLookup(self.grid, pool(self.grid, self.entries[keep], radiance)[0])
 
     def _bake(self) -> dict[str, Any]:
         settings = self.settings
@@ -204,7 +183,7 @@ class Estimation:
             store,
             self.pixels,
             self.room,
-            CachedRadiance(self.room, self._cache(), self._environment_light()),
+            CachedRadiance(self.room, self.seen.cache(), self.seen.environment_light()),
             AreaLights(self.room.vertices, self.room.triangles, guide),
             self.levels,
             SampleCounts(settings.diffuse_spp, settings.specular_spp, settings.light_spp),
@@ -223,27 +202,19 @@ class Estimation:
     def _training_data(self) -> tuple[TrainingData, Guess, np.ndarray]:
         """What training draws from, with the closed-form guess at some of its pixels."""
         shadings = self._open_shadings()
-        part = np.full(len(self.pixels), -1, np.int32)
-        part[self.hit] = self.parts.triangle_part[self.pixels.triangle[self.hit]]
-        pure = np.asarray(self.pixels.pure)[self.hit]
-        # Mixed pixels show themselves only where no pixel sees the surface alone.
-        alone = np.bincount(self.entries, pure, minlength=len(self.grid.voxels) * SIDES)
-        donors = find_donors(self.pixels, part, DONOR_REACH if self.parts.kind == "part" else 0)
-        lonely = self.hit[(alone[self.entries] == 0) & (donors[self.hit] < 0)]
-        donors[lonely] = lonely
+        part = self.seen.pixel_parts()
+        donors = self.seen.donors()
         pool_rows = np.flatnonzero(donors >= 0)
         rows = pool_rows[donors[pool_rows] == pool_rows]
         if len(rows) > PROJECTION_PIXELS:
             rng = np.random.default_rng([self.settings.seed, 2])
             rows = np.sort(rng.choice(rows, PROJECTION_PIXELS, replace=False))
-        entry = np.zeros(len(self.pixels), np.int64)
-        entry[self.hit] = self.entries
         guess = project(
             np.asarray(self.pixels.radiance[rows], np.float32),
             np.asarray(shadings.diffuse[rows], np.float32),
             np.asarray(shadings.specular[rows], np.float32),
             self.levels,
-            entry[rows],
+            self.seen.pixel_entries()[rows],
             # A semantic class holds several materials: no single pair would fit it.
             part[rows] if self.parts.kind == "part" else np.full(len(rows), -1, np.int32),
         )
@@ -322,9 +293,9 @@ class Estimation:
             self.settings.emitter_threshold,
             self.settings.emitter_samples,
             rng,
-            large=(10.0 * self.footprint) ** 2,
+            large=(10.0 * self.seen.footprint) ** 2,
         )
-        rows = self.hit[marked[self.pixels.triangle[self.hit]]]
+        rows = self.seen.hit[marked[self.pixels.triangle[self.seen.hit]]]
         shadings = self._open_shadings()
         rendered = render_pixels(
             self.brdf, self.box, self.pixels.position, shadings.diffuse, shadings.specular, self.levels, rows
@@ -341,7 +312,7 @@ class Estimation:
             np.asarray(self.pixels.front),
             np.asarray(self.pixels.pure),
             np.asarray(self.pixels.radiance),
-            reach=2.0 * self.footprint,
+            reach=2.0 * self.seen.footprint,
         )
 
     # Stage 3
@@ -354,10 +325,10 @@ class Estimation:
         emitting[table.triangles] = True
         source = TracedRadiance(
             self.room,
-            self._cache(without=emitting),
+            self.seen.cache(without=emitting),
             self._material_lookup(),
             lights,
-            self._environment_light(),
+            self.seen.environment_light(),
             settings.cache_roughness,
             settings.refine_depth,
         )
@@ -380,23 +351,22 @@ class Estimation:
 
     def _material_lookup(self) -> SurfaceLookup:
         """The BRDF network's values at the mean seen position of each cache entry."""
-        position = np.asarray(self.pixels.position[self.hit])
-        mean, count = pool(self.grid, self.entries, position)
+        mean, count = pool(self.seen.grid, self.seen.entries, self.seen.positions())
         values = np.zeros((len(mean), 5), np.float32)
         values[:, 3] = 1.0
         seen = np.flatnonzero(count)
         color, roughness, metallic = self._fields().query(mean[seen])
         found = np.concatenate([color, roughness[:, None], metallic[:, None]], axis=1)
-        return SurfaceLookup(self.grid, pool(self.grid, seen, found)[0])
+        return SurfaceLookup(self.seen.grid, pool(self.seen.grid, seen, found)[0])
 
     # Results
 
     def _fields(self) -> Fields:
-        coverage = count_coverage(self.box, np.asarray(self.pixels.position[self.hit]))
+        coverage = count_coverage(self.box, self.seen.positions())
         return Fields(self.brdf, self.box, coverage)
 
     def _write_results(self) -> None:
-        fields, lights = self._fields(), (self.fixtures, self.environment)
+        fields, lights = self._fields(), (self.fixtures, self.seen.environment)
         write_results(self.folder, fields, self.parts, *lights, self.scale, self.reporter)
         write_json(self.folder.statistics_json, self.summary())
 

@@ -121,16 +121,11 @@ def opaque_vector(kind: type, values: np.ndarray) -> mi.Vector3f:
     return kind(*[dr.opaque(mi.Float, float(value)) for value in values])
 
 
-def fill_pixels(
-    store: PixelStore, room: Room, labels: np.ndarray | None, progress: Callable[[float], None]
-) -> float:
+def fill_pixels(store: PixelStore, room: Room, progress: Callable[[float], None]) -> float:
     """Trace all views, read their photographs, and return the capture's radiance scale.
 
     The scale is the median luminance of all pixels that are not black; `store.radiance` is divided by it,
-    so that nothing after this depends on exposure.
-
-    Args:
-        labels: (T,) part of each triangle, or None; pixels across part borders are not pure.
+    so that nothing after this depends on exposure. `store.pure` is left to :func:`mark_pure`.
 
     Raises:
         FiptError: ``mesh-unseen`` where no view sees the mesh, ``images-black``.
@@ -151,7 +146,6 @@ def fill_pixels(
         store.position[part] = np.where(valid[:, None], np.array(surface.position).T, 0.0)
         store.normal[part] = np.where(valid[:, None], np.array(surface.normal).T, 0.0)
         store.front[part] = np.array(surface.front)
-        store.pure[part] = _pure(room, view, surface, labels)
         progress((i + 1) / len(store.views))
     if not seen:
         raise FiptError(
@@ -169,10 +163,26 @@ def fill_pixels(
     return scale
 
 
-def _pure(room: Room, view: View, centre: Surface, labels: np.ndarray | None) -> np.ndarray:
+def mark_pure(
+    store: PixelStore, room: Room, labels: np.ndarray, progress: Callable[[float], None]
+) -> None:
+    """Fill `store.pure`.
+
+    Args:
+        labels: (T,) int part of each triangle; pixels across a border of parts are not pure.
+    """
+    label = mi.Int32(labels.astype(np.int32))
+    for i, view in enumerate(store.views):
+        part = slice(int(store.ranges[i]), int(store.ranges[i + 1]))
+        store.pure[part] = _pure(room, view, label)
+        progress((i + 1) / len(store.views))
+
+
+def _pure(room: Room, view: View, label: mi.Int32) -> np.ndarray:
     """Whether the corners of each pixel see the same part, at about the same place and slope; or outside."""
+    centre = trace_pixels(room, view)
     valid = centre.valid
-    label = None if labels is None else mi.Int32(labels.astype(np.int32))
+    here = dr.gather(mi.Int32, label, centre.triangle, valid)
     cosine = dr.abs(dr.dot(centre.normal, _toward(view, centre)))
     # Half a pixel's diagonal on the tangent plane, with room for curvature.
     pixel = centre.distance / dr.opaque(mi.Float, float(min(view.fx, view.fy)))
@@ -183,9 +193,7 @@ def _pure(room: Room, view: View, centre: Surface, labels: np.ndarray | None) ->
         outside &= ~corner.valid
         pure &= corner.valid & (dr.norm(corner.position - centre.position) < reach)
         pure &= dr.dot(corner.normal, centre.normal) > 0.8
-        if label is not None:
-            here = dr.gather(mi.Int32, label, centre.triangle, valid)
-            pure &= dr.gather(mi.Int32, label, corner.triangle, corner.valid) == here
+        pure &= dr.gather(mi.Int32, label, corner.triangle, corner.valid) == here
     return np.array(pure | outside)
 
 

@@ -1,0 +1,109 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the photographs say about the room before anything is estimated: which surface points they saw, in
+which voxels, of which parts, and what they saw outside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..job.settings import Settings
+from ..render.environment import EnvironmentLight
+from ..scene.labels import Parts
+from ..scene.pixels import PixelStore, find_donors
+from ..scene.room import Room, triangle_normals
+from .cache import SIDES, SurfaceLookup, VoxelGrid, make_grid, pool
+from .environment import Environment, estimate_environment, outside_pixels
+
+# Steps in the image within which a mixed pixel borrows from a pure one of its part.
+DONOR_REACH = 4
+
+
+@dataclass(frozen=True)
+class Observations:
+    """The pixels of all training views and what follows from them.
+
+    Attributes:
+        pixels: N of them.
+        parts: of the room's triangles.
+        hit: (H,) int64 pixels that see the mesh.
+        grid: voxels of the radiance cache.
+        entries: (H,) int64 cache entry of each of them.
+        environment: in units of the capture's median, None where no pixel looks outside.
+        footprint: median width of a pixel on the surfaces, metres.
+    """
+
+    pixels: PixelStore
+    parts: Parts
+    hit: np.ndarray
+    grid: VoxelGrid
+    entries: np.ndarray
+    environment: Environment | None
+    footprint: float
+
+    def positions(self) -> np.ndarray:
+        """(H, 3) float32 surface points seen, metres."""
+        return np.asarray(self.pixels.position[self.hit])
+
+    def environment_light(self) -> EnvironmentLight | None:
+        """The environment for look-up in kernels."""
+        return None if self.environment is None else EnvironmentLight(self.environment.image)
+
+    def cache(self, without: np.ndarray | None = None) -> SurfaceLookup:
+        """The radiance cache of all pixels, or of all but those on the triangles `without` ((T,) bool)."""
+        keep: slice | np.ndarray = slice(None)
+        if without is not None and without.any():
+            keep = ~without[self.pixels.triangle[self.hit]]
+        radiance = np.asarray(self.pixels.radiance[self.hit[keep]])
+        return SurfaceLookup(self.grid, pool(self.grid, self.entries[keep], radiance)[0])
+
+    def pixel_parts(self) -> np.ndarray:
+        """(N,) int32 part of each pixel, NO_PART without one and where the mesh is missed."""
+        part = np.full(len(self.pixels), -1, np.int32)
+        part[self.hit] = self.parts.triangle_part[self.pixels.triangle[self.hit]]
+        return part
+
+    def pixel_entries(self) -> np.ndarray:
+        """(N,) int64 cache entry of each pixel, 0 where the mesh is missed."""
+        entry = np.zeros(len(self.pixels), np.int64)
+        entry[self.hit] = self.entries
+        return entry
+
+    def donors(self) -> np.ndarray:
+        """(N,) int64 pixel that stands for each, -1 for none: see :func:`find_donors`.
+
+        Without parts nothing says which neighbour shows the same surface. A mixed pixel without a donor
+        stands for itself where no pixel sees its surface alone.
+        """
+        reach = DONOR_REACH if self.parts.kind == "part" else 0
+        donors = find_donors(self.pixels, self.pixel_parts(), reach)
+        pure = np.asarray(self.pixels.pure)[self.hit]
+        alone = np.bincount(self.entries, pure, minlength=len(self.grid.voxels) * SIDES)
+        lonely = self.hit[(alone[self.entries] == 0) & (donors[self.hit] < 0)]
+        donors[lonely] = lonely
+        return donors
+
+
+def observe(room: Room, pixels: PixelStore, parts: Parts, settings: Settings) -> Observations:
+    """Sort the pixels into voxels and look outside; quick, so it is not kept between sessions."""
+    hit = np.flatnonzero(pixels.triangle >= 0)
+    position = np.asarray(pixels.position[hit])
+    side = np.where(pixels.front[hit], 1.0, -1.0)
+    seen = triangle_normals(room.vertices, room.triangles)[pixels.triangle[hit]] * side[:, None]
+    rng = np.random.default_rng([settings.seed, 1])
+    grid = make_grid(room, position, seen, settings.voxel_resolution, rng)
+    view_of = pixels.view_of(hit)
+    distance = np.linalg.norm(position - pixels.camera_positions()[view_of], axis=1)
+    focal = np.array([min(view.fx, view.fy) for view in pixels.views])
+    return Observations(
+        pixels=pixels,
+        parts=parts,
+        hit=hit,
+        grid=grid,
+        entries=grid.entries(position, seen),
+        environment=estimate_environment(*outside_pixels(pixels), settings.environment_width),
+        footprint=float(np.median(distance / focal[view_of])),
+    )
