@@ -125,6 +125,18 @@ def test_the_rim_of_a_lamp_that_no_pixel_sees_alone_is_no_lamp() -> None:
         assert len(group_fixtures(room, emitting, *pixels(rows), reach=reach)) == number
 
 
+def test_what_is_weak_and_dim_is_no_lamp_but_a_spark_is() -> None:
+    """Beside a panel: a dim sliver of less than a thousandth of its power, and as small a bright one."""
+    quad = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]]
+    small = [[x * 0.02, y * 0.02, 0.0] for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    quads = [quad, [[x + 3.0, y, z] for x, y, z in small], [[x + 6.0, y, z] for x, y, z in small]]
+    room = make_room(quads)
+    rows = [(0, True, True, 10.0), (1, True, True, 10.0)]
+    rows += [(t, True, True, 0.5) for t in (2, 3)] + [(t, True, True, 6.0) for t in (4, 5)]
+    fixtures = group_fixtures(room, np.ones(6, bool), *pixels(rows), reach=REACH)
+    assert [sorted(f.triangles.tolist()) for f in fixtures] == [[0, 1], [4, 5]]
+
+
 def test_reflection_explains_all_but_what_emits() -> None:
     triangle = np.repeat([0, 1, 2], 5)
     photographed = np.full((15, 3), 2.0)

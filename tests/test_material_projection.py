@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.light.shadings import roughness_levels
-from fipt_blender.core.material.projection import project
+from fipt_blender.core.material.projection import constant_parts, project
 
 LEVELS = roughness_levels(8, 0.02, 1.5)
 CELLS, VIEWS = 300, 8
@@ -88,3 +88,22 @@ def test_an_empty_part_id_does_no_harm(rng: np.random.Generator) -> None:
     guess = project(*arrays, LEVELS, cell, part)
     assert len(guess.part_roughness) == 3 and np.isfinite(guess.part_roughness).all()
     assert guess.part_metallic[2] == 1.0
+
+
+def test_what_shines_alike_under_uneven_light_is_a_lamp(rng: np.random.Generator) -> None:
+    """A dim panel of constant radiance against a wall, a texture and a surface under even light."""
+    count = 400
+    light = rng.uniform(1.0, 3.0, count)
+    noise = 1.0 + 0.02 * rng.normal(size=count)
+    panel, wall = np.full(count, 0.9) * noise, 0.6 * light * noise
+    texture = rng.uniform(0.2, 0.8, count) * light
+    even = np.full(count, 2.0)
+    radiance = np.concatenate([panel, wall, texture, 0.5 * even])
+    irradiance = np.concatenate([light, light, light, even])
+    part = np.repeat([0, 1, 2, 3], count)
+    order = rng.permutation(len(part))
+    found = constant_parts(radiance[order], irradiance[order], part[order], 5)
+    assert found.tolist() == [True, False, False, False, False]
+    # A few pixels prove nothing, and pixels without a part are nobody's.
+    assert not constant_parts(panel[:20], light[:20], np.zeros(20, int), 1).any()
+    assert not constant_parts(panel, light, np.full(count, -1), 1).any()

@@ -1,0 +1,68 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Mixed pixels: found at borders of depth, slope and parts, and lent what a pure neighbour shows."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_rooms import make_room
+
+from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.capture.views import View
+from fipt_blender.core.scene.pixels import PixelStore, fill_pixels, find_donors, mark_pure, open_pixels
+
+WIDTH, HEIGHT = 16, 12
+
+
+def floor_camera(image: Path) -> View:
+    """Looks straight down at the origin from two metres: a pixel is 0.1 m wide on the floor."""
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[:3, 3] = [0.0, 0.0, 2.0]
+    return View("train/0", "train", image, WIDTH, HEIGHT, 20.0, 20.0, WIDTH / 2, HEIGHT / 2, pose)
+
+
+@pytest.fixture
+def two_parts(tmp_path: Path) -> tuple[PixelStore, np.ndarray]:
+    """A floor of two coplanar halves that meet at x = 0.03: inside a column of pixels."""
+    image = tmp_path / "image.exr"
+    write_exr(image, np.full((HEIGHT, WIDTH, 3), 0.5, np.float32))
+    room = make_room(
+        [
+            [[-3, -3, 0], [0.03, -3, 0], [0.03, 3, 0], [-3, 3, 0]],
+            [[0.03, -3, 0], [3, -3, 0], [3, 3, 0], [0.03, 3, 0]],
+        ]
+    )
+    store = open_pixels(tmp_path / "pixels", [floor_camera(image)], create=True)
+    assert fill_pixels(store, room, lambda done: None) == pytest.approx(0.5)
+    mark_pure(store, room, np.array([0, 0, 1, 1]), lambda done: None)
+    return store, np.array([0, 0, 1, 1])[store.triangle]
+
+
+def test_pixels_across_a_border_of_parts_are_mixed(two_parts: tuple[PixelStore, np.ndarray]) -> None:
+    pure = np.asarray(two_parts[0].pure).reshape(HEIGHT, WIDTH)
+    assert not pure[:, 8].any()  # the column over x = 0 to 0.1 m
+    assert pure[:, :8].all() and pure[:, 9:].all()
+
+
+def test_a_mixed_pixel_borrows_from_its_own_part(two_parts: tuple[PixelStore, np.ndarray]) -> None:
+    store, part = two_parts
+    donors = find_donors(store, part, 2).reshape(HEIGHT, WIDTH)
+    own = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
+    assert (part.reshape(HEIGHT, WIDTH)[:, 8] == 1).all()  # its centre lies on the right half
+    assert (donors[:, 8] == own[:, 9]).all()
+    assert (np.delete(donors, 8, axis=1) == np.delete(own, 8, axis=1)).all()
+    # Nothing is lent across the part, nor around the image's border, nor without reach.
+    alone = np.where(np.arange(WIDTH * HEIGHT) % WIDTH == 8, 7, 0)
+    assert (find_donors(store, alone, 4).reshape(HEIGHT, WIDTH)[:, 8] == -1).all()
+    assert (find_donors(store, part, 0).reshape(HEIGHT, WIDTH)[:, 8] == -1).all()
+
+
+def test_the_reach_counts_steps(two_parts: tuple[PixelStore, np.ndarray]) -> None:
+    store, part = two_parts
+    pure = np.ones((HEIGHT, WIDTH), bool)
+    pure[:, 10:] = False
+    store.pure[:] = pure.reshape(-1)
+    donors = find_donors(store, np.zeros_like(part), 3).reshape(HEIGHT, WIDTH)
+    own = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
+    assert (donors[:, 10:13] == own[:, 9:10]).all() and (donors[:, 13:] == -1).all()
