@@ -126,9 +126,10 @@ def make_environment() -> None:
     with DebianPackages() as debian:
         root = debian.unpack(["python3-pip-whl"]) if debian.available else None
         wheel = next(root.rglob("pip-*.whl"), None) if root else None
-        if wheel is None or quiet(
-            [str(VENV_PYTHON), f"{wheel}/pip", "install", "--no-index", str(wheel)]
-        ).returncode:
+        if (
+            wheel is None
+            or quiet([str(VENV_PYTHON), f"{wheel}/pip", "install", "--no-index", str(wheel)]).returncode
+        ):
             shutil.rmtree(VENV)
             raise SetupError(
                 "This Python can't install packages: it has neither pip nor ensurepip.\n"

@@ -163,9 +163,7 @@ def fill_pixels(store: PixelStore, room: Room, progress: Callable[[float], None]
     return scale
 
 
-def mark_pure(
-    store: PixelStore, room: Room, labels: np.ndarray, progress: Callable[[float], None]
-) -> None:
+def mark_pure(store: PixelStore, room: Room, labels: np.ndarray, progress: Callable[[float], None]) -> None:
     """Fill `store.pure`.
 
     Args:
