@@ -19,6 +19,8 @@ import numpy as np
 from ..scene.room import Room, triangle_normals
 
 SIDES = 6
+# Points at a time: temporary arrays of all pixels of a large capture would take gigabytes.
+CHUNK = 1 << 20
 # Hits are moved off their surface by this share of a voxel, so that a wall on a voxel border stays in one.
 LIFT = 0.25
 
@@ -44,9 +46,13 @@ class VoxelGrid:
 
     def flat_index(self, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """(N,) int64 flat voxel index of surface points with normals on the seen side."""
-        cell = (positions + normals * (LIFT * self.size) - self.low) / self.size
-        cell = np.clip(cell.astype(np.int64), 0, self.resolution - 1)
-        return (cell[:, 0] * self.resolution + cell[:, 1]) * self.resolution + cell[:, 2]
+        flat = np.empty(len(positions), np.int64)
+        for start in range(0, len(flat), CHUNK):
+            part = slice(start, start + CHUNK)
+            cell = (positions[part] + normals[part] * (LIFT * self.size) - self.low) / self.size
+            x, y, z = np.clip(cell.astype(np.int64), 0, self.resolution - 1).T
+            flat[part] = (x * self.resolution + y) * self.resolution + z
+        return flat
 
     def entries(self, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """(N,) int64 cache entry (row times six plus side) of surface points."""
@@ -55,9 +61,13 @@ class VoxelGrid:
 
 def side_index(normals: np.ndarray) -> np.ndarray:
     """(N,) int64 in 0..5: dominant axis of each normal, twice, plus one where it is negative."""
-    axis = np.abs(normals).argmax(axis=1)
-    negative = np.take_along_axis(normals, axis[:, None], axis=1)[:, 0] < 0
-    return axis * 2 + negative
+    side = np.empty(len(normals), np.int64)
+    for start in range(0, len(side), CHUNK):
+        part = normals[start : start + CHUNK]
+        axis = np.abs(part).argmax(axis=1)
+        negative = np.take_along_axis(part, axis[:, None], axis=1)[:, 0] < 0
+        side[start : start + CHUNK] = axis * 2 + negative
+    return side
 
 
 def make_grid(

@@ -20,6 +20,8 @@ from .environment import Environment, estimate_environment, outside_pixels
 
 # Steps in the image within which a mixed pixel borrows from a pure one of its part.
 DONOR_REACH = 4
+# About so many pixels give the median footprint.
+FOOTPRINT_PIXELS = 200_000
 
 
 @dataclass(frozen=True)
@@ -91,12 +93,13 @@ def observe(room: Room, pixels: PixelStore, parts: Parts, settings: Settings) ->
     """Sort the pixels into voxels and look outside; quick, so it is not kept between sessions."""
     hit = np.flatnonzero(pixels.triangle >= 0)
     position = np.asarray(pixels.position[hit])
-    side = np.where(pixels.front[hit], 1.0, -1.0)
-    seen = triangle_normals(room.vertices, room.triangles)[pixels.triangle[hit]] * side[:, None]
+    seen = triangle_normals(room.vertices, room.triangles).astype(np.float32)[pixels.triangle[hit]]
+    seen *= np.where(pixels.front[hit], np.float32(1.0), np.float32(-1.0))[:, None]
     rng = np.random.default_rng([settings.seed, 1])
     grid = make_grid(room, position, seen, settings.voxel_resolution, rng)
-    view_of = pixels.view_of(hit)
-    distance = np.linalg.norm(position - pixels.camera_positions()[view_of], axis=1)
+    some = slice(None, None, max(1, len(hit) // FOOTPRINT_PIXELS))
+    view_of = pixels.view_of(hit[some])
+    distance = np.linalg.norm(position[some] - pixels.camera_positions()[view_of], axis=1)
     focal = np.array([min(view.fx, view.fy) for view in pixels.views])
     return Observations(
         pixels=pixels,

@@ -142,7 +142,10 @@ def coverage_cells(box: Box, positions: np.ndarray) -> np.ndarray:
 
 def count_coverage(box: Box, positions: np.ndarray) -> np.ndarray:
     """(R^3,) float32 coverage grid from all positions that pixels saw."""
-    count = np.bincount(coverage_cells(box, positions), minlength=COVERAGE_RESOLUTION**3)
+    count = np.zeros(COVERAGE_RESOLUTION**3, np.int64)
+    for start in range(0, len(positions), CHUNK):
+        cells = coverage_cells(box, positions[start : start + CHUNK])
+        count += np.bincount(cells, minlength=len(count))
     return (1.0 - np.exp(-count / FULLY_SEEN)).astype(np.float32)
 
 
