@@ -137,6 +137,21 @@ def test_what_is_weak_and_dim_is_no_lamp_but_a_spark_is() -> None:
     assert [sorted(f.triangles.tolist()) for f in fixtures] == [[0, 1], [4, 5]]
 
 
+def test_the_frame_of_a_lamp_is_no_lamp_but_a_lamp_inside_a_ring_of_lamps_is() -> None:
+    """Two strips 6 m apart are one bright fixture's box around everything; only what touches them counts."""
+    strip = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 6.0, 0.0], [0.0, 6.0, 0.0]]
+    bridge = [[0.0, 6.0, 0.0], [6.0, 6.0, 0.0], [6.0, 6.1, 0.0], [0.0, 6.1, 0.0]]
+    frame = [[0.105, 0.0, 0.0], [0.155, 0.0, 0.0], [0.155, 6.0, 0.0], [0.105, 6.0, 0.0]]
+    inside = [[3.0, 3.0, 0.0], [3.5, 3.0, 0.0], [3.5, 3.5, 0.0], [3.0, 3.5, 0.0]]
+    room = make_room([strip, bridge, frame, inside])
+    rows = [(t, True, True, 10.0) for t in range(4)] + [(t, True, True, 1.5) for t in range(4, 8)]
+    fixtures = group_fixtures(room, np.ones(8, bool), *pixels(rows), reach=REACH)
+    assert [sorted(f.triangles.tolist()) for f in fixtures] == [[0, 1, 2, 3], [6, 7]]
+    # As bright as a quarter of the lamp it is a lamp of its own.
+    rows = [(t, True, True, 10.0) for t in range(4)] + [(t, True, True, 2.5) for t in range(4, 8)]
+    assert len(group_fixtures(room, np.ones(8, bool), *pixels(rows), reach=REACH)) == 3
+
+
 def test_reflection_explains_all_but_what_emits() -> None:
     triangle = np.repeat([0, 1, 2], 5)
     photographed = np.full((15, 3), 2.0)

@@ -25,6 +25,9 @@ ALIKE = 1.5
 MOSTLY = 0.5
 # Share of an emitter's radiance that reflection must leave unexplained.
 LEAST_EXCESS = 0.3
+# What touches a lamp and has less than this share of its radiance is its frame, lit at angles so grazing that
+# shadings fail.
+FRAME = 0.2
 # What is both this weak against all light and this dim against the brightest lamp is an error of the
 # shadings beside a lamp, and lights nothing.
 WEAK = 1e-3
@@ -194,7 +197,7 @@ def group_fixtures(
     kept = [
         fixture
         for fixture, sure in zip(fixtures, trusted, strict=True)
-        if sure or not _beside_brighter(room, fixture, fixtures, trusted, reach)
+        if not _beside_brighter(room, fixture, fixtures, trusted, reach, FRAME if sure else 1.0)
     ]
     total = sum(fixture.area * _brightness(fixture) for fixture in kept)
     brightest = max((_brightness(fixture) for fixture in kept), default=0.0)
@@ -218,22 +221,24 @@ def _seen_clean(triangle: np.ndarray, pure: np.ndarray, group: np.ndarray, group
 
 
 def _beside_brighter(
-    room: Room, fixture: Fixture, fixtures: list[Fixture], trusted: list[bool], reach: float
+    room: Room,
+    fixture: Fixture,
+    fixtures: list[Fixture],
+    trusted: list[bool],
+    reach: float,
+    share: float,
 ) -> bool:
-    """Whether the box around a brighter, clearly seen fixture comes within reach of this one's box."""
-    low, high = _extent(room, fixture)
+    """Whether a clearly seen fixture is in reach of whose brightness this one has less than `share`."""
+    corners = room.vertices[room.triangles[fixture.triangles]].reshape(-1, 3)
+    low, high = corners.min(axis=0), corners.max(axis=0)
     for other, sure in zip(fixtures, trusted, strict=True):
-        if sure and _brightness(other) > _brightness(fixture):
-            other_low, other_high = _extent(room, other)
-            gap = np.maximum(np.maximum(low - other_high, other_low - high), 0.0)
-            if np.linalg.norm(gap) < reach:
+        if sure and _brightness(fixture) < share * _brightness(other):
+            # Triangle by triangle: one box around a long lamp may span the room.
+            triangles = room.vertices[room.triangles[other.triangles]]
+            gap = np.maximum(low - triangles.max(axis=1), triangles.min(axis=1) - high)
+            if np.linalg.norm(np.maximum(gap, 0.0), axis=1).min() < reach:
                 return True
     return False
-
-
-def _extent(room: Room, fixture: Fixture) -> tuple[np.ndarray, np.ndarray]:
-    corners = room.vertices[room.triangles[fixture.triangles]].reshape(-1, 3)
-    return corners.min(axis=0), corners.max(axis=0)
 
 
 def _complete(room: Room, corners: np.ndarray, emitting: np.ndarray, triangle: np.ndarray) -> np.ndarray:
