@@ -171,7 +171,9 @@ def test_killed_after_every_stage_it_ends_bit_for_bit_the_same(
         assert status == -signal.SIGKILL, (number, messages[-1])
         assert not run.fields_npz.exists()
         # A resumed run does not repeat what is done.
-        assert messages[0]["name"] == STAGES[[0, 1, 2, 2, 3][number]]
+        # The kill amid the refinement may come after its last view on a quick machine.
+        resumed_at = [STAGES[0:1], STAGES[1:2], STAGES[2:3], STAGES[2:3], STAGES[3:5]][number]
+        assert messages[0]["name"] in resumed_at
     messages, status = run_child(run)
     assert status == 0 and messages[0]["name"] == "training-1"
     same(finished[0], run)
