@@ -168,7 +168,7 @@ def judge_pixels(
                 f"{len(negative)} photographs hold negative values, the lowest {worst.minimum:g} in {name}: "
                 "radiance can't be negative.",
                 "Export them without sharpening or colour grading, or set negative values to zero "
-                "(--clamp-negative).",
+                "(Clamp Negative in the import settings, --clamp-negative).",
             )
         notes.append(
             Note(

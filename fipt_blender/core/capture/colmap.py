@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +42,8 @@ def read(path: Path, options: ReadOptions) -> Rig:
     """Read all registered images of the model, in the order of their names.
 
     Photographs are looked for in ``options.images`` and the usual folders beside the model, EXR files
-    first (models are often solved on tone-mapped copies). COLMAP's world has no declared up axis.
+    first (models are often solved on tone-mapped copies). COLMAP's world has no declared up axis. Of several
+    unconnected models below the folder, the one with most images is read.
 
     Raises:
         FiptError: ``rig-damaged``.
@@ -86,7 +88,29 @@ def _is_model(folder: Path) -> bool:
 
 
 def _model_folder(path: Path) -> Path | None:
-    return next((path / name for name in MODEL_FOLDERS if _is_model(path / name)), None)
+    found = next((path / name for name in MODEL_FOLDERS if _is_model(path / name)), None)
+    if found is None or found == path or not found.name.isdigit():
+        return found
+    # ties go to the model that COLMAP numbered first
+    return max(sorted(_siblings(found), key=lambda folder: int(folder.name)), key=_image_count)
+
+
+def _siblings(folder: Path) -> list[Path]:
+    """The numbered models of one reconstruction, which COLMAP could not connect."""
+    return [other for other in folder.parent.iterdir() if other.name.isdigit() and _is_model(other)]
+
+
+def _image_count(folder: Path) -> int:
+    """Number of images of a model, without reading all of it; 0 where that fails."""
+    try:
+        if (folder / "images.bin").is_file():
+            with (folder / "images.bin").open("rb") as file:
+                return int(struct.unpack("<Q", file.read(8))[0])
+        lines = (folder / "images.txt").read_text(encoding="utf-8", errors="replace").splitlines()
+    except (OSError, struct.error):
+        return 0
+    # two lines an image: its pose, and its points, which may be an empty line
+    return sum(bool(line.strip()) for line in [each for each in lines if not each.startswith("#")][::2])
 
 
 def _roots(path: Path, folder: Path) -> list[Path]:
@@ -120,13 +144,15 @@ def _notes(folder: Path) -> tuple[Note, ...]:
     """A warning where the solver left several unconnected models."""
     if not folder.name.isdigit():
         return ()
-    others = [other.name for other in folder.parent.iterdir() if other != folder and _is_model(other)]
+    others = [other for other in _siblings(folder) if other != folder]
     if not others:
         return ()
+    sizes = ", ".join(f"{other} ({_image_count(other)})" for other in others)
     return (
         Note(
             "several-models",
-            f"COLMAP left {len(others) + 1} unconnected models; only '{folder.name}' is used.",
-            "Name the folder of another model as the capture, or solve the photographs again.",
+            f"COLMAP left {len(others) + 1} unconnected models; only '{folder.name}' with its "
+            f"{_image_count(folder)} images is used. The others (images): {sizes}.",
+            "To use another, name its folder as the capture; to join them, solve the photographs again.",
         ),
     )

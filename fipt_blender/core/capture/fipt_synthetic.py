@@ -18,8 +18,9 @@ SPLITS = {"train": "train", "val": "held_back"}
 
 
 def detect(path: Path) -> bool:
-    """Whether a folder has this layout."""
-    return (path / "train" / "transforms.json").is_file() and (path / "train" / "Image").is_dir()
+    """Whether a folder has this layout, or is one of its splits, or the camera file of one."""
+    root = _root(path)
+    return (root / "train" / "transforms.json").is_file() and (root / "train" / "Image").is_dir()
 
 
 def read(path: Path, options: ReadOptions) -> Rig:
@@ -34,6 +35,7 @@ def read(path: Path, options: ReadOptions) -> Rig:
     """
     views: list[RigView] = []
     up_axis = "y"
+    path = _root(path)
     for folder, split in SPLITS.items():
         json_path = path / folder / "transforms.json"
         if not json_path.is_file():
@@ -45,6 +47,12 @@ def read(path: Path, options: ReadOptions) -> Rig:
                 raise damaged(json_path, f"frame {index} is no object")
             views.append(_view(json_path, split, index, frame, data))
     return Rig(NAME, tuple(views), up_axis, find_mesh([path], ["scene", "mesh"]))
+
+
+def _root(path: Path) -> Path:
+    """The capture that a split's folder or camera file belongs to; other readers would turn its cameras."""
+    split = path.parent if path.name == "transforms.json" else path
+    return split.parent if split.name in SPLITS and (split / "Image").is_dir() else path
 
 
 def _view(json_path: Path, split: str, index: int, frame: dict[str, Any], data: dict[str, Any]) -> RigView:

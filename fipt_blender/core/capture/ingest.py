@@ -28,6 +28,7 @@ from .rig import ReadOptions, Rig, RigView
 from .views import CAPTURE_FORMAT, CAPTURE_VERSION
 
 DEFAULT_HOLD_BACK = 8
+ID_IMAGES = ("parts", "semantics", "mask")
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     statistics = []
     for index, view in enumerate(views):
         statistics.append(checks.pixel_statistics(view.image, read_radiance(view.image)))
-        for ids in (view.parts, view.semantics):
+        for ids in (view.parts, view.semantics, view.mask):
             if ids is not None:
                 read_ids(ids)
         reporter.progress((index + 1) / len(views))
@@ -151,17 +152,17 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
         for path in written:
             path.unlink(missing_ok=True)
         raise
-    write_json(
-        run_folder.capture_json,
-        {
-            "format": CAPTURE_FORMAT,
-            "version": CAPTURE_VERSION,
-            "source": rig.source,
-            "world_from_source": world_from_source.tolist(),
-            "mesh": None if mesh is None else str(mesh),
-            "views": entries,
-        },
-    )
+    data = {
+        "format": CAPTURE_FORMAT,
+        "version": CAPTURE_VERSION,
+        "source": rig.source,
+        "world_from_source": world_from_source.tolist(),
+        "mesh": None if mesh is None else str(mesh),
+        "views": entries,
+    }
+    # The window writes capture.json anew from the views that the artist ticks; this one keeps them all.
+    write_json(run_folder.ingest_json, data)
+    write_json(run_folder.capture_json, data)
     counts = Counter(view.split for view in views)
     reporter.done(
         [str(run_folder.capture_json)],
@@ -240,12 +241,13 @@ def _check_files(views: list[RigView]) -> None:
     Raises:
         FiptError: ``image-missing``, ``image-ldr``, ``image-size``, ``mask-size`` or ``image-unreadable``.
     """
-    missing = [view.image for view in views if not view.image.is_file()]
+    files = [path for view in views for path in (view.image, view.mask) if path is not None]
+    missing = [path for path in files if not path.is_file()]
     if missing:
         raise FiptError(
             "image-missing",
-            f"{len(missing)} of {len(views)} images do not exist; the first is {missing[0]}.",
-            "Restore them, or name their folder with --images.",
+            f"{len(missing)} of {len(files)} images do not exist; the first is {missing[0]}.",
+            "Restore them, or name their folder (Photographs in the import settings, --images).",
         )
     for view in views:
         if view.image.suffix.lower() != ".exr":
@@ -255,6 +257,7 @@ def _check_files(views: list[RigView]) -> None:
             (view.image, "image-size"),
             (view.parts, "mask-size"),
             (view.semantics, "mask-size"),
+            (view.mask, "mask-size"),
         ):
             if path is None:
                 continue
@@ -291,7 +294,7 @@ def _write_images(
 
     Bilinear weights are positive, so that clamping before the resampling leaves nothing negative.
     """
-    files: dict[str, Path | None] = {"image": view.image, "parts": view.parts, "semantics": view.semantics}
+    files: dict[str, Path | None] = {"image": view.image, **{kind: getattr(view, kind) for kind in ID_IMAGES}}
     distorted = is_distorted(view.lens, view.width, view.height)
     if not distorted and not negative and is_rec709(view.image):
         return files
@@ -308,7 +311,7 @@ def _write_images(
         return files
     resampling = undistortion(view.lens, view.width, view.height)
     write("image", resampling.image(pixels))
-    for kind in ("parts", "semantics"):
+    for kind in ID_IMAGES:
         source = files[kind]
         if source is not None:
             write(kind, resampling.ids(read_ids(source)))

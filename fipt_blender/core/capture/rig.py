@@ -44,6 +44,7 @@ class RigView:
         lens: intrinsics and distortion.
         camera_to_world: (4, 4) float64, OpenCV axes, source world.
         parts, semantics: id images that exist, or None.
+        mask: image whose black pixels are left out, or None; the reader does not promise that it exists.
     """
 
     name: str
@@ -55,6 +56,7 @@ class RigView:
     camera_to_world: np.ndarray
     parts: Path | None = None
     semantics: Path | None = None
+    mask: Path | None = None
 
 
 @dataclass(frozen=True)

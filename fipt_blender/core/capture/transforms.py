@@ -17,7 +17,6 @@ from .rig import (
     PARTS_FOLDER,
     SEMANTICS_FOLDER,
     Lens,
-    Note,
     ReadOptions,
     Rig,
     RigView,
@@ -56,7 +55,8 @@ def read(path: Path, options: ReadOptions) -> Rig:
     Cameras have OpenGL axes. The world is the one that the poses are written in (Z up unless "up_axis"
     says otherwise), or with ``undo_applied_transform`` the one before nerfstudio's ``applied_transform``.
     Intrinsics (fl_x, fl_y, cx, cy, w, h, k1 k2 p1 p2 k3, or k1 to k4 of a fisheye) stand in each frame or
-    once for all; ``camera_angle_x`` and ``camera_angle_y`` stand in for missing focal lengths.
+    once for all; ``camera_angle_x`` and ``camera_angle_y`` stand in for missing focal lengths. Black pixels
+    of a frame's ``mask_path`` are left out. A frame may have a ``name`` for its view (none but we write it).
 
     Raises:
         FiptError: ``rig-damaged``, ``camera-model``, ``intrinsics-missing``, ``image-missing`` or
@@ -71,7 +71,6 @@ def read(path: Path, options: ReadOptions) -> Rig:
     root = path.parent if path.is_file() else path
     views: list[RigView] = []
     up_axis: str | None = None
-    masks = 0
     for json_path, split in files.items():
         data = read_json_rig(json_path)
         back = _applied_inverse(json_path, data) if options.undo_applied_transform else None
@@ -83,18 +82,8 @@ def read(path: Path, options: ReadOptions) -> Rig:
                 raise damaged(json_path, "a frame has no file_path")
             split_of_frame = lists.get(frame["file_path"], split)
             views.append(_view(json_path, {**data, **frame}, split_of_frame, back, options))
-            masks += "mask_path" in frame
-    notes = []
-    if masks:
-        notes.append(
-            Note(
-                "mask-ignored",
-                f"{masks} frames have a mask_path; masks of pixels to leave out are not used.",
-                f"Part and semantic ids belong into the folders {PARTS_FOLDER} and {SEMANTICS_FOLDER}.",
-            )
-        )
     mesh = find_mesh([root], ["scene", "mesh", "meshed-poisson", "poisson_mesh"])
-    return Rig(NAME, tuple(views), up_axis, mesh, tuple(notes))
+    return Rig(NAME, tuple(views), up_axis, mesh)
 
 
 def _view(
@@ -114,7 +103,8 @@ def _view(
         lens = _lens(json_path, frame, width, height)
     except (TypeError, ValueError, ZeroDivisionError) as error:
         raise damaged(json_path, error) from None
-    name = view_name(frame["file_path"])
+    name = view_name(str(frame.get("name") or frame["file_path"]))
+    mask = frame.get("mask_path")
     return RigView(
         name=name,
         split=split,
@@ -125,6 +115,7 @@ def _view(
         camera_to_world=pose,
         parts=find_ids(root / PARTS_FOLDER, name),
         semantics=find_ids(root / SEMANTICS_FOLDER, name),
+        mask=root / mask if isinstance(mask, str) and mask else None,
     )
 
 

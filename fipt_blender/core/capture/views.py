@@ -35,6 +35,7 @@ class View:
         fx, fy, cx, cy: pinhole intrinsics in pixels; the centre of the first pixel is (0.5, 0.5).
         camera_to_world: (4, 4) float64, OpenCV axes, Blender world in metres.
         parts, semantics: id images of the same size, or None.
+        mask: id image of the same size, 0 where the photograph is not to be used, or None.
     """
 
     name: str
@@ -49,6 +50,12 @@ class View:
     camera_to_world: np.ndarray
     parts: Path | None = None
     semantics: Path | None = None
+    mask: Path | None = None
+
+    @property
+    def files(self) -> list[Path]:
+        """The image files that the view has."""
+        return [path for path in (self.image, self.parts, self.semantics, self.mask) if path]
 
     @property
     def intrinsics(self) -> np.ndarray:
@@ -65,11 +72,35 @@ class View:
 
     def part_ids(self) -> np.ndarray | None:
         """Part ids (height, width) int32, or None where the view has none."""
-        return None if self.parts is None else read_ids(self.parts)
+        return self._ids(self.parts)
 
     def semantic_ids(self) -> np.ndarray | None:
         """Semantic ids (height, width) int32, or None where the view has none."""
-        return None if self.semantics is None else read_ids(self.semantics)
+        return self._ids(self.semantics)
+
+    def masked(self) -> np.ndarray | None:
+        """Whether each pixel (height, width) is to be left out, or None where all are used."""
+        ids = self._ids(self.mask)
+        return None if ids is None else ids == 0
+
+    def _ids(self, path: Path | None) -> np.ndarray | None:
+        """An id image, which must have the photograph's size.
+
+        Raises:
+            FiptError: ``mask-size`` and those of `read_ids`.
+        """
+        if path is None:
+            return None
+        ids = read_ids(path)
+        if ids.shape != (self.height, self.width):
+            raise FiptError(
+                "mask-size",
+                f"{path} is {ids.shape[1]} x {ids.shape[0]} pixels; the photograph of {self.name} has "
+                f"{self.width} x {self.height}.",
+                "Use masks of the photographs' size. Where lens distortion was undone, put them into the "
+                "folder 'parts' beside the photographs and import the capture again.",
+            )
+        return ids
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,17 +130,18 @@ class Capture:
         return [view for view in self.views if view.split == "held_back"]
 
 
-def load_capture(run: RunFolder) -> Capture:
-    """Read capture.json of a run.
+def load_capture(run: RunFolder, path: Path | None = None) -> Capture:
+    """Read capture.json of a run, or another file of its format.
 
     Raises:
         FiptError: ``file-missing``, ``file-damaged``, ``capture-version`` or ``path-outside``.
     """
-    data = read_json(run.capture_json)
+    path = path or run.capture_json
+    data = read_json(path)
     if data.get("format") != CAPTURE_FORMAT or data.get("version") != CAPTURE_VERSION:
         raise FiptError(
             "capture-version",
-            f"{run.capture_json} is not a capture of version {CAPTURE_VERSION}.",
+            f"{path} is not a capture of version {CAPTURE_VERSION}.",
             "Start a new run in another folder.",
         )
     try:
@@ -121,7 +153,7 @@ def load_capture(run: RunFolder) -> Capture:
         )
     except (KeyError, TypeError, ValueError) as error:
         raise FiptError(
-            "file-damaged", f"{run.capture_json} lacks or garbles an entry ({error}).", "Start a new run."
+            "file-damaged", f"{path} lacks or garbles an entry ({error}).", "Start a new run."
         ) from None
 
 
@@ -139,6 +171,7 @@ def _view(run: RunFolder, entry: dict[str, Any]) -> View:
         camera_to_world=np.array(entry["camera_to_world"], np.float64).reshape(4, 4),
         parts=None if entry["parts"] is None else run.resolve(entry["parts"]),
         semantics=None if entry["semantics"] is None else run.resolve(entry["semantics"]),
+        mask=run.resolve(entry["mask"]) if entry.get("mask") else None,
     )
 
 

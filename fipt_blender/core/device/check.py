@@ -9,65 +9,62 @@ import importlib.metadata
 import os
 import platform
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..job.errors import FiptError
 from ..job.messages import Reporter
 from ..job.runfolder import PRODUCT_VERSION
+from .cuda import VISIBLE_VARIABLE, Gpu, cuda_devices
 from .llvm import find_llvm
-from .variant import cuda_device_name, cuda_verdict
+from .variant import cuda_verdict
 
 PACKAGES = (
     *("mitsuba", "drjit", "torch", "numpy", "OpenEXR"),
     *("pycolmap", "pyoidn", "pillow", "jinja2", "psutil"),
 )
 LITTLE_MEMORY_GB = 4.0
+_SET_UP = "Set up the engine again, in the add-on's preferences."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """`check` takes no arguments."""
+    """Declare what the preferences have chosen."""
+    parser.add_argument("--device", choices=("auto", "cuda", "llvm"), default="auto")
+    parser.add_argument("--gpu", default="", metavar="UUID", help="the GPU to try; default: the first")
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     """Report the engine's interpreter, packages and devices; what is missing becomes warnings.
 
     ``data`` of the closing message: ``product_version, python, interpreter, platform, packages`` (name to
-    version or null), ``llvm`` (path or null), ``cuda`` (device name or null), ``device`` (what "auto"
-    takes, or null), ``oidn``, ``cores``, ``memory_gb``, ``memory_free_gb``, ``ready``.
+    version or null), ``llvm`` (path or null), ``cuda`` (name of the device that works, or null), ``gpus``
+    (name, uuid and memory_gb of each), ``device`` (what the chosen setting takes, or null), ``oidn``,
+    ``cores``, ``memory_gb``, ``memory_free_gb``, ``ready``.
     """
     packages = package_versions()
-    for name, version in packages.items():
-        if version is None:
-            reporter.warning(
-                "package-missing", f"The package {name} is missing.", "Create the engine's environment again."
-            )
+    missing = [name for name, version in packages.items() if version is None]
+    for name in missing:
+        reporter.warning("package-missing", f"The package {name} is missing.", _SET_UP)
+    gpus = cuda_devices()  # all of them: from now on only the chosen one is to be seen
+    if arguments.gpu:
+        os.environ[VISIBLE_VARIABLE] = arguments.gpu
     python = Path(sys.executable)
     llvm: str | None = None
     cuda: str | None = None
     if packages["mitsuba"] and packages["drjit"]:
+        if arguments.device != "llvm":
+            cuda = find_cuda(python, gpus, arguments, reporter)
         try:
             llvm = str(find_llvm(python))
         except FiptError as error:
-            reporter.warning(error.code, error.text, error.remedy)
-        if (gpu := cuda_device_name()) is not None:
-            try:
-                verdict = cuda_verdict(python)
-            except FiptError as error:
+            if cuda is None or error.code != "llvm-missing":
                 reporter.warning(error.code, error.text, error.remedy)
-            else:
-                cuda = gpu if verdict.works else None
-                if not verdict.works:
-                    reporter.warning(
-                        "cuda-missing",
-                        f"{gpu} can't be used: {verdict.reason}.",
-                        "Update NVIDIA's driver; the CPU is used meanwhile.",
-                    )
     oidn = oidn_works()
     if not oidn:
         reporter.warning(
             "oidn-missing",
             "Open Image Denoise does not work here.",
-            "Create the engine's environment again, or switch the setting 'denoise' off.",
+            f"{_SET_UP} Or switch the setting 'denoise' off.",
         )
     total, free = memory_gb()
     if free is not None and free < LITTLE_MEMORY_GB:
@@ -76,7 +73,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
             f"Only {free:.1f} GB of memory are free.",
             "Close other programs, or use fewer views.",
         )
-    device = "cuda" if cuda else "llvm" if llvm else None
+    device = "cuda" if cuda else "llvm" if llvm and arguments.device != "cuda" else None
     reporter.done(
         files=[],
         data={
@@ -87,14 +84,66 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
             "packages": packages,
             "llvm": llvm,
             "cuda": cuda,
+            "gpus": [{"name": gpu.name, "uuid": gpu.uuid, "memory_gb": gpu.memory_gb} for gpu in gpus],
             "device": device,
             "oidn": oidn,
             "cores": usable_cores(),
             "memory_gb": total,
             "memory_free_gb": free,
-            "ready": device is not None and all(packages.values()),
+            "ready": device is not None and not missing,
         },
     )
+
+
+def find_cuda(
+    python: Path, gpus: Sequence[Gpu], arguments: argparse.Namespace, reporter: Reporter
+) -> str | None:
+    """Name of the GPU that works for the engine, or None; warns of what keeps one from working."""
+    chosen = [gpu for gpu in gpus if arguments.gpu in ("", gpu.uuid)]
+    if gpus and not chosen:
+        reporter.warning(
+            "gpu-missing",
+            "The graphics card that the preferences name is not in this machine.",
+            "Choose another one, or the automatic choice.",
+        )
+    elif not gpus and arguments.device == "cuda":
+        reporter.warning(
+            "cuda-missing",
+            "The preferences ask for a GPU, and this machine has no NVIDIA driver with a device.",
+            "Install NVIDIA's driver, or compute on the CPU.",
+        )
+    if not chosen:
+        return None
+    name = chosen[0].name
+    try:
+        verdict = cuda_verdict(python)
+    except FiptError as error:
+        reporter.warning(error.code, error.text, error.remedy)
+        return None
+    if not verdict.works:
+        reporter.warning(
+            "cuda-missing",
+            f"{name} can't be used: {verdict.reason}.",
+            "Update NVIDIA's driver; the CPU is used meanwhile.",
+        )
+        return None
+    if not torch_has_cuda():
+        reporter.warning(
+            "torch-cpu",
+            f"The installed PyTorch can't use {name}, so that training runs on the CPU.",
+            _SET_UP,
+        )
+    return name
+
+
+def torch_has_cuda() -> bool:
+    """Whether the installed PyTorch computes on a GPU."""
+    try:
+        import torch
+
+        return bool(torch.cuda.is_available())
+    except (ImportError, OSError, RuntimeError):
+        return False
 
 
 def package_versions() -> dict[str, str | None]:

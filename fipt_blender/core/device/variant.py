@@ -7,12 +7,12 @@ Mitsuba and torch are imported when a function is called: LLVM's path must be kn
 
 from __future__ import annotations
 
-import ctypes
 import os
 import sys
 from pathlib import Path
 
 from ..job.errors import FiptError
+from .cuda import VISIBLE_VARIABLE, cuda_driver_version
 from .llvm import LLVM_VARIABLE, Verdict, companions, find_llvm, package_key, remembered, try_variant
 from .probe import preload
 
@@ -70,32 +70,9 @@ def cuda_verdict(python: Path, cache: Path | None = None) -> Verdict:
     driver = cuda_driver_version()
     if driver is None:
         return Verdict(False, "this machine has no NVIDIA driver with a device")
-    key = f"{package_key(python)}|cuda|{driver}"
+    visible = os.environ.get(VISIBLE_VARIABLE, "")
+    key = f"{package_key(python)}|cuda|{driver}|{visible}"
     return remembered(key, lambda: try_variant(python, VARIANTS["cuda"]), cache)
-
-
-def cuda_driver_version() -> int | None:
-    """The NVIDIA driver's CUDA version (e.g. 12040) where it has a device, else None."""
-    name = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
-    try:
-        driver = ctypes.CDLL(name)
-    except OSError:
-        return None
-    count, version = ctypes.c_int(0), ctypes.c_int(0)
-    if driver.cuInit(0) != 0 or driver.cuDeviceGetCount(ctypes.byref(count)) != 0 or count.value == 0:
-        return None
-    return version.value if driver.cuDriverGetVersion(ctypes.byref(version)) == 0 else None
-
-
-def cuda_device_name() -> str | None:
-    """Name of the first CUDA device, or None."""
-    if cuda_driver_version() is None:
-        return None
-    driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
-    device, name = ctypes.c_int(0), ctypes.create_string_buffer(256)
-    if driver.cuDeviceGet(ctypes.byref(device), 0) != 0 or driver.cuDeviceGetName(name, 256, device) != 0:
-        return None
-    return name.value.decode("utf-8", "replace")
 
 
 def _current_variant() -> str | None:

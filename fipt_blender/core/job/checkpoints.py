@@ -75,13 +75,13 @@ class Checkpoints:
         self._data["stages"][name] = facts
         write_json(self._path, self._data)
 
-    def remember(self, name: str, value: float) -> None:
-        """Keep a number that a later session needs; written with the next mark."""
+    def remember(self, name: str, value: Any) -> None:
+        """Keep a number or other JSON that a later session needs; written with the next mark."""
         self._data["values"][name] = value
 
-    def recall(self, name: str) -> float:
-        """A remembered number."""
-        return float(self._data["values"][name])
+    def recall(self, name: str) -> Any:
+        """What was remembered."""
+        return self._data["values"][name]
 
     def facts(self) -> list[dict[str, Any]]:
         """All finished stages in order, each with its name."""

@@ -31,8 +31,10 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     settings = folder.read()
     set_variant(settings.device)
     # The stages import Mitsuba names at load, which needs the variant.
+    from ..material.brdf import set_masking
     from .stages import Estimation
 
+    set_masking(settings.masking)
     estimation = Estimation(folder, settings, reporter)
     estimation.run()
     reporter.done([str(path) for path in estimation.files()], estimation.summary())

@@ -8,6 +8,8 @@ means for the user.
 
 from __future__ import annotations
 
+import errno
+import io
 import json
 import os
 import sys
@@ -31,13 +33,20 @@ def parse_message(line: str) -> dict[str, Any] | None:
     return message
 
 
+def says_out_of_memory(text: str) -> bool:
+    """Whether a library's words mean that memory, the processor's or the GPU's, ran out."""
+    words = ("out of memory", "out_of_memory", "not enough memory", "bad_alloc", "can't allocate memory")
+    return any(word in text.lower() for word in words)
+
+
 def claim_stdout() -> IO[str]:
     """Take the process's stdout for messages alone and send every other print to stderr.
 
     Native libraries write to file descriptor 1, so the descriptor itself is moved.
     """
     sys.stdout.flush()
-    stream = os.fdopen(os.dup(1), "w", encoding="utf-8", buffering=1)
+    # Unbuffered: what a full disk refused must not be tried again at the end.
+    stream = io.TextIOWrapper(io.FileIO(os.dup(1), "w"), encoding="utf-8", write_through=True)
     os.dup2(2, 1)
     return stream
 
@@ -47,9 +56,13 @@ class Reporter:
 
     Args:
         stream: where the lines go; None keeps silent (library use and tests).
+
+    Attributes:
+        lost: whether the last message could not be written because the disk is full.
     """
 
     def __init__(self, stream: IO[str] | None = None) -> None:
+        self.lost = False
         self._stream = stream
         self._weights: list[float] = [1.0]
         self._stage = 0
@@ -58,9 +71,17 @@ class Reporter:
         self._last_progress = 0.0
 
     def _write(self, message: Mapping[str, Any]) -> None:
-        if self._stream is not None:
-            self._stream.write(json.dumps(message) + "\n")
+        if self._stream is None:
+            return
+        try:
+            # Of a message that did not fit, a part may be there.
+            self._stream.write(("\n" if self.lost else "") + json.dumps(message) + "\n")
             self._stream.flush()
+            self.lost = False
+        except OSError as error:
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+                raise
+            self.lost = True
 
     def plan(self, weights: Sequence[float]) -> None:
         """Set the expected share of time of each stage to come."""
@@ -84,8 +105,15 @@ class Reporter:
             self._stage = min(self._stage + 1, len(self._weights) - 1)
         self._done_before_start = sum(self._weights[: self._stage + 1])
 
-    def progress(self, stage_fraction: float, force: bool = False) -> None:
-        """Report how much of the running stage is done (0 to 1); at most four lines a second."""
+    def progress(
+        self, stage_fraction: float, force: bool = False, pictures: Sequence[str] | None = None
+    ) -> None:
+        """Report how much of the running stage is done (0 to 1); at most four lines a second.
+
+        Args:
+            force: whether to write now however short ago the last line was.
+            pictures: paths inside the run folder of new pictures that show what was found so far.
+        """
         now = time.monotonic()
         if not force and now - self._last_progress < 0.25:
             return
@@ -102,6 +130,7 @@ class Reporter:
                 "stage_fraction": round(stage_fraction, 4),
                 "remaining_seconds": None if remaining is None else round(remaining, 1),
                 "memory_gb": round(peak_memory_gb(), 3),
+                **({"files": list(pictures)} if pictures else {}),
             }
         )
 

@@ -30,6 +30,7 @@ class RunFolder:
     def __init__(self, root: str | Path) -> None:
         self.root = Path(root).absolute()
         self.run_json = self.root / "run.json"
+        self.ingest_json = self.root / "ingest.json"
         self.capture_json = self.root / "capture.json"
         self.images = self.root / "images"
         self.room_npz = self.root / "room.npz"
@@ -47,7 +48,15 @@ class RunFolder:
         self.renders = self.root / "renders"
         self.renders_json = self.renders / "renders.json"
         self.report = self.root / "report"
+        self.survey = self.root / "survey"
+        self.survey_json = self.survey / "survey.json"
+        self.survey_npz = self.survey / "survey.npz"
         self.log = self.root / "log.txt"
+        self.engine_lock = self.root / "engine.lock"
+
+    def messages(self, command: str) -> Path:
+        """The file of the messages of an engine command, from its last start on."""
+        return self.root / "messages" / f"{command}.jsonl"
 
     def create(self, settings: Settings) -> None:
         """Make the folder and write run.json; an existing run of this version gets the new settings.

@@ -28,7 +28,11 @@ class Settings:
     seed: int = _setting(0, "seed of every random number in the run")
     device: str = _setting("auto", "auto, cuda or llvm (CPU)")
     rounds: int = _setting(2, "how often stages 2 and 3 are repeated after stage 1")
+    view_share: float = _setting(1.0, "share of the training views that is used, spread evenly")
+    reject_views: bool = _setting(True, "leave out photographs that do not lie where their cameras say")
+    correct_exposure: bool = _setting(True, "bring photographs that were exposed otherwise to the rest")
 
+    masking: str = _setting("schlick", "G of the BRDF: schlick as in the authors' data, smith as in Cycles")
     voxel_resolution: int = _setting(256, "radiance cache: voxels along each axis of the room's bounds")
     roughness_levels: int = _setting(8, "roughness levels at which specular shading is baked")
     roughness_spacing: float = _setting(1.5, "exponent of the levels' spacing; 1 is the paper's linear one")
@@ -41,6 +45,9 @@ class Settings:
     refine_light_spp: int = _setting(32, "stage 3: samples a pixel aimed at emitters")
     refine_depth: int = _setting(5, "stage 3: most surfaces a path may meet before it ends in the cache")
     cache_roughness: float = _setting(0.6, "stage 3: rougher surfaces end a path in the radiance cache")
+    refine_cache: bool = _setting(
+        True, "stage 3: end paths in the radiance cache; false traces all with the estimate (ablation)"
+    )
     denoise: bool = _setting(True, "denoise diffuse shading with Open Image Denoise")
     denoise_specular: bool = _setting(
         False, "denoise specular shading too: costs more time than the rays that it saves"
@@ -70,6 +77,12 @@ class Settings:
     emission_depth: int = _setting(6, "emission network: hidden layers")
     checkpoint_steps: int = _setting(500, "stage 2: steps between training checkpoints")
 
+    emission: str = _setting(
+        "mask", "mask: emitters by an emission mask; joint: emission fitted with the materials (ablation)"
+    )
+    lambda_joint: float = _setting(
+        1e-2, "joint emission: weight of its L1 norm, in units of the capture's median (the paper names none)"
+    )
     emitter_threshold: float = _setting(0.01, "mean emission mask above which a triangle is an emitter")
     emitter_samples: int = _setting(100, "positions a triangle at which the emission mask is sampled")
     environment_width: int = _setting(256, "width in pixels of the estimated environment map")
@@ -77,7 +90,7 @@ class Settings:
     texel_density: float = _setting(128.0, "texels a metre of the textures")
     texture_size: int = _setting(2048, "largest width and height of one texture image")
     atlas_mode: str = _setting("uv", "uv, or color_attribute where UVs can't work")
-    write_back: str = _setting("cycles", "cycles: textures corrected so that Cycles agrees; paper: as fitted")
+    write_back: str = _setting("cycles", "cycles: nodes that make Cycles agree with the fit; paper: none")
 
 
 PRESETS: dict[str, dict[str, Any]] = {
@@ -155,6 +168,8 @@ def _check(settings: Settings) -> None:
         "device": ("auto", "cuda", "llvm"),
         "atlas_mode": ("uv", "color_attribute"),
         "write_back": ("cycles", "paper"),
+        "masking": ("schlick", "smith"),
+        "emission": ("mask", "joint"),
     }
     for name, allowed in choices.items():
         if getattr(settings, name) not in allowed:
@@ -170,6 +185,8 @@ def _check(settings: Settings) -> None:
             raise FiptError(
                 "setting-invalid", f"Setting '{item.name}' is {value}.", "Give a number above zero."
             )
+        if item.name == "view_share" and value > 1.0:
+            raise FiptError("setting-invalid", f"Setting 'view_share' is {value}.", "Give at most 1.")
         if number and value < _LEAST.get(item.name, value):
             raise FiptError(
                 "setting-invalid",
@@ -184,6 +201,7 @@ _MAY_BE_ZERO = {
     "seed",
     "rounds",
     "lambda_emission",
+    "lambda_joint",
     "lambda_diffuse",
     "lambda_part",
     "lambda_semantic",

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 import torch
 
-from ..capture.views import load_capture
+from ..capture.views import View, load_capture
 from ..device.variant import torch_device
 from ..light.cache import SurfaceLookup, pool
 from ..light.emitters import (
@@ -26,14 +26,14 @@ from ..light.emitters import (
     group_fixtures,
     reflection_explains,
 )
+from ..light.joint import joint_fixtures
 from ..light.observations import Observations, observe
 from ..light.radiance import CachedRadiance, TracedRadiance
 from ..light.shadings import SampleCounts, roughness_levels
 from ..light.views import ShadingStore, bake_views, open_shadings
 from ..material.fields import Fields, count_coverage, mask_at, new_networks_generator, render_pixels, room_box
 from ..material.networks import BrdfNetwork, EmissionNetwork, useful_hash_levels
-from ..material.projection import Guess, project
-from ..material.training import PRETRAINING_STEPS, TrainingData, pretrain, train
+from ..material.training import PRETRAINING_STEPS, pretrain, train
 from ..render.lights import AreaLights
 from ..scene.labels import Parts, choose_parts
 from ..scene.pixels import PixelStore, fill_pixels, mark_pure, open_pixels
@@ -41,14 +41,21 @@ from ..scene.room import load_room
 from .checkpoints import Checkpoints, input_key
 from .errors import FiptError
 from .messages import Reporter, peak_memory_gb
+from .previews import Preview
 from .results import write_results
 from .runfolder import RunFolder, explained_write_errors, write_json
 from .settings import Settings
+from .training_input import training_input
+from .view_check import ViewCheck, check_views
 
-# Pixels that the closed-form start looks at; more change nothing but its time.
-PROJECTION_PIXELS = 600_000
 # Expected seconds of each stage in proportion, for the progress bar only.
 _WEIGHTS = {"pixels": 0.1, "shadings": 1.0, "training": 1.6, "refinement": 1.2}
+
+
+def spread_views(views: Sequence[View], share: float) -> list[View]:
+    """A share of the views (0 to 1, one at least), spread evenly over their order."""
+    count = max(1, round(share * len(views)))
+    return [views[i * len(views) // count] for i in range(count)]
 
 
 class Estimation:
@@ -67,14 +74,16 @@ class Estimation:
         self.room = load_room(folder)
         if not self.capture.train:
             raise FiptError("views-none", "The capture has no training views.", "Add photographs.")
+        self.views = spread_views(self.capture.train, settings.view_share)
         self.levels = roughness_levels(
             settings.roughness_levels, settings.roughness_min, settings.roughness_spacing
         )
         self.box = room_box(self.room.bounds)
         files = [folder.capture_json, folder.room_npz, folder.room_json]
-        images = [path for v in self.capture.train for path in (v.image, v.parts, v.semantics) if path]
+        images = [path for v in self.views for path in v.files]
         self.checkpoints = Checkpoints(folder.stage, input_key(settings, files, images))
         self.pixels: PixelStore
+        self.view_check = ViewCheck()
         self.parts: Parts
         self.seen: Observations
         self.scale = 1.0
@@ -99,6 +108,7 @@ class Estimation:
             self._stage(names[0], "Tracing the photographs' pixels", self._trace, self._load_pixels)
             self._prepare()
             self._stage(names[1], "Stage 1: baking shadings from the photographs", self._bake, lambda: None)
+            self._show(names[1])
             for index in range(rounds + 1):
                 if index:
                     self._stage(
@@ -113,6 +123,7 @@ class Estimation:
                     partial(self._train, index, steps[index]),
                     partial(self._load_training, index),
                 )
+                self._show(f"training-{index}")
             self._write_results()
 
     def _stage(
@@ -135,30 +146,54 @@ class Estimation:
             facts["mrays_per_second"] = round(facts["rays"] / facts["seconds"] / 1e6, 3)
         self.checkpoints.mark(name, facts)
 
+    def _show(self, name: str) -> None:
+        """Let the window show what a stage has found."""
+        preview = Preview(self.folder.stage / "previews", self.pixels, self.room.triangle_object)
+        paths = preview.made(name)
+        if not paths and name == "shadings":
+            paths = preview.first_guess(name, self._open_shadings())
+        elif not paths:
+            fields = Fields(self.brdf, self.box, np.zeros(0, np.float32))  # whose coverage nobody asks
+            paths = preview.estimate(name, fields, emitter_table(self.fixtures))
+        self.reporter.progress(
+            1.0, force=True, pictures=[path.relative_to(self.folder.root).as_posix() for path in paths]
+        )
+
     # Pixels
 
     def _trace(self) -> dict[str, Any]:
-        self.pixels = open_pixels(self.folder.stage / "pixels", self.capture.train, create=True)
+        self.pixels = open_pixels(self.folder.stage / "pixels", self.views, create=True)
         self.scale = fill_pixels(self.pixels, self.room, lambda done: self.reporter.progress(0.4 * done))
+        self._sort_pixels(0.4, 0.8)
+        self.view_check = check_views(
+            self.pixels, self.room, self.parts.triangle_part, self.settings, self.reporter
+        )
+        if self.view_check.left_out:  # their masks no longer count
+            self._sort_pixels(0.8, 1.0)
+        self.checkpoints.remember("scale", self.scale)
+        self.checkpoints.remember("view_check", self.view_check.facts())
+        return {"rays": 6 * len(self.pixels)}
+
+    def _sort_pixels(self, begin: float, end: float) -> None:
+        """Parts of the triangles, and which pixels see one thing alone."""
         self.parts = self._choose_parts()
         mark_pure(
             self.pixels,
             self.room,
             self.parts.triangle_part,
-            lambda done: self.reporter.progress(0.4 + 0.6 * done),
+            lambda done: self.reporter.progress(begin + (end - begin) * done),
         )
-        self.checkpoints.remember("scale", self.scale)
-        return {"rays": 6 * len(self.pixels)}
 
     def _load_pixels(self) -> None:
-        self.pixels = open_pixels(self.folder.stage / "pixels", self.capture.train)
+        self.pixels = open_pixels(self.folder.stage / "pixels", self.views)
         self.scale = float(self.checkpoints.recall("scale"))
+        self.view_check = ViewCheck(**self.checkpoints.recall("view_check"))
         self.parts = self._choose_parts()
 
     def _choose_parts(self) -> Parts:
         bounds = zip(self.pixels.ranges[:-1], self.pixels.ranges[1:], strict=True)
         triangles = [np.asarray(self.pixels.triangle[first:last]) for first, last in bounds]
-        return choose_parts(self.room, self.capture.train, triangles)
+        return choose_parts(self.room, self.views, triangles)
 
     def _prepare(self) -> None:
         """Everything that follows from the pixels and is quick to make again."""
@@ -182,6 +217,7 @@ class Estimation:
         rays = bake_views(
             store,
             self.pixels,
+            self.parts.triangle_part,
             self.room,
             CachedRadiance(self.room, self.seen.cache(), self.seen.environment_light()),
             AreaLights(self.room.vertices, self.room.triangles, guide),
@@ -199,45 +235,16 @@ class Estimation:
 
     # Stage 2
 
-    def _training_data(self) -> tuple[TrainingData, Guess, np.ndarray]:
-        """What training draws from, with the closed-form guess at some of its pixels."""
-        shadings = self._open_shadings()
-        part = self.seen.pixel_parts()
-        donors = self.seen.donors()
-        pool_rows = np.flatnonzero(donors >= 0)
-        rows = pool_rows[donors[pool_rows] == pool_rows]
-        if len(rows) > PROJECTION_PIXELS:
-            rng = np.random.default_rng([self.settings.seed, 2])
-            rows = np.sort(rng.choice(rows, PROJECTION_PIXELS, replace=False))
-        guess = project(
-            np.asarray(self.pixels.radiance[rows], np.float32),
-            np.asarray(shadings.diffuse[rows], np.float32),
-            np.asarray(shadings.specular[rows], np.float32),
-            self.levels,
-            self.seen.pixel_entries()[rows],
-            # A semantic class holds several materials: no single pair would fit it.
-            part[rows] if self.parts.kind == "part" else np.full(len(rows), -1, np.int32),
-        )
-        # Parts that none of these rows saw are diffuse.
-        unseen = max(int(part.max(initial=-1)) + 1 - len(guess.part_roughness), 0)
-        data = TrainingData(
-            pool=pool_rows,
-            donor=donors,
-            position=self.pixels.position,
-            radiance=self.pixels.radiance,
-            part=part,
-            diffuse=shadings.diffuse,
-            specular=shadings.specular,
-            levels=self.levels,
-            part_kind=self.parts.kind,
-            part_roughness=np.pad(guess.part_roughness, (0, unseen), constant_values=1.0),
-            part_metallic=np.pad(guess.part_metallic, (0, unseen)),
-            normalise=self.box.normalise,
-        )
-        return data, guess, rows
-
     def _train(self, index: int, steps: int) -> dict[str, Any]:
-        data, guess, rows = self._training_data()
+        data, guess, rows = training_input(
+            self.pixels,
+            self.seen,
+            self.parts,
+            self._open_shadings(),
+            self.levels,
+            self.box.normalise,
+            self.settings.seed,
+        )
         checkpoint = self.folder.stage / f"training-{index}.pt"
         before = PRETRAINING_STEPS / (PRETRAINING_STEPS + steps) if index == 0 else 0.0
         if index == 0 and not checkpoint.exists():
@@ -262,10 +269,14 @@ class Estimation:
             checkpoint,
             lambda done: self.reporter.progress(before + (1.0 - before) * done),
         )
-        # The last entry serves triangles without a part.
-        constant = np.append(guess.part_emits, False)[self.parts.triangle_part]
-        emitting = self._find_emitters(index, constant)
-        self._group_fixtures(emitting)
+        # Semantic classes, and parts that no pixel saw, have no guess.
+        part = self.parts.triangle_part
+        guessed = (part >= 0) & (part < len(guess.part_emits))
+        constant = np.zeros(len(part), bool)
+        constant[guessed] = guess.part_emits[part[guessed]]
+        joint = self.settings.emission == "joint"
+        emitting = constant if joint else self._find_emitters(index, constant)
+        self._group_fixtures(emitting, index)
         self.checkpoints.save_tensors(
             f"networks-{index}",
             {
@@ -282,7 +293,7 @@ class Estimation:
         self.brdf.load_state_dict(state["brdf"])
         self.emission.load_state_dict(state["emission"])
         # Not found anew: the shadings that it took may have been refined since, or half refined.
-        self._group_fixtures(state["emitting"].cpu().numpy())
+        self._group_fixtures(state["emitting"].cpu().numpy(), index)
 
     def _find_emitters(self, index: int, constant: np.ndarray) -> np.ndarray:
         """(T,) bool, triangles that emit; those of `constant` ((T,) bool) do whatever the mask says."""
@@ -304,7 +315,17 @@ class Estimation:
         explained = reflection_explains(triangle, radiance, rendered, len(marked))
         return (marked & ~explained) | constant
 
-    def _group_fixtures(self, emitting: np.ndarray) -> None:
+    def _group_fixtures(self, emitting: np.ndarray, index: int) -> None:
+        settings = self.settings
+        if settings.emission == "joint":
+            self.fixtures = joint_fixtures(
+                self.room,
+                lambda positions: mask_at(self.emission, self.box, positions),
+                settings.emitter_threshold,
+                settings.emitter_samples,
+                np.random.default_rng([settings.seed, 3, index]),
+            )
+            return
         self.fixtures = group_fixtures(
             self.room,
             emitting,
@@ -325,7 +346,7 @@ class Estimation:
         emitting[table.triangles] = True
         source = TracedRadiance(
             self.room,
-            self.seen.cache(without=emitting),
+            self.seen.cache(without=emitting) if settings.refine_cache else None,
             self._material_lookup(),
             lights,
             self.seen.environment_light(),
@@ -335,6 +356,7 @@ class Estimation:
         rays = bake_views(
             self._open_shadings(create=True),
             self.pixels,
+            self.parts.triangle_part,
             self.room,
             source,
             lights,
@@ -381,6 +403,7 @@ class Estimation:
             "part_kind": self.parts.kind,
             "radiance_scale": self.scale,
             "variant": mi.variant(),
+            "views": self.view_check.facts() | {"used": len(self.views) - len(self.view_check.left_out)},
             "settings": asdict(self.settings),
         }
 

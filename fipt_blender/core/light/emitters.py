@@ -72,17 +72,17 @@ def find_emitters(
         large: square metres from which a triangle, which may be a lamp in part, gets all samples.
     """
     everything = np.arange(len(room.triangles))
-    screened = mask(_points(room, everything, SCREENING_SAMPLES, rng)).reshape(-1, SCREENING_SAMPLES)
+    screened = mask(random_points(room, everything, SCREENING_SAMPLES, rng)).reshape(-1, SCREENING_SAMPLES)
     candidates = everything[(screened.max(axis=1) > 0.1 * threshold) | (room.areas >= large)]
     found = np.zeros(len(everything), bool)
     for start in range(0, len(candidates), 4096):
         part = candidates[start : start + 4096]
-        mean = mask(_points(room, part, samples, rng)).reshape(-1, samples).mean(axis=1)
+        mean = mask(random_points(room, part, samples, rng)).reshape(-1, samples).mean(axis=1)
         found[part] = mean > threshold
     return found
 
 
-def _points(room: Room, triangles: np.ndarray, samples: int, rng: np.random.Generator) -> np.ndarray:
+def random_points(room: Room, triangles: np.ndarray, samples: int, rng: np.random.Generator) -> np.ndarray:
     """(len(triangles) * samples, 3) float32 points, uniform on each triangle."""
     u, v = rng.random((2, len(triangles), samples), dtype=np.float32)
     root = np.sqrt(u)
@@ -165,7 +165,7 @@ def group_fixtures(
             fixture's own light in those pixels, no lamp.
     """
     corners = weld(room.vertices)[room.triangles]
-    emitting = _complete(room, corners, emitting, triangle)
+    emitting, vague = _complete(room, corners, emitting, triangle, pure)
     ids = np.flatnonzero(emitting)
     if not len(ids):
         return []
@@ -173,9 +173,9 @@ def group_fixtures(
     own[ids] = np.arange(len(ids))
     medians, counts = side_medians(triangle, front, pure, radiance, own)
     brightness = (medians * (counts > 0)[..., None] @ LUMINANCE).max(axis=1)
-    seen = counts.sum(axis=1) > 0
+    seen = (counts.sum(axis=1) > 0) & ~vague[ids]
     group = np.full(len(emitting), -1, np.int64)
-    group[ids] = _connected(corners[ids], brightness, seen)
+    group[ids] = connected(corners[ids], brightness, seen)
     medians, counts = side_medians(triangle, front, pure, radiance, group)
     clean = _seen_clean(triangle, pure, group, len(medians))
     fixtures = []
@@ -241,16 +241,28 @@ def _beside_brighter(
     return False
 
 
-def _complete(room: Room, corners: np.ndarray, emitting: np.ndarray, triangle: np.ndarray) -> np.ndarray:
-    """Add triangles that no pixel saw where most of the seen area of their piece of mesh emits."""
+def _complete(
+    room: Room, corners: np.ndarray, emitting: np.ndarray, triangle: np.ndarray, pure: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Add triangles that no pixel saw where most of the seen area of their piece of mesh emits.
+
+    What only mixed pixels saw, such as the far side of a small bulb, counts as unseen where others of its
+    piece were seen alone.
+
+    Returns:
+        (T,) bool, triangles that emit, and (T,) bool, those of them whose brightness no pixel tells.
+    """
     piece = _pieces(corners)
-    seen = np.zeros(len(emitting), bool)
+    seen, clean = np.zeros((2, len(emitting)), bool)
     seen[triangle[triangle >= 0]] = True
+    clean[triangle[(triangle >= 0) & pure]] = True
+    seen &= clean | (np.bincount(piece, clean)[piece] == 0)
     area = room.areas
     seen_area = np.bincount(piece, area * seen)
     emitting_area = np.bincount(piece, area * (seen & emitting))
     mostly = emitting_area > MOSTLY * np.maximum(seen_area, 1e-30)
-    return emitting | (~seen & mostly[piece])
+    vague = ~seen & mostly[piece]
+    return emitting | vague, vague
 
 
 def _pieces(corners: np.ndarray) -> np.ndarray:
@@ -266,7 +278,7 @@ def _pieces(corners: np.ndarray) -> np.ndarray:
         label = update
 
 
-def _connected(corners: np.ndarray, brightness: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def connected(corners: np.ndarray, brightness: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """(n,) int64 group of each emitting triangle: neighbours (shared vertex) of like brightness.
 
     Triangles without pixels join any neighbour.

@@ -11,7 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..conventions import direction_to_equirect
-from ..scene.pixels import PixelStore
+from ..scene.pixels import NO_TRIANGLE, PixelStore
+
+# Less of the sphere than this is no window but a hole in the mesh; spread over all directions, what it shows
+# would light the room through every other hole.
+LEAST_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -29,10 +33,10 @@ class Environment:
 
 def outside_pixels(pixels: PixelStore) -> tuple[np.ndarray, np.ndarray]:
     """World directions (M, 3) and radiance (M, 3) of the pixels that miss the mesh."""
-    missed = np.flatnonzero(pixels.triangle < 0)
-    clean = np.asarray(pixels.pure[missed])
-    if clean.any():  # the colour of a window's frame, in the pixels at its edge, is no light from outside
-        missed = missed[clean]
+    missed = np.flatnonzero(pixels.triangle == NO_TRIANGLE)
+    # The colour of a window's frame, in the pixels at its edge, is no light from outside; nor are cracks of
+    # the mesh, which no pixel sees alone.
+    missed = missed[np.asarray(pixels.pure[missed])]
     directions = np.empty((len(missed), 3))
     view_of = pixels.view_of(missed)
     for index in np.unique(view_of):
@@ -43,7 +47,7 @@ def outside_pixels(pixels: PixelStore) -> tuple[np.ndarray, np.ndarray]:
 
 
 def estimate_environment(directions: np.ndarray, radiance: np.ndarray, width: int) -> Environment | None:
-    """Median of the pixels that look into each cell of the map; None where no pixel looks outside.
+    """Median of the pixels that look into each cell of the map; None where next to nothing looks outside.
 
     Cells that no pixel saw take the radiance of the nearest observed ones (diffused outwards), so that a
     window seen from a few places still lights the room from all angles that pass it.
@@ -71,6 +75,8 @@ def estimate_environment(directions: np.ndarray, radiance: np.ndarray, width: in
     latitude = np.pi * (0.5 - (np.arange(height) + 0.5) / height)
     weight = np.repeat(np.cos(latitude), width)
     share = float(weight[known].sum() / weight.sum())
+    if share < LEAST_SHARE:
+        return None
     return Environment(_diffuse(image.reshape(height, width, 3), known.reshape(height, width)), share)
 
 

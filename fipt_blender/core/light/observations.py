@@ -55,12 +55,29 @@ class Observations:
         return None if self.environment is None else EnvironmentLight(self.environment.image)
 
     def cache(self, without: np.ndarray | None = None) -> SurfaceLookup:
-        """The radiance cache of all pixels, or of all but those on the triangles `without` ((T,) bool)."""
+        """The radiance cache of all pixels, or of all but those lit by the emitters `without` ((T,) bool).
+
+        The rim pixels around a lamp hold some of its radiance. Beside emitters of known radiance and shape
+        they would count it twice and make the whole room's shadings a few per cent too bright.
+        """
         keep: slice | np.ndarray = slice(None)
         if without is not None and without.any():
-            keep = ~without[self.pixels.triangle[self.hit]]
+            keep = ~self._near(without)[self.hit]
         radiance = np.asarray(self.pixels.radiance[self.hit[keep]])
         return SurfaceLookup(self.grid, pool(self.grid, self.entries[keep], radiance)[0])
+
+    def _near(self, marked: np.ndarray) -> np.ndarray:
+        """(N,) bool, pixels that see a marked triangle ((T,) bool), and their neighbours in the image."""
+        near = np.zeros(len(self.pixels), bool)
+        for index, view in enumerate(self.pixels.views):
+            rows = slice(int(self.pixels.ranges[index]), int(self.pixels.ranges[index + 1]))
+            triangle = np.asarray(self.pixels.triangle[rows])
+            seen = ((triangle >= 0) & marked[np.maximum(triangle, 0)]).reshape(view.height, view.width)
+            if seen.any():
+                wide = np.pad(seen, 1)
+                wide = wide[:-2] | wide[1:-1] | wide[2:]
+                near[rows] = (wide[:, :-2] | wide[:, 1:-1] | wide[:, 2:]).ravel()
+        return near
 
     def pixel_parts(self) -> np.ndarray:
         """(N,) int32 part of each pixel, NO_PART without one and where the mesh is missed."""
@@ -97,10 +114,6 @@ def observe(room: Room, pixels: PixelStore, parts: Parts, settings: Settings) ->
     seen *= np.where(pixels.front[hit], np.float32(1.0), np.float32(-1.0))[:, None]
     rng = np.random.default_rng([settings.seed, 1])
     grid = make_grid(room, position, seen, settings.voxel_resolution, rng)
-    some = slice(None, None, max(1, len(hit) // FOOTPRINT_PIXELS))
-    view_of = pixels.view_of(hit[some])
-    distance = np.linalg.norm(position[some] - pixels.camera_positions()[view_of], axis=1)
-    focal = np.array([min(view.fx, view.fy) for view in pixels.views])
     return Observations(
         pixels=pixels,
         parts=parts,
@@ -108,5 +121,15 @@ def observe(room: Room, pixels: PixelStore, parts: Parts, settings: Settings) ->
         grid=grid,
         entries=grid.entries(position, seen),
         environment=estimate_environment(*outside_pixels(pixels), settings.environment_width),
-        footprint=float(np.median(distance / focal[view_of])),
+        footprint=median_footprint(pixels),
     )
+
+
+def median_footprint(pixels: PixelStore) -> float:
+    """Median width in metres of a pixel on the surfaces that it sees."""
+    hit = np.flatnonzero(pixels.triangle >= 0)
+    some = hit[:: max(1, len(hit) // FOOTPRINT_PIXELS)]
+    view_of = pixels.view_of(some)
+    distance = np.linalg.norm(pixels.position[some] - pixels.camera_positions()[view_of], axis=1)
+    focal = np.array([min(view.fx, view.fy) for view in pixels.views])
+    return float(np.median(distance / focal[view_of]))

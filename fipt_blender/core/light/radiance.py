@@ -92,14 +92,15 @@ class TracedRadiance:
 
     Args:
         materials: base colour (3), roughness and metallic of the surface, five values.
-        cache: photographs averaged without the pixels of emitters.
+        cache: photographs averaged without the pixels of emitters. None traces every path to its depth with
+            the materials alone, and what comes after is lost (the paper's ablation "w/o rad. cache").
         depth: most surfaces that a path may meet; the last one is read from the cache.
     """
 
     def __init__(
         self,
         room: Room,
-        cache: SurfaceLookup,
+        cache: SurfaceLookup | None,
         materials: SurfaceLookup,
         lights: AreaLights,
         environment: EnvironmentLight | None,
@@ -133,9 +134,11 @@ class TracedRadiance:
         r, g, b, roughness, metallic = self._materials(hit.position, side, active)
         base_color = mi.Color3f(r, g, b)
         path.depth += 1
-        ends = active & ((roughness > self._cache_roughness) | (path.depth >= self._depth))
-        radiance += mi.Color3f(*self._cache(hit.position, side, ends))
-        active &= ~ends
+        ends = active & (path.depth >= self._depth)
+        if self._cache is not None:
+            ends |= active & (roughness > self._cache_roughness)
+            radiance += mi.Color3f(*self._cache(hit.position, side, ends))
+            active &= ~ends
 
         frame = mi.Frame3f(hit.normal)
         wo = frame.to_local(-direction)
@@ -149,7 +152,7 @@ class TracedRadiance:
         pair = mi.Point2f(rng.next_float32(), rng.next_float32())
         wi, factor, density = brdf.sample(choice, pair, wo, base_color, roughness, metallic)
         onward = frame.to_world(wi)
-        active &= (density > 0.0) & (dr.dot(onward, side) > 0.0)
+        active &= (density > 0.0) & (dr.dot(onward, side) > 0.0) & ~ends
         path.throughput *= dr.select(active, factor, mi.Color3f(1.0))
         path.brdf_pdf = dr.select(active, density, path.brdf_pdf)
         path.origin = dr.select(active, origin, path.origin)

@@ -8,10 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 
+from ..capture.views import View
 from ..render.lights import AreaLights
-from ..scene.pixels import PixelStore, open_array
+from ..scene.pixels import PixelStore, open_array, trace_pixels
 from ..scene.room import Room, triangle_normals
 from .denoise import Denoiser
 from .radiance import RadianceSource
@@ -20,6 +23,11 @@ from .shadings import SampleCounts, ShadingPoints, Shadings, bake
 # Most pixels in one kernel launch, so that large photographs stay within memory.
 CHUNK = 1 << 18
 HALF_LARGEST = 6.0e4
+# Where in its pixel a share of the samples starts (pixels from the centre; a rotated grid): a photograph is
+# an integral over pixels, and bevels and edges that the centre misses or alone sees would stand out.
+SUBPIXELS = ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))
+# A start that lies farther than so many pixels' widths from the centre's surface belongs to another one.
+SUBPIXEL_REACH = 3.0
 
 
 @dataclass
@@ -46,6 +54,7 @@ def open_shadings(folder: Path, pixels: int, levels: int, create: bool = False) 
 def bake_views(
     store: ShadingStore,
     pixels: PixelStore,
+    labels: np.ndarray,
     room: Room,
     source: RadianceSource,
     lights: AreaLights,
@@ -59,26 +68,83 @@ def bake_views(
     """Fill `store` and return the number of primary rays traced.
 
     Args:
+        labels: (T,) int part of each triangle; a pixel's samples start on one part.
         denoise: denoise L_d.
         denoise_specular: denoise L_s0 and L_s1 of every level too.
         seed: each view uses its own stream made of it.
     """
     normals = triangle_normals(room.vertices, room.triangles).astype(np.float32)
     cameras = pixels.camera_positions()
+    shares = [
+        SampleCounts(*(_share(number, index) for number in (counts.diffuse, counts.specular, counts.light)))
+        for index in range(len(SUBPIXELS))
+    ]
     rays = 0
     for i, view in enumerate(pixels.views):
         first, last = int(pixels.ranges[i]), int(pixels.ranges[i + 1])
-        points = view_points(pixels, normals, cameras[i], first, last)
-        seen = np.asarray(pixels.triangle[first:last]) >= 0
-        found = _bake_seen(points, seen, source, lights, levels, counts, seed * 100003 + i)
+        centres = view_points(pixels, normals, cameras[i], first, last)
+        triangle = np.asarray(pixels.triangle[first:last])
+        seen = triangle >= 0
+        diffuse = np.zeros((len(seen), 3), np.float32)
+        specular = np.zeros((len(seen), len(levels), 2, 3), np.float32)
+        normal = np.zeros((len(seen), 3), np.float32)
+        for number, (shift, share) in enumerate(zip(SUBPIXELS, shares, strict=True)):
+            points = _shifted(room, view, centres, labels[triangle], labels, shift)
+            stream = (seed * 100003 + i) * len(SUBPIXELS) + number
+            found = _bake_seen(points, seen, source, lights, levels, share, stream)
+            diffuse += found.diffuse / len(SUBPIXELS)
+            specular += found.specular / len(SUBPIXELS)
+            normal += points.normal
+            light = share.light if lights.count else 0
+            rays += int(seen.sum()) * (share.diffuse + share.specular * len(levels) + light)
+        found = Shadings(diffuse, specular)
         if denoise:
-            found = _denoise(found, points.normal, (view.height, view.width), denoise_specular)
+            normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
+            found = _denoise(found, normal, (view.height, view.width), denoise_specular)
         store.diffuse[first:last] = found.diffuse.clip(0.0, HALF_LARGEST)
         store.specular[first:last] = found.specular.clip(0.0, HALF_LARGEST)
-        light = counts.light if lights.count else 0
-        rays += int(seen.sum()) * (counts.diffuse + counts.specular * len(levels) + light)
         progress((i + 1) / len(pixels.views))
     return rays
+
+
+def _share(samples: int, index: int) -> int:
+    """How many of a pixel's samples start at one of its starts: all of them together, at least one each."""
+    return max(1, (samples + index) // len(SUBPIXELS))
+
+
+def _shifted(
+    room: Room,
+    view: View,
+    centres: ShadingPoints,
+    label: np.ndarray,
+    labels: np.ndarray,
+    shift: tuple[float, float],
+) -> ShadingPoints:
+    """The surface points beside the pixels' centres; the centre where another surface lies there.
+
+    Args:
+        label: (N,) int of the centres' triangles, labels: (T,) of all.
+        shift: pixels.
+    """
+    surface = trace_pixels(room, view, shift)
+    position = np.array(surface.position, np.float32).T
+    normal = np.array(surface.normal, np.float32).T
+    geometric = np.array(dr.select(surface.front, 1.0, -1.0) * mi.Normal3f(surface.geometric_normal)).T
+    toward = np.asarray(view.camera_to_world)[:3, 3] - position
+    distance = np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-12)
+    toward = (toward / distance).astype(np.float32)
+    cosine = np.abs((toward * geometric).sum(axis=1)).clip(0.05)
+    reach = SUBPIXEL_REACH * distance[:, 0] / min(view.fx, view.fy) / cosine
+    other = labels[np.where(np.array(surface.valid), np.array(surface.triangle), 0).astype(np.int64)]
+    same = np.array(surface.valid) & (other == label)
+    same &= np.linalg.norm(position - centres.position, axis=1) < reach
+    keep = same[:, None]
+    return ShadingPoints(
+        np.where(keep, position, centres.position),
+        np.where(keep, normal, centres.normal),
+        np.where(keep, geometric, centres.geometric_normal),
+        np.where(keep, toward, centres.view_direction),
+    )
 
 
 def view_points(

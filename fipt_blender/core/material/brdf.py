@@ -3,8 +3,9 @@
 """The paper's BRDF as Dr.Jit functions in the local shading frame (z is the normal).
 
 Paper Sec. 3, Eq. 1: f = kd/pi cos_i + F D G / (4 cos_o), the cosine included, with GGX D (alpha = sigma^2)
-and Schlick's F = ks F0 + F1. The paper leaves G open; as in the authors' data it is Schlick-Smith with
-k = (sigma + 1)^2 / 8. Baking, refinement and the forward renderer all use this file.
+and Schlick's F = ks F0 + F1. The paper leaves G open: by default it is Schlick-Smith with
+k = (sigma + 1)^2 / 8, as in the authors' data; a run may choose Cycles' instead (`set_masking`). Baking,
+refinement and the forward renderer all use this file.
 
 Directions point away from the surface. `wo` is towards the viewer, `wi` towards the light.
 """
@@ -16,6 +17,17 @@ import mitsuba as mi
 
 MIN_COSINE = 1e-4
 MIN_ROUGHNESS = 0.02
+MASKINGS = ("schlick", "smith")
+
+_masking = MASKINGS[0]
+
+
+def set_masking(masking: str) -> None:
+    """Choose G for this process, as a run's settings say: one of MASKINGS."""
+    global _masking
+    if masking not in MASKINGS:
+        raise ValueError(f"no masking '{masking}'")
+    _masking = masking
 
 
 def ggx_distribution(h: mi.Vector3f, alpha: mi.Float) -> mi.Float:
@@ -29,7 +41,16 @@ def ggx_distribution(h: mi.Vector3f, alpha: mi.Float) -> mi.Float:
 
 
 def geometry_term(cos_i: mi.Float, cos_o: mi.Float, roughness: mi.Float) -> mi.Float:
-    """Schlick-Smith shadowing-masking G with k = (sigma + 1)^2 / 8."""
+    """Shadowing-masking G of the process; see `set_masking`.
+
+    Schlick-Smith with k = (sigma + 1)^2 / 8, or Smith's for GGX with correlated heights: E. Heitz,
+    "Understanding the Masking-Shadowing Function in Microfacet-Based BRDFs", JCGT 3(2), 2014, Eq. 99.
+    """
+    if _masking == "smith":
+        alpha2 = dr.square(dr.square(roughness))
+        both = cos_i * dr.sqrt(dr.fma(1.0 - alpha2, dr.square(cos_o), alpha2))
+        both += cos_o * dr.sqrt(dr.fma(1.0 - alpha2, dr.square(cos_i), alpha2))
+        return 2.0 * cos_i * cos_o / both
     k = dr.square(roughness + 1.0) * 0.125
     return cos_i * cos_o / (dr.fma(cos_i, 1.0 - k, k) * dr.fma(cos_o, 1.0 - k, k))
 

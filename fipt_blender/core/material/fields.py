@@ -17,6 +17,7 @@ from ..device.variant import set_variant, torch_device
 from ..job.errors import FiptError
 from ..job.runfolder import RunFolder, atomic_path
 from ..job.settings import Settings
+from .brdf import set_masking
 from .losses import factorised_rendering
 from .networks import BrdfNetwork, EmissionNetwork, emission_mask
 
@@ -84,13 +85,14 @@ class Fields:
 
     @classmethod
     def load(cls, run: RunFolder, device: str | None = None) -> Fields:
-        """Read results/fields.npz; sets Mitsuba's variant, which the hash grid needs.
+        """Read results/fields.npz; sets Mitsuba's variant, which the hash grid needs, and the run's G.
 
         Raises:
             FiptError: ``results-missing`` or ``results-damaged``.
         """
         settings = run.read()
         set_variant(device or settings.device)
+        set_masking(settings.masking)
         if not run.fields_npz.exists():
             raise FiptError(
                 "results-missing", f"{run.fields_npz} does not exist.", "Let the estimation finish first."
@@ -151,14 +153,15 @@ def count_coverage(box: Box, positions: np.ndarray) -> np.ndarray:
 
 @torch.no_grad()
 def mask_at(network: EmissionNetwork, box: Box, positions: np.ndarray) -> np.ndarray:
-    """(N,) float32 emission mask alpha at (N, 3) world positions."""
+    """Emission mask alpha (N,) float32 at (N, 3) world positions; fitted jointly, emission L_e (N, 3)."""
     device = next(network.parameters()).device
-    result = np.empty(len(positions), np.float32)
-    for start in range(0, len(positions), CHUNK):
-        part = slice(start, start + CHUNK)
-        inputs = torch.from_numpy(box.normalise(positions[part])).to(device)
-        result[part] = emission_mask(network(inputs)).cpu().numpy()
-    return result
+    found = []
+    for start in range(0, max(len(positions), 1), CHUNK):
+        inputs = torch.from_numpy(box.normalise(positions[start : start + CHUNK])).to(device)
+        raw = network(inputs)
+        value = emission_mask(raw) if network.outputs == 1 else torch.relu(raw)
+        found.append(value.cpu().numpy())
+    return np.concatenate(found)
 
 
 @torch.no_grad()

@@ -58,6 +58,13 @@ def rendering_loss(rendered: torch.Tensor, alpha: torch.Tensor, photographed: to
     return (tone_map(mixed) - tone_map(photographed)).square().sum(dim=1).mean()
 
 
+def joint_rendering_loss(
+    rendered: torch.Tensor, emitted: torch.Tensor, photographed: torch.Tensor
+) -> torch.Tensor:
+    """Tone-mapped L2 of L_r + L_e, both fitted at once (the paper's ablation "Joint L_e opt.", Sec. 5.4)."""
+    return (tone_map(rendered + emitted) - tone_map(photographed)).square().sum(dim=1).mean()
+
+
 def emission_loss(raw: torch.Tensor) -> torch.Tensor:
     """l_e without its weight: mean |MLP_emit| (paper Eq. 13)."""
     return raw.abs().mean()

@@ -63,7 +63,10 @@ class BrdfNetwork(torch.nn.Module):
 
 
 class EmissionNetwork(torch.nn.Module):
-    """Raw emission mask of positions in the unit cube; alpha = 1 - exp(-ReLU(raw)) (paper Eq. 11)."""
+    """Raw emission mask of positions in the unit cube; alpha = 1 - exp(-ReLU(raw)) (paper Eq. 11).
+
+    Where emission is fitted jointly, it has three raw values instead: L_e = ReLU(raw).
+    """
 
     def __init__(self, settings: Settings, generator: torch.Generator, device: torch.device) -> None:
         super().__init__()
@@ -76,18 +79,20 @@ class EmissionNetwork(torch.nn.Module):
         for i in range(depth):
             layers.append(_linear(inputs, width, generator, device))
             inputs = width + encoded if i + 1 == self.skip else width
-        layers.append(_linear(inputs, 1, generator, device))
+        self.outputs = 3 if settings.emission == "joint" else 1
+        layers.append(_linear(inputs, self.outputs, generator, device))
         self.layers = torch.nn.ModuleList(layers)
 
     def forward(self, positions: torch.Tensor) -> torch.Tensor:
-        """Raw values (N,) at (N, 3) positions in [0, 1]."""
+        """Raw values (N,), or (N, 3) where emission is fitted jointly, at (N, 3) positions in [0, 1]."""
         encoded = positional_encoding(positions * 2.0 - 1.0, self.bands)
         x = encoded
         for i, layer in enumerate(self.layers[:-1]):
             x = torch.relu(layer(x))
             if i + 1 == self.skip:
                 x = torch.cat([x, encoded], dim=1)
-        return self.layers[-1](x)[:, 0]
+        raw = self.layers[-1](x)
+        return raw if self.outputs == 3 else raw[:, 0]
 
 
 def emission_mask(raw: torch.Tensor) -> torch.Tensor:

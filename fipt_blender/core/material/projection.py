@@ -10,6 +10,7 @@ there instead of from noise; everything after is the paper's optimisation.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,12 +23,16 @@ DARK = 0.05
 DIFFUSE_PRIOR = 0.004
 # Standard errors by which a gain over the diffuse candidate is discounted.
 CAUTION = 1.0
+# Steps from the best level at which roughness between levels is tried.
+BETWEEN_LEVELS = (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75)
 # Photographed radiance above this multiple of what a white surface would reflect is emission.
 CLEAR_EMISSION = 1.5
 # A part whose radiance spreads less than this share of its irradiance's spread emits. Surfaces of the
 # example rooms stay above 0.5, their lamps below 0.01.
 CONSTANT_RATIO = 0.15
 CONSTANT_IRRADIANCE = 0.05
+# ... and never more than this share of its own median: noisy shadings spread without end.
+CONSTANT_SPREAD = 0.3
 CONSTANT_PIXELS = 30
 
 
@@ -54,6 +59,109 @@ class Guess:
     part_emits: np.ndarray
 
 
+def part_materials(
+    radiance: np.ndarray,
+    diffuse: np.ndarray,
+    specular: np.ndarray,
+    levels: np.ndarray,
+    cell: np.ndarray,
+    part: np.ndarray,
+    view: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Roughness and metallic of each part: those with which its surface cells look most alike in all views.
+
+    Args:
+        radiance: (N, 3) photographed radiance, in units of the capture's median.
+        diffuse: (N, 3) L_d.
+        specular: (N, K, 2, 3) L_s0 and L_s1 at `levels`. All three are best smoothed over neighbours of one
+            part (:func:`window_means`): sharp lobes carry more noise than wide ones, and lose by it.
+        levels: (K,) roughness.
+        cell: (N,) int surface cell of each pixel.
+        part: (N,) int part of each pixel, negative without: those are passed over.
+        view: (N,) int view of each pixel.
+
+    Returns:
+        (parts,) float32 each.
+    """
+    parts = int(part.max(initial=-1)) + 1
+    if not parts:
+        return np.zeros(0, np.float32), np.zeros(0, np.float32)
+    trial = _Trial(radiance, diffuse, cell, part, view)
+    totals = np.empty((len(levels), len(METALLIC_CANDIDATES), parts))
+    # The diffuse candidate comes first: its median residual sets each part's scale.
+    for k in reversed(range(len(levels))):
+        for j, m in enumerate(METALLIC_CANDIDATES):
+            prior = DIFFUSE_PRIOR * ((1.0 - levels[k]) + m)
+            totals[k, j] = prior + trial.cost(specular[:, k], m)
+    best = totals.reshape(-1, parts).argmin(axis=0)
+    k, j = np.divmod(best, len(METALLIC_CANDIDATES))
+    lowest = totals[k, j, np.arange(parts)]
+    metallic = np.array(METALLIC_CANDIDATES, np.float32)[j]
+    roughness = levels[k].astype(np.float32)
+    mine = np.maximum(part, 0)
+    rows = np.arange(len(part))
+    for step in BETWEEN_LEVELS:
+        place = np.clip(k + step, 0.0, len(levels) - 1.0)
+        low = np.minimum(place.astype(int), len(levels) - 2)
+        share = (place - low).astype(np.float32)
+        between = ((1.0 - share) * levels[low] + share * levels[low + 1]).astype(np.float32)
+        below, weight = low[mine], share[mine, None, None]
+        shading = (1.0 - weight) * specular[rows, below] + weight * specular[rows, below + 1]
+        prior = DIFFUSE_PRIOR * ((1.0 - between) + metallic)
+        total = prior + trial.cost(shading, metallic[mine, None])
+        roughness = np.where(total < lowest, between, roughness)
+        lowest = np.minimum(total, lowest)
+    return roughness, metallic
+
+
+class _Trial:
+    """How well candidates explain the parts' pixels, against the first one tried (which must be diffuse)."""
+
+    def __init__(
+        self, radiance: np.ndarray, diffuse: np.ndarray, cell: np.ndarray, part: np.ndarray, view: np.ndarray
+    ) -> None:
+        self._radiance, self._diffuse = radiance, diffuse
+        self._cell = cells_of_parts(cell, part)
+        shared = np.bincount(self._cell)[self._cell] > 1  # a cell of one pixel fits everything
+        self._counted = (part >= 0) & shared
+        self._parts = int(part.max()) + 1
+        self._views = int(view.max(initial=-1)) + 1
+        self._part = part[self._counted]
+        self._group = self._part.astype(np.int64) * self._views + view[self._counted]
+        self._weight = 1.0 / (radiance + DARK) ** 2
+        self._scale: np.ndarray | None = None
+        self._first: np.ndarray | None = None
+
+    def cost(self, specular: np.ndarray, metallic: float | np.ndarray) -> np.ndarray:
+        """(parts,) mean robust cost above the first candidate's, plus `CAUTION` standard errors.
+
+        Errors of shadings are alike all over a view, so the views are the independent samples.
+        """
+        slope, offset = _line(self._diffuse, specular, metallic)
+        color = _fit(self._radiance, slope, offset, self._weight, self._cell)
+        residual = self._radiance - offset - color[self._cell] * slope
+        squared = (residual**2 * self._weight).mean(axis=1)[self._counted]
+        if self._scale is None:
+            self._scale = _median_by(self._part, squared, self._parts)
+        # Cauchy's cost: a part of the pixels (edges, stray shadings) never follows the model.
+        cost = np.log1p(squared / self._scale[self._part])
+        if self._first is None:
+            self._first = cost
+        size = self._parts * self._views
+        count = np.bincount(self._group, minlength=size).reshape(self._parts, -1)
+        gain = np.bincount(self._group, cost - self._first, minlength=size).reshape(self._parts, -1)
+        total = np.maximum(count.sum(axis=1), 1)
+        mean = gain.sum(axis=1) / total
+        spread = gain - count * mean[:, None]
+        return mean + CAUTION * np.sqrt((spread**2).sum(axis=1)) / total
+
+
+def cells_of_parts(cell: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """(N,) int from 0, one for each pair of a surface cell and a part."""
+    key = cell.astype(np.int64) * (int(part.max(initial=0)) + 2) + part + 1
+    return np.unique(key, return_inverse=True)[1]
+
+
 def project(
     radiance: np.ndarray,
     diffuse: np.ndarray,
@@ -61,8 +169,10 @@ def project(
     levels: np.ndarray,
     cell: np.ndarray,
     part: np.ndarray,
+    part_roughness: np.ndarray,
+    part_metallic: np.ndarray,
 ) -> Guess:
-    """Best base colour of each cell and best roughness and metallic of each part.
+    """Best base colour of each cell, given each part's roughness and metallic (:func:`part_materials`).
 
     Args:
         radiance: (N, 3) photographed radiance, in units of the capture's median.
@@ -71,39 +181,17 @@ def project(
         levels: (K,) roughness.
         cell: (N,) int surface cell of each pixel.
         part: (N,) int part of each pixel, negative without: those are taken as diffuse.
+        part_roughness, part_metallic: (parts,) float32.
     """
-    key = cell.astype(np.int64) * (int(part.max(initial=0)) + 2) + part + 1
-    _, cell_id = np.unique(key, return_inverse=True)
-    cells = int(cell_id.max(initial=-1)) + 1
-    parts = int(part.max(initial=-1)) + 1
+    parts = len(part_roughness)
     known = part >= 0
-    shared = np.bincount(cell_id, minlength=cells)[cell_id] > 1  # a cell of one pixel fits everything
-    counted = known & shared
+    cell_id = cells_of_parts(cell, part)
     weight = 1.0 / (radiance + DARK) ** 2
-    scale = np.full(parts, np.inf)
-    diffuse_cost: np.ndarray | None = None
-    totals = np.empty((len(levels), len(METALLIC_CANDIDATES), parts))
-    # The diffuse candidate comes first: its median residual sets each part's scale.
-    for k in reversed(range(len(levels))):
-        for j, m in enumerate(METALLIC_CANDIDATES):
-            slope, offset = _line(diffuse, specular[:, k], m)
-            color = _fit(radiance, slope, offset, weight, cell_id, cells)
-            residual = radiance - offset - color[cell_id] * slope
-            squared = (residual**2 * weight).mean(axis=1)[counted]
-            if np.isinf(scale).any():
-                scale = _median_by(part[counted], squared, parts)
-            # Cauchy's cost: a part of the pixels (edges, stray shadings) never follows the model.
-            cost = np.log1p(squared / scale[part[counted]])
-            if diffuse_cost is None:
-                diffuse_cost = cost
-            prior = DIFFUSE_PRIOR * ((1.0 - levels[k]) + m)
-            totals[k, j] = prior + _cautious_mean(cost - diffuse_cost, part[counted], parts)
-    roughness, metallic = _best_pair(totals, levels)
-    pixel_roughness = np.where(known, roughness[np.maximum(part, 0)] if parts else 1.0, 1.0)
-    pixel_metallic = np.where(known, metallic[np.maximum(part, 0)] if parts else 0.0, 0.0)
+    pixel_roughness = np.where(known, part_roughness[np.maximum(part, 0)] if parts else 1.0, 1.0)
+    pixel_metallic = np.where(known, part_metallic[np.maximum(part, 0)] if parts else 0.0, 0.0)
     chosen = np.abs(levels[None, :] - pixel_roughness[:, None]).argmin(axis=1)
     slope, offset = _line(diffuse, specular[np.arange(len(chosen)), chosen], pixel_metallic[:, None])
-    color = _fit(radiance, slope, offset, weight, cell_id, cells)
+    color = _fit(radiance, slope, offset, weight, cell_id)
     # A white surface, of this roughness and metallic or diffuse: metals mirror lamps without being lamps.
     white = np.maximum(diffuse, slope) + offset
     emitting = (radiance > CLEAR_EMISSION * white).all(axis=1) & (radiance.mean(axis=1) > 1.0)
@@ -115,10 +203,55 @@ def project(
         pixel_roughness.astype(np.float32),
         pixel_metallic.astype(np.float32),
         emitting,
-        roughness,
-        metallic,
+        part_roughness,
+        part_metallic,
         part_emits,
     )
+
+
+def window_means(
+    arrays: Sequence[np.ndarray],
+    rows: np.ndarray,
+    width: np.ndarray,
+    usable: np.ndarray,
+    part: np.ndarray,
+    view: np.ndarray,
+) -> list[np.ndarray]:
+    """Means over the 3 × 3 pixels around some pixels, of those of the same part and view.
+
+    The rendering is linear in the shadings, so means of both sides agree where base colour is even; noise is
+    less, and the structure of its errors, which differs between roughness levels, with it.
+
+    Args:
+        arrays: each (N, ...), of all pixels, view after view in rows of the image; may be memory-mapped.
+        rows: (M,) int pixels wanted.
+        width: (M,) int width of their images.
+        usable: (N,) bool, pixels that see one surface; part, view: (N,) int.
+
+    Returns:
+        (M, ...) float32 each.
+    """
+    sums = [np.zeros((len(rows), *array.shape[1:]), np.float32) for array in arrays]
+    count = np.zeros(len(rows), np.float32)
+    own_view, own_part, column = view[rows], part[rows], _columns(rows, width, view)
+    for down in (-1, 0, 1):
+        for right in (-1, 0, 1):
+            other = rows + down * width + right
+            inside = (other >= 0) & (other < len(view)) & (column + right >= 0) & (column + right < width)
+            other = np.where(inside, other, rows)
+            taken = inside & (view[other] == own_view) & (part[other] == own_part) & usable[other]
+            taken |= (down == 0) & (right == 0)
+            chosen = np.flatnonzero(taken)
+            for total, array in zip(sums, arrays, strict=True):
+                total[chosen] += array[other[chosen]]
+            count[chosen] += 1.0
+    return [total / count.reshape(-1, *[1] * (total.ndim - 1)) for total in sums]
+
+
+def _columns(rows: np.ndarray, width: np.ndarray, view: np.ndarray) -> np.ndarray:
+    """(M,) int column of each pixel in its image; `view` ((N,) int) rises."""
+    first = np.searchsorted(view, view[rows], side="left")
+    return (rows - first) % width
 
 
 def constant_parts(radiance: np.ndarray, irradiance: np.ndarray, part: np.ndarray, parts: int) -> np.ndarray:
@@ -139,45 +272,13 @@ def constant_parts(radiance: np.ndarray, irradiance: np.ndarray, part: np.ndarra
         if len(rows) < CONSTANT_PIXELS:
             continue
         seen, lit = (_spread(values[rows]) for values in (radiance, irradiance))
-        result[index] = lit > CONSTANT_IRRADIANCE and seen < CONSTANT_RATIO * lit
+        result[index] = lit > CONSTANT_IRRADIANCE and seen < min(CONSTANT_RATIO * lit, CONSTANT_SPREAD)
     return result
 
 
 def _spread(values: np.ndarray) -> float:
     low, middle, high = np.quantile(values, [0.1, 0.5, 0.9])
     return float((high - low) / middle) if middle > 0.0 else 0.0
-
-
-def _best_pair(totals: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Roughness and metallic of least cost for each part, the roughness refined between levels.
-
-    Args:
-        totals: (K, M, parts) cost of each roughness level and metallic candidate.
-    """
-    count, candidates, parts = totals.shape
-    if not parts:
-        return np.zeros(0, np.float32), np.zeros(0, np.float32)
-    best = totals.reshape(-1, parts).argmin(axis=0)
-    k, j = best // candidates, best % candidates
-    index = np.arange(parts)
-    inner = np.clip(k, 1, count - 2)
-    x = np.stack([levels[inner - 1], levels[inner], levels[inner + 1]]).astype(np.float64)
-    y = np.stack([totals[inner + step, j, index] for step in (-1, 0, 1)])
-    # Vertex of the parabola through the best level and its neighbours.
-    d0, d2 = x[1] - x[0], x[1] - x[2]
-    top = d0**2 * (y[1] - y[2]) - d2**2 * (y[1] - y[0])
-    bottom = d0 * (y[1] - y[2]) - d2 * (y[1] - y[0])
-    vertex = x[1] - 0.5 * top / np.where(np.abs(bottom) > 1e-15, bottom, np.inf)
-    refined = np.where(k == inner, np.clip(vertex, x[0], x[2]), levels[k])
-    return refined.astype(np.float32), np.array(METALLIC_CANDIDATES, np.float32)[j]
-
-
-def _cautious_mean(gain: np.ndarray, part: np.ndarray, parts: int) -> np.ndarray:
-    """(parts,) mean of each part's values plus `CAUTION` standard errors: few pixels prove little."""
-    count = np.maximum(np.bincount(part, minlength=parts), 1)
-    mean = np.bincount(part, gain, minlength=parts) / count
-    variance = np.bincount(part, gain**2, minlength=parts) / count - mean**2
-    return mean + CAUTION * np.sqrt(np.maximum(variance, 0.0) / count)
 
 
 def _median_by(group: np.ndarray, values: np.ndarray, groups: int) -> np.ndarray:
@@ -204,9 +305,9 @@ def _fit(
     offset: np.ndarray,
     weight: np.ndarray,
     cell: np.ndarray,
-    cells: int,
 ) -> np.ndarray:
     """(cells, 3) weighted least-squares base colour of each cell, in [0, 1]."""
+    cells = int(cell.max(initial=-1)) + 1
     color = np.empty((cells, 3))
     for channel in range(3):
         w, a = weight[:, channel], slope[:, channel]

@@ -111,8 +111,12 @@ def total_loss(
     prediction = brdf(batch.position)
     raw = emission(batch.position)
     rendered = losses.factorised_rendering(prediction, batch.diffuse, batch.specular, levels)
-    loss = losses.rendering_loss(rendered, emission_mask(raw), batch.radiance)
-    loss = loss + settings.lambda_emission * losses.emission_loss(raw)
+    if settings.emission == "joint":
+        loss = losses.joint_rendering_loss(rendered, torch.relu(raw), batch.radiance)
+        loss = loss + settings.lambda_joint * losses.emission_loss(raw)
+    else:
+        loss = losses.rendering_loss(rendered, emission_mask(raw), batch.radiance)
+        loss = loss + settings.lambda_emission * losses.emission_loss(raw)
     loss = loss + settings.lambda_diffuse * losses.diffuse_loss(prediction)
     if part_kind == "part":
         loss = loss + settings.lambda_part * losses.part_loss(
@@ -142,7 +146,8 @@ def pretrain(
 ) -> None:
     """Fit both networks to a closed-form guess before the first round.
 
-    A quarter of each batch are pixels that must emit, so that a bulb of a few pixels is not lost.
+    A quarter of each batch are pixels that must emit, so that a bulb of a few pixels is not lost. Emission
+    that is fitted jointly starts at zero.
 
     Args:
         guess: values at the pixels `guess_rows`.
@@ -163,10 +168,13 @@ def pretrain(
         position = torch.from_numpy(data.normalise(np.asarray(data.position[guess_rows[chosen]]))).to(device)
         # Inside the sigmoid's range, so that the rendering loss can still move away from 0 and 1.
         target = torch.from_numpy(values[chosen].clip(0.02, 0.98)).to(device)
-        mask = torch.from_numpy(guess.emitting[chosen].astype(np.float32) * _SEED_MASK).to(device)
+        raw = emission(position)
+        mask = torch.zeros_like(raw)
+        if settings.emission == "mask":
+            mask = torch.from_numpy(guess.emitting[chosen].astype(np.float32) * _SEED_MASK).to(device)
         found = brdf(position)
         outputs = torch.cat([found.base_color, found.roughness[:, None], found.metallic[:, None]], dim=1)
-        loss = (outputs - target).square().sum(dim=1).mean() + (emission(position) - mask).square().mean()
+        loss = (outputs - target).square().sum(dim=1).mean() + (raw - mask).square().mean()
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()

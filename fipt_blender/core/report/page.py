@@ -23,15 +23,15 @@ from ..capture.views import Capture, load_capture
 from ..job.messages import Reporter
 from ..job.runfolder import PRODUCT_VERSION, RunFolder, atomic_path, read_json
 from ..job.settings import Settings
-from .pictures import (
+from .comparison import (
     ERROR_FULL,
     choose_exposure,
     error_picture,
     psnr,
     resize_to,
     to_display,
-    write_png,
 )
+from .pictures import write_png
 
 MAPS = ("base_color", "roughness", "metallic", "emission")
 MAX_PHOTOS = 8
@@ -39,6 +39,7 @@ _KINDS = {
     "rerender": "A view rendered again",
     "relight": "Estimated lights off, a new area light on",
     "insert": "With an inserted object",
+    "composite": "An inserted object in the photograph",
 }
 
 

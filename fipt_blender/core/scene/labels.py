@@ -38,33 +38,83 @@ def choose_parts(room: Room, views: Sequence[View], triangles: Sequence[np.ndarr
     Args:
         triangles: for each view the (H * W,) triangle seen by each pixel, negative where none.
     """
+    source = choose_source(room, views)
+    images: list[np.ndarray | None] = []
+    if source in ("masks", "semantics"):
+        images = [view.part_ids() if source == "masks" else view.semantic_ids() for view in views]
+    return label_parts(room, source, images, triangles)
+
+
+def usable_sources(room: Room, views: Sequence[View]) -> list[str]:
+    """The sources that tell any surfaces apart here, in the order in which ``auto`` prefers them."""
+    usable = {
+        "masks": any(view.parts for view in views),
+        "semantics": any(view.semantics for view in views),
+        "materials": len(np.unique(room.triangle_material)) > 1,
+        "objects": len(np.unique(room.triangle_object)) > 1,
+    }
+    return [source for source, use in usable.items() if use]
+
+
+def choose_source(room: Room, views: Sequence[View]) -> str:
+    """The source that room.json names, what ``auto`` stands for, or what is left where masks are missing.
+
+    ``auto`` never takes loose pieces: scans are full of fragments that are no parts.
+    """
+    usable = usable_sources(room, views)
     source = room.parts
     if source == "auto":
-        if any(view.parts for view in views):
-            source = "masks"
-        elif any(view.semantics for view in views):
-            source = "semantics"
-        elif len(np.unique(room.triangle_material)) > 1:
-            source = "materials"
-        elif len(np.unique(room.triangle_object)) > 1:
-            source = "objects"
-        else:
-            source = "none"
-    if source == "masks" and not any(view.parts for view in views):
+        return usable[0] if usable else "none"
+    if source == "masks" and "masks" not in usable:
         source = "semantics"
-    if source == "semantics" and not any(view.semantics for view in views):
-        source = "none"
-    count = len(room.triangles)
+    return "none" if source == "semantics" and "semantics" not in usable else source
+
+
+def label_parts(
+    room: Room, source: str, images: Sequence[np.ndarray | None], triangles: Sequence[np.ndarray]
+) -> Parts:
+    """Parts from one source.
+
+    Args:
+        source: masks, semantics, materials, objects, loose or none.
+        images: for masks and semantics the id image of each view, or None; else not looked at.
+        triangles: for each view the triangle seen by each pixel of its id image, negative where none.
+    """
     if source == "objects":
         return Parts(room.triangle_object.astype(np.int32), "part")
     if source == "materials":
         return Parts(_compact(room.triangle_material), "part")
+    if source == "loose":
+        return Parts(loose_pieces(weld(room.vertices)[room.triangles], room.triangle_object), "part")
     if source in ("masks", "semantics"):
-        images = [view.part_ids() if source == "masks" else view.semantic_ids() for view in views]
-        fused = fuse_masks(images, triangles, count)
+        fused = fuse_masks(images, triangles, len(room.triangles))
         spread = spread_labels(fused, weld(room.vertices)[room.triangles])
         return Parts(_compact(spread), "part" if source == "masks" else "semantic")
-    return Parts(np.full(count, NO_PART, np.int32), "none")
+    return Parts(np.full(len(room.triangles), NO_PART, np.int32), "none")
+
+
+def loose_pieces(triangles: np.ndarray, objects: np.ndarray) -> np.ndarray:
+    """(T,) int32 connected piece of each triangle, from 0; pieces never reach across objects.
+
+    Args:
+        triangles: (T, 3) welded vertex indices; triangles that share a vertex are connected.
+        objects: (T,) object of each triangle.
+    """
+    if not len(triangles):
+        return np.zeros(0, np.int32)
+    # one vertex for each object that uses it
+    keys = triangles.astype(np.int64) + objects.astype(np.int64)[:, None] * (int(triangles.max()) + 1)
+    corner = np.unique(keys, return_inverse=True)[1].reshape(-1, 3)
+    root = np.arange(int(corner.max()) + 1)
+    while True:
+        low = root[corner].min(axis=1)
+        before = root.copy()
+        for axis in range(3):  # each root learns of the lowest one that it touches
+            np.minimum.at(root, before[corner[:, axis]], low)
+        while (root[root] != root).any():
+            root = root[root]
+        if np.array_equal(root, before):
+            return _compact(root[corner[:, 0]])
 
 
 def fuse_masks(masks: Sequence[np.ndarray | None], triangles: Sequence[np.ndarray], count: int) -> np.ndarray:

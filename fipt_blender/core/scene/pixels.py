@@ -23,6 +23,7 @@ from ..job.errors import FiptError
 from .room import Room, Surface
 
 NO_TRIANGLE = -1
+LEFT_OUT = -2  # masked out of the photograph: neither the room nor what lies outside it
 
 
 @dataclass
@@ -35,7 +36,7 @@ class PixelStore:
         radiance: (N, 3) float32 photographed radiance in units of the capture's median.
         position: (N, 3) float32 first hit, world metres.
         normal: (N, 3) float32 shading normal towards the viewer.
-        triangle: (N,) int32, NO_TRIANGLE where the mesh is missed.
+        triangle: (N,) int32, NO_TRIANGLE where the mesh is missed, LEFT_OUT where the photograph is masked.
         front: (N,) bool, whether the triangle's front is seen.
         pure: (N,) bool, whether the whole pixel sees one smooth surface, or nothing but the outside (paper's
             blind spot: mixed pixels).
@@ -136,12 +137,17 @@ def fill_pixels(store: PixelStore, room: Room, progress: Callable[[float], None]
         part = slice(int(store.ranges[i]), int(store.ranges[i + 1]))
         image = read_radiance(view.image).reshape(-1, 3)
         store.radiance[part] = image
-        sample = image[:: max(1, len(image) // 20000)].mean(axis=1)
+        masked = view.masked()
+        used = image if masked is None else image[~masked.reshape(-1)]
+        sample = used[:: max(1, len(used) // 20000)].mean(axis=1)
         luminances.append(sample[sample > 0])
         surface = trace_pixels(room, view)
         valid = np.array(surface.valid)
-        seen += int(valid.sum())
         triangle = np.where(valid, np.array(surface.triangle).astype(np.int32), NO_TRIANGLE)
+        if masked is not None:
+            triangle[masked.reshape(-1)] = LEFT_OUT
+            valid &= triangle >= 0
+        seen += int(valid.sum())
         store.triangle[part] = triangle
         store.position[part] = np.where(valid[:, None], np.array(surface.position).T, 0.0)
         store.normal[part] = np.where(valid[:, None], np.array(surface.normal).T, 0.0)
@@ -172,7 +178,7 @@ def mark_pure(store: PixelStore, room: Room, labels: np.ndarray, progress: Calla
     label = mi.Int32(labels.astype(np.int32))
     for i, view in enumerate(store.views):
         part = slice(int(store.ranges[i]), int(store.ranges[i + 1]))
-        store.pure[part] = _pure(room, view, label)
+        store.pure[part] = _pure(room, view, label) & (store.triangle[part] != LEFT_OUT)
         progress((i + 1) / len(store.views))
 
 

@@ -23,7 +23,6 @@ from ..job.runfolder import RunFolder, atomic_path, read_json, write_json
 from .fill import SeenStatistics, fill_unseen, seen_statistics
 from .padding import pad
 from .raster import nearest_triangle_map
-from .write_back import cycles_base_color
 
 QUERY_POINTS = 1 << 18
 PAD_TEXELS = 8
@@ -59,7 +58,6 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         FiptError: ``file-missing`` or ``file-damaged`` where an earlier step did not finish.
     """
     folder = RunFolder(arguments.run)
-    settings = folder.read()
     from ..material.fields import Fields  # takes seconds: after what can fail at once
 
     fields = Fields.load(folder)
@@ -67,7 +65,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
 
     reporter.plan([1.0])
     reporter.stage("textures", "Baking textures")
-    files = bake(folder, fields, settings.write_back == "cycles", reporter.progress)
+    files = bake(folder, fields, reporter.progress)
     files += write_view_maps(folder, fields, load_capture(folder).views)
     reporter.done([str(path) for path in files])
 
@@ -75,7 +73,6 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
 def bake(
     folder: RunFolder,
     fields: FieldSource,
-    for_cycles: bool,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[Path]:
     """Write textures/ and textures.json, or corner_fields.npz in colour-attribute mode.
@@ -83,7 +80,6 @@ def bake(
     Args:
         folder: with room, atlas and, where the parts are known, results/parts.npz.
         fields: what to bake.
-        for_cycles: correct the base colour so that Cycles reflects what the paper's BRDF does.
         progress: called with 0 to 1.
 
     Returns:
@@ -95,7 +91,7 @@ def bake(
     corners = room["vertices"][room["triangles"]]
     parts = triangle_parts(folder, room["triangle_object"])
     if atlas["mode"] == "color_attribute":
-        return [_bake_corners(folder, fields, corners, parts, for_cycles, progress)]
+        return [_bake_corners(folder, fields, corners, parts, progress)]
     # Medians of parts come from all images, since a part may be spread over several.
     entries = atlas["images"]
     points: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
@@ -117,7 +113,7 @@ def bake(
     listed = []
     for index, entry in enumerate(entries):
         texel, positions, part = points[index]
-        finished = _finish(samples[index], positions, part, statistics, for_cycles)
+        finished = _finish(samples[index], positions, part, statistics)
         paths = _write_image(folder, entry, texel, finished)
         written += [folder.root / path for path in paths.values()]
         listed.append({"name": entry["name"], **paths})
@@ -173,15 +169,10 @@ def _stack(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
     return values, samples.coverage
 
 
-def _finish(
-    samples: Samples, positions: np.ndarray, part: np.ndarray, statistics: SeenStatistics, for_cycles: bool
-) -> Samples:
+def _finish(samples: Samples, positions: np.ndarray, part: np.ndarray, statistics: SeenStatistics) -> Samples:
     values, coverage = _stack(samples)
     values = fill_unseen(values, coverage, positions, part, statistics)
-    base_color, roughness, metallic = values[:, :3], values[:, 3], values[:, 4]
-    if for_cycles:
-        base_color = cycles_base_color(base_color, roughness, metallic)
-    return Samples(base_color.astype(np.float32), roughness, metallic, coverage)
+    return Samples(values[:, :3].astype(np.float32), values[:, 3], values[:, 4], coverage)
 
 
 def _write_image(folder: RunFolder, entry: dict, texel: np.ndarray, samples: Samples) -> dict[str, str]:
@@ -209,7 +200,6 @@ def _bake_corners(
     fields: FieldSource,
     corners: np.ndarray,
     parts: np.ndarray,
-    for_cycles: bool,
     progress: Callable[[float], None],
 ) -> Path:
     count = len(corners)
@@ -220,7 +210,7 @@ def _bake_corners(
     samples = sample_fields(fields, positions)
     progress(0.8)
     statistics = seen_statistics([(positions, part)], [_stack(samples)])
-    samples = _finish(samples, positions, part, statistics, for_cycles)
+    samples = _finish(samples, positions, part, statistics)
     path = folder.textures / "corner_fields.npz"
     with atomic_path(path) as temporary:
         np.savez(

@@ -1,65 +1,114 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Base colours with which Cycles' Principled BSDF reflects as much as the paper's BRDF does.
+"""How Cycles' Principled BSDF differs from the paper's BRDF, and what makes it agree at every angle of view.
 
-Both models' albedo, averaged over all directions of view (cosine-weighted), is linear in the base colour a:
+Lit from everywhere alike (white), seen at cosine n.v, with base colour a, roughness sigma and metallic m,
 
-    paper:  a (1-m) + (0.04 (1-m) + a m) s0(sigma) + s1(sigma)
-    Cycles: (1-m) (d(sigma) + a t(sigma)) + m (a f0(sigma) + f1(sigma))
+    paper:      a (1-m) + (0.04 (1-m) + a m) s0 + s1
+    Principled: a (1-m) t + (1-m) e + m (a f0 + f1)
 
-so that the Cycles base colour follows in closed form; roughness and metallic stay. The six functions are
-tabulated by benchmarks/fit_write_back.py from white-furnace renders (Cycles) and quadrature (paper).
+with functions s0, s1, t, e, f0, f1 of n.v and sigma. Principled has another G, so it shines more at grazing
+angles, and its gloss dims its diffuse lobe (t < 1). Scaled by the share r that makes the gloss agree, and
+with a diffuse lobe of colour a (1-m) (1 - r t) added, it reflects what the paper's BRDF does. All factors are
+between 0 and 1: the textures keep the fitted values, and shader nodes do the rest
+(blend/write_back_nodes.py). The functions are tabulated by benchmarks/fit_write_back.py.
 """
 
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 TABLE = Path(__file__).with_name("write_back.json")
+FUNCTIONS = ("s0", "s1", "t", "f0", "f1", "e")
+MASKINGS = ("schlick", "smith")  # G of the fitted model; the first two functions depend on it
+DIELECTRIC = 0.04  # the paper's F0 of what is no metal
+
+
+@dataclass(frozen=True)
+class Table:
+    """The functions on a regular grid: n.v in columns, sigma in rows, both from 0 to 1 inclusive.
+
+    Attributes:
+        values: (rows, columns, 6), in the order of FUNCTIONS.
+    """
+
+    values: np.ndarray
+
+    def at(self, cosine: np.ndarray, roughness: np.ndarray) -> dict[str, np.ndarray]:
+        """The functions at points (N,), interpolated linearly."""
+        rows, columns, _ = self.values.shape
+        x, across = _cell(cosine, columns)
+        y, up = _cell(roughness, rows)
+        near = self.values[y, x] * (1.0 - across) + self.values[y, x + 1] * across
+        far = self.values[y + 1, x] * (1.0 - across) + self.values[y + 1, x + 1] * across
+        return dict(zip(FUNCTIONS, (near * (1.0 - up) + far * up).T, strict=True))
+
+
+def _cell(value: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    position = np.clip(np.asarray(value, np.float64), 0.0, 1.0) * (count - 1)
+    first = np.minimum(position.astype(np.int64), count - 2)
+    return first, (position - first)[..., None]
 
 
 @cache
-def table() -> dict[str, np.ndarray]:
-    """roughness (K,) and the functions at it: paper_s0, paper_s1, cycles_d, _t, _f0, _f1."""
+def table(masking: str = MASKINGS[0]) -> Table:
+    """The package's table for a model with this G."""
     data = json.loads(TABLE.read_text(encoding="utf-8"))
-    return {name: np.array(values, np.float64) for name, values in data.items()}
+    functions = {**data["principled"], **data[masking]}
+    return Table(np.stack([np.array(functions[name], np.float64) for name in FUNCTIONS], axis=-1))
 
 
-def _at(name: str, roughness: np.ndarray) -> np.ndarray:
-    return np.interp(roughness, table()["roughness"], table()[name])[:, None]
+def paper_albedo(
+    base_color: np.ndarray,
+    roughness: np.ndarray,
+    metallic: np.ndarray,
+    cosine: np.ndarray,
+    masking: str = MASKINGS[0],
+) -> np.ndarray:
+    """Albedo (N,3) of the paper's BRDF (Eq. 1) seen at n.v = `cosine`.
+
+    Args:
+        base_color: (N,3). roughness, metallic, cosine: (N,).
+    """
+    f, m = table(masking).at(cosine, roughness), np.asarray(metallic, np.float64)
+    specular = DIELECTRIC * (1.0 - m)[:, None] + base_color * m[:, None]
+    return base_color * (1.0 - m)[:, None] + specular * f["s0"][:, None] + f["s1"][:, None]
 
 
-def paper_albedo(base_color: np.ndarray, roughness: np.ndarray, metallic: np.ndarray) -> np.ndarray:
-    """Directionally averaged albedo (N,3) of the paper's BRDF (Eq. 1)."""
-    m = np.asarray(metallic, np.float64)[:, None]
-    specular = 0.04 * (1.0 - m) + base_color * m
-    return base_color * (1.0 - m) + specular * _at("paper_s0", roughness) + _at("paper_s1", roughness)
-
-
-def cycles_albedo(base_color: np.ndarray, roughness: np.ndarray, metallic: np.ndarray) -> np.ndarray:
-    """Directionally averaged albedo (N,3) of Cycles' Principled BSDF (GGX, IOR 1.5)."""
-    m = np.asarray(metallic, np.float64)[:, None]
-    dielectric = _at("cycles_d", roughness) + base_color * _at("cycles_t", roughness)
-    metal = base_color * _at("cycles_f0", roughness) + _at("cycles_f1", roughness)
+def principled_albedo(
+    base_color: np.ndarray, roughness: np.ndarray, metallic: np.ndarray, cosine: np.ndarray
+) -> np.ndarray:
+    """Albedo (N,3) of Cycles' Principled BSDF (GGX, IOR 1.5); see `paper_albedo`."""
+    f, m = table().at(cosine, roughness), np.asarray(metallic, np.float64)[:, None]
+    dielectric = base_color * f["t"][:, None] + f["e"][:, None]
+    metal = base_color * f["f0"][:, None] + f["f1"][:, None]
     return (1.0 - m) * dielectric + m * metal
 
 
-def cycles_base_color(base_color: np.ndarray, roughness: np.ndarray, metallic: np.ndarray) -> np.ndarray:
-    """Base colour for Principled that gives the albedo of the paper's BRDF, clipped to [0, 1].
+def correction(
+    base_color: np.ndarray,
+    roughness: np.ndarray,
+    metallic: np.ndarray,
+    cosine: np.ndarray,
+    masking: str = MASKINGS[0],
+) -> tuple[np.ndarray, np.ndarray]:
+    """What makes Principled agree with the paper's BRDF; blend/write_back_nodes.py does the same in nodes.
 
     Args:
-        base_color: (N,3) a of the paper.
-        roughness: (N,) sigma.
-        metallic: (N,) m.
+        base_color: (N,3). roughness, metallic, cosine: (N,).
 
     Returns:
-        (N,3) f64.
+        share (N,), by which Principled counts, and colour (N,3) of the diffuse lobe to add.
     """
-    m = np.asarray(metallic, np.float64)[:, None]
-    constant = cycles_albedo(np.zeros_like(base_color), roughness, metallic)
-    slope = (1.0 - m) * _at("cycles_t", roughness) + m * _at("cycles_f0", roughness)
-    return np.clip((paper_albedo(base_color, roughness, metallic) - constant) / slope, 0.0, 1.0)
+    f, m = table(masking).at(cosine, roughness), np.asarray(metallic, np.float64)
+    mean = np.asarray(base_color, np.float64).mean(axis=1)
+    wanted = (DIELECTRIC + m * (mean - DIELECTRIC)) * f["s0"] + f["s1"]
+    there = f["e"] + m * (mean * f["f0"] + f["f1"] - f["e"])
+    # A black metal seen straight reflects nothing in either model.
+    share = np.minimum(np.divide(wanted, there, out=np.zeros_like(there), where=there > 0.0), 1.0)
+    return share, base_color * ((1.0 - m) * (1.0 - share * f["t"]))[:, None]

@@ -1,0 +1,55 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Emitters of an emission that was fitted jointly with the materials: the paper's ablation "Joint L_e opt."
+(Sec. 5.4), which the product itself never uses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..render.lights import LUMINANCE
+from ..scene.labels import weld
+from ..scene.room import Room
+from .emitters import Fixture, connected, random_points
+
+
+def joint_fixtures(
+    room: Room,
+    emission: Callable[[np.ndarray], np.ndarray],
+    threshold: float,
+    samples: int,
+    rng: np.random.Generator,
+) -> list[Fixture]:
+    """Fixtures of the triangles whose mean fitted emission exceeds the threshold, as bright as was fitted.
+
+    Args:
+        emission: (N, 3) world positions to (N, 3) L_e in units of the capture's median.
+        threshold: of the mean's luminance, in the same units.
+        samples: points a triangle.
+    """
+    count = len(room.triangles)
+    mean = np.empty((count, 3))
+    for start in range(0, count, 4096):
+        part = np.arange(start, min(start + 4096, count))
+        values = emission(random_points(room, part, samples, rng))
+        mean[part] = values.reshape(len(part), samples, 3).mean(axis=1)
+    brightness = mean @ LUMINANCE
+    ids = np.flatnonzero((brightness > threshold) & (room.areas > 0.0))
+    if not len(ids):
+        return []
+    corners = weld(room.vertices)[room.triangles[ids]]
+    group = connected(corners, brightness[ids], np.ones(len(ids), bool))
+    order = np.argsort(group, kind="stable")
+    starts = np.flatnonzero(np.diff(group[order], prepend=-1))
+    fixtures = []
+    for members in np.split(ids[order], starts[1:]):
+        area = room.areas[members]
+        radiance = np.average(mean[members], axis=0, weights=area)
+        middle = room.vertices[room.triangles[members]].mean(axis=1)
+        centroid = np.average(middle, axis=0, weights=area)
+        # A fitted emission knows no sides.
+        fixtures.append(Fixture(members, radiance, radiance, float(area.sum()), centroid))
+    return fixtures

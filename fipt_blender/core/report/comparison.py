@@ -1,0 +1,106 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How a render is compared with a photograph: tone mapping, PSNR and false colours, in one place.
+
+numpy alone: Blender's side, the report and the benchmarks all import it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+GAMMA = 1.0 / 2.2
+ERROR_FULL = 0.25
+# Stops of a colour map whose lightness rises evenly, from black over purple and orange to pale yellow.
+ERROR_STOPS = np.array(
+    [[0, 0, 4], [66, 10, 104], [147, 38, 103], [221, 81, 58], [252, 165, 10], [252, 255, 164]], np.float32
+)
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How well a render agrees with its photograph, in dB; infinite where they are equal.
+
+    Attributes:
+        psnr: of tone-mapped values (paper, Sec. 6.2: clipped to [0, 1], γ = 1/2.2).
+        psnr_linear: of scene-linear values clipped to [0, 1].
+    """
+
+    psnr: float
+    psnr_linear: float
+
+
+def choose_exposure(median_radiance: float) -> float:
+    """Factor before display and PSNR: 1 unless photographs would come out near black or white.
+
+    Args:
+        median_radiance: of the photographs shown.
+    """
+    if not median_radiance > 0.0 or 0.02 <= median_radiance <= 1.0:
+        return 1.0
+    return 0.18 / median_radiance
+
+
+def clipped(radiance: np.ndarray, exposure: float = 1.0) -> np.ndarray:
+    """Scene-linear values in [0, 1], float64; what is no number counts as black."""
+    scaled = np.asarray(radiance, np.float64) * exposure
+    return np.clip(np.nan_to_num(scaled, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
+
+
+def tone_mapped(radiance: np.ndarray, exposure: float = 1.0) -> np.ndarray:
+    """Radiance clipped to [0, 1] and raised to 1/2.2 (paper, Sec. 6.2), float64."""
+    return clipped(radiance, exposure) ** GAMMA
+
+
+def to_display(radiance: np.ndarray, exposure: float = 1.0) -> np.ndarray:
+    """Display values (…, 3) f32 in [0, 1]: `tone_mapped` for pictures."""
+    return tone_mapped(radiance, exposure).astype(np.float32)
+
+
+def psnr_of(squared_error: float) -> float:
+    """PSNR in dB of a mean squared error of values in [0, 1]; infinite for none."""
+    return float("inf") if squared_error == 0.0 else -10.0 * float(np.log10(squared_error))
+
+
+def psnr(estimate: np.ndarray, truth: np.ndarray, exposure: float = 1.0) -> float:
+    """Peak signal-to-noise ratio in dB of two scene-linear images, on their tone-mapped values."""
+    return psnr_of(float(np.mean((tone_mapped(estimate, exposure) - tone_mapped(truth, exposure)) ** 2)))
+
+
+def compare(estimate: np.ndarray, truth: np.ndarray, exposure: float = 1.0) -> Agreement:
+    """Both PSNRs of two scene-linear images (H, W, 3)."""
+    linear = float(np.mean((clipped(estimate, exposure) - clipped(truth, exposure)) ** 2))
+    return Agreement(psnr(estimate, truth, exposure), psnr_of(linear))
+
+
+def error_colors(position: np.ndarray) -> np.ndarray:
+    """Display colours (…, 3) f32 of errors; 1 is ERROR_FULL and brightest."""
+    at = np.arange(len(ERROR_STOPS))
+    place = np.clip(position, 0.0, 1.0) * (len(ERROR_STOPS) - 1)
+    channels = [np.interp(place, at, ERROR_STOPS[:, channel]) for channel in range(3)]
+    return np.stack(channels, axis=-1).astype(np.float32) / 255.0
+
+
+def error_picture(estimate: np.ndarray, truth: np.ndarray, exposure: float = 1.0) -> np.ndarray:
+    """Mean absolute difference of display values as colours (H, W, 3) in [0, 1]; ERROR_FULL is brightest."""
+    difference = np.abs(tone_mapped(estimate, exposure) - tone_mapped(truth, exposure)).mean(axis=-1)
+    return error_colors(difference / ERROR_FULL)
+
+
+def resize_to(image: np.ndarray, width: int, height: int) -> np.ndarray:
+    """A scene-linear image (H, W, C) at another size, box filtered so that no energy is lost."""
+    if image.shape[:2] == (height, width):
+        return image
+    return _resized_rows(_resized_rows(image, height).swapaxes(0, 1), width).swapaxes(0, 1)
+
+
+def _resized_rows(image: np.ndarray, count: int) -> np.ndarray:
+    """Rows averaged over `count` equal stretches of the image, shares of rows counted."""
+    total = np.concatenate([np.zeros_like(image[:1], np.float64), np.cumsum(image, axis=0, dtype=np.float64)])
+    edges = np.linspace(0.0, len(image), count + 1)
+    low = np.minimum(edges.astype(int), len(image) - 1)
+    share = (edges - low).reshape(-1, *[1] * (image.ndim - 1))
+    at_edges = total[low] + share * (total[low + 1] - total[low])
+    return (np.diff(at_edges, axis=0) * (count / len(image))).astype(np.float32)
