@@ -7,25 +7,14 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..core.job.errors import FiptError
+from .pins import managed_environments
+from .places import PACKAGE_FOLDER, default_data_folder, environment_python
 
 PYTHON_VARIABLE = "FIPT_ENGINE_PYTHON"
-PACKAGE_FOLDER = Path(__file__).resolve().parent.parent
-
-# The package is imported from its folder by path: as an extension it is no top-level module, and its
-# parent folder holds other people's extensions, which must not become importable in the engine.
-_START_ENGINE = """
-import importlib.util, runpy, sys
-folder = sys.argv.pop(1)
-spec = importlib.util.spec_from_file_location(
-    "fipt_blender", folder + "/__init__.py", submodule_search_locations=[folder])
-package = importlib.util.module_from_spec(spec)
-sys.modules["fipt_blender"] = package
-spec.loader.exec_module(package)
-runpy.run_module("fipt_blender.core", run_name="__main__", alter_sys=True)
-"""
 
 _HAS_PACKAGES = """
 import importlib.util, sys
@@ -35,21 +24,17 @@ sys.exit(1 if missing else 0)
 """
 
 
-def environment_python(folder: Path) -> Path:
-    """The interpreter inside a virtual environment's folder."""
-    return folder / "Scripts" / "python.exe" if sys.platform == "win32" else folder / "bin" / "python"
-
-
-def find_engine_python(explicit: str | None = None, managed: Path | None = None) -> Path:
+def find_engine_python(explicit: str | None = None, managed: Sequence[Path] | None = None) -> Path:
     """The interpreter that runs the engine.
 
     An interpreter that the user names (argument, then $FIPT_ENGINE_PYTHON) is taken or refused, never
-    passed over. Then come the managed environment, the checkout's ``.venv`` beside the package, and
+    passed over. Then come the managed environments, the checkout's ``.venv`` beside the package, and
     the running interpreter where it has the packages (Blender as a Python module).
 
     Args:
         explicit: an interpreter, or the folder of a virtual environment.
-        managed: folder of the environment that the add-on made.
+        managed: folders of the environments that the add-on made, best first; None: those in the user's
+            data folder.
 
     Raises:
         FiptError: ``engine-missing``.
@@ -64,19 +49,20 @@ def find_engine_python(explicit: str | None = None, managed: Path | None = None)
             raise FiptError(
                 "engine-missing",
                 f"The engine's Python {source}, {python}, can't be used: {reason}.",
-                "Name an interpreter that has the engine's packages.",
+                "Name an interpreter that has the engine's packages, or name none and set the engine up.",
             )
         return python
-    candidates = [environment_python(PACKAGE_FOLDER.parent / ".venv"), Path(sys.executable or "python")]
-    if managed is not None:
-        candidates.insert(0, environment_python(managed))
-    for python in candidates:
+    if managed is None:
+        managed = managed_environments(default_data_folder())
+    candidates = [environment_python(folder) for folder in (*managed, PACKAGE_FOLDER.parent / ".venv")]
+    for python in (*candidates, Path(sys.executable or "python")):
         if _why_not(python) is None:
             return python
     raise FiptError(
         "engine-missing",
         "No Python with the engine's packages (Mitsuba, torch and others) was found.",
-        f"Run dev.py in a checkout, or set {PYTHON_VARIABLE} to an interpreter that has them.",
+        "Press Set Up in the add-on's preferences, or name an interpreter that has them, there or in"
+        f" {PYTHON_VARIABLE}.",
     )
 
 
@@ -93,6 +79,7 @@ def _why_not(python: Path) -> str | None:
             env=engine_environment(python),
             timeout=60,
             check=False,
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),  # Windows shows a console otherwise
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         return f"it does not start ({error})"
@@ -102,11 +89,29 @@ def _why_not(python: Path) -> str | None:
 
 
 def engine_command(python: Path, *args: str) -> list[str]:
-    """The command line of one engine command, e.g. ``engine_command(python, "check")``.
+    """The command line of one engine command, e.g. ``engine_command(python, "check")``."""
+    return package_command(python, "fipt_blender.core", *args)
 
-    Isolated (-I): neither the working directory nor the user's site folder reaches the engine.
+
+def package_command(python: Path, module: str, *args: str) -> list[str]:
+    """The command line that runs a module of this package as a program in a Python.
+
+    Isolated (-I): neither the working directory nor the user's site folder reaches it.
     """
-    return [str(python), "-I", "-X", "utf8", "-c", _START_ENGINE, str(PACKAGE_FOLDER), *args]
+    return [str(python), "-I", "-X", "utf8", str(PACKAGE_FOLDER / "bridge" / "start.py"), module, *args]
+
+
+def setup_command(python: Path, data: Path, device: str, wheels: Path | None) -> list[str]:
+    """The command line of set-up.
+
+    Args:
+        python: Blender's own, which the environment is made with where it can be.
+        data: the data folder, below which the environment lies.
+        device: the preference, which decides on PyTorch's build.
+        wheels: folder to install from, None for the network.
+    """
+    source = [] if wheels is None else [f"--wheels={wheels}"]
+    return package_command(python, "fipt_blender.bridge.setup", str(data), f"--device={device}", *source)
 
 
 def engine_environment(python: Path | None = None) -> dict[str, str]:

@@ -12,17 +12,24 @@ import hashlib
 import json
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ..core.job.errors import FiptError
 from ..core.job.runfolder import read_json, write_json
-from .process import EngineProcess, Message
+from .process import Engine, Message
 
 STEPS_VERSION = 1
+SLICE_SECONDS = 0.05
 _PRIOR_SECONDS = 30.0
+
+# What a step does to Blender's data: at once, returning warnings if any; or as a generator that yields the
+# share that is done (0 to 1) or None between slices of work, and returns the warnings.
+Slices = Generator[float | None, None, Sequence[Message] | None]
+StepFunction = Callable[[], Slices | Sequence[Message] | None]
 
 
 @dataclass
@@ -35,7 +42,8 @@ class Step:
         weight: its expected time in seconds, on a small machine.
         inputs: JSON-serialisable values on which its result depends, besides the steps before it.
         command: arguments of an engine command, or None for a function.
-        function: what to call on Blender's data, or None for a command; may return warnings.
+        process: starts another process that writes the engine's messages, instead of an engine command.
+        function: what to call on Blender's data, or None for a command; see `StepFunction`.
         outputs: files that must exist for the step to count as finished.
         repeat: whether to do it again when finished, because its result lives in Blender's memory.
         reset: called when inputs changed since a result was written, to remove what is stale.
@@ -48,7 +56,8 @@ class Step:
     weight: float
     inputs: Mapping[str, Any] = field(default_factory=dict)
     command: Sequence[str] | None = None
-    function: Callable[[], Sequence[Message] | None] | None = None
+    process: Callable[[], Engine] | None = None
+    function: StepFunction | None = None
     outputs: Sequence[Path] = ()
     repeat: bool = False
     reset: Callable[[], None] | None = None
@@ -70,6 +79,11 @@ class StepRecord:
         """The key with which a step was last started."""
         entry = self._steps.get(name)
         return entry.get("key") if isinstance(entry, dict) else None
+
+    def forget(self, names: Iterable[str]) -> None:
+        """Take some steps for never started; written with the next `store`."""
+        for name in names:
+            self._steps.pop(name, None)
 
     def finished(self, step: Step, key: str) -> bool:
         """Whether a step's result for these inputs is there."""
@@ -121,25 +135,30 @@ class Job:
         log: file for tracebacks of functions.
         result: called at the end, gives the `done` message's files and data.
         resume: whether finished steps are skipped.
+        keys: of the steps where they are known, instead of the hashes of `chain_keys`.
 
     Attributes:
         error: the `error` message that ended the job, or None.
         cancelled: whether `cancel` ended it.
+        around: makes the context in which functions on Blender's data run, a new one for each slice; it may
+            raise FiptError where they can't run now.
     """
 
     def __init__(
         self,
         steps: Sequence[Step],
         record: StepRecord,
-        start_engine: Callable[[Sequence[str]], EngineProcess],
+        start_engine: Callable[[Sequence[str]], Engine],
         log: Path,
         result: Callable[[], tuple[list[str], dict[str, Any]]],
         resume: bool = True,
+        keys: Sequence[str] | None = None,
     ) -> None:
         self.error: Message | None = None
         self.cancelled = False
+        self.around: Callable[[], AbstractContextManager[Any]] = nullcontext
         self._steps = list(steps)
-        self._keys = chain_keys(self._steps)
+        self._keys = chain_keys(self._steps) if keys is None else list(keys)
         self._record = record
         self._start_engine = start_engine
         self._log = log
@@ -147,7 +166,8 @@ class Job:
         self._modes = self._plan() if resume else ["run"] * len(self._steps)
         self._position = -1
         self._announced = False
-        self._process: EngineProcess | None = None
+        self._process: Engine | None = None
+        self._slices: Slices | None = None
         self._ended = False
         self._memory = 0.0
         self._warnings: list[Message] = []
@@ -182,6 +202,11 @@ class Job:
         return self._ended
 
     @property
+    def waits(self) -> bool:
+        """Whether an engine command runs, so that there is no hurry to call `advance`."""
+        return self._process is not None
+
+    @property
     def step(self) -> Step | None:
         """The step that runs now or is announced."""
         return self._steps[self._position] if 0 <= self._position < len(self._steps) else None
@@ -189,14 +214,16 @@ class Job:
     def advance(self) -> list[Message]:
         """Do what can be done now and return the messages since the last call.
 
-        Engine commands never make it wait. A function on Blender's data runs as a whole, in the call after
-        the one that announced it, so that a window can show its text first.
+        Engine commands never make it wait. A function on Blender's data begins in the call after the one that
+        announced it, so that a window can show its text first, and runs as a whole or, as a generator, for
+        `SLICE_SECONDS` a call.
         """
         if self._ended:
             return []
         try:
             return self._advance()
         except FiptError as error:
+            self._close_slices()
             return self._fail(
                 {"type": "error", "code": error.code, "text": error.text, "remedy": error.remedy}
             )
@@ -222,25 +249,76 @@ class Job:
         if not self._ended:
             self._ended = True
             self.cancelled = True
+        self._close_slices()
         if self._process is not None:
             self._process.cancel()
+            self._process = None
+
+    def request_cancel(self) -> None:
+        """The same without waiting: `advance` sees to it that the engine ends, within two seconds."""
+        if self._ended:
+            return
+        self.cancelled = True
+        self._close_slices()
+        if self._process is None:
+            self._ended = True
+        else:
+            self._process.request_cancel()
+
+    def leave(self) -> None:
+        """End the job, but let the engine go on by itself."""
+        self._ended = self.cancelled = True
+        self._close_slices()
+        if self._process is not None:
+            self._process.leave()
             self._process = None
 
     def _advance(self) -> list[Message]:
         if self._process is not None:
             return self._watch(self._process)
+        if self._slices is not None:
+            return self._slice(self._slices)
         if not self._announced:
             return self._announce_next()
         step = self._steps[self._position]
         self._announced = False
+        if self._modes[self._position] != "restore" and (step.process or step.command is not None):
+            self._process = step.process() if step.process else self._start_engine(step.command or ())
+            return []
+        function = step.restore if self._modes[self._position] == "restore" else step.function
+        assert function is not None
+        with self._explained(step):
+            result = function()
+        if isinstance(result, Generator):
+            self._slices = result
+            return []
+        return self._end_function(result)
+
+    def _slice(self, slices: Slices) -> list[Message]:
+        """Let a function go on for a moment."""
+        fraction, ended, warnings = None, False, None
+        until = time.monotonic() + SLICE_SECONDS
+        with self._explained(self._steps[self._position]):
+            while not ended and time.monotonic() < until:
+                try:
+                    fraction = next(slices)
+                except StopIteration as end:
+                    ended, warnings = True, end.value
+        if ended:
+            self._slices = None
+            return self._end_function(warnings)
+        return [] if fraction is None else [self._progress(fraction, None)]
+
+    def _end_function(self, warnings: Sequence[Message] | None) -> list[Message]:
         if self._modes[self._position] == "restore":
-            self._call(step, step.restore)
             return []
-        if step.command is not None:
-            self._process = self._start_engine(step.command)
-            return []
-        self._warnings = list(self._call(step, step.function) or ())
-        return [*self._warnings, *self._complete(step)]
+        self._warnings = list(warnings or ())
+        return [*self._warnings, *self._complete(self._steps[self._position])]
+
+    def _close_slices(self) -> None:
+        if self._slices is not None:
+            slices, self._slices = self._slices, None
+            slices.close()
 
     def _announce_next(self) -> list[Message]:
         self._position += 1
@@ -264,14 +342,15 @@ class Job:
         stage = {"type": "stage", "name": step.name, "index": self._position, "count": len(self._steps)}
         return [{**stage, "text": step.text}, self._progress(0.0, None)]
 
-    def _watch(self, process: EngineProcess) -> list[Message]:
+    def _watch(self, process: Engine) -> list[Message]:
         step = self._steps[self._position]
         messages = []
         for message in process.poll():
             if message["type"] == "progress":
                 self._memory = max(self._memory, float(message.get("memory_gb") or 0.0))
                 fraction, remaining = message.get("fraction", 0.0), message.get("remaining_seconds")
-                messages.append(self._progress(fraction, remaining))
+                pictures = {"files": message["files"]} if "files" in message else {}
+                messages.append({**self._progress(fraction, remaining), **pictures})
             elif message["type"] == "stage":
                 place = {"index": self._position, "count": len(self._steps)}
                 messages.append({**message, "name": f"{step.name}/{message['name']}", **place})
@@ -282,21 +361,24 @@ class Job:
                 process.error = message
         if not process.running:
             self._process = None
+            if self.cancelled:
+                self._ended = True
+                return messages
             if process.error is not None:
                 return messages + self._fail(process.error)
             messages += self._complete(step)
         return messages
 
-    def _call(
-        self, step: Step, function: Callable[[], Sequence[Message] | None] | None
-    ) -> Sequence[Message] | None:
-        assert function is not None
+    @contextmanager
+    def _explained(self, step: Step) -> Iterator[None]:
+        """Run a function on Blender's data in its context; whatever goes wrong there gets words."""
         try:
-            return function()
+            with self.around():
+                yield
         except FiptError:
             raise
         except Exception as error:  # the last net: any failure must end with a message
-            with open(self._log, "a", encoding="utf-8") as log:
+            with suppress(OSError), open(self._log, "a", encoding="utf-8") as log:
                 log.write(traceback.format_exc())
             raise FiptError(
                 "blender-step-failed",
