@@ -17,10 +17,12 @@ from mathutils import Matrix
 from ..core import conventions
 from ..core.job.errors import FiptError
 from ..core.job.runfolder import RunFolder, read_json
+from ..properties.capture import VIEW_KEY, view_cameras
 from .images import load_radiance
 from .outliner import CAMERAS, collection
+from .placement import ViewGeometry
 
-VIEW = "fipt_view"
+VIEW = VIEW_KEY
 RESOLUTION = "fipt_resolution"
 PIXEL_ASPECT = "fipt_pixel_aspect"
 SPLIT = "fipt_split"
@@ -43,26 +45,50 @@ def add_cameras(run: RunFolder, scene: bpy.types.Scene | None = None, photograph
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.
     """
-    target = collection(scene or bpy.context.scene, CAMERAS)
-    names = []
-    for view in read_json(run.capture_json)["views"]:
-        item = next((each for each in target.objects if each.get(VIEW) == view["name"]), None)
-        if item is None:
-            item = bpy.data.objects.new(view["name"], bpy.data.cameras.new(view["name"]))
-            target.objects.link(item)
-        set_camera(item, view)
-        if photographs:
-            _set_background(item.data, load_radiance(run.resolve(view["image"])))
-        names.append(item.name)
-    return names
+    scene = scene or bpy.context.scene
+    return [add_camera(scene, run, view, photographs).name for view in read_json(run.capture_json)["views"]]
 
 
-def set_camera(item: bpy.types.Object, view: dict[str, Any]) -> None:
+def add_camera(
+    scene: bpy.types.Scene,
+    run: RunFolder,
+    view: dict[str, Any],
+    photograph: bool = True,
+    parent: bpy.types.Object | None = None,
+) -> bpy.types.Object:
+    """The camera of one view, added to "FIPT Cameras" or set anew; one of the artist's own stays as it is.
+
+    Args:
+        scene: where it goes.
+        run: the run folder, for the photograph's path.
+        view: an entry of capture.json's views.
+        photograph: show the photograph as the camera's background image.
+        parent: what carries the camera: the view's pose is then in the parent's space.
+    """
+    target = collection(scene, CAMERAS)
+    item = next((each for each in target.objects if each.get(VIEW) == view["name"]), None)
+    if item is None:
+        own = view_cameras(scene).get(view["name"])
+        if own is not None:
+            return own
+        item = bpy.data.objects.new(view["name"], bpy.data.cameras.new(view["name"]))
+        target.objects.link(item)
+    if parent is not None:
+        item.parent = parent
+        item.matrix_parent_inverse = Matrix.Identity(4)
+    set_camera(item, view, local=parent is not None)
+    if photograph:
+        _set_background(item.data, load_radiance(run.resolve(view["image"])))
+    return item
+
+
+def set_camera(item: bpy.types.Object, view: dict[str, Any], local: bool = False) -> None:
     """Give a camera object the exact projection of a view.
 
     Args:
         item: a camera object.
         view: an entry of capture.json's views.
+        local: whether its pose is in the space of the camera's parent.
     """
     parameters = conventions.intrinsics_to_blender(
         view["width"], view["height"], view["fx"], view["fy"], view["cx"], view["cy"]
@@ -74,7 +100,15 @@ def set_camera(item: bpy.types.Object, view: dict[str, Any]) -> None:
     camera.clip_start, camera.clip_end = 0.001, 10000.0
     camera.dof.use_dof = False
     matrix = conventions.opencv_to_blender_camera(np.array(view["camera_to_world"], np.float64))
-    item.matrix_world = Matrix(matrix.tolist())
+    if local:
+        item.matrix_basis = Matrix(matrix.tolist())
+    else:
+        item.matrix_world = Matrix(matrix.tolist())
+    mark_camera(item, view, parameters)
+
+
+def mark_camera(item: bpy.types.Object, view: dict[str, Any], parameters: conventions.BlenderCamera) -> None:
+    """Note on a camera object which view it shows, and with which render size."""
     item[VIEW] = view["name"]
     item[SPLIT] = view.get("split", "train")
     item[RESOLUTION] = [int(view["width"]), int(view["height"])]
@@ -93,13 +127,13 @@ def _set_background(camera: bpy.types.Camera, image: bpy.types.Image | None) -> 
     camera.show_background_images = True
 
 
-def find_camera(view_name: str) -> bpy.types.Object:
-    """The camera of a view.
+def find_camera(view_name: str, scene: bpy.types.Scene | None = None) -> bpy.types.Object:
+    """The camera of a view in a scene (the context's by default).
 
     Raises:
         FiptError: ``view-missing``.
     """
-    for item in bpy.data.objects:
+    for item in (scene or bpy.context.scene).objects:
         if item.type == "CAMERA" and item.get(VIEW) == view_name:
             return item
     raise FiptError(
@@ -107,6 +141,29 @@ def find_camera(view_name: str) -> bpy.types.Object:
         f"The file has no camera for the view '{view_name}'.",
         "Import the capture's cameras again, or name one of its views.",
     )
+
+
+def camera_geometry(scene: bpy.types.Scene, camera: bpy.types.Object) -> ViewGeometry:
+    """The pinhole of a camera with its photograph's resolution, or the scene's where it has none.
+
+    Raises:
+        FiptError: ``camera-kind`` for a camera without perspective.
+    """
+    data, render = camera.data, scene.render
+    if data.type != "PERSP":
+        raise FiptError(
+            "camera-kind", f"'{camera.name}' is no perspective camera.", "Look through one that is."
+        )
+    share = render.resolution_percentage / 100.0
+    own = [int(render.resolution_x * share), int(render.resolution_y * share)]
+    width, height = (int(value) for value in camera.get(RESOLUTION, own))
+    aspect = camera.get(PIXEL_ASPECT, (render.pixel_aspect_x, render.pixel_aspect_y))
+    parameters = conventions.BlenderCamera(
+        data.lens, data.sensor_width, data.sensor_height, data.sensor_fit, data.shift_x, data.shift_y, *aspect
+    )
+    pose = conventions.blender_to_opencv_camera(np.array(camera.matrix_world, np.float64))
+    lens = conventions.blender_to_intrinsics(width, height, parameters)
+    return ViewGeometry(pose, width, height, *lens)
 
 
 def use_view(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:

@@ -9,6 +9,9 @@ A fixture's polygons move from the room's meshes (our copies of them) into an ob
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import bmesh
 import bpy
@@ -16,59 +19,76 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from ..core.job.errors import FiptError
-from ..core.job.runfolder import RunFolder, read_json
+from ..properties.lights import BACK, BASE, FIXTURE, ON
+from . import light_state
+from .fixture_nodes import emission_material
 from .originals import FIXTURE_SOURCES, original_polygons
 from .outliner import FIXTURES, collection
 from .room_export import Room, is_mirrored
 
-FIXTURE = "fipt_fixture"
-STRENGTH = "fipt_strength"
-BACK_STRENGTH = "fipt_back_strength"
+
+@dataclass
+class NewFixture:
+    """A fixture whose mesh is made, not yet in any scene."""
+
+    entry: Mapping[str, Any]  # of emitters.json
+    mesh: bpy.types.Mesh
+    centre: Vector
+    sources: list[str]  # names of the objects it was split off
 
 
-def add_fixtures(run: RunFolder, room: Room, by_name: dict[str, bpy.types.Object]) -> list[str]:
-    """Split the run's emitters off the room's objects.
+def split_off(
+    room: Room,
+    entries: Sequence[Mapping[str, Any]],
+    targets: Sequence[tuple[bpy.types.Object, bpy.types.Mesh]],
+) -> list[NewFixture]:
+    """Take the emitters' polygons out of meshes of ours.
 
     Args:
-        run: results/emitters.json is read.
         room: of the run.
-        by_name: the room's objects, holding our meshes.
-
-    Returns:
-        Names of the fixture objects, in the order of emitters.json.
-
-    Raises:
-        FiptError: ``file-missing`` or ``file-damaged``.
+        entries: the fixtures of emitters.json.
+        targets: for each object of the room, in its order, the mesh that it is to have.
     """
-    fixtures = read_json(run.emitters_json)["fixtures"]
-    target = collection(bpy.context.scene, FIXTURES)
-    owner = _polygon_fixture(room, fixtures)
-    pieces: list[list[tuple[bpy.types.Object, np.ndarray]]] = [[] for _ in fixtures]
-    for name, polygon_fixture in owner.items():
-        original = original_polygons(by_name[name].data)
-        for index in np.unique(polygon_fixture[polygon_fixture >= 0]):
-            polygons = np.flatnonzero(polygon_fixture[original] == index)
-            if len(polygons):
-                pieces[index].append((by_name[name], polygons))
-    names = []
-    for fixture, parts in zip(fixtures, pieces, strict=True):
-        if parts:
-            item = _fixture_object(fixture, parts)
-            target.objects.link(item)
-            names.append(item.name)
-    for name, polygon_fixture in owner.items():
-        mesh = by_name[name].data
+    owner = _polygon_fixture(room, entries)
+    pieces: list[list[tuple[bpy.types.Object, bpy.types.Mesh, np.ndarray]]] = [[] for _ in entries]
+    for index, polygon_fixture in owner.items():
+        item, mesh = targets[index]
+        fixture = polygon_fixture[original_polygons(mesh)]
+        for each in np.unique(fixture[fixture >= 0]):
+            pieces[each].append((item, mesh, np.flatnonzero(fixture == each)))
+    made = [_make(entry, parts) for entry, parts in zip(entries, pieces, strict=True) if parts]
+    for index, polygon_fixture in owner.items():
+        mesh = targets[index][1]
         _remove_polygons(mesh, np.flatnonzero(polygon_fixture[original_polygons(mesh)] >= 0))
-    return names
+    return made
 
 
-def _polygon_fixture(room: Room, fixtures: list[dict]) -> dict[str, np.ndarray]:
+def place(scene: bpy.types.Scene, made: Sequence[NewFixture]) -> list[bpy.types.Object]:
+    """Put new fixtures into a scene's collection FIPT Fixtures, each with its material."""
+    target = collection(scene, FIXTURES)
+    items = []
+    for fixture in made:
+        entry, name = fixture.entry, fixture.entry["name"]
+        fixture.mesh.name = name
+        fixture.mesh.materials.append(emission_material(name, entry["radiance"], entry["back_radiance"]))
+        item = bpy.data.objects.new(name, fixture.mesh)
+        item.matrix_world = Matrix.Translation(fixture.centre)
+        item[FIXTURE] = name
+        item[FIXTURE_SOURCES] = json.dumps(fixture.sources)
+        item[BASE] = [float(value) for value in entry["radiance"]]
+        item[BACK] = [float(value) for value in entry["back_radiance"]]
+        target.objects.link(item)
+        items.append(item)
+    return items
+
+
+def _polygon_fixture(room: Room, entries: Sequence[Mapping[str, Any]]) -> dict[int, np.ndarray]:
     """For each object with emitters the fixture of each polygon, -1 for none.
 
     A polygon belongs to the fixture that holds at least half of its triangles.
     """
     triangle_fixture = np.full(len(room.triangles), -1)
-    for index, fixture in enumerate(fixtures):
+    for index, fixture in enumerate(entries):
         triangle_fixture[np.array(fixture["triangles"], np.int64)] = index
     owner = {}
     for index in np.unique(room.triangle_object[triangle_fixture >= 0]):
@@ -80,35 +100,31 @@ def _polygon_fixture(room: Room, fixtures: list[dict]) -> dict[str, np.ndarray]:
         for each in np.unique(fixture[fixture >= 0]):
             share = np.bincount(polygon[fixture == each], minlength=count) * 2 >= np.maximum(total, 1)
             polygon_fixture[share] = each
-        owner[room.objects[index]] = polygon_fixture
+        owner[int(index)] = polygon_fixture
     return owner
 
 
-def _fixture_object(fixture: dict, parts: list[tuple[bpy.types.Object, np.ndarray]]) -> bpy.types.Object:
-    """A new object at the fixture's centre that holds copies of the polygons, wound as in room.npz."""
+def _make(
+    entry: Mapping[str, Any], parts: list[tuple[bpy.types.Object, bpy.types.Mesh, np.ndarray]]
+) -> NewFixture:
+    """A mesh around the fixture's centre with copies of the polygons, wound as in room.npz."""
     points: list[Vector] = []
     faces: list[list[int]] = []
-    for source, polygons in parts:
+    for source, mesh, polygons in parts:
         index_of: dict[int, int] = {}
         mirrored = is_mirrored(source)
         for polygon in polygons:
-            vertices = list(source.data.polygons[int(polygon)].vertices)
+            vertices = list(mesh.polygons[int(polygon)].vertices)
             for vertex in vertices:
                 if vertex not in index_of:
                     index_of[vertex] = len(points)
-                    points.append(source.matrix_world @ source.data.vertices[vertex].co)
+                    points.append(source.matrix_world @ mesh.vertices[vertex].co)
             face = [index_of[vertex] for vertex in vertices]
             faces.append(face[::-1] if mirrored else face)
     centre = sum(points, Vector()) / len(points)
-    name = fixture["name"]
-    mesh = bpy.data.meshes.new(name)
-    mesh.from_pydata([tuple(point - centre) for point in points], [], faces)
-    mesh.materials.append(emission_material(name, fixture["radiance"], fixture["back_radiance"]))
-    item = bpy.data.objects.new(name, mesh)
-    item.matrix_world = Matrix.Translation(centre)
-    item[FIXTURE] = name
-    item[FIXTURE_SOURCES] = json.dumps([source.name for source, _ in parts])
-    return item
+    made = bpy.data.meshes.new(entry["name"])
+    made.from_pydata([tuple(point - centre) for point in points], [], faces)
+    return NewFixture(entry, made, centre, [source.name for source, _, _ in parts])
 
 
 def _remove_polygons(mesh: bpy.types.Mesh, polygons: np.ndarray) -> None:
@@ -121,65 +137,27 @@ def _remove_polygons(mesh: bpy.types.Mesh, polygons: np.ndarray) -> None:
     mesh.update()
 
 
-def emission_material(name: str, radiance: list[float], back_radiance: list[float]) -> bpy.types.Material:
-    """A surface that emits and reflects nothing; each side has its own radiance.
-
-    Args:
-        name: of the material; one of that name is made anew.
-        radiance, back_radiance: rgb leaving the front (where normals point) and the back, W/(m² sr).
-    """
-    material = bpy.data.materials.get(name) or bpy.data.materials.new(name)
-    if material.node_tree is None:
-        material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    nodes.clear()
-    output = nodes.new("ShaderNodeOutputMaterial")
-    output.location = (400, 0)
-    mix = nodes.new("ShaderNodeMixShader")
-    mix.location = (200, 0)
-    geometry = nodes.new("ShaderNodeNewGeometry")
-    geometry.location = (-40, 260)
-    links.new(geometry.outputs["Backfacing"], mix.inputs[0])
-    links.new(mix.outputs["Shader"], output.inputs["Surface"])
-    for slot, label, values, key in (
-        (1, "Front", radiance, STRENGTH),
-        (2, "Back", back_radiance, BACK_STRENGTH),
-    ):
-        node = nodes.new("ShaderNodeEmission")
-        node.name, node.label = f"FIPT {label}", f"{label}: strength is radiance"
-        node.location = (-40, 60 - 140 * (slot - 1))
-        strength = float(max(values))
-        color = [float(value) / strength for value in values] if strength > 0.0 else [1.0, 1.0, 1.0]
-        node.inputs["Color"].default_value = (*color, 1.0)
-        node.inputs["Strength"].default_value = strength
-        material[key] = strength
-        links.new(node.outputs["Emission"], mix.inputs[slot])
-    if hasattr(material, "cycles"):  # the Cycles add-on can be switched off
-        material.cycles.emission_sampling = "FRONT_BACK" if max(back_radiance) > 0.0 else "FRONT"
-    return material
+def fixtures(scene: bpy.types.Scene | None = None) -> list[bpy.types.Object]:
+    """All fixture objects of a scene (the context's by default), sorted by name."""
+    return [item for item in light_state.lights_of(scene or bpy.context.scene) if FIXTURE in item]
 
 
-def fixtures() -> list[bpy.types.Object]:
-    """All fixture objects of the file, sorted by name."""
-    return sorted((item for item in bpy.data.objects if FIXTURE in item), key=lambda item: item.name)
-
-
-def set_fixture_enabled(name: str, on: bool) -> None:
-    """Switch one fixture: off, its surface is black and reflects nothing.
+def find_fixture(name: str, scene: bpy.types.Scene | None = None) -> bpy.types.Object:
+    """A fixture by its name or its object's.
 
     Raises:
         FiptError: ``fixture-missing``.
     """
-    item = next((each for each in fixtures() if each[FIXTURE] == name or each.name == name), None)
-    if item is None:
-        raise FiptError(
-            "fixture-missing", f"There is no fixture '{name}'.", "Name one of the room's fixtures."
-        )
-    material = item.data.materials[0]
-    for label, key in (("FIPT Front", STRENGTH), ("FIPT Back", BACK_STRENGTH)):
-        strength = material.node_tree.nodes[label].inputs["Strength"]
-        if on:
-            strength.default_value = material[key]
-        elif strength.default_value > 0.0:
-            material[key] = strength.default_value  # the artist may have dimmed it
-            strength.default_value = 0.0
+    for item in fixtures(scene):
+        if name in (item[FIXTURE], item.name):
+            return item
+    raise FiptError("fixture-missing", f"There is no fixture '{name}'.", "Name one of the room's fixtures.")
+
+
+def set_fixture_enabled(name: str, on: bool) -> None:
+    """Switch one fixture of the context's scene: off, its surface is black and reflects nothing.
+
+    Raises:
+        FiptError: ``fixture-missing``.
+    """
+    light_state.change(bpy.context.scene, find_fixture(name), {ON: on})

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import bpy
@@ -37,3 +38,8 @@ def load_texture(path: Path, is_data: bool) -> bpy.types.Image:
     else:
         image.colorspace_settings.name = LINEAR
     return image
+
+
+def remove_unused_images(images: Iterable[bpy.types.Image]) -> None:
+    """Remove those images that nothing uses any more."""
+    bpy.data.batch_remove([image for image in images if image.users == 0])

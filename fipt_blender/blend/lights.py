@@ -11,16 +11,24 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from .fixtures import FIXTURE, emission_material, fixtures, set_fixture_enabled
+from ..properties.lights import ON, SOLO, WORLD_ON
+from . import light_state
+from .fixture_nodes import emission_material
+from .fixtures import fixtures
 from .outliner import LIGHTS, collection
-from .world import set_environment_enabled
 
 
-def set_estimated_lights(on: bool) -> None:
-    """Switch all fixtures and the estimated environment; a fixture that is off is black."""
-    for item in fixtures():
-        set_fixture_enabled(item[FIXTURE], on)
-    set_environment_enabled(on)
+def set_estimated_lights(on: bool, scene: bpy.types.Scene | None = None) -> None:
+    """Switch all fixtures and the estimated environment of a scene (the context's by default).
+
+    A fixture that is off is black. Lights that were added stay as they are, and nothing is soloed any more.
+    """
+    scene = scene or bpy.context.scene
+    world = light_state.own_world(scene)
+    if world is not None:
+        world[WORLD_ON] = on
+    light_state.change_all(scene, light_state.lights_of(scene), {SOLO: False})
+    light_state.change_all(scene, fixtures(scene), {ON: on})
 
 
 def area_light_watts(radiance: float, area: float) -> float:

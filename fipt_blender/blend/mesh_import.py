@@ -8,6 +8,8 @@ Blender's importers read the file; none of them may turn the axes, since the cap
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +62,8 @@ def import_room(
     if not path.is_file():
         raise FiptError("mesh-missing", f"The mesh {path} does not exist.", "Restore it, or choose another.")
     before = {item.as_pointer() for item in bpy.data.objects}
-    _run_importer(path)
+    with _selection_kept():
+        _run_importer(path)
     new = [item for item in bpy.data.objects if item.as_pointer() not in before]
     bpy.context.view_layer.update()
     matrices = {item.name: np.array(item.matrix_world, np.float64) for item in new}
@@ -80,6 +83,20 @@ def import_room(
     if not names:
         raise FiptError("mesh-empty", f"{path} holds no faces.", "Choose a file with a triangle mesh.")
     return names
+
+
+@contextmanager
+def _selection_kept() -> Iterator[None]:
+    """Importers select what they import, and nothing else; this puts the artist's selection back."""
+    layer = bpy.context.view_layer
+    active = layer.objects.active.name if layer.objects.active else ""
+    selected = {item.name for item in layer.objects.selected}
+    try:
+        yield
+    finally:
+        for item in layer.objects:
+            item.select_set(item.name in selected)
+        layer.objects.active = layer.objects.get(active)
 
 
 def _run_importer(path: Path) -> None:

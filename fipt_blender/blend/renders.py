@@ -67,7 +67,8 @@ def exposure_of(radiance: np.ndarray) -> float:
 
 
 @contextmanager
-def _changed(target: Any, values: Mapping[str, Any]) -> Iterator[None]:
+def changed(target: Any, values: Mapping[str, Any]) -> Iterator[None]:
+    """Attributes of something with other values for a while."""
     kept = {name: getattr(target, name) for name in values}
     try:
         for name, value in values.items():
@@ -79,7 +80,13 @@ def _changed(target: Any, values: Mapping[str, Any]) -> Iterator[None]:
 
 
 def render_exr(
-    scene: bpy.types.Scene, path: Path, spp: int, seed: int = 0, denoise: bool | None = None
+    scene: bpy.types.Scene,
+    path: Path,
+    spp: int,
+    seed: int = 0,
+    denoise: bool | None = None,
+    transparent: bool = False,
+    device: str = "CPU",
 ) -> None:
     """Render the scene's active camera in Cycles to a float EXR with scene-linear values.
 
@@ -90,6 +97,8 @@ def render_exr(
         spp: samples a pixel.
         seed: of the sampling pattern.
         denoise: None denoises where Open Image Denoise works.
+        transparent: write what covers a pixel as alpha, colours premultiplied; the world does not.
+        device: of Cycles: "CPU" or "GPU".
 
     Raises:
         FiptError: ``render-failed``, or the write errors of the run folder.
@@ -99,7 +108,7 @@ def render_exr(
     render = scene.render
     with ExitStack() as stack, atomic_path(path) as temporary:
         stack.enter_context(
-            _changed(
+            changed(
                 render,
                 {
                     "engine": "CYCLES",
@@ -108,17 +117,18 @@ def render_exr(
                     "use_compositing": False,
                     "use_sequencer": False,
                     "use_motion_blur": False,
-                    "film_transparent": False,
+                    "film_transparent": transparent,
                 },
             )
         )
-        cycles = {**CYCLES, "samples": spp, "seed": seed, "use_denoising": denoise}
-        stack.enter_context(_changed(scene.cycles, cycles))
+        cycles = {**CYCLES, "samples": spp, "seed": seed, "use_denoising": denoise, "device": device}
+        stack.enter_context(changed(scene.cycles, cycles))
         settings = render.image_settings
         if "media_type" in settings.bl_rna.properties:  # from 5.0; decides which formats exist
-            stack.enter_context(_changed(settings, {"media_type": "IMAGE"}))
-        exr = {"file_format": "OPEN_EXR", "color_mode": "RGB", "color_depth": "32", "exr_codec": "ZIP"}
-        stack.enter_context(_changed(settings, exr))
+            stack.enter_context(changed(settings, {"media_type": "IMAGE"}))
+        mode = "RGBA" if transparent else "RGB"
+        exr = {"file_format": "OPEN_EXR", "color_mode": mode, "color_depth": "32", "exr_codec": "ZIP"}
+        stack.enter_context(changed(settings, exr))
         try:
             bpy.ops.render.render(write_still=True, scene=scene.name)
         except RuntimeError as error:
@@ -141,15 +151,15 @@ def render_pixels(scene: bpy.types.Scene, spp: int, seed: int = 0, denoise: bool
         return read_pixels(path)
 
 
-def read_pixels(path: Path) -> np.ndarray:
-    """Pixels of a scene-linear image file, (H,W,3) f32, first row at the top."""
+def read_pixels(path: Path, channels: int = 3) -> np.ndarray:
+    """Pixels of a scene-linear image file, (H,W,channels) f32, first row at the top."""
     image = bpy.data.images.load(str(path))
     try:
         image.colorspace_settings.is_data = True
         width, height = image.size
         pixels = np.empty(width * height * image.channels, np.float32)
         image.pixels.foreach_get(pixels)
-        return pixels.reshape(height, width, image.channels)[::-1, :, :3].copy()
+        return pixels.reshape(height, width, image.channels)[::-1, :, :channels].copy()
     finally:
         bpy.data.images.remove(image)
 
@@ -161,6 +171,8 @@ def render_view(
     spp: int,
     seed: int = 0,
     denoise: bool | None = None,
+    transparent: bool = False,
+    device: str = "CPU",
 ) -> None:
     """Render one view of the capture; see `render_exr`.
 
@@ -176,7 +188,7 @@ def render_view(
     camera = scene.camera
     use_view(scene, find_camera(view))
     try:
-        render_exr(scene, path, spp, seed, denoise)
+        render_exr(scene, path, spp, seed, denoise, transparent, device)
     finally:
         scene.camera = camera
         for name, value in kept.items():

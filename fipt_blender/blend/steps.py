@@ -18,9 +18,9 @@ from ..bridge.process import Message
 from ..core.job.errors import FiptError
 from ..core.job.runfolder import RunFolder, read_json
 from ..mainjob import BLEND_NAME, MainJobOptions
-from . import cameras, lights, mesh_import, outliner, renders, room_export, uvs
+from . import cameras, capture_export, lights, mesh_import, outliner, renders, room_export, uvs
+from .apply import apply_results
 from .insert import insert_object
-from .materials import apply_results
 from .placement import (
     Cast,
     Support,
@@ -30,6 +30,7 @@ from .placement import (
     room_light_power,
 )
 from .save import save_blend
+from .slices import Slices
 from .world import apply_environment
 
 RERENDERS = 3
@@ -69,9 +70,9 @@ class RoomSteps:
             mesh_import.import_room(self._run.resolve(capture["mesh"]), matrix)
         cameras.add_cameras(self._run)
 
-    def export_room(self) -> None:
+    def export_room(self) -> Slices[None]:
         """room.npz and room.json for the engine."""
-        room_export.export_room(self._objects(), self._run, self._options.parts)
+        yield from room_export.export_slices(self._objects(), self._run, self._options.parts)
 
     def make_atlas(self) -> None:
         """UVs onto the room and atlas.npz for the engine."""
@@ -165,6 +166,34 @@ class RoomSteps:
             geometry = [(view["name"], view_geometry(view)) for view in views]
             self._choice = choose_view(make_cast(room_export.read_room(self._run)), geometry)
         return self._choice
+
+
+def export_scene_cameras(run: RunFolder) -> None:
+    """capture.json from the scene's ticked views; a run folder without a list of views keeps its own.
+
+    Raises:
+        FiptError: see `capture_export.export_capture`.
+    """
+    scene = bpy.context.scene
+    if len(scene.fipt.capture.views) or not run.capture_json.exists():
+        capture_export.export_capture(scene, run)
+
+
+def export_scene_room(run: RunFolder) -> Slices[None]:
+    """room.npz and room.json from the objects that the scene names as its room.
+
+    Raises:
+        FiptError: ``room-missing``; see `room_export.export_slices`.
+    """
+    scene = bpy.context.scene
+    objects = scene.fipt.capture.room_objects(scene)
+    if not objects:
+        raise FiptError(
+            "room-missing",
+            "The scene has no room: no mesh is imported and no collection chosen.",
+            "Import the room's mesh or choose its collection in the section Capture.",
+        )
+    yield from room_export.export_slices(objects, run, scene.fipt.parts.engine_source)
 
 
 def preferred_views(capture: dict[str, Any], name: str = "") -> list[dict[str, Any]]:

@@ -8,7 +8,7 @@ then brought to one texel density and packed into few images. The artist's own l
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -17,7 +17,7 @@ import numpy as np
 from ..core.job.errors import FiptError
 from ..core.job.runfolder import RunFolder, atomic_path, write_json
 from ..core.job.settings import Settings
-from .originals import make_own_mesh, restore_original
+from .own_meshes import make_mesh, room_names
 from .packing import (
     island_bounds,
     overlap_share,
@@ -28,10 +28,13 @@ from .packing import (
     turn_islands,
     uv_islands,
 )
-from .room_export import Room, fresh_depsgraph, is_mirrored, read_room, triangle_loops
+from .room_export import Room, is_mirrored, read_room, triangle_loops
+from .slices import Slices, find_object, run_through
 
 UV_LAYER = "FIPT"
 MAX_IMAGES = 16
+# Faces that are unwrapped in one go: about 50 ms.
+BATCH_CORNERS = 20_000
 # What a usable UV map may have of faults, as shares of its object's area.
 MAX_OVERLAP = 0.02
 MAX_DEGENERATE = 0.05
@@ -48,6 +51,17 @@ class Atlas:
     texel_density: float  # lowest of all islands, texels a metre
 
 
+@dataclass
+class _Source:
+    """What the layout needs of one object; plain arrays, since they outlive a slice."""
+
+    vertices: np.ndarray  # (V,3) world
+    loop_vertex: np.ndarray  # (L,)
+    loop_start: np.ndarray  # (P,)
+    loops: np.ndarray  # (T,3) corners of the triangles
+    uv: np.ndarray | None  # (T,3,2) f64 of the artist's active layer
+
+
 def make_atlas(
     objects: Iterable[bpy.types.Object], run: RunFolder, settings: Settings, max_images: int = MAX_IMAGES
 ) -> Atlas:
@@ -62,75 +76,100 @@ def make_atlas(
     Raises:
         FiptError: ``room-changed`` where the objects are not those of the run any more.
     """
+    return run_through(atlas_slices(objects, run, settings, max_images))
+
+
+def atlas_slices(
+    objects: Iterable[bpy.types.Object], run: RunFolder, settings: Settings, max_images: int = MAX_IMAGES
+) -> Slices[Atlas]:
+    """`make_atlas`, a few objects at a time."""
     room = read_room(run)
     if settings.atlas_mode == "color_attribute":
         count = len(room.triangles)
         _write(run, np.zeros((count, 3, 2)), np.full(count, -1), "color_attribute", [])
         return Atlas([], [], [], 0.0)
-    ordered = own_meshes(room, objects)
-    try:
-        return _make_uv_atlas(ordered, room, run, settings, max_images)
-    finally:
-        restore_original(ordered)
-
-
-def own_meshes(room: Room, objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
-    """Give the room's objects meshes that are ours to write, and check that they are those of the run.
-
-    Returns:
-        The objects in the room's order.
-
-    Raises:
-        FiptError: ``room-changed``; the objects are then as before.
-    """
-    by_name = {item.name: item for item in objects if item.type == "MESH"}
-    for name in room.objects:
-        if name not in by_name:
-            raise _room_changed(name)
-    ordered = [by_name[name] for name in room.objects]
-    restore_original(ordered)
-    depsgraph = fresh_depsgraph(ordered)
-    for index, item in enumerate(ordered):
-        make_own_mesh(item, depsgraph)
-        _, polygons = triangle_loops(item.data, is_mirrored(item))
-        if not np.array_equal(polygons, room.triangle_polygon[room.triangle_object == index]):
-            restore_original(ordered)
-            raise _room_changed(item.name)
-    return ordered
-
-
-def _room_changed(name: str) -> FiptError:
-    return FiptError(
-        "room-changed",
-        f"The object '{name}' was changed, renamed or removed since the room was exported.",
-        "Undo the change, or start a new run.",
-    )
-
-
-def _make_uv_atlas(
-    objects: list[bpy.types.Object], room: Room, run: RunFolder, settings: Settings, max_images: int
-) -> Atlas:
+    names = room_names(room, objects)
+    yield
     corner_uv = np.zeros((len(room.triangles), 3, 2))
     island = np.full(len(room.triangles), -1, np.int64)
     areas = triangle_areas(room.vertices[room.triangles])
     kept: list[str] = []
-    to_unwrap: list[int] = []
-    for index, item in enumerate(objects):
+    to_unwrap: list[tuple[str, np.ndarray, _Source]] = []
+    for index, name in enumerate(names):
         triangles = np.flatnonzero(room.triangle_object == index)
-        uv = active_corner_uv(item)
-        if uv is not None and _is_finite(uv):
-            own_island = uv_islands(room.triangles[triangles], uv)
-            if uvs_usable(uv, own_island, areas[triangles]):
-                kept.append(item.name)
-                corner_uv[triangles] = uv
+        source = _read_source(room, index, find_object(name))
+        if source.uv is not None and _is_finite(source.uv):
+            own_island = uv_islands(room.triangles[triangles], source.uv)
+            if uvs_usable(source.uv, own_island, areas[triangles]):
+                kept.append(name)
+                corner_uv[triangles] = source.uv
                 island[triangles] = own_island
+                yield
                 continue
-        to_unwrap.append(index)
-    for index, uv in zip(to_unwrap, unwrap([objects[index] for index in to_unwrap]), strict=True):
-        triangles = np.flatnonzero(room.triangle_object == index)
-        corner_uv[triangles] = uv
-        island[triangles] = uv_islands(room.triangles[triangles], uv)
-    unwrapped = [objects[index].name for index in to_unwrap]
+        to_unwrap.append((name, triangles, source))
+        yield
+    for batch in _batches(to_unwrap):
+        layouts = _unwrap([source for _, _, source in batch])
+        for (_, triangles, _), uv in zip(batch, layouts, strict=True):
+            corner_uv[triangles] = uv
+            island[triangles] = uv_islands(room.triangles[triangles], uv)
+        yield
+    unwrapped = [name for name, _, _ in to_unwrap]
+    sizes, lowest = yield from _pack_room(room, corner_uv, island, areas, run, settings, max_images)
+    return Atlas(sizes, kept, unwrapped, lowest)
+
+
+def _batches(
+    items: list[tuple[str, np.ndarray, _Source]],
+) -> Iterator[list[tuple[str, np.ndarray, _Source]]]:
+    """Objects that are unwrapped in one slice: many small ones, or a large one."""
+    batch: list[tuple[str, np.ndarray, _Source]] = []
+    corners = 0
+    for item in items:
+        if batch and corners + len(item[2].loop_vertex) > BATCH_CORNERS:
+            yield batch
+            batch, corners = [], 0
+        batch.append(item)
+        corners += len(item[2].loop_vertex)
+    if batch:
+        yield batch
+
+
+def _read_source(room: Room, index: int, item: bpy.types.Object) -> _Source:
+    mesh = make_mesh(room, index, item)
+    try:
+        layer, mirrored = mesh.uv_layers.active, is_mirrored(item)
+        loops, _ = triangle_loops(mesh, mirrored)
+        vertices = np.empty(len(mesh.vertices) * 3, np.float32)
+        mesh.vertices.foreach_get("co", vertices)
+        loop_vertex = np.empty(len(mesh.loops), np.int32)
+        mesh.loops.foreach_get("vertex_index", loop_vertex)
+        loop_start = np.empty(len(mesh.polygons), np.int32)
+        mesh.polygons.foreach_get("loop_start", loop_start)
+        matrix = np.array(item.matrix_world, np.float64)
+        world = vertices.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]
+        own = layer is not None and layer.name != UV_LAYER
+        return _Source(world, loop_vertex, loop_start, loops, _layer_uv(mesh, layer)[loops] if own else None)
+    finally:
+        bpy.data.meshes.remove(mesh)
+
+
+def _pack_room(
+    room: Room,
+    corner_uv: np.ndarray,
+    island: np.ndarray,
+    areas: np.ndarray,
+    run: RunFolder,
+    settings: Settings,
+    max_images: int,
+) -> Slices[tuple[list[tuple[int, int]], float]]:
+    """Bring all islands to one density, pack and write them; image sizes and the lowest density.
+
+    Args:
+        corner_uv: (T,3,2), overwritten with the result.
+        island: (T,), numbered within each object.
+        areas: (T,) in the world.
+    """
     # Islands were numbered within their object; now over the room.
     many = int(island.max(initial=0)) + 1
     _, island = np.unique(room.triangle_object.astype(np.int64) * many + island, return_inverse=True)
@@ -142,11 +181,20 @@ def _make_uv_atlas(
     holds = (world_area > 1e-12) & (flat_area > 1e-14)
     chosen = holds[island]
     density = settings.texel_density * _island_scale(room.triangle_object, island, world_area, flat_area)
-    texels = turn_islands(corner_uv[chosen] * density[island[chosen]][:, None, None], island[chosen])
+    texels = corner_uv[chosen] * density[island[chosen]][:, None, None]
     owner = room.triangle_object[chosen].astype(np.int64)
-    polygon = owner * (int(room.triangle_polygon.max(initial=0)) + 1) + room.triangle_polygon[chosen]
-    member = split_sparse_islands(texels, np.unique(island[chosen], return_inverse=True)[1], polygon)
-    texels = turn_islands(texels, member)
+    polygon = room.triangle_polygon[chosen]
+    member = np.zeros(len(texels), np.int64)
+    count = 0
+    for each in np.unique(owner):
+        mine = np.flatnonzero(owner == each)
+        own = np.unique(island[chosen][mine], return_inverse=True)[1]
+        turned = turn_islands(texels[mine], own)
+        own = split_sparse_islands(turned, own, polygon[mine])
+        texels[mine] = turn_islands(turned, own)
+        member[mine] = own + count
+        count += int(own.max()) + 1
+        yield
     low, extent = island_bounds(texels, member)
     group = np.zeros(len(low), np.int64)
     group[member] = owner
@@ -163,8 +211,8 @@ def _make_uv_atlas(
         raise FiptError(
             "mesh-empty", "The room's faces have no area.", "Choose the mesh objects that form the room."
         )
-    lowest = settings.texel_density * float(packing.scale.min(initial=1.0))
-    return Atlas(packing.sizes, kept, unwrapped, lowest)
+    yield
+    return packing.sizes, settings.texel_density * float(packing.scale.min(initial=1.0))
 
 
 def _island_scale(
@@ -206,23 +254,15 @@ def uvs_usable(corner_uv: np.ndarray, island: np.ndarray, area: np.ndarray) -> b
     return overlap_share(corner_uv, island) <= MAX_OVERLAP
 
 
-def active_corner_uv(item: bpy.types.Object) -> np.ndarray | None:
-    """The artist's active UV layer by triangle corner, (T,3,2) f64, or None without one."""
-    layer = item.data.uv_layers.active
-    if layer is None or layer.name == UV_LAYER:
-        return None
-    return _corner_uv(item.data, layer, is_mirrored(item))
-
-
-def _corner_uv(mesh: bpy.types.Mesh, layer: bpy.types.MeshUVLoopLayer, mirrored: bool) -> np.ndarray:
+def _layer_uv(mesh: bpy.types.Mesh, layer: bpy.types.MeshUVLoopLayer) -> np.ndarray:
+    """(L,2) f64."""
     uv = np.empty(len(mesh.loops) * 2, np.float32)
     layer.uv.foreach_get("vector", uv)
-    loops, _ = triangle_loops(mesh, mirrored)
-    return uv.reshape(-1, 2).astype(np.float64)[loops]
+    return uv.reshape(-1, 2).astype(np.float64)
 
 
-def unwrap(items: Sequence[bpy.types.Object]) -> list[np.ndarray]:
-    """Unwrap by projection from several sides (Smart UV Project) without touching the objects.
+def _unwrap(sources: Sequence[_Source]) -> list[np.ndarray]:
+    """Unwrap by projection from several sides (Smart UV Project).
 
     The operator runs once, on copies in a scene of their own, so that neither selection, mode nor
     visibility of the artist's scene matter.
@@ -230,11 +270,9 @@ def unwrap(items: Sequence[bpy.types.Object]) -> list[np.ndarray]:
     Returns:
         For each object (T,3,2) f64 by triangle corner.
     """
-    if not items:
-        return []
     scene = bpy.data.scenes.new("FIPT unwrap")
     layer = scene.view_layers[0]
-    copies = [_blank_copy(item.data) for item in items]
+    copies = [_blank_copy(source) for source in sources]
     stand_ins = [bpy.data.objects.new("FIPT unwrap", copy) for copy in copies]
     try:
         for stand_in in stand_ins:
@@ -248,55 +286,61 @@ def unwrap(items: Sequence[bpy.types.Object]) -> list[np.ndarray]:
             bpy.ops.object.mode_set(mode="EDIT")
             try:
                 with bpy.context.temp_override(edit_object=first):
-                    bpy.ops.mesh.reveal()
                     bpy.ops.mesh.select_all(action="SELECT")
                     bpy.ops.uv.smart_project(island_margin=0.0, area_weight=0.0, scale_to_bounds=False)
             finally:
                 bpy.ops.object.mode_set(mode="OBJECT")
         return [
-            _corner_uv(copy, copy.uv_layers[UV_LAYER], is_mirrored(item))
-            for copy, item in zip(copies, items, strict=True)
+            _layer_uv(copy, copy.uv_layers[UV_LAYER])[source.loops]
+            for copy, source in zip(copies, sources, strict=True)
         ]
     finally:
         bpy.data.batch_remove([*stand_ins, *copies])
         bpy.data.scenes.remove(scene)
 
 
-def _blank_copy(mesh: bpy.types.Mesh) -> bpy.types.Mesh:
-    """A copy with one empty UV layer."""
-    copy = mesh.copy()
-    while copy.uv_layers:
-        copy.uv_layers.remove(copy.uv_layers[0])
-    copy.uv_layers.new(name=UV_LAYER)
-    return copy
+def _blank_copy(source: _Source) -> bpy.types.Mesh:
+    """The faces in world space, so that stretched objects are unwrapped as they look, and an empty layer."""
+    mesh = bpy.data.meshes.new("FIPT unwrap")
+    mesh.vertices.add(len(source.vertices))
+    mesh.loops.add(len(source.loop_vertex))
+    mesh.polygons.add(len(source.loop_start))
+    mesh.vertices.foreach_set("co", source.vertices.astype(np.float32).ravel())
+    mesh.loops.foreach_set("vertex_index", source.loop_vertex)
+    mesh.polygons.foreach_set("loop_start", source.loop_start)
+    mesh.update(calc_edges=True)
+    mesh.uv_layers.new(name=UV_LAYER)
+    return mesh
 
 
-def write_layer(item: bpy.types.Object, corner_uv: np.ndarray) -> None:
-    """Write the FIPT layer of an object's mesh; the artist's active layers stay active.
+def write_layer(mesh: bpy.types.Mesh, mirrored: bool, corner_uv: np.ndarray) -> None:
+    """Write the FIPT layer of a mesh of ours, and make it the active one, which solid shading draws with.
+
+    The layer that renders use where a material names none stays the artist's.
 
     Args:
-        item: an object with a mesh of ours.
+        mesh: of ours.
+        mirrored: whether its object is.
         corner_uv: (T,3,2), the object's rows of atlas.npz.
 
     Raises:
         FiptError: ``uv-layers-full``.
     """
-    mesh = item.data
-    active, active_render = mesh.uv_layers.active_index, [layer.active_render for layer in mesh.uv_layers]
+    active_render = [layer.active_render for layer in mesh.uv_layers]
     layer = mesh.uv_layers.get(UV_LAYER) or mesh.uv_layers.new(name=UV_LAYER, do_init=False)
     if layer is None:
         raise FiptError(
             "uv-layers-full",
-            f"The mesh of '{item.name}' has 8 UV layers already; ours does not fit.",
+            f"The mesh of '{mesh.name}' has 8 UV layers already; ours does not fit.",
             "Remove a UV layer, or choose colour attributes instead of UVs.",
         )
-    loops, _ = triangle_loops(mesh, is_mirrored(item))
+    loops, _ = triangle_loops(mesh, mirrored)
     uv = np.zeros((len(mesh.loops), 2), np.float32)
     uv[loops.ravel()] = corner_uv.reshape(-1, 2)
     mesh.uv_layers[UV_LAYER].uv.foreach_set("vector", uv.ravel())
-    if active_render:
-        mesh.uv_layers.active_index = active
-        mesh.uv_layers[active_render.index(True) if True in active_render else 0].active_render = True
+    mesh.uv_layers.active = mesh.uv_layers[UV_LAYER]
+    if True in active_render:
+        mesh.uv_layers[active_render.index(True)].active_render = True
 
 
 def _write(

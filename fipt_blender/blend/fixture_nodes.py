@@ -1,0 +1,91 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The material of a surface that emits and reflects nothing, each side with a radiance of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import bpy
+
+from .shown import write_surface
+from .tint import split
+
+_SIDES = (("FIPT Front", "Front: strength is radiance"), ("FIPT Back", "Back: strength is radiance"))
+
+
+def emission_material(
+    name: str, radiance: Sequence[float], back_radiance: Sequence[float]
+) -> bpy.types.Material:
+    """A new material that emits.
+
+    Args:
+        name: of the material.
+        radiance, back_radiance: rgb leaving the front (where normals point) and the back, W/(m² sr).
+    """
+    material = bpy.data.materials.new(name)
+    if material.node_tree is None:
+        material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    output = nodes.new("ShaderNodeOutputMaterial")
+    output.name, output.location = "FIPT Output", (400, 0)
+    mix = nodes.new("ShaderNodeMixShader")
+    mix.name, mix.location = "FIPT Sides", (200, 0)
+    geometry = nodes.new("ShaderNodeNewGeometry")
+    geometry.location = (-40, 260)
+    links.new(geometry.outputs["Backfacing"], mix.inputs[0])
+    links.new(mix.outputs["Shader"], output.inputs["Surface"])
+    for slot, (node_name, label) in enumerate(_SIDES, start=1):
+        node = nodes.new("ShaderNodeEmission")
+        node.name, node.label, node.location = node_name, label, (-40, 60 - 140 * (slot - 1))
+        links.new(node.outputs["Emission"], mix.inputs[slot])
+    write_radiance(material, radiance, back_radiance)
+    return material
+
+
+def write_radiance(
+    material: bpy.types.Material, front: Sequence[float], back: Sequence[float], sampled: bool = True
+) -> None:
+    """Set what the two sides emit.
+
+    Args:
+        material: of `emission_material`; nodes that the artist took out are passed over.
+        front, back: rgb radiance.
+        sampled: whether Cycles aims at the surface; not where Blender lights stand for it.
+    """
+    for (name, _), rgb in zip(_SIDES, (front, back), strict=True):
+        node = material.node_tree.nodes.get(name)
+        if node is not None:
+            color, strength = split(rgb)
+            node.inputs["Color"].default_value = (*color, 1.0)
+            node.inputs["Strength"].default_value = strength
+    if hasattr(material, "cycles"):  # the Cycles add-on can be switched off
+        sides = "FRONT" if max(back) <= 0.0 else "BACK" if max(front) <= 0.0 else "FRONT_BACK"
+        material.cycles.emission_sampling = sides if sampled else "NONE"
+
+
+def node_strength(material: bpy.types.Material, back: bool) -> float | None:
+    """Strength of a side's node; None where the artist took it out."""
+    node = material.node_tree.nodes.get(_SIDES[int(back)][0])
+    return None if node is None else float(node.inputs["Strength"].default_value)
+
+
+def write_shown(material: bpy.types.Material, shown: str) -> None:
+    """Let the surface show itself, or what it has in the map that the room shows.
+
+    Args:
+        shown: see `shown.write_surface`. A lamp reflects nothing, so that its base colour is black; it is
+            covered, since it was found in photographs.
+    """
+    front = material.node_tree.nodes.get(_SIDES[0][0])
+    back = material.node_tree.nodes.get(_SIDES[1][0])
+    lit = next(
+        (node for node in (front, back) if node is not None and node.inputs["Strength"].default_value > 0.0),
+        None,
+    )
+    color = (0.0, 0.0, 0.0, 1.0) if lit is None else tuple(lit.inputs["Color"].default_value)
+    constant = {"COVERAGE": (1.0, 1.0, 1.0, 1.0), "EMISSION": color}.get(shown, (0.0, 0.0, 0.0, 1.0))
+    write_surface(material, shown, None, constant)
+    plain = shown in ("ESTIMATED", "ORIGINAL")
+    material.diffuse_color = color if plain else constant

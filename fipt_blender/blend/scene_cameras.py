@@ -1,0 +1,200 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The scene's own cameras with their background images as a capture, e.g. from a matchmove or fSpy.
+
+They are written as a transforms.json, so that the engine's `ingest` checks them like any other capture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ..core import conventions
+from ..core.job.errors import FiptError
+from ..core.job.runfolder import RunFolder, read_json, write_json
+from . import cameras
+from .capture_export import camera_pose
+from .capture_import import fill_views
+
+SCENE_SOURCE = "scene-cameras"  # `imported_path` of such captures
+_SAME_ASPECT = 2e-3
+
+
+@dataclass(frozen=True)
+class Frame:
+    """How a camera sees while rendering: size in pixels and Blender's parameters."""
+
+    width: int
+    height: int
+    camera: conventions.BlenderCamera
+
+
+def write_scene_cameras(scene: bpy.types.Scene, run: RunFolder) -> tuple[Path, list[str]]:
+    """Write RUN/scene_cameras/transforms.json from the scene's cameras that have a photograph.
+
+    Args:
+        scene: cameras with a background image are taken, in the order of their names.
+        run: the run folder.
+
+    Returns:
+        The file, and the names of the cameras that were left out as they have no photograph.
+
+    Raises:
+        FiptError: ``cameras-none``, ``camera-model`` for one that is not perspective, ``image-ldr``,
+            ``image-missing``, ``background-moved``, ``alignment-uneven``.
+    """
+    items = sorted((item for item in scene.objects if item.type == "CAMERA"), key=lambda item: item.name)
+    chosen = [item for item in items if photograph_of(item) is not None]
+    if not chosen:
+        raise FiptError(
+            "cameras-none",
+            f"None of the scene's {len(items)} cameras has a photograph as its background image."
+            if items
+            else "The scene has no cameras.",
+            "Give each camera its HDR photograph: Camera properties > Background Images > Add Image.",
+        )
+    path = run.root / "scene_cameras" / "transforms.json"
+    write_json(path, {"up_axis": "z", "frames": [describe_camera(scene, item) for item in chosen]})
+    return path, [item.name for item in items if item not in chosen]
+
+
+def adopt_cameras(run: RunFolder) -> None:
+    """Mark the cameras of the context's scene as views, and fill the list; the cameras stay the artist's."""
+    scene = bpy.context.scene
+    frames = read_json(run.root / "scene_cameras" / "transforms.json")["frames"]
+    for view, frame in zip(read_json(run.ingest_json)["views"], frames, strict=True):
+        item = scene.objects.get(frame["name"])
+        if item is None:
+            raise FiptError(
+                "camera-missing", f"The camera '{frame['name']}' was removed meanwhile.", "Start again."
+            )
+        lens = [view[name] for name in ("fx", "fy", "cx", "cy")]
+        parameters = conventions.intrinsics_to_blender(view["width"], view["height"], *lens)
+        cameras.mark_camera(item, view, parameters)
+    fill_views(scene, run)
+    scene.fipt.capture.imported_path = SCENE_SOURCE
+
+
+def photograph_of(item: bpy.types.Object) -> bpy.types.CameraBackgroundImage | None:
+    """The first background of a camera that is an image."""
+    for background in item.data.background_images:
+        if background.source == "IMAGE" and background.image is not None:
+            return background
+    return None
+
+
+def describe_camera(scene: bpy.types.Scene, item: bpy.types.Object) -> dict[str, Any]:
+    """A camera as a frame of transforms.json: pose with OpenGL axes, intrinsics of its photograph in pixels.
+
+    Raises:
+        FiptError: see `write_scene_cameras`.
+    """
+    background = photograph_of(item)
+    assert background is not None
+    if item.data.type != "PERSP":
+        raise FiptError(
+            "camera-model",
+            f"The camera '{item.name}' is not a perspective one.",
+            "Set its lens type to Perspective, or remove its background image.",
+        )
+    path = photograph_path(item, background.image)
+    width, height = (int(value) for value in background.image.size)
+    if not width or not height:
+        raise FiptError(
+            "image-unreadable", f"The photograph {path} can't be read.", "Export it again as OpenEXR."
+        )
+    fx, fy, cx, cy = photograph_lens(item, background, frame_of(scene, item), width, height)
+    return {
+        "name": item.name,
+        "file_path": str(path),
+        "w": width,
+        "h": height,
+        "fl_x": fx,
+        "fl_y": fy,
+        "cx": cx,
+        "cy": cy,
+        "transform_matrix": conventions.opencv_to_opengl_camera(camera_pose(item)).tolist(),
+    }
+
+
+def photograph_path(item: bpy.types.Object, image: bpy.types.Image) -> Path:
+    """The file of a camera's photograph.
+
+    Raises:
+        FiptError: ``image-ldr`` or ``image-missing``.
+    """
+    path = Path(bpy.path.abspath(image.filepath, library=image.library)) if image.filepath else None
+    if path is not None and path.suffix.lower() != ".exr":
+        raise FiptError(
+            "image-ldr",
+            f"The photograph {path.name} of the camera '{item.name}' is no OpenEXR file; the scene-linear"
+            " radiance of lamps is needed, which 8-bit photographs don't hold.",
+            "Merge an exposure bracket into HDR, save OpenEXR (.exr), and make that the background image.",
+        )
+    if path is None or not path.is_file():
+        named = path or f"'{image.name}'"
+        raise FiptError(
+            "image-missing",
+            f"The photograph {named} of the camera '{item.name}' is no file on disk.",
+            "Save or unpack the image as an OpenEXR file, or restore it.",
+        )
+    return path
+
+
+def frame_of(scene: bpy.types.Scene, item: bpy.types.Object) -> Frame:
+    """The frame that a camera renders: its own one where it is a view already, else the scene's."""
+    render, data = scene.render, item.data
+    if cameras.RESOLUTION in item:
+        width, height = (int(value) for value in item[cameras.RESOLUTION])
+        aspect = [float(value) for value in item[cameras.PIXEL_ASPECT]]
+    else:
+        width, height = render.resolution_x, render.resolution_y
+        aspect = [render.pixel_aspect_x, render.pixel_aspect_y]
+    parameters = conventions.BlenderCamera(
+        data.lens,
+        data.sensor_width,
+        data.sensor_height,
+        data.sensor_fit,
+        data.shift_x,
+        data.shift_y,
+        *aspect,
+    )
+    return Frame(width, height, parameters)
+
+
+def photograph_lens(
+    item: bpy.types.Object,
+    background: bpy.types.CameraBackgroundImage,
+    frame: Frame,
+    width: int,
+    height: int,
+) -> tuple[float, float, float, float]:
+    """Intrinsics fx, fy, cx, cy in the photograph's pixels, as it lies over the camera's frame.
+
+    Raises:
+        FiptError: ``background-moved`` for a photograph that is shifted, scaled, turned or flipped there.
+    """
+    moved = max(abs(value) for value in background.offset) > 1e-6 or abs(background.scale - 1.0) > 1e-6
+    if moved or background.rotation or background.use_flip_x or background.use_flip_y:
+        raise FiptError(
+            "background-moved",
+            f"The photograph of the camera '{item.name}' is shifted, scaled, turned or flipped.",
+            "Reset offset, scale, rotation and flipping of its background image; use the camera's shift.",
+        )
+    fx, fy, cx, cy = conventions.blender_to_intrinsics(frame.width, frame.height, frame.camera)
+    # Sizes as shown: a frame's pixels may be oblong, those of an image are square.
+    shown = (frame.width * frame.camera.pixel_aspect_x, frame.height * frame.camera.pixel_aspect_y)
+    scale_x, scale_y = shown[0] / width, shown[1] / height
+    if background.frame_method != "STRETCH" and abs(scale_x / scale_y - 1.0) > _SAME_ASPECT:
+        scale_x = scale_y = (min if background.frame_method == "FIT" else max)(scale_x, scale_y)
+    x, y = frame.camera.pixel_aspect_x / scale_x, frame.camera.pixel_aspect_y / scale_y
+    return (
+        fx * x,
+        fy * y,
+        (cx - 0.5 * frame.width) * x + 0.5 * width,
+        (cy - 0.5 * frame.height) * y + 0.5 * height,
+    )

@@ -1,0 +1,56 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a light's settings make of its colour and power. Light modules only: panels ask while drawing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import bpy
+
+from ..properties.lights import BACK, BASE, COLOR, KELVIN, STOPS, TINT
+from .color import Rgb, blackbody, luminance, temperature_of, with_luminance
+
+_ESTIMATED, _COLOR, _TEMPERATURE = 0, 1, 2
+
+
+def tinted(item: bpy.types.Object, base: Sequence[float]) -> Rgb:
+    """A base rgb (radiance or watts) in the light's colour; its luminance stays."""
+    kind = item.get(TINT, _ESTIMATED)
+    if kind == _COLOR:
+        return with_luminance(item.get(COLOR, (1.0, 1.0, 1.0)), luminance(base))
+    if kind == _TEMPERATURE:
+        return with_luminance(blackbody(item.get(KELVIN, 6504.0)), luminance(base))
+    red, green, blue = base
+    return (red, green, blue)
+
+
+def powered(item: bpy.types.Object, base: Sequence[float]) -> Rgb:
+    """The same at the light's power."""
+    factor = 2.0 ** item.get(STOPS, 0.0)
+    red, green, blue = (value * factor for value in tinted(item, base))
+    return (red, green, blue)
+
+
+def shown_color(item: bpy.types.Object) -> Rgb:
+    """The light's colour, its strongest channel 1."""
+    base = item.get(BASE, (1.0, 1.0, 1.0))
+    if max(base) <= 0.0:
+        base = item.get(BACK, base)
+    return split(tinted(item, base))[0]
+
+
+def shown_temperature(item: bpy.types.Object) -> float:
+    """The light's temperature in kelvin: the chosen one, or the one nearest to its colour."""
+    if item.get(TINT, _ESTIMATED) == _TEMPERATURE:
+        return float(item.get(KELVIN, 6504.0))
+    return temperature_of(shown_color(item))
+
+
+def split(rgb: Sequence[float]) -> tuple[Rgb, float]:
+    """A colour whose strongest channel is 1, and its strength; white at strength 0."""
+    strength = float(max(rgb))
+    if strength <= 0.0:
+        return (1.0, 1.0, 1.0), 0.0
+    red, green, blue = (float(value) / strength for value in rgb)
+    return (red, green, blue), strength
