@@ -19,13 +19,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from .bridge.interpreter import engine_command, engine_environment, find_engine_python
+from .bridge.interpreter import engine_command
 from .bridge.process import EngineProcess, Message
 from .core.conventions import UP_AXES
 from .core.job.errors import FiptError
 from .core.job.runfolder import PRODUCT_VERSION
 from .core.job.settings import PRESETS, make_settings
-from .mainjob import PARTS, RENDER_KINDS, MainJobOptions, make_main_job
+from .mainjob import PARTS, RENDER_KINDS, MainJobOptions, find_launch, make_main_job
 
 FORMATS = ("auto", "fipt-synthetic", "fipt-real", "transforms", "colmap")
 _LINE_SECONDS = 5.0
@@ -142,7 +142,7 @@ def _estimate(arguments: argparse.Namespace) -> int:
     try:
         options = make_options(arguments)
     except FiptError as error:
-        print(f"error: {error.text} {error.remedy}", file=sys.stderr)
+        print(f"error: {error}", file=sys.stderr)
         return 2
     try:
         job = make_main_job(options)
@@ -168,8 +168,9 @@ def _estimate(arguments: argparse.Namespace) -> int:
 
 def _check(arguments: argparse.Namespace) -> int:
     try:
-        python = find_engine_python(arguments.engine_python)
-        process = EngineProcess(engine_command(python, "check"), Path(os.devnull), engine_environment())
+        engine = find_launch(arguments.engine_python)
+        command = engine_command(engine.python, "check")
+        process = EngineProcess(command, Path(os.devnull), engine.environment)
     except FiptError as error:
         return _report_error(arguments, error)
     except OSError as error:

@@ -10,17 +10,19 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import importlib.util
 import os
 import shutil
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .bridge.interpreter import engine_command, engine_environment, find_engine_python
-from .bridge.process import EngineProcess, Message
+from .bridge.process import AttachedEngine, EngineProcess, Message, find_engine
 from .bridge.sequence import Job, Step, StepRecord
 from .core.job.errors import FiptError
+from .core.job.parent import PARENT_VARIABLE
 from .core.job.runfolder import PRODUCT_VERSION, RunFolder
 from .core.job.settings import Settings
 
@@ -28,9 +30,11 @@ if TYPE_CHECKING:
     from .blend.steps import RoomSteps
 
 BLEND_NAME = "room.blend"
-PARTS = ("auto", "masks", "semantics", "materials", "objects", "none")
+STEPS_NAME = "steps.json"
+PARTS = ("auto", "masks", "semantics", "materials", "objects", "loose", "none")
 RENDER_KINDS = ("rerender", "relight", "insert")
-_TEXTURE_SETTINGS = ("texel_density", "texture_size", "atlas_mode", "write_back")
+TEXTURE_SETTINGS = ("texel_density", "texture_size", "atlas_mode", "write_back")
+EXPORT_TEXT = "Preparing the room for the engine"
 _RENDER_TEXTS = {
     "rerender": "Rendering held-back views with the estimated room",
     "relight": "Rendering the view with the estimated lights off and a new area light",
@@ -90,35 +94,144 @@ def make_main_job(options: MainJobOptions) -> Job:
     """Check what can be checked at once, make the run folder and return the job, ready to run.
 
     Raises:
-        FiptError: ``capture-missing``, ``mesh-missing``, ``output-inside-capture``, ``engine-missing`` or
-            those of ``RunFolder.create``.
+        FiptError: ``capture-missing``, ``mesh-missing``, ``output-inside-capture``, ``engine-missing``,
+            ``run-busy`` or those of ``RunFolder.create``.
     """
     check_options(options)
-    python = find_engine_python(options.engine_python)
+    engine = find_launch(options.engine_python)
     run = RunFolder(options.output)
+    refuse_busy(run)
     run.create(options.settings)
-    steps_json = run.root / "steps.json"
-    if not options.resume:
-        _remove(steps_json)  # every step then finds that its result is stale
-    environment = engine_environment()
+    return _make_job(run, _steps(options, run), STEPS_NAME, options.resume, lambda: list_files(run), engine)
+
+
+def open_job(
+    run: RunFolder,
+    steps: Sequence[Step],
+    record: str = STEPS_NAME,
+    resume: bool = False,
+    result: Callable[[], list[str]] | None = None,
+    launch: Launch | None = None,
+) -> Job:
+    """A job of any steps on a run folder that exists, with the engine that the preferences name.
+
+    Args:
+        run: where the engine works, and its log and the steps file lie.
+        steps: engine commands and functions on Blender's data.
+        record: name of the steps file, which remembers what is finished; jobs that share one need different
+            names of steps.
+        resume: whether finished steps with the same inputs are skipped; without it all run.
+        result: called at the end, gives the paths of what was made.
+        launch: the engine where it was found before.
+
+    Raises:
+        FiptError: ``engine-missing`` or ``run-busy``.
+    """
+    launch = launch or find_launch()
+    refuse_busy(run)
+    return _make_job(run, steps, record, resume, result or (lambda: []), launch)
+
+
+def attach_job(run: RunFolder, steps: Sequence[Step], record: str = STEPS_NAME) -> Job | None:
+    """A job that watches the engine which works in a run folder already, whoever started it; None without.
+
+    Args:
+        run, record: as of `open_job`.
+        steps: of the job that may have started it; the one whose command runs is noted as finished at the
+            end.
+    """
+    found = find_engine(run)
+    if found is None:
+        return None
+    name = found.command[0]
+    started = StepRecord(run.root / record)
+    known = [step for step in steps if step.command and step.command[0] == name]
+    step = replace(known[0], reset=None) if known else Step(name, name.capitalize(), 1.0, command=[name])
+    return Job(
+        steps=[step],
+        record=started,
+        start_engine=lambda arguments: AttachedEngine(run, found),
+        log=run.log,
+        result=lambda: ([], {"run": str(run.root)}),
+        resume=False,
+        keys=[started.key(step.name) or ""],
+    )
+
+
+def refuse_busy(run: RunFolder) -> None:
+    """Let two engines never work in one run folder.
+
+    Raises:
+        FiptError: ``run-busy``.
+    """
+    if find_engine(run) is not None:
+        raise FiptError(
+            "run-busy",
+            f"An engine works in {run.root} already.",
+            "Wait for its end, or stop it where it was started.",
+        )
+
+
+@dataclass(frozen=True)
+class Launch:
+    """How the engine is started: its interpreter and environment."""
+
+    python: Path
+    environment: Mapping[str, str]
+
+
+def find_launch(explicit: str | None = None) -> Launch:
+    """The engine that is named, else the preferences' one (in Blender), else the one that is found.
+
+    Raises:
+        FiptError: ``engine-missing``.
+    """
+    variables: dict[str, str] = {}
+    window = False
+    if explicit or importlib.util.find_spec("bpy") is None:
+        python = find_engine_python(explicit)
+    else:
+        import bpy
+
+        from . import preferences
+
+        python, window = preferences.engine_python(), not bpy.app.background
+        variables = dict(preferences.engine_variables())
+    if not window:  # nobody could watch it again
+        variables[PARENT_VARIABLE] = str(os.getpid())
+    return Launch(python, {**engine_environment(python), **variables})
+
+
+def _make_job(
+    run: RunFolder,
+    steps: Sequence[Step],
+    record: str,
+    resume: bool,
+    result: Callable[[], list[str]],
+    engine: Launch,
+) -> Job:
+    started = StepRecord(run.root / record)
+    if not resume:
+        started.forget(step.name for step in steps)  # each then finds that its result is stale
 
     def start(arguments: Sequence[str]) -> EngineProcess:
+        command = engine_command(engine.python, *arguments)
         try:
-            return EngineProcess(engine_command(python, *arguments), run.log, environment)
+            return EngineProcess(command, run.log, engine.environment, run.messages(arguments[0]))
         except OSError as error:
             raise FiptError(
                 "engine-missing",
-                f"The engine's Python {python} can't be started ({error.strerror}).",
-                "Name another interpreter with --engine-python, or create the engine's environment again.",
+                f"The engine's Python {engine.python} can't be started ({error.strerror}).",
+                "Name another interpreter, or create the engine's environment again.",
             ) from error
 
     return Job(
-        steps=_steps(options, run),
-        record=StepRecord(steps_json),
+        steps=steps,
+        record=started,
         start_engine=start,
         log=run.log,
-        result=lambda: (list_files(run), {"run": str(run.root)}),
-        resume=options.resume,
+        result=lambda: (result(), {"run": str(run.root)}),
+        resume=resume,
     )
 
 
@@ -217,6 +330,20 @@ def _ingest_arguments(options: MainJobOptions) -> list[str]:
     return arguments
 
 
+def estimate_step(run: RunFolder, settings: Settings) -> Step:
+    """The engine's estimation on the capture.json and the room.npz of a run folder."""
+    values = {name: value for name, value in asdict(settings).items() if name not in TEXTURE_SETTINGS}
+    return Step(
+        "estimate",
+        "Estimating materials and lights",
+        _ESTIMATE_SECONDS.get(settings.preset, 360.0),
+        inputs=values,
+        command=["estimate", str(run.root)],
+        outputs=[run.fields_npz, run.emitters_json],
+        reset=lambda: _empty(run.stage, run.results),
+    )
+
+
 def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
     @functools.cache
     def room() -> RoomSteps:
@@ -224,8 +351,7 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
 
         return RoomSteps(options, run)
 
-    values = asdict(options.settings)
-    texture_values = {name: values.pop(name) for name in _TEXTURE_SETTINGS}
+    texture_values = {name: getattr(options.settings, name) for name in TEXTURE_SETTINGS}
     renders: dict[str, Callable[[], list[Message] | None]] = {
         "rerender": lambda: room().rerender(),
         "relight": lambda: room().relight(),
@@ -257,22 +383,14 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
         ),
         Step(
             "export",
-            "Preparing the room for the engine",
+            EXPORT_TEXT,
             2.0,
             inputs={"parts": options.parts},
             function=lambda: room().export_room(),
             outputs=[run.room_npz, run.room_json],
             reset=lambda: _remove(run.room_npz, run.room_json),
         ),
-        Step(
-            "estimate",
-            "Estimating materials and lights",
-            _ESTIMATE_SECONDS.get(options.settings.preset, 360.0),
-            inputs=values,
-            command=["estimate", str(run.root)],
-            outputs=[run.fields_npz, run.emitters_json],
-            reset=lambda: _empty(run.stage, run.results),
-        ),
+        estimate_step(run, options.settings),
         Step(
             "atlas",
             "Laying out texture coordinates",

@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-# mypy: disable-error-code="valid-type"
-"""The main job as an operator: modal with ESC in a window, blocking when a script executes it."""
+"""Operators of the section Estimate: start, resume and cancel the engine on the scene as it is."""
 
 from __future__ import annotations
 
@@ -9,158 +8,215 @@ from pathlib import Path
 
 import bpy
 
-from ..bridge.process import Message
-from ..bridge.sequence import Job
-from ..core.job.errors import FiptError
-from ..core.job.settings import PRESETS, make_settings
-from ..mainjob import PARTS, RENDER_KINDS, MainJobOptions, make_main_job
+from .. import mainjob, preferences, running, runstate
+from ..bridge.sequence import Job, Slices, Step
+from ..core.job.runfolder import RunFolder
+from ..core.job.settings import PRESETS, Settings, make_settings
+from .job_operator import JobOperator
 
-_TIMER_SECONDS = 0.1
+# Seconds on a small capture; they only shape the progress bar.
+_CAMERAS_SECONDS, _ROOM_SECONDS = 1.0, 2.0
 
 
-class FIPT_OT_estimate(bpy.types.Operator):
-    """Estimate the materials and lights of a room from its photographs and its mesh"""
+class _Estimation(JobOperator):
+    """What Estimate and Resume share: the steps from the scene to the results."""
 
-    bl_idname = "fipt.estimate"
-    bl_label = "Estimate Materials and Lights"
-    bl_options = {"REGISTER"}
-
-    capture: bpy.props.StringProperty(
-        name="Capture",
-        description="The capture's folder or its camera file",
-        subtype="FILE_PATH",
-    )
-    mesh: bpy.props.StringProperty(
-        name="Mesh",
-        description="The room's mesh file; empty takes the one beside the cameras",
-        subtype="FILE_PATH",
-    )
-    output: bpy.props.StringProperty(
-        name="Output",
-        description="Folder for the results; an earlier run in it can be resumed",
-        subtype="DIR_PATH",
-    )
-    preset: bpy.props.EnumProperty(
-        name="Preset",
-        description="Quality against time",
-        items=[(name, name.capitalize(), "") for name in PRESETS],
-        default="medium",
-    )
-    device: bpy.props.EnumProperty(
-        name="Device",
-        description="Where the engine computes",
-        items=[
-            ("auto", "Automatic", "The GPU where there is a usable one, else the CPU"),
-            ("cuda", "GPU (CUDA)", "An NVIDIA GPU"),
-            ("llvm", "CPU (LLVM)", "The processor"),
-        ],
-        default="auto",
-    )
-    parts: bpy.props.EnumProperty(
-        name="Parts",
-        description="What tells which surfaces share a material",
-        items=[(name, name.capitalize(), "") for name in PARTS],
-        default="auto",
-    )
-    renders: bpy.props.BoolProperty(
-        name="Renders",
-        description="Render a view again, relit and with an inserted object",
-        default=True,
-    )
-    resume: bpy.props.BoolProperty(
-        name="Resume",
-        description="Keep what an earlier run in the same folder finished",
-        default=True,
-    )
-
-    _job: Job | None = None
-    _timer: bpy.types.Timer | None = None
+    title = "Estimate"
+    kind = "estimate"
+    resume = False
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if context.mode != "OBJECT":
-            cls.poll_message_set("Leave edit mode first")
+        if not super().poll(context):
+            return False
+        if context.mode.startswith("EDIT"):
+            cls.poll_message_set("Leave edit mode first")  # type: ignore[attr-defined]
+            return False
+        state = context.scene.fipt
+        if not len(state.capture.views) and not state.run_folder:
+            cls.poll_message_set("Import cameras with photographs first, in the section Capture")  # type: ignore[attr-defined]
+            return False
+        return True
+
+    def make_job(self, context: bpy.types.Context) -> Job:
+        scene = context.scene
+        launch = mainjob.find_launch()
+        settings = scene_settings(scene)
+        if not scene.fipt.run_folder:
+            name = Path(bpy.data.filepath).stem or scene.name
+            scene.fipt.run_folder = str(preferences.new_run_folder(name))
+            running.push_undo(self.title)
+        run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
+        mainjob.refuse_busy(run)
+        run.create(settings)
+        return mainjob.open_job(
+            run,
+            make_steps(run, settings),
+            resume=self.resume,
+            result=lambda: result_files(run),
+            launch=launch,
+        )
+
+
+class FIPT_OT_estimate(_Estimation, bpy.types.Operator):
+    """Estimate the materials and lights of the room from its photographs"""
+
+    bl_idname = "fipt.estimate"
+    bl_label = "Estimate"
+    bl_description = (
+        "Estimate the materials and lights of the room from its photographs. You can go on with your work"
+        " meanwhile; Escape stops it. Results of an earlier estimate are replaced"
+    )
+
+
+class FIPT_OT_resume(_Estimation, bpy.types.Operator):
+    """Go on where the last run was stopped"""
+
+    bl_idname = "fipt.resume"
+    bl_label = "Resume"
+    bl_description = (
+        "Go on where the last run was stopped. Finished stages are kept where neither the room nor the views"
+        " nor the settings have changed since"
+    )
+    resume = True
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not super().poll(context):
+            return False
+        state = runstate.known(context.scene.fipt.run_folder)
+        if not state.stages and not state.engine:
+            cls.poll_message_set("There is no stopped run to resume")
+            return False
+        if state.finished and not state.engine:
+            cls.poll_message_set("The last run is finished; Estimate starts a new one")
+            return False
+        return True
+
+    def make_job(self, context: bpy.types.Context) -> Job:
+        run = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
+        # An engine that still works, without a Blender or with another one, is watched to its end.
+        attached = mainjob.attach_job(run, [mainjob.estimate_step(run, run.read())])
+        return attached or super().make_job(context)
+
+
+class FIPT_OT_cancel(bpy.types.Operator):
+    """Stop the running job within two seconds. What it has finished is kept, and Resume goes on from there"""
+
+    bl_idname = "fipt.cancel"
+    bl_label = "Cancel"
+    bl_options = {"INTERNAL"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        job = running.current()
+        if job is None or job.stopping:
+            cls.poll_message_set("Nothing runs" if job is None else "It is stopping")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        if not self._start(context):
-            return {"CANCELLED"}
-        assert self._job is not None
-        good = self._job.run(lambda message: self._show(context, message))
-        return {"FINISHED"} if good else {"CANCELLED"}
+        running.cancel()
+        return {"FINISHED"}
+
+
+class FIPT_OT_smaller_preset(bpy.types.Operator):
+    """Choose the next smaller preset, drop what was changed of it, and estimate again"""
+
+    bl_idname = "fipt.smaller_preset"
+    bl_label = "Use a Smaller Preset"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if smaller_preset(context.scene.fipt.estimate.preset) is None:
+            cls.poll_message_set("Draft is the smallest: use fewer or smaller photographs")
+            return False
+        return bpy.ops.fipt.estimate.poll()
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        self._change(context)
+        return bpy.ops.fipt.estimate("EXEC_DEFAULT")
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if not self._start(context):
-            return {"CANCELLED"}
-        manager = context.window_manager
-        self._timer = manager.event_timer_add(_TIMER_SECONDS, window=context.window)
-        manager.progress_begin(0.0, 1.0)
-        manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        self._change(context)
+        bpy.ops.fipt.estimate("INVOKE_DEFAULT")
+        return {"FINISHED"}
 
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        assert self._job is not None
-        if event.type == "ESC":
-            self.cancel(context)
-            self.report({"WARNING"}, "Stopped; finished stages are kept")
-            return {"CANCELLED"}
-        if event.type != "TIMER":
-            return {"PASS_THROUGH"}
-        for message in self._job.advance():
-            self._show(context, message)
-        if not self._job.finished:
-            return {"PASS_THROUGH"}
-        self._end_modal(context)
-        return {"FINISHED"} if self._job.error is None else {"CANCELLED"}
+    def _change(self, context: bpy.types.Context) -> None:
+        settings = context.scene.fipt.estimate
+        settings.preset = smaller_preset(settings.preset) or settings.preset
+        settings.reset()
 
-    def cancel(self, context: bpy.types.Context) -> None:
-        """Called by Blender too, when the window closes."""
-        if self._job is not None:
-            self._job.cancel()
-        self._end_modal(context)
 
-    def _start(self, context: bpy.types.Context) -> bool:
-        try:
-            self._job = make_main_job(self._options())
-        except FiptError as error:
-            self.report({"ERROR"}, f"{error.text} {error.remedy}")
-            return False
-        return True
+class FIPT_OT_reset_setting(bpy.types.Operator):
+    """Let this setting follow the preset again"""
 
-    def _options(self) -> MainJobOptions:
-        if not self.capture or not self.output:
-            raise FiptError(
-                "option-missing", "No capture or no output folder is named.", "Choose both folders."
-            )
-        return MainJobOptions(
-            capture=Path(bpy.path.abspath(self.capture)),
-            output=Path(bpy.path.abspath(self.output)),
-            mesh=Path(bpy.path.abspath(self.mesh)) if self.mesh else None,
-            settings=make_settings(self.preset, {"device": self.device}),
-            parts=self.parts,
-            renders=RENDER_KINDS if self.renders else (),
-            resume=self.resume,
-            own_file=False,
-        )
+    bl_idname = "fipt.reset_setting"
+    bl_label = "Reset to Preset"
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
 
-    def _show(self, context: bpy.types.Context, message: Message) -> None:
-        kind = message["type"]
-        if kind == "error":
-            self.report({"ERROR"}, f"{message['text']} {message['remedy']}")
-        elif kind == "warning":
-            self.report({"WARNING"}, f"{message['text']} {message['remedy']}")
-        elif kind == "done":
-            self.report({"INFO"}, f"Finished: {message['data']['run']}")
-        elif self._timer is not None and kind == "progress":
-            context.window_manager.progress_update(message["fraction"])
-        elif self._timer is not None and kind == "stage":
-            context.workspace.status_text_set(f"{message['text']} (ESC stops)")
+    setting: bpy.props.StringProperty(name="Setting", description="Name of the setting; empty for all")
 
-    def _end_modal(self, context: bpy.types.Context) -> None:
-        if self._timer is None:
-            return
-        context.window_manager.event_timer_remove(self._timer)
-        self._timer = None
-        context.window_manager.progress_end()
-        context.workspace.status_text_set(None)
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        context.scene.fipt.estimate.reset(*([self.setting] if self.setting else []))
+        return {"FINISHED"}
+
+
+def smaller_preset(preset: str) -> str | None:
+    """The preset below one, or None."""
+    names = list(PRESETS)
+    index = names.index(preset)
+    return names[index - 1] if index else None
+
+
+def scene_settings(scene: bpy.types.Scene) -> Settings:
+    """The settings that the section Estimate shows; those of textures stay as the run folder has them.
+
+    Raises:
+        FiptError: ``setting-invalid``; those of `RunFolder.read`.
+    """
+    state = scene.fipt.estimate
+    device = preferences.device_setting() if state.device == "preferences" else state.device
+    changes = {**state.values(), "device": device}
+    run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
+    if scene.fipt.run_folder and run.run_json.exists():
+        before = run.read()
+        changes |= {name: getattr(before, name) for name in mainjob.TEXTURE_SETTINGS}
+    return make_settings(state.preset, changes)
+
+
+def make_steps(run: RunFolder, settings: Settings) -> list[Step]:
+    """From the scene as it is to the results."""
+
+    def cameras() -> None:
+        from ..blend.steps import export_scene_cameras
+
+        export_scene_cameras(run)
+
+    def room() -> Slices:
+        from ..blend.steps import export_scene_room
+
+        yield from export_scene_room(run)
+        return None
+
+    return [
+        Step("cameras", "Reading the cameras", _CAMERAS_SECONDS, function=cameras, repeat=True),
+        Step("room", mainjob.EXPORT_TEXT, _ROOM_SECONDS, function=room, repeat=True),
+        mainjob.estimate_step(run, settings),
+    ]
+
+
+def result_files(run: RunFolder) -> list[str]:
+    """Paths of what an estimation leaves for the other sections."""
+    wanted = [run.fields_npz, run.emitters_json, run.environment_exr, run.statistics_json]
+    return [str(path) for path in wanted if path.exists()]
+
+
+CLASSES = (
+    FIPT_OT_estimate,
+    FIPT_OT_resume,
+    FIPT_OT_cancel,
+    FIPT_OT_smaller_preset,
+    FIPT_OT_reset_setting,
+)

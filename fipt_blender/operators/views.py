@@ -1,0 +1,184 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators of the section Capture: its list of views, what they see, and colours over the room."""
+
+from __future__ import annotations
+
+import sys
+
+import bpy
+
+from .. import preferences
+from ..bridge.sequence import Job, Slices, Step
+from ..core.job.errors import FiptError
+from ..core.job.runfolder import RunFolder
+from ..mainjob import open_job
+from .job_operator import JobOperator
+
+
+class FIPT_OT_look_through(bpy.types.Operator):
+    """Look through a view's camera with its photograph over the room"""
+
+    bl_idname = "fipt.look_through"
+    bl_label = "Look Through View"
+    bl_options = {"REGISTER", "UNDO"}
+
+    view: bpy.props.StringProperty(
+        name="View",
+        description="Name of the view; empty takes the active one of the list",
+        options={"SKIP_SAVE"},
+    )
+    step: bpy.props.IntProperty(
+        name="Step",
+        description="1 for the next view of the list, -1 for the one before",
+        options={"SKIP_SAVE"},
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _has_views(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.look import camera_missing, look_through
+
+        settings = context.scene.fipt.capture
+        index = settings.active_view
+        if self.view:
+            index = settings.views.find(self.view)
+            if index < 0:
+                self.report({"ERROR"}, f"There is no view '{self.view}'. Name one of the list.")
+                return {"CANCELLED"}
+        index = (index + self.step) % len(settings.views)
+        if look_through(context.scene, settings.views[index], context) is None:
+            error = camera_missing(settings.views[index])
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        settings.active_view = index
+        return {"FINISHED"}
+
+
+class FIPT_OT_tick_views(bpy.types.Operator):
+    """Tick all views of the list, none of them, the others, or those without a warning"""
+
+    bl_idname = "fipt.tick_views"
+    bl_label = "Tick Views"
+    bl_options = {"REGISTER", "UNDO"}
+
+    action: bpy.props.EnumProperty(
+        name="Action",
+        items=[
+            ("ALL", "All", "Use every view"),
+            ("NONE", "None", "Use no view"),
+            ("INVERT", "Invert", "Use the views that are not used now"),
+            ("GOOD", "Without Warnings", "Use the views for which the check has no warning"),
+        ],
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _has_views(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        settings = context.scene.fipt.capture
+        with settings.counting_later():
+            for view in settings.views:
+                view.enabled = {
+                    "ALL": True,
+                    "NONE": False,
+                    "INVERT": not view.enabled,
+                    "GOOD": not view.warning,
+                }[self.action]
+        settings.count_views()
+        return {"FINISHED"}
+
+
+class FIPT_OT_check_views(JobOperator, bpy.types.Operator):
+    """Find out what each view sees of the room, if its photograph is usable, and which parts there are"""
+
+    bl_idname = "fipt.check_views"
+    bl_label = "Check Views"
+    bl_options = {"REGISTER"}
+    title = "Checking the views"
+    kind = "survey"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _has_views(cls, context) and super().poll(context)
+
+    def make_job(self, context: bpy.types.Context) -> Job:
+        from ..blend.capture_import import room_missing
+
+        scene = context.scene
+        if not scene.fipt.capture.room_objects(scene):
+            raise room_missing()
+        run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
+
+        def write_input() -> Slices:
+            from ..blend.survey import write_survey_input
+
+            return write_survey_input(run)
+
+        steps = [
+            Step("survey-input", "Preparing the room", 3.0, function=write_input, repeat=True),
+            Step(
+                "survey",
+                "Looking through every camera",
+                10.0,
+                command=["survey", str(run.survey), f"--device={preferences.device_setting()}"],
+                outputs=[run.survey_json, run.survey_npz],
+            ),
+        ]
+        return open_job(run, steps, record="survey/steps.json")
+
+    @staticmethod
+    def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
+        from ..blend.survey import take_survey
+
+        take_survey(scene, run)
+
+
+class FIPT_OT_show_coverage(bpy.types.Operator):
+    """Colour the room by how many ticked views see it: red none, orange one, yellow two, green many"""
+
+    bl_idname = "fipt.show_coverage"
+    bl_label = "Show Coverage"
+    bl_options = {"REGISTER"}
+
+    show: bpy.props.BoolProperty(name="Show", default=True, options={"SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.scene.fipt.capture.unseen_share < 0.0:
+            cls.poll_message_set("Check the views first")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend import overlay, survey
+
+        if not self.show:
+            overlay.hide()
+            return {"FINISHED"}
+        try:
+            survey.show_coverage(context.scene)
+        except FiptError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+    @classmethod
+    def unregister(cls) -> None:
+        """Blender calls this while the class is unregistered: the colours go with the add-on."""
+        overlay = sys.modules.get(__package__.rpartition(".")[0] + ".blend.overlay")
+        if overlay is not None:
+            overlay.hide()
+
+
+def _has_views(cls: type, context: bpy.types.Context) -> bool:
+    if not context.scene.fipt.capture.views:
+        cls.poll_message_set("Import a capture first")  # type: ignore[attr-defined]
+        return False
+    return True
+
+
+CLASSES = (FIPT_OT_look_through, FIPT_OT_tick_views, FIPT_OT_check_views, FIPT_OT_show_coverage)

@@ -1,0 +1,245 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The section Capture: cameras, photographs and the room's mesh."""
+
+from __future__ import annotations
+
+import sys
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from .. import running
+from .job import draw_job
+from .sidebar import Section, SubSection, draw_text
+
+
+class FIPT_UL_views(bpy.types.UIList):
+    """The views: a tick, what they are for, and whether something is wrong"""
+
+    def draw_item(
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        data: bpy.types.PropertyGroup,
+        item: bpy.types.PropertyGroup,
+        icon: int,
+        active_data: bpy.types.PropertyGroup,
+        active_property: str,
+        index: int = 0,
+        flt_flag: int = 0,
+    ) -> None:
+        row = layout.row(align=True)
+        row.prop(item, "enabled", text="")
+        name = row.row(align=True)
+        name.active = item.enabled
+        name.label(text=item.name, translate=False)
+        if item.camera not in bpy.data.objects:
+            row.label(text="", icon="CANCEL")
+        elif item.warning:
+            row.label(text="", icon="ERROR")
+        elif item.checked:
+            row.label(text="", icon="CHECKMARK")
+        row.prop(item, "split", text="", icon_only=True, emboss=False)
+
+
+class FIPT_MT_tick_views(bpy.types.Menu):
+    """Tick many views at once"""
+
+    bl_label = "Tick Views"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        for action, text in (
+            ("ALL", "All"),
+            ("NONE", "None"),
+            ("INVERT", "Invert"),
+            ("GOOD", "Without Warnings"),
+        ):
+            self.layout.operator("fipt.tick_views", text=text).action = action
+
+
+class FIPT_PT_capture(Section, bpy.types.Panel):
+    """Cameras, photographs and the room's mesh"""
+
+    bl_label = "Capture"
+    bl_order = 1
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        settings = context.scene.fipt.capture
+        column = layout.column(align=True)
+        column.prop(settings, "path")
+        column.operator("fipt.import_capture", icon="IMPORT")
+        if not settings.views:
+            layout.operator("fipt.use_scene_cameras", icon="CAMERA_DATA")
+            if not settings.path:
+                text = "Choose the folder with your HDR photographs and the cameras solved from them."
+                draw_text(layout, context, text, icon="INFO")
+        _draw_import(layout, context)
+
+
+class FIPT_PT_capture_import(SubSection, bpy.types.Panel):
+    """How the capture is read"""
+
+    bl_label = "Import Settings"
+    bl_parent_id = "FIPT_PT_capture"
+    bl_order = 1
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        settings = context.scene.fipt.capture
+        layout.prop(settings, "format")
+        column = layout.column(align=True)
+        column.prop(settings, "up_axis")
+        column.prop(settings, "scale")
+        column = layout.column(align=True)
+        column.prop(settings, "images")
+        column.prop(settings, "mesh")
+        layout.prop(settings, "hold_back")
+        column = layout.column(align=True)
+        column.prop(settings, "clamp_negative")
+        row = column.row()
+        row.active = settings.format in ("auto", "transforms")
+        row.prop(settings, "undo_applied_transform")
+        if settings.views:
+            layout.operator("fipt.use_scene_cameras", icon="CAMERA_DATA")
+
+
+class FIPT_PT_capture_room(SubSection, bpy.types.Panel):
+    """The meshes that form the room, and where they lie"""
+
+    bl_label = "Room"
+    bl_parent_id = "FIPT_PT_capture"
+    bl_order = 2
+    bl_options = set()
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        settings = context.scene.fipt.capture
+        layout.prop(settings, "room", text="Collection", placeholder="FIPT Room")
+        row = layout.row(align=True)
+        row.operator("fipt.set_room", text="From Selection", icon="RESTRICT_SELECT_OFF")
+        row.operator("fipt.import_mesh", text="Import Mesh", icon="MESH_DATA")
+
+
+class FIPT_PT_capture_alignment(SubSection, bpy.types.Panel):
+    """Cameras and imported mesh together: move, turn and scale them to fit the scene"""
+
+    bl_label = "Alignment"
+    bl_parent_id = "FIPT_PT_capture"
+    bl_order = 3
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return context.scene.fipt.capture.alignment is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        settings = context.scene.fipt.capture
+        column = layout.column(align=True)
+        column.prop(settings.alignment, "location", text="Move")
+        column = layout.column(align=True)
+        column.prop(settings.alignment, "rotation_euler", text="Turn")
+        layout.prop(settings, "alignment_scale")
+
+
+class FIPT_PT_capture_views(SubSection, bpy.types.Panel):
+    """The photographs that the estimate uses"""
+
+    bl_label = "Views"
+    bl_parent_id = "FIPT_PT_capture"
+    bl_order = 4
+    bl_options = set()
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return bool(context.scene.fipt.capture.views)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        settings = context.scene.fipt.capture
+        row = layout.row()
+        row.template_list("FIPT_UL_views", "", settings, "views", settings, "active_view", rows=6)
+        column = row.column(align=True)
+        column.operator("fipt.look_through", text="", icon="OUTLINER_OB_CAMERA")
+        column.separator()
+        column.operator("fipt.look_through", text="", icon="TRIA_UP").step = -1
+        column.operator("fipt.look_through", text="", icon="TRIA_DOWN").step = 1
+        column.separator()
+        column.menu("FIPT_MT_tick_views", text="", icon="DOWNARROW_HLT")
+        layout.prop(settings, "photograph_opacity", slider=True)
+        _draw_active(layout, context, settings)
+        counts = iface_("{} to estimate from, {} to judge by").format(
+            settings.train_count, settings.held_back_count
+        )
+        layout.label(text=counts, icon="IMAGE_DATA", translate=False)
+        layout.operator("fipt.check_views", icon="VIEWZOOM")
+        draw_job(layout, context, "survey")
+        if settings.unseen_share >= 0.0:
+            _draw_survey(layout, context, settings)
+
+
+def _draw_active(
+    layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup
+) -> None:
+    """What the check says of the active view."""
+    if not 0 <= settings.active_view < len(settings.views):
+        return
+    view = settings.views[settings.active_view]
+    if view.camera not in bpy.data.objects:
+        draw_text(layout, context, iface_("Its camera was deleted: the view is left out."), icon="CANCEL")
+    elif view.warning:
+        draw_text(layout, context, f"{view.name}: {view.warning}", icon="ERROR")
+    elif view.checked:
+        text = iface_("{}: {:.0f} % of its pixels see the room, {:.1f} % look over-exposed")
+        text = text.format(view.name, 100.0 * view.room_share, 100.0 * view.clipped_share)
+        draw_text(layout, context, text, icon="CHECKMARK")
+
+
+def _draw_survey(
+    layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup
+) -> None:
+    """What the check says of all views together."""
+    if settings.warning_count:
+        text = iface_("{} ticked views have warnings").format(settings.warning_count)
+        layout.label(text=text, icon="ERROR", translate=False)
+    shown = shown_colors(context.scene) == "coverage"
+    text = iface_("No ticked view sees {:.0f} % of the room's surface").format(100.0 * settings.unseen_share)
+    draw_text(layout, context, text, icon="INFO")
+    layout.operator(
+        "fipt.show_coverage",
+        text="Hide Coverage" if shown else "Show Coverage",
+        icon="OVERLAY",
+        depress=shown,
+    ).show = not shown
+    if shown:
+        draw_text(layout, context, iface_("Seen by: red no view, orange one, yellow two, green many"))
+
+
+def _draw_import(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Progress of an import, or why the last one failed; a failed one has given its run folder back."""
+    draw_job(layout, context, "capture")
+    ended = running.last("capture")
+    if running.current() is not None or ended is None or ended.error is None:
+        return
+    if ended.scene_name == context.scene.name and not running.names_folder(context.scene, ended.run_folder):
+        column = layout.box()
+        draw_text(column, context, ended.error["text"], icon="ERROR", alert=True)
+        draw_text(column, context, ended.error["remedy"], icon="INFO")
+
+
+def shown_colors(scene: bpy.types.Scene) -> str:
+    """What is drawn over the room: "coverage", "parts" or ""; asks without importing what draws it."""
+    overlay = sys.modules.get(__package__.rpartition(".")[0] + ".blend.overlay")
+    return overlay.shown(scene) if overlay is not None else ""
+
+
+CLASSES = (
+    FIPT_UL_views,
+    FIPT_MT_tick_views,
+    FIPT_PT_capture,
+    FIPT_PT_capture_import,
+    FIPT_PT_capture_room,
+    FIPT_PT_capture_alignment,
+    FIPT_PT_capture_views,
+)

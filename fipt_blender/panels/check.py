@@ -1,0 +1,83 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The section Check: renders beside photographs."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from .job import draw_job
+from .sidebar import Section
+
+
+class FIPT_UL_checked_views(bpy.types.UIList):
+    """Rendered views with their agreement in dB: tone-mapped, linear"""
+
+    def draw_item(
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        data: bpy.types.PropertyGroup,
+        item: bpy.types.PropertyGroup,
+        icon: int,
+        active_data: bpy.types.PropertyGroup,
+        active_property: str,
+        index: int = 0,
+        flt_flag: int = 0,
+    ) -> None:
+        icon_name = "HIDE_OFF" if item.held_back else "IMAGE_DATA"
+        _three(layout, item.name, f"{item.psnr:.1f}", f"{item.psnr_linear:.1f}", icon_name)
+
+
+def _three(layout: bpy.types.UILayout, name: str, first: str, second: str, icon: str) -> None:
+    split = layout.split(factor=0.5)
+    split.label(text=name, icon=icon, translate=False)
+    row = split.row()
+    row.label(text=first, translate=False)
+    row.label(text=second, translate=False)
+
+
+class FIPT_PT_check(Section, bpy.types.Panel):
+    """Renders beside photographs"""
+
+    bl_label = "Check"
+    bl_order = 7
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        settings = context.scene.fipt.check
+        column = layout.column(align=True)
+        column.prop(settings, "which")
+        column.prop(settings, "samples")
+        layout.operator("fipt.render_views", icon="RENDER_STILL")
+        draw_job(layout, context, "check")
+        if settings.views:
+            self._draw_views(context, settings)
+        row = layout.row(align=True)
+        row.operator("fipt.write_report", icon="FILE_TEXT")
+        row.operator("fipt.open_report", text="", icon="URL")
+        draw_job(layout, context, "report")
+
+    def _draw_views(self, context: bpy.types.Context, settings: bpy.types.PropertyGroup) -> None:
+        layout = self.layout
+        column = layout.column(align=True)
+        _three(column, iface_("PSNR in dB"), iface_("Display"), iface_("Linear"), "NONE")
+        column.template_list("FIPT_UL_checked_views", "", settings, "views", settings, "active", rows=4)
+        mean = (f"{settings.mean_psnr:.1f}", f"{settings.mean_psnr_linear:.1f}")
+        if len(settings.views) > 1:
+            _three(column, iface_("Mean of {} views").format(len(settings.views)), *mean, "BLANK1")
+        row = layout.row(align=True)
+        row.use_property_split = False
+        row.prop(settings, "picture", expand=True)
+        row.operator("fipt.show_check", text="", icon="WINDOW").window = True
+        if settings.picture == "ERROR":
+            row = layout.row(align=True)
+            row.use_property_split = False
+            row.label(text="0")
+            for index in range(6):
+                row.prop(settings, f"color_{index}", text="")
+            row.label(text="0.25")
+
+
+CLASSES = (FIPT_UL_checked_views, FIPT_PT_check)

@@ -1,0 +1,105 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The section Estimate: the engine's run, what it has found so far, and its settings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from .. import previews, running, runstate
+from ..core.job.runfolder import RunFolder
+from .job import draw_error, draw_job, draw_messages
+from .sidebar import Section, SubSection
+
+# Blocks of settings that belong together.
+_ADVANCED = (
+    ("diffuse_samples", "specular_samples", "light_samples", "denoise"),
+    ("training_steps", "later_training_steps"),
+    ("voxel_resolution", "roughness_levels"),
+    ("seed",),
+)
+
+
+class FIPT_PT_estimate(Section, bpy.types.Panel):
+    """The engine's run"""
+
+    bl_label = "Estimate"
+    bl_order = 3
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        settings = context.scene.fipt.estimate
+        column = layout.column()
+        column.enabled = running.current() is None
+        column.prop(settings, "preset")
+        column.prop(settings, "device")
+        draw_setting(column, settings, "rounds")
+
+        state = runstate.known(context.scene.fipt.run_folder)
+        column = layout.column(align=True)
+        if running.current() is None:
+            column.scale_y = 1.4
+            column.operator("fipt.estimate", icon="PLAY")
+            if state.stages and not state.finished:
+                column.operator("fipt.resume", icon="FILE_REFRESH")
+        runs = draw_job(layout, context, "estimate")
+        if not runs:
+            _draw_state(layout, context, state)
+        job = running.current() if runs else None
+        _draw_pictures(layout, tuple(job.pictures) if job else state.pictures)
+
+
+class FIPT_PT_estimate_advanced(SubSection, bpy.types.Panel):
+    """Single settings of the preset"""
+
+    bl_label = "Advanced"
+    bl_parent_id = "FIPT_PT_estimate"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        layout.enabled = running.current() is None
+        settings = context.scene.fipt.estimate
+        for names in _ADVANCED:
+            column = layout.column(align=True)
+            for name in names:
+                draw_setting(column, settings, name)
+
+
+def draw_setting(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup, name: str) -> None:
+    """A setting, and where it is changed a button that lets it follow the preset again."""
+    row = layout.row(align=True)
+    row.prop(settings, name)
+    if settings.is_changed(name):
+        row.operator("fipt.reset_setting", text="", icon="LOOP_BACK", emboss=False).setting = name
+
+
+def _draw_state(layout: bpy.types.UILayout, context: bpy.types.Context, state: runstate.RunState) -> None:
+    """What the run folder tells: finished, or how far it came; more where this Blender did not watch."""
+    if state.finished:
+        layout.label(text="Finished: apply the results below", icon="CHECKMARK")
+    elif state.stages:
+        text = iface_("Stopped; finished stages: {}").format(state.stages)
+        layout.label(text=text, icon="PAUSE", translate=False)
+    if running.last("estimate") is None:
+        if state.error is not None:
+            folder = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
+            draw_error(layout, context, state.error, folder)
+        draw_messages(layout, context, state.warnings)
+
+
+def _draw_pictures(layout: bpy.types.UILayout, paths: tuple[Path, ...]) -> None:
+    """Base colour and emission as they are estimated so far."""
+    shown = [path for path in paths if previews.icon(path)]
+    if not shown:
+        return
+    row = layout.row()
+    for path in shown:
+        column = row.column(align=True)
+        column.template_icon(icon_value=previews.icon(path), scale=7.0)
+        column.label(text="Emission" if "emission" in path.name else "Base Colour")
+
+
+CLASSES = (FIPT_PT_estimate, FIPT_PT_estimate_advanced)

@@ -1,0 +1,143 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The section Lights: fixtures, new lights and the environment."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..properties.lights import FIXTURE, VISIBILITY
+from .sidebar import Section, SubSection, draw_text
+
+
+class FIPT_UL_lights(bpy.types.UIList):
+    """Fixtures and added lights: on, solo, name, colour, power in stops"""
+
+    def draw_item(
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        data: bpy.types.PropertyGroup,
+        item: bpy.types.PropertyGroup,
+        icon: int,
+        active_data: bpy.types.PropertyGroup,
+        active_property: str,
+        index: int = 0,
+    ) -> None:
+        light = item.object
+        layout.use_property_split = False
+        halves = layout.split(factor=0.6, align=True)
+        row = halves.row(align=True)
+        row.prop(item, "on", text="", icon="LIGHT" if item.on else "OUTLINER_DATA_LIGHT", emboss=False)
+        row.prop(item, "solo", text="", icon="SOLO_ON" if item.solo else "SOLO_OFF", emboss=False)
+        name = row.row(align=True)
+        name.active = item.on
+        name.prop(light, "name", text="", emboss=False)
+        values = halves.split(factor=0.3, align=True)
+        values.active = item.on
+        values.prop(item, "color", text="")
+        values.prop(item, "stops", text="")
+
+    def filter_items(
+        self, context: bpy.types.Context, data: bpy.types.PropertyGroup, propname: str
+    ) -> tuple[list[int], list[int]]:
+        items = getattr(data, propname)
+        search = self.filter_name.lower()
+        shown = [item.is_alive() and search in item.object.name.lower() for item in items]
+        return [self.bitflag_filter_item if each else 0 for each in shown], []
+
+
+class FIPT_PT_lights(Section, bpy.types.Panel):
+    """Fixtures, new lights and the environment"""
+
+    bl_label = "Lights"
+    bl_order = 5
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        settings = context.scene.fipt.lights
+        if len(settings.lights):
+            row = layout.row()
+            row.template_list("FIPT_UL_lights", "", settings, "lights", settings, "active", rows=4)
+            column = row.column(align=True)
+            column.operator("fipt.select_light", text="", icon="ZOOM_SELECTED")
+            column.operator("fipt.reset_light", text="", icon="LOOP_BACK")
+            column.operator("fipt.list_lights", text="", icon="FILE_REFRESH")
+            row = layout.row(align=True)
+            row.operator("fipt.switch_lights", text="All Off", icon="OUTLINER_DATA_LIGHT").on = False
+            row.operator("fipt.switch_lights", text="All On", icon="LIGHT").on = True
+            _draw_light(layout, settings.active_light())
+        elif context.scene.fipt.materials.object_count:
+            draw_text(layout, context, "No lights were found in this room.", icon="INFO")
+        else:
+            layout.operator("fipt.list_lights", text="List Lights", icon="FILE_REFRESH")
+        column = layout.column(align=True)
+        column.operator("fipt.add_light", text="Add Light at Cursor", icon="ADD").place = "CURSOR"
+        column.operator("fipt.add_light", text="Add Light, Pointing ...", icon="EYEDROPPER").place = "PICK"
+
+
+def _draw_light(layout: bpy.types.UILayout, light: bpy.types.PropertyGroup | None) -> None:
+    """The chosen light's settings."""
+    if light is None:
+        return
+    column = layout.column(align=True)
+    column.prop(light, "stops")
+    column.prop(light, "factor")
+    column = layout.column()
+    column.prop(light, "tint")
+    if light.tint == "COLOR":
+        column.prop(light, "color")
+    else:
+        column.prop(light, "kelvin")
+    if FIXTURE in light.object:
+        if VISIBILITY in light.object:
+            layout.operator("fipt.area_light_to_fixture", icon="LOOP_BACK")
+        else:
+            layout.operator("fipt.fixture_to_area_light", icon="LIGHT_AREA")
+
+
+class FIPT_PT_environment(SubSection, bpy.types.Panel):
+    """Light from outside the room"""
+
+    bl_label = "Environment"
+    bl_parent_id = "FIPT_PT_lights"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return context.scene.fipt.lights.own_world() is not None
+
+    def draw_header(self, context: bpy.types.Context) -> None:
+        settings = context.scene.fipt.lights
+        self.layout.active = settings.has_environment()
+        self.layout.prop(settings, "environment_on", text="")
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        settings = context.scene.fipt.lights
+        if not settings.has_environment():
+            draw_text(layout, context, "The photographs show no light from outside the room.", icon="INFO")
+            return
+        column = layout.column()
+        column.active = settings.environment_on
+        column.prop(settings, "environment_factor")
+        column.prop(settings, "environment_rotation")
+
+
+class FIPT_PT_light_output(SubSection, bpy.types.Panel):
+    """Exposure, other lights, and passes to mix lights after rendering"""
+
+    bl_label = "Scene and Passes"
+    bl_parent_id = "FIPT_PT_lights"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        layout.operator("fipt.match_exposure", icon="CAMERA_DATA")
+        row = layout.row(align=True)
+        row.operator("fipt.hide_other_lights", text="Hide Other Lights", icon="HIDE_ON").hide = True
+        row.operator("fipt.hide_other_lights", text="Show", icon="HIDE_OFF").hide = False
+        row = layout.row(align=True)
+        row.operator("fipt.make_light_groups", icon="RENDERLAYERS")
+        row.operator("fipt.remove_light_groups", text="", icon="X")
+
+
+CLASSES = (FIPT_UL_lights, FIPT_PT_lights, FIPT_PT_environment, FIPT_PT_light_output)

@@ -1,0 +1,49 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The section Parts: which surfaces share a material."""
+
+from __future__ import annotations
+
+import json
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from ..properties.parts import SOURCES
+from .capture import shown_colors
+from .sidebar import Section, draw_text
+
+_NAMES = {identifier: name for identifier, name, _, _ in SOURCES}
+_TEXTS = {identifier: text for identifier, _, text, _ in SOURCES}
+
+
+class FIPT_PT_parts(Section, bpy.types.Panel):
+    """Which surfaces share a material"""
+
+    bl_label = "Parts"
+    bl_order = 2
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        parts = context.scene.fipt.parts
+        layout.prop(parts, "source")
+        if parts.source == "folder":
+            layout.prop(parts, "folder")
+        draw_text(layout, context, iface_(_TEXTS[parts.source]))
+        used = parts.engine_source
+        if parts.source == "auto" and parts.auto_source:
+            used = parts.auto_source
+            draw_text(
+                layout, context, iface_("Automatic takes: {}").format(iface_(_NAMES[used])), icon="SHADERFX"
+            )
+        if parts.counts:
+            count = json.loads(parts.counts).get(used)
+            if count is not None:
+                layout.label(text=iface_("{} parts").format(count), icon="MOD_EXPLODE", translate=False)
+        shown = shown_colors(context.scene) == "parts"
+        layout.operator(
+            "fipt.show_parts", text="Hide Parts" if shown else "Show Parts", icon="OVERLAY", depress=shown
+        ).show = not shown
+
+
+CLASSES = (FIPT_PT_parts,)
