@@ -20,7 +20,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks import cycles_views, metrics, picture_page, truth
+from benchmarks import cycles_views, disturb, metrics, picture_page, truth
 from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.capture.views import View, load_capture
 from fipt_blender.core.job.errors import FiptError
@@ -50,6 +50,13 @@ def make_parser() -> argparse.ArgumentParser:
     add("capture", type=Path, metavar="CAPTURE", help="capture with ground truth")
     add("--preset", default="medium", help="draft, medium or high (default: medium)")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one setting of the run")
+    add(
+        "--parts",
+        default="auto",
+        help="what tells materials apart: masks, semantics, none, ... (as estimate)",
+    )
+    add("--mesh-noise", type=float, default=0.0, metavar="SIGMA", help="disturb the mesh, in its own units")
+    add("--resume", action="store_true", help="keep what an earlier run in the same folder finished")
     add("--output", type=Path, metavar="RUN", help="run folder to make (default: below out/accuracy)")
     add("--reuse", type=Path, metavar="RUN", help="score this finished run instead of making one")
     add("--json", type=Path, metavar="FILE", help="write all figures there")
@@ -78,7 +85,9 @@ def evaluate(arguments: argparse.Namespace, folder: Path) -> int:
     """Make the run where asked to, score it and write what is wanted."""
     figures: dict[str, Any] = {}
     if not arguments.reuse:
-        figures = run_main_job(arguments.capture, folder, arguments.preset, arguments.set)
+        figures = run_main_job(
+            arguments.capture, folder, arguments.preset, main_job_options(arguments, folder)
+        )
     run = RunFolder(folder)
     figures = {**recorded_costs(run), **figures}
     result = score(run, arguments)
@@ -94,16 +103,39 @@ def evaluate(arguments: argparse.Namespace, folder: Path) -> int:
     return 1 if broken else 0
 
 
-def run_main_job(capture: Path, output: Path, preset: str, changes: Sequence[str]) -> dict[str, Any]:
+def main_job_options(arguments: argparse.Namespace, output: Path) -> list[str]:
+    """Options of the product's command line beside capture, output and preset; makes a disturbed mesh.
+
+    Raises:
+        FiptError: ``truth-missing`` where there is no mesh to disturb.
+    """
+    options = ["--parts", arguments.parts]
+    for change in arguments.set:
+        options += ["--set", change]
+    if arguments.resume:
+        options.append("--resume")
+    if arguments.mesh_noise > 0.0:
+        source = arguments.capture / "scene.obj"
+        if not source.is_file():
+            raise FiptError("truth-missing", f"{source} does not exist.", "Only an OBJ can be disturbed.")
+        mesh = output.with_name(f"{output.name}-mesh.obj")
+        mesh.parent.mkdir(parents=True, exist_ok=True)
+        disturb.disturb_obj(source, mesh, arguments.mesh_noise)
+        options += ["--mesh", str(mesh)]
+    return options
+
+
+def run_main_job(capture: Path, output: Path, preset: str, options: Sequence[str]) -> dict[str, Any]:
     """Run the product's own command line; returns wall seconds and peak memory of its engine.
+
+    Args:
+        options: more of them.
 
     Raises:
         FiptError: ``run-failed``; the reason is on stderr.
     """
     command = [sys.executable, str(ROOT / "fipt_blender" / "__main__.py"), "estimate", str(capture)]
-    command += ["--output", str(output), "--preset", preset, "--no-renders", "--json"]
-    for change in changes:
-        command += ["--set", change]
+    command += ["--output", str(output), "--preset", preset, "--no-renders", "--json", *options]
     started, memory, shown = time.monotonic(), 0.0, -1
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         for line in process.stdout or ():

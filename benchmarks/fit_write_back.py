@@ -1,150 +1,189 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Measure how much light Cycles' Principled BSDF and the paper's BRDF reflect; write the table that maps one
-to the other; print the error of random materials without and with the correction.
+"""Measure Cycles' Principled BSDF against the fitted model, write the table that makes them agree, and sweep
+materials, angles of view and lights to see that they do. Needs bpy; the model answers from a child process.
 
-Needs bpy; the paper's side runs in a child process, since bpy and mitsuba don't share one.
-
-    python benchmarks/fit_write_back.py          # fit, write, check
-    python benchmarks/fit_write_back.py --check  # only check the table that is there
+    python benchmarks/fit_write_back.py                # fit the table, then sweep
+    python benchmarks/fit_write_back.py --check        # sweep with the table that is there
+    python benchmarks/fit_write_back.py --picture out.png --json out.json
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import subprocess
 import sys
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-ROUGHNESS = [0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]
-SIZE = 64
+from benchmarks import model_side, patches
+from fipt_blender.blend.write_back_nodes import agree_with_model
+from fipt_blender.core.textures import write_back
 
-
-def paper_functions(samples: int = 1 << 20) -> dict[str, list[float]]:
-    """s0 and s1 at ROUGHNESS by importance sampling, directions of view cosine-weighted."""
-    import drjit as dr
-    import mitsuba as mi
-
-    mi.set_variant("llvm_ad_rgb")  # DRJIT_LIBLLVM_PATH names an LLVM where the system's is no good
-    from fipt_blender.core.material import brdf
-
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(0, samples)
-    result: dict[str, list[float]] = {"paper_s0": [], "paper_s1": []}
-    for roughness in ROUGHNESS:
-        wo = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
-        wi = brdf.sample_visible_normal(sampler.next_2d(), wo, mi.Float(roughness))
-        density = brdf.visible_normal_pdf(wi, wo, mi.Float(roughness))
-        lobes = brdf.specular_lobes(wi, wo, mi.Float(roughness))
-        for name, lobe in zip(result, lobes, strict=True):
-            result[name].append(float(dr.mean(dr.select(density > 0.0, lobe / density, 0.0))[0]))
-    return result
+MIN_ROUGHNESS = 0.02  # of the model
+COLUMNS, ROWS = 32, 21  # n.v and sigma of the table
+BASE_COLORS = (0.1, 0.3, 0.5, 0.7, 0.9)
+METALLICS = (0.0, 0.25, 0.5, 0.75, 1.0)
+ROUGHNESSES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+ANGLES = tuple(range(0, 81, 10))  # degrees between normal and view
+AZIMUTHS = tuple(np.radians((15.0, 60.0, 120.0, 165.0)))  # degrees of the normal about the view
+SUNS = tuple(np.radians((20.0, 50.0, 80.0)))  # between sun and view
+LIGHTS = ("white", "sun")
 
 
-class Furnace:
-    """A sphere in a white world seen by a parallel camera: its mean over the disc is the averaged albedo."""
-
-    def __init__(self) -> None:
-        import bpy
-        from mathutils import Matrix
-
-        from fipt_blender.blend import materials, renders
-
-        bpy.ops.wm.read_factory_settings(use_empty=True)
-        self.renders = renders
-        self.scene = bpy.context.scene
-        world = bpy.data.worlds.new("White")
-        if world.node_tree is None:
-            world.use_nodes = True
-        self.scene.world = world
-        world.node_tree.nodes["Background"].inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
-        bpy.ops.mesh.primitive_uv_sphere_add(segments=256, ring_count=128)
-        sphere = bpy.context.object
-        sphere.data.shade_smooth()
-        self.material, nodes = materials.new_material("Furnace")
-        self.principled = nodes["FIPT Principled"]
-        sphere.data.materials.append(self.material)
-        camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-        self.scene.collection.objects.link(camera)
-        camera.data.type, camera.data.ortho_scale = "ORTHO", 2.0
-        camera.matrix_world = Matrix.Translation((0.0, 0.0, 3.0))
-        self.scene.camera = camera
-        self.scene.render.resolution_x = self.scene.render.resolution_y = SIZE
-
-    def albedo(self, base_color: float, roughness: float, metallic: float, spp: int = 256) -> float:
-        """Averaged albedo of a grey material."""
-        self.principled.inputs["Base Color"].default_value = (base_color, base_color, base_color, 1.0)
-        self.principled.inputs["Roughness"].default_value = roughness
-        self.principled.inputs["Metallic"].default_value = metallic
-        image = self.renders.render_pixels(self.scene, spp=spp, seed=0)
-        x = (np.arange(SIZE) + 0.5) / SIZE * 2.0 - 1.0
-        inside = x[:, None] ** 2 + x[None, :] ** 2 < 0.98
-        return float(image[..., :3].mean(axis=2)[inside].mean())
+def leave(material: Any) -> None:
+    """Keep Blender's own Principled."""
 
 
-def cycles_functions(furnace: Furnace) -> dict[str, list[float]]:
-    """d, t, f0, f1 at ROUGHNESS."""
-    result: dict[str, list[float]] = {"cycles_d": [], "cycles_t": [], "cycles_f0": [], "cycles_f1": []}
-    for roughness in ROUGHNESS:
-        for metallic, constant, slope in ((0.0, "cycles_d", "cycles_t"), (1.0, "cycles_f1", "cycles_f0")):
-            black, white = (furnace.albedo(a, roughness, metallic) for a in (0.0, 1.0))
-            result[constant].append(black)
-            result[slope].append(white - black)
-    return result
+def fit(spp: int = 4096) -> dict[str, dict[str, np.ndarray]]:
+    """The table's functions, each (ROWS, COLUMNS), of "principled" and of the model with each G."""
+    # Edge-on patches have no size; what is seen so is as good as what is seen almost so.
+    cosine = np.maximum(np.linspace(0.0, 1.0, COLUMNS), 0.25 / COLUMNS)
+    roughness = np.linspace(0.0, 1.0, ROWS)
+    both = patches.grid((0.0, 1.0), np.maximum(roughness, MIN_ROUGHNESS), (0.0, 1.0), cosine)
+    seen = patches.render(both, leave, spp=spp).mean(axis=1).reshape(2, ROWS, 2, COLUMNS)
+    black, slope = seen[0], seen[1] - seen[0]
+    nv, sigma = (each.ravel() for each in np.meshgrid(cosine, roughness))
+    found = {"principled": {"e": black[:, 0], "t": slope[:, 0], "f1": black[:, 1], "f0": slope[:, 1]}}
+    for masking in write_back.MASKINGS:
+        lobes = model_side.ask(masking, cosine=nv, roughness=np.maximum(sigma, MIN_ROUGHNESS))
+        found[masking] = {name: lobes[name].reshape(ROWS, COLUMNS) for name in ("s0", "s1")}
+    return found
 
 
-def check(furnace: Furnace, count: int = 24) -> None:
-    """Print the mean relative error of Cycles' albedo for random materials, before and after."""
-    from fipt_blender.core.textures import write_back
-
-    random = np.random.default_rng(1)
-    before, after = [], []
-    for _ in range(count):
-        base_color = np.full((1, 3), random.uniform(0.05, 0.9))
-        roughness, metallic = random.uniform(0.05, 1.0, 1), random.choice([0.0, 1.0, random.random()], 1)
-        wanted = float(write_back.paper_albedo(base_color, roughness, metallic)[0, 0])
-        corrected = write_back.cycles_base_color(base_color, roughness, metallic)
-        rest = (float(roughness[0]), float(metallic[0]))
-        before.append(furnace.albedo(float(base_color[0, 0]), *rest) / wanted - 1.0)
-        after.append(furnace.albedo(float(corrected[0, 0]), *rest) / wanted - 1.0)
-    for name, errors in (("as fitted", before), ("corrected", after)):
-        print(
-            f"{name}: mean relative error {np.mean(np.abs(errors)):.4f}, largest {np.abs(errors).max():.4f}"
-        )
+def write(functions: dict[str, dict[str, np.ndarray]]) -> None:
+    """Write the package's table."""
+    groups = []
+    for group, members in functions.items():
+        rows = []
+        for name, values in members.items():
+            lines = [json.dumps(row) for row in np.maximum(values, 0.0).round(5).tolist()]
+            rows.append(f'  "{name}": [\n   ' + ",\n   ".join(lines) + "\n  ]")
+        groups.append(f' "{group}": {{\n' + ",\n".join(rows) + "\n }")
+    write_back.TABLE.write_text("{\n" + ",\n".join(groups) + "\n}\n", encoding="utf-8")
+    write_back.table.cache_clear()
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--check", action="store_true", help="only check the table that is there")
-    parser.add_argument("--paper", action="store_true", help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
-    if arguments.paper:
-        print(json.dumps(paper_functions()))
-        return
-    furnace = Furnace()
+def model(materials: patches.Patches, sun: float | None, masking: str = write_back.MASKINGS[0]) -> np.ndarray:
+    """What the fitted model reflects, (N,3); lights as in `patches.render`."""
+    common = {"roughness": materials.roughness, "metallic": materials.metallic}
+    if sun is None:
+        lobes = model_side.ask(masking, cosine=materials.cosine, roughness=materials.roughness)
+        m = materials.metallic[:, None]
+        specular = write_back.DIELECTRIC * (1.0 - m) + materials.base_color * m
+        return materials.base_color * (1.0 - m) + specular * lobes["s0"][:, None] + lobes["s1"][:, None]
+    normal = materials.normals()
+    side = np.column_stack([np.cos(materials.azimuth), np.sin(materials.azimuth), np.zeros(len(normal))])
+    along = side * materials.cosine[:, None]
+    along[:, 2] = -np.sqrt(1.0 - materials.cosine**2)
+    across = np.cross(normal, along)
+    frame = np.stack([along, across, normal], axis=1)
+    light = frame @ np.array([np.sin(sun), 0.0, np.cos(sun)])
+    view = frame @ np.array([0.0, 0.0, 1.0])
+    return model_side.ask(masking, wi=light, wo=view, base_color=materials.base_color, **common)["value"]
+
+
+def relative_errors(seen: np.ndarray, wanted: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Mean over the last axis (directions) of |seen - wanted|, relative to the mean of what is wanted."""
+    difference = np.abs(seen - wanted).mean(axis=1).reshape(shape)
+    return difference.mean(axis=-1) / wanted.mean(axis=1).reshape(shape).mean(axis=-1)
+
+
+def sweep(finish: Any, masking: str, spp: int = 1024) -> dict[str, np.ndarray]:
+    """Relative errors (a, sigma, m, angle of view) under each of LIGHTS, of Cycles against the model.
+
+    Under the sun an entry is over all its directions about the surface; where the sun does not reach the
+    patch or only grazes it (n.l < 0.05) it does not count.
+    """
+    cosines = np.cos(np.radians(np.maximum(ANGLES, 0.5)))
+    shape = (len(BASE_COLORS), len(ROUGHNESSES), len(METALLICS), len(ANGLES))
+    flat = patches.grid(BASE_COLORS, ROUGHNESSES, METALLICS, cosines)
+    white = relative_errors(patches.render(flat, finish, spp=spp), model(flat, None, masking), (*shape, 1))
+    turned = patches.grid(BASE_COLORS, ROUGHNESSES, METALLICS, cosines, AZIMUTHS)
+    seen, wanted = [], []
+    for sun in SUNS:
+        lit = turned.normals() @ np.array([np.sin(sun), 0.0, np.cos(sun)]) > 0.05
+        seen.append(patches.render(turned, finish, sun, spp=4) * lit[:, None])
+        wanted.append(model(turned, sun, masking) * lit[:, None])
+    # suns beside azimuths: the directions
+    both = [np.stack(each, axis=1).reshape(-1, 3) for each in (seen, wanted)]
+    return {"white": white, "sun": relative_errors(*both, (*shape, len(AZIMUTHS) * len(SUNS)))}
+
+
+def tables(errors: dict[str, np.ndarray]) -> str:
+    """Mean errors in per cent by angle, roughness, metallic and base colour."""
+    lines = []
+    for light in LIGHTS:
+        all_of_them = 100 * errors[light]
+        lines.append(f"{light}: mean {all_of_them.mean():.2f} %, largest {all_of_them.max():.1f} %")
+        for axis, name, values in (
+            (3, "angle", ANGLES), (1, "sigma", ROUGHNESSES), (2, "m", METALLICS), (0, "a", BASE_COLORS),
+        ):  # fmt: skip
+            others = tuple(each for each in range(4) if each != axis)
+            means = all_of_them.mean(axis=others)
+            lines.append(f"  {name:6s}" + "".join(f"{value!s:>7s}" for value in values))
+            lines.append(f"  {'%':6s}" + "".join(f"{mean:7.2f}" for mean in means))
+    return "\n".join(lines)
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
+    parser.add_argument("--check", action="store_true", help="only sweep, with the table that is there")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the sweep to a PNG")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the sweep's errors")
+    arguments = parser.parse_args(list(argv))
     if not arguments.check:
-        from fipt_blender.core.textures import write_back
-
-        child = subprocess.run(
-            [sys.executable, __file__, "--paper"], check=True, capture_output=True, text=True
-        )
-        values = {
-            "roughness": ROUGHNESS,
-            **json.loads(child.stdout.splitlines()[-1]),
-            **cycles_functions(furnace),
+        write(fit())
+    found = {}
+    for masking in write_back.MASKINGS:
+        found[f"{masking}, Principled alone"] = sweep(leave, masking)
+        found[f"{masking}, with write-back"] = sweep(partial(agree_with_model, masking=masking), masking)
+    for name, errors in found.items():
+        print(f"--- {name}\n{tables(errors)}")
+    if arguments.json:
+        axes = {"a": BASE_COLORS, "sigma": ROUGHNESSES, "m": METALLICS, "angle": ANGLES}
+        rounded = {
+            name: {light: np.round(errors[light], 5).tolist() for light in LIGHTS}
+            for name, errors in found.items()
         }
-        rows = {name: [round(value, 5) for value in row] for name, row in values.items()}
-        write_back.TABLE.write_text(
-            "{\n" + ",\n".join(f' "{name}": {json.dumps(row)}' for name, row in rows.items()) + "\n}\n"
-        )
-    check(furnace)
+        arguments.json.write_text(json.dumps({"axes": axes, "errors": rounded}), encoding="utf-8")
+    if arguments.picture:
+        draw(arguments.picture, found)
+    return 0
+
+
+def draw(path: Path, found: dict[str, dict[str, np.ndarray]]) -> None:
+    """One row of squares a light: sigma to the right, angle upwards, metallic from square to square."""
+    import bpy
+
+    scale, gap = 10, 6
+    strips = []
+    for errors in found.values():
+        for light in LIGHTS:
+            by = errors[light].mean(axis=0).transpose(1, 2, 0)  # m, angle, sigma
+            squares = [np.kron(each[::-1], np.ones((scale, scale))) for each in by]
+            padded = [np.pad(each, gap, constant_values=np.nan) for each in squares]
+            strips.append(np.concatenate(padded, axis=1))
+    image = np.concatenate(strips)
+    # 0 % black, 1 % green, 10 % and more red
+    shade = np.clip(np.nan_to_num(image, nan=0.0), 0.0, 0.1)
+    rgba = np.ones((*image.shape, 4), np.float32)
+    rgba[..., 0] = np.clip((shade - 0.01) / 0.09, 0.0, 1.0)
+    rgba[..., 1] = np.where(shade < 0.01, 0.8 * shade / 0.01, 0.8 * (1.0 - rgba[..., 0]))
+    rgba[..., 2] = 0.0
+    rgba[np.isnan(image)] = (1.0, 1.0, 1.0, 1.0)
+    picture = bpy.data.images.new("Sweep", image.shape[1], image.shape[0])
+    picture.pixels.foreach_set(np.ascontiguousarray(rgba[::-1]).ravel())
+    picture.filepath_raw, picture.file_format = str(path.absolute()), "PNG"
+    picture.save()
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main(sys.argv[1:]))

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-GAMMA = 1.0 / 2.2
+from fipt_blender.core.report.comparison import psnr_of, tone_mapped
+
 DIFFUSE_ROUGHNESS = 0.999  # half floats and filtering keep "1" above this
 MIN_ROUGHNESS = 0.02
 
@@ -47,7 +48,7 @@ class Maps:
 
 def psnr(squared_error: float) -> float:
     """PSNR in dB of a mean squared error of values in [0, 1]; capped at 100 dB for equal images."""
-    return float(-10.0 * np.log10(max(squared_error, 1e-10)))
+    return psnr_of(max(squared_error, 1e-10))
 
 
 def quantised(values: np.ndarray) -> np.ndarray:
@@ -137,11 +138,6 @@ def log_l2(predicted: Sequence[np.ndarray], true: Sequence[np.ndarray]) -> float
         total += float((error**2).sum())
         count += error.size
     return total / count
-
-
-def tone_mapped(radiance: np.ndarray) -> np.ndarray:
-    """Radiance clipped to [0, 1] and raised to 1/2.2, float64."""
-    return np.clip(radiance.astype(np.float64), 0.0, 1.0) ** GAMMA
 
 
 def image_psnr(predicted: np.ndarray, true: np.ndarray, strict: bool = False) -> float | None:

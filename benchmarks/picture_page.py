@@ -11,8 +11,9 @@ import jinja2
 import numpy as np
 from PIL import Image
 
-from benchmarks.metrics import Maps, tone_mapped
+from benchmarks.metrics import Maps
 from fipt_blender.core.job.runfolder import atomic_path
+from fipt_blender.core.report.comparison import tone_mapped
 
 ERROR_GAIN = 4.0
 
