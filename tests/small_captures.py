@@ -52,19 +52,21 @@ QUICK = {
 
 @dataclass(frozen=True)
 class SmallCapture:
-    """A room and what its cameras see: images (H, W, 3) and poses (4, 4)."""
+    """A room and what its cameras see: images (H, W, 3) of `scale` times the usual size, and poses (4, 4)."""
 
     room: Room
     images: list[np.ndarray]
     poses: list[np.ndarray]
+    scale: int = 1
 
-    def scaled(self, length: float, radiance: float) -> "SmallCapture":
-        """The same in other units."""
-        poses = [pose * np.array([1.0, 1.0, 1.0, length]) for pose in self.poses]
+    def scaled(self, length: float, radiance: float, shift: tuple[float, ...] = (0.0,) * 3) -> "SmallCapture":
+        """The same in other units and elsewhere (`shift` in the new units)."""
+        poses = [pose.copy() for pose in self.poses]
         for pose in poses:
-            pose[3, 3] = 1.0
-        room = replace(self.room, vertices=self.room.vertices * np.float32(length))
-        return SmallCapture(room, [image * np.float32(radiance) for image in self.images], poses)
+            pose[:3, 3] = pose[:3, 3] * length + shift
+        vertices = (self.room.vertices * np.float64(length) + shift).astype(np.float32)
+        images = [image * np.float32(radiance) for image in self.images]
+        return replace(self, room=replace(self.room, vertices=vertices), images=images, poses=poses)
 
 
 def look_at(origin: list[float], target: list[float]) -> np.ndarray:
@@ -79,23 +81,41 @@ def look_at(origin: list[float], target: list[float]) -> np.ndarray:
     return pose
 
 
-def pinhole(pose: np.ndarray) -> SimpleNamespace:
+def pinhole(pose: np.ndarray, scale: int = 1) -> SimpleNamespace:
+    width, height, focal = WIDTH * scale, HEIGHT * scale, 26.0 * scale
     return SimpleNamespace(
-        width=WIDTH, height=HEIGHT, fx=26.0, fy=26.0, cx=WIDTH / 2, cy=HEIGHT / 2, camera_to_world=pose
+        width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2, camera_to_world=pose
     )
 
 
 def photograph(quads: list, colors: list, lamps: EmitterTable, outside: np.ndarray | None) -> SmallCapture:
     """Path-traced images of a room of matt quadrilaterals."""
     room = make_room(quads, parts="objects", objects=np.arange(len(quads)))
-    count = len(room.triangles)
-    materials = TriangleMaterials(np.repeat(np.array(colors), 2, axis=0), np.ones(count), np.zeros(count))
     environment = None if outside is None else EnvironmentLight(outside)
+    return photograph_room(room, matt(np.repeat(np.array(colors), 2, axis=0)), lamps, environment)
+
+
+def matt(colors: np.ndarray) -> TriangleMaterials:
+    """Diffuse materials of base colours (T, 3)."""
+    return TriangleMaterials(np.asarray(colors, float), np.ones(len(colors)), np.zeros(len(colors)))
+
+
+def photograph_room(
+    room: Room,
+    materials: TriangleMaterials,
+    lamps: EmitterTable,
+    environment: EnvironmentLight | None = None,
+    cameras: list | None = None,
+    scale: int = 1,
+    spp: int = 256,
+    denoise: bool = False,
+) -> SmallCapture:
+    """Path-traced images of any room."""
     lit = LitRoom(room, materials, area_lights(room, lamps), environment)
-    poses = [look_at(*camera) for camera in CAMERAS]
-    settings = RenderSettings(spp=256, depth=10, denoise=False)
-    images = [render_view(lit, pinhole(pose), settings, stream) for stream, pose in enumerate(poses)]
-    return SmallCapture(room, images, poses)
+    poses = [look_at(*camera) for camera in cameras or CAMERAS]
+    settings = RenderSettings(spp=spp, depth=10, denoise=denoise)
+    images = [render_view(lit, pinhole(pose, scale), settings, stream) for stream, pose in enumerate(poses)]
+    return SmallCapture(room, images, poses, scale)
 
 
 def panel_capture() -> SmallCapture:
@@ -119,7 +139,7 @@ def write_run(root: Path, capture: SmallCapture, **changes) -> RunFolder:
     for index, (image, pose) in enumerate(zip(capture.images, capture.poses, strict=True)):
         path = run.images / f"{index:03d}.exr"
         write_exr(path, image)
-        view = vars(pinhole(pose)) | {"camera_to_world": pose.tolist()}
+        view = vars(pinhole(pose, capture.scale)) | {"camera_to_world": pose.tolist()}
         views.append(
             view
             | {"name": f"train/{index:03d}", "split": "train", "image": f"images/{path.name}"}

@@ -9,12 +9,13 @@ import os
 import signal
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from fipt_blender.bridge.process import EngineProcess, explain_death
-from fipt_blender.bridge.sequence import Job, Step, StepRecord, chain_keys
+from fipt_blender.bridge.sequence import SLICE_SECONDS, Job, Step, StepRecord, chain_keys
 from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.messages import parse_message
 
@@ -323,6 +324,99 @@ def test_failures_of_functions_become_messages(tmp_path):
         assert job.run(messages.append) is False
         assert messages[-1]["code"] == code and job.error == messages[-1]
     assert "ZeroDivisionError" in (tmp_path / "log.txt").read_text()
+
+
+def slice_job(tmp_path, function) -> Job:
+    step = Step("x", "Doing x", 1.0, function=function)
+    record = StepRecord(tmp_path / "steps.json")
+    return Job([step], record, lambda arguments: None, tmp_path / "log.txt", lambda: ([], {}), resume=False)
+
+
+def test_a_function_may_work_in_slices(tmp_path):
+    warning = {"type": "warning", "code": "c", "text": "t", "remedy": "r"}
+    ran = []
+
+    def function():
+        for index in range(30):
+            time.sleep(0.01)
+            ran.append(index)
+            yield index / 30
+        return [warning]
+
+    job = slice_job(tmp_path, function)
+    job.advance()  # announces it
+    assert not ran
+    counts, messages = [], []
+    while not job.finished:
+        before = len(ran)
+        messages += job.advance()
+        counts.append(len(ran) - before)
+    assert ran == list(range(30)) and max(counts) <= 6  # about 50 ms a call
+    fractions = [message["stage_fraction"] for message in messages if message["type"] == "progress"]
+    assert fractions == sorted(fractions) and len(fractions) >= 5
+    assert warning in messages and messages[-1]["type"] == "done"
+
+    ran.clear()
+    assert slice_job(tmp_path, function).run(lambda message: None) and len(ran) == 30
+
+
+def test_slices_that_fail_or_are_cancelled_are_closed(tmp_path):
+    closed = []
+
+    def function(error=None):
+        try:
+            yield
+            if error is not None:
+                raise error
+            time.sleep(SLICE_SECONDS)
+            yield
+            yield
+        finally:
+            closed.append(True)
+
+    for error, code in (
+        (FiptError("mesh-empty", "E.", "F."), "mesh-empty"),
+        (KeyError(), "blender-step-failed"),
+    ):
+        job = slice_job(tmp_path, lambda error=error: function(error))
+        assert not job.run(lambda message: None) and job.error["code"] == code
+    job = slice_job(tmp_path, function)
+    for _ in range(3):
+        job.advance()
+    assert len(closed) == 2 and not job.finished
+    job.request_cancel()
+    assert len(closed) == 3 and job.finished and job.cancelled and job.error is None
+
+
+def test_slices_run_in_the_jobs_context_each(tmp_path):
+    entered = []
+
+    @contextmanager
+    def around():
+        if len(entered) == 2:
+            raise FiptError("scene-gone", "Gone.", "Open it.")
+        entered.append("in")
+        yield
+        entered[-1] = "out"
+
+    def function():
+        while True:
+            assert entered[-1] == "in"
+            time.sleep(SLICE_SECONDS)
+            yield
+
+    job = slice_job(tmp_path, function)
+    job.around = around
+    assert not job.run(lambda message: None)
+    assert job.error["code"] == "scene-gone" and entered == ["out", "out"]
+
+
+def test_jobs_that_share_a_record_forget_their_own_steps_alone(tmp_path):
+    record = StepRecord(tmp_path / "steps.json")
+    for name in ("a", "b"):
+        record.store(name, "key", finished=True)
+    record.forget(["b", "c"])
+    assert (record.key("a"), record.key("b")) == ("key", None)
 
 
 def test_warnings_are_kept_for_the_report(tmp_path):

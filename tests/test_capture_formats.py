@@ -61,6 +61,19 @@ def test_colmap_without_registered_poses_and_with_other_models(tmp_path):
     for name in ("cameras.txt", "images.txt"):
         (other / name).write_text("")
     assert [note.code for note in read(tmp_path).notes] == ["several-models"]
+    assert len(read(tmp_path).views) == 2
+
+
+@pytest.mark.parametrize("text", [True, False])
+def test_colmap_reads_the_largest_model_unless_one_is_named(tmp_path, text):
+    for name, count in (("small", 2), ("large", 4)):
+        write_colmap(tmp_path / name, make_samples(count), text)
+    (tmp_path / "large" / "sparse" / "0").rename(tmp_path / "small" / "sparse" / "1")
+    rig = read(tmp_path / "small")
+    assert len(rig.views) == 4
+    (note,) = rig.notes
+    assert note.code == "several-models" and f"{tmp_path / 'small' / 'sparse' / '0'} (2)" in note.text
+    assert len(read(tmp_path / "small" / "sparse" / "0").views) == 2
 
 
 def test_colmap_point_cloud_is_no_mesh(tmp_path):
@@ -189,7 +202,24 @@ def test_transforms_splits_masks_and_up_axis(tmp_path):
     edit_json(tmp_path / "transforms.json", change)
     rig = read(tmp_path)
     assert [view.split for view in rig.views] == [None, "held_back", None]
-    assert [note.code for note in rig.notes] == ["mask-ignored"] and rig.up_axis == "y"
+    assert not rig.notes and rig.up_axis == "y"
+    assert [view.mask for view in rig.views] == [tmp_path / "masks" / "0.png", None, None]
+
+
+def test_fipt_synthetic_from_a_split_or_its_camera_file(tmp_path):
+    """Read as transforms.json of others its cameras would look backwards."""
+    pose = level_pose(np.random.default_rng(1), np.array([0.0, 1.0, 0.0]))
+    write_fipt_synthetic(tmp_path, {"train": [pose], "val": [pose]})
+    for path in (tmp_path, tmp_path / "train", tmp_path / "val" / "transforms.json"):
+        rig = read(path)
+        assert rig.source == "fipt-synthetic" and len(rig.views) == 2
+        np.testing.assert_allclose(rig.views[0].camera_to_world, pose, atol=1e-5)
+
+
+def test_transforms_names_of_frames(tmp_path):
+    write_transforms(tmp_path, make_samples(2))
+    edit_json(tmp_path / "transforms.json", lambda data: data["frames"][1].update(name="Camera.001"))
+    assert [view.name for view in read(tmp_path).views] == ["images/000_0001", "Camera.001"]
 
 
 def test_transforms_one_file_a_split(tmp_path):

@@ -20,6 +20,7 @@ from capture_samples import (
     write_mesh,
     write_transforms,
 )
+from PIL import Image
 
 from fipt_blender.core import conventions
 from fipt_blender.core.__main__ import main
@@ -48,6 +49,30 @@ def warnings(messages):
 @pytest.fixture
 def run(tmp_path):
     return RunFolder(tmp_path / "run")
+
+
+@pytest.mark.parametrize("model", ["PINHOLE", "OPENCV"])
+def test_masks_of_pixels_to_leave_out(tmp_path, run, model):
+    """Undistorted together with their photograph; a missing one is named before anything is written."""
+    samples = make_samples(2, model=model)
+    write_transforms(tmp_path / "in", samples)
+    path = tmp_path / "in" / "transforms.json"
+    data = json.loads(path.read_text())
+    data["frames"][0]["mask_path"] = "masks/a.png"
+    path.write_text(json.dumps(data))
+    with pytest.raises(FiptError) as error:
+        run_ingest(tmp_path / "in", run)
+    assert error.value.code == "image-missing" and "masks" in error.value.text and not run.root.exists()
+    (tmp_path / "in" / "masks").mkdir()
+    mask = np.full((samples[0].height, samples[0].width), 255, np.uint8)
+    mask[:, :10] = 0
+    Image.fromarray(mask).save(tmp_path / "in" / "masks" / "a.png")
+    run_ingest(tmp_path / "in", run)
+    first, second = load_capture(run).views
+    assert second.masked() is None and first.masked().shape == (first.height, first.width)
+    assert first.masked()[:, :6].all() and not first.masked()[:, 12:].any()
+    assert (first.mask.is_relative_to(run.root)) == (model == "OPENCV")
+    assert run.ingest_json.read_bytes() == run.capture_json.read_bytes()
 
 
 def test_transforms_become_views_in_metres(tmp_path, run):

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import argparse
 import io
 import json
 import os
@@ -14,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from fipt_blender.bridge import interpreter
+from fipt_blender.bridge import interpreter, places
 from fipt_blender.core.device import check, llvm, probe, variant
 from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.messages import Reporter, parse_message
@@ -166,7 +167,7 @@ def test_cuda_without_a_driver_is_explained(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_check_reports_devices_and_packages() -> None:
     stream = io.StringIO()
-    check.run(None, Reporter(stream))
+    check.run(argparse.Namespace(device="auto", gpu=""), Reporter(stream))
     messages = [parse_message(line) for line in stream.getvalue().splitlines()]
     data = messages[-1]["data"]
     assert messages[-1]["type"] == "done" and data["ready"] is True
@@ -185,9 +186,10 @@ def test_engine_starts_isolated_from_any_folder(tmp_path: Path) -> None:
 def test_engine_python_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(interpreter.PYTHON_VARIABLE, raising=False)
     monkeypatch.setattr(interpreter, "PACKAGE_FOLDER", tmp_path / "no" / "checkout")
+    monkeypatch.setenv(places.DATA_VARIABLE, str(tmp_path / "data"))
     assert interpreter.find_engine_python() == PYTHON
     assert interpreter.find_engine_python(str(PYTHON)) == PYTHON
-    assert interpreter.find_engine_python(managed=PYTHON.parent.parent) == PYTHON
+    assert interpreter.find_engine_python(managed=[PYTHON.parent.parent]) == PYTHON
     monkeypatch.setenv(interpreter.PYTHON_VARIABLE, str(tmp_path / "gone"))
     with pytest.raises(FiptError) as caught:
         interpreter.find_engine_python()
@@ -199,6 +201,7 @@ def test_engine_python_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 def test_engine_python_without_packages_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(interpreter.PYTHON_VARIABLE, raising=False)
     bare = fake_python(tmp_path / "bin", 'echo "3.11.0 lacks mitsuba"; exit 1')
+    monkeypatch.setenv(places.DATA_VARIABLE, str(tmp_path / "data"))
     with pytest.raises(FiptError, match="lacks mitsuba"):
         interpreter.find_engine_python(str(bare))
     monkeypatch.setattr(interpreter, "PACKAGE_FOLDER", tmp_path / "no" / "checkout")

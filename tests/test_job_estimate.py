@@ -67,6 +67,11 @@ def run_child(run: RunFolder, kill=None) -> tuple[list[dict], int]:
         return messages, child.wait()
 
 
+def first_stage(messages: list[dict]) -> str:
+    """The stage that a run begins with; pictures of earlier ones are announced before it."""
+    return next(message["name"] for message in messages if message["type"] == "stage")
+
+
 @pytest.fixture(scope="module", autouse=True)
 def one_thread():
     """As in the children."""
@@ -173,9 +178,9 @@ def test_killed_after_every_stage_it_ends_bit_for_bit_the_same(
         # A resumed run does not repeat what is done.
         # The kill amid the refinement may come after its last view on a quick machine.
         resumed_at = [STAGES[0:1], STAGES[1:2], STAGES[2:3], STAGES[2:3], STAGES[3:5]][number]
-        assert messages[0]["name"] in resumed_at
+        assert first_stage(messages) in resumed_at
     messages, status = run_child(run)
-    assert status == 0 and messages[0]["name"] == "training-1"
+    assert status == 0 and first_stage(messages) == "training-1"
     same(finished[0], run)
     # Once more: nothing is left to do, and nothing changes.
     messages = run_here(run)
@@ -183,18 +188,29 @@ def test_killed_after_every_stage_it_ends_bit_for_bit_the_same(
     same(finished[0], run)
 
 
-def test_nothing_depends_on_unit_or_exposure(finished, capture: SmallCapture, tmp_path: Path) -> None:
-    large = capture.scaled(100.0, 1000.0)
-    run = write_run(tmp_path / "run", large)
+@pytest.mark.parametrize(
+    "length, radiance, shift",
+    [
+        (100.0, 1000.0, (0.0, 0.0, 0.0)),
+        (0.01, 0.001, (0.0, 0.0, 0.0)),
+        (1.0, 1.0, (1000.0, -600.0, 300.0)),
+    ],
+    ids=["large and bright", "small and dark", "far away"],
+)
+def test_nothing_depends_on_unit_exposure_or_place(
+    finished, capture: SmallCapture, tmp_path: Path, length: float, radiance: float, shift: tuple
+) -> None:
+    run = write_run(tmp_path / "run", capture.scaled(length, radiance, shift))
     run_here(run)
     points, _, _ = surface_points(capture.room, 200, np.random.default_rng(0), np.arange(12))
     color, roughness, _ = Fields.load(finished[0]).query(points)
-    other, other_roughness, _ = Fields.load(run).query(points * 100.0)
+    other, other_roughness, _ = Fields.load(run).query(points * length + shift)
     assert np.abs(color - other).mean() < 0.01
     assert np.abs(roughness - other_roughness).mean() < 0.05
     (fixture,) = json.loads(run.emitters_json.read_text())["fixtures"]
     assert fixture["triangles"] == PANEL_TRIANGLES
-    assert fixture["radiance"] == pytest.approx(np.multiply(PANEL_RADIANCE, 1000.0), rel=1e-3)
+    assert fixture["radiance"] == pytest.approx(np.multiply(PANEL_RADIANCE, radiance), rel=1e-3)
+    assert fixture["centroid"] == pytest.approx(np.array([0.0, 0.0, 2.9]) * length + shift, abs=2e-3 * length)
 
 
 def test_a_window_becomes_an_environment(tmp_path: Path) -> None:

@@ -113,6 +113,22 @@ def test_unseen_triangles_join_their_lamp_and_black_ones_are_no_lamp() -> None:
     assert group_fixtures(room, emitting, *pixels(black), reach=REACH) == []
 
 
+def test_the_far_side_of_a_bulb_in_mixed_pixels_alone_is_the_bulb() -> None:
+    """Pixels at its outline show mostly what is behind; the sides seen alone tell how bright it is."""
+    room = room_with_bulb()
+    emitting = np.zeros(20, bool)
+    emitting[12:18] = True
+    rows = [(i, True, True, 8.0) for i in (12, 13, 14)] + [(2, True, True, 0.3)]
+    rows += [(i, True, False, 0.6) for i in (15, 16, 17, 18)]
+    (fixture,) = group_fixtures(room, emitting, *pixels(rows), reach=REACH)
+    assert fixture.triangles.tolist() == list(range(12, 20))
+    assert fixture.radiance.tolist() == [8.0] * 3
+    # Seen alone, a dim side stays out.
+    rows += [(19, True, True, 0.2)]
+    (fixture,) = group_fixtures(room, emitting, *pixels(rows), reach=REACH)
+    assert fixture.triangles.tolist() == list(range(12, 19))
+
+
 def test_the_rim_of_a_lamp_that_no_pixel_sees_alone_is_no_lamp() -> None:
     """A dim sheet beside a bright lamp, seen by mixed pixels only, is the lamp's light; far away it stays."""
     lamp = [[-1.5, -1, 2.9], [-1.5, 0, 2.9], [-0.5, 0, 2.9], [-0.5, -1, 2.9]]

@@ -46,3 +46,10 @@ def test_unseen_cells_take_the_nearest_ones() -> None:
 
 def test_no_pixel_outside_is_no_environment() -> None:
     assert estimate_environment(np.zeros((0, 3)), np.zeros((0, 3)), 64) is None
+
+
+def test_a_hole_in_the_mesh_is_no_environment() -> None:
+    directions = equirect_pixel_directions(256, 128).reshape(-1, 3)
+    hole = directions[:, 0] > 0.9995
+    assert hole.any()
+    assert estimate_environment(directions[hole], np.full((hole.sum(), 3), 5.0), 256) is None

@@ -20,6 +20,7 @@ from fipt_blender.blend.placement import (
     find_support,
     room_light_power,
 )
+from fipt_blender.bridge.interpreter import engine_environment
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.runfolder import RunFolder
@@ -105,7 +106,8 @@ def engine(monkeypatch) -> list[str]:
             return [str(python), "-c", STAND_IN, str(ROOT), *arguments]
         return real(python, *arguments)
 
-    monkeypatch.setattr(mainjob, "find_engine_python", lambda explicit: Path(sys.executable))
+    launch = mainjob.Launch(Path(sys.executable), engine_environment())
+    monkeypatch.setattr(mainjob, "find_launch", lambda explicit=None: launch)
     monkeypatch.setattr(mainjob, "engine_command", command)
     return ran
 
@@ -139,7 +141,7 @@ def test_the_job_makes_a_blend_and_a_report_and_resumes(options, engine):
     assert any("Fixture.001" in name for name in bpy.data.objects.keys())
     assert sum(item.type == "CAMERA" for item in bpy.data.objects) == 4
     for image in bpy.data.images:
-        if image.source == "FILE":
+        if image.source == "FILE" and image.packed_file is None:
             assert image.filepath.startswith("//") and Path(bpy.path.abspath(image.filepath)).exists()
 
     engine.clear()

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.light.shadings import roughness_levels
-from fipt_blender.core.material.projection import constant_parts, project
+from fipt_blender.core.material.projection import (
+    Guess,
+    constant_parts,
+    part_materials,
+    project,
+    window_means,
+)
 
 LEVELS = roughness_levels(8, 0.02, 1.5)
 CELLS, VIEWS = 300, 8
@@ -42,13 +48,19 @@ def synthetic(rng: np.random.Generator, truths: list[tuple[float, float]], noise
     return [np.asarray(a, np.float32) for a in arrays], cell, part, color
 
 
+def guess_from(arrays: list[np.ndarray], cell: np.ndarray, part: np.ndarray) -> Guess:
+    """Both steps, with pixels that take turns among the views."""
+    view = np.arange(len(part)) % VIEWS
+    return project(*arrays, LEVELS, cell, part, *part_materials(*arrays, LEVELS, cell, part, view))
+
+
 @pytest.mark.parametrize("noise, stray, within", [(0.0, 0.0, 0.01), (0.03, 0.05, 0.06)])
 def test_known_materials_are_recovered(
     rng: np.random.Generator, noise: float, stray: float, within: float
 ) -> None:
     truths = [(1.0, 0.0), (float(LEVELS[3]), 0.0), (float(LEVELS[2]), 1.0), (float(LEVELS[5]), 1.0)]
     arrays, cell, part, color = synthetic(rng, truths, noise, stray)
-    guess = project(*arrays, LEVELS, cell, part)
+    guess = guess_from(arrays, cell, part)
     assert guess.part_metallic.tolist() == [metallic for _, metallic in truths]
     for found, (roughness, _) in zip(guess.part_roughness, truths, strict=True):
         assert found == pytest.approx(roughness, abs=0.08)
@@ -64,7 +76,7 @@ def test_pixels_without_part_are_diffuse_and_lamps_are_marked(rng: np.random.Gen
     part[:] = -1
     lamp = cell < 5
     radiance[lamp] = 40.0
-    guess = project(radiance, diffuse, specular, LEVELS, cell, part)
+    guess = guess_from([radiance, diffuse, specular], cell, part)
     assert (guess.roughness == 1.0).all() and (guess.metallic == 0.0).all()
     assert guess.emitting[lamp].all() and not guess.emitting[~lamp].any()
     assert np.median(np.abs(guess.base_color[~lamp] - color[~lamp])) < 0.02
@@ -78,14 +90,14 @@ def test_cells_of_different_parts_stay_apart(rng: np.random.Generator) -> None:
     color = np.where(part[:, None] == 0, [0.8, 0.1, 0.1], [0.1, 0.1, 0.8])
     light = rng.uniform(0.5, 2.0, (count, 1)) * np.ones(3)
     specular = np.full((count, len(LEVELS), 2, 3), 1e-3, np.float32)
-    guess = project((color * light).astype(np.float32), light, specular, LEVELS, np.zeros(count, int), part)
+    guess = guess_from([(color * light).astype(np.float32), light, specular], np.zeros(count, int), part)
     np.testing.assert_allclose(guess.base_color, color, atol=0.01)
 
 
 def test_an_empty_part_id_does_no_harm(rng: np.random.Generator) -> None:
     arrays, cell, part, _ = synthetic(rng, [(1.0, 0.0), (float(LEVELS[3]), 1.0)], 0.01, 0.0)
     part = part * 2  # part 1 has no pixel
-    guess = project(*arrays, LEVELS, cell, part)
+    guess = guess_from(arrays, cell, part)
     assert len(guess.part_roughness) == 3 and np.isfinite(guess.part_roughness).all()
     assert guess.part_metallic[2] == 1.0
 
@@ -107,3 +119,50 @@ def test_what_shines_alike_under_uneven_light_is_a_lamp(rng: np.random.Generator
     # A few pixels prove nothing, and pixels without a part are nobody's.
     assert not constant_parts(panel[:20], light[:20], np.zeros(20, int), 1).any()
     assert not constant_parts(panel, light, np.full(count, -1), 1).any()
+
+
+def test_roughness_between_levels_is_found(rng: np.random.Generator) -> None:
+    """Shadings halfway between two levels give the roughness halfway between them."""
+    (_, diffuse, specular), cell, part, color = synthetic(rng, [(1.0, 0.0)], 0.0, 0.0)
+    middle = 0.5 * (specular[:, 3] + specular[:, 4])
+    radiance = (color * diffuse + 0.04 * middle[:, 0] + middle[:, 1]).astype(np.float32)
+    view = np.arange(len(part)) % VIEWS
+    roughness, metallic = part_materials(radiance, diffuse, specular, LEVELS, cell, part, view)
+    assert roughness[0] == pytest.approx(0.5 * (LEVELS[3] + LEVELS[4]), abs=1e-6)
+    assert metallic[0] == 0.0
+
+
+def test_one_odd_view_does_not_make_a_part_glossy(rng: np.random.Generator) -> None:
+    """Highlights in a single view of many are an error of that view's shadings: views are the samples."""
+    (radiance, diffuse, specular), cell, part, color = synthetic(rng, [(1.0, 0.0)], 0.01, 0.0)
+    view = np.arange(len(part)) % VIEWS
+    odd = (view == 0)[:, None]
+    glossy = color * diffuse + 0.04 * specular[:, 3, 0] + specular[:, 3, 1]
+    mixed = np.where(odd, radiance + 0.1 * (glossy - radiance), radiance).astype(np.float32)
+    roughness, _ = part_materials(mixed, diffuse, specular, LEVELS, cell, part, view)
+    assert roughness[0] > 0.9
+    roughness, _ = part_materials(glossy.astype(np.float32), diffuse, specular, LEVELS, cell, part, view)
+    assert roughness[0] == pytest.approx(LEVELS[3], abs=0.03)
+
+
+def test_window_means_stay_within_part_and_view(rng: np.random.Generator) -> None:
+    """Against a plain loop over two images of unlike sizes."""
+    sizes = [(5, 7), (4, 3)]
+    view = np.repeat([0, 1], [35, 12])
+    widths = np.array([7, 3])
+    count = len(view)
+    part, usable = rng.integers(0, 2, count), rng.random(count) < 0.7
+    values = rng.normal(size=(count, 2, 3)).astype(np.float32)
+    rows = np.flatnonzero(usable)
+    (found,) = window_means([values], rows, widths[view[rows]], usable, part, view)
+    for row, mean in zip(rows, found, strict=True):
+        first = 35 * view[row]
+        height, width = sizes[view[row]]
+        y, x = divmod(row - first, width)
+        near = [
+            first + j * width + i
+            for j in range(max(y - 1, 0), min(y + 2, height))
+            for i in range(max(x - 1, 0), min(x + 2, width))
+        ]
+        near = [other for other in near if usable[other] and part[other] == part[row]]
+        np.testing.assert_allclose(mean, values[near].mean(axis=0), rtol=1e-5, atol=1e-6)

@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks import accuracy, metrics, truth
 from benchmarks.metrics import Maps
+from fipt_blender.core.report import comparison
 
 
 def make_maps() -> Maps:
@@ -88,7 +89,7 @@ def test_rendered_images() -> None:
     true = np.full((2, 2, 3), 0.5)
     true[0] = 7.0
     predicted = true.copy()
-    predicted[1] = (0.5**metrics.GAMMA + 0.1) ** 2.2
+    predicted[1] = (0.5**comparison.GAMMA + 0.1) ** 2.2
     predicted[0] = 3.0  # clipped in both
     assert metrics.image_psnr(predicted, true) == pytest.approx(-10 * np.log10(0.005))
     assert metrics.image_psnr(predicted, true, strict=True) == pytest.approx(20.0)

@@ -17,14 +17,16 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.runfolder import RunFolder, write_json
 from fipt_blender.core.job.settings import make_settings
-from fipt_blender.core.report.page import MAPS, format_duration, swatch, write_report
-from fipt_blender.core.report.pictures import (
+from fipt_blender.core.report.comparison import (
+    Agreement,
     choose_exposure,
+    compare,
     error_picture,
     psnr,
     resize_to,
     to_display,
 )
+from fipt_blender.core.report.page import MAPS, format_duration, swatch, write_report
 
 NASTY = "<script>alert('x')</script> & \"é\""
 SIZE = (24, 12)
@@ -168,11 +170,28 @@ def test_error_colours_run_from_black_to_light():
     assert colours[0, 0].max() < 0.02 and colours[0, 1].min() > 0.6
 
 
-def test_resizing_keeps_the_mean():
+@pytest.mark.parametrize("size", [(12, 6), (7, 5), (48, 24), (5, 30)])
+def test_resizing_keeps_the_mean(size):
     picture = image(3)
-    small = resize_to(picture, 12, 6)
-    assert small.shape == (6, 12, 3)
-    np.testing.assert_allclose(small.mean(axis=(0, 1)), picture.mean(axis=(0, 1)), rtol=1e-5)
+    other = resize_to(picture, *size)
+    assert other.shape == (size[1], size[0], 3) and other.dtype == np.float32
+    np.testing.assert_allclose(other.mean(axis=(0, 1)), picture.mean(axis=(0, 1)), rtol=1e-5)
+
+
+def test_resizing_averages_boxes():
+    picture = image(3)
+    np.testing.assert_allclose(
+        resize_to(picture, 12, 6), picture.reshape(6, 2, 12, 2, 3).mean(axis=(1, 3)), rtol=1e-4
+    )
+    np.testing.assert_allclose(resize_to(picture, 48, 24)[::2, 1::2], picture, rtol=1e-3, atol=1e-6)
+
+
+def test_both_psnrs_of_a_known_error():
+    truth = np.full((4, 4, 3), 0.5, np.float32)
+    agreement = compare(truth + 0.1, truth)
+    assert agreement.psnr_linear == pytest.approx(20.0, abs=1e-3)
+    assert agreement.psnr == pytest.approx(-20.0 * np.log10(0.6 ** (1 / 2.2) - 0.5 ** (1 / 2.2)), abs=1e-3)
+    assert compare(truth * 4.0, truth * 6.0) == Agreement(float("inf"), float("inf"))
 
 
 def test_exposure_is_only_changed_for_pictures_that_could_not_be_seen():

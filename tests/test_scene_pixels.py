@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Mixed pixels: found at borders of depth, slope and parts, and lent what a pure neighbour shows."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,16 @@ from small_rooms import make_room
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.scene.pixels import PixelStore, fill_pixels, find_donors, mark_pure, open_pixels
+from fipt_blender.core.light.environment import outside_pixels
+from fipt_blender.core.scene.pixels import (
+    LEFT_OUT,
+    NO_TRIANGLE,
+    PixelStore,
+    fill_pixels,
+    find_donors,
+    mark_pure,
+    open_pixels,
+)
 
 WIDTH, HEIGHT = 16, 12
 
@@ -66,3 +76,25 @@ def test_the_reach_counts_steps(two_parts: tuple[PixelStore, np.ndarray]) -> Non
     donors = find_donors(store, np.zeros_like(part), 3).reshape(HEIGHT, WIDTH)
     own = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
     assert (donors[:, 10:13] == own[:, 9:10]).all() and (donors[:, 13:] == -1).all()
+
+
+def test_masked_pixels_are_neither_room_nor_outside(tmp_path: Path) -> None:
+    """The left half is masked; its glare may not reach the scale, the pixels or the environment."""
+    image, mask = tmp_path / "image.exr", tmp_path / "mask.exr"
+    pixels = np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
+    pixels[:, :8] = 1000.0
+    write_exr(image, pixels)
+    ids = np.ones((HEIGHT, WIDTH), np.float32)
+    ids[:, :8] = 0.0
+    write_exr(mask, ids)
+    room = make_room([[[-3, -3, 0], [3, -3, 0], [3, 0.3, 0], [-3, 0.3, 0]]])  # the upper rows look outside
+    store = open_pixels(tmp_path / "pixels", [replace(floor_camera(image), mask=mask)], create=True)
+    assert fill_pixels(store, room, lambda done: None) == pytest.approx(0.5)
+    mark_pure(store, room, np.zeros(2, int), lambda done: None)
+    triangle = np.asarray(store.triangle).reshape(HEIGHT, WIDTH)
+    assert (triangle[:, :8] == LEFT_OUT).all() and not np.asarray(store.pure).reshape(HEIGHT, WIDTH)[
+        :, :8
+    ].any()
+    assert (triangle[:2, 8:] == NO_TRIANGLE).all() and (triangle[4:, 8:] >= 0).all()
+    _, radiance = outside_pixels(store)
+    assert len(radiance) and np.allclose(radiance, 1.0)

@@ -35,7 +35,7 @@ class AnalyticFields:
 def run(tmp_path):
     """Two squares that share an edge in space (at x = 1) but lie apart, one of them turned, in the atlas."""
     folder = RunFolder(tmp_path / "run")
-    folder.create(make_settings(changes={"write_back": "paper"}))
+    folder.create(make_settings())
     vertices = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (2, 0, 0.5), (2, 1, 0.5)], np.float32)
     triangles = np.array([(0, 1, 2), (0, 2, 3), (1, 4, 5), (1, 5, 2)], np.int32)
     np.savez(
@@ -96,7 +96,7 @@ def read_map(folder, name):
 
 def test_baked_field_equals_the_field_on_the_surface(run):
     fields = AnalyticFields()
-    bake.bake(run, fields, for_cycles=False)
+    bake.bake(run, fields)
     positions, uv, _ = surface_points(run)
     base_color, roughness, metallic = fields.query(positions)
     # The steepest field changes by 1.2 a metre; a bound of half a texel covers interpolation and half floats.
@@ -109,7 +109,7 @@ def test_baked_field_equals_the_field_on_the_surface(run):
 
 def test_unseen_texels_take_their_parts_median(run):
     fields = AnalyticFields(seen_up_to=1.5)
-    bake.bake(run, fields, for_cycles=False)
+    bake.bake(run, fields)
     positions, uv, _ = surface_points(run)
     unseen = positions[:, 0] > 1.55
     found = look_up(read_map(run, "base_color"), uv)
@@ -124,7 +124,7 @@ def test_unseen_texels_take_their_parts_median(run):
 
 def test_parts_without_a_seen_point_take_the_nearest(run):
     np.savez(run.results / "parts.npz", triangle_part=np.array([0, 0, -1, -1], np.int32))
-    bake.bake(run, AnalyticFields(seen_up_to=0.999), for_cycles=False)
+    bake.bake(run, AnalyticFields(seen_up_to=0.999))
     _, uv, triangle = surface_points(run)
     found = look_up(read_map(run, "roughness"), uv)[triangle >= 2]
     # Nearest seen points have x just below 1: roughness 0.2 + 0.3.
@@ -134,7 +134,7 @@ def test_parts_without_a_seen_point_take_the_nearest(run):
 def test_colour_attributes_hold_the_field_at_corners(run):
     write_json(run.atlas_json, {"mode": "color_attribute", "images": []})
     fields = AnalyticFields()
-    bake.bake(run, fields, for_cycles=False)
+    bake.bake(run, fields)
     with np.load(run.textures / "corner_fields.npz") as corner, np.load(run.room_npz) as room:
         positions = room["vertices"][room["triangles"]].reshape(-1, 3)
         expected = fields.query(positions)
@@ -145,7 +145,7 @@ def test_colour_attributes_hold_the_field_at_corners(run):
 def test_missing_atlas_is_explained(run):
     run.atlas_npz.unlink()
     with pytest.raises(FiptError) as error:
-        bake.bake(run, AnalyticFields(), for_cycles=False)
+        bake.bake(run, AnalyticFields())
     assert error.value.code == "file-missing"
 
 

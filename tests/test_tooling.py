@@ -16,7 +16,8 @@ from types import ModuleType
 
 import pytest
 
-from fipt_blender.bridge import provision
+from fipt_blender.bridge import pins, provision
+from fipt_blender.bridge.places import environment_python
 
 ROOT = Path(__file__).resolve().parent.parent
 # Blender's fixed list of tags for add-ons
@@ -57,6 +58,10 @@ def test_zip_is_the_extension_and_reproducible(dev: ModuleType, tmp_path: Path) 
         names = archive.namelist()
         assert archive.testzip() is None
         manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
+        written = json.loads(archive.read(pins.PINS_NAME))
+    groups = pins.read_pins()
+    assert written == {name: groups[name] for name in ("engine", "llvm", "pip")}
+    assert first.stat().st_size < 2e6, "the heavy packages live in the engine's environment"
     assert first.name == f"fipt_blender-{manifest['version']}.zip"
     assert {"__init__.py", "__main__.py", "LICENSE", "core/__main__.py", "cli.py"} <= set(names)
     assert names == sorted(names)
@@ -76,30 +81,34 @@ def test_build_refuses_versions_that_disagree(
     assert not list(tmp_path.iterdir())
 
 
-def test_every_pin_is_exact(dev: ModuleType) -> None:
-    pins = dev.read_pins()
-    assert set(pins) == {"engine", "blender", "dev", "llvm"}
-    for requirement in (pin for group in pins.values() for pin in group):
+def test_every_pin_is_exact() -> None:
+    groups = pins.read_pins()
+    assert set(groups) == {"engine", "blender", "dev", "llvm", "pip"}
+    for requirement in (pin for group in groups.values() for pin in group):
         assert re.match(r"[A-Za-z0-9-]+==[0-9][0-9a-z.]*(;|$)", requirement), requirement
 
 
 def test_set_up_is_done_once_and_again_when_something_changed(dev: ModuleType, tmp_path: Path) -> None:
-    pins = {"engine": ["torch==1"]}
-    key = dev.setup_key(pins, tmp_path)
-    assert key == dev.setup_key(pins, tmp_path)
+    groups = {"engine": ["torch==1"]}
+    key = dev.setup_key(groups, tmp_path)
+    assert key == dev.setup_key(groups, tmp_path)
     assert key != dev.setup_key({"engine": ["torch==2"]}, tmp_path)
-    assert key != dev.setup_key(pins, tmp_path / "moved")
-    stamp, python, library = tmp_path / "setup.json", tmp_path / "python", tmp_path / "libLLVM.so"
-    assert not dev.is_set_up(key, stamp, python)
+    assert key != dev.setup_key(groups, tmp_path / "moved")
+    stamp, python, library = tmp_path / "setup.json", environment_python(tmp_path), tmp_path / "libLLVM.so"
+    assert not pins.is_set_up(tmp_path, key)
+    python.parent.mkdir()
     for file in (python, library):
         file.touch()
-    stamp.write_text(json.dumps({"key": key, "llvm": str(library)}))
-    assert dev.is_set_up(key, stamp, python)
-    assert not dev.is_set_up("other", stamp, python)
+    whole = {"key": key, "installed": True, "complete": True, "llvm": str(library)}
+    stamp.write_text(json.dumps({**whole, "complete": False}))
+    assert not pins.is_set_up(tmp_path, key)
+    stamp.write_text(json.dumps(whole))
+    assert pins.is_set_up(tmp_path, key)
+    assert not pins.is_set_up(tmp_path, "other")
     library.unlink()
-    assert not dev.is_set_up(key, stamp, python)
+    assert not pins.is_set_up(tmp_path, key)
     stamp.write_text("{")
-    assert not dev.is_set_up(key, stamp, python)
+    assert not pins.is_set_up(tmp_path, key)
 
 
 def test_unknown_command_and_help() -> None:

@@ -1,0 +1,313 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The eye inside Blender: answers the driver's questions from a timer; it never presses a button itself.
+
+Started by `blender --python`. Questions are names of functions of this module, or `module.function` of the
+modules named in $FIPT_GUI_INSIDE, with JSON arguments; they come over the socket named in $FIPT_GUI_SOCKET.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import socket
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+_TICK_SECONDS = 0.005
+
+
+class _Watch:
+    """What Blender drew: times of the panels' draw functions, and how often the sidebar was drawn."""
+
+    def __init__(self) -> None:
+        self.times: dict[str, list[float]] = {}
+        self.drawn: set[str] = set()
+        self.redraws = self.forgotten = 0
+        self.wrapped: set[type] = set()
+
+    def wrap(self, prefix: str) -> None:
+        """Measure the draw functions of the panels whose name begins so."""
+        for panel in _panels(prefix):
+            if panel not in self.wrapped:
+                self.wrapped.add(panel)
+                panel.draw = self._measured(panel.__name__, panel.draw)
+
+    def _measured(self, name: str, draw: Callable[..., None]) -> Callable[..., None]:
+        def measured(panel: bpy.types.Panel, context: bpy.types.Context) -> None:
+            start = time.perf_counter()
+            try:
+                draw(panel, context)
+            finally:
+                self.times.setdefault(name, []).append(time.perf_counter() - start)
+                self.drawn.add(name)
+
+        return measured
+
+
+_watch = _Watch()
+
+
+def _panels(prefix: str) -> list[type[bpy.types.Panel]]:
+    """The registered panels whose name begins so."""
+    found = []
+    classes = list(bpy.types.Panel.__subclasses__())
+    while classes:
+        each = classes.pop()
+        classes.extend(each.__subclasses__())
+        if each.__name__.startswith(prefix) and each.is_registered:
+            found.append(each)
+    return found
+
+
+def _spaces() -> Iterator[tuple[bpy.types.Window, bpy.types.Area, bpy.types.Region]]:
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            for region in area.regions:
+                yield window, area, region
+
+
+def _find(area: str, region: str) -> dict[str, Any]:
+    """Context of the largest area of a type and of its region of a type; the newest window goes first."""
+    found = [s for s in _spaces() if s[1].type == area and s[2].type == region and s[2].width > 1]
+    if not found:
+        raise LookupError(f"no {region} of a {area} is open")
+    windows = list(bpy.context.window_manager.windows)
+    window, its_area, its_region = max(found, key=lambda s: (windows.index(s[0]), s[1].width * s[1].height))
+    return {"window": window, "area": its_area, "region": its_region}
+
+
+def place(area: str, region: str) -> dict[str, int]:
+    """Where a region lies: pixels of the screen with y up; and Blender's interface scale."""
+    found = _find(area, region)
+    window, its_region = found["window"], found["region"]
+    return {
+        "x": window.x + its_region.x,
+        "y": window.y + its_region.y,
+        "width": its_region.width,
+        "height": its_region.height,
+        "scale": bpy.context.preferences.system.ui_scale,
+    }
+
+
+def tab(area: str = "VIEW_3D") -> str:
+    """The sidebar's active tab."""
+    return _find(area, "UI")["region"].active_panel_category
+
+
+def is_open(area: str, region: str) -> bool:
+    """Whether such a region is on the screen."""
+    return any(s[1].type == area and s[2].type == region and s[2].width > 1 for s in _spaces())
+
+
+def button(area: str, region: str) -> dict[str, str]:
+    """The button under the pointer: its operator as Python, and the full path of its property."""
+    manager = bpy.context.window_manager
+    answer = {"operator": "", "property": ""}
+    with bpy.context.temp_override(**_find(area, region)):
+        manager.clipboard = ""
+        if (found := bpy.context.property) is not None:
+            owner, path, index = found  # of a nested group only the last name
+            if bpy.ops.ui.copy_data_path_button.poll():
+                bpy.ops.ui.copy_data_path_button(full_path=True)
+            place = f"[{index}]" if index >= 0 else ""
+            answer["property"] = manager.clipboard or f"{_owner_path(owner)}.{path}{place}"
+        elif bpy.ops.ui.copy_python_command_button.poll():
+            bpy.ops.ui.copy_python_command_button()
+            answer["operator"] = manager.clipboard
+    return answer
+
+
+def _owner_path(owner: Any) -> str:
+    """How Python reaches a part of the preferences, which have no path of their own."""
+    if isinstance(owner, bpy.types.AddonPreferences):
+        for name, addon in bpy.context.preferences.addons.items():
+            if addon.preferences == owner:
+                return f'bpy.context.preferences.addons["{name}"].preferences'
+    return "bpy.context.preferences" if isinstance(owner, bpy.types.Preferences) else type(owner).__name__
+
+
+def value(path: str) -> Any:
+    """The value at a path as `button` gives it; an ID's name stands for it."""
+    for prefix, start in (("bpy.data.", bpy.data), ("bpy.context.", bpy.context)):
+        if path.startswith(prefix):
+            found = _resolve(start, path.removeprefix(prefix))
+            return found.name if isinstance(found, bpy.types.ID) else _plain(found)
+    raise LookupError(path)
+
+
+def items(path: str) -> list[str]:
+    """Identifiers of an enumeration's items, in their order."""
+    owner, _, name = path.rpartition(".")
+    start = bpy.data if owner.startswith("bpy.data.") else bpy.context
+    found = _resolve(start, owner.split(".", 2)[2])
+    return [item.identifier for item in found.bl_rna.properties[name].enum_items]
+
+
+def _resolve(start: Any, path: str) -> Any:
+    if start is bpy.context:  # no Blender data: attributes of Python
+        name, _, path = path.partition(".")
+        start = getattr(start, name)
+    return start.path_resolve(path) if path else start
+
+
+def _plain(found: Any) -> Any:
+    return found if isinstance(found, str | int | float | bool | None) else list(found)
+
+
+def redraws() -> int:
+    """How often a sidebar was drawn."""
+    return _watch.redraws
+
+
+def scroll(area: str, region: str) -> float:
+    """How far a region is scrolled, in pixels from its upper end; less is further down."""
+    found = _find(area, region)["region"]
+    return found.view2d.region_to_view(0.0, float(found.height))[1]
+
+
+def project(point: list[float]) -> list[float] | None:
+    """Pixel of the 3D view, from its lower left, that shows a point of the world; None behind the eye."""
+    from bpy_extras.view3d_utils import location_3d_to_region_2d
+
+    found = _find("VIEW_3D", "WINDOW")
+    pixel = location_3d_to_region_2d(found["region"], found["area"].spaces.active.region_3d, point)
+    return None if pixel is None else list(pixel)
+
+
+def forget_drawn(prefix: str = "FIPT_PT_") -> None:
+    """Start a new list of drawn panels and have the sidebar drawn."""
+    _watch.wrap(prefix)
+    _watch.drawn.clear()
+    _watch.forgotten = _watch.redraws
+    for _, _, region in _spaces():
+        if region.type == "UI":
+            region.tag_redraw()
+
+
+def drawn_anew() -> bool:
+    """Whether the sidebar was drawn since `forget_drawn`."""
+    return _watch.redraws > _watch.forgotten
+
+
+def drawn() -> list[str]:
+    """Names of the panels drawn open since `forget_drawn`."""
+    return sorted(_watch.drawn)
+
+
+def panels(prefix: str = "FIPT_PT_") -> list[dict[str, Any]]:
+    """The registered panels of ours, in the order in which they stand."""
+    found = [
+        {
+            "name": panel.__name__,
+            "label": panel.bl_label,
+            "order": getattr(panel, "bl_order", 0),
+            "parent": getattr(panel, "bl_parent_id", ""),
+            "closed": "DEFAULT_CLOSED" in getattr(panel, "bl_options", ()),
+        }
+        for panel in _panels(prefix)
+    ]
+    return sorted(found, key=lambda panel: panel["order"])
+
+
+def draw_times() -> dict[str, list[float]]:
+    """Seconds that each drawing of each panel took, and a new start of the measurement."""
+    times, _watch.times = _watch.times, {}
+    return times
+
+
+def settings(values: dict[str, Any]) -> None:
+    """Set preferences of Blender's view, for instance `show_splash`."""
+    for name, value in values.items():
+        setattr(bpy.context.preferences.view, name, value)
+
+
+def close_window(area: str) -> None:
+    """Close the window of an editor, as the button of a window manager does, of which there is none."""
+    with bpy.context.temp_override(window=_find(area, "WINDOW")["window"]):
+        bpy.ops.wm.window_close()
+
+
+def save_copy(path: str) -> None:
+    """Keep the scene as it is beside the pictures; the open file stays what it was."""
+    bpy.ops.wm.save_as_mainfile(filepath=path, copy=True, compress=True)
+
+
+def leave() -> None:
+    """Quit Blender without asking."""
+    bpy.ops.wm.quit_blender()
+
+
+class _Agent:
+    """Reads questions without blocking and answers each after as many ticks as it asks for."""
+
+    def __init__(self, address: str) -> None:
+        self._socket = socket.socket(socket.AF_UNIX)
+        self._socket.connect(address)
+        self._socket.setblocking(False)
+        self._received = b""
+        self._waiting: list[dict[str, Any]] = []
+        self._modules = {"": sys.modules[__name__]}
+        for file in filter(None, os.environ.get("FIPT_GUI_INSIDE", "").split(os.pathsep)):
+            self._modules[Path(file).stem] = _load(Path(file))
+
+    def tick(self) -> float:
+        try:
+            while data := self._socket.recv(1 << 16):
+                self._received += data
+        except BlockingIOError:
+            pass
+        *lines, self._received = self._received.split(b"\n")
+        ready = [question for question in self._waiting if question["ticks"] <= 0]
+        self._waiting = [question for question in self._waiting if question["ticks"] > 0]
+        for question in self._waiting:
+            question["ticks"] -= 1
+        self._waiting += [json.loads(line) for line in lines]
+        for question in ready:
+            self._answer(question)
+        return _TICK_SECONDS
+
+    def _answer(self, question: dict[str, Any]) -> None:
+        try:
+            module, _, name = question["call"].rpartition(".")
+            result = getattr(self._modules[module], name)(*question["arguments"])
+            answer = json.dumps({"result": result})
+        except Exception:
+            answer = json.dumps({"error": traceback.format_exc()})
+        self._socket.setblocking(True)
+        self._socket.sendall(answer.encode() + b"\n")
+        self._socket.setblocking(False)
+
+
+def _load(file: Path) -> Any:
+    spec = importlib.util.spec_from_file_location(f"fipt_gui_{file.stem}", file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def _count_redraw() -> None:
+    _watch.redraws += 1
+
+
+def main() -> None:
+    """Connect to the driver, and keep out of its pictures what is not the window itself."""
+    bpy.context.preferences.use_preferences_save = False
+    settings({"show_splash": False, "show_tooltips": False})
+    bpy.types.SpaceView3D.draw_handler_add(_count_redraw, (), "UI", "POST_PIXEL")
+    agent = _Agent(os.environ["FIPT_GUI_SOCKET"])
+    bpy.app.timers.register(agent.tick, first_interval=0.5, persistent=True)
+
+
+if __name__ == "__main__":
+    sys.modules.setdefault("fipt_gui_agent", sys.modules["__main__"])
+    main()

@@ -1,0 +1,219 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The hand on a Blender's mouse and keyboard, and the eye that finds what it reaches for.
+
+Buttons are found by moving the pointer over them and asking Blender which operator or property lies under it.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from blender import Blender, Lost
+
+VIEW, SIDEBAR = ("VIEW_3D", "WINDOW"), ("VIEW_3D", "UI")
+PREFERENCES = ("PREFERENCES", "WINDOW")
+UNIT = 20.0  # height of a button at scale 1
+TABS = 20.0  # width of the strip of tabs
+_DOUBLE_CLICK_SECONDS = 0.4  # Blender's own is 0.35
+_CALM_SECONDS = 0.12  # without a redraw, the sidebar's animations are over
+_GAP = 16  # pixels between groups of one property's buttons
+
+Where = tuple[str, str]  # types of an area and of its region
+
+
+class Hand(Blender):
+    """A Blender that is looked at and acted upon; see `Blender` for the arguments."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._places: dict[tuple[Where, str], list[tuple[int, int]]] = {}
+        self._last_press = (0, 0, 0.0)
+
+    def settle(self, seconds: float = 2.0) -> None:
+        """Let pass what an action set off: until the sidebar is no longer being drawn anew."""
+        end = time.monotonic() + seconds
+        count, since = self.ask("redraws", ticks=2), time.monotonic()
+        while time.monotonic() < end and time.monotonic() - since < _CALM_SECONDS:
+            if (now := self.ask("redraws", ticks=2)) != count:
+                count, since = now, time.monotonic()
+
+    def shot(self, name: str, where: Where | None = None) -> Path:
+        """Write a picture of the screen, or of a region, as NAME.png; its path."""
+        file = self.shots / f"{name}.png"
+        if where is None:
+            self.display.save(file)
+        else:
+            left, top, width, height = self.box(where)
+            self.display.save(file, (left, top, width, height))
+        return file
+
+    def under(self, where: Where = SIDEBAR) -> dict[str, str]:
+        """What lies under the pointer: `operator` as Python, `property` as full path; empty where nothing."""
+        return self.ask("button", *where, ticks=2)
+
+    def point(self, where: Where, x: float, y: float) -> None:
+        """Move to a pixel of a region, counted from its lower left as Blender does."""
+        left, top, _, height = self.box(where)
+        self.display.move(round(left + x), round(top + height - 1 - y))
+
+    def point_at(self, location: Iterable[float]) -> None:
+        """Move to where the 3D view shows a point of the world."""
+        pixel = self.ask("project", list(location))
+        if pixel is None:
+            raise Lost(f"the view does not show {list(location)}")
+        self.point(VIEW, *pixel)
+
+    def point_in_view(self, right: float = 0.35, up: float = 0.35) -> None:
+        """Move into the 3D view, to shares of its width and height from the lower left."""
+        _, _, width, height = self.box(VIEW)
+        self.point(VIEW, right * width, up * height)
+
+    def press(self, button: int = 1) -> None:
+        """Press a mouse button where the pointer is; never as the second half of a double click."""
+        x, y, at = self._last_press
+        if (x, y) == self.display.pointer:
+            time.sleep(max(0.0, at + _DOUBLE_CLICK_SECONDS - time.monotonic()))
+        for down in (True, False):
+            self._let_pass()
+            self.display.button(button, down)
+        self._last_press = (*self.display.pointer, time.monotonic())
+        self._let_pass()
+        self.settle()
+
+    def key(self, *chords: str) -> None:
+        """Press keys by X names (`Return`, `ctrl+z`, `F3`); the region under the pointer gets them."""
+        for chord in chords:
+            self._let_pass()
+            self.display.key(chord)
+        self._let_pass()
+
+    def _let_pass(self) -> None:
+        """Wait until Blender has dealt with the events so far: a press counts where it knows the pointer."""
+        self.ask("redraws", ticks=3)
+
+    def type(self, text: str) -> None:
+        """Type a text."""
+        self.display.type(text)
+        self._let_pass()
+
+    def hover(self, target: str, where: Where = SIDEBAR, **values: Any) -> str:
+        """Move onto a button; the full path of its property, or its operator as Python.
+
+        Raises:
+            Lost: no such button can be reached by scrolling.
+        """
+        key = (where, f"{target} {values}" if values else target)
+        for place in self._places.get(key, ()):
+            self.display.move(*place)
+            if found := _matches(self.under(where), target, values):
+                return found
+        if found := self._scan(where, target, values):
+            return found
+        for page in self._pages(where):
+            del page
+            if found := self._scan(where, target, values):
+                return found
+        raise Lost(f"no button {target} {values or ''} in {where}")
+
+    def extent(self, path: str, where: Where, axis: int) -> tuple[int, int]:
+        """How far a property's buttons reach from the pointer along an axis; the pointer comes back."""
+        home = self.display.pointer
+        ends = []
+        for step in (-4, 4):
+            place, last, misses = list(home), home[axis], 0
+            while misses < _GAP // 4:
+                place[axis] += step
+                self.display.move(place[0], place[1], 1)
+                if self.under(where)["property"] == path:
+                    last, misses = place[axis], 0
+                else:
+                    misses += 1
+            ends.append(last)
+            self.display.move(*home, 2)
+            self.under(where)
+        return ends[0], ends[1]
+
+    def _scan(self, where: Where, target: str, values: dict[str, Any]) -> str:
+        """Move over a region column by column until the target lies under the pointer."""
+        left, top, width, height = self.box(where)
+        scale = self.scale()
+        if where == SIDEBAR:
+            width -= round(TABS * scale)
+        unit = UNIT * scale
+        columns = [width * 0.66, width * 0.3]
+        columns += [width - unit * (0.9 + n) for n in range(4)] + [unit * (1.0 + n) for n in range(3)]
+        columns += [width * 0.5, width * 0.8]
+        for column in columns:
+            for y in range(top + 4, top + height - 4, round(unit * 0.45)):
+                place = (left + round(column), y)
+                self.display.move(*place, 1)
+                report = self.under(where)
+                if found := _matches(report, target, values):
+                    inner = (place[0], y + round(unit * 0.3))
+                    self.display.move(*inner, 2)
+                    if not _matches(self.under(where), target, values):
+                        inner = place
+                        self.display.move(*place, 2)
+                        self.under(where)
+                    key = (where, f"{target} {values}" if values else target)
+                    self._places.setdefault(key, []).insert(0, inner)
+                    return found
+        return ""
+
+    def to_top(self, where: Where) -> None:
+        last = None
+        while (now := self.ask("scroll", *where)) != last and now < 0:
+            self._wheel(where, 4, 10)
+            last = now
+
+    def _pages(self, where: Where) -> Iterable[int]:
+        """Scroll to the top, then down by half the region until it moves no more."""
+        self.to_top(where)
+        page = 0
+        while True:
+            yield page
+            before = self.ask("scroll", *where)
+            for _ in range(8):
+                self._wheel(where, 5, 1)
+                if abs(self.ask("scroll", *where) - before) > self.box(where)[3] * 0.6:
+                    break
+            if self.ask("scroll", *where) == before:
+                return
+            page += 1
+
+    def _wheel(self, where: Where, button: int, times: int) -> None:
+        left, top, width, height = self.box(where)
+        self.display.move(left + width // 2, top + height // 2)
+        for _ in range(times):
+            self.display.button(button, True)
+            self.display.button(button, False)
+        self.settle()
+
+    def box(self, where: Where) -> tuple[int, int, int, int]:
+        """Left, top, width and height of a region in pixels of the screen."""
+        place = self.ask("place", *where)
+        top = self.display.height - place["y"] - place["height"]
+        return place["x"], top, place["width"], place["height"]
+
+    def scale(self) -> float:
+        return self.ask("place", *VIEW)["scale"]
+
+
+def _matches(report: dict[str, str], target: str, values: dict[str, Any]) -> str:
+    """The report's operator or property where it is the target; else nothing."""
+    operator, path = report["operator"], report["property"]
+    if operator.startswith(f"bpy.ops.{target}("):
+        words = [f"{name}={_python(value)}" for name, value in values.items()]
+        plain = operator.replace("'", '"')  # as Blender quotes items of enumerations
+        return operator if all(word in plain for word in words) else ""
+    return path if path == target or path.endswith(f".{target}") else ""
+
+
+def _python(value: Any) -> str:
+    """A value as Blender writes it in Python."""
+    return json.dumps(value) if isinstance(value, str) else repr(value)

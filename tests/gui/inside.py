@@ -1,0 +1,180 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The story's questions, asked inside Blender about the scene, its job, its lights. Nothing is changed."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from typing import Any
+
+import bpy
+
+
+def _ours(name: str) -> Any:
+    package = next(key for key in sys.modules if key.split(".")[-1] == "fipt_blender")
+    return importlib.import_module(f"{package}.{name}")
+
+
+def module_name() -> str:
+    """The extension's name in Blender's list of add-ons."""
+    return _ours("preferences").__package__
+
+
+def counts() -> dict[str, int]:
+    """How much there is of what the story makes."""
+    scene = bpy.context.scene
+    capture = scene.fipt.capture
+    return {
+        "objects": len(scene.objects),
+        "cameras": sum(item.type == "CAMERA" for item in scene.objects),
+        "lights": sum(item.type == "LIGHT" for item in scene.objects),
+        "views": len(capture.views),
+        "held_back": sum(view.split == "held_back" for view in capture.views),
+        "room": len(capture.room_objects(scene)),
+        "checked": sum(view.checked for view in capture.views),
+        "compared": len(scene.fipt.check.views),
+        "fixtures": len(scene.fipt.lights.lights),
+    }
+
+
+def job(kind: str) -> dict[str, Any]:
+    """State of the running job of a kind, or of the last one; an empty state where there was none."""
+    running = _ours("running")
+    info = running.current()
+    if info is None or info.kind != kind:
+        info = running.last(kind)
+    if info is None:
+        return {"state": "", "fraction": 0.0, "error": None, "stage": ""}
+    return {
+        "state": info.state,
+        "fraction": info.fraction,
+        "error": info.error,
+        "stage": info.stage_text,
+        "memory": info.memory_gb,
+        "pictures": len(info.pictures),
+    }
+
+
+def busy() -> bool:
+    """Whether any job runs."""
+    return _ours("running").current() is not None
+
+
+def engine_status() -> dict[str, Any]:
+    """What the preferences say of the engine: whether it is ready, and the error if not."""
+    status = _ours("preferences").status()
+    return {"ready": bool((status.get("engine") or {}).get("ready")), "error": status.get("error")}
+
+
+def view_through() -> str:
+    """The camera through which the 3D view looks; "" for none."""
+    for area in bpy.context.window_manager.windows[0].screen.areas:
+        if area.type == "VIEW_3D" and area.spaces.active.region_3d.view_perspective == "CAMERA":
+            camera = area.spaces.active.camera or bpy.context.scene.camera
+            return camera.name if camera else ""
+    return ""
+
+
+def view_cameras() -> list[str]:
+    """Name of each view's camera, in the list's order."""
+    return [view.camera for view in bpy.context.scene.fipt.capture.views]
+
+
+def run_stages() -> int:
+    """How many stages of the estimate are finished on disk."""
+    folder = bpy.context.scene.fipt.run_folder
+    return _ours("runstate").known(folder).stages
+
+
+def textured() -> dict[str, int]:
+    """Room objects, and those of them whose every material takes its base colour from an image."""
+    room = bpy.context.scene.fipt.capture.room_objects(bpy.context.scene)
+    return {"objects": len(room), "textured": sum(_is_textured(item) for item in room)}
+
+
+def _is_textured(item: bpy.types.Object) -> bool:
+    materials = [slot.material for slot in item.material_slots]
+    return bool(materials) and all(
+        material is not None
+        and material.node_tree is not None
+        and any(node.type == "TEX_IMAGE" and node.image for node in material.node_tree.nodes)
+        for material in materials
+    )
+
+
+def light_rows() -> list[dict[str, Any]]:
+    """The list of lights."""
+    return [
+        {
+            "name": light.object.name if light.object else "",
+            "kind": light.object.type if light.object else "",
+            "on": light.on,
+            "location": list(light.object.matrix_world.translation) if light.object else [],
+        }
+        for light in bpy.context.scene.fipt.lights.lights
+    ]
+
+
+def emission_strengths(name: str) -> list[float]:
+    """What a fixture's materials shine with now, one number a material."""
+    strengths = []
+    for slot in bpy.data.objects[name].material_slots:
+        for node in slot.material.node_tree.nodes:
+            if node.type == "EMISSION":
+                strengths.append(float(node.inputs["Strength"].default_value))
+            elif node.type == "BSDF_PRINCIPLED":
+                strengths.append(float(node.inputs["Emission Strength"].default_value))
+    return strengths
+
+
+def inserted() -> list[dict[str, Any]]:
+    """Selected objects with their places: what was placed last."""
+    return [
+        {"name": item.name, "location": list(item.matrix_world.translation)}
+        for item in bpy.context.view_layer.objects.selected
+    ]
+
+
+def names() -> list[str]:
+    """All objects of the scene."""
+    return sorted(item.name for item in bpy.context.scene.objects)
+
+
+def checks() -> list[dict[str, Any]]:
+    """The views that were rendered again."""
+    return [
+        {"name": view.name, "psnr": view.psnr, "render": view.render}
+        for view in bpy.context.scene.fipt.check.views
+    ]
+
+
+def fit_texts() -> dict[str, str]:
+    """Paths that the panel shows."""
+    fipt = bpy.context.scene.fipt
+    return {"run": fipt.run_folder, "picture": fipt.insert.picture, "report": fipt.check.report}
+
+
+def change(before: str, after: str) -> float:
+    """How much two pictures of one view differ: the median, over blocks of pixels, of |ln(after/before)|."""
+    import numpy as np
+
+    first, second = (_blocks(path) for path in (before, after))
+    return float(np.median(np.abs(np.log(second / first))))
+
+
+def _blocks(path: str, size: int = 8) -> Any:
+    """Medians of luminance over blocks: fireflies don't count."""
+    import numpy as np
+
+    image = bpy.data.images.load(path)
+    try:
+        width, height = image.size
+        values = np.empty(width * height * image.channels, np.float32)
+        image.pixels.foreach_get(values)
+    finally:
+        bpy.data.images.remove(image)
+    rows, columns = height // size, width // size
+    gray = values.reshape(height, width, -1)[: rows * size, : columns * size, :3].mean(2)
+    blocks = gray.reshape(rows, size, columns, size).swapaxes(1, 2).reshape(-1, size * size)
+    return np.maximum(np.median(blocks, 1), 1e-4)

@@ -1,0 +1,82 @@
+#!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The GUI test's command: builds and installs the extension, opens a window, drives it (see README.md)."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
+sys.path[:0] = [str(HERE), str(ROOT)]
+
+import story  # noqa: E402
+import x11  # noqa: E402
+from hand import SIDEBAR  # noqa: E402
+from window import Window  # noqa: E402
+
+import dev  # noqa: E402
+
+
+def look(window: Window, sections: list[str]) -> None:
+    """Open sections one by one and picture each."""
+    for label in sections or window.sections():
+        window.open_section(label)
+        window.shot(f"section_{label.lower()}", SIDEBAR)
+
+
+def main(argv: list[str]) -> int:
+    """Run the test, or only look; 0 where all is well."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--blender", default="blender", help="Blender's executable")
+    parser.add_argument("--shots", type=Path, required=True, help="folder of the pictures")
+    parser.add_argument("--look", nargs="*", metavar="SECTION", help="only open sections and picture them")
+    parser.add_argument("--open", type=Path, metavar="BLEND", help="a file to open first")
+    parser.add_argument("--before", type=Path, metavar="PY", help="with --look: a script to run first")
+    parser.add_argument(
+        "--engine", type=Path, metavar="PYTHON", help="interpreter with the engine's packages"
+    )
+    parser.add_argument("--capture", type=Path, default=ROOT / "examples" / "room", help="the capture")
+    parser.add_argument("--fast", action="store_true", help="few rays and steps: for work on the test itself")
+    names = [chapter.__name__ for chapter in story.CHAPTERS]
+    parser.add_argument("--from", dest="first", choices=names, help="with --open CHAPTER.blend")
+    options = parser.parse_args(argv)
+    if options.look is None and options.engine is None:
+        parser.error("--engine is needed, or --look")
+    if lacking := x11.missing():
+        print(f"{lacking} is needed for a window without a screen.", file=sys.stderr)
+        return 2
+    arguments = [str(options.open.resolve())] if options.open else []
+    arguments += ["--python", str(options.before.resolve())] if options.before else []
+    data = options.shots.resolve() / "data"  # the run, the preferences that are kept
+    if options.look is None and not options.first:
+        shutil.rmtree(data, ignore_errors=True)
+    with tempfile.TemporaryDirectory() as folder:
+        extension = dev.build_extension(Path(folder))
+        try:
+            with Window(
+                options.blender,
+                options.shots,
+                extension=extension,
+                inside=[HERE / "inside.py"],
+                arguments=arguments,
+                environment={"FIPT_DATA": str(data)},
+            ) as window:
+                if options.look is not None:
+                    look(window, options.look)
+                else:
+                    told = story.Options(options.capture.resolve(), options.engine, options.fast)
+                    story.tell(window, told, options.first)
+        except AssertionError as error:
+            print(f"FAILED: {error}", file=sys.stderr)
+            return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,316 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The GUI test: an artist's way from an empty scene to a relit render, by mouse and keyboard.
+
+Each chapter acts through the window, then asserts on Blender's data and takes its pictures.
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hand import PREFERENCES
+from window import Window
+
+CANCEL_SECONDS = 2.0
+DRAW_SECONDS = 1e-3
+_ENGINE_SECONDS = 3600.0
+_JOB_SECONDS = 600.0
+_DRAWS = 25
+_PICTURE = ("IMAGE_EDITOR", "WINDOW")
+_PREFERENCES_PAGES = (("PREFERENCES", "NAVIGATION_BAR"), ("PREFERENCES", "UI"))  # up to 4.5, from 5.0
+# With --fast: what the advanced settings are set to.
+_FAST = {
+    "diffuse_samples": 8,
+    "specular_samples": 4,
+    "light_samples": 2,
+    "training_steps": 400,
+    "later_training_steps": 150,
+    "voxel_resolution": 48,
+    "roughness_levels": 3,
+}
+_MAPS = ("ORIGINAL", "BASE_COLOR", "ROUGHNESS", "METALLIC", "EMISSION", "COVERAGE", "ESTIMATED")
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the story is told with.
+
+    Attributes:
+        capture: folder of the example capture.
+        engine: interpreter with the engine's packages; it is typed into the preferences.
+        fast: few rays and steps, for work on the test itself.
+    """
+
+    capture: Path
+    engine: Path
+    fast: bool = False
+
+
+def tell(window: Window, options: Options, first: str = "") -> None:
+    """The whole story, or the rest of it from a chapter on.
+
+    Raises:
+        AssertionError: something is not as it should be.
+    """
+    names = [chapter.__name__ for chapter in CHAPTERS]
+    for chapter in CHAPTERS[names.index(first) if first else 0 :]:
+        start = time.monotonic()
+        chapter(window, options)
+        print(f"{chapter.__name__}: {time.monotonic() - start:.0f} s", flush=True)
+        window.ask("save_copy", str(window.shots / f"{chapter.__name__}.blend"))
+
+
+def empty_scene(window: Window, options: Options) -> None:
+    """Select all with the keyboard and delete it."""
+    window.point_in_view()
+    window.key("a", "Delete")
+    window.wait("inside.counts", until=lambda counts: counts["objects"] == 0)
+    window.open_tab()
+    window.shot("01_empty_scene")
+
+
+def preferences(window: Window, options: Options) -> None:
+    """Find the extension in the preferences, name the interpreter, press Check."""
+    module = window.ask("inside.module_name")
+    window.point_in_view()
+    window.key("ctrl+comma")
+    window.wait("is_open", *PREFERENCES)
+    window.settle()
+    window.display.arrange()
+    pages = next(where for where in _PREFERENCES_PAGES if window.ask("is_open", *where))
+    window.pick("preferences.active_section", "ADDONS", pages)
+    window.set_text("addon_search", "fipt", PREFERENCES)
+    window.click("preferences.addon_expand", PREFERENCES, module=module)
+    window.shot("02_preferences_before")
+    assert not window.ask("inside.engine_status")["ready"]
+    window.set_text("engine_python", str(options.engine), PREFERENCES)
+    window.click("fipt.check_engine", PREFERENCES)
+    status = window.wait("inside.engine_status", until=lambda s: s["ready"] or s["error"], seconds=120)
+    assert status["ready"], status["error"]
+    window.wait("inside.busy", until=lambda busy: not busy)
+    window.hover("engine_python", PREFERENCES)  # Check has moved away from under the pointer
+    window.settle()
+    window.shot("03_preferences_after")
+    window.ask("close_window", "PREFERENCES")
+    window.settle()
+
+
+def capture(window: Window, options: Options) -> None:
+    """Import the example, look through its views, check them."""
+    window.open_section("Capture")
+    window.set_text("capture.path", str(options.capture))
+    window.click("fipt.import_capture")
+    _finish(window, "capture")
+    counts = window.ask("inside.counts")
+    pictures = len(list(options.capture.glob("*/Image/*.exr")))
+    assert counts["views"] == counts["cameras"] == pictures, (counts, pictures)
+    assert counts["held_back"] > 0 and counts["room"] > 0, counts
+    window.shot("04_capture_imported")
+    cameras = window.ask("inside.view_cameras")
+    for index in (2, 0):
+        window.click_row("capture.active_view", index)
+        window.wait("inside.view_through", until=cameras[index].__eq__)
+    window.click("fipt.look_through", step=1)
+    window.wait("inside.view_through", until=cameras[1].__eq__)
+    window.shot("05_capture_view")
+    window.click("fipt.check_views")
+    _finish(window, "survey")
+    assert window.ask("inside.counts")["checked"] == counts["views"]
+    window.click("fipt.show_coverage")
+    window.settle()
+    window.shot("06_capture_coverage")
+    window.click("fipt.show_coverage", show=False)
+
+
+def parts(window: Window, options: Options) -> None:
+    """Colour the room by its parts."""
+    window.open_section("Parts")
+    window.click("fipt.show_parts")
+    window.settle()
+    window.shot("07_parts")
+    window.click("fipt.show_parts", show=False)
+
+
+def estimate(window: Window, options: Options) -> None:
+    """Start the engine, stop it by ESC in the midst, resume it."""
+    window.open_section("Estimate")
+    window.choose("estimate.preset", "draft")
+    if options.fast:
+        window.open_section("Estimate", "Advanced")
+        for name, value in _FAST.items():
+            window.set_text(f"estimate.{name}", str(value))
+    window.click("fipt.estimate")
+    window.wait(
+        "inside.job",
+        "estimate",
+        until=lambda job: job["fraction"] >= 0.4 or job["error"],
+        seconds=_ENGINE_SECONDS,
+    )
+    window.shot("08_estimate_running")
+    start = time.monotonic()
+    window.key("Escape")
+    job = window.wait("inside.job", "estimate", until=lambda job: job["state"] != "running", seconds=10)
+    seconds = time.monotonic() - start
+    assert job["state"] == "cancelled", job
+    assert seconds < CANCEL_SECONDS, f"ESC took {seconds:.1f} s"
+    window.settle()
+    window.shot("09_estimate_cancelled")
+    stages = window.wait("inside.run_stages")
+    window.click("fipt.resume")
+    _progress(window, 0.1)
+    window.shot("10_estimate_resumed")
+    assert stages > 0
+    _finish(window, "estimate", _ENGINE_SECONDS)
+    window.settle()
+    window.shot("11_estimate_finished")
+
+
+def materials(window: Window, options: Options) -> None:
+    """Apply the results, and show the room's maps one after the other."""
+    window.open_section("Capture")
+    window.set_text("capture.photograph_opacity", "0")  # it would lie over the maps
+    window.open_section("Materials")
+    window.click("fipt.apply_results")
+    _finish(window, "materials")
+    textured = window.ask("inside.textured")
+    assert textured["objects"] == textured["textured"] > 0, textured
+    window.settle()
+    window.shot("12_materials_applied")
+    for shown in _MAPS:
+        window.choose("materials.shown", shown)
+        window.settle(5.0)
+        window.shot(f"13_show_{shown.lower()}")
+
+
+def check(window: Window, options: Options) -> None:
+    """Render the view that is looked through beside its photograph, and write the report."""
+    window.open_section("Check")
+    window.choose("check.which", "CURRENT")
+    window.set_text("check.samples", "8" if options.fast else "32")
+    window.click("fipt.render_views")
+    _finish(window, "check")
+    found = window.ask("inside.checks")
+    assert len(found) == 1 and found[0]["psnr"] > (10.0 if options.fast else 18.0), found
+    window.shot("14_check_render")
+    window.pick("check.picture", "ERROR")
+    window.settle()
+    window.shot("15_check_error")
+    window.click("fipt.write_report")
+    _finish(window, "report")
+    assert Path(window.ask("inside.fit_texts")["report"]).is_file()
+    window.pick("check.picture", "RENDER")
+
+
+def lights(window: Window, options: Options) -> None:
+    """Switch a fixture off, and add a light."""
+    window.open_section("Capture")
+    window.click_row("capture.active_view", 1)  # the photograph instead of the check's picture
+    window.open_section("Lights")
+    rows = window.ask("inside.light_rows")
+    assert rows, "no fixtures"
+    before = window.ask("inside.emission_strengths", rows[0]["name"])
+    assert max(before) > 0.0, before
+    window.shot("16_lights")
+    window.tick("lights.lights[0].on", False)
+    after = window.ask("inside.emission_strengths", rows[0]["name"])
+    assert max(after) == 0.0, after
+    window.settle()
+    window.shot("17_fixture_off")
+    window.click("fipt.add_light", place="PICK")
+    window.point_in_view(0.45, 0.3)
+    window.press()
+    added = window.wait("inside.light_rows", until=lambda now: len(now) == len(rows) + 1)
+    assert added[-1]["kind"] == "LIGHT" and added[-1]["on"], added
+    window.settle()
+    window.shot("18_light_added")
+
+
+def insert(window: Window, options: Options) -> None:
+    """Place a ball with the mouse, and render the relit room with it."""
+    window.open_section("Insert")
+    window.choose("insert.kind", "GREY_BALL")
+    before = set(window.ask("inside.names"))
+    window.click("fipt.insert_object")
+    window.point_in_view(0.45, 0.35)
+    window.settle()
+    window.press()
+    new = window.wait("inside.names", until=lambda names: len(set(names) - before) > 0)
+    placed = [item for item in window.ask("inside.inserted") if item["name"] in set(new) - before]
+    assert placed, new
+    window.shot("19_inserted")
+    window.set_text("insert.samples", "8" if options.fast else "32")
+    window.click("fipt.render_composite")
+    _finish(window, "insert")
+    picture = window.ask("inside.fit_texts")["picture"]
+    assert Path(picture).is_file(), picture
+    rendered = window.ask("inside.checks")[0]["render"]
+    assert window.ask("inside.change", rendered, picture) > 0.05
+    window.shot("20_relit_panel")
+    window.click("fipt.open_picture")
+    window.wait("is_open", *_PICTURE)
+    window.display.arrange()
+    window.settle()
+    window.shot("21_relit_render")
+    window.ask("close_window", _PICTURE[0])
+
+
+def draw_times(window: Window, options: Options) -> None:
+    """Have each panel drawn many times on the finished scene; its median must stay below the bound."""
+    window.ask("draw_times")
+    for label in window.sections():
+        window.open_section(label)
+        for _ in range(_DRAWS):
+            window.redraw()
+    found = {
+        name: {"median_ms": 1e3 * statistics.median(times), "max_ms": 1e3 * max(times), "draws": len(times)}
+        for name, times in sorted(window.ask("draw_times").items())
+    }
+    (window.shots / "draw_times.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    slow = {name: times for name, times in found.items() if times["median_ms"] > 1e3 * DRAW_SECONDS}
+    assert not slow, slow
+
+
+def _progress(window: Window, fraction: float) -> None:
+    """Wait until the estimate is so far, with the pointer out of the way."""
+    window.point_in_view()
+    window.wait(
+        "inside.job",
+        "estimate",
+        until=lambda job: job["fraction"] >= fraction or job["state"] != "running",
+        seconds=_ENGINE_SECONDS,
+        every=0.2,
+    )
+    job = window.ask("inside.job", "estimate")
+    assert job["state"] == "running", job
+
+
+def _finish(window: Window, kind: str, seconds: float = _JOB_SECONDS) -> dict[str, Any]:
+    """Wait for the end of a job, which must be a good one, with the pointer out of the way."""
+    window.point_in_view()
+    job = window.wait(
+        "inside.job", kind, until=lambda job: job["state"] not in ("", "running"), seconds=seconds, every=0.3
+    )
+    assert job["state"] == "finished", job
+    window.wait("inside.busy", until=lambda busy: not busy)
+    window.settle()
+    return job
+
+
+CHAPTERS = (
+    empty_scene,
+    preferences,
+    capture,
+    parts,
+    estimate,
+    materials,
+    check,
+    lights,
+    insert,
+    draw_times,
+)

@@ -1,0 +1,206 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A Blender window under a script's hands: buttons, fields, menus, lists, the sections of the side panel."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from blender import Lost
+from hand import SIDEBAR, TABS, UNIT, Hand, Where
+
+TAB = "FIPT"
+_HEADER = 27.0  # from one closed panel's header to the next, at scale 1
+_TRIES = 6
+
+
+class Window(Hand):
+    """What a script does with a window; see `Blender` for the arguments."""
+
+    def click(self, target: str, where: Where = SIDEBAR, **values: Any) -> None:
+        """Click a button by its operator (`fipt.estimate`) or property (`estimate.preset`).
+
+        Args:
+            values: of the operator's properties, to tell between buttons of one operator.
+        """
+        self.hover(target, where, **values)
+        self.press()
+
+    def set_text(self, target: str, text: str, where: Where = SIDEBAR) -> None:
+        """Type a text or a number into a field, and see that the property has it."""
+        path = self.hover(target, where)
+        before = self.ask("value", path)
+        if isinstance(before, str):
+            self.press()
+        else:
+            self.key("Return")  # a click would begin to drag the number
+        self.key("ctrl+a")
+        self.type(text)
+        self.key("Return")
+        wanted = type(before)(text)
+        near = (lambda v: abs(v - wanted) < 1e-4) if isinstance(wanted, float) else wanted.__eq__
+        self.wait("value", path, until=near, seconds=5)
+        self.settle()
+
+    def tick(self, target: str, value: bool = True, where: Where = SIDEBAR) -> None:
+        """Set a tick box, and see that it is set."""
+        path = self.hover(target, where)
+        if self.ask("value", path) != value:
+            self.press()
+        self.wait("value", path, until=value.__eq__, seconds=5)
+
+    def choose(self, target: str, item: str, where: Where = SIDEBAR) -> None:
+        """Open a menu property and take an item by its identifier, with the arrow keys."""
+        path = self.hover(target, where)
+        index = self.ask("items", path).index(item)
+        if self.ask("value", path) != item:
+            self.press()
+            self.key("Home", *["Down"] * index, "Return")
+        self.wait("value", path, until=item.__eq__, seconds=5)
+        self.settle()
+
+    def pick(self, target: str, item: str, where: Where = SIDEBAR) -> None:
+        """Click an item, by its identifier, of an enumeration that shows all: side by side or in a column."""
+        path = self.hover(target, where)
+        names = self.ask("items", path)
+        x, y = self.display.pointer
+        (left, right), (upper, lower) = self.extent(path, where, 0), self.extent(path, where, 1)
+        column = lower - upper > 2 * UNIT * self.scale()
+        start, end = (upper, lower) if column else (left, right)
+        step = (end - start) / len(names)
+        place = start + step * (names.index(item) + 0.5)
+        for _ in range(_TRIES):
+            self.display.move(*((x, round(place)) if column else (round(place), y)))
+            if self.under(where)["property"] != path:  # a gap
+                place += step / 3.0
+                continue
+            self.press()
+            got = self.ask("value", path)
+            if got == item:
+                return
+            place += step * (names.index(item) - names.index(got))
+        raise Lost(f"{path} is not {item}")
+
+    def click_row(self, target: str, index: int, where: Where = SIDEBAR) -> None:
+        """Click a row of a list that is in sight, by the property that holds the number of the active row."""
+        path = self.hover(target, where)
+        x, _ = self.display.pointer
+        row = UNIT * self.scale()
+        y = self.extent(path, where, 1)[0] + row * (index + 0.5)
+        for _ in range(_TRIES):
+            self.display.move(x, round(y))
+            self.press()
+            got = self.ask("value", path)
+            if got == index:
+                return
+            y += row * (index - got)
+        raise Lost(f"{path} is {got} and not {index}")
+
+    def search(self, text: str) -> None:
+        """Run an operator from the menu search (F3) over the 3D view."""
+        self.point_in_view()
+        self.key("F3")
+        self.settle()
+        self.type(text)
+        self.settle()
+        self.key("Return")
+        self.settle()
+
+    def open_tab(self, tab: str = TAB) -> None:
+        """Open the sidebar with its key and one of its tabs with the mouse."""
+        if not self.ask("is_open", *SIDEBAR):
+            self.point_in_view()
+            self.key("n")
+            self.wait("is_open", *SIDEBAR)
+            self.settle()
+        if self.ask("tab") == tab:
+            return
+        left, top, width, height = self.box(SIDEBAR)
+        scale = self.scale()
+        for offset in range(10, height, round(UNIT * scale * 0.7)):
+            self.display.move(left + width - round(TABS * scale / 2), top + offset)
+            self.press()
+            if self.ask("tab") == tab:
+                return
+        raise Lost(f"the sidebar has no tab {tab}")
+
+    def open_section(self, label: str, *parts: str) -> None:
+        """Open a section of the side panel, alone, and folded parts of it by their labels."""
+        self.open_tab()
+        panels = self.ask("panels")
+        sections = [panel for panel in panels if not panel["parent"]]
+        names = [panel["label"] for panel in sections]
+        if label not in names:
+            raise Lost(f"the sidebar has no section {label}, but {', '.join(names)}")
+        index = names.index(label)
+        parent = sections[index]["name"]
+        self.to_top(SIDEBAR)
+        if self._open_sections(sections) != {parent}:
+            self._close_sections(sections)
+            self._press_header(index)
+            if self._open_sections(sections) != {parent}:
+                raise Lost(f"the header of {label} is not where it should be; open: {self._drawn()}")
+        y = self._header(index)[1]
+        for part in parts:
+            found = [p for p in panels if p["parent"] == parent and p["label"] == part]
+            if not found:
+                raise Lost(f"{label} has no part {part}")
+            parent = found[0]["name"]
+            if parent not in self._drawn():
+                y = self._open_part(parent, y)
+        self.settle()
+
+    def sections(self) -> list[str]:
+        """Labels of the sections, from the top."""
+        return [panel["label"] for panel in self.ask("panels") if not panel["parent"]]
+
+    def redraw(self) -> None:
+        """Have the sidebar drawn once."""
+        self.ask("forget_drawn")
+        self.wait("drawn_anew", every=0.01)
+
+    def _drawn(self) -> set[str]:
+        """The panels that are open."""
+        self.redraw()
+        return set(self.ask("drawn"))
+
+    def _open_sections(self, sections: list[dict[str, Any]]) -> set[str]:
+        return self._drawn() & {section["name"] for section in sections}
+
+    def _close_sections(self, sections: list[dict[str, Any]]) -> None:
+        """From the top down: where a header is, is known when all above are closed."""
+        for index, section in enumerate(sections):
+            left = self._open_sections(sections)
+            if section["name"] in left:
+                self._press_header(index)
+            elif not left:
+                return
+        if left := self._open_sections(sections):
+            raise Lost(f"these sections do not close: {left}")
+
+    def _header(self, index: int) -> tuple[int, int]:
+        """Pixel of a section's header when all above are closed."""
+        left, top, _, _ = self.box(SIDEBAR)
+        scale = self.scale()
+        return left + round(110 * scale), top + round((14.0 + index * _HEADER) * scale)
+
+    def _press_header(self, index: int) -> None:
+        self.display.move(*self._header(index))
+        self.press()
+
+    def _open_part(self, name: str, below: int) -> int:
+        """Press what is no button, downwards from a section's header, until the part opens."""
+        left, top, _, height = self.box(SIDEBAR)
+        x, step = left + round(60 * self.scale()), round(UNIT * self.scale() * 0.6)
+        before = self._drawn()
+        for y in range(below + 2 * step, top + height, step):
+            self.display.move(x, y)
+            if any(self.under().values()):
+                continue
+            self.press()
+            now = self._drawn()
+            if name in now:
+                return y
+            if now != before:  # another one's header
+                self.press()
+        raise Lost(f"the part {name} has no header below")

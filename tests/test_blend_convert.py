@@ -1,0 +1,125 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender lights that stand for fixtures give the same light: renders of both agree within their noise."""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix, Vector
+from small_rooms import agree
+
+from fipt_blender.blend import convert, fixtures, light_state, renders
+
+RADIANCE = [8.0, 4.0, 2.0]
+
+
+def irradiance(scene, point: Vector, spp: int, seed: int) -> np.ndarray:
+    """Renders of a white diffuse spot from above: 81 estimates of its radiosity over pi, (81,3)."""
+    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
+    scene.collection.objects.link(camera)
+    camera.data.type, camera.data.ortho_scale = "ORTHO", 0.02
+    camera.data.clip_start = 1e-4
+    camera.matrix_world = Matrix.Translation(point + Vector((0, 0, 0.05)))
+    scene.camera = camera
+    scene.render.resolution_x = scene.render.resolution_y = 9
+    pixels = renders.render_pixels(scene, spp=spp, seed=seed, denoise=False)
+    bpy.data.objects.remove(camera)
+    return pixels.reshape(-1, 3)
+
+
+def lamp_scene(shape: str) -> tuple[bpy.types.Scene, bpy.types.Object]:
+    """A fixture of some shape, tilted, half a metre above a white diffuse floor."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    bpy.ops.mesh.primitive_plane_add(size=2.0)
+    floor = bpy.context.object
+    material = bpy.data.materials.new("floor")
+    if material.node_tree is None:
+        material.use_nodes = True
+    nodes = material.node_tree.nodes
+    nodes.clear()
+    diffuse, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
+    diffuse.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+    material.node_tree.links.new(diffuse.outputs[0], output.inputs["Surface"])
+    floor.data.materials.append(material)
+    if shape == "rectangle":
+        bpy.ops.mesh.primitive_plane_add(size=1.0)
+        size = (0.5, 0.2, 1.0)
+    elif shape == "disk":
+        bpy.ops.mesh.primitive_circle_add(vertices=96, radius=1.0, fill_type="NGON")
+        size = (0.2, 0.2, 1.0)
+    else:
+        bpy.ops.mesh.primitive_uv_sphere_add(segments=96, ring_count=48, radius=1.0)
+        size = (0.15, 0.15, 0.15)
+    mesh = bpy.context.object.data
+    bpy.data.objects.remove(bpy.context.object)
+    if shape != "ball":
+        mesh.transform(Matrix.Rotation(math.pi, 4, "X"))  # fronts look down
+    tilt = Matrix.Rotation(math.radians(25), 4, "Y") @ Matrix.Rotation(math.radians(20), 4, "Z")
+    mesh.transform(tilt @ Matrix.Diagonal((*size, 1.0)))
+    entry = {"name": "Fixture.001", "radiance": RADIANCE, "back_radiance": [0.0] * 3}
+    made = fixtures.NewFixture(entry, mesh, Vector((0.1, 0.0, 0.5)), [])
+    (item,) = fixtures.place(scene, [made])
+    light_state.refresh(scene)
+    bpy.context.view_layer.update()
+    return scene, item
+
+
+@pytest.mark.parametrize("shape", ["rectangle", "disk", "ball"])
+def test_a_fixtures_blender_light_gives_the_same_light(shape):
+    scene, item = lamp_scene(shape)
+    spots = [Vector((0.0, 0.0, 0.0)), Vector((0.35, 0.3, 0.0)), Vector((-0.6, 0.1, 0.0))]
+
+    def measure():
+        found = [irradiance(scene, spot, 64, seed) for seed, spot in enumerate(spots)]
+        return np.array([pixels.mean(axis=0) for pixels in found]), np.array(
+            [pixels.std(axis=0, ddof=1) / math.sqrt(len(pixels)) for pixels in found]
+        )
+
+    surface, surface_error = measure()
+    lights, exact = convert.fixture_to_lights(scene, item)
+    bpy.context.view_layer.update()
+    assert exact and [light.data.type for light in lights] == ["POINT" if shape == "ball" else "AREA"]
+    light, light_error = measure()
+    assert (surface > 0.01).all()
+    # The mesh has flat facets: its area is within half a per cent of the round shape's.
+    error = np.hypot(np.hypot(surface_error, light_error), 0.003 * surface)
+    agree(light - surface, error)
+    camera_sees = look(scene, item)
+    assert np.allclose(camera_sees, RADIANCE, rtol=1e-3)  # the surface is still there for the camera
+    convert.lights_to_fixture(scene, item)
+    assert not item.children and item.visible_diffuse and item.visible_shadow
+    back, back_error = measure()
+    agree(back - surface, np.hypot(surface_error, back_error) + 1e-9)
+
+
+def look(scene, item) -> np.ndarray:
+    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
+    scene.collection.objects.link(camera)
+    camera.data.type, camera.data.ortho_scale = "ORTHO", 0.01
+    camera.matrix_world = Matrix.Translation(item.location - Vector((0, 0, 0.4))) @ Matrix.Rotation(
+        math.pi, 4, "X"
+    )
+    scene.camera = camera
+    scene.render.resolution_x = scene.render.resolution_y = 3
+    pixels = renders.render_pixels(scene, spp=4, denoise=False)
+    bpy.data.objects.remove(camera)
+    return pixels.mean(axis=(0, 1))
+
+
+def test_other_shapes_keep_their_power_and_say_so():
+    half = 3.0 * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [2, 1, 0], [2, 2, 0], [0, 2, 0]])
+    triangles = np.array([[0, 1, 2], [0, 2, 5], [2, 3, 4], [2, 4, 5]])
+    (shape,) = convert.fit_shapes(half, triangles)
+    assert shape.kind == "RECTANGLE" and not shape.exact and shape.area == pytest.approx(27.0)
+    two = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+    both = np.concatenate([two, two + [3, 0, 1]])
+    quads = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    pieces = convert.fit_shapes(both, quads)
+    assert len(pieces) == 2 and all(piece.exact for piece in pieces)
+    assert np.allclose(pieces[1].matrix[:3, 3], [3.5, 0.5, 1.0])
+    assert convert.fit_shapes(two, np.array([[0, 0, 1]])) == []

@@ -1,0 +1,432 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The engine's environment: pins, PyTorch's build, pip's output, a real set-up from a folder of wheels."""
+
+from __future__ import annotations
+
+import base64
+import errno
+import hashlib
+import io
+import json
+import shutil
+import subprocess
+import sys
+import zipfile
+from collections import namedtuple
+from pathlib import Path
+
+import pytest
+
+from fipt_blender.bridge import environment, interpreter, pins, places, setup
+from fipt_blender.bridge.environment import Plan
+from fipt_blender.bridge.pip import PipProgress, pip_error
+from fipt_blender.bridge.torch_build import TORCH_INDEX, choose_torch_build, torch_index, torch_requirement
+from fipt_blender.core.device.cuda import Gpu, cuda_devices, cuda_driver_version
+from fipt_blender.core.job.errors import FiptError
+from fipt_blender.core.job.lock import hold
+from fipt_blender.core.job.messages import parse_message
+from fipt_blender.core.job.runfolder import RunFolder
+
+HERE = sys.version_info[:2]
+PYTHON = Path(sys.executable)
+
+
+class Listener:
+    """Keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.stages: list[str] = []
+        self.texts: list[str] = []
+        self.fractions: list[float] = []
+        self.warnings: list[str] = []
+        self.lines: list[str] = []
+
+    def stage(self, name: str, text: str) -> None:
+        self.stages.append(name)
+
+    def detail(self, text: str) -> None:
+        self.texts.append(text)
+
+    def progress(self, stage_fraction: float) -> None:
+        self.fractions.append(stage_fraction)
+
+    def warning(self, code: str, text: str, remedy: str) -> None:
+        self.warnings.append(code)
+
+    def log(self, line: str) -> None:
+        self.lines.append(line)
+
+
+def make_wheel(folder: Path, name: str, version: str, code: str = "VALUE = 7\n") -> Path:
+    """A pure Python package of one module, as small as pip takes it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    info = f"{name}-{version}.dist-info"
+    files = {
+        f"{name}.py": code,
+        f"{info}/METADATA": f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n",
+        f"{info}/WHEEL": "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
+    }
+    lines = []
+    for path, text in files.items():
+        digest = base64.urlsafe_b64encode(hashlib.sha256(text.encode()).digest()).rstrip(b"=").decode()
+        lines.append(f"{path},sha256={digest},{len(text.encode())}")
+    files[f"{info}/RECORD"] = "\n".join([*lines, f"{info}/RECORD,,"]) + "\n"
+    wheel = folder / f"{name}-{version}-py3-none-any.whl"
+    with zipfile.ZipFile(wheel, "w") as archive:
+        for path, text in files.items():
+            archive.writestr(path, text)
+    return wheel
+
+
+def make_plan(tmp_path: Path, **changes: object) -> Plan:
+    values = {
+        "folder": tmp_path / "env",
+        "base": PYTHON,
+        "requirements": ["fipttiny==1.0"],
+        "modules": ("fipttiny",),
+        "wheels": tmp_path / "wheels",
+        "key": "k",
+    }
+    return Plan(**{**values, **changes})
+
+
+@pytest.fixture
+def device_works(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if the engine's check had found an LLVM: the environment of these tests has no engine."""
+    found = {"device": "llvm", "llvm": None}
+    monkeypatch.setattr(environment, "check_engine", lambda python: (found, FiptError("", "", "")))
+
+
+def test_pins_are_those_of_the_checkout_or_of_the_zip(tmp_path: Path) -> None:
+    assert any(pin.startswith("mitsuba==") for pin in pins.read_pins()["engine"])
+    (tmp_path / pins.PINS_NAME).write_text(json.dumps({"engine": ["a==1"], "llvm": [], "pip": []}))
+    assert pins.read_pins(tmp_path)["engine"] == ["a==1"]
+    with pytest.raises(FiptError, match="engine's packages"):
+        pins.read_pins(tmp_path / "nowhere")
+
+
+def test_environments_belong_to_pins_and_a_python(tmp_path: Path) -> None:
+    groups = pins.read_pins()
+    name = pins.environment_name(groups, HERE)
+    assert name.startswith(f"engine-{HERE[0]}.{HERE[1]}-")
+    assert name != pins.environment_name({**groups, "engine": ["torch==1"]}, HERE)
+    other = next(version for version in pins.ENGINE_PYTHONS if version != HERE)
+    names = [pins.environment_name(groups, other), name, f"engine-{HERE[0]}.{HERE[1]}-00000000"]
+    for each in (*names, "engine-old", "runs"):
+        (tmp_path / each).mkdir()
+    assert {path.name for path in pins.environments(tmp_path)} == set(names)
+    assert pins.managed_environments(tmp_path) == []
+    for each in names:
+        (tmp_path / each / pins.STAMP_NAME).write_text(json.dumps({"complete": True}))
+    found = [path.name for path in pins.managed_environments(tmp_path)]
+    assert found == [name, names[0]], "the running Python's leads, other pins do not count"
+    (tmp_path / name / pins.STAMP_NAME).write_text(json.dumps({"installed": True, "complete": False}))
+    assert [path.name for path in pins.managed_environments(tmp_path)] == [names[0]]
+
+
+def test_folder_of_wheels_tells_its_pythons_and_the_command_names_every_pin(tmp_path: Path) -> None:
+    groups = pins.read_pins()
+    version = next(pin for pin in groups["engine"] if pin.startswith("mitsuba")).partition("==")[2]
+    for tag in ("cp313", "cp311", "cp38"):
+        (tmp_path / f"mitsuba-{version}-{tag}-{tag}-manylinux_2_28_x86_64.whl").touch()
+    (tmp_path / "mitsuba-0.1-cp314-cp314-manylinux_2_28_x86_64.whl").touch()
+    assert pins.wheel_pythons(tmp_path, groups) == [(3, 11), (3, 13)]
+    command = pins.wheel_command(groups, (3, 13))
+    assert command.startswith("python3.13 -m pip download")
+    assert all(pin in command for name in ("engine", "llvm", "pip") for pin in groups[name])
+
+
+def test_versions_that_are_not_the_pinned_ones_are_named() -> None:
+    groups = {
+        "engine": [
+            "OpenEXR==3.5.3",
+            "numpy==1.26.4; python_version < '3.13'",
+            "numpy==2.5.5",
+            "torch==2.13.0",
+        ]
+    }
+    good = {"openexr": "3.5.3", "numpy": "2.5.5", "torch": "2.13.0+cpu", "psutil": "1", "mitsuba": None}
+    assert pins.other_versions(groups, good) == []
+    named = pins.other_versions(groups, {**good, "torch": "2.1.0", "numpy": "1.0"})
+    assert named == ["numpy 1.0 (1.26.4 or 2.5.5)", "torch 2.1.0 (2.13.0)"]
+
+
+def gpu(*capability: int) -> Gpu:
+    return Gpu("Card", "GPU-1", 8.0, (capability[0], capability[1]))
+
+
+@pytest.mark.parametrize(
+    ("device", "driver", "gpus", "linux", "windows"),
+    [
+        ("auto", None, [], "cpu", ""),
+        ("llvm", 13000, [gpu(8, 6)], "cpu", ""),
+        ("auto", 13010, [gpu(8, 6)], "", "cu130"),
+        ("cuda", 12040, [gpu(8, 6)], "cu126", "cu126"),
+        ("auto", 13000, [gpu(6, 1)], "cu126", "cu126"),  # CUDA 13 left the older cards behind
+        ("auto", 13000, [gpu(6, 1), gpu(12, 0)], "", "cu130"),  # none serves both
+        ("auto", 11080, [gpu(8, 6)], "cpu", ""),  # a driver too old for any
+    ],
+)
+def test_torch_build_fits_driver_and_card(
+    device: str,
+    driver: int | None,
+    gpus: list[Gpu],
+    linux: str,
+    windows: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for platform, expected in (("linux", linux), ("win32", windows)):
+        monkeypatch.setattr(sys, "platform", platform)
+        assert choose_torch_build(device, driver, gpus) == expected
+
+
+def test_torch_requirement_names_the_build() -> None:
+    requirements = ["a==1", "torch==2.13.0; python_version > '3'"]
+    assert torch_requirement(requirements, "cu126") == "torch==2.13.0+cu126; python_version > '3'"
+    assert torch_requirement(requirements, "") == torch_requirement(["a==1"], "cpu") == ""
+    assert torch_index("cu126") == f"{TORCH_INDEX}/cu126" and torch_index("") == ""
+
+
+def test_driver_is_asked_without_harm() -> None:
+    devices = cuda_devices()
+    assert (cuda_driver_version() is None) == (devices == [])
+    assert all(each.uuid.startswith("GPU-") for each in devices)
+
+
+def test_pips_lines_become_texts_and_a_fraction_that_never_falls(tmp_path: Path) -> None:
+    listener = Listener()
+    progress = PipProgress(tmp_path, 0.2, listener)
+    for line in (
+        "Collecting torch==2.13.0",
+        "  Downloading torch-2.13.0-cp313-cp313-manylinux_2_28_x86_64.whl.metadata (30 kB)",
+        "Downloading torch-2.13.0+cpu-cp313-cp313-manylinux_2_28_x86_64.whl (100.0 MB)",
+        "Progress 50000000 of 100000000",
+        "Progress 100000000 of 100000000",
+        "Using cached mitsuba-3.9.1-cp313-cp313-manylinux_2_28_x86_64.whl (62.6 MB)",
+        "Installing collected packages: torch, mitsuba",
+    ):
+        progress.line(line + "\n")
+    (tmp_path / "torch-2.13.0.dist-info").mkdir()
+    progress.watch()
+    assert listener.texts == [
+        "Downloading: torch 2.13.0+cpu (100.0 MB)",
+        "Taking from pip's cache: mitsuba 3.9.1 (62.6 MB)",
+        "Installing 2 packages",
+    ]
+    assert listener.fractions == sorted(listener.fractions) and listener.fractions[-1] == pytest.approx(0.85)
+    assert listener.fractions[1] == pytest.approx(0.7 / 4)
+    assert not any(line.startswith("Progress") for line in listener.lines)
+
+
+@pytest.mark.parametrize(
+    ("lines", "wheels", "code"),
+    [
+        (
+            ["ERROR: Could not install packages due to an OSError: [Errno 28] No space left"],
+            None,
+            "disk-full",
+        ),
+        (
+            [
+                "WARNING: Retrying after connection broken by 'NewConnectionError(...)'",
+                "ERROR: Could not find a version that satisfies the requirement torch (from versions: none)",
+                "ERROR: No matching distribution found for torch",
+            ],
+            None,
+            "network-missing",
+        ),
+        (["ERROR: No matching distribution found for torch"], None, "packages-failed"),
+        (["ERROR: No matching distribution found for torch"], Path("/wheels"), "wheels-missing"),
+        ([], None, "packages-failed"),
+    ],
+)
+def test_pips_failures_have_words(lines: list[str], wheels: Path | None, code: str, tmp_path: Path) -> None:
+    progress = PipProgress(tmp_path, 1.0, Listener())
+    for line in lines:
+        progress.line(line)
+    error = pip_error(progress, wheels)
+    assert error.code == code and error.text and error.remedy
+
+
+def test_set_up_from_wheels_is_complete_resumed_and_remade(
+    tmp_path: Path, device_works: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_wheel(tmp_path / "wheels", "fipttiny", "1.0")
+    plan = make_plan(tmp_path)
+    (tmp_path / "env").mkdir()
+    (tmp_path / "env" / "half-made").touch()  # an earlier set-up was killed here
+    listener = Listener()
+    environment.set_up(plan, listener)
+    assert listener.stages == ["environment", "packages", "libraries", "llvm"]
+    assert pins.is_set_up(plan.folder, "k") and not (plan.folder / "half-made").exists()
+    answer = subprocess.run(
+        [str(plan.python), "-I", "-c", "import fipttiny; print(fipttiny.VALUE)"], capture_output=True
+    )
+    assert answer.stdout.strip() == b"7"
+    # what is there is kept: a second time nothing is made anew
+    marker = plan.folder / "marker"
+    marker.touch()
+    environment.set_up(plan, Listener())
+    assert marker.exists()
+    # an interpreter that is gone (Blender was updated) has it made anew
+    plan.python.unlink()
+    environment.set_up(plan, Listener())
+    assert not marker.exists() and plan.python.exists()
+
+
+def test_set_up_names_what_the_wheels_lack_and_a_package_that_breaks(
+    tmp_path: Path, device_works: None
+) -> None:
+    make_wheel(tmp_path / "wheels", "fipttiny", "0.9")
+    with pytest.raises(FiptError, match=r"fipttiny==1\.0") as caught:
+        environment.set_up(make_plan(tmp_path), Listener())
+    assert caught.value.code == "wheels-missing"
+    assert not pins.read_stamp(tmp_path / "env")
+    (tmp_path / "env" / pins.STAMP_NAME).write_text(json.dumps({"installed": True}))  # spares making it anew
+    make_wheel(tmp_path / "wheels", "fipttiny", "1.0", "raise ImportError('no libfoo')")
+    with pytest.raises(FiptError, match="no libfoo") as caught:
+        environment.set_up(make_plan(tmp_path), Listener())
+    assert caught.value.code == "package-broken"
+    stamp = pins.read_stamp(tmp_path / "env")
+    assert stamp["installed"] and not stamp["complete"], "mended, it is completed and not made anew"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell script stands for Python")
+def test_python_without_pip_takes_one_from_the_wheels_or_says_how_to_mend_it(
+    tmp_path: Path, device_works: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    base = tmp_path / "bare" / "python3"
+    base.parent.mkdir()
+    # as Debian's without python3-venv: venv works only without pip
+    refuse = 'case "$*" in *"-m venv --without-pip"*) ;; *"-m venv"*) exit 1;; esac'
+    base.write_text(f'#!/bin/sh\n{refuse}\nexec {PYTHON} "$@"\n')
+    base.chmod(0o755)
+    monkeypatch.setattr(environment, "_DEBIAN_WHEELS", tmp_path / "none")
+    monkeypatch.setattr(environment, "other_pythons", lambda: iter([]))
+    make_wheel(tmp_path / "wheels", "fipttiny", "1.0")
+    with pytest.raises(FiptError, match="neither pip nor ensurepip") as caught:
+        environment.set_up(make_plan(tmp_path, base=base), Listener())
+    assert caught.value.code == "python-unfit" and not (tmp_path / "env").exists()
+    import ensurepip
+
+    bundled = next((Path(ensurepip.__file__).parent / "_bundled").glob("pip-*.whl"))
+    shutil.copy(bundled, tmp_path / "wheels")
+    environment.set_up(make_plan(tmp_path, base=base), Listener())
+    assert pins.is_set_up(tmp_path / "env", "k")
+
+
+def test_little_space_is_seen_beforehand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(10, 9, 1_000_000_000))
+    with pytest.raises(FiptError, match=r"1\.0 GB are free") as caught:
+        environment.set_up(make_plan(tmp_path), Listener())
+    assert caught.value.code == "disk-full" and not (tmp_path / "env").exists()
+
+
+def test_a_base_that_is_no_python_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FiptError) as caught:
+        environment.make_environment(make_plan(tmp_path, base=tmp_path / "gone"))
+    assert caught.value.code == "python-unfit"
+
+
+def test_plans_prefer_what_stands_and_name_a_python_that_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(setup, "other_pythons", lambda: iter([]))
+    plans = setup.make_plans(tmp_path, "auto", None)
+    assert [plan.base for plan in plans] == [PYTHON] and plans[0].folder.parent == tmp_path
+    assert plans[0].requirements == pins.read_pins()["engine"]
+    wheels = tmp_path / "wheels"
+    wheels.mkdir()
+    with pytest.raises(FiptError) as caught:
+        setup.make_plans(tmp_path, "auto", wheels)
+    assert caught.value.code == "wheels-missing"
+    version = next(pin for pin in pins.read_pins()["engine"] if pin.startswith("mitsuba")).partition("==")[2]
+    other = next(each for each in pins.ENGINE_PYTHONS if each != HERE)
+    (wheels / f"mitsuba-{version}-cp{other[0]}{other[1]}-cp{other[0]}{other[1]}-any.whl").touch()
+    with pytest.raises(FiptError, match=rf"Python {other[0]}\.{other[1]}") as caught:
+        setup.make_plans(tmp_path, "auto", wheels)
+    assert caught.value.code == "python-unfit"
+
+
+@pytest.fixture
+def installed(tmp_path: Path) -> list[str]:
+    """A command line of set-up as an installed extension has it, with one tiny package pinned."""
+    package = tmp_path / "extension"
+    shutil.copytree(places.PACKAGE_FOLDER, package, ignore=shutil.ignore_patterns("__pycache__"))
+    # named as the engine's main package, by which the wheels' Python is recognised
+    groups = {"engine": ["mitsuba==0.0.1"], "llvm": [], "pip": []}
+    (package / pins.PINS_NAME).write_text(json.dumps(groups))
+    command = interpreter.setup_command(PYTHON, tmp_path / "data", "auto", tmp_path / "wheels")
+    wheel = make_wheel(tmp_path / "wheels", "mitsuba", "0.0.1")
+    tag = f"cp{HERE[0]}{HERE[1]}"
+    wheel.rename(wheel.with_name(f"mitsuba-0.0.1-{tag}-none-any.whl"))
+    return [part.replace(str(places.PACKAGE_FOLDER), str(package)) for part in command]
+
+
+def test_child_process_tells_in_messages_and_says_what_is_missing(
+    installed: list[str], tmp_path: Path
+) -> None:
+    result = subprocess.run(installed, capture_output=True, text=True, cwd=tmp_path)
+    messages = [parse_message(line) for line in result.stdout.splitlines()]
+    assert None not in messages, "nothing but messages on stdout"
+    names = [message["name"] for message in messages if message["type"] == "stage"]
+    assert list(dict.fromkeys(names)) == ["environment", "packages", "libraries"]
+    fractions = [message["fraction"] for message in messages if message["type"] == "progress"]
+    assert fractions == sorted(fractions)
+    # the only pinned package is installed; the engine's others are missed
+    assert result.returncode == 1 and messages[-1]["code"] == "package-broken"
+    assert "torch" in messages[-1]["text"] and "pip install" in result.stderr
+    (folder,) = pins.environments(tmp_path / "data")
+    assert pins.read_stamp(folder)["installed"] and not pins.read_stamp(folder)["complete"]
+
+
+def test_second_set_up_in_one_data_folder_waits_its_turn(installed: list[str], tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    data.mkdir()
+    with hold(RunFolder(data), ["set-up"]):
+        result = subprocess.run(installed, capture_output=True, text=True)
+    error = parse_message(result.stdout.splitlines()[-1])
+    assert result.returncode == 1 and error["code"] == "run-busy"
+
+
+def test_data_folder_is_the_platforms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(places.DATA_VARIABLE, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    assert places.default_data_folder() == tmp_path / "fipt_blender"
+    monkeypatch.setattr(sys, "platform", "win32")
+    monkeypatch.setenv("LOCALAPPDATA", str(tmp_path / "local"))
+    assert places.default_data_folder() == tmp_path / "local" / "fipt_blender"
+    monkeypatch.setenv(places.DATA_VARIABLE, str(tmp_path / "named"))
+    assert places.default_data_folder() == tmp_path / "named"
+
+
+def test_run_folders_are_fresh_and_safely_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = (places.new_run_folder(tmp_path, "../Living room: 2?") for _ in range(2))
+    assert first != second and first.parent == second.parent == tmp_path / "runs"
+    assert first.name.startswith("Living-room-2-") and not list(first.iterdir())
+    assert places.new_run_folder(tmp_path, "").name.startswith("run-")
+    (tmp_path / "file").touch()
+    with pytest.raises(FiptError) as caught:
+        places.new_run_folder(tmp_path / "file", "room")
+    assert caught.value.code == "run-unwritable"
+
+    def full(*arguments: object, **options: object) -> None:
+        raise OSError(errno.ENOSPC, "no space")
+
+    monkeypatch.setattr(Path, "mkdir", full)
+    with pytest.raises(FiptError) as caught:
+        places.new_run_folder(tmp_path, "room")
+    assert caught.value.code == "disk-full"
+
+
+def test_stdout_of_set_up_is_for_messages_alone() -> None:
+    listener = setup._Teller(io.StringIO())
+    listener.plan((1.0, 1.0))
+    listener.stage("a", "A")
+    listener.detail("more of A")
+    lines = [json.loads(line) for line in listener._stream.getvalue().splitlines()]
+    assert [line["text"] for line in lines if line["type"] == "stage"] == ["A", "more of A"]
+    assert {line["index"] for line in lines if line["type"] == "stage"} == {0}

@@ -1,0 +1,295 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The buttons of the sections Capture and Parts as scripts press them: import, check, colours; bad inputs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from capture_samples import make_samples, write_colmap, write_mesh, write_transforms
+
+import fipt_blender
+from fipt_blender import preferences, running
+from fipt_blender.blend import overlay
+from fipt_blender.blend.survey import coverage_colors, part_colors
+from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.job.runfolder import RunFolder, read_json
+
+ops = bpy.ops.fipt
+
+
+@pytest.fixture(scope="module", autouse=True)
+def registered():
+    fipt_blender.register()
+    yield
+    fipt_blender.unregister()
+    assert overlay._shown is None
+
+
+@pytest.fixture
+def scene(tmp_path, monkeypatch):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    monkeypatch.setattr(preferences._defaults, "data_folder", str(tmp_path / "data"))
+    monkeypatch.setattr(preferences._defaults, "device", "llvm")
+    return bpy.context.scene
+
+
+@pytest.fixture(scope="module")
+def sample(tmp_path_factory) -> Path:
+    """Ten views, and a mesh around them."""
+    root = tmp_path_factory.mktemp("capture") / "kitchen"
+    write_transforms(root, make_samples(10))
+    corners = [(x, y, z) for x in (-3, 3) for y in (-3, 3) for z in (-3, 3)]
+    faces = [(1, 3, 4, 2), (5, 6, 8, 7), (1, 2, 6, 5), (3, 7, 8, 4), (1, 5, 7, 3), (2, 4, 8, 6)]
+    lines = ["v {} {} {}".format(*corner) for corner in corners]
+    for index, face in enumerate(faces):
+        lines += [f"usemtl side{index}", "f {} {} {} {}".format(*face)]
+    (root / "scene.obj").write_text("\n".join(lines) + "\n")
+    return root
+
+
+def refused(operator, **arguments) -> str:
+    """The words with which an operator refuses; nothing was added to the file."""
+    before = sorted(item.name for item in bpy.data.objects)
+    with pytest.raises(RuntimeError) as error:
+        operator(**arguments)
+    assert sorted(item.name for item in bpy.data.objects) == before
+    return str(error.value)
+
+
+@pytest.fixture
+def imported(scene, sample):
+    assert ops.import_capture(filepath=str(sample)) == {"FINISHED"}
+    return scene
+
+
+def test_import_makes_a_run_and_everything_the_artist_sees(imported, sample, tmp_path):
+    settings = imported.fipt.capture
+    folder = Path(imported.fipt.run_folder)
+    assert folder.parent == tmp_path / "data" / "runs" and folder.name.startswith("kitchen")
+    assert (settings.train_count, settings.held_back_count, len(settings.views)) == (9, 1, 10)
+    assert len(settings.room_objects(imported)) == 1
+    assert all(view.camera_object().parent == settings.alignment for view in settings.views)
+    image = settings.views[0].camera_object().data.background_images[0].image
+    assert Path(image.filepath) == sample / "images" / "000_0001.exr"
+    assert imported.camera is None  # nothing is looked through unasked
+    running_job = running.last("capture")
+    assert running_job.state == "finished" and running.current() is None
+
+
+def test_import_again_and_of_another_capture(imported, sample, tmp_path):
+    first = imported.fipt.run_folder
+    imported.fipt.capture.scale = 0.5
+    assert ops.import_capture() == {"FINISHED"} and imported.fipt.run_folder == first
+    places = np.array([view.camera_object().location for view in imported.fipt.capture.views])
+    assert np.abs(places).max() < 1.01
+    other = tmp_path / "other"
+    write_colmap(other, make_samples(3, model="OPENCV"), text=True)
+    write_mesh(other / "scene.obj")
+    assert ops.import_capture(filepath=str(other / "sparse" / "0" / "images.txt")) == {"FINISHED"}
+    assert imported.fipt.run_folder != first and (Path(first) / "capture.json").exists()
+    assert len(imported.fipt.capture.views) == 3
+    assert all(
+        Path(view.image).is_relative_to(imported.fipt.run_folder) for view in imported.fipt.capture.views
+    )
+
+
+def test_bad_captures_are_refused_in_words_and_change_nothing(imported, sample, tmp_path):
+    run, views = imported.fipt.run_folder, len(imported.fipt.capture.views)
+    assert "does not exist" in refused(ops.import_capture, filepath=str(tmp_path / "nowhere"))
+    (tmp_path / "empty").mkdir()
+    assert "no capture that can be read" in refused(ops.import_capture, filepath=str(tmp_path / "empty"))
+    broken = tmp_path / "broken"
+    shutil.copytree(sample, broken)
+    (broken / "images" / "003_0001.exr").unlink()
+    assert "003_0001.exr" in refused(ops.import_capture, filepath=str(broken))
+    settings = imported.fipt.capture
+    settings.mesh = str(tmp_path / "gone.obj")
+    assert "gone.obj" in refused(ops.import_capture, filepath=str(sample))
+    settings.mesh = ""
+    settings.images = str(tmp_path / "gone")
+    assert "gone" in refused(ops.import_capture, filepath=str(sample))
+    assert imported.fipt.run_folder == run and len(settings.views) == views
+    assert [each.name for each in (tmp_path / "data" / "runs").iterdir()] == [Path(run).name]
+    assert running.current() is None
+
+
+def test_first_import_needs_a_path_and_an_engine(scene, sample, tmp_path, monkeypatch):
+    assert "folder" in refused(ops.import_capture)
+    monkeypatch.setenv("FIPT_ENGINE_PYTHON", str(tmp_path / "no-python"))
+    assert "no-python" in refused(ops.import_capture, filepath=str(sample))
+    assert scene.fipt.run_folder == ""
+
+
+def test_mesh_and_room(imported, sample, tmp_path):
+    settings = imported.fipt.capture
+    assert "does not exist" in refused(ops.import_mesh, filepath=str(tmp_path / "gone.obj"))
+    (tmp_path / "text.xyz").touch()
+    assert "xyz" in refused(ops.import_mesh, filepath=str(tmp_path / "text.xyz"))
+    write_mesh(tmp_path / "other.obj")
+    assert ops.import_mesh(filepath=str(tmp_path / "other.obj")) == {"FINISHED"}
+    (item,) = settings.room_objects(imported)
+    assert len(item.data.polygons) == 1 and item.parent == settings.alignment
+    assert "No meshes are selected" in refused(ops.set_room)
+    assert "no collection" in refused(ops.set_room, collection="Nothing")
+    bpy.ops.mesh.primitive_cube_add()
+    cube = bpy.context.object
+    assert ops.set_room() == {"FINISHED"} and settings.room_objects(imported) == [cube]
+    mine = bpy.data.collections.new("Mine")
+    imported.collection.children.link(mine)
+    mine.objects.link(item)
+    assert ops.set_room(collection="Mine") == {"FINISHED"} and settings.room_objects(imported) == [item]
+
+
+def test_looking_through_views_and_ticking_them(imported):
+    settings = imported.fipt.capture
+    assert ops.look_through(view="images/003_0001") == {"FINISHED"}
+    assert settings.active_view == 3 and imported.camera == settings.views[3].camera_object()
+    assert (imported.render.resolution_x, imported.render.resolution_y) == (32, 48)
+    ops.look_through(step=1)
+    assert settings.active_view == 4 and imported.camera.name == settings.views[4].camera
+    settings.active_view = 9  # a click in the list
+    assert imported.camera.name == settings.views[9].camera
+    ops.look_through(step=1)
+    assert settings.active_view == 0
+    settings.photograph_opacity = 0.0
+    assert not imported.camera.data.show_background_images
+    assert "no view" in refused(ops.look_through, view="nothing")
+    bpy.data.objects.remove(settings.views[0].camera_object())
+    assert "was deleted" in refused(ops.look_through)
+    for action, count in (("NONE", 0), ("INVERT", 9), ("NONE", 0), ("ALL", 9)):
+        ops.tick_views(action=action)
+        assert settings.train_count + settings.held_back_count == count
+    settings.views[2].warning = "bad"
+    ops.tick_views(action="GOOD")
+    assert [view.enabled for view in settings.views].count(False) == 1 and settings.warning_count == 0
+
+
+def test_undo_takes_an_import_back_and_redo_brings_it_again(scene, sample):
+    bpy.ops.ed.undo_push(message="before")
+    assert ops.import_capture(filepath=str(sample)) == {"FINISHED"}
+    bpy.ops.ed.undo_push(message="after")
+    bpy.ops.ed.undo()
+    scene = bpy.context.scene
+    assert not scene.fipt.capture.views and not bpy.data.objects and scene.fipt.capture.alignment is None
+    bpy.ops.ed.redo()
+    scene = bpy.context.scene
+    settings = scene.fipt.capture
+    assert len(settings.views) == 10 and len(settings.room_objects(scene)) == 1
+    assert all(view.camera_object() is not None for view in settings.views)
+    assert settings.alignment.name in scene.objects
+
+
+def test_without_a_capture_the_buttons_say_what_is_needed(scene):
+    for operator in (ops.look_through, ops.tick_views, ops.check_views):
+        assert "Import a capture first" in refused(operator)
+    assert "Check the views" in refused(ops.show_coverage)
+    assert "Check the views" in refused(ops.show_parts)
+    assert "no cameras" in refused(ops.use_scene_cameras)
+
+
+def test_check_fills_the_list_and_colours_follow_the_ticks(imported, sample):
+    settings, parts = imported.fipt.capture, imported.fipt.parts
+    (sample / "images" / "002_0001.exr").rename(sample / "images" / "aside")
+    settings.views[5].enabled = False
+    bpy.data.objects.remove(settings.views[6].camera_object())
+    try:
+        assert ops.check_views() == {"FINISHED"}
+    finally:
+        (sample / "images" / "aside").rename(sample / "images" / "002_0001.exr")
+    warnings = [view.warning for view in settings.views]
+    assert settings.views[2].image_missing and "missing" in warnings[2] and "deleted" in warnings[6]
+    assert settings.views[0].checked and settings.views[0].room_share == 1.0 and settings.views[5].checked
+    assert settings.warning_count == 1 and settings.train_count + settings.held_back_count == 8
+    assert settings.unseen_share == pytest.approx(1 / 3)  # level cameras see no floor and no ceiling
+    assert parts.auto_source == "materials"
+    assert json.loads(parts.counts) == {"materials": 6, "loose": 1}
+    run = RunFolder(imported.fipt.run_folder)
+    splits = [view["split"] for view in read_json(run.survey / "capture.json")["views"]]
+    assert splits.count("unused") == 1 and len(splits) == 9
+
+    assert ops.show_coverage() == {"FINISHED"} and overlay.shown(imported) == "coverage"
+    (part,) = overlay._shown.parts
+    greens = part.colors.copy()
+    assert len(part.positions) == 36
+    ops.tick_views(action="NONE")
+    assert settings.unseen_share == 1.0
+    (part,) = overlay._shown.parts
+    assert (part.colors[:, 0] > part.colors[:, 1]).all() and not np.array_equal(part.colors, greens)
+    assert ops.show_parts() == {"FINISHED"} and overlay.shown(imported) == "parts"
+    assert len(np.unique(overlay._shown.parts[0].colors.round(3), axis=0)) >= 6
+    parts.source = "objects"
+    assert "one object" in refused(ops.show_parts)
+    parts.source = "loose"
+    assert ops.show_parts() == {"FINISHED"}
+    parts.source, parts.folder = "folder", str(sample)
+    assert "Check the views again" in refused(ops.show_parts)
+    other = bpy.data.scenes.new("other")
+    assert overlay.shown(other) == ""  # the colours belong to one scene
+    assert ops.show_parts(show=False) == {"FINISHED"} and overlay.shown(imported) == ""
+
+
+def test_check_needs_a_room(imported):
+    for item in imported.fipt.capture.room_objects(imported):
+        bpy.data.objects.remove(item)
+    assert "No meshes are chosen" in refused(ops.check_views)
+
+
+def test_masks_of_the_artist_are_counted(imported, sample, tmp_path):
+    parts = imported.fipt.parts
+    for number in range(10):
+        width, height = (48, 32) if number % 2 == 0 else (32, 48)
+        ids = np.ones((height, width), np.float32)
+        ids[:, : width // 2] = 2.0
+        write_exr(tmp_path / "masks" / f"{number:03d}_0001.exr", ids)
+    parts.source, parts.folder = "folder", str(tmp_path / "masks")
+    assert ops.check_views() == {"FINISHED"}
+    assert json.loads(parts.counts)["masks"] == 2
+    assert ops.show_parts() == {"FINISHED"}
+    parts.source = "masks"  # the capture's own, which it does not have
+    assert "masks" in refused(ops.show_parts)
+    overlay.hide()
+
+
+def test_own_cameras_become_the_capture(scene, sample, tmp_path):
+    collection = bpy.data.collections.new("Matchmove")
+    scene.collection.children.link(collection)
+    scene.render.resolution_x, scene.render.resolution_y = 48, 32
+    for number in (0, 2, 4):
+        item = bpy.data.objects.new(f"Shot.{number:03d}", bpy.data.cameras.new("Shot"))
+        collection.objects.link(item)
+        item.location, item.rotation_euler = (0.1 * number, 0.0, 1.0), (1.5, 0.0, number)
+        image = bpy.data.images.load(str(sample / "images" / f"{number:03d}_0001.exr"))
+        item.data.background_images.new().image = image
+    bare = bpy.data.objects.new("Bare", bpy.data.cameras.new("Bare"))
+    collection.objects.link(bare)
+    scene.fipt.capture.hold_back = 0
+    before = {item.name: item.matrix_basis.copy() for item in collection.objects}
+    assert ops.use_scene_cameras() == {"FINISHED"}
+    settings = scene.fipt.capture
+    assert [view.camera for view in settings.views] == ["Shot.000", "Shot.002", "Shot.004"]
+    assert "Bare" in running.last("capture").warnings[0]["text"]
+    assert {item.name: item.matrix_basis for item in collection.objects} == before
+    assert len(bpy.data.cameras) == 4
+    ops.look_through(view=settings.views[1].name)
+    assert scene.camera.name == "Shot.002" and scene.render.resolution_x == 48
+    first = scene.fipt.run_folder
+    assert ops.use_scene_cameras() == {"FINISHED"} and scene.fipt.run_folder == first
+    bpy.data.images[0].filepath = str(tmp_path / "photo.jpg")
+    assert "OpenEXR" in refused(ops.use_scene_cameras)
+    assert len(settings.views) == 3
+
+
+def test_colours_of_coverage_and_parts():
+    colors = coverage_colors(np.array([0, 1, 2, 3, 4, 5, 200]))
+    assert len(np.unique(colors, axis=0)) == 5 and (colors[3] == colors[4]).all()
+    assert colors[0, 0] > colors[0, 1] and colors[-1, 1] > colors[-1, 0]
+    parts = part_colors(np.arange(-1, 40))
+    assert parts.min() >= 0.0 and parts.max() <= 1.0 and (parts[0] == 0.25).all()
+    distance = np.linalg.norm(parts[1:, None] - parts[None, 1:], axis=2) + np.eye(40)
+    assert distance.min() > 0.02 and np.diagonal(distance, 1).min() > 0.2  # neighbours differ most

@@ -1,0 +1,315 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The section Estimate as scripts press it, with the real engine on a tiny room: faults at every stage."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import bpy
+import pytest
+from small_captures import PANEL, QUICK, SmallCapture, panel_capture, write_run
+from small_rooms import BOX
+
+import fipt_blender
+from fipt_blender import mainjob, preferences, running
+from fipt_blender.bridge import interpreter
+from fipt_blender.bridge.process import find_engine
+from fipt_blender.core.job.runfolder import RunFolder, read_json
+from fipt_blender.core.job.settings import make_settings
+from fipt_blender.operators import estimate
+from fipt_blender.operators.estimate import make_steps, scene_settings, smaller_preset
+from fipt_blender.properties.estimate import CHOICES
+
+ops = bpy.ops.fipt
+posix = pytest.mark.skipif(os.name == "nt", reason="signals")
+STAGES = ["pixels", "shadings", "training-0", "refinement-1", "training-1"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def registered():
+    fipt_blender.register()
+    yield
+    fipt_blender.unregister()
+
+
+@pytest.fixture(scope="module")
+def capture() -> SmallCapture:
+    return panel_capture()
+
+
+@pytest.fixture
+def run(tmp_path, capture) -> RunFolder:
+    """A capture whose room still has to come from the scene."""
+    run = write_run(tmp_path / "run", capture)
+    run.room_npz.unlink()
+    run.room_json.unlink()
+    return run
+
+
+@pytest.fixture
+def scene(run, tmp_path, monkeypatch):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    monkeypatch.setattr(preferences._defaults, "data_folder", str(tmp_path / "data"))
+    monkeypatch.setattr(preferences._defaults, "device", "llvm")
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")  # quicker for networks this small
+    scene = bpy.context.scene
+    room = bpy.data.collections.new("FIPT Room")
+    scene.collection.children.link(room)
+    for index, quad in enumerate([*BOX, PANEL]):
+        mesh = bpy.data.meshes.new("quad")
+        mesh.from_pydata(quad, [], [(0, 1, 2, 3)])
+        room.objects.link(bpy.data.objects.new(f"wall {index}", mesh))
+    scene.fipt.estimate.preset = "draft"
+    scene.fipt.run_folder = str(run.root)
+    return scene
+
+
+@pytest.fixture
+def quick(monkeypatch) -> dict:
+    """Settings below those that the panel offers, for a run of seconds."""
+    changes = {**QUICK, "training_steps": 20, "later_training_steps": 10}
+    monkeypatch.setattr(estimate, "scene_settings", lambda scene: make_settings("draft", changes))
+    return changes
+
+
+def start(resume: bool = False) -> running.RunningJob:
+    """What the button does in a window, where a timer would call `running.tick`."""
+    scene = bpy.context.scene
+    settings = estimate.scene_settings(scene)
+    run = RunFolder(scene.fipt.run_folder)
+    run.create(settings)
+    job = mainjob.open_job(run, make_steps(run, settings), resume=resume)
+    return running.start(job, title="Estimate", kind="estimate", scene_name=scene.name, run_folder=run.root)
+
+
+def tick_to_stage(run: RunFolder, stage: str) -> None:
+    while stage_of(run) != stage:
+        assert running.current() is not None, running.last("estimate")
+        running.tick()
+        time.sleep(0.01)
+
+
+def tick_to_end() -> None:
+    while running.current() is not None:
+        running.tick()
+        time.sleep(0.01)
+
+
+def stage_of(run: RunFolder) -> str:
+    """The stage that the engine is at."""
+    try:
+        lines = run.messages("estimate").read_text().splitlines()
+    except OSError:
+        return ""
+    stages = [json.loads(line)["name"] for line in lines if line.startswith('{"type": "stage"')]
+    return stages[-1] if stages else ""
+
+
+def done(run: RunFolder) -> list[str]:
+    path = run.stage / "stages.json"
+    return list(read_json(path)["stages"]) if path.exists() else []
+
+
+def test_estimate_works_on_the_scene_as_it_is(scene, run, quick):
+    assert ops.estimate() == {"FINISHED"}
+    assert done(run) == STAGES
+    assert read_json(run.room_json)["objects"] == [f"wall {index}" for index in range(7)]
+    assert read_json(run.emitters_json)["fixtures"][0]["triangles"] == [12, 13]
+    assert run.read().training_steps == 20 and run.read().device == "llvm"
+    job = running.last("estimate")
+    assert job.state == "finished" and all(path.is_file() for path in job.pictures)
+    assert [path.name for path in job.pictures] == ["training-1-base_color.png", "training-1-emission.png"]
+    assert not ops.resume.poll()  # it is finished
+
+    before = run.emitters_json.stat().st_mtime_ns
+    bpy.data.objects["wall 6"].location.z = -0.05  # the room is another one: all stages anew
+    assert ops.estimate() == {"FINISHED"}
+    assert run.emitters_json.stat().st_mtime_ns > before
+
+
+@posix
+def test_killed_at_every_stage_it_resumes_and_blender_lives_on(scene, run, quick):
+    for number, stage in enumerate(STAGES):
+        info = start(resume=number > 0)
+        tick_to_stage(run, stage)
+        os.kill(find_engine(run).pid, signal.SIGKILL)
+        tick_to_end()
+        assert info.state == "failed" and info.error["code"] == "out-of-memory" and info.error["remedy"]
+        assert done(run)[:number] == STAGES[:number] and not run.fields_npz.exists()
+        bpy.data.objects.new(f"still alive {number}", None)
+        assert number == 0 or ops.resume.poll()
+    assert ops.resume() == {"FINISHED"}
+    assert done(run) == STAGES and run.emitters_json.exists()
+
+
+@posix
+def test_cancelled_while_baking_and_while_training(scene, run, quick):
+    quick |= {"diffuse_spp": 2048, "training_steps": 5000}
+    for stage, kept in (("shadings", 1), ("training-0", 2)):
+        info = start(resume=kept > 1)
+        tick_to_stage(run, stage)
+        began = time.monotonic()
+        ops.cancel()
+        assert time.monotonic() - began < 0.2
+        tick_to_end()
+        assert time.monotonic() - began < 2.0
+        assert info.state == "cancelled" and info.error is None and find_engine(run) is None
+        assert done(run) == STAGES[:kept] and ops.resume.poll()
+
+
+def test_no_engine_is_said_before_anything_is_made(scene, tmp_path, monkeypatch):
+    scene.fipt.run_folder = ""
+    scene.fipt.capture.views.add().name = "train/000"
+    monkeypatch.setenv(interpreter.PYTHON_VARIABLE, str(tmp_path / "nowhere"))
+    with pytest.raises(RuntimeError, match="no such file"):
+        ops.estimate()
+    assert scene.fipt.run_folder == "" and not (tmp_path / "data").exists()
+
+
+@posix
+@pytest.mark.parametrize(
+    ("script", "code"),
+    [("exit 3", "engine-crashed"), ("echo 'Fatal Python error' >&2; kill -ABRT $$", "engine-crashed")],
+)
+def test_an_interpreter_that_breaks_at_work(scene, run, tmp_path, monkeypatch, script, code):
+    broken = tmp_path / "python"
+    broken.write_text(f"#!/bin/sh\n{script}\n")
+    broken.chmod(0o755)
+    launch = mainjob.Launch(broken, dict(os.environ))
+    monkeypatch.setattr(mainjob, "find_launch", lambda explicit=None: launch)
+    with pytest.raises(RuntimeError, match=r"log\.txt"):
+        ops.estimate()
+    assert running.last("estimate").error["code"] == code
+
+    broken.chmod(0o644)
+    with pytest.raises(RuntimeError, match="can't be started"):
+        ops.estimate()
+    assert running.last("estimate").error["code"] == "engine-missing"
+
+
+@posix
+def test_an_interpreter_without_the_packages_is_refused(scene, tmp_path, monkeypatch):
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(tmp_path / "bare")], check=True)
+    monkeypatch.setenv(interpreter.PYTHON_VARIABLE, str(tmp_path / "bare"))
+    with pytest.raises(RuntimeError, match="lacks"):
+        ops.estimate()
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A disk of two megabytes; where none can be mounted the test can't be made."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = shutil.which("mount")
+    command = [mount or "mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(folder)]
+    if mount is None or subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip("only an administrator can mount a small disk")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_full_disk_stops_the_run_with_words_and_it_resumes(scene, run, quick, small_disk):
+    moved = RunFolder(small_disk / "run")
+    shutil.copytree(run.root, moved.root)
+    scene.fipt.run_folder = str(moved.root)
+    (small_disk / "ballast").write_bytes(bytes(1_300_000))
+    with pytest.raises(RuntimeError, match=r"disk is full.*[Ff]ree some space"):
+        ops.estimate()
+    assert running.last("estimate").error["code"] == "disk-full"
+    bpy.data.objects.new("still alive", None)
+    subprocess.run(["mount", "-o", "remount,size=200m", str(small_disk)], check=True)
+    (small_disk / "ballast").unlink()
+    assert ops.estimate() == {"FINISHED"} and moved.emitters_json.exists()
+
+
+# ------------------------------------------------------------------------------- settings and polls
+
+
+def test_only_changed_settings_leave_the_preset(scene):
+    settings = scene.fipt.estimate
+    settings.reset()
+    settings.preset = "high"
+    assert scene_settings(scene) == make_settings("high", {"device": "llvm"})
+    assert settings.training_steps == 10000 and settings.changes == ""
+    settings.training_steps = 123
+    settings.diffuse_samples = 7
+    settings.denoise = False
+    settings.preset = "draft"
+    made = scene_settings(scene)
+    assert (made.training_steps, made.diffuse_spp, made.refine_diffuse_spp, made.denoise) == (
+        123,
+        7,
+        7,
+        False,
+    )
+    assert made.later_training_steps == make_settings("draft").later_training_steps
+    assert settings.is_changed("denoise") and not settings.is_changed("rounds")
+    assert ops.reset_setting(setting="diffuse_samples") == {"FINISHED"}
+    assert scene_settings(scene).diffuse_spp == make_settings("draft").diffuse_spp
+    assert settings.training_steps == 123
+    ops.reset_setting()
+    assert scene_settings(scene) == make_settings("draft", {"device": "llvm"})
+    settings.changes = "nonsense"
+    assert settings.rounds == 1
+
+
+def test_every_choice_is_a_setting_and_says_what_it_does():
+    fields = make_settings("medium").__dataclass_fields__
+    for choice in CHOICES.values():
+        assert choice.description and all(name in fields for name in choice.fields)
+
+
+def test_settings_of_textures_are_kept(scene, run):
+    run.create(make_settings("medium", {"texture_size": 512}))
+    assert scene_settings(scene).texture_size == 512
+
+
+def test_the_device_of_the_scene_comes_before_the_preferences(scene):
+    scene.fipt.estimate.device = "cuda"
+    assert scene_settings(scene).device == "cuda"
+
+
+def test_smaller_presets(scene, monkeypatch):
+    assert (smaller_preset("high"), smaller_preset("medium"), smaller_preset("draft")) == (
+        "medium",
+        "draft",
+        None,
+    )
+    scene.fipt.estimate.preset = "draft"
+    assert not ops.smaller_preset.poll()
+    scene.fipt.estimate.preset = "medium"
+    scene.fipt.estimate.rounds = 5
+    assert ops.smaller_preset.poll()
+    monkeypatch.setattr(mainjob, "find_launch", lambda explicit=None: mainjob.Launch(Path("nowhere"), {}))
+    with pytest.raises(RuntimeError):
+        ops.smaller_preset()
+    assert scene.fipt.estimate.preset == "draft" and scene.fipt.estimate.rounds == 1
+
+
+def test_polls_say_why_not(scene, run):
+    assert ops.estimate.poll() and not ops.cancel.poll() and not ops.resume.poll()
+    bpy.context.view_layer.objects.active = bpy.data.objects["wall 0"]
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert not ops.estimate.poll()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    scene.fipt.run_folder = ""
+    assert not ops.estimate.poll()  # no views
+
+
+def test_without_a_room_or_a_capture_it_says_what_is_missing(scene, run):
+    for item in list(bpy.data.objects):
+        bpy.data.objects.remove(item)
+    with pytest.raises(RuntimeError, match=r"no room.*section Capture"):
+        ops.estimate()
+    run.capture_json.unlink()
+    with pytest.raises(RuntimeError, match="capture"):
+        ops.estimate()
+    assert not find_engine(run)

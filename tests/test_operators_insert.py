@@ -1,0 +1,274 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Placing objects on the room: where, how, what is refused, and back again."""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+import numpy as np
+import pytest
+from insert_samples import VIEW, make_scene
+from mathutils import Euler, Matrix, Vector
+
+import fipt_blender
+from fipt_blender.blend import insert, standing
+
+
+@pytest.fixture(scope="module", autouse=True)
+def registered():
+    fipt_blender.register()
+    yield
+    fipt_blender.unregister()
+
+
+@pytest.fixture
+def scene(tmp_path):
+    make_scene(tmp_path)
+    return bpy.context.scene
+
+
+def place(**options):
+    return bpy.ops.fipt.insert_object("EXEC_DEFAULT", **options)
+
+
+def lowest(*items):
+    bpy.context.view_layer.update()
+    return min((item.matrix_world @ vertex.co).z for item in items for vertex in item.data.vertices)
+
+
+def add_cube(scene, name="Chair", size=0.2, location=(1.0, 0.5, 3.0)):
+    bpy.ops.mesh.primitive_cube_add(size=size, location=location)
+    bpy.context.object.name = name
+    return bpy.context.object
+
+
+def test_a_ball_stands_where_the_pixel_shows_the_floor(scene):
+    assert place(kind="GREY_BALL", view=VIEW, pixel=(16.0, 12.0)) == {"FINISHED"}
+    ball = bpy.data.objects["FIPT grey_ball"]
+    assert lowest(ball) == pytest.approx(0.0, abs=1e-4)
+    place_of_ball = ball.matrix_world.translation.copy()
+    assert place(kind="OBJECT", object_name=ball.name, view=VIEW, pixel=(16.0, 12.0)) == {"FINISHED"}
+    assert (ball.matrix_world.translation - place_of_ball).length < 1e-5  # the ray passes the ball itself
+    assert bpy.context.view_layer.objects.active == ball and ball.select_get()
+
+
+def test_the_pixel_of_a_surface_agrees_with_the_camera(scene):
+    from bpy_extras.object_utils import world_to_camera_view
+
+    camera = bpy.data.objects[VIEW]
+    place = insert.surface_at(scene, camera, 10.25, 13.5).position
+    x, y, _ = world_to_camera_view(scene, camera, place)
+    assert (x * 32, (1.0 - y) * 20) == (pytest.approx(10.25, abs=1e-3), pytest.approx(13.5, abs=1e-3))
+
+
+def test_a_wall_turns_it_and_upright_does_not(scene):
+    cube = add_cube(scene)
+    on_wall = {"kind": "OBJECT", "object_name": "Chair", "location": (0, 2, 1), "normal": (0, -1, 0)}
+    assert place(align="NORMAL", **on_wall) == {"FINISHED"}
+    assert (cube.matrix_world.to_3x3() @ Vector((0, 0, 1)) - Vector((0, -1, 0))).length < 1e-5
+    assert cube.matrix_world.translation.y == pytest.approx(1.9, abs=1e-5)  # its bottom touches the wall
+    assert place(align="UPRIGHT", **on_wall) == {"FINISHED"}
+    assert cube.matrix_world.to_3x3().is_orthogonal and cube.matrix_world[2][2] == pytest.approx(1.0)
+    assert tuple(cube.matrix_world.translation) == pytest.approx((0, 2, 1.1), abs=1e-5)
+
+
+def test_turn_scale_and_origin(scene):
+    cube = add_cube(scene)
+    options = {"kind": "OBJECT", "object_name": "Chair", "location": (0.5, 0, 0)}
+    place(turn=math.radians(30), scale=2.0, drop=False, **options)
+    assert tuple(cube.matrix_world.translation) == pytest.approx((0.5, 0, 0), abs=1e-6)
+    assert cube.matrix_world.to_euler().z == pytest.approx(math.radians(30), abs=1e-5)
+    assert tuple(cube.matrix_world.to_scale()) == pytest.approx((2, 2, 2), abs=1e-5)
+    place(turn=0.0, scale=2.0, drop=True, **options)  # factors count from the size it had at first
+    assert tuple(cube.matrix_world.to_scale()) == pytest.approx((2, 2, 2), abs=1e-5)
+    assert lowest(cube) == pytest.approx(0.0, abs=1e-5)
+
+
+def test_a_turned_object_keeps_its_own_rotation_and_children_come_along(scene):
+    cube = add_cube(scene)
+    cube.rotation_euler = Euler((math.pi / 2, 0, 0))
+    child = add_cube(scene, "Leg", 0.1, (1.0, 0.5, 2.7))
+    bpy.context.view_layer.update()
+    child.parent = cube
+    child.matrix_parent_inverse = cube.matrix_world.inverted()
+    bpy.context.view_layer.update()
+    place(kind="OBJECT", object_name="Chair", location=(0, 0, 0))
+    bpy.context.view_layer.update()
+    assert lowest(cube, child) == pytest.approx(0.0, abs=1e-5) and lowest(cube) > 0.1
+    assert cube.matrix_world.to_euler().x == pytest.approx(math.pi / 2, abs=1e-5)
+
+
+def test_an_object_with_its_origin_far_away_stands_under_the_mouse(scene):
+    mesh = bpy.data.meshes.new("far")
+    mesh.from_pydata([(9, 9, 4), (10, 9, 4), (9, 10, 4), (9, 9, 5)], [], [(0, 1, 2), (0, 1, 3)])
+    item = bpy.data.objects.new("Far", mesh)
+    scene.collection.objects.link(item)
+    place(kind="OBJECT", object_name="Far", location=(1, 0, 0))
+    bpy.context.view_layer.update()
+    corners = np.array([item.matrix_world @ vertex.co for vertex in mesh.vertices])
+    assert corners.min(axis=0) == pytest.approx([0.5, -0.5, 0.0], abs=1e-5)
+    assert corners.max(axis=0) == pytest.approx([1.5, 0.5, 1.0], abs=1e-5)
+
+
+def test_a_copy_leaves_the_original_where_it_is(scene):
+    cube = add_cube(scene)
+    before = cube.matrix_world.copy()
+    place(kind="OBJECT", object_name="Chair", copy=True, location=(0, 0, 0))
+    copy = bpy.data.objects["Chair.001"]
+    assert copy.data == cube.data and cube.matrix_world == before
+    assert [each.name for each in copy.users_collection] == ["FIPT Inserted"]
+    place(kind="OBJECT", object_name="Floor", copy=True, location=(0, 0, 0))  # of the room, too
+    assert "Floor.001" in scene.objects and "fipt_inserted" not in bpy.data.objects["Floor"]
+
+
+def test_an_object_from_elsewhere_is_copied(scene):
+    mesh = bpy.data.meshes.new("asset")
+    mesh.from_pydata([(0, 0, 1), (1, 0, 1), (0, 1, 2)], [], [(0, 1, 2)])
+    asset = bpy.data.objects.new("Asset", mesh)
+    place(kind="OBJECT", object_name="Asset", location=(0, 0, 0))
+    assert "Asset" not in scene.objects and lowest(scene.objects["Asset.001"]) == pytest.approx(0.0, abs=1e-6)
+    assert asset.matrix_world == Matrix()
+
+
+def test_a_collection_stands_as_an_instance(scene):
+    cube = add_cube(scene, location=(0, 0, 5))
+    group = bpy.data.collections.new("Set")
+    group.objects.link(cube)
+    scene.collection.objects.unlink(cube)
+    assert place(kind="COLLECTION", collection_name="Set", location=(0, 0, 0)) == {"FINISHED"}
+    item = scene.objects["Set"]
+    assert item.instance_collection == group
+    assert item.matrix_world.translation.z == pytest.approx(-4.9, abs=1e-5)  # its lowest point is at 4.9
+
+
+def test_without_a_place_it_finds_a_free_spot(scene):
+    assert place(kind="BALLS") == {"FINISHED"}
+    root = scene.objects["FIPT balls"]
+    balls = list(root.children)
+    assert len(balls) == 2 and lowest(*balls) == pytest.approx(0.0, abs=1e-4)
+    bpy.context.view_layer.update()
+    across = balls[0].matrix_world.translation - balls[1].matrix_world.translation
+    assert abs(across.x) > 0.1 and abs(across.y) < 1e-5  # side by side for the camera
+    diagonal = math.hypot(4.0, 4.0, 2.5)
+    assert insert.ball_size(scene.fipt.capture.room_objects(scene)) == pytest.approx(0.03 * diagonal)
+
+
+def test_rays_pass_what_is_hidden(scene):
+    shelf = add_cube(scene, "Shelf", 0.5, (0, 0, 1.0))
+    guest = standing.invite(scene, shelf)
+
+    def height(**options):
+        bpy.context.view_layer.update()
+        graph = bpy.context.evaluated_depsgraph_get()
+        found = standing.find_surface(scene, graph, Vector((0, 0, 2)), Vector((0, 0, -3)), **options)
+        return None if found is None else round(found.position.z, 4)
+
+    assert height() == 1.25
+    with standing.aside(guest):
+        assert height() == 0.0
+    assert height() == 1.25
+    shelf.hide_set(True)
+    assert height() == 0.0
+    shelf.hide_set(False)
+    shelf.hide_viewport = True
+    assert height() == 0.0
+    bpy.data.objects["Floor"].hide_set(True)
+    assert height() is None
+    shelf.hide_viewport = False
+    for polygon in shelf.data.polygons:
+        polygon.flip()
+    shelf.data.update()
+    assert height() == 1.25 and height(skip_backs=True) == 0.75
+
+
+def test_the_normal_faces_the_ray(scene):
+    graph = bpy.context.evaluated_depsgraph_get()
+    found = standing.find_surface(scene, graph, Vector((0, 0, -1)), Vector((0, 0, 1)))
+    assert tuple(found.normal) == (0.0, 0.0, -1.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"kind": "OBJECT"}, "No object is chosen"),
+        ({"kind": "OBJECT", "object_name": "nothing"}, "no object 'nothing'"),
+        ({"kind": "COLLECTION", "collection_name": "nothing"}, "no collection 'nothing'"),
+        ({"kind": "OBJECT", "object_name": "Floor", "location": (0, 0, 0)}, "part of the room"),
+        ({"kind": "GREY_BALL", "view": "val/999"}, "no camera for the view"),
+        ({"kind": "GREY_BALL", "view": VIEW, "pixel": (-4000.0, -4000.0)}, "no surface"),
+        ({"kind": "GREY_BALL", "location": (0, 0, 0), "normal": (0, 0, 0)}, "no length"),
+    ],
+)
+def test_what_cannot_be_is_explained_and_leaves_nothing(scene, options, words):
+    before = {item.name for item in bpy.data.objects}
+    with pytest.raises(RuntimeError, match=words):
+        place(**options)
+    assert {item.name for item in bpy.data.objects} == before and not standing.inserted(scene)
+
+
+def test_the_collection_of_inserted_objects_cannot_stand_in_itself(scene):
+    place(kind="GREY_BALL", location=(0, 0, 0))
+    with pytest.raises(RuntimeError, match="holds the inserted objects"):
+        place(kind="COLLECTION", collection_name="FIPT Inserted", location=(1, 0, 0))
+
+
+def test_removing_brings_everything_back(scene):
+    cube = add_cube(scene)
+    before = cube.matrix_world.copy()
+    meshes, materials = len(bpy.data.meshes), len(bpy.data.materials)
+    for kind in ("GREY_BALL", "BALLS", "MIRROR_BALL"):
+        place(kind=kind, location=(0, 0, 0))
+    place(kind="OBJECT", object_name="Chair", location=(0, 1, 0))
+    place(kind="OBJECT", object_name="Chair", location=(1, 1, 0))
+    place(kind="OBJECT", object_name="Chair", copy=True, location=(1, 1, 0))
+    assert bpy.ops.fipt.remove_inserted() == {"FINISHED"}
+    assert cube.matrix_world == before and "fipt_inserted_from" not in cube
+    assert (len(bpy.data.meshes), len(bpy.data.materials)) == (meshes, materials)
+    assert not list(bpy.data.collections["FIPT Inserted"].objects)
+    assert bpy.ops.fipt.remove_inserted() == {"CANCELLED"}
+
+
+def test_giving_up_leaves_no_trace(scene):
+    cube = add_cube(scene)
+    names = sorted(item.name for item in bpy.data.objects)
+    before = cube.matrix_world.copy()
+    surface = standing.Surface(Vector((0, 0, 0)), Vector((0, 0, 1)))
+    for guest in (
+        standing.invite(scene, cube),
+        standing.invite(scene, cube, copy=True),
+        insert.make_balls(scene, ("grey_ball", "mirror_ball"), 0.2),
+    ):
+        standing.stand(guest, surface, standing.Stance(scale=3.0))
+        standing.give_up(guest)
+    assert sorted(item.name for item in bpy.data.objects) == names
+    assert np.allclose(cube.matrix_world, before) and not standing.inserted(scene)
+
+
+def test_giving_up_moving_it_again_keeps_the_first_place(scene):
+    add_cube(scene)
+    place(kind="OBJECT", object_name="Chair", location=(0, 0, 0))
+    cube = bpy.data.objects["Chair"]
+    first = cube.matrix_world.copy()
+    guest = standing.invite(scene, cube)
+    standing.stand(guest, standing.Surface(Vector((1, 1, 1)), Vector((1, 0, 0))), standing.Stance())
+    standing.give_up(guest)
+    assert np.allclose(cube.matrix_world, first) and standing.inserted(scene) == [cube]
+
+
+def test_undo_takes_the_ball_back(scene):
+    bpy.ops.ed.undo_push(message="before")
+    place(kind="GREY_BALL", location=(0, 0, 0))
+    bpy.ops.ed.undo_push(message="after")
+    bpy.ops.ed.undo()
+    assert "FIPT grey_ball" not in bpy.data.objects
+    bpy.ops.ed.redo()
+    assert "FIPT grey_ball" in bpy.data.objects
+
+
+def test_not_in_edit_mode(scene):
+    add_cube(scene)
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert not bpy.ops.fipt.insert_object.poll() and not bpy.ops.fipt.remove_inserted.poll()
+    bpy.ops.object.mode_set(mode="OBJECT")

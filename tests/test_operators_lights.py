@@ -1,0 +1,340 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Fixtures and lights as scripts drive them: switching, power, colour, conversion, light groups."""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+import numpy as np
+import pytest
+from applied_rooms import RADIANCE, make_scene, use_fake_engine
+from mathutils import Matrix, Vector
+
+import fipt_blender
+from fipt_blender.blend import light_groups, renders
+from fipt_blender.blend.color import blackbody, luminance, temperature_of
+
+ops = bpy.ops.fipt
+
+
+@pytest.fixture(scope="module", autouse=True)
+def registered():
+    fipt_blender.register()
+    yield
+    fipt_blender.unregister()
+
+
+@pytest.fixture
+def scene(tmp_path, monkeypatch):
+    use_fake_engine(monkeypatch)
+    scene = make_scene(tmp_path / "run")
+    assert ops.apply_results() == {"FINISHED"}
+    return scene
+
+
+def front(item: bpy.types.Object) -> np.ndarray:
+    """Radiance (3,) of a fixture's front as its material has it."""
+    node = item.data.materials[0].node_tree.nodes["FIPT Front"]
+    return np.array(node.inputs["Color"].default_value)[:3] * node.inputs["Strength"].default_value
+
+
+def world_strength() -> float:
+    return bpy.data.worlds["FIPT World"].node_tree.nodes["FIPT Background"].inputs["Strength"].default_value
+
+
+def refused(operator, **arguments) -> str:
+    with pytest.raises(RuntimeError) as error:
+        operator(**arguments)
+    return str(error.value)
+
+
+@pytest.mark.parametrize("kelvin", [1200.0, 1900.0, 2700.0, 4000.0, 6504.0, 12000.0])
+def test_black_bodies(kelvin):
+    rgb = blackbody(kelvin)
+    assert luminance(rgb) == pytest.approx(1.0) and min(rgb) >= 0.0
+    # Below 1,900 K blue is cut off: the colour is nearest to a little higher a temperature.
+    assert temperature_of(rgb) == pytest.approx(kelvin, rel=0.003 if kelvin > 1800.0 else 0.03)
+
+
+def test_black_body_agrees_with_blender_and_daylight():
+    # D65's correlated temperature; a black body lies a little on the magenta side of it.
+    assert temperature_of((1.0, 1.0, 1.0)) == pytest.approx(6504.0, rel=0.002)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    world = scene.world = bpy.data.worlds.new("w")
+    if world.node_tree is None:
+        world.use_nodes = True
+    nodes = world.node_tree.nodes
+    node = nodes.new("ShaderNodeBlackbody")
+    world.node_tree.links.new(node.outputs[0], nodes["Background"].inputs["Color"])
+    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    scene.render.resolution_x = scene.render.resolution_y = 4
+    for kelvin in (2000.0, 3200.0, 5000.0, 9000.0):
+        node.inputs[0].default_value = kelvin
+        theirs = renders.render_pixels(scene, spp=1, denoise=False).mean(axis=(0, 1))
+        assert np.allclose(theirs / luminance(theirs), blackbody(kelvin), rtol=0.03, atol=0.01), kelvin
+
+
+def test_power_in_stops_and_as_a_factor(scene):
+    row = scene.fipt.lights.lights[0]
+    assert (row.on, row.solo, row.stops, row.factor) == (True, False, 0.0, 1.0)
+    row.stops = 1.5
+    assert row.factor == pytest.approx(2.0**1.5)
+    assert np.allclose(front(row.object), np.array(RADIANCE) * 2.0**1.5)
+    row.factor = 0.25
+    assert row.stops == pytest.approx(-2.0) and np.allclose(front(row.object), np.array(RADIANCE) / 4.0)
+    row.factor = 0.0
+    assert front(row.object).max() < 1e-4 and math.isfinite(row.stops)
+    assert ops.reset_light() == {"FINISHED"}
+    assert row.stops == 0.0 and np.allclose(front(row.object), RADIANCE)
+
+
+def test_colour_and_temperature_keep_the_luminance(scene):
+    row = scene.fipt.lights.lights[0]
+    assert row.tint == "ESTIMATED" and np.allclose(row.color, [1.0, 0.5, 0.25])
+    assert row.kelvin == pytest.approx(temperature_of((1.0, 0.5, 0.25)))
+    row.tint = "COLOR"  # starts from what it was
+    assert np.allclose(front(row.object), RADIANCE)
+    row.color = (0.2, 0.4, 1.0)
+    assert luminance(front(row.object)) == pytest.approx(luminance(RADIANCE), rel=1e-5)
+    assert np.allclose(front(row.object) / front(row.object).max(), (0.2, 0.4, 1.0), rtol=1e-5)
+    row.kelvin = 3000.0
+    assert row.tint == "TEMPERATURE"
+    expected = np.array(blackbody(3000.0)) * luminance(RADIANCE)
+    assert np.allclose(front(row.object), expected, rtol=1e-5)
+    row.color = (0.0, 0.0, 0.0)  # no colour at all: white
+    assert np.allclose(front(row.object), luminance(RADIANCE))
+    row.tint = "ESTIMATED"
+    assert np.allclose(front(row.object), RADIANCE)
+
+
+def test_on_solo_and_all(scene):
+    ops.add_light(location=(0, 0, 3), size=1.0, power=50.0)
+    lamp, new = scene.fipt.lights.lights
+    energy = new.object.data.energy
+    lamp.on = False
+    assert not front(lamp.object).any() and new.object.data.energy == energy
+    lamp.stops = 1.0  # what is off may be set up
+    assert not front(lamp.object).any()
+    lamp.solo = True
+    assert np.allclose(front(lamp.object), np.array(RADIANCE) * 2.0)
+    assert new.object.data.energy == 0.0 and world_strength() == 0.0
+    lamp.solo = False
+    assert not front(lamp.object).any() and new.object.data.energy == energy and world_strength() == 1.0
+    assert ops.switch_lights(on=True) == {"FINISHED"} and front(lamp.object).any()
+    assert ops.switch_lights(on=False) == {"FINISHED"}
+    assert not front(lamp.object).any() and world_strength() == 0.0 and new.object.data.energy == energy
+    assert not scene.fipt.lights.environment_on
+
+
+def test_strengths_typed_into_blenders_own_fields_are_taken_over(scene):
+    ops.add_light(location=(0, 0, 3), size=1.0, power=50.0)
+    lamp, new = scene.fipt.lights.lights
+    lamp.object.data.materials[0].node_tree.nodes["FIPT Front"].inputs["Strength"].default_value = 32.0
+    new.object.data.energy = 25.0
+    lamp.color = (1.0, 1.0, 1.0)
+    new.kelvin = 3000.0
+    assert lamp.stops == pytest.approx(2.0) and new.stops == pytest.approx(-1.0)
+    assert luminance(front(lamp.object)) == pytest.approx(4.0 * luminance(RADIANCE), rel=1e-4)
+
+
+def test_settings_survive_saving_and_travel_with_the_object(scene, tmp_path):
+    row = scene.fipt.lights.lights[0]
+    row.stops, row.kelvin, row.on = 2.0, 3000.0, False
+    path = str(tmp_path / "saved.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    row = bpy.context.scene.fipt.lights.lights[0]
+    assert (row.stops, row.kelvin, row.on, row.tint) == (2.0, 3000.0, False, "TEMPERATURE")
+    row.on = True
+    expected = np.array(blackbody(3000.0)) * luminance(RADIANCE) * 4.0
+    assert np.allclose(front(row.object), expected, rtol=1e-5)
+    copy = row.object.copy()
+    bpy.data.collections["FIPT Fixtures"].objects.link(copy)
+    ops.list_lights()
+    assert [row.stops for row in bpy.context.scene.fipt.lights.lights] == [2.0, 2.0]
+    bpy.data.collections["FIPT Fixtures"].objects.unlink(copy)  # as the artist deletes
+    assert [row.is_alive() for row in bpy.context.scene.fipt.lights.lights] == [True, False]
+    bpy.data.objects.remove(copy)
+    assert [row.is_here() for row in bpy.context.scene.fipt.lights.lights] == [True, False]
+
+
+def test_choosing_and_bad_names(scene):
+    assert ops.select_light(light="Fixture.001") == {"FINISHED"}
+    assert bpy.context.view_layer.objects.active.name == "Fixture.001"
+    assert "no light 'Sun'" in refused(ops.select_light, light="Sun")
+    assert "no light 'x'" in refused(ops.fixture_to_area_light, fixture="x")
+    ops.add_light(location=(0, 0, 3))
+    assert "no fixture" in refused(ops.fixture_to_area_light)  # the new light is the chosen one
+    bpy.data.collections["FIPT Fixtures"].hide_viewport = True
+    bpy.context.view_layer.update()
+    assert "hidden" in refused(ops.select_light, light="Fixture.001")
+    ops.revert()
+    assert not ops.switch_lights.poll() and not ops.match_exposure.poll()
+
+
+def test_new_light(scene):
+    cursor = scene.cursor.location = Vector((1.0, 2.0, 2.5))
+    assert ops.add_light() == {"FINISHED"}
+    item = bpy.context.view_layer.objects.active
+    assert (item.location - cursor).length < 1e-6 and item.users_collection[0].name == "FIPT Lights"
+    assert (item.matrix_world.to_3x3() @ Vector((0, 0, -1)) - Vector((0, 0, -1))).length < 1e-6
+    assert item.data.type == "AREA" and item.data.energy > 0.0 and 0.0 < item.data.size < 5.0
+    ops.add_light(location=(0, 0, 1), direction=(1, 1, 0), size=0.5, power=12.0)
+    item = bpy.context.view_layer.objects.active
+    shines = item.matrix_world.to_3x3() @ Vector((0, 0, -1))
+    assert shines.dot(Vector((1, 1, 0)).normalized()) == pytest.approx(1.0)
+    assert (item.data.size, item.data.energy) == (0.5, 12.0)
+    assert scene.fipt.lights.active_light().object == item
+    bpy.ops.object.delete()
+    assert scene.fipt.lights.active_light() is None and "No light is chosen" in refused(ops.reset_light)
+    ops.list_lights()
+    assert len(scene.fipt.lights.lights) == 2
+    assert "no direction" in refused(ops.add_light, direction=(0, 0, 0))
+
+
+def test_a_light_aims_from_this_side_of_what_is_in_the_way():
+    from fipt_blender.blend.new_lights import aim
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.mesh.primitive_plane_add(size=10.0)
+    bpy.ops.mesh.primitive_plane_add(size=10.0, location=(0, 0, 2.5))
+    graph, scene = bpy.context.evaluated_depsgraph_get(), bpy.context.scene
+    place, direction = aim(scene, graph, Vector((1, 0, 0)), Vector((0, 0, 1)), 4.0)
+    assert 1.0 < place.z < 2.5 and direction.dot(Vector((0, 0, -1))) > 0.999
+    place, direction = aim(scene, graph, Vector((1, 0, 2.5)), Vector((0, 0, -1)), 1.0)
+    assert place.z == pytest.approx(1.5, abs=0.01) and direction.z > 0.999
+
+
+def test_a_converted_fixture_follows_its_settings(scene):
+    row = scene.fipt.lights.lights[0]
+    assert ops.fixture_to_area_light() == {"FINISHED"}
+    (light,) = row.object.children
+    watts = light.data.energy
+    assert watts == pytest.approx(math.pi * 1.0 * max(RADIANCE), rel=1e-5)
+    assert np.allclose(light.data.color, [1.0, 0.5, 0.25])
+    row.stops = 1.0
+    assert light.data.energy == pytest.approx(2.0 * watts)
+    row.on = False
+    assert light.data.energy == 0.0 and not front(row.object).any()
+    row.on = True
+    assert ops.fixture_to_area_light() == {"FINISHED"} and len(row.object.children) == 1
+    assert ops.area_light_to_fixture() == {"FINISHED"}
+    assert not row.object.children and np.allclose(front(row.object), np.array(RADIANCE) * 2.0)
+    assert not [light for light in bpy.data.lights if light.name.startswith("Fixture")]
+
+
+def test_light_groups_sum_to_the_whole_picture(scene, tmp_path):
+    ops.add_light(location=(2.5, 0.5, 2.0), size=0.5, power=30.0)
+    layer = bpy.context.view_layer
+    layer.lightgroups.add(name="mine")
+    assert ops.make_light_groups() == {"FINISHED"}
+    names = ["Environment", "Fixture_001", "New Lights"]
+    assert sorted(group.name for group in layer.lightgroups) == sorted([*names, "mine"])
+    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
+    scene.collection.objects.link(camera)
+    camera.matrix_world = Matrix.Translation((3.5, 0.5, 3.0))
+    scene.camera = camera
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples, scene.cycles.use_denoising = 16, False
+    scene.cycles.sample_clamp_indirect = 0.0
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 24, 16, 100
+    settings = scene.render.image_settings
+    if "media_type" in settings.bl_rna.properties:
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
+    scene.render.filepath = str(tmp_path / "groups.exr")
+    bpy.ops.render.render(write_still=True, scene=scene.name)
+    import OpenEXR
+
+    with OpenEXR.File(str(tmp_path / "groups.exr"), separate_channels=True) as file:
+        channels = {}
+        for part in file.parts:
+            channels.update({name: np.asarray(each.pixels) for name, each in part.channels.items()})
+
+    def passed(name):
+        return np.stack(
+            [next(v for k, v in channels.items() if k.endswith(f"{name}.{c}")) for c in "RGB"], axis=-1
+        )
+
+    whole = passed("ViewLayer.Combined")
+    parts = [passed(f"Combined_{name}") for name in names]
+    assert all(part.max() > 0.0 for part in parts)
+    assert np.allclose(sum(parts), whole, rtol=1e-3, atol=1e-4)
+    assert ops.make_light_groups() == {"FINISHED"} and len(layer.lightgroups) == 4
+    assert ops.remove_light_groups() == {"FINISHED"}
+    assert [group.name for group in layer.lightgroups] == ["mine"] and not ops.remove_light_groups.poll()
+    assert not light_groups.has_light_groups(layer)
+    assert {item.lightgroup for item in scene.objects} == {""}
+
+
+def test_environment_strength_and_rotation(scene):
+    settings = scene.fipt.lights
+    assert settings.has_environment() and settings.environment_on and settings.environment_factor == 1.0
+    settings.environment_factor = 2.5
+    assert world_strength() == 2.5
+    settings.environment_on = False
+    assert world_strength() == 0.0
+    settings.environment_on = True
+    settings.environment_rotation = math.radians(30.0)
+    ops.apply_results()  # keeps what the artist has set
+    assert settings.environment_factor == 2.5 and world_strength() == 2.5
+    assert settings.environment_rotation == pytest.approx(math.radians(30.0))
+
+
+def test_the_environment_turns_as_asked(scene, tmp_path):
+    from fipt_blender.blend.world import apply_environment
+    from fipt_blender.core import conventions
+    from fipt_blender.core.capture.images import write_exr
+    from fipt_blender.core.job.runfolder import RunFolder
+
+    run = RunFolder(tmp_path / "run")
+    directions = conventions.equirect_pixel_directions(64, 32)
+    write_exr(run.environment_exr, (directions * 0.5 + 0.5).astype(np.float32))
+    apply_environment(run, scene)
+    for item in list(bpy.data.objects):
+        bpy.data.objects.remove(item)
+    turn = math.radians(50.0)
+    scene.fipt.lights.environment_rotation = turn
+    way = Vector((1.0, 0.3, 0.2)).normalized()
+    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
+    scene.collection.objects.link(camera)
+    camera.data.type, camera.data.ortho_scale = "ORTHO", 0.01
+    camera.matrix_world = way.to_track_quat("-Z", "Y").to_matrix().to_4x4()
+    scene.camera = camera
+    scene.render.resolution_x = scene.render.resolution_y = 3
+    seen = renders.render_pixels(scene, spp=4, denoise=False).mean(axis=(0, 1))
+    # The picture is turned by +50° about Z: what is seen there lay 50° back.
+    before = Matrix.Rotation(-turn, 3, "Z") @ way
+    assert np.allclose(seen, np.array(before) * 0.5 + 0.5, atol=0.03)
+
+
+def test_exposure_and_other_lights(scene):
+    scene.view_settings.exposure = 3.0
+    assert ops.match_exposure() == {"FINISHED"}
+    assert scene.view_settings.exposure == pytest.approx(math.log2(0.18 / 0.36))
+    ops.show_map(shown="BASE_COLOR")
+    scene.fipt.lights.median_radiance = 0.18
+    ops.match_exposure()
+    assert scene.view_settings.exposure == 0.0  # of the map
+    ops.show_map(shown="ESTIMATED")
+    assert scene.view_settings.exposure == pytest.approx(0.0, abs=1e-6)
+    sun = bpy.data.objects["sun"]
+    assert sun.hide_render
+    assert ops.hide_other_lights(hide=False) == {"FINISHED"} and not sun.hide_render
+    assert ops.hide_other_lights(hide=True) == {"FINISHED"} and sun.hide_viewport
+
+
+def test_everything_asks_for_results_first():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    for operator in (
+        ops.switch_lights, ops.reset_light, ops.select_light, ops.fixture_to_area_light,
+        ops.area_light_to_fixture, ops.make_light_groups, ops.remove_light_groups, ops.match_exposure,
+    ):  # fmt: skip
+        assert not operator.poll()
+    assert ops.add_light() == {"FINISHED"}  # a light needs no room
+    assert bpy.data.objects["FIPT Light"].data.energy > 0.0

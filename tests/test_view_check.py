@@ -1,0 +1,179 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Photographs that do not fit the others: misaligned ones left out, other exposures corrected, both named."""
+
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_captures import (
+    CAMERAS,
+    COLORS,
+    PANEL,
+    PANEL_RADIANCE,
+    SmallCapture,
+    matt,
+    photograph_room,
+    write_run,
+)
+from small_rooms import BOX, make_room, table
+
+from fipt_blender.core.capture.views import load_capture
+from fipt_blender.core.job.messages import Reporter, parse_message
+from fipt_blender.core.job.settings import make_settings
+from fipt_blender.core.job.view_check import ViewCheck, check_views
+from fipt_blender.core.light.agreement import CLEARLY_BETTER
+from fipt_blender.core.light.registration import register
+from fipt_blender.core.scene.pixels import LEFT_OUT, PixelStore, fill_pixels, mark_pure, open_pixels
+
+EXTRA_CAMERAS = [[[1.5, 0.2, 1.8], [-1.2, -0.4, 0.6]], [[-0.3, 1.7, 1.5], [0.1, -1.5, 0.8]]]
+
+
+def block(x: float, y: float, width: float, height: float) -> list:
+    """Four sides and the top of a block on the floor, fronts outwards."""
+    a, b, c, d = ([x + i * width, y + j * width] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1)))
+    sides = [[[*p, 0.0], [*q, 0.0], [*q, height], [*p, height]] for p, q in ((a, b), (b, c), (c, d), (d, a))]
+    return [*sides, [[*p, height] for p in (a, b, c, d)]]
+
+
+@pytest.fixture(scope="module")
+def capture() -> SmallCapture:
+    """Boxes of several colours in a box, eight views of 144 x 96 pixels."""
+    quads, colors = [*BOX, PANEL], [*COLORS, [0.0] * 3]
+    for x, y, width, height, color in (
+        (-0.6, 1.1, 0.6, 1.2, [0.7, 0.5, 0.1]),
+        (0.9, 1.0, 0.7, 0.8, [0.1, 0.2, 0.6]),
+        (0.8, -1.2, 0.5, 1.5, [0.75, 0.75, 0.7]),
+        (-1.3, -1.0, 0.5, 0.6, [0.15, 0.1, 0.1]),
+    ):
+        quads += block(x, y, width, height)
+        colors += [color] * 5
+    room = make_room(quads, parts="objects")
+    lamps = table([12, 13], PANEL_RADIANCE)
+    materials = matt(np.repeat(np.array(colors), 2, axis=0))
+    return photograph_room(
+        room, materials, lamps, cameras=[*CAMERAS, *EXTRA_CAMERAS], scale=3, spp=24, denoise=True
+    )
+
+
+def turned(capture: SmallCapture, index: int, degrees: float, axis: int = 1) -> SmallCapture:
+    """The same with one camera's pose turned about one of its own axes."""
+    angle = np.radians(degrees)
+    turn = np.eye(4)
+    i, j = [k for k in range(3) if k != axis]
+    turn[i, i] = turn[j, j] = np.cos(angle)
+    turn[i, j], turn[j, i] = -np.sin(angle), np.sin(angle)
+    poses = list(capture.poses)
+    poses[index] = poses[index] @ turn
+    return replace(capture, poses=poses)
+
+
+def exposed(capture: SmallCapture, index: int, factor: float) -> SmallCapture:
+    images = list(capture.images)
+    images[index] = images[index] * np.float32(factor)
+    return replace(capture, images=images)
+
+
+def checked(root: Path, capture: SmallCapture, **changes) -> tuple[PixelStore, ViewCheck, list[dict]]:
+    run = write_run(root / "run", capture)
+    pixels = open_pixels(root / "pixels", load_capture(run).train, create=True)
+    fill_pixels(pixels, capture.room, lambda _: None)
+    part = capture.room.triangle_object
+    mark_pure(pixels, capture.room, part, lambda _: None)
+    stream = io.StringIO()
+    found = check_views(pixels, capture.room, part, make_settings("draft", changes), Reporter(stream))
+    return pixels, found, [m for line in stream.getvalue().splitlines() if (m := parse_message(line))]
+
+
+def test_good_photographs_are_left_as_they_are(capture: SmallCapture, tmp_path: Path) -> None:
+    pixels, found, messages = checked(tmp_path, capture)
+    assert found == ViewCheck() and messages == []
+    assert (pixels.triangle != LEFT_OUT).all()
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_view_turned_by_two_degrees_is_left_out_by_name(
+    capture: SmallCapture, tmp_path: Path, axis: int
+) -> None:
+    degrees = 2.0 if axis < 2 else 5.0  # a roll moves the middle of the picture little
+    pixels, found, (message,) = checked(tmp_path, turned(capture, 3, degrees, axis))
+    assert list(found.left_out) == ["train/003"] and found.exposure == {}
+    if axis < 2:
+        assert 2.0 < found.left_out["train/003"] < 6.0  # 2.7 in the middle, more towards the border
+    assert message["code"] == "view-misaligned" and "train/003" in message["text"] and message["remedy"]
+    gone = np.asarray(pixels.triangle) == LEFT_OUT
+    assert (pixels.view_of(np.flatnonzero(gone)) == 3).all() and gone.sum() == 144 * 96
+    assert not pixels.pure[gone].any()
+
+
+def test_a_photograph_of_somewhere_else(capture: SmallCapture, tmp_path: Path) -> None:
+    """No small turn mends it."""
+    images = list(capture.images)
+    images[4] = images[4][::-1, ::-1]
+    _, found, (message,) = checked(tmp_path, replace(capture, images=images))
+    assert list(found.left_out) == ["train/004"] and "train/004" in message["text"]
+
+
+def test_two_misaligned_views_do_not_take_good_ones_with_them(capture: SmallCapture, tmp_path: Path) -> None:
+    spoilt = turned(turned(capture, 1, 2.5), 6, -2.0, 0)
+    _, found, (message,) = checked(tmp_path, spoilt)
+    assert set(found.left_out) == {"train/001", "train/006"}
+    assert message["text"].startswith("2 of 8")
+
+
+def test_where_most_views_are_off_none_is_blamed(capture: SmallCapture, tmp_path: Path) -> None:
+    spoilt = capture
+    for index, degrees in enumerate([2.5, -2.0, 3.0, 0.0, -2.5, 2.0, 0.0, -3.0]):
+        spoilt = turned(spoilt, index, degrees, index % 2)
+    _, found, _ = checked(tmp_path, spoilt)
+    assert found.left_out == {}
+
+
+def test_an_exposure_of_one_and_a_half_is_corrected(capture: SmallCapture, tmp_path: Path) -> None:
+    plain, _, _ = checked(tmp_path / "plain", capture)
+    pixels, found, (message,) = checked(tmp_path, exposed(capture, 2, 1.5))
+    assert found.left_out == {} and list(found.exposure) == ["train/002"]
+    assert found.exposure["train/002"] == pytest.approx(1.5, rel=0.02)
+    assert message["code"] == "view-exposure" and "train/002 (× 1.5" in message["text"]
+    ratio = np.asarray(pixels.radiance) / np.maximum(np.asarray(plain.radiance), 1e-6)
+    by_view = [np.median(ratio[pixels.ranges[i] : pixels.ranges[i + 1]]) for i in range(8)]
+    assert np.ptp(by_view) < 0.02 * np.mean(by_view)
+
+
+def test_a_view_that_is_both_is_left_out_and_a_darker_one_corrected(
+    capture: SmallCapture, tmp_path: Path
+) -> None:
+    spoilt = exposed(exposed(turned(capture, 3, 2.0), 3, 1.5), 5, 0.7)
+    _, found, messages = checked(tmp_path, spoilt)
+    assert list(found.left_out) == ["train/003"] and list(found.exposure) == ["train/005"]
+    assert found.exposure["train/005"] == pytest.approx(0.7, rel=0.03)
+    assert [message["code"] for message in messages] == ["view-misaligned", "view-exposure"]
+
+
+def test_both_can_be_switched_off(capture: SmallCapture, tmp_path: Path) -> None:
+    spoilt = exposed(turned(capture, 3, 2.0), 5, 0.7)
+    pixels, found, messages = checked(tmp_path, spoilt, reject_views=False, correct_exposure=False)
+    assert found == ViewCheck() and messages == [] and (pixels.triangle != LEFT_OUT).all()
+    _, found, _ = checked(tmp_path / "two", spoilt, reject_views=False)
+    assert found.left_out == {} and list(found.exposure) == ["train/005"]
+
+
+def test_registration_finds_a_shift_and_stays_on_a_plain_wall(rng: np.random.Generator) -> None:
+    intrinsics = np.array([[100.0, 0.0, 60.0], [0.0, 100.0, 40.0], [0.0, 0.0, 1.0]])
+    y, x = np.mgrid[:80, :120]
+
+    def picture(shift: float) -> np.ndarray:
+        return np.where(((x - shift) // 23 + y // 19) % 2 == 0, -0.5, 0.5) + 0.3 * np.sin((x - shift) / 9.0)
+
+    known = np.ones((80, 120), bool)
+    fit = register(picture(4.0), picture(0.0), known, intrinsics)
+    assert fit.shift == pytest.approx(4.0, rel=0.25) and fit.improvement < 0.5
+    fit = register(picture(0.0), picture(0.0), known, intrinsics)
+    assert fit.shift < 0.1 and fit.difference < 1e-3
+    noise = 0.02 * rng.normal(size=(2, 80, 120))
+    # Noise alone moves it a little, and never lowers the residual clearly.
+    fit = register(noise[0], noise[1], known, intrinsics)
+    assert fit.shift < 3.0 and fit.improvement > CLEARLY_BETTER
+    assert register(noise[0], noise[1], known & (x < 2), intrinsics).improvement == 1.0
