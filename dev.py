@@ -17,62 +17,62 @@ pyproject.toml and finds or fetches an LLVM; nothing outside this folder is chan
 
 from __future__ import annotations
 
-import hashlib
 import json
 import platform
 import re
 import shutil
 import subprocess
 import sys
-import tempfile
 import time
 import zipfile
 from pathlib import Path
-from typing import Any
 
 SUPPORTED_PYTHONS = ((3, 11), (3, 13))  # those that bpy exists for
 ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 VENV_PYTHON = VENV / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
-STAMP = VENV / "setup.json"
 PRODUCT = ROOT / "fipt_blender" / "__main__.py"
 DEMO = ("estimate", "examples/room", "--output", "out/demo", "--preset", "draft")
-NATIVE_MODULES = ("bpy", "mitsuba", "torch", "OpenEXR", "pycolmap", "pyoidn")
-LLVM_LIBRARIES = ("libLLVM", "libc++", "libunwind")
 
 
 class SetupError(Exception):
     """Set-up can't go on; the text says what to do."""
 
 
-def say(text: str) -> None:
-    """Tell what set-up does; stdout belongs to the command itself."""
-    print(f"set-up: {text}", file=sys.stderr, flush=True)
+class Terminal:
+    """Tells on stderr what set-up does; stdout belongs to the command itself."""
 
+    def __init__(self) -> None:
+        self._last = ""
 
-def read_pins(file: Path = ROOT / "pyproject.toml") -> dict[str, list[str]]:
-    """Requirements by group: ``engine``, ``blender``, ``dev``, ``llvm``."""
-    import tomllib
+    def stage(self, name: str, text: str) -> None:
+        """Begin the next stage."""
+        self.detail(text)
 
-    project = tomllib.loads(file.read_text(encoding="utf-8"))["project"]
-    return {"engine": project["dependencies"], **project["optional-dependencies"]}
+    def detail(self, text: str) -> None:
+        """Say what the running stage does now."""
+        if text != self._last:
+            print(f"set-up: {text}", file=sys.stderr, flush=True)
+        self._last = text
+
+    def progress(self, stage_fraction: float) -> None:
+        """The texts tell enough."""
+
+    def warning(self, code: str, text: str, remedy: str) -> None:
+        """Say what did not go as it should."""
+        self.detail(f"warning: {text} {remedy}")
+
+    def log(self, line: str) -> None:
+        """Of pip's many lines show what may matter."""
+        if line.startswith(("ERROR", "WARNING")):
+            print(line, file=sys.stderr, flush=True)
 
 
 def setup_key(pins: dict[str, list[str]], folder: Path = VENV) -> str:
     """Changes whenever set-up has to be done again: other pins, another Python, a moved checkout."""
-    facts = [pins, sys.version_info[:2], platform.machine(), sys.platform, str(folder)]
-    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+    from fipt_blender.bridge.environment import plan_key
 
-
-def is_set_up(key: str, stamp: Path = STAMP, python: Path = VENV_PYTHON) -> bool:
-    """Whether an earlier set-up with this key still stands."""
-    try:
-        data = json.loads(stamp.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    if not isinstance(data, dict) or data.get("key") != key or not python.exists():
-        return False
-    return data.get("llvm") is None or Path(data["llvm"]).exists()
+    return plan_key(pins, sys.version_info[:2], str(folder))
 
 
 def child_environment() -> dict[str, str]:
@@ -88,171 +88,29 @@ def set_up() -> None:
     Raises:
         SetupError: with what to do.
     """
-    pins = read_pins()
-    key = setup_key(pins)
-    if is_set_up(key):
-        return
+    from fipt_blender.bridge import environment
+    from fipt_blender.bridge.pins import is_set_up, read_pins
+    from fipt_blender.core.job.errors import FiptError
+
     started = time.monotonic()
-    make_environment()
-    install(pins["engine"] + pins["blender"] + pins["dev"])
-    provide_system_libraries()
-    library = provide_llvm(pins["llvm"])
-    STAMP.write_text(json.dumps({"key": key, "llvm": library}), encoding="utf-8")
-    say(f"done in {time.monotonic() - started:.0f} seconds")
-
-
-def make_environment() -> None:
-    """Make .venv, also where Python lacks ensurepip (Debian without python3-venv)."""
-    if VENV.exists():
-        question = "import pip, sys; print(sys.version_info[:2])"
-        result = quiet([str(VENV_PYTHON), "-I", "-c", question]) if VENV_PYTHON.exists() else None
-        if result is not None and result.stdout.strip() == str(sys.version_info[:2]):
+    try:
+        pins = read_pins()
+        key = setup_key(pins)
+        if is_set_up(VENV, key):
             return
-        say("the environment .venv is of another Python or unfinished; making it again")
-        shutil.rmtree(VENV)
-    say(f"making the environment .venv with Python {platform.python_version()}")
-    if quiet([sys.executable, "-m", "venv", str(VENV)]).returncode == 0:
-        return
-    shutil.rmtree(VENV, ignore_errors=True)
-    result = quiet([sys.executable, "-m", "venv", "--without-pip", str(VENV)])
-    if result.returncode != 0:
-        raise SetupError(
-            f"{sys.executable} can't make a virtual environment: {result.stderr.strip()[-300:]}\n"
-            "Install Python's venv module (Debian, Ubuntu: apt-get install python3-venv) and try again."
+        plan = environment.Plan(
+            folder=VENV,
+            base=Path(sys.executable),
+            requirements=[*pins["engine"], *pins["blender"], *pins["dev"]],
+            modules=("bpy", *environment.ENGINE_MODULES),
+            llvm=pins["llvm"],
+            pip=pins["pip"],
+            key=key,
         )
-    say("this Python brings no pip; fetching Debian's")
-    from fipt_blender.bridge.provision import DebianPackages
-
-    with DebianPackages() as debian:
-        root = debian.unpack(["python3-pip-whl"]) if debian.available else None
-        wheel = next(root.rglob("pip-*.whl"), None) if root else None
-        if (
-            wheel is None
-            or quiet([str(VENV_PYTHON), f"{wheel}/pip", "install", "--no-index", str(wheel)]).returncode
-        ):
-            shutil.rmtree(VENV)
-            raise SetupError(
-                "This Python can't install packages: it has neither pip nor ensurepip.\n"
-                "Install them (Debian, Ubuntu: apt-get install python3-venv) and try again."
-            )
-
-
-def install(requirements: list[str]) -> None:
-    """Install the pinned packages. pip's own configuration decides from where."""
-    say("installing the pinned packages; the first time, about 1 GB comes over the network")
-    command = [str(VENV_PYTHON), "-I", "-m", "pip", "install", "--no-input", "--disable-pip-version-check"]
-    if not sys.stderr.isatty():
-        command.append("--quiet")
-    status = subprocess.call([*command, *requirements], stdout=sys.stderr, cwd=ROOT, env=child_environment())
-    if status != 0:
-        raise SetupError(
-            "The packages could not be installed; pip's message above says why.\n"
-            "Without network: give pip a folder of wheels (PIP_FIND_LINKS, PIP_NO_INDEX=1).\n"
-            "Behind a proxy or with an index of your own: set HTTPS_PROXY or pip's configuration.\n"
-            "Then run the command again."
-        )
-
-
-def provide_system_libraries() -> None:
-    """Fetch what the packages link to and a bare Linux lacks (bpy: a desktop's; Dr.Jit: libatomic)."""
-    failure = import_failure()
-    if not failure:
-        return
-    if sys.platform != "linux" or "cannot open shared object file" not in failure:
-        raise SetupError(f"An installed package can't be imported:\n{failure}")
-    from fipt_blender.bridge import interpreter, provision
-
-    say("fetching system libraries that the packages need and this machine lacks")
-    with provision.DebianPackages() as debian:
-        names = debian.missing(provision.DEBIAN_LIBRARIES) if debian.available else []
-        root = debian.unpack(names) if names else None
-        if root is not None:
-            provision.copy_libraries(root, interpreter.system_folder(VENV_PYTHON))
-    if failure := import_failure():
-        how = f"As root: apt-get install {' '.join(names)}" if names else "Install the library that is named."
-        raise SetupError(f"An installed package can't be imported:\n{failure}\n{how}")
-
-
-def import_failure() -> str:
-    """Import each package with native code in a process of its own; the first failure, or nothing."""
-    for module in NATIVE_MODULES:
-        result = quiet([str(VENV_PYTHON), "-I", "-c", f"import {module}"])
-        if result.returncode != 0:
-            return result.stderr.strip()[-900:] or f"import {module} ends with status {result.returncode}"
-    return ""
-
-
-def provide_llvm(pins: list[str]) -> str | None:
-    """Find an LLVM that works or fetch one: the pinned package, else Debian's.
-
-    Returns:
-        Its path; None where a GPU is used instead.
-    """
-    folder = VENV / "llvm"
-    reason = ""
-    for fetch in (None, fetch_llvm_package, fetch_llvm_debian):
-        if fetch is not None:
-            shutil.rmtree(folder, ignore_errors=True)
-            if not fetch(folder, pins):
-                continue
-        found, problem = check_engine()
-        if found.get("device"):
-            return found["llvm"]
-        reason = reason or problem
-    raise SetupError(reason)
-
-
-def check_engine() -> tuple[dict[str, Any], str]:
-    """What the engine's `check` finds, and its first warning or error."""
-    from fipt_blender.bridge.interpreter import engine_command
-    from fipt_blender.core.job.messages import parse_message
-
-    result = quiet(engine_command(VENV_PYTHON, "check"))
-    messages = [message for line in result.stdout.splitlines() if (message := parse_message(line))]
-    problems = [message for message in messages if message["type"] in ("warning", "error")]
-    problems.sort(key=lambda message: message["code"] != "llvm-missing")
-    data = next((message["data"] for message in messages if message["type"] == "done"), {})
-    if problems:
-        return data, f"{problems[0]['text']}\n{problems[0]['remedy']}"
-    return data, f"The engine's check failed:\n{result.stderr.strip()[-600:]}"
-
-
-def fetch_llvm_package(folder: Path, pins: list[str]) -> bool:
-    """Take LLVM's libraries out of the pinned wheel; True where the platform has one."""
-    from fipt_blender.bridge.provision import wheel_libraries
-
-    say("no working LLVM on this machine; fetching one")
-    with tempfile.TemporaryDirectory() as temporary:
-        command = [str(VENV_PYTHON), "-I", "-m", "pip", "download", "--quiet", "--no-deps", "--no-input"]
-        options = ["--only-binary", ":all:", "--disable-pip-version-check", "--dest", temporary]
-        quiet([*command, *options, *pins])
-        return any(wheel_libraries(wheel, folder, LLVM_LIBRARIES) for wheel in Path(temporary).glob("*.whl"))
-
-
-def fetch_llvm_debian(folder: Path, pins: list[str]) -> bool:
-    """Take LLVM and the libraries that it needs out of Debian's packages; True where it has some."""
-    from fipt_blender.bridge import provision
-
-    with provision.DebianPackages() as debian:
-        for name in provision.DEBIAN_LLVM if debian.available else ():
-            if needed := debian.needed(name):
-                say(f"fetching Debian's {name}")
-                root = debian.unpack(needed)
-                return root is not None and bool(provision.copy_libraries(root, folder))
-    return False
-
-
-def quiet(command: list[str]) -> subprocess.CompletedProcess[str]:
-    """Run a step of set-up and keep its output for a message."""
-    return subprocess.run(
-        command,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        env=child_environment(),
-        cwd=ROOT,
-        check=False,
-    )
+        environment.set_up(plan, Terminal())
+    except FiptError as error:
+        raise SetupError(f"{error.text}\n{error.remedy}") from error
+    print(f"set-up: done in {time.monotonic() - started:.0f} seconds", file=sys.stderr, flush=True)
 
 
 def read_versions() -> dict[str, str]:
@@ -280,27 +138,30 @@ def build_extension(folder: Path = ROOT / "dist") -> Path:
     Raises:
         SetupError: where versions disagree.
     """
+    from fipt_blender.bridge.pins import ENGINE_GROUPS, PINS_NAME, read_pins
+
     versions = read_versions()
     if len(set(versions.values())) != 1:
         listed = "\n".join(f"  {place}: {version}" for place, version in versions.items())
         raise SetupError(f"The versions disagree:\n{listed}\nMake them equal.")
     package = ROOT / "fipt_blender"
-    entries = {name: ROOT / name for name in ("blender_manifest.toml", "LICENSE")}
+    contents = {name: (ROOT / name).read_bytes() for name in ("blender_manifest.toml", "LICENSE")}
+    contents[PINS_NAME] = json.dumps({name: read_pins()[name] for name in ENGINE_GROUPS}, indent=1).encode()
     for path in package.rglob("*"):
         parts = path.relative_to(package).parts
         hidden = any(part.startswith(".") or part == "__pycache__" for part in parts)
         if path.is_file() and not hidden and path.suffix != ".pyc":
-            entries["/".join(parts)] = path
+            contents["/".join(parts)] = path.read_bytes()
     folder.mkdir(parents=True, exist_ok=True)
     target = folder / f"fipt_blender-{versions['blender_manifest.toml']}.zip"
     temporary = target.with_suffix(".part")
     with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
-        for name in sorted(entries):
+        for name in sorted(contents):
             info = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
             info.create_system = 3  # else it tells the platform
             info.external_attr = 0o644 << 16
             info.compress_type = zipfile.ZIP_DEFLATED
-            archive.writestr(info, entries[name].read_bytes())
+            archive.writestr(info, contents[name])
     temporary.replace(target)
     return target
 
