@@ -23,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks import cycles_views, disturb, metrics, picture_page, truth
 from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.capture.views import View, load_capture
+from fipt_blender.core.device.variant import set_variant
 from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.messages import parse_message
 from fipt_blender.core.job.runfolder import PRODUCT_VERSION, RunFolder, read_json, write_json
@@ -169,7 +170,8 @@ def recorded_costs(run: RunFolder) -> dict[str, Any]:
 
 def score(run: RunFolder, arguments: argparse.Namespace) -> dict[str, Any]:
     """All figures of a finished run by split; writes maps and the picture page on the way."""
-    # Mitsuba, torch: not before the main job's own processes are gone.
+    # Mitsuba, torch: not before the main job's own processes are gone, and the variant is chosen.
+    set_variant(run.read().device)
     from benchmarks import predict
     from fipt_blender.core.render.forward import RenderSettings, render_view
 

@@ -20,6 +20,7 @@ from fipt_blender.core.device import check, llvm, probe, variant
 from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.messages import Reporter, parse_message
 
+ROOT = Path(__file__).resolve().parent.parent
 PYTHON = Path(sys.executable)
 linux = pytest.mark.skipif(sys.platform != "linux", reason="uses a shell script and Linux' library names")
 
@@ -221,3 +222,18 @@ def test_engine_environment_is_clean(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert environment[llvm.LLVM_VARIABLE] == "/a/libLLVM.so"
     if sys.platform == "linux":
         assert environment["LD_LIBRARY_PATH"].split(":")[0] == str(tmp_path / "system")
+
+
+def test_mitsuba_before_the_variant_is_an_error(tmp_path):
+    # Dr.Jit looks for LLVM at Mitsuba's import: one that is not the tried one aborts processes later.
+    script = (
+        f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
+        "import mitsuba\n"
+        "from fipt_blender.core.device.variant import set_variant\n"
+        "set_variant('llvm')\n"
+    )
+    environment = {key: value for key, value in os.environ.items() if key != llvm.LLVM_VARIABLE}
+    result = subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 1 and "imported before set_variant" in result.stderr

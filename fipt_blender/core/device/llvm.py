@@ -29,7 +29,7 @@ from . import probe
 
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 PROBE_SECONDS = 180.0
-GOOD_VERSIONS = range(17, 23)  # those older abort on common CPUs, 23 aborts now and then: last resorts
+GOOD_VERSIONS = range(17, 24)  # those older abort on common CPUs, those newer are untried: last resorts
 
 
 @dataclass(frozen=True)

@@ -49,6 +49,8 @@ def set_variant(device: str = "auto", cache: Path | None = None) -> str:
         )
     if device == "llvm":
         library = find_llvm(python, cache)
+        if "mitsuba" in sys.modules and os.environ.get(LLVM_VARIABLE) != str(library):
+            raise RuntimeError("Mitsuba was imported before set_variant: Dr.Jit took another LLVM by then")
         os.environ[LLVM_VARIABLE] = str(library)
         preload(companions(library))
     import mitsuba

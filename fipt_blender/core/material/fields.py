@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..device.variant import set_variant, torch_device
+from ..device.variant import torch_device
 from ..job.errors import FiptError
 from ..job.runfolder import RunFolder, atomic_path
 from ..job.settings import Settings
@@ -84,14 +84,13 @@ class Fields:
         return self.coverage[coverage_cells(self.box, positions)]
 
     @classmethod
-    def load(cls, run: RunFolder, device: str | None = None) -> Fields:
-        """Read results/fields.npz; sets Mitsuba's variant, which the hash grid needs, and the run's G.
+    def load(cls, run: RunFolder) -> Fields:
+        """Read results/fields.npz and set the run's G; Mitsuba's variant is set already.
 
         Raises:
             FiptError: ``results-missing`` or ``results-damaged``.
         """
         settings = run.read()
-        set_variant(device or settings.device)
         set_masking(settings.masking)
         if not run.fields_npz.exists():
             raise FiptError(

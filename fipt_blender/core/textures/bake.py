@@ -17,6 +17,7 @@ from typing import Protocol
 import numpy as np
 
 from ..capture.views import load_capture
+from ..device.variant import set_variant
 from ..job.errors import FiptError
 from ..job.messages import Reporter
 from ..job.runfolder import RunFolder, atomic_path, read_json, write_json
@@ -58,11 +59,12 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         FiptError: ``file-missing`` or ``file-damaged`` where an earlier step did not finish.
     """
     folder = RunFolder(arguments.run)
-    from ..material.fields import Fields  # takes seconds: after what can fail at once
+    set_variant(folder.read().device)
+    # These import Mitsuba, which finds an LLVM of its own where the variant was not chosen before.
+    from ..material.fields import Fields
+    from .view_maps import write_view_maps
 
     fields = Fields.load(folder)
-    from .view_maps import write_view_maps  # needs the variant that the fields have chosen
-
     reporter.plan([1.0])
     reporter.stage("textures", "Baking textures")
     files = bake(folder, fields, reporter.progress)
