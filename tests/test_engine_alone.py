@@ -177,7 +177,10 @@ def test_a_job_attaches_and_notes_that_its_step_is_finished(run_folder, engine):
 
 @posix
 def test_a_request_to_cancel_never_waits(run_folder):
-    script = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('{}', flush=True); time.sleep(60)"
+    script = (
+        "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
+        "print('{}', flush=True); time.sleep(60)"
+    )
     log = run_folder.log
 
     def start(arguments):
