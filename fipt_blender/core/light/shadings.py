@@ -90,6 +90,8 @@ def bake(
 
     Args:
         lights: triangles to aim at; only their sampling is used, radiance always comes from `source`.
+        levels: (K,) roughness levels; with none L_d alone is estimated.
+        counts: each may be zero, but not all.
         seed: of the random numbers; the same seed gives the same result.
     """
     width = len(points.position)
@@ -104,13 +106,13 @@ def bake(
         lights,
         [float(level) for level in levels],
         counts.diffuse,
-        counts.specular,
+        counts.specular if len(levels) else 0,
         counts.light if lights.count else 0,
         seed,
     )
     dr.eval(accumulators)
     arrays = [np.array(value).T for value in accumulators]
-    specular = np.stack(arrays[1:], axis=1).reshape(width, len(levels), 2, 3)
+    specular = np.stack(arrays, axis=1)[:, 1:].reshape(width, len(levels), 2, 3)
     return Shadings(arrays[0], specular)
 
 
@@ -153,10 +155,11 @@ def _bake_kernel(
         # A new path's direction, by one of the techniques.
         u = mi.Point2f(shift.x + i * _R2[0], shift.y + i * _R2[1])
         u = u - dr.floor(u)
-        level = dr.clip((mi.Int32(i) - cosine_count) // level_count, 0, len(levels) - 1)
-        roughness = dr.gather(mi.Float, roughness_of, mi.UInt32(level))
-        cosine = mi.warp.square_to_cosine_hemisphere(u)
-        first = dr.select(i < cosine_count, cosine, brdf.sample_visible_normal(u, wo, roughness))
+        first = mi.warp.square_to_cosine_hemisphere(u)
+        if dr.hint(level_count > 0, mode="scalar"):
+            level = dr.clip((mi.Int32(i) - cosine_count) // level_count, 0, len(levels) - 1)
+            roughness = dr.gather(mi.Float, roughness_of, mi.UInt32(level))
+            first = dr.select(i < cosine_count, first, brdf.sample_visible_normal(u, wo, roughness))
         aimed = starts & (i >= brdf_count)
         if dr.hint(light_count > 0, mode="scalar"):
             target = lights.sample(rng.next_float32(), u.x, u.y)
