@@ -25,7 +25,8 @@ from .core.conventions import UP_AXES
 from .core.job.errors import FiptError
 from .core.job.runfolder import PRODUCT_VERSION
 from .core.job.settings import PRESETS, make_settings
-from .mainjob import PARTS, RENDER_KINDS, MainJobOptions, find_launch, make_main_job
+from .mainjob import PARTS, RENDER_KINDS, MainJobOptions, make_main_job
+from .runjob import find_launch
 
 FORMATS = ("auto", "fipt-synthetic", "fipt-real", "transforms", "colmap")
 _LINE_SECONDS = 5.0

@@ -10,27 +10,25 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import importlib.util
 import os
 import shutil
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .bridge.interpreter import engine_command, engine_environment, find_engine_python
-from .bridge.process import AttachedEngine, EngineProcess, Message, find_engine
-from .bridge.sequence import Job, Step, StepRecord
+from .bridge.process import Message
+from .bridge.sequence import Job
+from .bridge.step import Step
 from .core.job.errors import FiptError
-from .core.job.parent import PARENT_VARIABLE
 from .core.job.runfolder import PRODUCT_VERSION, RunFolder
 from .core.job.settings import Settings
+from .runjob import find_launch, open_job, refuse_busy
 
 if TYPE_CHECKING:
     from .blend.steps import RoomSteps
 
 BLEND_NAME = "room.blend"
-STEPS_NAME = "steps.json"
 PARTS = ("auto", "masks", "semantics", "materials", "objects", "loose", "none")
 RENDER_KINDS = ("rerender", "relight", "insert")
 TEXTURE_SETTINGS = ("texel_density", "texture_size", "atlas_mode", "write_back")
@@ -102,136 +100,12 @@ def make_main_job(options: MainJobOptions) -> Job:
     run = RunFolder(options.output)
     refuse_busy(run)
     run.create(options.settings)
-    return _make_job(run, _steps(options, run), STEPS_NAME, options.resume, lambda: list_files(run), engine)
-
-
-def open_job(
-    run: RunFolder,
-    steps: Sequence[Step],
-    record: str = STEPS_NAME,
-    resume: bool = False,
-    result: Callable[[], list[str]] | None = None,
-    launch: Launch | None = None,
-) -> Job:
-    """A job of any steps on a run folder that exists, with the engine that the preferences name.
-
-    Args:
-        run: where the engine works, and its log and the steps file lie.
-        steps: engine commands and functions on Blender's data.
-        record: name of the steps file, which remembers what is finished; jobs that share one need different
-            names of steps.
-        resume: whether finished steps with the same inputs are skipped; without it all run.
-        result: called at the end, gives the paths of what was made.
-        launch: the engine where it was found before.
-
-    Raises:
-        FiptError: ``engine-missing`` or ``run-busy``.
-    """
-    launch = launch or find_launch()
-    refuse_busy(run)
-    return _make_job(run, steps, record, resume, result or (lambda: []), launch)
-
-
-def attach_job(run: RunFolder, steps: Sequence[Step], record: str = STEPS_NAME) -> Job | None:
-    """A job that watches the engine which works in a run folder already, whoever started it; None without.
-
-    Args:
-        run, record: as of `open_job`.
-        steps: of the job that may have started it; the one whose command runs is noted as finished at the
-            end.
-    """
-    found = find_engine(run)
-    if found is None:
-        return None
-    name = found.command[0]
-    started = StepRecord(run.root / record)
-    known = [step for step in steps if step.command and step.command[0] == name]
-    step = replace(known[0], reset=None) if known else Step(name, name.capitalize(), 1.0, command=[name])
-    return Job(
-        steps=[step],
-        record=started,
-        start_engine=lambda arguments: AttachedEngine(run, found),
-        log=run.log,
-        result=lambda: ([], {"run": str(run.root)}),
-        resume=False,
-        keys=[started.key(step.name) or ""],
-    )
-
-
-def refuse_busy(run: RunFolder) -> None:
-    """Let two engines never work in one run folder.
-
-    Raises:
-        FiptError: ``run-busy``.
-    """
-    if find_engine(run) is not None:
-        raise FiptError(
-            "run-busy",
-            f"An engine works in {run.root} already.",
-            "Wait for its end, or stop it where it was started.",
-        )
-
-
-@dataclass(frozen=True)
-class Launch:
-    """How the engine is started: its interpreter and environment."""
-
-    python: Path
-    environment: Mapping[str, str]
-
-
-def find_launch(explicit: str | None = None) -> Launch:
-    """The engine that is named, else the preferences' one (in Blender), else the one that is found.
-
-    Raises:
-        FiptError: ``engine-missing``.
-    """
-    variables: dict[str, str] = {}
-    window = False
-    if explicit or importlib.util.find_spec("bpy") is None:
-        python = find_engine_python(explicit)
-    else:
-        import bpy
-
-        from . import preferences
-
-        python, window = preferences.engine_python(), not bpy.app.background
-        variables = dict(preferences.engine_variables())
-    if not window:  # nobody could watch it again
-        variables[PARENT_VARIABLE] = str(os.getpid())
-    return Launch(python, {**engine_environment(python), **variables})
-
-
-def _make_job(
-    run: RunFolder,
-    steps: Sequence[Step],
-    record: str,
-    resume: bool,
-    result: Callable[[], list[str]],
-    engine: Launch,
-) -> Job:
-    started = StepRecord(run.root / record)
-    if not resume:
-        started.forget(step.name for step in steps)  # each then finds that its result is stale
-
-    def start(arguments: Sequence[str]) -> EngineProcess:
-        command = engine_command(engine.python, *arguments)
-        try:
-            return EngineProcess(command, run.log, engine.environment, run.messages(arguments[0]))
-        except OSError as error:
-            raise FiptError(
-                "engine-missing",
-                f"The engine's Python {engine.python} can't be started ({error.strerror}).",
-                "Name another interpreter, or create the engine's environment again.",
-            ) from error
-
-    return Job(
-        steps=steps,
-        record=started,
-        start_engine=start,
-        log=run.log,
-        result=lambda: (result(), {"run": str(run.root)}),
-        resume=resume,
+    return open_job(
+        run,
+        _steps(options, run),
+        resume=options.resume,
+        result=lambda: list_files(run),
+        launch=engine,
     )
 
 

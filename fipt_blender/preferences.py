@@ -9,7 +9,6 @@ without being enabled as an add-on (scripts, tests).
 from __future__ import annotations
 
 import functools
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -203,7 +202,7 @@ def status() -> dict[str, Any]:
 
 def store_status(data: dict[str, Any]) -> None:
     """Keep what Set Up or Check said; {} forgets it."""
-    _store("status", json.dumps(data) if data else "")
+    _store("status", data)
 
 
 def usage() -> dict[str, Any]:
@@ -213,7 +212,7 @@ def usage() -> dict[str, Any]:
 
 def store_usage(data: dict[str, Any]) -> None:
     """Keep what was measured."""
-    _store("usage", json.dumps(data))
+    _store("usage", data)
 
 
 def keep() -> None:
@@ -249,8 +248,10 @@ def recall() -> None:
                 pass
 
 
-def _store(name: str, value: str) -> None:
-    setattr(get_preferences(), name, value)
+def _store(name: str, data: dict[str, Any]) -> None:
+    import json
+
+    setattr(get_preferences(), name, json.dumps(data) if data else "")
     if get_preferences() is not _defaults:
         bpy.context.preferences.is_dirty = True  # so that Blender saves them when it saves by itself
 
@@ -258,6 +259,8 @@ def _store(name: str, value: str) -> None:
 @functools.lru_cache(maxsize=8)
 def _parse(text: str) -> dict[str, Any]:
     """A JSON object, empty where the text is none; kept, since drawing asks each time."""
+    import json
+
     try:
         data = json.loads(text)
     except ValueError:

@@ -8,20 +8,21 @@ It holds names, never Blender's objects, so that it outlives undo and the loadin
 from __future__ import annotations
 
 import os
-import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
-from . import mainjob, preferences, previews, runstate
-from .bridge.process import Message, find_engine
-from .bridge.sequence import Job
+from . import preferences, previews, runstate
 from .core.job.errors import FiptError
 from .core.job.runfolder import RunFolder
+
+if TYPE_CHECKING:
+    from .bridge.process import Message
+    from .bridge.sequence import Job
 
 _WORK_SECONDS = 0.01  # between slices of work on Blender's data
 _WATCH_SECONDS = 0.1  # between looks at the engine
@@ -206,7 +207,7 @@ def tick() -> float | None:
     try:
         messages = job.advance()
     except Exception as error:  # nobody stands above a timer
-        traceback.print_exc()
+        _print_traceback()
         job.cancel()
         job.error = _unexpected(error)
         messages = []
@@ -246,8 +247,12 @@ def attach(scene: bpy.types.Scene) -> bool:
     Raises:
         FiptError: ``job-running``; those of `RunFolder.read`.
     """
+    from .bridge.process import find_engine
+    from .mainjob import estimate_step
+    from .runjob import attach_job
+
     run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
-    job = mainjob.attach_job(run, [mainjob.estimate_step(run, run.read())])
+    job = attach_job(run, [estimate_step(run, run.read())])
     if job is None:
         return False
     found = find_engine(run)
@@ -357,7 +362,7 @@ def _end() -> None:
             info.error = _as_message(error)
             info.state = "failed"
         except Exception as error:
-            traceback.print_exc()
+            _print_traceback()
             info.error = _unexpected(error)
             info.state = "failed"
     runstate.forget(info.run_folder)
@@ -366,6 +371,12 @@ def _end() -> None:
 
 def _as_message(error: FiptError) -> Message:
     return {"type": "error", "code": error.code, "text": error.text, "remedy": error.remedy}
+
+
+def _print_traceback() -> None:
+    import traceback
+
+    traceback.print_exc()
 
 
 def _unexpected(error: Exception) -> Message:

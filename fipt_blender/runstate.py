@@ -7,18 +7,19 @@ Asked while drawing, it answers from memory, and has a timer look at the disk so
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 
-from .bridge.process import Message, find_engine
-from .core.job.messages import parse_message
 from .core.job.runfolder import RunFolder
+
+if TYPE_CHECKING:
+    from .bridge.process import Message
 
 _FRESH_SECONDS = 2.0
 
@@ -88,6 +89,8 @@ def forget(folder: Path) -> None:
 
 def look(run: RunFolder) -> RunState:
     """The state of a run folder, from the disk."""
+    from .bridge.process import find_engine
+
     engine = find_engine(run)
     warnings, pictures, error = [], (), None
     for message in _messages(run.messages("estimate")):
@@ -118,6 +121,8 @@ def _look_soon() -> None:
 
 
 def _stage_count(path: Path) -> int:
+    import json
+
     try:
         return len(json.loads(path.read_text(encoding="utf-8"))["stages"])
     except (OSError, ValueError, KeyError, TypeError):
@@ -126,6 +131,8 @@ def _stage_count(path: Path) -> int:
 
 def _messages(path: Path) -> list[Message]:
     """The messages of a file that tell more than how far the engine is."""
+    from .core.job.messages import parse_message
+
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError:

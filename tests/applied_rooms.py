@@ -12,13 +12,12 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from fipt_blender import mainjob
+from fipt_blender import runjob
 from fipt_blender.blend import room_export
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.job.runfolder import RunFolder, write_json
 from fipt_blender.core.job.settings import make_settings
 from fipt_blender.core.textures import bake
-from fipt_blender.operators import materials
 
 MEDIAN = 0.36
 RADIANCE = [8.0, 4.0, 2.0]
@@ -39,6 +38,7 @@ class ConstantFields:
 def use_fake_engine(monkeypatch) -> list[str]:
     """Let Apply Results bake `ConstantFields` in this process; returns the list of bakes, as they happen."""
     bakes: list[str] = []
+    real = runjob.open_job
 
     def fake(step, run):
         def work():
@@ -48,10 +48,10 @@ def use_fake_engine(monkeypatch) -> list[str]:
         return replace(step, command=None, function=work) if step.command else step
 
     def open_job(run, steps, **options):
-        launch = mainjob.Launch(Path(sys.executable), {})
-        return mainjob.open_job(run, [fake(step, run) for step in steps], launch=launch, **options)
+        launch = runjob.Launch(Path(sys.executable), {})
+        return real(run, [fake(step, run) for step in steps], launch=launch, **options)
 
-    monkeypatch.setattr(materials, "open_job", open_job)
+    monkeypatch.setattr(runjob, "open_job", open_job)
     return bakes
 
 

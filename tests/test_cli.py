@@ -16,7 +16,8 @@ import pytest
 
 from fipt_blender import cli
 from fipt_blender.bridge.process import EngineProcess
-from fipt_blender.bridge.sequence import Job, Step, StepRecord
+from fipt_blender.bridge.sequence import Job
+from fipt_blender.bridge.step import Step, StepRecord
 from fipt_blender.core.job.errors import FiptError
 
 PACKAGE = Path(cli.__file__).parent
@@ -168,7 +169,8 @@ def test_ctrl_c_ends_the_engine_and_says_how_to_go_on(capture):
         f"sys.path.insert(0, {str(PACKAGE.parent)!r})\n"
         "from fipt_blender import cli\n"
         "from fipt_blender.bridge.process import EngineProcess\n"
-        "from fipt_blender.bridge.sequence import Job, Step, StepRecord\n"
+        "from fipt_blender.bridge.sequence import Job\n"
+        "from fipt_blender.bridge.step import Step, StepRecord\n"
         "inner = 'import json, os, time\\n'\n"
         'inner += \'message = {"type": "stage", "name": str(os.getpid()), "text": ""}\\n\'\n'
         "inner += 'print(json.dumps(message), flush=True)\\n'\n"

@@ -15,9 +15,10 @@ from pathlib import Path
 
 import pytest
 
-from fipt_blender import mainjob
+from fipt_blender import runjob
 from fipt_blender.bridge.process import AttachedEngine, EngineProcess, explain_death, find_engine
-from fipt_blender.bridge.sequence import Job, Step, StepRecord
+from fipt_blender.bridge.sequence import Job
+from fipt_blender.bridge.step import Step, StepRecord
 from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.lock import hold, holder
 from fipt_blender.core.job.parent import PARENT_VARIABLE
@@ -78,7 +79,7 @@ def test_the_lock_keeps_others_out_and_names_its_holder(run_folder, engine):
         pass
     assert caught.value.code == "run-busy" and time.monotonic() - started < 5.0
     with pytest.raises(FiptError) as caught:
-        mainjob.open_job(run_folder, [])
+        runjob.open_job(run_folder, [])
     assert caught.value.code == "run-busy"
 
 
@@ -161,7 +162,7 @@ def test_a_job_attaches_and_notes_that_its_step_is_finished(run_folder, engine):
     record = StepRecord(run_folder.root / "steps.json")
     record.store("estimate", "the key of then", finished=False)
     steps = [Step("estimate", "Estimating", 1.0, command=["estimate"], reset=lambda: pytest.fail("kept"))]
-    job = mainjob.attach_job(run_folder, steps)
+    job = runjob.attach_job(run_folder, steps)
     assert job is not None
     messages: list[dict] = []
     for _ in range(5):
@@ -172,7 +173,7 @@ def test_a_job_attaches_and_notes_that_its_step_is_finished(run_folder, engine):
     step = json.loads((run_folder.root / "steps.json").read_text())["steps"]["estimate"]
     assert step["finished"] and step["key"] == "the key of then"
     assert [warning["code"] for warning in step["warnings"]] == ["odd"]
-    assert mainjob.attach_job(run_folder, steps) is None
+    assert runjob.attach_job(run_folder, steps) is None
 
 
 @posix

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender import mainjob
+from fipt_blender import mainjob, runjob
 from fipt_blender.blend.placement import (
     ViewGeometry,
     choose_view,
@@ -98,7 +98,7 @@ def look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
 def engine(monkeypatch) -> list[str]:
     """The engine with a stand-in for its long commands; lists the commands that ran."""
     ran: list[str] = []
-    real = mainjob.engine_command
+    real = runjob.engine_command
 
     def command(python, *arguments):
         ran.append(arguments[0])
@@ -106,9 +106,9 @@ def engine(monkeypatch) -> list[str]:
             return [str(python), "-c", STAND_IN, str(ROOT), *arguments]
         return real(python, *arguments)
 
-    launch = mainjob.Launch(Path(sys.executable), engine_environment())
+    launch = runjob.Launch(Path(sys.executable), engine_environment())
     monkeypatch.setattr(mainjob, "find_launch", lambda explicit=None: launch)
-    monkeypatch.setattr(mainjob, "engine_command", command)
+    monkeypatch.setattr(runjob, "engine_command", command)
     return ran
 
 
@@ -170,19 +170,19 @@ def test_starting_again_forgets_what_was_there(options, engine):
 
 
 def test_an_engine_that_dies_leaves_a_run_that_goes_on(options, engine, monkeypatch):
-    stand_in = mainjob.engine_command
+    stand_in = runjob.engine_command
 
     def command(python, *arguments):
         if arguments[0] == "estimate":
             return [str(python), "-c", "import os; os.abort()"]
         return stand_in(python, *arguments)
 
-    monkeypatch.setattr(mainjob, "engine_command", command)
+    monkeypatch.setattr(runjob, "engine_command", command)
     messages = run_job(options)
     assert messages[-1]["code"] == "engine-crashed" and "SIGABRT" in messages[-1]["text"]
     checkpoint = RunFolder(options.output).stage / "checkpoint"
     checkpoint.touch()
-    monkeypatch.setattr(mainjob, "engine_command", stand_in)
+    monkeypatch.setattr(runjob, "engine_command", stand_in)
     engine.clear()
     assert run_job(dataclasses.replace(options, resume=True))[-1]["type"] == "done"
     assert engine == ["estimate", "textures", "report"] and checkpoint.exists()

@@ -19,7 +19,7 @@ from small_captures import PANEL, QUICK, SmallCapture, panel_capture, write_run
 from small_rooms import BOX
 
 import fipt_blender
-from fipt_blender import mainjob, preferences, running
+from fipt_blender import preferences, runjob, running
 from fipt_blender.bridge import interpreter
 from fipt_blender.bridge.process import find_engine
 from fipt_blender.core.job.runfolder import RunFolder, read_json
@@ -86,7 +86,7 @@ def start(resume: bool = False) -> running.RunningJob:
     settings = estimate.scene_settings(scene)
     run = RunFolder(scene.fipt.run_folder)
     run.create(settings)
-    job = mainjob.open_job(run, make_steps(run, settings), resume=resume)
+    job = runjob.open_job(run, make_steps(run, settings), resume=resume)
     return running.start(job, title="Estimate", kind="estimate", scene_name=scene.name, run_folder=run.root)
 
 
@@ -183,8 +183,8 @@ def test_an_interpreter_that_breaks_at_work(scene, run, tmp_path, monkeypatch, s
     broken = tmp_path / "python"
     broken.write_text(f"#!/bin/sh\n{script}\n")
     broken.chmod(0o755)
-    launch = mainjob.Launch(broken, dict(os.environ))
-    monkeypatch.setattr(mainjob, "find_launch", lambda explicit=None: launch)
+    launch = runjob.Launch(broken, dict(os.environ))
+    monkeypatch.setattr(runjob, "find_launch", lambda explicit=None: launch)
     with pytest.raises(RuntimeError, match=r"log\.txt"):
         ops.estimate()
     assert running.last("estimate").error["code"] == code
@@ -288,7 +288,7 @@ def test_smaller_presets(scene, monkeypatch):
     scene.fipt.estimate.preset = "medium"
     scene.fipt.estimate.rounds = 5
     assert ops.smaller_preset.poll()
-    monkeypatch.setattr(mainjob, "find_launch", lambda explicit=None: mainjob.Launch(Path("nowhere"), {}))
+    monkeypatch.setattr(runjob, "find_launch", lambda explicit=None: runjob.Launch(Path("nowhere"), {}))
     with pytest.raises(RuntimeError):
         ops.smaller_preset()
     assert scene.fipt.estimate.preset == "draft" and scene.fipt.estimate.rounds == 1

@@ -17,15 +17,16 @@ import bpy
 import pytest
 
 import fipt_blender
-from fipt_blender import preferences, running
+from fipt_blender import datajob, preferences, running
 from fipt_blender.bridge import pins, places, storage
 from fipt_blender.bridge.interpreter import PYTHON_VARIABLE
 from fipt_blender.core.device.cuda import VISIBLE_VARIABLE
 from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.lock import hold
-from fipt_blender.core.job.runfolder import RunFolder
+from fipt_blender.core.job.runfolder import PRODUCT_VERSION, RunFolder
 from fipt_blender.core.job.settings import make_settings
 from fipt_blender.operators import environment as operators
+from fipt_blender.operators.job_operator import DATA_KIND
 from fipt_blender.panels import environment as panel
 
 OLD = time.time() - 86400
@@ -87,7 +88,7 @@ def check_result(**changes: Any) -> dict[str, Any]:
         "ready": True,
         **changes,
     }
-    version = operators.PRODUCT_VERSION
+    version = PRODUCT_VERSION
     return {"time": 0.0, "product_version": version, "engine": engine, "warnings": [], "error": None}
 
 
@@ -199,10 +200,10 @@ def test_set_up_runs_beside_the_users_work_and_is_cancelled(
 ) -> None:
     values.wheel_folder = str(tmp_path)
     code = "import time; time.sleep(60)"
-    monkeypatch.setattr(operators, "setup_command", lambda *arguments: [sys.executable, "-c", code])
+    monkeypatch.setattr(datajob, "setup_command", lambda *arguments: [sys.executable, "-c", code])
     operator = type("Operator", (operators.FIPT_OT_set_up_engine,), {})
     job, ended = operator.make_job(operator)
-    running.start(job, title="t", kind=operators.KIND, scene_name="", run_folder=tmp_path, on_end=ended)
+    running.start(job, title="t", kind=DATA_KIND, scene_name="", run_folder=tmp_path, on_end=ended)
     for _ in range(3):
         running.tick()
     assert not bpy.ops.fipt.check_engine.poll() and bpy.ops.fipt.cancel_set_up.poll()
@@ -325,14 +326,15 @@ def test_drawing_is_quick_and_asks_no_disk(values: Any, monkeypatch: pytest.Monk
 
 
 START = """
-import json, sys, time
+import gc, json, sys, time
 import bpy
 sys.path.insert(0, sys.argv[1])
 before = set(sys.modules)
-started = time.perf_counter()
+gc.freeze()  # a full collection of Blender's own objects, about 20 ms, falls on anyone
+started = time.process_time()
 import fipt_blender
 fipt_blender.register()
-seconds = time.perf_counter() - started
+seconds = time.process_time() - started
 loaded = set(sys.modules) - before
 names = {"classes": sorted(name for name in dir(bpy.types) if name.upper().startswith("FIPT_"))}
 fipt_blender.unregister()
@@ -345,13 +347,23 @@ os._exit(0)
 
 
 def test_enabling_loads_nothing_heavy_and_disabling_leaves_nothing(tmp_path: Path) -> None:
-    root = str(places.PACKAGE_FOLDER.parent)
-    result = subprocess.run([sys.executable, "-c", START, root], capture_output=True, text=True)
-    answer = json.loads(result.stdout.splitlines()[-1])
-    loaded = answer["loaded"]
-    heavy = ("numpy", "mitsuba", "drjit", "torch", "OpenEXR", "tomllib", "email", "asyncio", "unittest")
-    assert not [name for name in loaded if name.partition(".")[0] in heavy]
-    assert not [name for name in loaded if name.startswith("fipt_blender.blend")]
-    assert answer["seconds"] < 1.0, "0.05 on an idle machine; tests share theirs"
+    # Python keeps what it compiled, as Blender's does: the first start is another one's.
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
+    environment["PYTHONPYCACHEPREFIX"] = str(tmp_path)
+
+    def enable() -> dict[str, Any]:
+        command = [sys.executable, "-c", START, str(places.PACKAGE_FOLDER.parent)]
+        result = subprocess.run(command, capture_output=True, text=True, env=environment)
+        return json.loads(result.stdout.splitlines()[-1])
+
+    answer = enable()
+    loaded = {name.partition(".")[0] for name in answer["loaded"]}
+    heavy = {"numpy", "mitsuba", "drjit", "torch", "OpenEXR", "tomllib", "email", "asyncio", "unittest"}
+    assert not loaded & (heavy | {"json", "shutil", "subprocess", "tempfile", "traceback", "uuid"})
+    parts = {name.removeprefix("fipt_blender.") for name in answer["loaded"] if name.startswith("fipt_")}
+    later = ("blend", "bridge.process", "bridge.step", "bridge.sequence", "core.job.settings")
+    assert not [name for name in parts if name.startswith((*later, "mainjob", "runjob", "datajob"))]
+    # 0.016 s of the processor's time on an idle machine.
+    assert any(enable()["seconds"] < 0.05 for _ in range(5))
     assert "FIPT_OT_set_up_engine" in answer["classes"]
     assert answer["left"] == [] and answer["state"] is False

@@ -16,9 +16,10 @@ import bpy
 import pytest
 
 import fipt_blender
-from fipt_blender import mainjob, preferences, running, runstate
+from fipt_blender import preferences, runjob, running, runstate
 from fipt_blender.bridge.process import EngineProcess, find_engine
-from fipt_blender.bridge.sequence import Job, Step, StepRecord
+from fipt_blender.bridge.sequence import Job
+from fipt_blender.bridge.step import Step, StepRecord
 from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.runfolder import RunFolder
 from fipt_blender.core.job.settings import make_settings
@@ -235,7 +236,7 @@ def test_disabling_can_leave_the_engine_and_later_attach_to_it(run, monkeypatch)
     bpy.context.scene.fipt.run_folder = str(run.root)
     assert runstate.known(str(run.root)).engine == "estimate"
     with pytest.raises(FiptError) as caught:
-        mainjob.open_job(run, [])
+        runjob.open_job(run, [])
     assert caught.value.code == "run-busy"
     assert running.attach(bpy.context.scene)
     info = running.current()
@@ -322,7 +323,7 @@ class FIPT_OT_try_job(JobOperator, bpy.types.Operator):
                 raise FiptError("bad", "It went wrong.", "Try again.")
             return [warning]
 
-        return mainjob.open_job(run, [Step("work", "Working", 1.0, function=work)])
+        return runjob.open_job(run, [Step("work", "Working", 1.0, function=work)])
 
     @staticmethod
     def finished(scene, run):

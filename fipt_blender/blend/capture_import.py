@@ -16,7 +16,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..bridge.process import Message
-from ..bridge.sequence import Slices
+from ..bridge.step import Slices
 from ..core import conventions
 from ..core.job.errors import FiptError
 from ..core.job.runfolder import RunFolder, read_json

@@ -23,10 +23,11 @@ import bpy
 
 from ..bridge.interpreter import PACKAGE_FOLDER
 from ..bridge.process import EngineProcess, Message
-from ..bridge.sequence import Job, Step, StepRecord
+from ..bridge.sequence import Job, own_job
+from ..bridge.step import Step
 from ..core.job.errors import FiptError
 from ..core.job.messages import Reporter, claim_stdout
-from ..core.job.runfolder import RunFolder, explained_write_errors, read_json, write_json
+from ..core.job.runfolder import RunFolder, read_json, write_json
 from .cameras import find_camera
 from .composite import added_objects, compose, not_catching, render_layers, without
 from .photographed import lights_as_photographed
@@ -99,14 +100,7 @@ def make_job(order: Order) -> Job:
     run = RunFolder(order.run)
     beside = not bpy.app.background and bool(bpy.app.binary_path)
     steps = _steps_beside(order, run) if beside else [_step_here(order)]
-    record = run.renders / "steps.json"
-    with explained_write_errors(record):
-        record.unlink(missing_ok=True)
-    return Job(steps, StepRecord(record), _no_engine, run.log, lambda: ([], {}), resume=False)
-
-
-def _no_engine(arguments: Sequence[str]) -> EngineProcess:
-    raise AssertionError("renders need no engine")
+    return own_job(steps, run.renders / "steps.json", run.log)
 
 
 def _title(order: Order) -> str:

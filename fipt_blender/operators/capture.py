@@ -4,20 +4,21 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import preferences
-from ..bridge.process import Message
-from ..bridge.sequence import Job, Slices, Step
 from ..core.job.errors import FiptError
 from ..core.job.runfolder import RunFolder
-from ..core.job.settings import make_settings
-from ..mainjob import open_job
 from .job_operator import JobOperator
+
+if TYPE_CHECKING:
+    from ..bridge.process import Message
+    from ..bridge.sequence import Job
+    from ..bridge.step import Slices, StepFunction
 
 _MESH_FILES = "*.obj;*.ply;*.stl;*.gltf;*.glb;*.fbx;*.usd;*.usdc;*.usda;*.usdz"
 
@@ -38,6 +39,8 @@ class _ImportJob(JobOperator):
     @staticmethod
     def failed(scene: bpy.types.Scene, run: RunFolder) -> None:
         """The run that the scene had before is its run again."""
+        import shutil
+
         before = scene.fipt.capture.previous_run
         if before and before != scene.fipt.run_folder:
             scene.fipt.run_folder = before
@@ -46,6 +49,8 @@ class _ImportJob(JobOperator):
     @staticmethod
     def _open_run(scene: bpy.types.Scene, source: str, name: str) -> RunFolder:
         """The scene's run folder, or a new one where that holds another capture."""
+        from ..core.job.settings import make_settings
+
         settings, before = scene.fipt.capture, scene.fipt.run_folder
         settings.previous_run = before
         run = RunFolder(bpy.path.abspath(before)) if before else None
@@ -55,6 +60,26 @@ class _ImportJob(JobOperator):
             run.create(make_settings())
         scene.fipt.run_folder = str(run.root)
         return run
+
+    @staticmethod
+    def _import_job(
+        run: RunFolder, path: Path, arguments: list[str], text: str, bring_in: StepFunction
+    ) -> Job:
+        """Let the engine read a capture, then bring it into the scene."""
+        from ..bridge.step import Step
+        from ..runjob import open_job
+
+        steps = [
+            Step(
+                "ingest",
+                "Reading and checking the photographs",
+                20.0,
+                command=["ingest", str(path), str(run.root), *arguments],
+                outputs=[run.ingest_json],
+            ),
+            Step("import", text, 5.0, function=bring_in, repeat=True),
+        ]
+        return open_job(run, steps, record="import.json")
 
 
 class FIPT_OT_import_capture(_ImportJob, bpy.types.Operator):
@@ -99,17 +124,7 @@ class FIPT_OT_import_capture(_ImportJob, bpy.types.Operator):
 
             return import_capture(run, str(path))
 
-        steps = [
-            Step(
-                "ingest",
-                "Reading and checking the photographs",
-                20.0,
-                command=["ingest", str(path), str(run.root), *arguments],
-                outputs=[run.ingest_json],
-            ),
-            Step("import", "Adding cameras and mesh", 5.0, function=bring_in, repeat=True),
-        ]
-        return open_job(run, steps, record="import.json")
+        return self._import_job(run, path, arguments, "Adding cameras and mesh", bring_in)
 
 
 class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
@@ -151,17 +166,7 @@ class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
             remedy = "Give them a background image to use them too."
             return [{"type": "warning", "code": "cameras-left-out", "text": text, "remedy": remedy}]
 
-        steps = [
-            Step(
-                "ingest",
-                "Reading and checking the photographs",
-                20.0,
-                command=["ingest", str(path), str(run.root), *arguments],
-                outputs=[run.ingest_json],
-            ),
-            Step("adopt", "Listing the cameras", 1.0, function=adopt, repeat=True),
-        ]
-        return open_job(run, steps, record="import.json")
+        return self._import_job(run, path, arguments, "Listing the cameras", adopt)
 
 
 class FIPT_OT_import_mesh(bpy.types.Operator):

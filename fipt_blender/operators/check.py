@@ -5,15 +5,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 
-from ..bridge.sequence import Job, Step
 from ..core.job.errors import FiptError
 from ..core.job.runfolder import RunFolder
-from ..mainjob import open_job
 from ..properties.check import PICTURES, VIEWS
 from .job_operator import JobOperator
+
+if TYPE_CHECKING:
+    from ..bridge.sequence import Job
 
 VIEW_KEY = "fipt_view"
 
@@ -26,12 +28,26 @@ def has_run(cls: type, context: bpy.types.Context) -> bool:
     return True
 
 
-def shows_estimate(cls: type, context: bpy.types.Context) -> bool:
-    """Poll: the room shows its estimated materials, and not a map or its originals."""
-    if context.scene.fipt.materials.shown != "ESTIMATED":
-        cls.poll_message_set("Show the estimated materials first, in the section Materials")  # type: ignore[attr-defined]
-        return False
-    return True
+class RenderJob(JobOperator):
+    """Mix-in of an operator that renders views of the room while that shows its estimated materials."""
+
+    bl_options = {"REGISTER", "UNDO"}
+
+    samples: bpy.props.IntProperty(
+        name="Samples",
+        description="Cycles' samples a pixel; 0 takes the panel's number",
+        min=0,
+        options={"SKIP_SAVE"},
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not super().poll(context) or not has_run(cls, context):
+            return False
+        if context.scene.fipt.materials.shown != "ESTIMATED":
+            cls.poll_message_set("Show the estimated materials first, in the section Materials")  # type: ignore[attr-defined]
+            return False
+        return True
 
 
 def current_view(scene: bpy.types.Scene) -> str:
@@ -50,13 +66,12 @@ def current_view(scene: bpy.types.Scene) -> str:
     return str(camera[VIEW_KEY])
 
 
-class FIPT_OT_render_views(JobOperator, bpy.types.Operator):
+class FIPT_OT_render_views(RenderJob, bpy.types.Operator):
     """Render views of the estimated room in Cycles and compare them with their photographs; inserted objects
     and changed lights are left out"""
 
     bl_idname = "fipt.render_views"
     bl_label = "Render Views"
-    bl_options = {"REGISTER", "UNDO"}
     title = "Check"
     kind = "check"
 
@@ -67,16 +82,6 @@ class FIPT_OT_render_views(JobOperator, bpy.types.Operator):
     view: bpy.props.StringProperty(
         name="View", description="One view by its name instead", options={"SKIP_SAVE"}
     )
-    samples: bpy.props.IntProperty(
-        name="Samples",
-        description="Cycles' samples a pixel; 0 takes the panel's number",
-        min=0,
-        options={"SKIP_SAVE"},
-    )
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return super().poll(context) and has_run(cls, context) and shows_estimate(cls, context)
 
     def make_job(self, context: bpy.types.Context) -> Job:
         from ..blend import render_job
@@ -172,6 +177,9 @@ class FIPT_OT_write_report(JobOperator, bpy.types.Operator):
         return super().poll(context) and has_run(cls, context)
 
     def make_job(self, context: bpy.types.Context) -> Job:
+        from ..bridge.step import Step
+        from ..runjob import open_job
+
         run = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
         run.read()  # explains a folder that is gone or holds something else
         step = Step("report", "Writing the report", 5.0, command=["report", str(run.root)])

@@ -5,14 +5,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 
-from .. import mainjob, preferences, running, runstate
-from ..bridge.sequence import Job, Slices, Step
+from .. import preferences, running, runstate
 from ..core.job.runfolder import RunFolder
-from ..core.job.settings import PRESETS, Settings, make_settings
+from ..properties.estimate import PRESETS
 from .job_operator import JobOperator
+
+if TYPE_CHECKING:
+    from ..bridge.sequence import Job
+    from ..bridge.step import Slices, Step
+    from ..core.job.settings import Settings
 
 # Seconds on a small capture; they only shape the progress bar.
 _CAMERAS_SECONDS, _ROOM_SECONDS = 1.0, 2.0
@@ -39,17 +44,19 @@ class _Estimation(JobOperator):
         return True
 
     def make_job(self, context: bpy.types.Context) -> Job:
+        from .. import runjob
+
         scene = context.scene
-        launch = mainjob.find_launch()
+        launch = runjob.find_launch()
         settings = scene_settings(scene)
         if not scene.fipt.run_folder:
             name = Path(bpy.data.filepath).stem or scene.name
             scene.fipt.run_folder = str(preferences.new_run_folder(name))
             running.push_undo(self.title)
         run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
-        mainjob.refuse_busy(run)
+        runjob.refuse_busy(run)
         run.create(settings)
-        return mainjob.open_job(
+        return runjob.open_job(
             run,
             make_steps(run, settings),
             resume=self.resume,
@@ -94,9 +101,12 @@ class FIPT_OT_resume(_Estimation, bpy.types.Operator):
         return True
 
     def make_job(self, context: bpy.types.Context) -> Job:
+        from ..mainjob import estimate_step
+        from ..runjob import attach_job
+
         run = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
         # An engine that still works, without a Blender or with another one, is watched to its end.
-        attached = mainjob.attach_job(run, [mainjob.estimate_step(run, run.read())])
+        attached = attach_job(run, [estimate_step(run, run.read())])
         return attached or super().make_job(context)
 
 
@@ -165,7 +175,7 @@ class FIPT_OT_reset_setting(bpy.types.Operator):
 
 def smaller_preset(preset: str) -> str | None:
     """The preset below one, or None."""
-    names = list(PRESETS)
+    names = [name for name, _, _ in PRESETS]
     index = names.index(preset)
     return names[index - 1] if index else None
 
@@ -176,18 +186,23 @@ def scene_settings(scene: bpy.types.Scene) -> Settings:
     Raises:
         FiptError: ``setting-invalid``; those of `RunFolder.read`.
     """
+    from ..core.job.settings import make_settings
+    from ..mainjob import TEXTURE_SETTINGS
+
     state = scene.fipt.estimate
     device = preferences.device_setting() if state.device == "preferences" else state.device
     changes = {**state.values(), "device": device}
     run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
     if scene.fipt.run_folder and run.run_json.exists():
         before = run.read()
-        changes |= {name: getattr(before, name) for name in mainjob.TEXTURE_SETTINGS}
+        changes |= {name: getattr(before, name) for name in TEXTURE_SETTINGS}
     return make_settings(state.preset, changes)
 
 
 def make_steps(run: RunFolder, settings: Settings) -> list[Step]:
     """From the scene as it is to the results."""
+    from ..bridge.step import Step
+    from ..mainjob import EXPORT_TEXT, estimate_step
 
     def cameras() -> None:
         from ..blend.steps import export_scene_cameras
@@ -202,8 +217,8 @@ def make_steps(run: RunFolder, settings: Settings) -> list[Step]:
 
     return [
         Step("cameras", "Reading the cameras", _CAMERAS_SECONDS, function=cameras, repeat=True),
-        Step("room", mainjob.EXPORT_TEXT, _ROOM_SECONDS, function=room, repeat=True),
-        mainjob.estimate_step(run, settings),
+        Step("room", EXPORT_TEXT, _ROOM_SECONDS, function=room, repeat=True),
+        estimate_step(run, settings),
     ]
 
 

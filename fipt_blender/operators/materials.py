@@ -4,21 +4,21 @@
 
 from __future__ import annotations
 
-import uuid
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..bridge.sequence import Job, Slices, Step
 from ..core.job.errors import FiptError
 from ..core.job.runfolder import RunFolder
-from ..core.job.settings import Settings
-from ..mainjob import open_job
 from ..properties.materials import SHOWN
 from .job_operator import JobOperator
+
+if TYPE_CHECKING:
+    from ..bridge.sequence import Job
+    from ..bridge.step import Slices, Step
+    from ..core.job.settings import Settings
 
 RECORD = "apply.json"
 _OPTIONS = ("atlas_mode", "texture_size", "texel_density", "write_back")
@@ -49,6 +49,8 @@ class FIPT_OT_apply_results(JobOperator, bpy.types.Operator):
         return True
 
     def make_job(self, context: bpy.types.Context) -> Job:
+        from ..runjob import open_job
+
         scene = context.scene
         run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
         settings = chosen_settings(scene, run)
@@ -74,6 +76,8 @@ def chosen_settings(scene: bpy.types.Scene, run: RunFolder) -> Settings:
     Raises:
         FiptError: ``run-missing`` and others of `RunFolder.read`; ``results-missing``.
     """
+    from dataclasses import replace
+
     settings = run.read()
     if not run.fields_npz.is_file() or not run.emitters_json.is_file():
         raise FiptError(
@@ -86,6 +90,10 @@ def chosen_settings(scene: bpy.types.Scene, run: RunFolder) -> Settings:
 
 def make_steps(scene_name: str, run: RunFolder, settings: Settings) -> list[Step]:
     """Texture coordinates, baking, and the swap; the first two are kept where what they need is unchanged."""
+    import uuid
+
+    from ..bridge.step import Step
+
     texture_values = {name: getattr(settings, name) for name in _OPTIONS if name != "write_back"}
 
     def objects() -> list[bpy.types.Object]:

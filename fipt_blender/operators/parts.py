@@ -6,17 +6,14 @@ from __future__ import annotations
 
 import bpy
 
-from ..core.job.errors import FiptError
+from .overlay import ShowsColors
 
 
-class FIPT_OT_show_parts(bpy.types.Operator):
+class FIPT_OT_show_parts(ShowsColors, bpy.types.Operator):
     """Colour the room by its parts, one colour a part"""
 
     bl_idname = "fipt.show_parts"
     bl_label = "Show Parts"
-    bl_options = {"REGISTER"}
-
-    show: bpy.props.BoolProperty(name="Show", default=True, options={"SKIP_SAVE"})
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -25,18 +22,11 @@ class FIPT_OT_show_parts(bpy.types.Operator):
             return False
         return True
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend import overlay, survey
+    @staticmethod
+    def color(scene: bpy.types.Scene) -> None:
+        from ..blend.survey import show_parts
 
-        if not self.show:
-            overlay.hide()
-            return {"FINISHED"}
-        try:
-            survey.show_parts(context.scene)
-        except FiptError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        return {"FINISHED"}
+        show_parts(scene)
 
 
 CLASSES = (FIPT_OT_show_parts,)

@@ -5,14 +5,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 
-from ..bridge.sequence import Job
 from ..core.job.runfolder import RunFolder
 from ..properties.insert import BACKDROPS
-from .check import current_view, has_run, shows_estimate
-from .job_operator import JobOperator
+from .check import RenderJob, current_view
+
+if TYPE_CHECKING:
+    from ..bridge.sequence import Job
 
 
 class FIPT_OT_set_backdrop(bpy.types.Operator):
@@ -46,13 +48,12 @@ class FIPT_OT_set_backdrop(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FIPT_OT_render_composite(JobOperator, bpy.types.Operator):
+class FIPT_OT_render_composite(RenderJob, bpy.types.Operator):
     """Render the current view with what was inserted in Cycles: in the room, or put into the original
     photograph with its shadows and reflections"""
 
     bl_idname = "fipt.render_composite"
     bl_label = "Render View"
-    bl_options = {"REGISTER", "UNDO"}
     title = "Insert"
     kind = "insert"
 
@@ -65,16 +66,6 @@ class FIPT_OT_render_composite(JobOperator, bpy.types.Operator):
     view: bpy.props.StringProperty(
         name="View", description="Name of the view; empty for the scene's camera", options={"SKIP_SAVE"}
     )
-    samples: bpy.props.IntProperty(
-        name="Samples",
-        description="Cycles' samples a pixel; 0 takes the panel's number",
-        min=0,
-        options={"SKIP_SAVE"},
-    )
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return super().poll(context) and has_run(cls, context) and shows_estimate(cls, context)
 
     def make_job(self, context: bpy.types.Context) -> Job:
         from ..blend import render_job

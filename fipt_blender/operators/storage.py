@@ -1,9 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the preferences: how large runs and environments are, and clearing them.
-
-`bridge.storage` is imported where it is used: starting Blender should not wait for it.
-"""
+"""Operators of the preferences: how large runs and environments are, and clearing them."""
 
 from __future__ import annotations
 
@@ -16,12 +13,13 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import preferences, running
-from ..bridge.process import Message
-from ..bridge.sequence import Job, Slices, Step
 from ..core.job.errors import FiptError
-from .environment import DataJobOperator, data_job
+from .job_operator import DataJobOperator
 
 if TYPE_CHECKING:
+    from ..bridge.process import Message
+    from ..bridge.sequence import Job
+    from ..bridge.step import Slices
     from ..bridge.storage import Item
 
 
@@ -60,6 +58,9 @@ class FIPT_OT_measure_data(DataJobOperator, bpy.types.Operator):
     title = "Measure"
 
     def make_job(self) -> tuple[Job, Callable[[running.RunningJob], None]]:
+        from ..bridge.step import Step
+        from ..datajob import data_job
+
         step = Step("measure", "Measuring the data folder", 3.0, function=measure)
         return data_job([step]), lambda info: None
 
@@ -123,10 +124,12 @@ class FIPT_OT_clear_data(DataJobOperator, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         # From a dialog it runs beside the user's work, as any job does.
         in_window = bool(self.items) and not bpy.app.background and context.window is not None
-        return self._start(running.start if in_window else running.run)
+        return self._start(context, beside=in_window)
 
     def make_job(self) -> tuple[Job, Callable[[running.RunningJob], None]]:
         from ..bridge import storage
+        from ..bridge.step import Step
+        from ..datajob import data_job
 
         data, used = preferences.data_folder(), used_paths()
         known = {item.folder.name: item for item in storage.list_items(data)}

@@ -4,16 +4,18 @@
 
 from __future__ import annotations
 
-import sys
+from typing import TYPE_CHECKING
 
 import bpy
 
 from .. import preferences
-from ..bridge.sequence import Job, Slices, Step
-from ..core.job.errors import FiptError
 from ..core.job.runfolder import RunFolder
-from ..mainjob import open_job
 from .job_operator import JobOperator
+from .overlay import ShowsColors
+
+if TYPE_CHECKING:
+    from ..bridge.sequence import Job
+    from ..bridge.step import Slices
 
 
 class FIPT_OT_look_through(bpy.types.Operator):
@@ -107,6 +109,8 @@ class FIPT_OT_check_views(JobOperator, bpy.types.Operator):
 
     def make_job(self, context: bpy.types.Context) -> Job:
         from ..blend.capture_import import room_missing
+        from ..bridge.step import Step
+        from ..runjob import open_job
 
         scene = context.scene
         if not scene.fipt.capture.room_objects(scene):
@@ -137,14 +141,11 @@ class FIPT_OT_check_views(JobOperator, bpy.types.Operator):
         take_survey(scene, run)
 
 
-class FIPT_OT_show_coverage(bpy.types.Operator):
+class FIPT_OT_show_coverage(ShowsColors, bpy.types.Operator):
     """Colour the room by how many ticked views see it: red none, orange one, yellow two, green many"""
 
     bl_idname = "fipt.show_coverage"
     bl_label = "Show Coverage"
-    bl_options = {"REGISTER"}
-
-    show: bpy.props.BoolProperty(name="Show", default=True, options={"SKIP_SAVE"})
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -153,25 +154,11 @@ class FIPT_OT_show_coverage(bpy.types.Operator):
             return False
         return True
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend import overlay, survey
+    @staticmethod
+    def color(scene: bpy.types.Scene) -> None:
+        from ..blend.survey import show_coverage
 
-        if not self.show:
-            overlay.hide()
-            return {"FINISHED"}
-        try:
-            survey.show_coverage(context.scene)
-        except FiptError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        return {"FINISHED"}
-
-    @classmethod
-    def unregister(cls) -> None:
-        """Blender calls this while the class is unregistered: the colours go with the add-on."""
-        overlay = sys.modules.get(__package__.rpartition(".")[0] + ".blend.overlay")
-        if overlay is not None:
-            overlay.hide()
+        show_coverage(scene)
 
 
 def _has_views(cls: type, context: bpy.types.Context) -> bool:

@@ -10,16 +10,6 @@ from . import capture, check, estimate, insert, lights, materials, parts
 
 _MODULES = (capture, parts, estimate, materials, lights, insert, check)
 
-
-def register() -> None:
-    """Register all panels and lists."""
-    for module in _MODULES:
-        for each in module.CLASSES:
-            bpy.utils.register_class(each)
-
-
-def unregister() -> None:
-    """Take them back."""
-    for module in reversed(_MODULES):
-        for each in reversed(module.CLASSES):
-            bpy.utils.unregister_class(each)
+register, unregister = bpy.utils.register_classes_factory(
+    [each for module in _MODULES for each in module.CLASSES]
+)

@@ -32,7 +32,7 @@ class Facts:
     """What the drawing is about, besides the preferences' values: looked up before, never while drawing.
 
     Args:
-        status: what set-up or check said last (see operators/environment.py); empty before.
+        status: what set-up or check said last (see datajob.EngineStatus); empty before.
         usage: sizes by folder name, and which are runs; empty before they were measured.
         data_folder: where data lies when the preference names no folder.
     """

@@ -5,14 +5,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import running
-from ..bridge.process import Message
 from ..core.job.runfolder import RunFolder
 from .sidebar import draw_text
+
+if TYPE_CHECKING:
+    from ..bridge.process import Message
 
 
 def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, kind: str) -> bool:

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import json
-
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
@@ -24,6 +22,8 @@ class FIPT_PT_parts(Section, bpy.types.Panel):
     bl_order = 2
 
     def draw(self, context: bpy.types.Context) -> None:
+        import json
+
         layout = self.fields()
         parts = context.scene.fipt.parts
         layout.prop(parts, "source")

@@ -32,19 +32,18 @@ class FIPT_SceneSettings(bpy.types.PropertyGroup):
     check: bpy.props.PointerProperty(type=check.FIPT_CheckSettings)
 
 
+_register_classes, _unregister_classes = bpy.utils.register_classes_factory(
+    [*(each for module in _MODULES for each in module.CLASSES), FIPT_SceneSettings]
+)
+
+
 def register() -> None:
     """Register the groups and `Scene.fipt`."""
-    for module in _MODULES:
-        for each in module.CLASSES:
-            bpy.utils.register_class(each)
-    bpy.utils.register_class(FIPT_SceneSettings)
+    _register_classes()
     bpy.types.Scene.fipt = bpy.props.PointerProperty(type=FIPT_SceneSettings)
 
 
 def unregister() -> None:
     """Take them back; what scenes hold stays in their files."""
     del bpy.types.Scene.fipt
-    bpy.utils.unregister_class(FIPT_SceneSettings)
-    for module in reversed(_MODULES):
-        for each in reversed(module.CLASSES):
-            bpy.utils.unregister_class(each)
+    _unregister_classes()

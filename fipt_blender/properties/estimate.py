@@ -8,13 +8,12 @@ Only changed values are kept, so that all others follow the preset.
 from __future__ import annotations
 
 import functools
-import json
-from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import bpy
 
-from ..core.job.settings import Settings, make_settings
+if TYPE_CHECKING:
+    from ..core.job.settings import Settings
 
 PRESETS = (
     ("draft", "Draft", "A first look, with noise and soft textures: a few minutes for 40 small photographs"),
@@ -29,8 +28,7 @@ DEVICES = (
 )
 
 
-@dataclass(frozen=True)
-class Choice:
+class Choice(NamedTuple):
     """A setting that the panel offers: the fields of `Settings` that it stands for, and its words."""
 
     fields: tuple[str, ...]
@@ -38,6 +36,7 @@ class Choice:
     description: str
     least: int = 1
     most: int = 1_000_000
+    switch: bool = False  # on or off, no number
 
 
 CHOICES = {
@@ -75,17 +74,23 @@ CHOICES = {
     "roughness_levels": Choice(
         ("roughness_levels",), "Roughness Levels", "Roughnesses at which reflections are computed", 3, 32
     ),
-    "denoise": Choice(("denoise",), "Denoise", "Smooth the computed light, so that fewer samples do"),
+    "denoise": Choice(
+        ("denoise",), "Denoise", "Smooth the computed light, so that fewer samples do", switch=True
+    ),
     "seed": Choice(("seed",), "Seed", "Start of all random numbers: the same seed gives the same result", 0),
 }  # fmt: skip
 
 
 @functools.cache
 def _preset(name: str) -> Settings:
+    from ..core.job.settings import make_settings
+
     return make_settings(name)
 
 
 def _changes(settings: FIPT_EstimateSettings) -> dict[str, Any]:
+    import json
+
     try:
         changes = json.loads(settings.changes or "{}")
     except ValueError:
@@ -101,10 +106,12 @@ def _property(name: str, choice: Choice) -> Any:
         return changes[name] if name in changes else getattr(_preset(self.preset), choice.fields[0])
 
     def set_(self: FIPT_EstimateSettings, value: Any) -> None:
+        import json
+
         self.changes = json.dumps({**_changes(self), name: value})
 
     words = {"name": choice.name, "description": choice.description, "get": get, "set": set_}
-    if isinstance(getattr(Settings, choice.fields[0]), bool):
+    if choice.switch:
         return bpy.props.BoolProperty(**words)
     return bpy.props.IntProperty(**words, min=choice.least, max=choice.most)
 
@@ -129,6 +136,8 @@ class FIPT_EstimateSettings(bpy.types.PropertyGroup):
 
     def reset(self, *names: str) -> None:
         """Let some of CHOICES follow the preset again; all of them where none is named."""
+        import json
+
         changes = (
             {} if not names else {key: value for key, value in _changes(self).items() if key not in names}
         )

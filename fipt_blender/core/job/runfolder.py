@@ -2,22 +2,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The run folder: where each file of a run lies, and how files get there whole or not at all.
 
-Standard library only: both processes import it. docs/architecture.md describes the formats.
+Standard library only: both processes import it, Blender's while it starts, so that JSON and the settings are
+imported where they are used. docs/architecture.md describes the formats.
 """
 
 from __future__ import annotations
 
 import errno
-import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .errors import FiptError
-from .settings import Settings, make_settings
+
+if TYPE_CHECKING:
+    from .settings import Settings
 
 PRODUCT_VERSION = "0.1.0"
 RUN_FORMAT = "fipt-run"
@@ -65,6 +66,8 @@ class RunFolder:
             FiptError: ``run-version`` where the folder belongs to another version, ``run-foreign`` where
                 it holds something else, ``disk-full`` or ``run-unwritable``.
         """
+        from dataclasses import asdict
+
         if self.run_json.exists():
             self.read()
         elif self.root.exists() and any(self.root.iterdir()):
@@ -107,6 +110,8 @@ class RunFolder:
                 f"The run folder {self.root} has version {data.get('version')}, and this is {RUN_VERSION}.",
                 "Start a new run in another folder, or open it with the version that made it.",
             )
+        from .settings import make_settings
+
         values = dict(data.get("settings", {}))
         return make_settings(values.pop("preset", "medium"), values)
 
@@ -165,6 +170,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 def write_json(path: Path, data: Any) -> None:
     """Write JSON whole or not at all."""
+    import json
+
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(data, indent=1), encoding="utf-8")
 
@@ -175,6 +182,8 @@ def read_json(path: Path) -> dict[str, Any]:
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.
     """
+    import json
+
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
