@@ -36,7 +36,7 @@ def starts(tmp_path: Path, gap: float, labels: list[int]) -> list[np.ndarray]:
     store = open_pixels(tmp_path / "pixels", [view], create=True)
     fill_pixels(store, room, lambda done: None)
     normals = triangle_normals(room.vertices, room.triangles).astype(np.float32)
-    centres = view_points(store, normals, pose[:3, 3], 0, WIDTH * HEIGHT)
+    centres = view_points(store.of_view(0), normals)
     label = np.array(labels)
     own = label[np.asarray(store.triangle)]
     moved = [_shifted(room, view, centres, own, label, shift) for shift in SUBPIXELS]

@@ -17,7 +17,7 @@ import torch
 
 from ..capture.views import View, load_capture
 from ..device.variant import torch_device
-from ..light.cache import SurfaceLookup, pool
+from ..light.cache import pool
 from ..light.emitters import (
     Fixture,
     bright_triangles,
@@ -28,19 +28,19 @@ from ..light.emitters import (
 )
 from ..light.joint import joint_fixtures
 from ..light.observations import Observations, observe
-from ..light.radiance import CachedRadiance, TracedRadiance
 from ..light.shadings import SampleCounts, roughness_levels
-from ..light.views import ShadingStore, bake_views, open_shadings
+from ..light.views import Baking, ShadingStore, TracedLight, bake_views, open_shadings
 from ..material.fields import Fields, count_coverage, mask_at, new_networks_generator, render_pixels, room_box
 from ..material.networks import BrdfNetwork, EmissionNetwork, useful_hash_levels
 from ..material.training import PRETRAINING_STEPS, pretrain, train
-from ..render.lights import AreaLights
+from ..render.lights import EmitterTable
 from ..scene.labels import Parts, choose_parts
 from ..scene.pixels import PixelStore, fill_pixels, mark_pure, open_pixels
 from ..scene.room import load_room
 from .checkpoints import Checkpoints, input_key
 from .errors import FiptError
 from .messages import Reporter, peak_memory_gb
+from .per_view import LocalWorkers, Workers
 from .previews import Preview
 from .results import write_results
 from .runfolder import RunFolder, explained_write_errors, write_json
@@ -65,10 +65,14 @@ class Estimation:
         folder: holds capture.json and room.npz.
         settings: of the run.
         reporter: gets stages, progress and warnings.
+        workers: who does what each view needs for itself; this process where none are given.
     """
 
-    def __init__(self, folder: RunFolder, settings: Settings, reporter: Reporter) -> None:
+    def __init__(
+        self, folder: RunFolder, settings: Settings, reporter: Reporter, workers: Workers | None = None
+    ) -> None:
         self.folder, self.settings, self.reporter = folder, settings, reporter
+        self.workers = workers or LocalWorkers()
         self.device = torch.device(torch_device())
         self.capture = load_capture(folder)
         self.room = load_room(folder)
@@ -163,7 +167,9 @@ class Estimation:
 
     def _trace(self) -> dict[str, Any]:
         self.pixels = open_pixels(self.folder.stage / "pixels", self.views, create=True)
-        self.scale = fill_pixels(self.pixels, self.room, lambda done: self.reporter.progress(0.4 * done))
+        self.scale = fill_pixels(
+            self.pixels, self.room, lambda done: self.reporter.progress(0.4 * done), self.workers
+        )
         self._sort_pixels(0.4, 0.8)
         self.view_check = check_views(
             self.pixels, self.room, self.parts.triangle_part, self.settings, self.reporter
@@ -182,6 +188,7 @@ class Estimation:
             self.room,
             self.parts.triangle_part,
             lambda done: self.reporter.progress(begin + (end - begin) * done),
+            self.workers,
         )
 
     def _load_pixels(self) -> None:
@@ -214,21 +221,36 @@ class Estimation:
             np.asarray(self.pixels.front),
             np.asarray(self.pixels.radiance),
         )
-        rays = bake_views(
-            store,
-            self.pixels,
-            self.parts.triangle_part,
+        counts = SampleCounts(settings.diffuse_spp, settings.specular_spp, settings.light_spp)
+        return self._bake_views(store, self.seen.cache(), None, guide, counts, 0)
+
+    def _bake_views(
+        self,
+        store: ShadingStore,
+        cache: np.ndarray | None,
+        traced: TracedLight | None,
+        emitters: EmitterTable,
+        counts: SampleCounts,
+        index: int,
+    ) -> dict[str, Any]:
+        """Bake all views; the arguments are those of :class:`Baking`, and the index of the round."""
+        environment, settings = self.seen.environment, self.settings
+        baking = Baking(
             self.room,
-            CachedRadiance(self.room, self.seen.cache(), self.seen.environment_light()),
-            AreaLights(self.room.vertices, self.room.triangles, guide),
+            self.parts.triangle_part,
+            self.seen.grid,
+            cache,
+            traced,
+            emitters,
+            None if environment is None else environment.image,
             self.levels,
-            SampleCounts(settings.diffuse_spp, settings.specular_spp, settings.light_spp),
+            counts,
             settings.denoise,
             settings.denoise_specular,
-            settings.seed * 31 + 1,
-            self.reporter.progress,
+            settings.masking,
+            settings.seed * 31 + 1 + index,
         )
-        return {"rays": rays}
+        return {"rays": bake_views(store, self.pixels, baking, self.reporter.progress, self.workers)}
 
     def _open_shadings(self, create: bool = False) -> ShadingStore:
         return open_shadings(self.folder.stage / "shadings", len(self.pixels), len(self.levels), create)
@@ -246,15 +268,18 @@ class Estimation:
             self.settings.seed,
         )
         checkpoint = self.folder.stage / f"training-{index}.pt"
-        before = PRETRAINING_STEPS / (PRETRAINING_STEPS + steps) if index == 0 else 0.0
-        if index == 0 and not checkpoint.exists():
+        # Refined shadings tell parts apart better. Without parts, what was learned is more than the guess.
+        starts_anew = index == 0 or self.parts.kind == "part"
+        before = PRETRAINING_STEPS / (PRETRAINING_STEPS + steps) if starts_anew else 0.0
+        if starts_anew and not checkpoint.exists():
             pretrain(
                 self.brdf,
-                self.emission,
+                self.emission if index == 0 else None,
                 data,
                 guess,
                 rows,
                 self.settings,
+                index,
                 self.device,
                 lambda done: self.reporter.progress(before * done),
             )
@@ -341,45 +366,24 @@ class Estimation:
     def _refine(self, index: int) -> dict[str, Any]:
         settings = self.settings
         table = emitter_table(self.fixtures)
-        lights = AreaLights(self.room.vertices, self.room.triangles, table)
         emitting = np.zeros(len(self.room.triangles), bool)
         emitting[table.triangles] = True
-        source = TracedRadiance(
-            self.room,
-            self.seen.cache(without=emitting) if settings.refine_cache else None,
-            self._material_lookup(),
-            lights,
-            self.seen.environment_light(),
-            settings.cache_roughness,
-            settings.refine_depth,
+        cache = self.seen.cache(without=emitting) if settings.refine_cache else None
+        traced = TracedLight(self._material_values(), settings.cache_roughness, settings.refine_depth)
+        counts = SampleCounts(
+            settings.refine_diffuse_spp, settings.refine_specular_spp, settings.refine_light_spp
         )
-        rays = bake_views(
-            self._open_shadings(create=True),
-            self.pixels,
-            self.parts.triangle_part,
-            self.room,
-            source,
-            lights,
-            self.levels,
-            SampleCounts(
-                settings.refine_diffuse_spp, settings.refine_specular_spp, settings.refine_light_spp
-            ),
-            settings.denoise,
-            settings.denoise_specular,
-            settings.seed * 31 + 1 + index,
-            self.reporter.progress,
-        )
-        return {"rays": rays}
+        return self._bake_views(self._open_shadings(create=True), cache, traced, table, counts, index)
 
-    def _material_lookup(self) -> SurfaceLookup:
-        """The BRDF network's values at the mean seen position of each cache entry."""
+    def _material_values(self) -> np.ndarray:
+        """(M * 6, 5) the BRDF network's values at the mean seen position of each cache entry."""
         mean, count = pool(self.seen.grid, self.seen.entries, self.seen.positions())
         values = np.zeros((len(mean), 5), np.float32)
         values[:, 3] = 1.0
         seen = np.flatnonzero(count)
         color, roughness, metallic = self._fields().query(mean[seen])
         found = np.concatenate([color, roughness[:, None], metallic[:, None]], axis=1)
-        return SurfaceLookup(self.seen.grid, pool(self.seen.grid, seen, found)[0])
+        return pool(self.seen.grid, seen, found)[0]
 
     # Results
 

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..job.settings import Settings
-from ..render.environment import EnvironmentLight
 from ..scene.labels import Parts
 from ..scene.pixels import PixelStore, find_donors
 from ..scene.room import Room, triangle_normals
-from .cache import SIDES, SurfaceLookup, VoxelGrid, make_grid, pool
+from .cache import SIDES, VoxelGrid, make_grid, pool
 from .environment import Environment, estimate_environment, outside_pixels
 
 # Steps in the image within which a mixed pixel borrows from a pure one of its part.
@@ -50,12 +49,9 @@ class Observations:
         """(H, 3) float32 surface points seen, metres."""
         return np.asarray(self.pixels.position[self.hit])
 
-    def environment_light(self) -> EnvironmentLight | None:
-        """The environment for look-up in kernels."""
-        return None if self.environment is None else EnvironmentLight(self.environment.image)
-
-    def cache(self, without: np.ndarray | None = None) -> SurfaceLookup:
-        """The radiance cache of all pixels, or of all but those lit by the emitters `without` ((T,) bool).
+    def cache(self, without: np.ndarray | None = None) -> np.ndarray:
+        """(M * 6, 3) float32 radiance cache of all pixels, or of all but those lit by the emitters `without`
+        ((T,) bool).
 
         The rim pixels around a lamp hold some of its radiance. Beside emitters of known radiance and shape
         they would count it twice and make the whole room's shadings a few per cent too bright.
@@ -64,7 +60,7 @@ class Observations:
         if without is not None and without.any():
             keep = ~self._near(without)[self.hit]
         radiance = np.asarray(self.pixels.radiance[self.hit[keep]])
-        return SurfaceLookup(self.grid, pool(self.grid, self.entries[keep], radiance)[0])
+        return pool(self.grid, self.entries[keep], radiance)[0]
 
     def _near(self, marked: np.ndarray) -> np.ndarray:
         """(N,) bool, pixels that see a marked triangle ((T,) bool), and their neighbours in the image."""

@@ -1,11 +1,16 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shadings of all training views: baked view by view, denoised, kept as memory-mapped half floats."""
+"""Shadings of all training views: baked view by view, denoised, kept as memory-mapped half floats.
+
+What all views share (:class:`Baking`) and what one view needs are arrays and numbers, so that any process
+can bake a view.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import drjit as dr
@@ -13,11 +18,15 @@ import mitsuba as mi
 import numpy as np
 
 from ..capture.views import View
-from ..render.lights import AreaLights
-from ..scene.pixels import PixelStore, open_array, trace_pixels
+from ..job.per_view import Workers
+from ..material.brdf import set_masking
+from ..render.environment import EnvironmentLight
+from ..render.lights import AreaLights, EmitterTable
+from ..scene.pixels import PixelStore, ViewPixels, open_array, trace_pixels
 from ..scene.room import Room, triangle_normals
+from .cache import SurfaceLookup, VoxelGrid
 from .denoise import Denoiser
-from .radiance import RadianceSource
+from .radiance import CachedRadiance, RadianceSource, TracedRadiance
 from .shadings import SampleCounts, ShadingPoints, Shadings, bake
 
 # Most pixels in one kernel launch, so that large photographs stay within memory.
@@ -51,60 +60,133 @@ def open_shadings(folder: Path, pixels: int, levels: int, create: bool = False) 
     )
 
 
+@dataclass(frozen=True)
+class TracedLight:
+    """What stage 3 follows light paths by.
+
+    Attributes:
+        materials: (M * 6, 5) base colour, roughness and metallic of each cache entry.
+        cache_roughness: rougher surfaces end a path in the cache.
+        depth: most surfaces that a path may meet.
+    """
+
+    materials: np.ndarray
+    cache_roughness: float
+    depth: int
+
+
+@dataclass(frozen=True)
+class Baking:
+    """Work on views: their shadings, in units of the capture's median.
+
+    Attributes:
+        labels: (T,) int part of each triangle; a pixel's samples start on one part.
+        grid: voxels of the cache.
+        cache: (M * 6, 3) float32 radiance of each cache entry; None only with `traced`.
+        traced: of stage 3; None in stage 1, which reads the cache at the first hit.
+        emitters: triangles to aim at; in stage 3 those that emit.
+        environment: (H, 2H, 3) radiance from outside, or None.
+        levels: (K,) float32 roughness levels.
+        denoise: denoise L_d.
+        denoise_specular: denoise L_s0 and L_s1 of every level too.
+        masking: G of the BRDF, see `brdf.set_masking`.
+        seed: each view uses its own streams made of it.
+    """
+
+    room: Room
+    labels: np.ndarray
+    grid: VoxelGrid
+    cache: np.ndarray | None
+    traced: TracedLight | None
+    emitters: EmitterTable
+    environment: np.ndarray | None
+    levels: np.ndarray
+    counts: SampleCounts
+    denoise: bool
+    denoise_specular: bool
+    masking: str
+    seed: int
+
+    def prepare(self) -> Callable[[ViewPixels], BakedView]:
+        """The function of one view."""
+        set_masking(self.masking)
+        lights = AreaLights(self.room.vertices, self.room.triangles, self.emitters)
+        normals = triangle_normals(self.room.vertices, self.room.triangles).astype(np.float32)
+        return partial(bake_view, self, self._source(lights), lights, normals)
+
+    def _source(self, lights: AreaLights) -> RadianceSource:
+        environment = None if self.environment is None else EnvironmentLight(self.environment)
+        cache = None if self.cache is None else SurfaceLookup(self.grid, self.cache)
+        if self.traced is None:
+            assert cache is not None, "stage 1 reads nothing but the cache"
+            return CachedRadiance(self.room, cache, environment)
+        materials = SurfaceLookup(self.grid, self.traced.materials)
+        path = self.traced.cache_roughness, self.traced.depth
+        return TracedRadiance(self.room, cache, materials, lights, environment, *path)
+
+
+@dataclass(frozen=True)
+class BakedView:
+    """Shadings of one view's pixels as :class:`ShadingStore` keeps them, and the primary rays traced."""
+
+    diffuse: np.ndarray
+    specular: np.ndarray
+    rays: int
+
+
 def bake_views(
     store: ShadingStore,
     pixels: PixelStore,
-    labels: np.ndarray,
-    room: Room,
-    source: RadianceSource,
-    lights: AreaLights,
-    levels: np.ndarray,
-    counts: SampleCounts,
-    denoise: bool,
-    denoise_specular: bool,
-    seed: int,
+    baking: Baking,
     progress: Callable[[float], None],
+    workers: Workers,
 ) -> int:
-    """Fill `store` and return the number of primary rays traced.
+    """Fill `store` and return the number of primary rays traced."""
+    rays = done = 0
+    items = (pixels.of_view(index) for index in range(len(pixels.views)))
+    for i, baked in workers.map(baking, items):
+        rows = pixels.rows(i)
+        store.diffuse[rows], store.specular[rows] = baked.diffuse, baked.specular
+        rays += baked.rays
+        done += 1
+        progress(done / len(pixels.views))
+    return rays
+
+
+def bake_view(
+    baking: Baking, source: RadianceSource, lights: AreaLights, normals: np.ndarray, pixels: ViewPixels
+) -> BakedView:
+    """Shadings of one view.
 
     Args:
-        labels: (T,) int part of each triangle; a pixel's samples start on one part.
-        denoise: denoise L_d.
-        denoise_specular: denoise L_s0 and L_s1 of every level too.
-        seed: each view uses its own stream made of it.
+        source, lights: of `baking`.
+        normals: (T, 3) geometric normals of the room's triangles.
     """
-    normals = triangle_normals(room.vertices, room.triangles).astype(np.float32)
-    cameras = pixels.camera_positions()
-    shares = [
-        SampleCounts(*(_share(number, index) for number in (counts.diffuse, counts.specular, counts.light)))
-        for index in range(len(SUBPIXELS))
-    ]
+    levels, labels, view = baking.levels, baking.labels, pixels.view
+    centres = view_points(pixels, normals)
+    label = labels[pixels.triangle]
+    seen = pixels.triangle >= 0
+    diffuse = np.zeros((len(seen), 3), np.float32)
+    specular = np.zeros((len(seen), len(levels), 2, 3), np.float32)
+    normal = np.zeros((len(seen), 3), np.float32)
     rays = 0
-    for i, view in enumerate(pixels.views):
-        first, last = int(pixels.ranges[i]), int(pixels.ranges[i + 1])
-        centres = view_points(pixels, normals, cameras[i], first, last)
-        triangle = np.asarray(pixels.triangle[first:last])
-        seen = triangle >= 0
-        diffuse = np.zeros((len(seen), 3), np.float32)
-        specular = np.zeros((len(seen), len(levels), 2, 3), np.float32)
-        normal = np.zeros((len(seen), 3), np.float32)
-        for number, (shift, share) in enumerate(zip(SUBPIXELS, shares, strict=True)):
-            points = _shifted(room, view, centres, labels[triangle], labels, shift)
-            stream = (seed * 100003 + i) * len(SUBPIXELS) + number
-            found = _bake_seen(points, seen, source, lights, levels, share, stream)
-            diffuse += found.diffuse / len(SUBPIXELS)
-            specular += found.specular / len(SUBPIXELS)
-            normal += points.normal
-            light = share.light if lights.count else 0
-            rays += int(seen.sum()) * (share.diffuse + share.specular * len(levels) + light)
-        found = Shadings(diffuse, specular)
-        if denoise:
-            normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
-            found = _denoise(found, normal, (view.height, view.width), denoise_specular)
-        store.diffuse[first:last] = found.diffuse.clip(0.0, HALF_LARGEST)
-        store.specular[first:last] = found.specular.clip(0.0, HALF_LARGEST)
-        progress((i + 1) / len(pixels.views))
-    return rays
+    for number, shift in enumerate(SUBPIXELS):
+        counts = (baking.counts.diffuse, baking.counts.specular, baking.counts.light)
+        share = SampleCounts(*(_share(count, number) for count in counts))
+        points = _shifted(baking.room, view, centres, label, labels, shift)
+        stream = (baking.seed * 100003 + pixels.index) * len(SUBPIXELS) + number
+        found = _bake_seen(points, seen, source, lights, levels, share, stream)
+        diffuse += found.diffuse / len(SUBPIXELS)
+        specular += found.specular / len(SUBPIXELS)
+        normal += points.normal
+        light = share.light if lights.count else 0
+        rays += int(seen.sum()) * (share.diffuse + share.specular * len(levels) + light)
+    found = Shadings(diffuse, specular)
+    if baking.denoise:
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
+        found = _denoise(found, normal, (view.height, view.width), baking.denoise_specular)
+    halves = [array.clip(0.0, HALF_LARGEST).astype(np.float16) for array in (found.diffuse, found.specular)]
+    return BakedView(halves[0], halves[1], rays)
 
 
 def _share(samples: int, index: int) -> int:
@@ -147,23 +229,17 @@ def _shifted(
     )
 
 
-def view_points(
-    pixels: PixelStore, normals: np.ndarray, camera: np.ndarray, first: int, last: int
-) -> ShadingPoints:
-    """Shading points of the pixels first..last of one view.
+def view_points(pixels: ViewPixels, normals: np.ndarray) -> ShadingPoints:
+    """Shading points of the pixels' centres.
 
     Args:
         normals: (T, 3) geometric normals of the room's triangles.
-        camera: (3,) camera centre, metres.
     """
-    position = np.asarray(pixels.position[first:last])
-    toward = camera - position
+    toward = pixels.view.camera_to_world[:3, 3].astype(np.float32) - pixels.position
     toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-12)
-    triangle = np.maximum(pixels.triangle[first:last], 0)
-    side = np.where(pixels.front[first:last], 1.0, -1.0).astype(np.float32)
-    return ShadingPoints(
-        position, np.asarray(pixels.normal[first:last]), normals[triangle] * side[:, None], toward
-    )
+    side = np.where(pixels.front, 1.0, -1.0).astype(np.float32)
+    geometric = normals[np.maximum(pixels.triangle, 0)] * side[:, None]
+    return ShadingPoints(pixels.position, pixels.normal, geometric, toward)
 
 
 def _bake_seen(

@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import drjit as dr
@@ -20,6 +21,7 @@ import numpy as np
 from ..capture.images import read_radiance
 from ..capture.views import View
 from ..job.errors import FiptError
+from ..job.per_view import LocalWorkers, Workers
 from .room import Room, Surface
 
 NO_TRIANGLE = -1
@@ -54,6 +56,16 @@ class PixelStore:
     def __len__(self) -> int:
         return int(self.ranges[-1])
 
+    def rows(self, view: int) -> slice:
+        """The pixels of a view."""
+        return slice(int(self.ranges[view]), int(self.ranges[view + 1]))
+
+    def of_view(self, view: int) -> ViewPixels:
+        """What one view sees, in memory."""
+        rows = self.rows(view)
+        arrays = (self.position, self.normal, self.triangle, self.front)
+        return ViewPixels(view, self.views[view], *(np.array(array[rows]) for array in arrays))
+
     def camera_positions(self) -> np.ndarray:
         """(n, 3) float32 camera centre of each view."""
         return np.array([view.camera_to_world[:3, 3] for view in self.views], np.float32)
@@ -61,6 +73,22 @@ class PixelStore:
     def view_of(self, pixels: np.ndarray) -> np.ndarray:
         """Index of the view that each pixel index belongs to."""
         return np.searchsorted(self.ranges, pixels, side="right") - 1
+
+
+@dataclass(frozen=True)
+class ViewPixels:
+    """What the pixels of one view see; arrays as in :class:`PixelStore`.
+
+    Attributes:
+        index: of the view.
+    """
+
+    index: int
+    view: View
+    position: np.ndarray
+    normal: np.ndarray
+    triangle: np.ndarray
+    front: np.ndarray
 
 
 _ARRAYS: dict[str, tuple[type, tuple[int, ...]]] = {
@@ -122,37 +150,78 @@ def opaque_vector(kind: type, values: np.ndarray) -> mi.Vector3f:
     return kind(*[dr.opaque(mi.Float, float(value)) for value in values])
 
 
-def fill_pixels(store: PixelStore, room: Room, progress: Callable[[float], None]) -> float:
+@dataclass(frozen=True)
+class TracedView:
+    """First surfaces that the pixels of one view see: arrays as in :class:`PixelStore`, before any mask.
+
+    Positions and normals mean nothing where the mesh is missed.
+    """
+
+    position: np.ndarray
+    normal: np.ndarray
+    triangle: np.ndarray
+    front: np.ndarray
+
+
+@dataclass(frozen=True)
+class Tracing:
+    """Work on views: what their pixels see."""
+
+    room: Room
+
+    def prepare(self) -> Callable[[View], TracedView]:
+        """The function of one view."""
+        return partial(trace_view, self.room)
+
+
+def trace_view(room: Room, view: View) -> TracedView:
+    """What each pixel of a view sees at its centre."""
+    surface = trace_pixels(room, view)
+    valid = np.array(surface.valid)
+    return TracedView(
+        np.array(surface.position).T,
+        np.array(surface.normal).T,
+        np.where(valid, np.array(surface.triangle).astype(np.int32), np.int32(NO_TRIANGLE)),
+        np.array(surface.front),
+    )
+
+
+def fill_pixels(
+    store: PixelStore, room: Room, progress: Callable[[float], None], workers: Workers | None = None
+) -> float:
     """Trace all views, read their photographs, and return the capture's radiance scale.
 
     The scale is the median luminance of all pixels that are not black; `store.radiance` is divided by it,
     so that nothing after this depends on exposure. `store.pure` is left to :func:`mark_pure`.
+
+    Args:
+        workers: who traces; this process where none are given.
 
     Raises:
         FiptError: ``mesh-unseen`` where no view sees the mesh, ``images-black``.
     """
     luminances = []
     seen = 0
-    for i, view in enumerate(store.views):
-        part = slice(int(store.ranges[i]), int(store.ranges[i + 1]))
+    done = 0
+    for i, traced in (workers or LocalWorkers()).map(Tracing(room), store.views):
+        rows, view = store.rows(i), store.views[i]
         image = read_radiance(view.image).reshape(-1, 3)
-        store.radiance[part] = image
+        store.radiance[rows] = image
         masked = view.masked()
         used = image if masked is None else image[~masked.reshape(-1)]
         sample = used[:: max(1, len(used) // 20000)].mean(axis=1)
         luminances.append(sample[sample > 0])
-        surface = trace_pixels(room, view)
-        valid = np.array(surface.valid)
-        triangle = np.where(valid, np.array(surface.triangle).astype(np.int32), NO_TRIANGLE)
+        triangle = traced.triangle
         if masked is not None:
-            triangle[masked.reshape(-1)] = LEFT_OUT
-            valid &= triangle >= 0
+            triangle = np.where(masked.reshape(-1), np.int32(LEFT_OUT), triangle)
+        valid = triangle >= 0
         seen += int(valid.sum())
-        store.triangle[part] = triangle
-        store.position[part] = np.where(valid[:, None], np.array(surface.position).T, 0.0)
-        store.normal[part] = np.where(valid[:, None], np.array(surface.normal).T, 0.0)
-        store.front[part] = np.array(surface.front)
-        progress((i + 1) / len(store.views))
+        store.triangle[rows] = triangle
+        store.position[rows] = np.where(valid[:, None], traced.position, np.float32(0.0))
+        store.normal[rows] = np.where(valid[:, None], traced.normal, np.float32(0.0))
+        store.front[rows] = traced.front
+        done += 1
+        progress(done / len(store.views))
     if not seen:
         raise FiptError(
             "mesh-unseen",
@@ -164,25 +233,48 @@ def fill_pixels(store: PixelStore, room: Room, progress: Callable[[float], None]
         raise FiptError("images-black", "All photographs are black.", "Check the images of the capture.")
     scale = float(np.median(luminance))
     for i in range(len(store.views)):
-        part = slice(int(store.ranges[i]), int(store.ranges[i + 1]))
-        store.radiance[part] /= scale
+        store.radiance[store.rows(i)] /= scale
     return scale
 
 
-def mark_pure(store: PixelStore, room: Room, labels: np.ndarray, progress: Callable[[float], None]) -> None:
+@dataclass(frozen=True)
+class Marking:
+    """Work on views: which of their pixels are pure.
+
+    Attributes:
+        labels: (T,) int part of each triangle.
+    """
+
+    room: Room
+    labels: np.ndarray
+
+    def prepare(self) -> Callable[[View], np.ndarray]:
+        """The function of one view: (H * W,) bool."""
+        return partial(_pure, self.room, mi.Int32(self.labels.astype(np.int32)))
+
+
+def mark_pure(
+    store: PixelStore,
+    room: Room,
+    labels: np.ndarray,
+    progress: Callable[[float], None],
+    workers: Workers | None = None,
+) -> None:
     """Fill `store.pure`.
 
     Args:
         labels: (T,) int part of each triangle; pixels across a border of parts are not pure.
+        workers: who traces; this process where none are given.
     """
-    label = mi.Int32(labels.astype(np.int32))
-    for i, view in enumerate(store.views):
-        part = slice(int(store.ranges[i]), int(store.ranges[i + 1]))
-        store.pure[part] = _pure(room, view, label) & (store.triangle[part] != LEFT_OUT)
-        progress((i + 1) / len(store.views))
+    done = 0
+    for i, pure in (workers or LocalWorkers()).map(Marking(room, labels), store.views):
+        rows = store.rows(i)
+        store.pure[rows] = pure & (store.triangle[rows] != LEFT_OUT)
+        done += 1
+        progress(done / len(store.views))
 
 
-def _pure(room: Room, view: View, label: mi.Int32) -> np.ndarray:
+def _pure(room: Room, label: mi.Int32, view: View) -> np.ndarray:
     """Whether the corners of each pixel see the same part, at about the same place and slope; or outside."""
     centre = trace_pixels(room, view)
     valid = centre.valid
