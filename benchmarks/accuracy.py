@@ -14,7 +14,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +91,15 @@ def evaluate(arguments: argparse.Namespace, folder: Path) -> int:
         )
     run = RunFolder(folder)
     figures = {**recorded_costs(run), **figures}
-    result = score(run, arguments)
+    page = picture_page.PicturePage(arguments.page or run.root / "accuracy")
+    scope = Scope(
+        arguments.capture, arguments.spp, arguments.train_views, arguments.train_renders, arguments.maps
+    )
+    scored = score(run, scope, page)
+    result = scored.figures
+    if not arguments.skip_cycles:
+        score_cycles(run, arguments.spp, scored)
+    page.write(result)
     result |= figures
     result |= {"version": PRODUCT_VERSION, "settings": asdict(run.read())}
     print(format_table(result))
@@ -168,20 +176,54 @@ def recorded_costs(run: RunFolder) -> dict[str, Any]:
     return costs
 
 
-def score(run: RunFolder, arguments: argparse.Namespace) -> dict[str, Any]:
-    """All figures of a finished run by split; writes maps and the picture page on the way."""
+@dataclass(frozen=True)
+class Scope:
+    """What of a run is scored.
+
+    Attributes:
+        capture: with ground truth.
+        spp: paths a pixel of the renders.
+        train_views: training views whose maps count.
+        train_renders: training views that are rendered.
+        maps: folder for predicted maps and images in the capture's layout, or None.
+    """
+
+    capture: Path
+    spp: int = 128
+    train_views: int = 16
+    train_renders: int = 4
+    maps: Path | None = None
+
+
+@dataclass(frozen=True)
+class Scored:
+    """Figures by split, and the views that were rendered for them."""
+
+    figures: dict[str, Any]
+    rendered: dict[str, list[View]]
+    relight: truth.Relight | None
+
+
+def score(run: RunFolder, scope: Scope, page: picture_page.PicturePage) -> Scored:
+    """All figures of an estimate but those of Cycles; adds pictures to the page and writes maps on the way.
+
+    Args:
+        run: needs nothing but its input and `results/`.
+
+    Raises:
+        FiptError: ``truth-missing``, ``results-missing``.
+    """
     # Mitsuba, torch: not before the main job's own processes are gone, and the variant is chosen.
     set_variant(run.read().device)
     from benchmarks import predict
     from fipt_blender.core.render.forward import RenderSettings, render_view
 
     capture = load_capture(run)
-    relight = truth.read_relight(arguments.capture, capture)
-    chosen = {"training": spread(capture.train, arguments.train_views), "held_back": capture.held_back}
-    rendered = {"training": spread(capture.train, arguments.train_renders), "held_back": capture.held_back}
+    relight = truth.read_relight(scope.capture, capture)
+    chosen = {"training": spread(capture.train, scope.train_views), "held_back": capture.held_back}
+    rendered = {"training": spread(capture.train, scope.train_renders), "held_back": capture.held_back}
     lit, table = predict.load_result(run)
-    settings = RenderSettings(spp=arguments.spp)
-    page = picture_page.PicturePage(arguments.page or run.root / "accuracy")
+    settings = RenderSettings(spp=scope.spp)
     result: dict[str, Any] = {}
     for split in SPLITS:
         true = [truth.read_maps(view) for view in chosen[split]]
@@ -200,12 +242,12 @@ def score(run: RunFolder, arguments: argparse.Namespace) -> dict[str, Any]:
         if split == "held_back":
             for view, one, other in zip(chosen[split], predicted, true, strict=True):
                 page.add_maps(view.name, one, other)
-                if arguments.maps:
-                    truth.write_maps(arguments.maps, view, one)
+                if scope.maps:
+                    truth.write_maps(scope.maps, view, one)
             for view, image, other in zip(rendered[split], images, truths, strict=True):
                 page.add_images(view.name, "Photograph, re-render", image, other)
-                if arguments.maps:
-                    folder = arguments.maps / truth.split_folder(view).name / "Image"
+                if scope.maps:
+                    folder = scope.maps / truth.split_folder(view).name / "Image"
                     write_exr(folder / view.image.name, image)
     if relight is not None:
         dark = predict.relit(lit, table, relight)
@@ -214,12 +256,9 @@ def score(run: RunFolder, arguments: argparse.Namespace) -> dict[str, Any]:
         enter(result["held_back"], result["held_back"]["strict"], "relight_psnr", images, truths)
         for view, image, other in zip(relight.views, images, truths, strict=True):
             page.add_images(view.name, "Relit", image, other)
-            if arguments.maps:
-                write_exr(arguments.maps / "relight" / view.image.name, image)
-    if not arguments.skip_cycles:
-        score_cycles(run, arguments.spp, rendered, relight, result)
-    page.write(result)
-    return result
+            if scope.maps:
+                write_exr(scope.maps / "relight" / view.image.name, image)
+    return Scored(result, rendered, relight)
 
 
 def enter(
@@ -237,18 +276,13 @@ def spread(views: Sequence[View], count: int) -> list[View]:
     return [views[i * len(views) // count] for i in range(count)]
 
 
-def score_cycles(
-    run: RunFolder,
-    spp: int,
-    rendered: dict[str, list[View]],
-    relight: truth.Relight | None,
-    result: dict[str, Any],
-) -> None:
-    """Render the views in Cycles in a process of its own and enter their PSNRs.
+def score_cycles(run: RunFolder, spp: int, scored: Scored) -> None:
+    """Render the same views in Cycles in a process of its own and enter their PSNRs.
 
     Raises:
         FiptError: ``run-failed`` where Blender fails.
     """
+    result, rendered, relight = scored.figures, scored.rendered, scored.relight
     wanted: dict[str, Any] = {"rerender": [view.name for split in SPLITS for view in rendered[split]]}
     wanted["relight"] = None
     if relight is not None and len(relight.vertices) == 4:

@@ -11,11 +11,10 @@ alike: noise is set aside, since training averages over thousands of pixels, and
 from __future__ import annotations
 
 import argparse
-import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,15 +23,17 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "examples"))
 
+from benchmarks.prepared import copy_input
 from fipt_blender.bridge.interpreter import engine_command
 from fipt_blender.core.device.variant import set_variant
 from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.runfolder import RunFolder, read_json, write_json
-from fipt_blender.core.job.settings import make_settings
 
 # Of the truth's samples: cosine-distributed, for each roughness level, and aimed at emitters.
 SAMPLES = (128, 16, 128)
 TERMS = ("L_d", "L_s0", "L_s1")
+# Roughness at which shadings of different levels are compared, interpolated as stage 2 does.
+COMMON_LEVELS = (0.05, 0.15, 0.3, 0.5, 0.7, 0.9)
 
 
 @dataclass
@@ -135,12 +136,7 @@ def bake_stage_1(run: RunFolder) -> RunFolder:
         FiptError: ``run-failed``.
     """
     first = RunFolder(run.root.with_name(run.root.name + "-stage-1"))
-    values = {name: value for name, value in read_json(run.run_json)["settings"].items() if name != "preset"}
-    first.create(make_settings(run.read().preset, {**values, "rounds": 0, "training_steps": 1}))
-    for source in (run.room_npz, run.room_json, run.capture_json):
-        shutil.copyfile(source, first.root / source.name)
-    if run.images.exists():
-        shutil.copytree(run.images, first.images, dirs_exist_ok=True)
+    copy_input(run, first, replace(run.read(), rounds=0, training_steps=1))
     command = engine_command(Path(sys.executable), "estimate", str(first.root))
     with open(first.log, "ab") as log:
         ended = subprocess.run(command, stdout=log, stderr=log, check=False)
@@ -166,7 +162,7 @@ def trace_truth(
     lit: Any, run: RunFolder, pixels: Any, rows: np.ndarray, levels: np.ndarray, seed: int
 ) -> Views:
     """Path-traced shadings of some pixels of a run's `PixelStore`; zero where they miss the room."""
-    from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
+    from fipt_blender.core.light.shadings import SampleCounts, bake
     from fipt_blender.core.scene.room import triangle_normals
 
     seen = np.asarray(pixels.triangle[rows]) >= 0
@@ -174,15 +170,27 @@ def trace_truth(
     rows = rows[seen]
     with np.load(run.room_npz, allow_pickle=False) as room:
         normals = triangle_normals(room["vertices"], room["triangles"])
-    position = np.asarray(pixels.position[rows])
-    toward = pixels.camera_positions()[pixels.view_of(rows)] - position
-    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-    side = np.where(pixels.front[rows], 1.0, -1.0)[:, None]
-    geometric = normals[pixels.triangle[rows]] * side
-    points = ShadingPoints(position, np.asarray(pixels.normal[rows]), geometric, toward)
+    points = shading_points(pixels, rows, normals)
     shadings = bake(points, PathTraced(lit), lit.lights, levels, SampleCounts(*SAMPLES), seed)
     result.diffuse[seen], result.specular[seen] = shadings.diffuse, shadings.specular
     return result
+
+
+def shading_points(pixels: Any, rows: np.ndarray, normals: np.ndarray) -> Any:
+    """Where the centres of some pixels of a `PixelStore` meet the room, as `ShadingPoints`.
+
+    Args:
+        rows: (N,) pixels that see the mesh.
+        normals: (T, 3) geometric normals of its triangles.
+    """
+    from fipt_blender.core.light.shadings import ShadingPoints
+
+    position = np.asarray(pixels.position[rows])
+    toward = pixels.camera_positions()[pixels.view_of(rows)] - position
+    toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-12)
+    side = np.where(pixels.front[rows], 1.0, -1.0)[:, None]
+    geometric = normals[pixels.triangle[rows]] * side
+    return ShadingPoints(position, np.asarray(pixels.normal[rows]), geometric, toward)
 
 
 def true_room(capture: Path, world_from_source: np.ndarray) -> Any:
@@ -280,23 +288,80 @@ class PathTraced:
         return path, direction, mi.Bool(False)
 
 
-def errors(found: Views, truth: Views) -> dict[str, Any]:
-    """{"L_d": relative RMSE, "L_s0": one a roughness level, "L_s1": likewise}."""
+def errors(found: Views, truth: Views, second: Views | None = None) -> dict[str, Any]:
+    """{"L_d": relative RMSE, "L_s0": one a roughness level, "L_s1": likewise}.
+
+    Args:
+        second: the truth with other random numbers, see :func:`relative_rmse`.
+    """
+    second = second or truth
+
+    def at(k: int, term: int) -> float:
+        return relative_rmse(*(views.specular[:, k, term] for views in (found, truth, second)))
+
     by_level = range(truth.specular.shape[1])
     return {
-        "L_d": relative_rmse(found.diffuse, truth.diffuse),
-        "L_s0": [relative_rmse(found.specular[:, k, 0], truth.specular[:, k, 0]) for k in by_level],
-        "L_s1": [relative_rmse(found.specular[:, k, 1], truth.specular[:, k, 1]) for k in by_level],
+        "L_d": relative_rmse(found.diffuse, truth.diffuse, second.diffuse),
+        "L_s0": [at(k, 0) for k in by_level],
+        "L_s1": [at(k, 1) for k in by_level],
     }
 
 
-def relative_rmse(found: np.ndarray, truth: np.ndarray) -> float:
+def relative_rmse(found: np.ndarray, truth: np.ndarray, second: np.ndarray | None = None) -> float:
     """RMSE of display values (γ = 1/2.2, clipped at 1) over the truth's root mean square.
 
-    Linear values would tell of the few pixels beside a bulb and of nothing else.
+    Linear values would tell of the few pixels beside a bulb and of nothing else. With a `second` truth of
+    independent noise both differences are multiplied instead of one squared: the truth's noise then cancels.
     """
-    shown, true = (np.clip(values.astype(np.float64), 0.0, 1.0) ** (1.0 / 2.2) for values in (found, truth))
-    return float(np.sqrt(np.mean((shown - true) ** 2) / max(np.mean(true**2), 1e-12)))
+    shown, true, other = (
+        np.clip(values.astype(np.float64), 0.0, 1.0) ** (1.0 / 2.2)
+        for values in (found, truth, truth if second is None else second)
+    )
+    squared = max(float(np.mean((shown - true) * (shown - other))), 0.0)
+    return float(np.sqrt(squared / max(float(np.mean(true * other)), 1e-12)))
+
+
+def baked_errors(
+    capture: Path, run: RunFolder, kept: np.ndarray, found: Mapping[str, tuple[Views, np.ndarray]], count: int
+) -> dict[str, Any]:
+    """Errors of shadings as they were baked, noise included, at COMMON_LEVELS; the truth's noise drops out.
+
+    Args:
+        run: finished; its pixel store tells where pixels are. Pixels at edges and on emitters don't count.
+        kept: (M,) pixels, the rows of all `found`.
+        found: by name the shadings and their (K,) roughness levels.
+        count: pixels that are compared, at most.
+
+    Returns:
+        {"pixels": number, "levels": COMMON_LEVELS, name: as of :func:`errors`}.
+    """
+    from fipt_blender.core.capture.views import load_capture
+    from fipt_blender.core.job.stages import spread_views
+    from fipt_blender.core.scene.pixels import open_pixels
+
+    captured = load_capture(run)
+    pixels = open_pixels(run.stage / "pixels", spread_views(captured.train, run.read().view_share))
+    emitting = [t for fixture in read_json(run.emitters_json)["fixtures"] for t in fixture["triangles"]]
+    triangle = np.asarray(pixels.triangle[kept])
+    usable = (triangle >= 0) & np.asarray(pixels.pure[kept]) & ~np.isin(triangle, emitting)
+    chosen = np.random.default_rng(0).permutation(np.flatnonzero(usable))[:count]
+    levels = np.array(COMMON_LEVELS, np.float32)
+    result: dict[str, Any] = {"pixels": len(chosen), "levels": list(COMMON_LEVELS)}
+    if not len(chosen):
+        return result
+    lit = true_room(capture, captured.world_from_source)
+    truths = [trace_truth(lit, run, pixels, kept[chosen], levels, seed) for seed in range(2)]
+    for name, (shadings, own) in found.items():
+        at_levels = Views(shadings.diffuse[chosen], interpolated(shadings.specular[chosen], own, levels))
+        result[name] = errors(at_levels, truths[0], truths[1])
+    return result
+
+
+def interpolated(specular: np.ndarray, levels: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """(N, W, 2, 3) specular shadings at `wanted` roughness, linear between `levels` (paper Eq. 7)."""
+    upper = np.clip(np.searchsorted(levels, wanted), 1, len(levels) - 1)
+    t = ((wanted - levels[upper - 1]) / (levels[upper] - levels[upper - 1]))[:, None, None]
+    return specular[:, upper - 1] * (1.0 - t) + specular[:, upper] * t
 
 
 def format_table(result: dict[str, Any]) -> str:

@@ -142,7 +142,7 @@ def _bake_kernel(
     rng = mi.PCG32(dr.width(position), dr.opaque(mi.UInt64, seed))
     shift = mi.Point2f(rng.next_float32(), rng.next_float32())
     accumulators = [mi.Color3f(0.0) for _ in range(1 + 2 * len(levels))]
-    roughness_of = mi.Float(levels)
+    roughness_of = mi.Float(levels or [1.0])  # a loop can't carry nothing
     brdf_count = cosine_count + level_count * len(levels)
     total = brdf_count + light_count
     i = mi.UInt32(0)

@@ -1,0 +1,362 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""python3 dev.py speed CAPTURE: the engine as shipped against the paper's algorithm with its sample counts.
+
+Both estimate the same capture on the same machine and take turns stage by stage (benchmarks/speed_engine.py,
+benchmarks/reference.py). Prints time, rays, memory and the error of the shadings for each stage, and the
+accuracy of both. Machines that are busy otherwise are best judged by processor seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import json
+import os
+import platform
+import shutil
+import statistics
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks import accuracy, picture_page, shading_error, speed_table
+from benchmarks.prepared import copy_input, prepare
+from benchmarks.speed_engine import kept_path
+from fipt_blender.bridge.interpreter import engine_environment
+from fipt_blender.core.device.variant import set_variant
+from fipt_blender.core.job.errors import FiptError
+from fipt_blender.core.job.runfolder import PRODUCT_VERSION, RunFolder, write_json
+from fipt_blender.core.job.settings import Settings, make_settings
+
+ROOT = Path(__file__).resolve().parent.parent
+CONFIGURATIONS = ("reference", "shipped")
+AUTHORS_STEPS = 10_000
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The command's options."""
+    parser = argparse.ArgumentParser(prog="dev.py speed", description=(__doc__ or "").partition("\n")[0])
+    add = parser.add_argument
+    add("capture", type=Path, metavar="CAPTURE", help="capture; with ground truth also errors are told")
+    add("--json", type=Path, metavar="FILE", help="write all figures there")
+    add("--output", type=Path, metavar="DIR", help="folder of both runs (default: below out/speed)")
+    add("--preset", default="medium", help="of the shipped configuration (default: medium)")
+    add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one of its settings")
+    add("--parts", default="auto", help="what tells materials apart, in both (as estimate)")
+    add("--views", type=float, default=1.0, metavar="SHARE", help="share of the training views (default: 1)")
+    add("--device", default="auto", help="auto, cuda or llvm (default: auto)")
+    add("--seed", type=int, default=0, help="of both (default: 0)")
+    add("--repeats", type=int, default=1, metavar="N", help="runs of both; the fastest count (default: 1)")
+    add(
+        "--reference-steps",
+        type=int,
+        default=AUTHORS_STEPS,
+        metavar="N",
+        help=f"steps of each of its three trainings (default: the paper's, {AUTHORS_STEPS})",
+    )
+    add(
+        "--reference-samples",
+        type=float,
+        default=1.0,
+        metavar="SHARE",
+        help="share of the authors' samples, for quick looks (default: 1)",
+    )
+    add("--error-pixels", type=int, default=2000, metavar="N", help="pixels whose shadings are path-traced")
+    add("--spp", type=int, default=64, help="paths a pixel of the accuracy's renders (default: 64)")
+    add("--train-views", type=int, default=4, help="training views whose maps count (default: 4)")
+    add("--skip-accuracy", action="store_true", help="no accuracy table")
+    return parser
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command; 0, 1 for a failure."""
+    arguments = make_parser().parse_args(list(argv))
+    folder = arguments.output or ROOT / "out" / "speed" / arguments.capture.absolute().name
+    try:
+        settings = configurations(arguments)
+        tell("preparing the capture")
+        source = prepare(arguments.capture, folder / "input", ["--parts", arguments.parts])
+        result = compare(source, folder, settings, arguments.repeats)
+        judge(result, arguments, folder)
+    except FiptError as error:
+        print(f"error: {error.text} {error.remedy}", file=sys.stderr)
+        return 1
+    result["settings"] = {
+        name: str(value) if isinstance(value, Path) else value for name, value in vars(arguments).items()
+    }
+    print(speed_table.format_result(result))
+    if arguments.json:
+        write_json(arguments.json.absolute(), result)
+    return 0
+
+
+def tell(text: str) -> None:
+    """Say on stderr what happens now."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def configurations(arguments: argparse.Namespace) -> dict[str, Settings]:
+    """Settings of both configurations.
+
+    Raises:
+        FiptError: ``setting-unknown``, ``setting-invalid`` or ``option-invalid``.
+    """
+    if arguments.repeats < 1 or arguments.reference_steps < 1 or not arguments.reference_samples > 0.0:
+        raise FiptError(
+            "option-invalid", "Repeats, steps and samples must be above zero.", "Give at least 1."
+        )
+    common = {"device": arguments.device, "seed": arguments.seed, "view_share": arguments.views}
+    # Chosen before the reference's module is loaded, whose engine modules need it.
+    set_variant(make_settings("draft", {"device": arguments.device}).device)
+    from benchmarks.reference import reference_settings
+
+    own = dict(change.partition("=")[::2] for change in arguments.set)
+    return {
+        "reference": reference_settings(arguments.reference_steps, arguments.reference_samples, common),
+        "shipped": make_settings(arguments.preset, {**common, **own}),
+    }
+
+
+def compare(
+    source: RunFolder, folder: Path, settings: Mapping[str, Settings], repeats: int = 1
+) -> dict[str, Any]:
+    """Run both configurations in turns.
+
+    Args:
+        source: run folder that is ready for an estimation.
+        folder: gets a run folder for each configuration; those of an earlier comparison are removed.
+        settings: of each configuration.
+
+    Returns:
+        {"ratio", "stage_ratios", "machine", and for each configuration its times and settings}.
+
+    Raises:
+        FiptError: ``run-failed`` where an estimation fails.
+    """
+    records: dict[str, list[dict[str, Any]]] = {name: [] for name in settings}
+    for repeat in range(repeats):
+        runs = {name: RunFolder(folder / name) for name in settings}
+        for name, run in runs.items():
+            if run.root.exists():
+                run.read()  # removes nothing but runs
+                shutil.rmtree(run.root)
+            copy_input(source, run, settings[name])
+        tell(f"repeat {repeat + 1} of {repeats}")
+        for name, record in take_turns(runs).items():
+            records[name].append(record)
+    result: dict[str, Any] = {
+        name: merged(found) | {"settings": asdict(settings[name])} for name, found in records.items()
+    }
+    return ratios(*(result[name] for name in CONFIGURATIONS)) | result | {"machine": machine()}
+
+
+class Turn:
+    """One estimation in a process that waits before each stage.
+
+    Args:
+        name: of the configuration.
+        run: its run folder.
+    """
+
+    def __init__(self, name: str, run: RunFolder) -> None:
+        self._name, self._log = name, run.log
+        script = Path(__file__).resolve().parent / "speed_engine.py"
+        with open(run.log, "ab") as log:
+            self.process = subprocess.Popen(
+                [sys.executable, str(script), str(run.root), name],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                env=engine_environment(Path(sys.executable)),
+                text=True,
+            )
+
+    def read(self) -> dict[str, Any]:
+        """The next message; waits for it.
+
+        Raises:
+            FiptError: ``run-failed`` where the process ends without one.
+        """
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        if not line:
+            raise FiptError("run-failed", f"The {self._name} run failed.", f"{self._log} tells why.")
+        return json.loads(line)
+
+    def permit(self) -> None:
+        """Let the stage begin that is ready."""
+        assert self.process.stdin is not None
+        try:
+            self.process.stdin.write("go\n")
+            self.process.stdin.flush()
+        except BrokenPipeError:  # it died; `read` tells
+            pass
+
+
+def take_turns(runs: Mapping[str, RunFolder]) -> dict[str, dict[str, Any]]:
+    """Run estimations side by side, one stage of one of them at a time; a record of each.
+
+    Raises:
+        FiptError: ``run-failed``.
+    """
+    turns: dict[str, Turn] = {}
+    records: dict[str, dict[str, Any]] = {name: {"seconds": 0.0, "cpu_seconds": 0.0} for name in runs}
+    ready: dict[str, str] = {}
+
+    def hear(name: str) -> None:
+        message = turns[name].read()
+        for key in ("seconds", "cpu_seconds"):
+            records[name][key] += message[key]
+        if "done" in message:
+            records[name]["stages"] = message["done"]["stages"]
+            del ready[name]
+        else:
+            ready[name] = message["ready"]
+
+    try:
+        for name, run in runs.items():
+            turns[name] = Turn(name, run)
+            hear(name)
+        while ready:
+            for name in list(ready):
+                tell(f"{name}: {ready[name]}")
+                turns[name].permit()
+                hear(name)
+    finally:
+        for turn in turns.values():
+            if turn.process.poll() is None:
+                if turn.process.stdin is not None:
+                    turn.process.stdin.close()  # one that waits ends by itself
+                if ready:
+                    turn.process.terminate()
+                turn.process.wait()
+    return records
+
+
+def merged(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """One record of several runs: the least seconds, which other work disturbed least, and the median.
+
+    Beside the stages stands what lies between them ("other": loading, previews, results).
+    """
+    runs = []
+    for record in records:
+        stages = [dict(stage) for stage in record["stages"]]
+        spent = {key: sum(stage[key] for stage in stages) for key in ("seconds", "cpu_seconds")}
+        other = {key: round(max(record[key] - value, 0.0), 2) for key, value in spent.items()}
+        runs.append([*stages, {"name": "other", **other}])
+    merged_stages = []
+    for same in zip(*runs, strict=True):
+        stage = dict(same[0])
+        for key in ("seconds", "cpu_seconds"):
+            stage[key] = min(each[key] for each in same)
+            stage[f"median_{key}"] = statistics.median(each[key] for each in same)
+        if stage.get("rays") and stage["seconds"]:
+            stage["mrays_per_second"] = round(stage["rays"] / stage["seconds"] / 1e6, 3)
+        merged_stages.append(stage)
+    total = {
+        key: round(sum(stage[key] for stage in merged_stages), 2)
+        for key in ("seconds", "cpu_seconds", "median_seconds", "median_cpu_seconds")
+    }
+    peak = max((stage.get("peak_memory_gb", 0.0) for stage in merged_stages), default=0.0)
+    return {**total, "repeats": len(records), "peak_memory_gb": peak, "stages": merged_stages}
+
+
+def ratios(reference: Mapping[str, Any], shipped: Mapping[str, Any]) -> dict[str, Any]:
+    """How many times longer the reference takes, in all and by kind of stage (all rounds together)."""
+
+    def by_kind(record: Mapping[str, Any], key: str) -> dict[str, float]:
+        sums: dict[str, float] = {}
+        for stage in record["stages"]:
+            kind = stage["name"].partition("-")[0]
+            sums[kind] = sums.get(kind, 0.0) + stage[key]
+        return sums
+
+    result: dict[str, Any] = {}
+    for prefix, key in (("", "seconds"), ("cpu_", "cpu_seconds")):
+        result[f"{prefix}ratio"] = _ratio(reference[key], shipped[key])
+        first, second = by_kind(reference, key), by_kind(shipped, key)
+        result[f"{prefix}stage_ratios"] = {
+            kind: _ratio(value, second[kind]) for kind, value in first.items() if kind in second
+        }
+    return result
+
+
+def _ratio(first: float, second: float) -> float | None:
+    return round(first / second, 3) if second > 0.0 else None
+
+
+def judge(result: dict[str, Any], arguments: argparse.Namespace, folder: Path) -> None:
+    """Enter errors of the shadings and accuracy of both configurations where there is ground truth."""
+    runs = {name: RunFolder(folder / name) for name in CONFIGURATIONS}
+    if arguments.error_pixels and (arguments.capture / "scene.npz").is_file():
+        tell("tracing the shadings' truth")
+        enter_errors(result, arguments.capture, runs, arguments.error_pixels)
+    if arguments.skip_accuracy or not (arguments.capture / "val" / "DiffCol").is_dir():
+        return
+    scope = accuracy.Scope(arguments.capture, arguments.spp, arguments.train_views, train_renders=0)
+    for name, run in runs.items():
+        tell(f"scoring {name}")
+        page = picture_page.PicturePage(run.root / "accuracy")
+        result[name]["accuracy"] = accuracy.score(run, scope, page).figures
+        page.write(result[name]["accuracy"])
+
+
+def enter_errors(result: dict[str, Any], capture: Path, runs: Mapping[str, RunFolder], count: int) -> None:
+    """Errors of the shadings after stage 1 and after each round of stage 3, beside the stages' times."""
+    found: dict[str, Any] = {}
+    rows = np.zeros(0, np.int64)
+    for name, run in runs.items():
+        for stage in result[name]["stages"]:
+            path = kept_path(run, stage["name"])
+            if path.exists():
+                with np.load(path, allow_pickle=False) as data:
+                    rows = data["rows"]
+                    shadings = shading_error.Views(data["diffuse"], data["specular"])
+                    found[f"{name} {stage['name']}"] = (shadings, data["levels"])
+    errors = shading_error.baked_errors(capture, runs["shipped"], rows, found, count)
+    result["shading_pixels"], result["shading_levels"] = errors["pixels"], errors["levels"]
+    for name in runs:
+        for stage in result[name]["stages"]:
+            stage["shading_error"] = errors.get(f"{name} {stage['name']}")
+
+
+def machine() -> dict[str, Any]:
+    """What the figures were measured on."""
+    import mitsuba as mi
+
+    memory = 0.0
+    if hasattr(os, "sysconf"):
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
+    versions = {name: importlib.metadata.version(name) for name in ("mitsuba", "drjit", "torch")}
+    return {
+        "system": f"{platform.system()} {platform.machine()}",
+        "processor": processor_name(),
+        "cores": os.cpu_count(),
+        "memory_gb": round(memory, 1),
+        "variant": mi.variant(),
+        "python": platform.python_version(),
+        "product": PRODUCT_VERSION,
+        **versions,
+    }
+
+
+def processor_name() -> str:
+    """The processor's name as the system tells it."""
+    information = Path("/proc/cpuinfo")
+    if information.exists():
+        for line in information.read_text(encoding="utf-8", errors="replace").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor()
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,148 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One estimation that waits before each stage until it is told to go on, so that two can take turns.
+
+python benchmarks/speed_engine.py RUN reference|shipped: tells, one JSON object a line, {"ready": stage}
+and in the end {"done": facts}, each with what was spent since the last; reads a line on stdin for each stage.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from fipt_blender.core.device.variant import set_variant
+from fipt_blender.core.job.messages import Reporter, claim_stdout, peak_memory_gb
+from fipt_blender.core.job.runfolder import RunFolder
+
+# Pixels whose shadings are kept after stages 1 and 3; enough that some thousand usable ones are among them.
+KEPT_PIXELS = 20_000
+_STATUS, _RESET = Path("/proc/self/status"), Path("/proc/self/clear_refs")
+
+
+def kept_pixels(count: int) -> np.ndarray:
+    """(M,) int64 pixels of `count` whose shadings are kept: the same in both configurations."""
+    if count <= KEPT_PIXELS:
+        return np.arange(count)
+    return np.sort(np.random.default_rng(0).choice(count, KEPT_PIXELS, replace=False))
+
+
+def kept_path(run: RunFolder, stage: str) -> Path:
+    """File of the shadings kept after a stage."""
+    return run.root / "speed" / f"{stage}.npz"
+
+
+def reset_peak() -> None:
+    """Let the process's peak memory begin anew, where the system can."""
+    if _RESET.exists():
+        _RESET.write_text("5")
+
+
+def stage_peak_gb() -> float:
+    """Peak resident memory in GB since the last reset, of the whole process where it can't be reset."""
+    if _STATUS.exists():
+        for line in _STATUS.read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024 / 1e9
+    return peak_memory_gb()
+
+
+class Pace:
+    """Waits for permission before each stage and adds up what was spent in between.
+
+    Args:
+        stream: gets the messages.
+        permission: gives a line for each stage.
+    """
+
+    def __init__(self, stream: IO[str], permission: IO[str]) -> None:
+        self._stream, self._permission = stream, permission
+        self._started, self._cpu = 0.0, 0.0
+
+    def wait(self, stage: str) -> None:
+        """Tell that a stage is ready and wait until it may begin."""
+        self.tell({"ready": stage})
+        if not self._permission.readline():
+            raise SystemExit("nobody gives permission any more")
+        self.restart()
+
+    def tell(self, message: dict[str, Any]) -> None:
+        """Send a message with the seconds spent since the last permission."""
+        spent = {"seconds": time.monotonic() - self._started, "cpu_seconds": time.process_time() - self._cpu}
+        self._stream.write(json.dumps({**message, **spent}) + "\n")
+        self._stream.flush()
+
+    def restart(self) -> None:
+        """Count from now on."""
+        self._started, self._cpu = time.monotonic(), time.process_time()
+
+    def aside(self, work: Callable[[], None]) -> None:
+        """Do something that does not count."""
+        before = time.monotonic(), time.process_time()
+        work()
+        self._started += time.monotonic() - before[0]
+        self._cpu += time.process_time() - before[1]
+
+
+def paced(kind: type, pace: Pace) -> type:
+    """A subclass of an estimation that waits before each stage, measures it and keeps some shadings."""
+
+    class Paced(kind):  # type: ignore[misc, valid-type]
+        def _stage(
+            self, name: str, text: str, work: Callable[[], dict[str, Any] | None], load: Callable[[], None]
+        ) -> None:
+            pace.wait(name)
+
+            def measured() -> dict[str, Any]:
+                reset_peak()
+                cpu = time.process_time()
+                facts = work() or {}
+                spent = {"cpu_seconds": round(time.process_time() - cpu, 2)}
+                return facts | spent | {"peak_memory_gb": round(stage_peak_gb(), 3)}
+
+            super()._stage(name, text, measured, load)
+            if name == "shadings" or name.startswith("refinement-"):
+                pace.aside(lambda: self._keep(name))
+
+        def _keep(self, name: str) -> None:
+            rows = kept_pixels(len(self.pixels))
+            store = self._open_shadings()
+            path = kept_path(self.folder, name)
+            path.parent.mkdir(exist_ok=True)
+            found = (np.asarray(array[rows], np.float32) for array in (store.diffuse, store.specular))
+            diffuse, specular = (values * np.float32(self.scale) for values in found)
+            np.savez(path, rows=rows, levels=self.levels, diffuse=diffuse, specular=specular)
+
+    return Paced
+
+
+def main(argv: list[str]) -> int:
+    """Run the estimation in the run folder argv[0], in the configuration argv[1]."""
+    folder, name = RunFolder(argv[0]), argv[1]
+    pace = Pace(claim_stdout(), sys.stdin)
+    pace.restart()
+    settings = folder.read()
+    set_variant(settings.device)
+    from fipt_blender.core.material.brdf import set_masking
+
+    set_masking(settings.masking)
+    if name == "reference":
+        from benchmarks.reference import ReferenceEstimation as Kind
+    else:
+        from fipt_blender.core.job.stages import Estimation as Kind  # type: ignore[assignment]
+    estimation = paced(Kind, pace)(folder, settings, Reporter())
+    estimation.run()
+    pace.tell({"done": estimation.summary()})
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
