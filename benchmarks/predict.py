@@ -19,7 +19,7 @@ from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.job.runfolder import RunFolder, read_json
 from fipt_blender.core.material import brdf
-from fipt_blender.core.material.fields import Fields
+from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.render.environment import EnvironmentLight
 from fipt_blender.core.render.forward import LitRoom, add_light, camera_rays, joined, switched_off
 from fipt_blender.core.render.lights import AreaLights, EmitterTable
@@ -34,8 +34,8 @@ LATTICE_SPACING = 0.01  # metres; a pixel of the test captures sees more
 def load_result(run: RunFolder, spacing: float = LATTICE_SPACING) -> tuple[LitRoom, EmitterTable]:
     """The room of a finished run with its estimated materials and lights, and the table of its emitters."""
     room = load_room(run)
-    fields = Fields.load(run)
-    materials = LatticeMaterials(room, lambda positions, triangles: fields.query(positions), spacing)
+    fields = RoomFields.load(run)
+    materials = LatticeMaterials(room, fields.query, spacing)
     data = read_json(run.emitters_json)
     table = EmitterTable.from_fixtures(data)
     lights = AreaLights(room.vertices, room.triangles, table)

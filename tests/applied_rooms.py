@@ -26,13 +26,13 @@ RADIANCE = [8.0, 4.0, 2.0]
 class ConstantFields:
     base_color, roughness, metallic = (0.6, 0.3, 0.1), 0.7, 0.25
 
-    def query(self, positions):
+    def query(self, positions, triangles):
         count = len(positions)
         base_color = np.tile(self.base_color, (count, 1))
         return base_color, np.full(count, self.roughness), np.full(count, self.metallic)
 
-    def observed(self, positions):
-        return np.ones(len(positions))
+    def seen(self, positions, triangles):
+        return np.ones(len(positions), bool)
 
 
 def use_fake_engine(monkeypatch) -> list[str]:

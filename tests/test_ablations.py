@@ -22,7 +22,7 @@ from fipt_blender.core.job.runfolder import RunFolder
 from fipt_blender.core.job.settings import make_settings
 from fipt_blender.core.job.stages import spread_views
 from fipt_blender.core.light.joint import joint_fixtures
-from fipt_blender.core.material.fields import Fields
+from fipt_blender.core.material.fields import RoomFields
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -56,7 +56,7 @@ def test_paths_without_a_cache_still_find_materials(capture: SmallCapture, tmp_p
     run, (lamp,) = finished(tmp_path, capture, refine_cache=False)
     assert lamp["triangles"] == PANEL_TRIANGLES
     points, _, triangle = surface_points(capture.room, 100, np.random.default_rng(0), np.arange(12))
-    color, _, metallic = Fields.load(run).query(points)
+    color, _, metallic = RoomFields.load(run).query(points, triangle)
     wrong = np.abs(color * (1 - metallic[:, None]) - np.array(COLORS)[triangle // 2]).mean()
     assert wrong < 0.1
 

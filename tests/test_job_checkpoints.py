@@ -19,8 +19,9 @@ from fipt_blender.core.job.checkpoints import Checkpoints, input_key  # noqa: E4
 from fipt_blender.core.job.errors import FiptError  # noqa: E402
 from fipt_blender.core.job.runfolder import RunFolder, explained_write_errors, write_json  # noqa: E402
 from fipt_blender.core.job.settings import Settings  # noqa: E402
-from fipt_blender.core.material.fields import COVERAGE_RESOLUTION, Box, Fields  # noqa: E402
+from fipt_blender.core.material.fields import Fields, RoomFields  # noqa: E402
 from fipt_blender.core.material.networks import BrdfNetwork  # noqa: E402
+from fipt_blender.core.material.seen import Box, seen_cells  # noqa: E402
 from fipt_blender.core.scene.pixels import open_array  # noqa: E402
 
 SMALL = Settings(hash_levels=2, hash_log2_size=6, brdf_width=8)
@@ -81,7 +82,9 @@ def to_full_disk(path: Path) -> None:
 
 def save_fields(run: RunFolder) -> None:
     network = BrdfNetwork(SMALL, 2, torch.Generator(), torch.device("cpu"))
-    Fields(network, Box(np.zeros(3), 1.0), np.zeros(COVERAGE_RESOLUTION**3, np.float32)).save(run)
+    box, part = Box(np.zeros(3), 1.0), np.zeros(1, np.int32)
+    cells = seen_cells(box, np.zeros((1, 3), np.float32), part)
+    RoomFields(Fields(network, box), part, cells).save(run)
 
 
 WRITERS = {

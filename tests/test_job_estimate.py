@@ -32,7 +32,7 @@ from fipt_blender.core.job import estimate
 from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.messages import Reporter, parse_message
 from fipt_blender.core.job.runfolder import RunFolder
-from fipt_blender.core.material.fields import Fields
+from fipt_blender.core.material.fields import RoomFields
 
 ROOT = Path(__file__).resolve().parent.parent
 STAGES = ["pixels", "shadings", "training-0", "refinement-1", "training-1"]
@@ -112,7 +112,7 @@ def same(first: RunFolder, second: RunFolder) -> None:
 def color_errors(run: RunFolder, capture: SmallCapture) -> np.ndarray:
     """Mean absolute error of base colour on each wall of the box."""
     points, _, triangle = surface_points(capture.room, 200, np.random.default_rng(0), np.arange(12))
-    color, _, metallic = Fields.load(run).query(points)
+    color, _, metallic = RoomFields.load(run).query(points, triangle)
     wrong = np.abs(color * (1 - metallic[:, None]) - np.array(COLORS)[triangle // 2]).mean(axis=1)
     return wrong.reshape(6, -1).mean(axis=1)
 
@@ -202,9 +202,9 @@ def test_nothing_depends_on_unit_exposure_or_place(
 ) -> None:
     run = write_run(tmp_path / "run", capture.scaled(length, radiance, shift))
     run_here(run)
-    points, _, _ = surface_points(capture.room, 200, np.random.default_rng(0), np.arange(12))
-    color, roughness, _ = Fields.load(finished[0]).query(points)
-    other, other_roughness, _ = Fields.load(run).query(points * length + shift)
+    points, _, triangle = surface_points(capture.room, 200, np.random.default_rng(0), np.arange(12))
+    color, roughness, _ = RoomFields.load(finished[0]).query(points, triangle)
+    other, other_roughness, _ = RoomFields.load(run).query(points * length + shift, triangle)
     assert np.abs(color - other).mean() < 0.01
     assert np.abs(roughness - other_roughness).mean() < 0.05
     (fixture,) = json.loads(run.emitters_json.read_text())["fixtures"]

@@ -17,18 +17,15 @@ TEXELS = 40  # a metre
 
 
 class AnalyticFields:
-    """Smooth functions of position; nothing with x above `seen_up_to` was seen."""
+    """Smooth functions of position; nothing on the second object was seen."""
 
-    def __init__(self, seen_up_to=np.inf):
-        self.seen_up_to = seen_up_to
-
-    def query(self, positions):
+    def query(self, positions, triangles):
         x, y, z = positions.astype(np.float64).T
         base_color = np.stack([0.5 + 0.4 * np.sin(2 * x), 0.2 + 0.3 * y, 0.5 + 0.4 * np.cos(3 * z)], axis=1)
         return base_color, 0.2 + 0.3 * x, 0.5 + 0.5 * np.sin(y + z)
 
-    def observed(self, positions):
-        return (positions[:, 0] <= self.seen_up_to).astype(np.float32)
+    def seen(self, positions, triangles):
+        return triangles < 2
 
 
 @pytest.fixture
@@ -97,38 +94,16 @@ def read_map(folder, name):
 def test_baked_field_equals_the_field_on_the_surface(run):
     fields = AnalyticFields()
     bake.bake(run, fields)
-    positions, uv, _ = surface_points(run)
-    base_color, roughness, metallic = fields.query(positions)
+    positions, uv, triangle = surface_points(run)
+    base_color, roughness, metallic = fields.query(positions, triangle)
     # The steepest field changes by 1.2 a metre; a bound of half a texel covers interpolation and half floats.
     bound = 1.2 * 0.5 / TEXELS
     assert np.abs(look_up(read_map(run, "base_color"), uv) - base_color).max() < bound
     assert np.abs(look_up(read_map(run, "roughness"), uv)[:, 0] - roughness).max() < bound
     assert np.abs(look_up(read_map(run, "metallic"), uv)[:, 0] - metallic).max() < bound
-    assert (read_map(run, "coverage") > 0.99).all()  # padding included
-
-
-def test_unseen_texels_take_their_parts_median(run):
-    fields = AnalyticFields(seen_up_to=1.5)
-    bake.bake(run, fields)
-    positions, uv, _ = surface_points(run)
-    unseen = positions[:, 0] > 1.55
-    found = look_up(read_map(run, "base_color"), uv)
-    # The part of the unseen points is object b (x above 1): its seen half has x in [1, 1.5].
-    x = np.linspace(1.0, 1.5, 1000)
-    assert np.allclose(found[unseen][:, 0], np.median(0.5 + 0.4 * np.sin(2 * x)), atol=0.01)
-    assert np.abs(look_up(read_map(run, "coverage"), uv)[unseen]).max() < 1e-3
-    base_color, _, _ = fields.query(positions)
-    seen = positions[:, 0] < 1.45
-    assert np.abs(found - base_color)[seen].max() < 1.2 * 0.5 / TEXELS
-
-
-def test_parts_without_a_seen_point_take_the_nearest(run):
-    np.savez(run.results / "parts.npz", triangle_part=np.array([0, 0, -1, -1], np.int32))
-    bake.bake(run, AnalyticFields(seen_up_to=0.999))
-    _, uv, triangle = surface_points(run)
-    found = look_up(read_map(run, "roughness"), uv)[triangle >= 2]
-    # Nearest seen points have x just below 1: roughness 0.2 + 0.3.
-    assert np.abs(found - 0.5).max() < 0.03
+    # On the edge that both share the texels of either answer.
+    inside = np.abs(positions[:, 0] - 1.0) > 1.0 / TEXELS
+    assert (look_up(read_map(run, "coverage"), uv)[inside, 0] == (triangle < 2)[inside]).all()
 
 
 def test_colour_attributes_hold_the_field_at_corners(run):
@@ -137,7 +112,7 @@ def test_colour_attributes_hold_the_field_at_corners(run):
     bake.bake(run, fields)
     with np.load(run.textures / "corner_fields.npz") as corner, np.load(run.room_npz) as room:
         positions = room["vertices"][room["triangles"]].reshape(-1, 3)
-        expected = fields.query(positions)
+        expected = fields.query(positions, np.repeat(np.arange(4), 3))
         assert np.abs(corner["base_color"].reshape(-1, 3) - expected[0]).max() < 2e-3
         assert np.abs(corner["roughness"].ravel() - expected[1]).max() < 2e-3
 

@@ -23,7 +23,7 @@ VIEWS = [
 class Fields:
     """Base colour by height, everything else constant."""
 
-    def query(self, positions):
+    def query(self, positions, triangles):
         count = len(positions)
         color = np.repeat(positions[:, 1:2] / 4.0 + 0.5, 3, axis=1).astype(np.float32)
         return color, np.full(count, 0.25, np.float32), np.full(count, 0.75, np.float32)

@@ -12,16 +12,14 @@ import numpy as np
 from ..capture.images import write_exr
 from ..light.emitters import Fixture
 from ..light.environment import Environment
-from ..material.fields import Fields
-from ..scene.labels import Parts
+from ..material.fields import RoomFields
 from .messages import Reporter
-from .runfolder import RunFolder, atomic_path, write_json
+from .runfolder import RunFolder, write_json
 
 
 def write_results(
     folder: RunFolder,
-    fields: Fields,
-    parts: Parts,
+    fields: RoomFields,
     fixtures: Sequence[Fixture],
     environment: Environment | None,
     scale: float,
@@ -36,8 +34,6 @@ def write_results(
     """
     folder.results.mkdir(parents=True, exist_ok=True)
     fields.save(folder)
-    with atomic_path(folder.results / "parts.npz") as temporary:
-        np.savez(temporary, triangle_part=parts.triangle_part)
     outside = None
     if environment is not None:
         write_exr(folder.environment_exr, environment.image * scale)

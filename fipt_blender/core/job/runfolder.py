@@ -39,6 +39,7 @@ class RunFolder:
         self.stage = self.root / "stage"
         self.results = self.root / "results"
         self.fields_npz = self.results / "fields.npz"
+        self.parts_npz = self.results / "parts.npz"
         self.emitters_json = self.results / "emitters.json"
         self.environment_exr = self.results / "environment.exr"
         self.statistics_json = self.results / "statistics.json"

@@ -7,7 +7,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ import torch
 
 from ..capture.views import View, load_capture
 from ..device.variant import torch_device
-from ..light.cache import pool
+from ..light.cache import pool, unseen_points
 from ..light.emitters import (
     Fixture,
     bright_triangles,
@@ -30,8 +30,9 @@ from ..light.joint import joint_fixtures
 from ..light.observations import Observations, observe
 from ..light.shadings import SampleCounts, roughness_levels
 from ..light.views import Baking, ShadingStore, TracedLight, bake_views, open_shadings
-from ..material.fields import Fields, count_coverage, mask_at, new_networks_generator, render_pixels, room_box
+from ..material.fields import Fields, RoomFields, mask_at, new_networks_generator, render_pixels
 from ..material.networks import BrdfNetwork, EmissionNetwork, useful_hash_levels
+from ..material.seen import SeenCells, room_box, seen_cells
 from ..material.training import PRETRAINING_STEPS, pretrain, train
 from ..render.lights import EmitterTable
 from ..scene.labels import Parts, choose_parts
@@ -157,8 +158,7 @@ class Estimation:
         if not paths and name == "shadings":
             paths = preview.first_guess(name, self._open_shadings())
         elif not paths:
-            fields = Fields(self.brdf, self.box, np.zeros(0, np.float32))  # whose coverage nobody asks
-            paths = preview.estimate(name, fields, emitter_table(self.fixtures))
+            paths = preview.estimate(name, Fields(self.brdf, self.box), emitter_table(self.fixtures))
         self.reporter.progress(
             1.0, force=True, pictures=[path.relative_to(self.folder.root).as_posix() for path in paths]
         )
@@ -376,24 +376,30 @@ class Estimation:
         return self._bake_views(self._open_shadings(create=True), cache, traced, table, counts, index)
 
     def _material_values(self) -> np.ndarray:
-        """(M * 6, 5) the BRDF network's values at the mean seen position of each cache entry."""
-        mean, count = pool(self.seen.grid, self.seen.entries, self.seen.positions())
-        values = np.zeros((len(mean), 5), np.float32)
-        values[:, 3] = 1.0
+        """(M * 6, 5) the estimate at a point of each cache entry: where pixels saw it, the mean of these."""
+        grid = self.seen.grid
+        mean, count = pool(grid, self.seen.entries, self.seen.positions())
         seen = np.flatnonzero(count)
-        color, roughness, metallic = self._fields().query(mean[seen])
-        found = np.concatenate([color, roughness[:, None], metallic[:, None]], axis=1)
-        return pool(self.seen.grid, seen, found)[0]
+        rng = np.random.default_rng([self.settings.seed, 4])
+        unseen, points, triangles = unseen_points(grid, self.room, count, rng)
+        fields = self._room_fields()
+        found = fields.fields.query(mean[seen]), fields.query(points, triangles)
+        values = np.concatenate([np.column_stack(columns) for columns in found])
+        return pool(grid, np.concatenate([seen, unseen]), values)[0]
 
     # Results
 
-    def _fields(self) -> Fields:
-        coverage = count_coverage(self.box, self.seen.positions())
-        return Fields(self.brdf, self.box, coverage)
+    @cached_property
+    def _seen_cells(self) -> SeenCells:
+        part = self.parts.triangle_part[self.pixels.triangle[self.seen.hit]]
+        return seen_cells(self.box, self.seen.positions(), part)
+
+    def _room_fields(self) -> RoomFields:
+        return RoomFields(Fields(self.brdf, self.box), self.parts.triangle_part, self._seen_cells)
 
     def _write_results(self) -> None:
-        fields, lights = self._fields(), (self.fixtures, self.seen.environment)
-        write_results(self.folder, fields, self.parts, *lights, self.scale, self.reporter)
+        lights = self.fixtures, self.seen.environment
+        write_results(self.folder, self._room_fields(), *lights, self.scale, self.reporter)
         write_json(self.folder.statistics_json, self.summary())
 
     def summary(self) -> dict[str, Any]:

@@ -84,7 +84,8 @@ def make_grid(
     size = extent / (resolution - 2)
     low = low - size  # a free layer, so that lifted points stay inside
     grid = VoxelGrid(low, size, resolution, np.zeros(0, np.int32), np.zeros(0, np.int64))
-    samples, sample_normals = sample_surface(room, float(np.median(size)), rng)
+    samples, triangle = sample_surface(room, float(np.median(size)), rng)
+    sample_normals = triangle_normals(room.vertices, room.triangles)[triangle]
     flat = [grid.flat_index(positions, normals)]
     flat += [grid.flat_index(samples, sign * sample_normals) for sign in (1.0, -1.0)]
     voxels = np.unique(np.concatenate(flat))
@@ -95,7 +96,7 @@ def make_grid(
 
 
 def sample_surface(room: Room, spacing: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Points all over the mesh, about `spacing` / 2 metres apart, and geometric normals, (S, 3) each."""
+    """Points (S, 3) all over the mesh, about `spacing` / 2 metres apart, and their triangles (S,)."""
     wanted = room.areas * 4.0 / spacing**2
     # A room of odd scale must not ask for billions of points.
     wanted *= min(1.0, 4e6 / max(wanted.sum(), 1.0))
@@ -106,7 +107,27 @@ def sample_surface(room: Room, spacing: float, rng: np.random.Generator) -> tupl
     corners = room.vertices[room.triangles[triangle]].astype(np.float64)
     weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=1)
     points = np.einsum("nc,ncd->nd", weights, corners)
-    return points, triangle_normals(room.vertices, room.triangles)[triangle]
+    return points, triangle
+
+
+def unseen_points(
+    grid: VoxelGrid, room: Room, count: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A surface point in each entry that holds surface but that no pixel saw.
+
+    Args:
+        count: (M * 6,) pixels in each entry.
+
+    Returns:
+        (U,) int64 entries, (U, 3) float32 points, metres, and (U,) triangles on which they lie.
+    """
+    points, triangle = sample_surface(room, float(np.median(grid.size)), rng)
+    normals = triangle_normals(room.vertices, room.triangles)[triangle]
+    entries = np.concatenate([grid.entries(points, sign * normals) for sign in (1.0, -1.0)])
+    entries, first = np.unique(entries, return_index=True)
+    unseen = count[entries] == 0
+    place = first[unseen] % len(points)
+    return entries[unseen], points[place].astype(np.float32), triangle[place]
 
 
 def _point_to_neighbours(rows: np.ndarray) -> None:

@@ -3,12 +3,10 @@
 """The estimated material fields of a finished run, to be queried at any surface point.
 
 results/fields.npz holds the BRDF network's weights, the box it is normalised to and where the photographs
-saw the room: plain arrays, no pickles.
+saw the room, parts.npz the part of each triangle: plain arrays, no pickles.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -20,37 +18,19 @@ from ..job.settings import Settings
 from .brdf import set_masking
 from .losses import factorised_rendering
 from .networks import BrdfNetwork, EmissionNetwork, emission_mask
+from .seen import Box, SeenCells, seen_statistics, stand_ins
 
 CHUNK = 1 << 17
-COVERAGE_RESOLUTION = 128
-# Pixels in a coverage voxel at which it counts as fully seen, up to a factor 1 - 1/e.
-FULLY_SEEN = 4.0
-
-
-@dataclass(frozen=True)
-class Box:
-    """The cube to which positions are normalised: lowest corner and edge, metres."""
-
-    low: np.ndarray
-    extent: float
-
-    def normalise(self, positions: np.ndarray) -> np.ndarray:
-        """(N, 3) float32 positions in [0, 1] of world positions in metres."""
-        return ((positions - self.low) / self.extent).astype(np.float32)
-
-
-def room_box(bounds: tuple[np.ndarray, np.ndarray]) -> Box:
-    """The cube around a room's bounds, a little larger."""
-    low, high = bounds
-    extent = float((high - low).max()) * 1.002
-    return Box(low - 0.001 * extent, extent)
 
 
 class Fields:
-    """Base colour, roughness and metallic of surface points, and whether a photograph saw them."""
+    """What the network says about positions, wherever they are.
 
-    def __init__(self, network: BrdfNetwork, box: Box, coverage: np.ndarray) -> None:
-        self.network, self.box, self.coverage = network, box, coverage
+    Where no photograph looked that means nothing: :class:`RoomFields` knows where.
+    """
+
+    def __init__(self, network: BrdfNetwork, box: Box) -> None:
+        self.network, self.box = network, box
         self._device = next(network.parameters()).device
 
     @torch.no_grad()
@@ -79,26 +59,64 @@ class Fields:
             metallic[part] = found.metallic[:count].cpu().numpy()
         return base_color, roughness, metallic
 
-    def observed(self, positions: np.ndarray) -> np.ndarray:
-        """(N,) float32 coverage: 0 where no photograph saw the surface, towards 1 with more pixels."""
-        return self.coverage[coverage_cells(self.box, positions)]
+
+class RoomFields:
+    """Base colour, roughness and metallic of a room's surfaces, seen and unseen, and what was seen of them.
+
+    Args:
+        fields: asked where photographs saw the surface.
+        triangle_part: (T,) int, negative for none.
+        cells: where that is.
+    """
+
+    def __init__(self, fields: Fields, triangle_part: np.ndarray, cells: SeenCells) -> None:
+        self.fields, self.cells = fields, cells
+        self._part = triangle_part
+        values = _columns(fields.query(cells.points))
+        self._statistics = seen_statistics(cells.points, cells.part, values)
+
+    def query(
+        self, positions: np.ndarray, triangles: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The estimate at surface points; unseen ones get what stands in for them (:mod:`.seen`).
+
+        Args:
+            positions: (N, 3) world metres.
+            triangles: (N,) int of the room, on which they lie.
+
+        Returns:
+            (base_color (N, 3), roughness (N,), metallic (N,)), float32; roughness is the paper's sigma.
+        """
+        values = _columns(self.fields.query(positions))
+        if len(self.cells.keys):
+            part = self._part[triangles]
+            unseen = self.cells.find(self.fields.box, positions, part) < 0
+            values[unseen] = stand_ins(positions[unseen], part[unseen], self._statistics)
+        return values[:, :3], values[:, 3], values[:, 4]
+
+    def seen(self, positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+        """(N,) bool, whether a photograph saw the surface there."""
+        return self.cells.find(self.fields.box, positions, self._part[triangles]) >= 0
 
     @classmethod
-    def load(cls, run: RunFolder) -> Fields:
-        """Read results/fields.npz and set the run's G; Mitsuba's variant is set already.
+    def load(cls, run: RunFolder) -> RoomFields:
+        """Read results/fields.npz and parts.npz and set the run's G; Mitsuba's variant is set already.
 
         Raises:
             FiptError: ``results-missing`` or ``results-damaged``.
         """
         settings = run.read()
         set_masking(settings.masking)
-        if not run.fields_npz.exists():
-            raise FiptError(
-                "results-missing", f"{run.fields_npz} does not exist.", "Let the estimation finish first."
-            )
+        for path in (run.fields_npz, run.parts_npz):
+            if not path.exists():
+                raise FiptError(
+                    "results-missing", f"{path} does not exist.", "Let the estimation finish first."
+                )
         try:
             with np.load(run.fields_npz, allow_pickle=False) as data:
                 arrays = {name: data[name] for name in data.files}
+            with np.load(run.parts_npz, allow_pickle=False) as data:
+                triangle_part = data["triangle_part"]
             network = BrdfNetwork(
                 settings, int(arrays["hash_levels"]), torch.Generator(), torch.device(torch_device())
             )
@@ -109,45 +127,40 @@ class Fields:
             }
             network.load_state_dict(state)
             box = Box(arrays["box_low"].astype(np.float64), float(arrays["box_extent"]))
-            return cls(network, box, arrays["coverage"])
+            cells = SeenCells(arrays["seen_keys"], arrays["seen_points"], arrays["seen_part"])
+            return cls(Fields(network, box), triangle_part, cells)
         except (KeyError, ValueError, OSError, RuntimeError) as error:
             raise FiptError(
                 "results-damaged", f"{run.fields_npz} can't be read ({error}).", "Run the estimation again."
             ) from None
 
     def save(self, run: RunFolder) -> None:
-        """Write results/fields.npz."""
-        state = {f"network/{name}": value.cpu().numpy() for name, value in self.network.state_dict().items()}
+        """Write results/fields.npz and parts.npz."""
+        network, box = self.fields.network, self.fields.box
+        state = {f"network/{name}": value.cpu().numpy() for name, value in network.state_dict().items()}
         with atomic_path(run.fields_npz) as temporary:
             np.savez(
                 temporary,
-                hash_levels=len(self.network.grid.resolutions),
-                box_low=self.box.low,
-                box_extent=self.box.extent,
-                coverage=self.coverage,
+                hash_levels=len(network.grid.resolutions),
+                box_low=box.low,
+                box_extent=box.extent,
+                seen_keys=self.cells.keys,
+                seen_points=self.cells.points,
+                seen_part=self.cells.part,
                 **state,
             )
+        with atomic_path(run.parts_npz) as temporary:
+            np.savez(temporary, triangle_part=self._part)
+
+
+def _columns(found: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
+    """(N, 5) float32 of base colour, roughness and metallic."""
+    return np.column_stack(found).astype(np.float32)
 
 
 def new_networks_generator(settings: Settings) -> torch.Generator:
     """The generator of initial weights: on the CPU, so that all devices start alike."""
     return torch.Generator().manual_seed(settings.seed)
-
-
-def coverage_cells(box: Box, positions: np.ndarray) -> np.ndarray:
-    """(N,) int64 flat index into the coverage grid."""
-    cell = (box.normalise(positions) * COVERAGE_RESOLUTION).astype(np.int64)
-    cell = np.clip(cell, 0, COVERAGE_RESOLUTION - 1)
-    return (cell[:, 0] * COVERAGE_RESOLUTION + cell[:, 1]) * COVERAGE_RESOLUTION + cell[:, 2]
-
-
-def count_coverage(box: Box, positions: np.ndarray) -> np.ndarray:
-    """(R^3,) float32 coverage grid from all positions that pixels saw."""
-    count = np.zeros(COVERAGE_RESOLUTION**3, np.int64)
-    for start in range(0, len(positions), CHUNK):
-        cells = coverage_cells(box, positions[start : start + CHUNK])
-        count += np.bincount(cells, minlength=len(count))
-    return (1.0 - np.exp(-count / FULLY_SEEN)).astype(np.float32)
 
 
 @torch.no_grad()

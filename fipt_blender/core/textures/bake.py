@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Engine command `textures`: the estimated fields sampled at every texel of the atlas.
 
-Each texel's centre is a point on the room; the fields are queried there, points that no photograph saw
-are filled from their part, and the space between islands is padded.
+Each texel's centre is a point on the room; the fields are queried there, and the space between islands is
+padded.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from ..device.variant import set_variant
 from ..job.errors import FiptError
 from ..job.messages import Reporter
 from ..job.runfolder import RunFolder, atomic_path, read_json, write_json
-from .fill import SeenStatistics, fill_unseen, seen_statistics
 from .padding import pad
 from .raster import nearest_triangle_map
 
@@ -31,10 +30,12 @@ MAPS = ("base_color", "roughness", "metallic", "coverage")
 
 
 class FieldSource(Protocol):
-    """What baking asks of the estimate; `core.material.fields.Fields` is one."""
+    """What baking asks of the estimate; `core.material.fields.RoomFields` is one."""
 
-    def query(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]: ...
-    def observed(self, positions: np.ndarray) -> np.ndarray: ...
+    def query(
+        self, positions: np.ndarray, triangles: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]: ...
+    def seen(self, positions: np.ndarray, triangles: np.ndarray) -> np.ndarray: ...
 
 
 @dataclass
@@ -44,7 +45,7 @@ class Samples:
     base_color: np.ndarray  # (N,3)
     roughness: np.ndarray  # (N,)
     metallic: np.ndarray  # (N,)
-    coverage: np.ndarray  # (N,) 0 to 1
+    coverage: np.ndarray  # (N,) 1 where a photograph saw the point
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,10 +62,10 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     folder = RunFolder(arguments.run)
     set_variant(folder.read().device)
     # These import Mitsuba, which finds an LLVM of its own where the variant was not chosen before.
-    from ..material.fields import Fields
+    from ..material.fields import RoomFields
     from .view_maps import write_view_maps
 
-    fields = Fields.load(folder)
+    fields = RoomFields.load(folder)
     reporter.plan([1.0])
     reporter.stage("textures", "Baking textures")
     files = bake(folder, fields, reporter.progress)
@@ -80,7 +81,7 @@ def bake(
     """Write textures/ and textures.json, or corner_fields.npz in colour-attribute mode.
 
     Args:
-        folder: with room, atlas and, where the parts are known, results/parts.npz.
+        folder: with room and atlas.
         fields: what to bake.
         progress: called with 0 to 1.
 
@@ -89,15 +90,13 @@ def bake(
     """
     atlas = read_json(folder.atlas_json)
     arrays = _load(folder.atlas_npz, ("corner_uv", "triangle_image"))
-    room = _load(folder.room_npz, ("vertices", "triangles", "triangle_object"))
+    room = _load(folder.room_npz, ("vertices", "triangles"))
     corners = room["vertices"][room["triangles"]]
-    parts = triangle_parts(folder, room["triangle_object"])
     if atlas["mode"] == "color_attribute":
-        return [_bake_corners(folder, fields, corners, parts, progress)]
-    # Medians of parts come from all images, since a part may be spread over several.
+        return [_bake_corners(folder, fields, corners, progress)]
     entries = atlas["images"]
-    points: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    samples: list[Samples] = []
+    written: list[Path] = []
+    listed = []
     for index, entry in enumerate(entries):
         mine = np.flatnonzero(arrays["triangle_image"] == index)
         size = np.array([entry["width"], entry["height"]], np.float64)
@@ -105,31 +104,21 @@ def bake(
             arrays["corner_uv"][mine] * size, int(entry["width"]), int(entry["height"])
         )
         positions = np.einsum("nk,nkc->nc", weights, corners[mine[triangle]]).astype(np.float32)
-        points.append((texel, positions, parts[mine[triangle]]))
-        samples.append(sample_fields(fields, positions))
-        progress(0.6 * (index + 1) / len(entries))
-    statistics = seen_statistics(
-        [(position, part) for _, position, part in points], [_stack(each) for each in samples]
-    )
-    written: list[Path] = []
-    listed = []
-    for index, entry in enumerate(entries):
-        texel, positions, part = points[index]
-        finished = _finish(samples[index], positions, part, statistics)
-        paths = _write_image(folder, entry, texel, finished)
+        paths = _write_image(folder, entry, texel, sample_fields(fields, positions, mine[triangle]))
         written += [folder.root / path for path in paths.values()]
         listed.append({"name": entry["name"], **paths})
-        progress(0.6 + 0.4 * (index + 1) / len(entries))
+        progress((index + 1) / len(entries))
     write_json(folder.textures_json, {"images": listed})
     return [*written, folder.textures_json]
 
 
-def sample_fields(fields: FieldSource, positions: np.ndarray) -> Samples:
+def sample_fields(fields: FieldSource, positions: np.ndarray, triangles: np.ndarray) -> Samples:
     """Query the fields in chunks; values are clipped to what a texture may hold.
 
     Args:
         fields: the estimate.
         positions: (N,3) f32 world.
+        triangles: (N,) int, on which they lie.
     """
     count = len(positions)
     result = Samples(
@@ -140,20 +129,12 @@ def sample_fields(fields: FieldSource, positions: np.ndarray) -> Samples:
     )
     for first in range(0, count, QUERY_POINTS):
         chunk = slice(first, first + QUERY_POINTS)
-        base_color, roughness, metallic = fields.query(positions[chunk])
+        base_color, roughness, metallic = fields.query(positions[chunk], triangles[chunk])
         result.base_color[chunk] = np.clip(base_color, 0.0, 1.0)
         result.roughness[chunk] = np.clip(np.reshape(roughness, -1), 0.0, 1.0)
         result.metallic[chunk] = np.clip(np.reshape(metallic, -1), 0.0, 1.0)
-        result.coverage[chunk] = np.clip(np.reshape(fields.observed(positions[chunk]), -1), 0.0, 1.0)
+        result.coverage[chunk] = fields.seen(positions[chunk], triangles[chunk])
     return result
-
-
-def triangle_parts(folder: RunFolder, triangle_object: np.ndarray) -> np.ndarray:
-    """Part of each triangle (T,) i32 from results/parts.npz; the objects where there are no parts."""
-    path = folder.results / "parts.npz"
-    if not path.exists():
-        return triangle_object
-    return _load(path, ("triangle_part",))["triangle_part"]
 
 
 def _load(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
@@ -164,17 +145,6 @@ def _load(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         raise FiptError("file-missing", f"{path} does not exist.", "Run the step that writes it.") from None
     except (OSError, KeyError, ValueError) as error:
         raise FiptError("file-damaged", f"{path} can't be read ({error}).", "Write it again.") from None
-
-
-def _stack(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
-    values = np.column_stack([samples.base_color, samples.roughness, samples.metallic])
-    return values, samples.coverage
-
-
-def _finish(samples: Samples, positions: np.ndarray, part: np.ndarray, statistics: SeenStatistics) -> Samples:
-    values, coverage = _stack(samples)
-    values = fill_unseen(values, coverage, positions, part, statistics)
-    return Samples(values[:, :3].astype(np.float32), values[:, 3], values[:, 4], coverage)
 
 
 def _write_image(folder: RunFolder, entry: dict, texel: np.ndarray, samples: Samples) -> dict[str, str]:
@@ -201,18 +171,13 @@ def _bake_corners(
     folder: RunFolder,
     fields: FieldSource,
     corners: np.ndarray,
-    parts: np.ndarray,
     progress: Callable[[float], None],
 ) -> Path:
     count = len(corners)
     # A thousandth inwards: at a corner itself the neighbouring surface could answer.
     inwards = corners + 1e-3 * (corners.mean(axis=1, keepdims=True) - corners)
     positions = inwards.reshape(-1, 3).astype(np.float32)
-    part = np.repeat(parts, 3)
-    samples = sample_fields(fields, positions)
-    progress(0.8)
-    statistics = seen_statistics([(positions, part)], [_stack(samples)])
-    samples = _finish(samples, positions, part, statistics)
+    samples = sample_fields(fields, positions, np.repeat(np.arange(count), 3))
     path = folder.textures / "corner_fields.npz"
     with atomic_path(path) as temporary:
         np.savez(

@@ -17,7 +17,7 @@ import numpy as np
 from ..capture.images import write_exr
 from ..capture.views import View
 from ..job.runfolder import RunFolder, read_json, write_json
-from ..material.fields import Fields
+from ..material.fields import RoomFields
 from ..render.lights import AreaLights, EmitterTable
 from ..scene.pixels import trace_pixels
 from ..scene.room import Room, load_room
@@ -26,7 +26,7 @@ MAX_VIEWS = 3
 MAX_WIDTH = 640
 
 
-def write_view_maps(run: RunFolder, fields: Fields, views: Sequence[View]) -> list[Path]:
+def write_view_maps(run: RunFolder, fields: RoomFields, views: Sequence[View]) -> list[Path]:
     """Write the maps of a few views, held-back ones first, and maps.json; returns the files.
 
     Raises:
@@ -50,7 +50,7 @@ def write_view_maps(run: RunFolder, fields: Fields, views: Sequence[View]) -> li
     return [*files, folder / "maps.json"]
 
 
-def view_maps(room: Room, lights: AreaLights, fields: Fields, view: View) -> dict[str, np.ndarray]:
+def view_maps(room: Room, lights: AreaLights, fields: RoomFields, view: View) -> dict[str, np.ndarray]:
     """The maps of one view at its pixels' centres.
 
     Returns:
@@ -62,7 +62,9 @@ def view_maps(room: Room, lights: AreaLights, fields: Fields, view: View) -> dic
     facing = dr.select(surface.front, 1.0, -1.0)
     emission = np.array(lights.radiance(surface.triangle, facing, surface.valid)).T
     reflects = np.array(surface.valid & ~emitter)
-    base_color, roughness, metallic = fields.query(np.array(surface.position).T.astype(np.float32))
+    base_color, roughness, metallic = fields.query(
+        np.array(surface.position).T.astype(np.float32), np.array(surface.triangle)
+    )
     base_color[~reflects], roughness[~reflects], metallic[~reflects] = 0.0, 0.0, 0.0
     size = (view.height, view.width)
     return {

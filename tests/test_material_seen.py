@@ -1,0 +1,133 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What stands in for surfaces that no photograph saw, the same for every user of the estimate."""
+
+import numpy as np
+import pytest
+from small_rooms import BOX, make_room
+
+from fipt_blender.core.job.errors import FiptError
+from fipt_blender.core.job.runfolder import RunFolder, write_json
+from fipt_blender.core.job.settings import make_settings
+from fipt_blender.core.light.cache import make_grid, pool, unseen_points
+from fipt_blender.core.material.fields import RoomFields
+from fipt_blender.core.material.seen import RESOLUTION, Box, room_box, seen_cells
+from fipt_blender.core.render.surfaces import LatticeMaterials
+from fipt_blender.core.textures import bake
+
+BOX_4 = Box(np.zeros(3), 4.0)
+
+
+class Ramp:
+    """Stands for the network: base colour and the rest follow x."""
+
+    box = BOX_4
+
+    def query(self, positions):
+        x = (np.asarray(positions, np.float32)[:, 0] / 4.0).astype(np.float32)
+        return np.stack([x, 0.5 * x, 0.2 * x], axis=1), 1.0 - 0.5 * x, 0.1 * x
+
+
+def grid_points(low: float, high: float, z: float, count: int = 40) -> np.ndarray:
+    x, y = np.meshgrid(np.linspace(low, high, count), np.linspace(0.1, 3.9, 4 * count))
+    return np.stack([x.ravel(), y.ravel(), np.full(x.size, z)], axis=1).astype(np.float32)
+
+
+@pytest.fixture
+def fields() -> RoomFields:
+    """Part 0 was seen up to x = 1, part 1 above 3; part 2 never. Triangle t has part t, triangle 3 none."""
+    points = np.concatenate([grid_points(0.0, 1.0, 0.0), grid_points(3.0, 4.0, 0.0)])
+    part = np.repeat([0, 1], len(points) // 2)
+    return RoomFields(Ramp(), np.array([0, 1, 2, -1], np.int32), seen_cells(BOX_4, points, part))
+
+
+def test_seen_points_are_the_networks_and_unseen_ones_their_parts_median(fields):
+    points = grid_points(0.05, 0.95, 0.0)
+    on = lambda part: np.full(len(points), part)  # noqa: E731
+    for got, wanted in zip(fields.query(points, on(0)), Ramp().query(points), strict=True):
+        np.testing.assert_array_equal(got, wanted)
+    assert fields.seen(points, on(0)).all() and not fields.seen(points, on(1)).any()
+    color, roughness, metallic = fields.query(points, on(1))  # of part 1 the other end was seen
+    assert np.ptp(color, axis=0).max() == 0.0
+    middle = 3.5 / 4.0
+    assert color[0] == pytest.approx([middle, 0.5 * middle, 0.2 * middle], abs=0.01)
+    assert roughness[0] == pytest.approx(1.0 - 0.5 * middle, abs=0.01)
+    assert metallic[0] == pytest.approx(0.1 * middle, abs=0.01)
+
+
+@pytest.mark.parametrize("triangle", [2, 3])
+def test_parts_that_nobody_saw_and_triangles_without_one_take_the_nearest_seen_point(fields, triangle):
+    points = np.array([[1.4, 2.0, 0.0], [2.6, 2.0, 0.0]], np.float32)
+    color, _, _ = fields.query(points, np.full(2, triangle))
+    assert color[:, 0] == pytest.approx([1.0 / 4.0, 3.0 / 4.0], abs=0.03)
+
+
+def test_the_cells_beside_a_seen_one_count_as_seen(fields):
+    cell = 4.0 / RESOLUTION
+    points = np.array([[1.0 + 0.9 * cell, 2.0, 0.0], [1.0 + 2.5 * cell, 2.0, 0.0]], np.float32)
+    assert fields.seen(points, np.zeros(2, int)).tolist() == [True, False]
+
+
+def test_where_nothing_was_seen_the_network_answers():
+    nothing = seen_cells(BOX_4, np.zeros((0, 3), np.float32), np.zeros(0, np.int32))
+    points = grid_points(0.0, 4.0, 0.0)
+    found = RoomFields(Ramp(), np.zeros(1, np.int32), nothing).query(points, np.zeros(len(points), int))
+    np.testing.assert_array_equal(found[0], Ramp().query(points)[0])
+
+
+def test_textures_and_forward_rendering_have_the_same_materials(tmp_path, fields):
+    """Cycles' textures and the path tracer's lattice, on a floor of which half was seen."""
+    import mitsuba as mi
+
+    room = make_room([[[0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]]])
+    points = grid_points(0.0, 2.0, 0.0)
+    floor = RoomFields(Ramp(), np.zeros(2, np.int32), seen_cells(BOX_4, points, np.zeros(len(points), int)))
+    run = RunFolder(tmp_path / "run")
+    run.create(make_settings())
+    np.savez(run.room_npz, vertices=room.vertices, triangles=room.triangles)
+    uv = room.vertices[room.triangles][..., :2] / 4.0 * 0.8 + 0.1
+    np.savez(run.atlas_npz, corner_uv=uv.astype(np.float32), triangle_image=np.zeros(2, np.int32))
+    write_json(run.atlas_json, {"mode": "uv", "images": [{"name": "a", "width": 400, "height": 400}]})
+    bake.bake(run, floor)
+    from fipt_blender.core.capture.images import read_radiance
+
+    image = read_radiance(run.textures / "a.base_color.exr")
+    x, y = np.meshgrid(np.linspace(0.3, 3.7, 30), np.linspace(0.3, 3.7, 30))
+    x, y = x.ravel(), y.ravel()
+    column, row = ((0.1 + 0.8 * v / 4.0) * 400 for v in (x, y))
+    texels = image[399 - row.astype(int), column.astype(int)]
+    materials = LatticeMaterials(room, floor.query, 0.02)
+    position = mi.Point3f(x.astype(np.float32), y.astype(np.float32), 0.0)
+    color, _, _ = materials.lookup(position, mi.UInt32((y > x).astype(np.uint32)))
+    away = np.abs(x - 2.0) > 2 * 4.0 / RESOLUTION  # from the border of what was seen
+    np.testing.assert_allclose(np.array(color).T[away], texels[away], atol=0.01)
+    assert np.ptp(texels[(x > 2.2), 0]) < 1e-3 < np.ptp(texels[x < 1.8, 0])
+
+
+def test_refinement_finds_a_point_for_every_entry_without_pixels():
+    room = make_room(BOX)
+    rng = np.random.default_rng(0)
+    floor = np.column_stack([rng.uniform(-2, 2, (4000, 2)), np.zeros(4000)]).astype(np.float32)
+    up = np.tile(np.float32([0, 0, 1]), (4000, 1))
+    grid = make_grid(room, floor, up, 24, rng)
+    count = pool(grid, grid.entries(floor, up), floor)[1]
+    entries, points, triangles = unseen_points(grid, room, count, rng)
+    assert (count[entries] == 0).all() and len(np.unique(entries)) == len(entries)
+    assert (triangles[points[:, 2] > 2.99] >= 2).all()  # the ceiling's points are on no floor triangle
+    # Both sides of five walls and the floor's underside, of about 22 x 22 or 22 x 16 voxels each.
+    assert 3000 < len(entries) < 8000
+
+
+def test_results_without_parts_are_explained(tmp_path):
+    run = RunFolder(tmp_path / "run")
+    run.create(make_settings())
+    run.results.mkdir(exist_ok=True)
+    np.savez(run.fields_npz, box_extent=1.0)
+    with pytest.raises(FiptError) as error:
+        RoomFields.load(run)
+    assert error.value.code == "results-missing"
+    np.savez(run.parts_npz, triangle_part=np.zeros(2, np.int32))
+    with pytest.raises(FiptError) as error:
+        RoomFields.load(run)
+    assert error.value.code == "results-damaged"
+    assert room_box((np.zeros(3), np.ones(3))).extent > 1.0
