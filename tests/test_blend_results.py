@@ -32,12 +32,12 @@ from fipt_blender.core.textures import bake
 class ConstantFields:
     base_color, roughness, metallic = (0.6, 0.3, 0.1), 0.7, 0.25
 
-    def query(self, positions):
+    def query(self, positions, triangles):
         count = len(positions)
         base_color = np.tile(self.base_color, (count, 1))
         return base_color, np.full(count, self.roughness), np.full(count, self.metallic)
 
-    def observed(self, positions):
+    def seen(self, positions, triangles):
         return np.ones(len(positions))
 
 
