@@ -7,6 +7,7 @@
   test      run the tests
   run       run the product's command line, e.g. run estimate CAPTURE --output FOLDER
   accuracy  run the engine on a capture with ground truth and print its accuracy
+  speed     time the engine against the paper's algorithm, stage by stage
   lint      run ruff and mypy
   build     make the extension's zip in dist/ (needs no set-up)
   setup     only set up
@@ -101,7 +102,7 @@ def set_up() -> None:
         plan = environment.Plan(
             folder=VENV,
             base=Path(sys.executable),
-            requirements=[*pins["engine"], *pins["blender"], *pins["dev"]],
+            requirements=[*pins["engine"], *pins["blender"], *pins["dev"], *pins["cluster"]],
             modules=("bpy", *environment.ENGINE_MODULES),
             llvm=pins["llvm"],
             pip=pins["pip"],
@@ -187,6 +188,7 @@ COMMANDS = {
     "test": lambda extra: call("-m", "pytest", "-q", *extra),
     "run": lambda extra: call(str(PRODUCT), *extra),
     "accuracy": lambda extra: call(str(ROOT / "benchmarks" / "accuracy.py"), *extra),
+    "speed": lambda extra: call(str(ROOT / "benchmarks" / "speed.py"), *extra),
     "lint": lambda extra: lint(),
     "setup": lambda extra: 0,
 }

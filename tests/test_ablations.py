@@ -40,7 +40,7 @@ def capture() -> SmallCapture:
 
 def finished(root: Path, capture: SmallCapture, **changes) -> tuple[RunFolder, list[dict]]:
     run = write_run(root / "run", capture, **changes)
-    estimate.run(argparse.Namespace(run=run.root), Reporter())
+    estimate.run(argparse.Namespace(run=run.root, cluster=None), Reporter())
     return run, json.loads(run.emitters_json.read_text())["fixtures"]
 
 
@@ -174,7 +174,7 @@ def test_semantic_masks_instead_of_parts(capture: SmallCapture, tmp_path: Path) 
     for view in data["views"]:
         view["semantics"] = "images/classes.png"
     run.capture_json.write_text(json.dumps(data))
-    estimate.run(argparse.Namespace(run=run.root), Reporter())
+    estimate.run(argparse.Namespace(run=run.root, cluster=None), Reporter())
     (lamp,) = json.loads(run.emitters_json.read_text())["fixtures"]
     assert lamp["triangles"] == PANEL_TRIANGLES
     assert json.loads(run.statistics_json.read_text())["part_kind"] == "semantic"

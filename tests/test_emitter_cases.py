@@ -35,7 +35,7 @@ def one_thread():
 def fixtures(root: Path, capture: SmallCapture) -> list[dict]:
     """Those found after one training; refinement changes materials, hardly ever emitters."""
     run = write_run(root / "run", capture, rounds=0)
-    estimate.run(argparse.Namespace(run=run.root), Reporter())
+    estimate.run(argparse.Namespace(run=run.root, cluster=None), Reporter())
     return json.loads(run.emitters_json.read_text())["fixtures"]
 
 

@@ -41,7 +41,7 @@ STAGES = ["pixels", "shadings", "training-0", "refinement-1", "training-1"]
 def run_here(run: RunFolder) -> list[dict]:
     """Estimate in this process; returns its messages."""
     stream = io.StringIO()
-    estimate.run(argparse.Namespace(run=run.root), Reporter(stream))
+    estimate.run(argparse.Namespace(run=run.root, cluster=None), Reporter(stream))
     return [message for line in stream.getvalue().splitlines() if (message := parse_message(line))]
 
 

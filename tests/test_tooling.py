@@ -83,7 +83,7 @@ def test_build_refuses_versions_that_disagree(
 
 def test_every_pin_is_exact() -> None:
     groups = pins.read_pins()
-    assert set(groups) == {"engine", "blender", "dev", "llvm", "pip"}
+    assert set(groups) == {"engine", "blender", "dev", "cluster", "llvm", "pip"}
     for requirement in (pin for group in groups.values() for pin in group):
         assert re.match(r"[A-Za-z0-9-]+==[0-9][0-9a-z.]*(;|$)", requirement), requirement
 

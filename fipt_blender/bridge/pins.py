@@ -28,7 +28,8 @@ Version = tuple[int, int]
 
 
 def read_pins(package: Path = PACKAGE_FOLDER) -> dict[str, list[str]]:
-    """Requirements by group: ``engine``, ``llvm`` and ``pip``; in a checkout ``blender`` and ``dev`` too.
+    """Requirements by group: ``engine``, ``llvm`` and ``pip``; in a checkout ``blender``, ``dev`` and ``cluster``
+    too.
 
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.

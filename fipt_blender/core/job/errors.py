@@ -22,3 +22,7 @@ class FiptError(Exception):
         self.code = code
         self.text = text
         self.remedy = remedy
+
+    def __reduce__(self) -> tuple[type[FiptError], tuple[str, str, str]]:
+        """How it travels between processes: exceptions else keep the whole sentence alone."""
+        return FiptError, (self.code, self.text, self.remedy)

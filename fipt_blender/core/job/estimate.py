@@ -12,6 +12,7 @@ import argparse
 from pathlib import Path
 
 from ..device.variant import set_variant
+from .cluster import workers_at
 from .messages import Reporter
 from .runfolder import RunFolder
 
@@ -19,13 +20,14 @@ from .runfolder import RunFolder
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("run", type=Path, help="run folder with capture.json and room.npz")
+    parser.add_argument("--cluster", metavar="ADDRESS", help="Dask scheduler whose workers share the views")
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     """Estimate materials and lights.
 
     Raises:
-        FiptError: where the run folder lacks something or the capture can't be used.
+        FiptError: where the run folder lacks something, the capture can't be used or the cluster fails.
     """
     folder = RunFolder(arguments.run)
     settings = folder.read()
@@ -35,6 +37,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     from .stages import Estimation
 
     set_masking(settings.masking)
-    estimation = Estimation(folder, settings, reporter)
-    estimation.run()
+    with workers_at(arguments.cluster) as workers:
+        estimation = Estimation(folder, settings, reporter, workers)
+        estimation.run()
     reporter.done([str(path) for path in estimation.files()], estimation.summary())

@@ -8,7 +8,7 @@ normals are flipped to the side that is looked at, so inverted ones do no harm.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -66,6 +66,10 @@ class Room:
     objects: tuple[str, ...] = ()
     materials: tuple[str, ...] = ()
     parts: str = "masks"
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what is made of it here: Mitsuba's objects belong to one process."""
+        return {item.name: getattr(self, item.name) for item in fields(self)}
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:

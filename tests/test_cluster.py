@@ -1,0 +1,200 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Views shared among the processes of a Dask cluster: the same bits, whoever dies; clear errors."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from distributed import Client, LocalCluster
+from small_captures import (
+    CAMERAS,
+    COLORS,
+    PANEL,
+    PANEL_RADIANCE,
+    PANEL_TRIANGLES,
+    SmallCapture,
+    matt,
+    photograph_room,
+    pinhole,
+    write_run,
+)
+from small_rooms import BOX, make_room, table
+
+from fipt_blender.core.capture.views import View
+from fipt_blender.core.job import cluster, estimate, stages
+from fipt_blender.core.job.errors import FiptError
+from fipt_blender.core.job.messages import Reporter
+from fipt_blender.core.job.runfolder import RunFolder
+from fipt_blender.core.material import training
+from fipt_blender.core.scene.pixels import Tracing
+
+ROOT = Path(__file__).resolve().parent.parent
+# Every stage, and next to no training: that is not shared.
+LITTLE = {
+    "training_steps": 2, "later_training_steps": 2, "roughness_levels": 3, "diffuse_spp": 4, "light_spp": 4,
+    "refine_diffuse_spp": 4, "refine_light_spp": 4, "refine_depth": 2,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def three() -> Iterator[LocalCluster]:
+    """A cluster of three processes."""
+    with LocalCluster(n_workers=3, threads_per_worker=1, dashboard_address=":0") as found:
+        yield found
+
+
+@pytest.fixture
+def empty() -> Iterator[LocalCluster]:
+    """A scheduler without workers."""
+    with LocalCluster(n_workers=0, processes=True, dashboard_address=":0") as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def capture() -> SmallCapture:
+    room = make_room([*BOX, PANEL], parts="objects", objects=np.arange(7))
+    colors = np.repeat(np.array([*COLORS, [0.0] * 3]), 2, axis=0)
+    lamps = table(PANEL_TRIANGLES, PANEL_RADIANCE)
+    return photograph_room(room, matt(colors), lamps, cameras=[*CAMERAS, *CAMERAS], spp=16)
+
+
+def views(capture: SmallCapture) -> list[View]:
+    return [
+        View(str(i), "train", Path("none.exr"), **vars(pinhole(pose))) for i, pose in enumerate(capture.poses)
+    ]
+
+
+class Watch(Reporter):
+    """Does something once, amid a stage."""
+
+    def __init__(self, stage: str, action: Callable[[], None]) -> None:
+        super().__init__()
+        self._name, self._action, self._current = stage, action, ""
+        self.acted = False
+
+    def stage(self, name: str, text: str) -> None:
+        self._current = name
+        super().stage(name, text)
+
+    def progress(self, stage_fraction: float, *arguments, **options) -> None:
+        super().progress(stage_fraction, *arguments, **options)
+        if self._current == self._name and 0.0 < stage_fraction < 1.0 and not self.acted:
+            self.acted = True
+            self._action()
+
+
+def estimated(root: Path, capture: SmallCapture, address: str | None, reporter: Reporter) -> RunFolder:
+    run = write_run(root, capture, **LITTLE)
+    estimate.run(argparse.Namespace(run=run.root, cluster=address), reporter)
+    return run
+
+
+def files(run: RunFolder) -> dict[str, bytes]:
+    """The bytes of all that the stages wrote of pixels, and of the lamps."""
+    found = [*run.stage.glob("*/*.npy"), run.emitters_json]
+    return {path.relative_to(run.root).as_posix(): path.read_bytes() for path in found}
+
+
+def kill_a_busy_worker(address: str) -> None:
+    """As a machine that is switched off while it has views to work on."""
+    with Client(address, set_as_default=False) as client:
+        busy = [worker for worker, keys in client.processing().items() if keys]
+        pids = client.run(os.getpid)
+    os.kill(pids[busy[0]], signal.SIGKILL)
+
+
+def test_a_cluster_finds_the_same_bits_though_a_worker_is_killed(
+    three: LocalCluster, capture: SmallCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (stages, training):
+        monkeypatch.setattr(module, "PRETRAINING_STEPS", 2)
+    here = files(estimated(tmp_path / "here", capture, None, Reporter()))
+    watch = Watch("refinement-1", lambda: kill_a_busy_worker(three.scheduler_address))
+    there = files(estimated(tmp_path / "there", capture, three.scheduler_address, watch))
+    assert watch.acted
+    assert here.keys() == there.keys() and len(here) == 9
+    assert [name for name in here if here[name] != there[name]] == []
+    with Client(three.scheduler_address, set_as_default=False) as client:
+        assert client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks)) == 0  # all released
+
+
+def test_a_worker_of_another_version_is_named(
+    three: LocalCluster, capture: SmallCapture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster, "PRODUCT_VERSION", "99.0")
+    with (
+        cluster.workers_at(three.scheduler_address) as workers,
+        pytest.raises(FiptError) as caught,
+    ):
+        list(workers.map(Tracing(capture.room), views(capture)))
+    assert caught.value.code == "cluster-worker-unfit" and caught.value.remedy
+    assert "99.0" in caught.value.text and "mitsuba" in caught.value.text
+
+
+def test_a_scheduler_without_workers(
+    empty: LocalCluster, capture: SmallCapture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster, "WORKERS_SECONDS", 0.5)
+    monkeypatch.setattr(cluster, "_POLL_SECONDS", 0.2)
+    taken = []
+
+    def items() -> Iterator[View]:
+        for view in views(capture):
+            taken.append(view)
+            yield view
+
+    with cluster.workers_at(empty.scheduler_address) as workers, pytest.raises(FiptError) as caught:
+        list(workers.map(Tracing(capture.room), items()))
+    assert caught.value.code == "cluster-no-worker" and "dask worker" in caught.value.remedy
+    assert 0 < len(taken) < len(views(capture)) / 2  # the rest was never read
+
+
+def test_a_scheduler_that_dies(empty: LocalCluster, capture: SmallCapture, monkeypatch) -> None:
+    def items() -> Iterator[View]:
+        yield views(capture)[0]
+        empty.close()
+        yield views(capture)[1]
+
+    with cluster.workers_at(empty.scheduler_address) as workers, pytest.raises(FiptError) as caught:
+        list(workers.map(Tracing(capture.room), items()))
+    assert caught.value.code == "cluster-lost" and "resume" in caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    "address", ["tcp://127.0.0.1:9", "nonsense://x", "tcp://no.such.host.invalid:8786", ""]
+)
+def test_an_address_where_nothing_answers(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)
+    started = time.monotonic()
+    with pytest.raises(FiptError) as caught, cluster.workers_at(address):
+        pass
+    assert caught.value.code == "cluster-unreachable" and repr(address) in caught.value.text
+    assert time.monotonic() - started < 5.0
+
+
+def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(FiptError) as caught, cluster.workers_at("tcp://127.0.0.1:9"):
+        pass
+    assert caught.value.code == "package-missing" and "pip install distributed" in caught.value.remedy
+
+
+def test_without_an_address_dask_is_not_imported() -> None:
+    code = (
+        "import sys\n"
+        "from fipt_blender.core.job import estimate\n"
+        "with estimate.workers_at(None) as workers:\n"
+        "    assert type(workers).__name__ == 'LocalWorkers'\n"
+        "assert not {'dask', 'distributed'} & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
