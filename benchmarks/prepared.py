@@ -32,17 +32,27 @@ def prepare(capture: Path, root: Path, options: Sequence[str] = ()) -> RunFolder
         FiptError: ``run-foreign`` where something else lies there, ``run-failed`` where a step fails.
     """
     run = RunFolder(root)
-    if run.root.exists():
-        run.read()  # removes nothing but runs
-        shutil.rmtree(run.root)
+    clear(run)
     command = [sys.executable, str(Path(__file__).resolve()), str(capture), str(run.root), *options]
     if subprocess.run(command, stdout=sys.stderr, check=False).returncode:
         raise FiptError("run-failed", f"{capture} could not be prepared.", "Mend what is reported above.")
     return run
 
 
+def clear(run: RunFolder) -> None:
+    """Remove a run folder, of whatever version.
+
+    Raises:
+        FiptError: ``run-foreign`` where something else lies there.
+    """
+    if run.root.exists():
+        if not run.run_json.exists() and any(run.root.iterdir()):
+            raise FiptError("run-foreign", f"{run.root} is no run folder.", "Choose another folder.")
+        shutil.rmtree(run.root)
+
+
 def copy_input(source: RunFolder, target: RunFolder, settings: Settings) -> None:
-    """Make `target` the same run with other settings, before its estimation."""
+    """Make `target` the same run with other settings; what it finished with the same input is kept."""
     target.create(settings)
     for path in (source.room_npz, source.room_json, source.capture_json):
         shutil.copyfile(path, target.root / path.name)

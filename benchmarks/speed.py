@@ -14,7 +14,6 @@ import importlib.metadata
 import json
 import os
 import platform
-import shutil
 import statistics
 import subprocess
 import sys
@@ -28,17 +27,18 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks import accuracy, picture_page, shading_error, speed_table
-from benchmarks.prepared import copy_input, prepare
+from benchmarks.prepared import clear, copy_input, prepare
 from benchmarks.speed_engine import kept_path
 from fipt_blender.bridge.interpreter import engine_environment
 from fipt_blender.core.device.variant import set_variant
 from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.runfolder import PRODUCT_VERSION, RunFolder, write_json
+from fipt_blender.core.job.runfolder import PRODUCT_VERSION, RunFolder, read_json, write_json
 from fipt_blender.core.job.settings import Settings, make_settings
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIGURATIONS = ("reference", "shipped")
 AUTHORS_STEPS = 10_000
+TIMES_NAME = "times.json"
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -73,6 +73,7 @@ def make_parser() -> argparse.ArgumentParser:
     add("--spp", type=int, default=64, help="paths a pixel of the accuracy's renders (default: 64)")
     add("--train-views", type=int, default=4, help="training views whose maps count (default: 4)")
     add("--skip-accuracy", action="store_true", help="no accuracy table")
+    add("--reuse", action="store_true", help="judge the runs that an earlier call left in DIR, make none")
     return parser
 
 
@@ -81,21 +82,32 @@ def main(argv: Sequence[str]) -> int:
     arguments = make_parser().parse_args(list(argv))
     folder = arguments.output or ROOT / "out" / "speed" / arguments.capture.absolute().name
     try:
-        settings = configurations(arguments)
-        tell("preparing the capture")
-        source = prepare(arguments.capture, folder / "input", ["--parts", arguments.parts])
-        result = compare(source, folder, settings, arguments.repeats)
+        result = read_json(folder / TIMES_NAME) if arguments.reuse else measure(arguments, folder)
         judge(result, arguments, folder)
     except FiptError as error:
         print(f"error: {error.text} {error.remedy}", file=sys.stderr)
         return 1
-    result["settings"] = {
-        name: str(value) if isinstance(value, Path) else value for name, value in vars(arguments).items()
-    }
     print(speed_table.format_result(result))
     if arguments.json:
         write_json(arguments.json.absolute(), result)
     return 0
+
+
+def measure(arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
+    """Run both configurations; the times are kept beside the runs, since judging them may fail.
+
+    Raises:
+        FiptError: those of :func:`configurations`, `prepare` and :func:`compare`.
+    """
+    settings = configurations(arguments)
+    tell("preparing the capture")
+    source = prepare(arguments.capture, folder / "input", ["--parts", arguments.parts])
+    result = compare(source, folder, settings, arguments.repeats)
+    options = vars(arguments).items()
+    result["settings"] = {name: str(value) if isinstance(value, Path) else value for name, value in options}
+    write_json(folder / TIMES_NAME, result)
+    tell(speed_table.format_stages(result))
+    return result
 
 
 def tell(text: str) -> None:
@@ -145,9 +157,7 @@ def compare(
     for repeat in range(repeats):
         runs = {name: RunFolder(folder / name) for name in settings}
         for name, run in runs.items():
-            if run.root.exists():
-                run.read()  # removes nothing but runs
-                shutil.rmtree(run.root)
+            clear(run)
             copy_input(source, run, settings[name])
         tell(f"repeat {repeat + 1} of {repeats}")
         for name, record in take_turns(runs).items():
@@ -296,6 +306,7 @@ def _ratio(first: float, second: float) -> float | None:
 def judge(result: dict[str, Any], arguments: argparse.Namespace, folder: Path) -> None:
     """Enter errors of the shadings and accuracy of both configurations where there is ground truth."""
     runs = {name: RunFolder(folder / name) for name in CONFIGURATIONS}
+    set_variant(arguments.device)
     if arguments.error_pixels and (arguments.capture / "scene.npz").is_file():
         tell("tracing the shadings' truth")
         enter_errors(result, arguments.capture, runs, arguments.error_pixels)

@@ -1,0 +1,212 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""python3 benchmarks/scaling.py CAPTURE OUTPUT: what the engine's stages cost as a capture grows.
+
+Three curves: views, pixels of a view, triangles; the other two stay small meanwhile. Captures of other sizes
+are made of the one given (benchmarks/resampled.py). Samples and steps are few: the curves count, not the
+results. OUTPUT gets the pictures and scaling.json; exponents are fitted to seconds and to processor seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks.curves import draw_curves, fit_exponent
+from benchmarks.prepared import clear, copy_input, prepare
+from benchmarks.resampled import write_room, write_views
+from benchmarks.speed import machine, merged, take_turns, tell
+from fipt_blender.core.device.variant import set_variant
+from fipt_blender.core.job.errors import FiptError
+from fipt_blender.core.job.runfolder import RunFolder, write_json
+from fipt_blender.core.job.settings import Settings, make_settings
+
+KINDS = ("pixels", "shadings", "training", "refinement", "other")
+# A share of the draft preset's work; no view is left out, else sizes would not be what they are called.
+LITTLE: dict[str, Any] = {
+    "rounds": 1,
+    "diffuse_spp": 8,
+    "specular_spp": 4,
+    "light_spp": 4,
+    "refine_diffuse_spp": 8,
+    "refine_specular_spp": 4,
+    "refine_light_spp": 4,
+    "training_steps": 30,
+    "later_training_steps": 30,
+    "reject_views": False,
+    "correct_exposure": False,
+}
+UNITS = {"views": "views", "resolution": "pixels a view", "triangles": "triangles"}
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The command's options."""
+    parser = argparse.ArgumentParser(prog="scaling.py", description=(__doc__ or "").partition("\n")[0])
+    add = parser.add_argument
+    add("capture", type=Path, metavar="CAPTURE", help="capture whose views and mesh are resampled")
+    add("output", type=Path, metavar="OUTPUT", help="folder of the pictures, the figures and the runs")
+    add("--views", default="10,20,40", metavar="N,N", help="sizes of the first curve (default: 10,20,40)")
+    add("--heights", default="80,160,320", metavar="N,N", help="of the second, in pixels (80,160,320)")
+    add("--triangles", default="1e4,1e5,1e6", metavar="N,N", help="of the third (default: 1e4,1e5,1e6)")
+    add("--base-views", type=int, default=10, help="views of the second and third curve (default: 10)")
+    add("--base-height", type=int, default=80, help="height in the first and third curve (default: 80)")
+    add("--repeats", type=int, default=1, metavar="N", help="runs of each size; the fastest counts")
+    add("--parts", default="auto", help="what tells materials apart (as estimate)")
+    add("--preset", default="draft", help="draft, medium or high, with fewer samples and steps")
+    add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one setting of the runs")
+    return parser
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command; 0, 1 for a failure."""
+    arguments = make_parser().parse_args(list(argv))
+    try:
+        sizes = {
+            "views": read_sizes(arguments.views),
+            "resolution": read_sizes(arguments.heights),
+            "triangles": read_sizes(arguments.triangles),
+        }
+        own = dict(change.partition("=")[::2] for change in arguments.set)
+        settings = make_settings(arguments.preset, {**LITTLE, **own})
+        set_variant(settings.device)
+        source = prepare(arguments.capture, arguments.output / "input", ["--parts", arguments.parts])
+        base = (arguments.base_views, arguments.base_height)
+        curves = measure(source, arguments.output, settings, sizes, base, arguments.repeats)
+    except FiptError as error:
+        print(f"error: {error.text} {error.remedy}", file=sys.stderr)
+        return 1
+    options = {key: str(value) for key, value in vars(arguments).items()}
+    result = {"curves": curves, "machine": machine(), "settings": options}
+    write_json(arguments.output.absolute() / "scaling.json", result)
+    draw(curves, arguments.output.absolute())
+    print(format_table(curves))
+    return 0
+
+
+def read_sizes(text: str) -> list[int]:
+    """Ascending whole numbers of "1e4,100000"; none of an empty text.
+
+    Raises:
+        FiptError: ``option-invalid``.
+    """
+    try:
+        sizes = sorted({int(float(word)) for word in text.split(",") if word.strip()})
+    except (ValueError, OverflowError):
+        sizes = [0]
+    if any(size < 1 for size in sizes):
+        raise FiptError("option-invalid", f"'{text}' are no sizes.", "Give numbers such as 10,20,40.")
+    return sizes
+
+
+def measure(
+    source: RunFolder,
+    folder: Path,
+    settings: Settings,
+    sizes: Mapping[str, Sequence[int]],
+    base: tuple[int, int],
+    repeats: int,
+) -> dict[str, Any]:
+    """The curves: {name: {"sizes": [...], "records": one of `speed.merged` a size, "stages": fits}}.
+
+    Args:
+        sizes: by curve: numbers of views, heights in pixels, numbers of triangles.
+        base: views and height where they are not what varies.
+    """
+    views, height = base
+
+    def more_views(run: RunFolder, size: int) -> int:
+        write_views(source, run, size, height)
+        return size
+
+    def more_pixels(run: RunFolder, size: int) -> int:
+        return write_views(source, run, views, size)
+
+    def more_triangles(run: RunFolder, size: int) -> int:
+        write_views(source, run, views, height)
+        return write_room(source, run, size)
+
+    inputs: dict[str, Callable[[RunFolder, int], int]] = {
+        "views": more_views,
+        "resolution": more_pixels,
+        "triangles": more_triangles,
+    }
+    curves: dict[str, Any] = {}
+    warm = False
+    for name, wanted in sizes.items():
+        real, records = [], []
+        for size in wanted:
+            found = []
+            for _ in range(repeats if warm else repeats + 1):
+                run = RunFolder(folder / "run")
+                clear(run)
+                copy_input(source, run, settings)
+                number = inputs[name](run, size)
+                tell(f"{name}: {number}")
+                found.append(take_turns({"shipped": run})["shipped"])
+            # The very first run compiles kernels that all others find in the cache.
+            records.append(merged(found[-repeats:]))
+            real.append(number)
+            warm = True
+        if records:
+            curves[name] = {"unit": UNITS[name], "sizes": real, "records": records}
+            curves[name]["stages"] = fitted(real, records)
+    return curves
+
+
+def fitted(sizes: Sequence[int], records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """By kind of stage, all rounds together, and in all: values at each size and their exponents."""
+    result: dict[str, Any] = {}
+    for kind in (*KINDS, "all"):
+        entry: dict[str, Any] = {}
+        for key in ("seconds", "cpu_seconds"):
+            values = [_sum(record, kind, key) for record in records]
+            entry[key] = [round(value, 3) for value in values]
+            prefix = key.removesuffix("seconds")
+            entry[f"{prefix}exponent"] = fit_exponent(sizes, values)
+            entry[f"{prefix}last_exponent"] = fit_exponent(sizes[-2:], values[-2:])
+        result[kind] = entry
+    memory = [record["peak_memory_gb"] for record in records]
+    result["memory"] = {"gb": memory, "exponent": fit_exponent(sizes, memory)}
+    return result
+
+
+def _sum(record: Mapping[str, Any], kind: str, key: str) -> float:
+    if kind == "all":
+        return float(record[key])
+    return float(sum(stage[key] for stage in record["stages"] if stage["name"].partition("-")[0] == kind))
+
+
+def draw(curves: Mapping[str, Any], folder: Path) -> None:
+    """A picture a curve: NAME.png."""
+    for name, curve in curves.items():
+        lines = {kind: curve["stages"][kind]["seconds"] for kind in (*KINDS, "all")}
+        title = f"Seconds by stage over {curve['unit']}"
+        draw_curves(title, curve["sizes"], lines, folder / f"{name}.png")
+
+
+def format_table(curves: Mapping[str, Any]) -> str:
+    """Seconds by stage and size, with the exponents of all points and of the last two."""
+    lines = []
+    for curve in curves.values():
+        head = "".join(f"{size:>12d}" for size in curve["sizes"])
+        lines.append(f"{curve['unit']:14s}{head}{'exponent':>12s}{'last two':>10s}{'processor':>11s}")
+        for kind in (*KINDS, "all"):
+            entry = curve["stages"][kind]
+            cells = "".join(f"{value:12.2f}" for value in entry["seconds"])
+            exponents = [entry[key] for key in ("exponent", "last_exponent", "cpu_exponent")]
+            shown = ["-" if value is None else f"{value:.2f}" for value in exponents]
+            lines.append(f"{kind + ', s':14s}{cells}{shown[0]:>12s}{shown[1]:>10s}{shown[2]:>11s}")
+        memory = curve["stages"]["memory"]
+        exponent = "-" if memory["exponent"] is None else f"{memory['exponent']:.2f}"
+        cells = "".join(f"{value:12.2f}" for value in memory["gb"])
+        lines += [f"{'memory, GB':14s}{cells}{exponent:>12s}", ""]
+    return "\n".join(lines).rstrip()
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
