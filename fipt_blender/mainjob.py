@@ -204,8 +204,12 @@ def _ingest_arguments(options: MainJobOptions) -> list[str]:
     return arguments
 
 
-def estimate_step(run: RunFolder, settings: Settings) -> Step:
-    """The engine's estimation on the capture.json and the room.npz of a run folder."""
+def estimate_step(run: RunFolder, settings: Settings, resume: bool = False) -> Step:
+    """The engine's estimation on the capture.json and the room.npz of a run folder.
+
+    Args:
+        resume: whether stages that other settings leave as they are may be kept; the engine knows which.
+    """
     values = {name: value for name, value in asdict(settings).items() if name not in TEXTURE_SETTINGS}
     return Step(
         "estimate",
@@ -214,7 +218,7 @@ def estimate_step(run: RunFolder, settings: Settings) -> Step:
         inputs=values,
         command=["estimate", str(run.root)],
         outputs=[run.fields_npz, run.emitters_json],
-        reset=lambda: _empty(run.stage, run.results),
+        reset=lambda: _empty(*([] if resume else [run.stage]), run.results),
     )
 
 
@@ -264,7 +268,7 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
             outputs=[run.room_npz, run.room_json],
             reset=lambda: _remove(run.room_npz, run.room_json),
         ),
-        estimate_step(run, options.settings),
+        estimate_step(run, options.settings, options.resume),
         Step(
             "atlas",
             "Laying out texture coordinates",

@@ -5,7 +5,7 @@
 import errno
 import os
 import pickle
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import mitsuba as mi
@@ -15,7 +15,7 @@ import torch
 
 mi.set_variant("llvm_ad_rgb")
 
-from fipt_blender.core.job.checkpoints import Checkpoints, input_key  # noqa: E402
+from fipt_blender.core.job.checkpoints import Checkpoints, stage_keys, stage_names  # noqa: E402
 from fipt_blender.core.job.errors import FiptError  # noqa: E402
 from fipt_blender.core.job.runfolder import RunFolder, explained_write_errors, write_json  # noqa: E402
 from fipt_blender.core.job.settings import Settings  # noqa: E402
@@ -27,42 +27,121 @@ from fipt_blender.core.scene.pixels import open_array  # noqa: E402
 SMALL = Settings(hash_levels=2, hash_log2_size=6, brdf_width=8)
 
 
+STAGES = stage_names(1)
+
+
+def make_keys(changed: str = "") -> dict[str, str]:
+    """Keys of the stages, other ones from a stage on."""
+    first = STAGES.index(changed) if changed else len(STAGES)
+    return {name: f"{name} {index >= first}" for index, name in enumerate(STAGES)}
+
+
+def do(checkpoints: Checkpoints, names: list[str], folder: Path) -> None:
+    """Work through stages, leaving the files that the engine would."""
+    for name in names:
+        checkpoints.begin(name)
+        if name.startswith("training"):
+            checkpoints.save_tensors(name.replace("training", "networks"), {"x": torch.arange(3)})
+        (folder / "previews").mkdir(exist_ok=True)
+        (folder / "previews" / f"{name}-base_color.png").touch()
+        checkpoints.mark(name, {"seconds": 2.0})
+
+
 def test_stages_are_remembered_for_the_same_input_only(tmp_path: Path) -> None:
-    first = Checkpoints(tmp_path / "stage", "a")
+    folder = tmp_path / "stage"
+    first = Checkpoints(folder, make_keys())
     first.remember("scale", 0.25)
-    first.mark("pixels", {"seconds": 2.0})
-    first.save_tensors("networks-0", {"x": torch.arange(3)})
-    again = Checkpoints(tmp_path / "stage", "a")
-    assert again.done("pixels") and not again.done("shadings") and again.recall("scale") == 0.25
-    assert again.facts() == [{"name": "pixels", "seconds": 2.0}]
+    do(first, STAGES[:3], folder)
+    again = Checkpoints(folder, make_keys())
+    assert again.done("training-0") and not again.done("refinement-1") and again.recall("scale") == 0.25
+    assert again.facts() == [{"name": name, "seconds": 2.0} for name in STAGES[:3]]
     assert again.load_tensors("networks-0", torch.device("cpu"))["x"].tolist() == [0, 1, 2]
-    other = Checkpoints(tmp_path / "stage", "b")
-    assert not other.done("pixels") and list((tmp_path / "stage").iterdir()) == []
-    (tmp_path / "stage" / "stages.json").write_text("{ cut off")
-    assert not Checkpoints(tmp_path / "stage", "b").done("pixels")
+    other = Checkpoints(folder, make_keys("pixels"))
+    assert not other.done("pixels") and list(folder.iterdir()) == []
+    for damaged in ("{ cut off", "{}", '{"stages": 1, "keys": {}, "values": {}}', '{"key": "a"}'):
+        (folder / "stages.json").write_text(damaged)
+        assert not Checkpoints(folder, make_keys()).done("pixels")
 
 
-def test_the_key_follows_all_that_matters(tmp_path: Path) -> None:
-    file = tmp_path / "capture.json"
+@pytest.mark.parametrize(
+    ("done", "changed", "kept"),
+    [
+        (3, "shadings", 1),
+        (3, "training-0", 2),
+        (3, "refinement-1", 3),
+        (5, "training-0", 1),  # the refinement wrote over stage 1's shadings
+        (5, "refinement-1", 3),
+        (5, "training-1", 4),
+        (5, "", 5),
+    ],
+)
+def test_stages_before_a_change_are_kept(done: int, changed: str, kept: int, tmp_path: Path) -> None:
+    folder = tmp_path / "stage"
+    do(Checkpoints(folder, make_keys()), STAGES[:done], folder)
+    (folder / "training-1.pt").touch()  # under way
+    checkpoints = Checkpoints(folder, make_keys(changed))
+    assert [name for name in STAGES if checkpoints.done(name)] == STAGES[:kept]
+    pictures = [path.name.removesuffix("-base_color.png") for path in (folder / "previews").iterdir()]
+    assert sorted(pictures) == sorted(STAGES[:kept])
+    networks = [name for name in STAGES[:kept] if name.startswith("training")]
+    assert len(list(folder.glob("networks-*.pt"))) == len(networks)
+    assert (folder / "training-1.pt").exists() == (changed == "")
+    assert [name for name in STAGES if Checkpoints(folder, make_keys(changed)).done(name)] == STAGES[:kept]
+
+
+def test_a_refinement_that_began_has_spoilt_the_shadings_before(tmp_path: Path) -> None:
+    folder = tmp_path / "stage"
+    first = Checkpoints(folder, make_keys())
+    do(first, STAGES[:3], folder)
+    first.begin("refinement-1")
+    assert Checkpoints(folder, make_keys()).done("training-0")
+    checkpoints = Checkpoints(folder, make_keys("training-0"))
+    assert checkpoints.done("pixels") and not checkpoints.done("shadings")
+
+
+def test_results_need_the_shadings_of_their_own_last_round(tmp_path: Path) -> None:
+    folder = tmp_path / "stage"
+    do(Checkpoints(folder, make_keys()), STAGES, folder)
+    fewer = {name: key for name, key in make_keys().items() if not name.endswith("-1")}
+    checkpoints = Checkpoints(folder, fewer)
+    assert checkpoints.done("pixels") and not checkpoints.done("shadings")
+
+
+def test_fewer_rounds_keep_the_stages_that_they_share(tmp_path: Path) -> None:
+    keys = stage_keys(SMALL, [])
+    assert list(keys) == stage_names(2)
+    fewer = stage_keys(replace(SMALL, rounds=1), [])
+    assert fewer == {name: keys[name] for name in STAGES}
+
+
+def test_keys_follow_the_settings_that_a_stage_and_those_before_it_read(tmp_path: Path) -> None:
+    file, photograph = tmp_path / "capture.json", tmp_path / "a.exr"
     file.write_text("one")
-    key = input_key(SMALL, [file])
-    assert input_key(replace(SMALL), [file]) == key
-    for later in (
-        {"texel_density": 5.0},
-        {"write_back": "paper"},
-        {"checkpoint_steps": 7},
-        {"preset": "high"},
-    ):
-        assert input_key(replace(SMALL, **later), [file]) == key
-    for changed in ({"seed": 1}, {"training_steps": 7}, {"lambda_part": 0.5}, {"device": "llvm"}):
-        assert input_key(replace(SMALL, **changed), [file]) != key
+    photograph.write_text("one")
+    names = stage_names(SMALL.rounds)
+    keys = stage_keys(SMALL, [file], [photograph])
+
+    def first_other(settings: Settings) -> str | None:
+        others = stage_keys(settings, [file], [photograph])
+        differs = [others.get(name) != keys[name] for name in names]
+        assert differs == sorted(differs)  # and all after it
+        return names[differs.index(True)] if any(differs) else None
+
+    assert first_other(replace(SMALL)) is None
+    for item in fields(Settings):
+        if item.name != "rounds":
+            changed = replace(SMALL, **{item.name: ("x", getattr(SMALL, item.name))})
+            assert first_other(changed) == item.metadata["stage"], item.name
+    photograph.write_text("another")
+    assert first_other(SMALL) == "pixels"
+    photograph.unlink()
     file.write_text("two")
-    assert input_key(SMALL, [file]) != key
+    assert first_other(SMALL) == "pixels"
 
 
 @pytest.mark.filterwarnings("ignore:Detected pickle protocol")
 def test_damaged_weights_are_an_error_of_ours_and_run_no_code(tmp_path: Path) -> None:
-    checkpoints = Checkpoints(tmp_path / "stage", "a")
+    checkpoints = Checkpoints(tmp_path / "stage", make_keys())
 
     class Touch:
         def __reduce__(self):
@@ -90,7 +169,7 @@ def save_fields(run: RunFolder) -> None:
 WRITERS = {
     "results/fields.npz": save_fields,
     "results/emitters.json": lambda run: write_json(run.emitters_json, {"fixtures": [1] * 99}),
-    "stage/weights.pt": lambda run: Checkpoints(run.stage, "a").save_tensors(
+    "stage/weights.pt": lambda run: Checkpoints(run.stage, make_keys()).save_tensors(
         "weights", {"x": torch.ones(9999)}
     ),
 }
@@ -102,7 +181,7 @@ WRITERS = {
 def test_a_full_disk_is_said_so_and_keeps_what_was_there(name: str, tmp_path: Path) -> None:
     run = RunFolder(tmp_path / "run")
     run.create(SMALL)
-    Checkpoints(run.stage, "a").mark("pixels", {})
+    Checkpoints(run.stage, make_keys()).mark("pixels", {})
     path = run.root / name
     path.write_text("what was there")
     to_full_disk(path)

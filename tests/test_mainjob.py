@@ -47,7 +47,7 @@ else:
     entries = []
     for index, image in enumerate(read_json(run.atlas_json)["images"]):
         entry = {"name": image["name"]}
-        for key in ("base_color", "roughness", "metallic", "coverage"):
+        for key in ("base_color", "roughness", "metallic", "confidence"):
             path = run.textures / f"{index}_{key}.exr"
             write_exr(path, np.full((8, 8, 3), 0.5, np.float32))
             entry[key] = str(path.relative_to(run.root))
@@ -154,10 +154,13 @@ def test_the_job_makes_a_blend_and_a_report_and_resumes(options, engine):
 
     engine.clear()
     (options.capture / "2.exr").touch()
-    stale = RunFolder(options.output).stage / "checkpoint"
+    run = RunFolder(options.output)
+    stale, checkpoint = run.results / "old", run.stage / "checkpoint"
     stale.touch()
+    checkpoint.touch()
     assert run_job(dataclasses.replace(again, settings=finer))[-1]["type"] == "done"
     assert engine == ["ingest", "estimate", "textures", "report"] and not stale.exists()
+    assert checkpoint.exists(), "the engine knows itself which checkpoints still hold"
 
 
 def test_starting_again_forgets_what_was_there(options, engine):

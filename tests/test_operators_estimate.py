@@ -86,7 +86,7 @@ def start(resume: bool = False) -> running.RunningJob:
     settings = estimate.scene_settings(scene)
     run = RunFolder(scene.fipt.run_folder)
     run.create(settings)
-    job = runjob.open_job(run, make_steps(run, settings), resume=resume)
+    job = runjob.open_job(run, make_steps(run, settings, resume), resume=resume)
     return running.start(job, title="Estimate", kind="estimate", scene_name=scene.name, run_folder=run.root)
 
 
@@ -106,11 +106,16 @@ def tick_to_end() -> None:
 def stage_of(run: RunFolder) -> str:
     """The stage that the engine is at."""
     try:
-        lines = run.messages("estimate").read_text().splitlines()
+        stages = worked(run)
     except OSError:
         return ""
-    stages = [json.loads(line)["name"] for line in lines if line.startswith('{"type": "stage"')]
     return stages[-1] if stages else ""
+
+
+def worked(run: RunFolder) -> list[str]:
+    """The stages that the engine did in its last run."""
+    lines = run.messages("estimate").read_text().splitlines()
+    return [json.loads(line)["name"] for line in lines if line.startswith('{"type": "stage"')]
 
 
 def done(run: RunFolder) -> list[str]:
@@ -238,7 +243,7 @@ def test_only_changed_settings_leave_the_preset(scene):
     settings.reset()
     settings.preset = "high"
     assert scene_settings(scene) == make_settings("high", {"device": "llvm"})
-    assert settings.training_steps == 10000 and settings.changes == ""
+    assert settings.roughness_levels == make_settings("high").roughness_levels and settings.changes == ""
     settings.training_steps = 123
     settings.diffuse_samples = 7
     settings.denoise = False
@@ -275,6 +280,14 @@ def test_settings_of_textures_are_kept(scene, run):
 def test_the_device_of_the_scene_comes_before_the_preferences(scene):
     scene.fipt.estimate.device = "cuda"
     assert scene_settings(scene).device == "cuda"
+
+
+def test_estimate_starts_anew_unless_stages_are_to_be_kept(scene, run, quick):
+    assert ops.estimate() == {"FINISHED"} and worked(run) == STAGES
+    quick["later_training_steps"] = 12
+    assert ops.estimate(keep=True) == {"FINISHED"} and worked(run) == ["training-1"]
+    assert run.read().later_training_steps == 12 and done(run) == STAGES
+    assert ops.estimate() == {"FINISHED"} and worked(run) == STAGES
 
 
 def test_smaller_presets(scene, monkeypatch):

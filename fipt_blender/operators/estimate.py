@@ -28,7 +28,10 @@ class _Estimation(JobOperator):
 
     title = "Estimate"
     kind = "estimate"
-    resume = False
+
+    def keeps_stages(self) -> bool:
+        """Whether finished stages are kept that room, views and settings leave as they are."""
+        raise NotImplementedError
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -58,8 +61,8 @@ class _Estimation(JobOperator):
         run.create(settings)
         return runjob.open_job(
             run,
-            make_steps(run, settings),
-            resume=self.resume,
+            make_steps(run, settings, self.keeps_stages()),
+            resume=self.keeps_stages(),
             result=lambda: result_files(run),
             launch=launch,
         )
@@ -75,6 +78,15 @@ class FIPT_OT_estimate(_Estimation, bpy.types.Operator):
         " meanwhile; Escape stops it. Results of an earlier estimate are replaced"
     )
 
+    keep: bpy.props.BoolProperty(
+        name="Keep Stages",
+        description="Keep finished stages of the last run that room, views and settings leave as they are",
+        options={"SKIP_SAVE"},
+    )
+
+    def keeps_stages(self) -> bool:
+        return self.keep
+
 
 class FIPT_OT_resume(_Estimation, bpy.types.Operator):
     """Go on where the last run was stopped"""
@@ -82,10 +94,12 @@ class FIPT_OT_resume(_Estimation, bpy.types.Operator):
     bl_idname = "fipt.resume"
     bl_label = "Resume"
     bl_description = (
-        "Go on where the last run was stopped. Finished stages are kept where neither the room nor the views"
-        " nor the settings have changed since"
+        "Go on where the last run was stopped. Finished stages are kept up to the first one that a change of"
+        " the room, the views or the settings concerns"
     )
-    resume = True
+
+    def keeps_stages(self) -> bool:
+        return True
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -131,7 +145,8 @@ class FIPT_OT_cancel(bpy.types.Operator):
 
 
 class FIPT_OT_smaller_preset(bpy.types.Operator):
-    """Choose the next smaller preset, drop what was changed of it, and estimate again"""
+    """Choose the next smaller preset, drop what was changed of it, and estimate again. Stages that both share
+    are kept"""
 
     bl_idname = "fipt.smaller_preset"
     bl_label = "Use a Smaller Preset"
@@ -146,11 +161,11 @@ class FIPT_OT_smaller_preset(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         self._change(context)
-        return bpy.ops.fipt.estimate("EXEC_DEFAULT")
+        return bpy.ops.fipt.estimate("EXEC_DEFAULT", keep=True)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self._change(context)
-        bpy.ops.fipt.estimate("INVOKE_DEFAULT")
+        bpy.ops.fipt.estimate("INVOKE_DEFAULT", keep=True)
         return {"FINISHED"}
 
     def _change(self, context: bpy.types.Context) -> None:
@@ -199,8 +214,8 @@ def scene_settings(scene: bpy.types.Scene) -> Settings:
     return make_settings(state.preset, changes)
 
 
-def make_steps(run: RunFolder, settings: Settings) -> list[Step]:
-    """From the scene as it is to the results."""
+def make_steps(run: RunFolder, settings: Settings, resume: bool) -> list[Step]:
+    """From the scene as it is to the results; see `estimate_step`."""
     from ..bridge.step import Step
     from ..mainjob import EXPORT_TEXT, estimate_step
 
@@ -218,7 +233,7 @@ def make_steps(run: RunFolder, settings: Settings) -> list[Step]:
     return [
         Step("cameras", "Reading the cameras", _CAMERAS_SECONDS, function=cameras, repeat=True),
         Step("room", EXPORT_TEXT, _ROOM_SECONDS, function=room, repeat=True),
-        estimate_step(run, settings),
+        estimate_step(run, settings, resume),
     ]
 
 

@@ -1,6 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a run has finished, so that it can go on after a kill and starts anew when its input changed."""
+"""What a run has finished, so that it goes on after a kill, and what of that holds under other settings.
+
+Each stage has a key: a hash of the run's input, of the settings that it is the first to read, and of the key
+before it. Stages are kept up to the first whose key is another one.
+"""
 
 from __future__ import annotations
 
@@ -8,63 +12,100 @@ import hashlib
 import io
 import json
 import shutil
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from .errors import FiptError
-from .runfolder import atomic_path, read_json, write_json
+from .runfolder import PRODUCT_VERSION, atomic_path, read_json, write_json
 from .settings import Settings
 
-# Settings that only matter after the estimation.
-_LATER = {"texel_density", "texture_size", "atlas_mode", "write_back", "preset", "checkpoint_steps"}
+
+def stage_names(rounds: int) -> list[str]:
+    """The stages of an estimation in order."""
+    names = ["pixels", "shadings", "training-0"]
+    for index in range(1, rounds + 1):
+        names += [f"refinement-{index}", f"training-{index}"]
+    return names
 
 
-def input_key(settings: Settings, files: Sequence[Path], images: Sequence[Path] = ()) -> str:
-    """Hash of all that the estimation depends on.
+def stage_keys(settings: Settings, files: Sequence[Path], images: Sequence[Path] = ()) -> dict[str, str]:
+    """Key of each stage, in their order.
 
     Args:
-        settings: those that the estimation reads count.
-        files: count by their bytes.
-        images: count by size and time of change: reading all photographs would take too long.
+        settings: each field counts from the stage on that its metadata name.
+        files: input that counts by its bytes.
+        images: input that counts by size and time of change: reading all photographs would take too long.
     """
-    digest = hashlib.sha256()
-    values = {name: value for name, value in asdict(settings).items() if name not in _LATER}
-    digest.update(json.dumps(values, sort_keys=True).encode())
+    digest = hashlib.sha256(PRODUCT_VERSION.encode())
     for path in files:
         digest.update(path.read_bytes() if path.exists() else b"missing")
     for path in images:
         status = path.stat() if path.exists() else None
         digest.update(f"{status.st_size} {status.st_mtime_ns}".encode() if status else b"missing")
-    return digest.hexdigest()
+    keys = {}
+    for stage in stage_names(settings.rounds):
+        read = [item.name for item in fields(Settings) if item.metadata["stage"] == stage]
+        values = {name: getattr(settings, name) for name in read}
+        digest.update(json.dumps([stage, values], sort_keys=True).encode())
+        keys[stage] = digest.hexdigest()
+    return keys
+
+
+_BAKES = ("shadings", "refinement")  # stages that write the shadings
 
 
 class Checkpoints:
     """Finished stages of one run.
 
     Args:
-        folder: the run's stage folder.
-        key: of the input; a folder with another key is emptied.
+        folder: the run's stage folder; what in it belongs to other keys is removed.
+        keys: of the stages, in their order.
     """
 
-    def __init__(self, folder: Path, key: str) -> None:
+    def __init__(self, folder: Path, keys: Mapping[str, str]) -> None:
         self._folder = folder
         self._path = folder / "stages.json"
-        self._data: dict[str, Any] = {"key": key, "stages": {}, "values": {}}
-        if self._path.exists():
-            try:
-                data = read_json(self._path)
-            except FiptError:
-                data = {}
-            if data.get("key") == key:
-                self._data = data
-                return
-        if folder.exists():
-            shutil.rmtree(folder)
-        folder.mkdir(parents=True)
+        self._data: dict[str, Any] = {"keys": dict(keys), "stages": {}, "values": {}}
+        before = self._read()
+        kept = _kept_stages(before, keys)
+        if not kept:
+            if folder.exists():
+                shutil.rmtree(folder)
+            folder.mkdir(parents=True)
+            return
+        self._data["stages"] = {name: before["stages"][name] for name in kept}
+        self._data["values"] = before["values"]
+        for name in {*before["keys"], *before["stages"]} - set(kept):
+            if before["keys"].get(name) != keys.get(name) or name in before["stages"]:
+                self._remove(name)
+        write_json(self._path, self._data)
+
+    def _read(self) -> dict[str, Any]:
+        try:
+            data = read_json(self._path) if self._path.exists() else {}
+        except FiptError:
+            data = {}
+        whole = all(isinstance(data.get(name), dict) for name in self._data)
+        return data if whole else {"keys": {}, "stages": {}, "values": {}}
+
+    def _remove(self, stage: str) -> None:
+        """Files of a stage that would be taken for the new one's: weights, training under way, pictures."""
+        number = stage.partition("-")[2]
+        if stage.startswith("training"):
+            for name in (f"networks-{number}.pt", f"training-{number}.pt"):
+                (self._folder / name).unlink(missing_ok=True)
+        for path in (self._folder / "previews").glob(f"{stage}*"):
+            path.unlink()
+
+    def begin(self, name: str) -> None:
+        """Note that a stage begins to write; those that bake write over the shadings of the one before."""
+        if name.startswith(_BAKES):
+            self._data["values"]["shadings"] = name
+        write_json(self._path, self._data)
 
     def done(self, name: str) -> bool:
         """Whether the stage has finished."""
@@ -104,6 +145,24 @@ class Checkpoints:
             raise FiptError(
                 "file-damaged", f"{path} can't be read ({error}).", "Delete the run's stage folder."
             ) from None
+
+
+def _kept_stages(before: Mapping[str, Any], keys: Mapping[str, str]) -> list[str]:
+    """Which finished stages of an earlier session still hold, in their order.
+
+    Trainings and results read the shadings of the last stage that bakes before them: where another one has
+    written over those, they have to be baked again.
+    """
+    kept: list[str] = []
+    for name, key in keys.items():
+        if name not in before["stages"] or before["keys"].get(name) != key:
+            break
+        kept.append(name)
+    following = next((name for name in keys if name not in kept), "results")
+    baked = [name for name in kept if name.startswith(_BAKES)]
+    if baked and not following.startswith(_BAKES) and before["values"].get("shadings") != baked[-1]:
+        del kept[kept.index(baked[-1]) :]
+    return kept
 
 
 def save_tensors(path: Path, state: dict[str, Any]) -> None:

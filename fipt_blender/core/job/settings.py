@@ -16,81 +16,119 @@ from typing import Any
 from .errors import FiptError
 
 
-def _setting(default: Any, text: str) -> Any:
-    return field(default=default, metadata={"help": text})
+# The first stage of an estimation that reads a setting: what was finished before it is kept when the setting
+# changes. None where no stage's result depends on it.
+PIXELS, SHADINGS, TRAINING = "pixels", "shadings", "training-0"
+REFINEMENT, LATER_TRAINING = "refinement-1", "training-1"
+
+
+def _setting(default: Any, text: str, stage: str | None) -> Any:
+    return field(default=default, metadata={"help": text, "stage": stage})
 
 
 @dataclass(frozen=True)
 class Settings:
     """All settings of one run; JSON-serialisable, equal settings give equal results."""
 
-    preset: str = _setting("medium", "draft, medium or high: where the other settings start from")
-    seed: int = _setting(0, "seed of every random number in the run")
-    device: str = _setting("auto", "auto, cuda or llvm (CPU)")
-    rounds: int = _setting(2, "how often stages 2 and 3 are repeated after stage 1")
-    view_share: float = _setting(1.0, "share of the training views that is used, spread evenly")
-    reject_views: bool = _setting(True, "leave out photographs that do not lie where their cameras say")
-    correct_exposure: bool = _setting(True, "bring photographs that were exposed otherwise to the rest")
+    preset: str = _setting("medium", "draft, medium or high: where the other settings start from", None)
+    seed: int = _setting(0, "seed of every random number in the run", PIXELS)
+    device: str = _setting("auto", "auto, cuda or llvm (CPU)", PIXELS)
+    rounds: int = _setting(2, "how often stages 2 and 3 are repeated after stage 1", None)
+    view_share: float = _setting(1.0, "share of the training views that is used, spread evenly", PIXELS)
+    reject_views: bool = _setting(
+        True, "leave out photographs that do not lie where their cameras say", PIXELS
+    )
+    correct_exposure: bool = _setting(
+        True, "bring photographs that were exposed otherwise to the rest", PIXELS
+    )
 
-    masking: str = _setting("schlick", "G of the BRDF: schlick as in the authors' data, smith as in Cycles")
-    voxel_resolution: int = _setting(256, "radiance cache: voxels along each axis of the room's bounds")
-    roughness_levels: int = _setting(8, "roughness levels at which specular shading is baked")
-    roughness_spacing: float = _setting(1.5, "exponent of the levels' spacing; 1 is the paper's linear one")
-    roughness_min: float = _setting(0.02, "lowest roughness (authors' code; 0 is singular)")
-    diffuse_spp: int = _setting(64, "stage 1: samples a pixel for diffuse shading")
-    specular_spp: int = _setting(16, "stage 1: samples a pixel and roughness level for specular shading")
-    light_spp: int = _setting(32, "stage 1: samples a pixel aimed at bright triangles")
-    refine_diffuse_spp: int = _setting(64, "stage 3: samples a pixel for diffuse shading")
-    refine_specular_spp: int = _setting(16, "stage 3: samples a pixel and level for specular shading")
-    refine_light_spp: int = _setting(32, "stage 3: samples a pixel aimed at emitters")
-    refine_depth: int = _setting(5, "stage 3: most surfaces a path may meet before it ends in the cache")
-    cache_roughness: float = _setting(0.6, "stage 3: rougher surfaces end a path in the radiance cache")
+    masking: str = _setting(
+        "schlick", "G of the BRDF: schlick as in the authors' data, smith as in Cycles", SHADINGS
+    )
+    voxel_resolution: int = _setting(
+        256, "radiance cache: voxels along each axis of the room's bounds", SHADINGS
+    )
+    roughness_levels: int = _setting(8, "roughness levels at which specular shading is baked", SHADINGS)
+    roughness_spacing: float = _setting(
+        1.5, "exponent of the levels' spacing; 1 is the paper's linear one", SHADINGS
+    )
+    roughness_min: float = _setting(0.02, "lowest roughness (authors' code; 0 is singular)", SHADINGS)
+    diffuse_spp: int = _setting(64, "stage 1: samples a pixel for diffuse shading", SHADINGS)
+    specular_spp: int = _setting(
+        16, "stage 1: samples a pixel and roughness level for specular shading", SHADINGS
+    )
+    light_spp: int = _setting(32, "stage 1: samples a pixel aimed at bright triangles", SHADINGS)
+    refine_diffuse_spp: int = _setting(64, "stage 3: samples a pixel for diffuse shading", REFINEMENT)
+    refine_specular_spp: int = _setting(
+        16, "stage 3: samples a pixel and level for specular shading", REFINEMENT
+    )
+    refine_light_spp: int = _setting(32, "stage 3: samples a pixel aimed at emitters", REFINEMENT)
+    refine_depth: int = _setting(
+        5, "stage 3: most surfaces a path may meet before it ends in the cache", REFINEMENT
+    )
+    cache_roughness: float = _setting(
+        0.6, "stage 3: rougher surfaces end a path in the radiance cache", REFINEMENT
+    )
     refine_cache: bool = _setting(
-        True, "stage 3: end paths in the radiance cache; false traces all with the estimate (ablation)"
+        True,
+        "stage 3: end paths in the radiance cache; false traces all with the estimate (ablation)",
+        REFINEMENT,
     )
-    denoise: bool = _setting(True, "denoise diffuse shading with Open Image Denoise")
+    denoise: bool = _setting(True, "denoise diffuse shading with Open Image Denoise", SHADINGS)
     denoise_specular: bool = _setting(
-        False, "denoise specular shading too: costs more time than the rays that it saves"
+        False, "denoise specular shading too: costs more time than the rays that it saves", SHADINGS
     )
 
-    training_steps: int = _setting(2000, "stage 2: optimiser steps of the first round")
-    later_training_steps: int = _setting(1000, "stage 2: optimiser steps of each later round")
-    batch_size: int = _setting(8192, "stage 2: pixels a step")
-    learning_rate: float = _setting(1e-3, "stage 2: Adam's first learning rate")
-    lambda_emission: float = _setting(1.0, "weight of the emission mask's L1 term l_e")
-    lambda_diffuse: float = _setting(5e-4, "weight of l_d, which prefers diffuse surfaces")
+    training_steps: int = _setting(2000, "stage 2: optimiser steps of the first round", TRAINING)
+    later_training_steps: int = _setting(1000, "stage 2: optimiser steps of each later round", LATER_TRAINING)
+    batch_size: int = _setting(8192, "stage 2: pixels a step", TRAINING)
+    learning_rate: float = _setting(1e-3, "stage 2: Adam's first learning rate", TRAINING)
+    lambda_emission: float = _setting(1.0, "weight of the emission mask's L1 term l_e", TRAINING)
+    lambda_diffuse: float = _setting(5e-4, "weight of l_d, which prefers diffuse surfaces", TRAINING)
     lambda_part: float = _setting(
-        5e-2, "weight of l_p with part masks, towards the closed form (paper: 5e-3, towards a batch's mean)"
+        5e-2,
+        "weight of l_p with part masks, towards the closed form (paper: 5e-3, towards a batch's mean)",
+        TRAINING,
     )
-    lambda_semantic: float = _setting(1e-3, "weight of l_p with semantic masks")
-    sigma_albedo: float = _setting(0.05 / 3.0, "semantic kernel: width in base colour")
-    sigma_position: float = _setting(0.3 / 3.0, "semantic kernel: width in the normalised box")
-    hash_levels: int = _setting(32, "hash grid: levels")
-    hash_features: int = _setting(2, "hash grid: features a level")
-    hash_log2_size: int = _setting(19, "hash grid: log2 of entries a level")
-    hash_base_resolution: int = _setting(16, "hash grid: cells along an axis at the coarsest level")
-    hash_growth: float = _setting(1.3, "hash grid: growth of resolution between levels")
-    brdf_width: int = _setting(64, "BRDF network: hidden width")
-    brdf_depth: int = _setting(2, "BRDF network: hidden layers")
-    emission_bands: int = _setting(10, "emission network: bands of the positional encoding")
-    emission_width: int = _setting(128, "emission network: hidden width")
-    emission_depth: int = _setting(6, "emission network: hidden layers")
-    checkpoint_steps: int = _setting(500, "stage 2: steps between training checkpoints")
+    lambda_semantic: float = _setting(1e-3, "weight of l_p with semantic masks", TRAINING)
+    sigma_albedo: float = _setting(0.05 / 3.0, "semantic kernel: width in base colour", TRAINING)
+    sigma_position: float = _setting(0.3 / 3.0, "semantic kernel: width in the normalised box", TRAINING)
+    hash_levels: int = _setting(32, "hash grid: levels", TRAINING)
+    hash_features: int = _setting(2, "hash grid: features a level", TRAINING)
+    hash_log2_size: int = _setting(19, "hash grid: log2 of entries a level", TRAINING)
+    hash_base_resolution: int = _setting(16, "hash grid: cells along an axis at the coarsest level", TRAINING)
+    hash_growth: float = _setting(1.3, "hash grid: growth of resolution between levels", TRAINING)
+    brdf_width: int = _setting(64, "BRDF network: hidden width", TRAINING)
+    brdf_depth: int = _setting(2, "BRDF network: hidden layers", TRAINING)
+    emission_bands: int = _setting(10, "emission network: bands of the positional encoding", TRAINING)
+    emission_width: int = _setting(128, "emission network: hidden width", TRAINING)
+    emission_depth: int = _setting(6, "emission network: hidden layers", TRAINING)
+    checkpoint_steps: int = _setting(500, "stage 2: steps between training checkpoints", None)
 
     emission: str = _setting(
-        "mask", "mask: emitters by an emission mask; joint: emission fitted with the materials (ablation)"
+        "mask",
+        "mask: emitters by an emission mask; joint: emission fitted with the materials (ablation)",
+        TRAINING,
     )
     lambda_joint: float = _setting(
-        1e-2, "joint emission: weight of its L1 norm, in units of the capture's median (the paper names none)"
+        1e-2,
+        "joint emission: weight of its L1 norm, in units of the capture's median (the paper names none)",
+        TRAINING,
     )
-    emitter_threshold: float = _setting(0.01, "mean emission mask above which a triangle is an emitter")
-    emitter_samples: int = _setting(100, "positions a triangle at which the emission mask is sampled")
-    environment_width: int = _setting(256, "width in pixels of the estimated environment map")
+    emitter_threshold: float = _setting(
+        0.01, "mean emission mask above which a triangle is an emitter", TRAINING
+    )
+    emitter_samples: int = _setting(
+        100, "positions a triangle at which the emission mask is sampled", TRAINING
+    )
+    environment_width: int = _setting(256, "width in pixels of the estimated environment map", SHADINGS)
 
-    texel_density: float = _setting(128.0, "texels a metre of the textures")
-    texture_size: int = _setting(2048, "largest width and height of one texture image")
-    atlas_mode: str = _setting("uv", "uv, or color_attribute where UVs can't work")
-    write_back: str = _setting("cycles", "cycles: nodes that make Cycles agree with the fit; paper: none")
+    texel_density: float = _setting(128.0, "texels a metre of the textures", None)
+    texture_size: int = _setting(2048, "largest width and height of one texture image", None)
+    atlas_mode: str = _setting("uv", "uv, or color_attribute where UVs can't work", None)
+    write_back: str = _setting(
+        "cycles", "cycles: nodes that make Cycles agree with the fit; paper: none", None
+    )
 
 
 PRESETS: dict[str, dict[str, Any]] = {

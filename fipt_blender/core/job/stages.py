@@ -38,7 +38,7 @@ from ..render.lights import EmitterTable
 from ..scene.labels import Parts, choose_parts
 from ..scene.pixels import PixelStore, fill_pixels, mark_pure, open_pixels
 from ..scene.room import load_room
-from .checkpoints import Checkpoints, input_key
+from .checkpoints import Checkpoints, stage_keys, stage_names
 from .errors import FiptError
 from .messages import Reporter, peak_memory_gb
 from .per_view import LocalWorkers, Workers
@@ -86,7 +86,7 @@ class Estimation:
         self.box = room_box(self.room.bounds)
         files = [folder.capture_json, folder.room_npz, folder.room_json]
         images = [path for v in self.views for path in v.files]
-        self.checkpoints = Checkpoints(folder.stage, input_key(settings, files, images))
+        self.checkpoints = Checkpoints(folder.stage, stage_keys(settings, files, images))
         self.pixels: PixelStore
         self.view_check = ViewCheck()
         self.parts: Parts
@@ -99,9 +99,7 @@ class Estimation:
     def run(self) -> None:
         """All stages that are not done yet."""
         rounds = self.settings.rounds
-        names = ["pixels", "shadings", "training-0"]
-        for index in range(1, rounds + 1):
-            names += [f"refinement-{index}", f"training-{index}"]
+        names = stage_names(rounds)
         steps = [self.settings.training_steps] + [self.settings.later_training_steps] * rounds
         weights = []
         for name in names:
@@ -143,6 +141,7 @@ class Estimation:
             load()
             self.reporter.skip()
             return
+        self.checkpoints.begin(name)
         self.reporter.stage(name, text)
         started = time.monotonic()
         facts = work() or {}
