@@ -13,6 +13,7 @@ from ..core.job.errors import FiptError
 from ..core.job.runfolder import RunFolder, read_json
 from ..properties.lights import FIXTURE_LIGHT, NEW_LIGHT
 from . import light_state, maps
+from .backdrop import clear_view
 from .light_groups import remove_light_groups
 from .materials import own_materials, remove_unused
 from .originals import FIXTURE_SOURCES, own_mesh, restore_original
@@ -137,6 +138,7 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> list[str]:
         settings.property_unset(name)
     scene.fipt.lights.property_unset("median_radiance")
     maps.restore_solid_views(scene)
+    clear_view(scene, False)
     light_state.list_lights(scene)
     return restored
 

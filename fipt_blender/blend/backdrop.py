@@ -15,6 +15,7 @@ from .composite import estimated_objects
 
 KEPT_PHOTOGRAPH = "fipt_photograph"  # of a camera's data: its photograph, while another picture lies there
 CATCHER = "fipt_catcher"  # marks an object that we made a shadow catcher
+COVERED = "fipt_covered"  # of a camera's data: its picture is not drawn while results are shown
 KEPT_FILM = "fipt_kept_film_transparent"  # of a scene
 
 
@@ -46,11 +47,15 @@ def set_backdrop(scene: bpy.types.Scene, mode: str, room: Iterable[bpy.types.Obj
     for item in scene.objects:
         if item.type == "CAMERA" and VIEW in item:
             show_photograph(scene, item)
+    results = scene.fipt.materials
+    if results.object_count and results.shown != "ORIGINAL":
+        clear_view(scene, True)
 
 
 def show_photograph(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
     """Lay a view's photograph over the room or, as the backdrop, behind it."""
     data = camera.data
+    data.pop(COVERED, None)
     kept = data.get(KEPT_PHOTOGRAPH)
     if kept is not None:
         if data.background_images:
@@ -68,6 +73,7 @@ def show_photograph(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
 def show_picture(camera: bpy.types.Object, image: bpy.types.Image) -> None:
     """Lay another picture over the view, opaque, until `show_photograph`."""
     data = camera.data
+    data.pop(COVERED, None)
     if not data.background_images:
         data.background_images.new().frame_method = "STRETCH"
     background = data.background_images[0]
@@ -75,3 +81,17 @@ def show_picture(camera: bpy.types.Object, image: bpy.types.Image) -> None:
         data[KEPT_PHOTOGRAPH] = background.image
     background.image, background.display_depth, background.alpha = image, "FRONT", 1.0
     data.show_background_images = True
+
+
+def clear_view(scene: bpy.types.Scene, clear: bool) -> None:
+    """Take the pictures away that lie over the room, so that its materials or maps are seen; or back again.
+
+    Looking through a view, or a change of the photograph's opacity, brings that one back as well.
+    """
+    behind = scene.fipt.insert.backdrop == "PHOTOGRAPH"
+    for data in {item.data for item in scene.objects if item.type == "CAMERA" and VIEW in item}:
+        if clear and data.show_background_images and not behind:
+            data.show_background_images = False
+            data[COVERED] = True
+        elif not clear and data.pop(COVERED, None) is not None:
+            data.show_background_images = True

@@ -14,6 +14,7 @@ import bpy
 
 from ..core.job.errors import FiptError
 from . import light_state
+from .backdrop import clear_view
 from .materials import MAPS, own_materials
 from .originals import has_results, own_mesh, show_original
 from .outliner import FIXTURES, find_collection
@@ -63,6 +64,7 @@ def show(scene: bpy.types.Scene, shown: str) -> None:
         target.hide_viewport = target.hide_render = shown == "ORIGINAL"
     show_original_world(scene, shown == "ORIGINAL")
     light_state.refresh(scene)
+    clear_view(scene, shown != "ORIGINAL")
     _show_in_view(scene, shown)
     _draw_in_solid_views(scene, shown)
 

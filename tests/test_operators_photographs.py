@@ -1,0 +1,73 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Photographs over the room: they hide results only where the artist looks through them."""
+
+from __future__ import annotations
+
+import bpy
+import pytest
+from applied_rooms import make_scene, use_fake_engine
+
+import fipt_blender
+from fipt_blender.properties.capture import VIEW_KEY
+
+ops = bpy.ops.fipt
+
+
+@pytest.fixture(scope="module", autouse=True)
+def registered():
+    fipt_blender.register()
+    yield
+    fipt_blender.unregister()
+
+
+@pytest.fixture
+def scene(tmp_path, monkeypatch):
+    use_fake_engine(monkeypatch)
+    return make_scene(tmp_path / "run")
+
+
+@pytest.fixture
+def photographs(scene) -> list[bpy.types.Camera]:
+    """Two views of the capture, each with its photograph over the room."""
+    found = []
+    for name in ("a", "b"):
+        data = bpy.data.cameras.new(name)
+        item = bpy.data.objects.new(name, data)
+        scene.collection.objects.link(item)
+        item[VIEW_KEY] = name
+        data.background_images.new().image = bpy.data.images.new(name, 4, 4)
+        view = scene.fipt.capture.views.add()
+        view.name = view.camera = name
+        found.append(data)
+    ops.look_through(view="b")
+    ops.look_through(view="a")
+    return found
+
+
+def test_photographs_cover_results_only_where_the_artist_looks_through_them(scene, photographs):
+    def covering() -> list[bool]:
+        return [data.show_background_images for data in photographs]
+
+    assert covering() == [True, True]
+    assert ops.apply_results("EXEC_DEFAULT") == {"FINISHED"}
+    assert covering() == [False, False]
+    scene.fipt.materials.shown = "ORIGINAL"
+    assert covering() == [True, True]
+    scene.fipt.materials.shown = "ROUGHNESS"
+    assert covering() == [False, False]
+    ops.look_through(view="a")
+    assert covering() == [True, False]
+    scene.fipt.materials.shown = "METALLIC"
+    assert covering() == [False, False]
+    scene.fipt.capture.photograph_opacity = 0.7
+    assert covering() == [True, False]
+    scene.fipt.materials.shown = "ESTIMATED"
+    ops.set_backdrop(mode="PHOTOGRAPH")  # behind the room it hides nothing
+    scene.fipt.materials.shown = "ROUGHNESS"
+    assert covering() == [True, True]
+    ops.set_backdrop(mode="ROOM")
+    assert covering() == [False, False]
+    del photographs[1]["fipt_covered"]  # as if the artist had switched it off
+    ops.revert()
+    assert covering() == [True, False]
