@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import fipt_blender
 from fipt_blender import mainjob, runjob
 from fipt_blender.blend.placement import (
     ViewGeometry,
@@ -23,7 +24,7 @@ from fipt_blender.blend.placement import (
 from fipt_blender.bridge.interpreter import engine_environment
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.runfolder import RunFolder
+from fipt_blender.core.job.runfolder import RunFolder, read_json
 from fipt_blender.core.job.settings import make_settings
 from fipt_blender.mainjob import MainJobOptions, fingerprint, make_main_job
 
@@ -126,6 +127,33 @@ def options(capture, tmp_path) -> MainJobOptions:
     )
 
 
+def panel_is_ready(options: MainJobOptions, blend: Path) -> None:
+    """Who opens the file with the add-on finds views, lights and settings in the panel."""
+    import bpy
+
+    fipt_blender.register()
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(blend))
+        state = bpy.context.scene.fipt
+        assert (
+            Path(state.run_folder) == options.output and Path(state.capture.imported_path) == options.capture
+        )
+        assert [(view.name, view.split) for view in state.capture.views] == [
+            (view["name"], view["split"])
+            for view in read_json(RunFolder(options.output).capture_json)["views"]
+        ]
+        assert (
+            state.capture.train_count == 3 and state.capture.up_axis == "z" and state.capture.hold_back == 4
+        )
+        assert [light.name for light in state.lights.lights] == ["Fixture.001"]
+        assert state.materials.object_count == 2 and state.materials.texture_size == "512"
+        assert state.estimate.preset == "draft" and state.estimate.changes == ""
+        assert not bpy.context.scene.camera.data.show_background_images, "the photograph hides no results"
+        assert bpy.ops.fipt.revert() == {"FINISHED"} and bpy.ops.fipt.look_through(step=1) == {"FINISHED"}
+    finally:
+        fipt_blender.unregister()
+
+
 def test_the_job_makes_a_blend_and_a_report_and_resumes(options, engine):
     import bpy
 
@@ -136,6 +164,7 @@ def test_the_job_makes_a_blend_and_a_report_and_resumes(options, engine):
     assert [path.name for path in files[:2]] == ["room.blend", "index.html"]
     assert all(path.is_file() for path in files)
 
+    panel_is_ready(options, files[0])
     bpy.ops.wm.open_mainfile(filepath=str(files[0]))
     assert {"walls", "crate"} <= set(bpy.data.objects.keys())
     assert any("Fixture.001" in name for name in bpy.data.objects.keys())

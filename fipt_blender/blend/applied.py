@@ -31,6 +31,18 @@ def finish(scene: bpy.types.Scene, run: RunFolder) -> None:
         run: whose results were applied.
     """
     settings = scene.fipt.materials
+    note_results(scene, run)
+    if not settings.kept_before:
+        settings.kept_before = json.dumps({"exposure": scene.view_settings.exposure})
+    if settings.match_exposure and scene.fipt.lights.median_radiance > 0.0:
+        match_exposure(scene)
+    if settings.mute_lights:
+        mute_other_lights(scene, True)
+
+
+def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:
+    """Let the panel know of the results of a run that are applied, and list its lights."""
+    settings = scene.fipt.materials
     room = maps.room_with_results(scene)
     meshes = [mesh for mesh in map(own_mesh, room) if mesh is not None]
     settings.object_count = len(room)
@@ -38,12 +50,6 @@ def finish(scene: bpy.types.Scene, run: RunFolder) -> None:
     settings.applied_mode = str(read_json(run.atlas_json)["mode"])
     settings.shown = "ESTIMATED"  # shows it too
     scene.fipt.lights.median_radiance = median_radiance(run)
-    if not settings.kept_before:
-        settings.kept_before = json.dumps({"exposure": scene.view_settings.exposure})
-    if settings.match_exposure and scene.fipt.lights.median_radiance > 0.0:
-        match_exposure(scene)
-    if settings.mute_lights:
-        mute_other_lights(scene, True)
     light_state.list_lights(scene)
 
 

@@ -20,6 +20,7 @@ from ..core.job.runfolder import RunFolder, read_json
 from ..mainjob import BLEND_NAME, MainJobOptions
 from . import cameras, capture_export, lights, mesh_import, outliner, renders, room_export, uvs
 from .apply import apply_results
+from .batch_state import panel_state, remember_run
 from .insert import insert_object
 from .placement import (
     Cast,
@@ -88,7 +89,9 @@ class RoomSteps:
         cameras.use_view(scene, cameras.find_camera(view))
         path = self._run.root / BLEND_NAME
         if self._options.own_file:
-            save_blend(path)
+            with panel_state():
+                remember_run(scene, self._options, self._run)
+                save_blend(path)
             path.with_suffix(".blend1").unlink(missing_ok=True)
         else:
             bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, check_existing=False)
