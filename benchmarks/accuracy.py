@@ -240,6 +240,7 @@ def score(run: RunFolder, scope: Scope, page: picture_page.PicturePage) -> Score
         result[split] = {**figures, "strict": strict, "views": len(true), "rendered_views": len(images)}
         result[split]["maps_are_filtered"] = filtered
         if split == "held_back":
+            result[split]["confidence"] = predict.confidence_table(run, chosen[split], true) if true else []
             for view, one, other in zip(chosen[split], predicted, true, strict=True):
                 page.add_maps(view.name, one, other)
                 if scope.maps:

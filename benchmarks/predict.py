@@ -8,6 +8,7 @@ but their emission.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
@@ -19,14 +20,19 @@ from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.job.runfolder import RunFolder, read_json
 from fipt_blender.core.material import brdf
+from fipt_blender.core.material.confidence import UNKNOWN
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.render.environment import EnvironmentLight
 from fipt_blender.core.render.forward import LitRoom, add_light, camera_rays, joined, switched_off
 from fipt_blender.core.render.lights import AreaLights, EmitterTable
 from fipt_blender.core.render.surfaces import LatticeMaterials, SurfaceMaterials
+from fipt_blender.core.scene.pixels import trace_pixels
 from fipt_blender.core.scene.room import load_room
 
 from .truth import Relight
+
+# Bounds of the classes of confidence in which errors are counted.
+CONFIDENCE_BOUNDS = (0.0, 0.4, 0.6, 0.8, 0.9, 1.0)
 
 LATTICE_SPACING = 0.01  # metres; a pixel of the test captures sees more
 
@@ -118,3 +124,34 @@ def predict_maps(lit: LitRoom, view: View, filtered: bool, spp: int = 128, seed:
         emission=maps[..., 11:14],
         hit=(hits > 0.0).reshape(view.height, view.width),
     )
+
+
+def confidence_table(run: RunFolder, views: Sequence[View], true: Sequence[Maps]) -> list[dict[str, float]]:
+    """Expected and made errors (RMS) of base colour of the pixels in each class of confidence.
+
+    Args:
+        true: maps of the views; emitters and what has no base colour do not count.
+
+    Returns:
+        For each class that has pixels: upper bound ``to``, ``share`` of the pixels, ``expected``, ``made``.
+    """
+    fields, room = RoomFields.load(run), load_room(run)
+    known, errors = [np.zeros(0)], [np.zeros(0)]
+    for view, maps in zip(views, true, strict=True):
+        surface = trace_pixels(room, view)
+        points = np.array(surface.position).T.astype(np.float32), np.array(surface.triangle)
+        counted = np.array(surface.valid) & maps.hit.ravel() & (maps.base_color.max(axis=2).ravel() > 0.0)
+        counted &= maps.emission.max(axis=2).ravel() <= 0.0
+        off = fields.query(*points)[0] - maps.base_color.reshape(-1, 3)
+        known.append(fields.confidence(*points)[counted, 0])
+        errors.append((off**2).mean(axis=1)[counted])
+    sure, squared = np.concatenate(known), np.concatenate(errors)
+    place = np.clip(np.searchsorted(CONFIDENCE_BOUNDS, sure), 1, len(CONFIDENCE_BOUNDS) - 1)
+    table = []
+    for index, bound in enumerate(CONFIDENCE_BOUNDS[1:], start=1):
+        mine = place == index
+        if mine.any():
+            expected = UNKNOWN * float(np.sqrt(((1.0 - sure[mine]) ** 2).mean()))
+            made = float(np.sqrt(squared[mine].mean()))
+            table.append({"to": bound, "share": float(mine.mean()), "expected": expected, "made": made})
+    return table

@@ -31,8 +31,8 @@ class ConstantFields:
         base_color = np.tile(self.base_color, (count, 1))
         return base_color, np.full(count, self.roughness), np.full(count, self.metallic)
 
-    def seen(self, positions, triangles):
-        return np.ones(len(positions), bool)
+    def confidence(self, positions, triangles):
+        return np.ones((len(positions), 3))
 
 
 def use_fake_engine(monkeypatch) -> list[str]:

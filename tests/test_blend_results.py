@@ -37,8 +37,8 @@ class ConstantFields:
         base_color = np.tile(self.base_color, (count, 1))
         return base_color, np.full(count, self.roughness), np.full(count, self.metallic)
 
-    def seen(self, positions, triangles):
-        return np.ones(len(positions))
+    def confidence(self, positions, triangles):
+        return np.ones((len(positions), 3))
 
 
 @pytest.fixture(autouse=True)
@@ -128,7 +128,7 @@ def test_material_tree(room):
     principled = nodes["FIPT Principled"]
     for label in ("Base Color", "Roughness", "Metallic"):
         assert principled.inputs[label].links[0].from_node == nodes[f"FIPT {label}"]
-    assert not nodes["FIPT Coverage"].outputs["Color"].is_linked
+    assert not nodes["FIPT Confidence"].outputs["Color"].is_linked
     for label, is_data in materials.MAPS.values():
         image = nodes[f"FIPT {label}"].image
         assert image.colorspace_settings.is_data == is_data and image.is_float

@@ -162,7 +162,7 @@ def to_full_disk(path: Path) -> None:
 def save_fields(run: RunFolder) -> None:
     network = BrdfNetwork(SMALL, 2, torch.Generator(), torch.device("cpu"))
     box, part = Box(np.zeros(3), 1.0), np.zeros(1, np.int32)
-    cells = seen_cells(box, np.zeros((1, 3), np.float32), part)
+    cells = seen_cells(box, [(np.zeros((1, 3), np.float32), part)])
     RoomFields(Fields(network, box), part, cells).save(run)
 
 

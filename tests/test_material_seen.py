@@ -38,7 +38,9 @@ def fields() -> RoomFields:
     """Part 0 was seen up to x = 1, part 1 above 3; part 2 never. Triangle t has part t, triangle 3 none."""
     points = np.concatenate([grid_points(0.0, 1.0, 0.0), grid_points(3.0, 4.0, 0.0)])
     part = np.repeat([0, 1], len(points) // 2)
-    return RoomFields(Ramp(), np.array([0, 1, 2, -1], np.int32), seen_cells(BOX_4, points, part))
+    cells = seen_cells(BOX_4, [(points[:99], part[:99]), (points[99:], part[99:])])
+    certain = np.zeros((len(cells.keys), 3), np.float32)
+    return RoomFields(Ramp(), np.array([0, 1, 2, -1], np.int32), cells, certain)
 
 
 def test_seen_points_are_the_networks_and_unseen_ones_their_parts_median(fields):
@@ -46,7 +48,7 @@ def test_seen_points_are_the_networks_and_unseen_ones_their_parts_median(fields)
     on = lambda part: np.full(len(points), part)  # noqa: E731
     for got, wanted in zip(fields.query(points, on(0)), Ramp().query(points), strict=True):
         np.testing.assert_array_equal(got, wanted)
-    assert fields.seen(points, on(0)).all() and not fields.seen(points, on(1)).any()
+    assert (fields.confidence(points, on(0)) == 1.0).all() and not fields.confidence(points, on(1)).any()
     color, roughness, metallic = fields.query(points, on(1))  # of part 1 the other end was seen
     assert np.ptp(color, axis=0).max() == 0.0
     middle = 3.5 / 4.0
@@ -65,11 +67,11 @@ def test_parts_that_nobody_saw_and_triangles_without_one_take_the_nearest_seen_p
 def test_the_cells_beside_a_seen_one_count_as_seen(fields):
     cell = 4.0 / RESOLUTION
     points = np.array([[1.0 + 0.9 * cell, 2.0, 0.0], [1.0 + 2.5 * cell, 2.0, 0.0]], np.float32)
-    assert fields.seen(points, np.zeros(2, int)).tolist() == [True, False]
+    assert fields.confidence(points, np.zeros(2, int)).all(axis=1).tolist() == [True, False]
 
 
 def test_where_nothing_was_seen_the_network_answers():
-    nothing = seen_cells(BOX_4, np.zeros((0, 3), np.float32), np.zeros(0, np.int32))
+    nothing = seen_cells(BOX_4, [])
     points = grid_points(0.0, 4.0, 0.0)
     found = RoomFields(Ramp(), np.zeros(1, np.int32), nothing).query(points, np.zeros(len(points), int))
     np.testing.assert_array_equal(found[0], Ramp().query(points)[0])
@@ -81,7 +83,9 @@ def test_textures_and_forward_rendering_have_the_same_materials(tmp_path, fields
 
     room = make_room([[[0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]]])
     points = grid_points(0.0, 2.0, 0.0)
-    floor = RoomFields(Ramp(), np.zeros(2, np.int32), seen_cells(BOX_4, points, np.zeros(len(points), int)))
+    floor = RoomFields(
+        Ramp(), np.zeros(2, np.int32), seen_cells(BOX_4, [(points, np.zeros(len(points), int))])
+    )
     run = RunFolder(tmp_path / "run")
     run.create(make_settings())
     np.savez(run.room_npz, vertices=room.vertices, triangles=room.triangles)

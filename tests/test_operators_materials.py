@@ -20,11 +20,7 @@ from fipt_blender.properties.materials import SHOWN
 ops = bpy.ops.fipt
 
 
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    fipt_blender.register()
-    yield
-    fipt_blender.unregister()
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture
@@ -124,7 +120,7 @@ def test_maps_read_as_their_values(applied):
         "ROUGHNESS": [ConstantFields.roughness] * 3,
         "METALLIC": [ConstantFields.metallic] * 3,
         "EMISSION": [0.0] * 3,
-        "COVERAGE": [1.0] * 3,
+        "CONFIDENCE": [1.0] * 3,
     }
     for shown, values in expected.items():
         assert ops.show_map(shown=shown) == {"FINISHED"}
@@ -181,14 +177,18 @@ def test_an_artists_node_before_the_output_comes_back(applied):
     mix.name = "mine"
     tree.links.new(before, mix.inputs[1])
     tree.links.new(mix.outputs[0], output.inputs["Surface"])
-    for shown in ("METALLIC", "COVERAGE", "ESTIMATED"):
+    for shown in ("METALLIC", "CONFIDENCE", "ESTIMATED"):
         ops.show_map(shown=shown)
     assert tree.nodes["FIPT Output"].inputs["Surface"].links[0].from_node.name == "mine"
 
 
 def test_solid_shading_draws_the_map(applied):
     nodes = bpy.data.objects["cube"].data.materials[0].node_tree.nodes
-    for shown, label in (("ROUGHNESS", "Roughness"), ("ESTIMATED", "Base Color"), ("COVERAGE", "Coverage")):
+    for shown, label in (
+        ("ROUGHNESS", "Roughness"),
+        ("ESTIMATED", "Base Color"),
+        ("CONFIDENCE", "Confidence"),
+    ):
         ops.show_map(shown=shown)
         assert nodes.active.name == f"FIPT {label}"
 

@@ -24,8 +24,8 @@ class AnalyticFields:
         base_color = np.stack([0.5 + 0.4 * np.sin(2 * x), 0.2 + 0.3 * y, 0.5 + 0.4 * np.cos(3 * z)], axis=1)
         return base_color, 0.2 + 0.3 * x, 0.5 + 0.5 * np.sin(y + z)
 
-    def seen(self, positions, triangles):
-        return triangles < 2
+    def confidence(self, positions, triangles):
+        return np.where(triangles[:, None] < 2, (1.0, 0.5, 0.25), 0.0)
 
 
 @pytest.fixture
@@ -103,7 +103,8 @@ def test_baked_field_equals_the_field_on_the_surface(run):
     assert np.abs(look_up(read_map(run, "metallic"), uv)[:, 0] - metallic).max() < bound
     # On the edge that both share the texels of either answer.
     inside = np.abs(positions[:, 0] - 1.0) > 1.0 / TEXELS
-    assert (look_up(read_map(run, "coverage"), uv)[inside, 0] == (triangle < 2)[inside]).all()
+    expected = fields.confidence(positions, triangle)[inside]
+    assert np.array_equal(look_up(read_map(run, "confidence"), uv)[inside], expected)
 
 
 def test_colour_attributes_hold_the_field_at_corners(run):
@@ -114,6 +115,8 @@ def test_colour_attributes_hold_the_field_at_corners(run):
         positions = room["vertices"][room["triangles"]].reshape(-1, 3)
         expected = fields.query(positions, np.repeat(np.arange(4), 3))
         assert np.abs(corner["base_color"].reshape(-1, 3) - expected[0]).max() < 2e-3
+        assert corner["confidence"][:2].reshape(-1, 3).tolist() == [[1.0, 0.5, 0.25]] * 6
+        assert not corner["confidence"][2:].any()
         assert np.abs(corner["roughness"].ravel() - expected[1]).max() < 2e-3
 
 

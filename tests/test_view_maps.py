@@ -28,6 +28,9 @@ class Fields:
         color = np.repeat(positions[:, 1:2] / 4.0 + 0.5, 3, axis=1).astype(np.float32)
         return color, np.full(count, 0.25, np.float32), np.full(count, 0.75, np.float32)
 
+    def confidence(self, positions, triangles):
+        return np.full((len(positions), 3), 0.5, np.float32)
+
 
 @pytest.fixture
 def run(tmp_path) -> RunFolder:
@@ -55,6 +58,7 @@ def test_held_back_views_come_first_and_their_maps_are_right(run):
     assert (emitter | wall)[:, :12].all() and not (emitter | wall)[:, 12:].any()
     assert (maps["emission"][emitter] == [8.0, 4.0, 2.0]).all()
     assert (maps["roughness"][wall] == 0.25).all() and (maps["metallic"][wall] == 0.75).all()
+    assert (maps["confidence"][wall] == 0.5).all() and not maps["confidence"][~wall].any()
     # Rows run downwards, and so does the camera's y axis; z = 2 gives 1/6 of height a pixel.
     rows = np.nonzero(wall)[0]
     np.testing.assert_allclose(maps["base_color"][wall][:, 0], (rows + 0.5 - 6.0) / 24.0 + 0.5, atol=1e-3)

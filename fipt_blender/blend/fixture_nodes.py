@@ -75,8 +75,8 @@ def write_shown(material: bpy.types.Material, shown: str) -> None:
     """Let the surface show itself, or what it has in the map that the room shows.
 
     Args:
-        shown: see `shown.write_surface`. A lamp reflects nothing, so that its base colour is black; it is
-            covered, since it was found in photographs.
+        shown: see `shown.write_surface`. A lamp reflects nothing, so that its base colour is black, and
+            that is sure.
     """
     front = material.node_tree.nodes.get(_SIDES[0][0])
     back = material.node_tree.nodes.get(_SIDES[1][0])
@@ -85,7 +85,7 @@ def write_shown(material: bpy.types.Material, shown: str) -> None:
         None,
     )
     color = (0.0, 0.0, 0.0, 1.0) if lit is None else tuple(lit.inputs["Color"].default_value)
-    constant = {"COVERAGE": (1.0, 1.0, 1.0, 1.0), "EMISSION": color}.get(shown, (0.0, 0.0, 0.0, 1.0))
+    constant = {"CONFIDENCE": (1.0, 1.0, 1.0, 1.0), "EMISSION": color}.get(shown, (0.0, 0.0, 0.0, 1.0))
     write_surface(material, shown, None, constant)
     plain = shown in ("ESTIMATED", "ORIGINAL")
     material.diffuse_color = color if plain else constant

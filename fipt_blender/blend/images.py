@@ -22,7 +22,7 @@ def load_radiance(path: Path) -> bpy.types.Image | None:
 
 
 def load_data(path: Path) -> bpy.types.Image:
-    """An image whose values are no colours (roughness, metallic, coverage)."""
+    """An image whose values are no colours (roughness, metallic, confidence)."""
     image = bpy.data.images.load(str(path), check_existing=True)
     image.colorspace_settings.is_data = True
     return image

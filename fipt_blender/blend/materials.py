@@ -25,7 +25,7 @@ MAPS = {
     "base_color": ("Base Color", False),
     "roughness": ("Roughness", True),
     "metallic": ("Metallic", True),
-    "coverage": ("Coverage", True),
+    "confidence": ("Confidence", True),
 }
 COLOR_ATTRIBUTE = "FIPT {}"
 MATERIAL = "fipt_material"  # marks a material as ours; its value is what it was made for
@@ -103,7 +103,7 @@ def image_material(
     for row, (key, (label, is_data)) in enumerate(MAPS.items()):
         node = nodes.new("ShaderNodeTexImage")
         node.name = f"FIPT {label}"
-        node.label = "Coverage (1 = seen in a photograph)" if key == "coverage" else label
+        node.label = "Confidence (of colour, roughness, metallic)" if key == "confidence" else label
         node.image = load_texture(run.resolve(entry[key]), is_data)
         node.image.name = f"{material.name} {label}"
         node.extension = "EXTEND"

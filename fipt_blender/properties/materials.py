@@ -13,7 +13,14 @@ SHOWN = (
     ("ROUGHNESS", "Roughness", "Black is a mirror, white is rough", "NODE_TEXTURE", 3),
     ("METALLIC", "Metallic", "White is metal", "NODE_MATERIAL", 4),
     ("EMISSION", "Emission", "Which surfaces shine, in the colour of their light", "LIGHT", 5),
-    ("COVERAGE", "Coverage", "White was seen in photographs; black was filled in", "HIDE_OFF", 6),
+    (
+        "CONFIDENCE",
+        "Confidence",
+        "How well base colour (red), roughness (green) and metallic (blue) are known: 1 is certain, "
+        "each 0.1 less is a standard error 0.03 larger; black was not seen and is filled in",
+        "HIDE_OFF",
+        6,
+    ),
 )
 
 

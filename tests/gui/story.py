@@ -34,7 +34,7 @@ _FAST = {
     "voxel_resolution": 48,
     "roughness_levels": 3,
 }
-_MAPS = ("ORIGINAL", "BASE_COLOR", "ROUGHNESS", "METALLIC", "EMISSION", "COVERAGE", "ESTIMATED")
+_MAPS = ("ORIGINAL", "BASE_COLOR", "ROUGHNESS", "METALLIC", "EMISSION", "CONFIDENCE", "ESTIMATED")
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,14 @@ import torch
 
 from ..capture.views import View, load_capture
 from ..device.variant import torch_device
-from ..light.cache import pool, unseen_points
+from ..light.cache import Pool, pool, unseen_points
 from ..light.emitters import (
     Fixture,
     bright_triangles,
     emitter_table,
     find_emitters,
     group_fixtures,
+    pixels_of,
     reflection_explains,
 )
 from ..light.joint import joint_fixtures
@@ -32,12 +33,13 @@ from ..light.shadings import SampleCounts, roughness_levels
 from ..light.views import Baking, ShadingStore, TracedLight, bake_views, open_shadings
 from ..material.fields import Fields, RoomFields, mask_at, new_networks_generator, render_pixels
 from ..material.networks import BrdfNetwork, EmissionNetwork, useful_hash_levels
-from ..material.seen import SeenCells, room_box, seen_cells
+from ..material.seen import SeenCells, room_box
 from ..material.training import PRETRAINING_STEPS, pretrain, train
 from ..render.lights import EmitterTable
 from ..scene.labels import Parts, choose_parts
 from ..scene.pixels import PixelStore, fill_pixels, mark_pure, open_pixels
 from ..scene.room import load_room
+from .certainty import cell_errors, find_cells
 from .checkpoints import Checkpoints, stage_keys, stage_names
 from .errors import FiptError
 from .messages import Reporter, peak_memory_gb
@@ -203,7 +205,7 @@ class Estimation:
 
     def _prepare(self) -> None:
         """Everything that follows from the pixels and is quick to make again."""
-        self.seen = observe(self.room, self.pixels, self.parts, self.settings)
+        self.seen = observe(self.room, self.pixels, self.parts, self.settings, self.folder.stage / "observed")
         generator = new_networks_generator(self.settings)
         self.hash_levels = useful_hash_levels(self.settings, self.box.extent, self.seen.footprint)
         self.brdf = BrdfNetwork(self.settings, self.hash_levels, generator, self.device)
@@ -214,12 +216,7 @@ class Estimation:
     def _bake(self) -> dict[str, Any]:
         settings = self.settings
         store = self._open_shadings(create=True)
-        guide = bright_triangles(
-            self.room,
-            np.asarray(self.pixels.triangle),
-            np.asarray(self.pixels.front),
-            np.asarray(self.pixels.radiance),
-        )
+        guide = bright_triangles(self.room, self.pixels.triangle, self.pixels.front, self.pixels.radiance)
         counts = SampleCounts(settings.diffuse_spp, settings.specular_spp, settings.light_spp)
         return self._bake_views(store, self.seen.cache(), None, guide, counts, 0)
 
@@ -330,7 +327,7 @@ class Estimation:
             rng,
             large=(10.0 * self.seen.footprint) ** 2,
         )
-        rows = self.seen.hit[marked[self.pixels.triangle[self.seen.hit]]]
+        rows = pixels_of(self.pixels.triangle, marked)
         shadings = self._open_shadings()
         rendered = render_pixels(
             self.brdf, self.box, self.pixels.position, shadings.diffuse, shadings.specular, self.levels, rows
@@ -353,10 +350,10 @@ class Estimation:
         self.fixtures = group_fixtures(
             self.room,
             emitting,
-            np.asarray(self.pixels.triangle),
-            np.asarray(self.pixels.front),
-            np.asarray(self.pixels.pure),
-            np.asarray(self.pixels.radiance),
+            self.pixels.triangle,
+            self.pixels.front,
+            self.pixels.pure,
+            self.pixels.radiance,
             reach=2.0 * self.seen.footprint,
         )
 
@@ -377,7 +374,10 @@ class Estimation:
     def _material_values(self) -> np.ndarray:
         """(M * 6, 5) the estimate at a point of each cache entry: where pixels saw it, the mean of these."""
         grid = self.seen.grid
-        mean, count = pool(grid, self.seen.entries, self.seen.positions())
+        pooled = Pool(grid, 3)
+        for rows in self.seen.hits():
+            pooled.add(self.seen.entry[rows], self.pixels.position[rows])
+        mean, count = pooled.filled()
         seen = np.flatnonzero(count)
         rng = np.random.default_rng([self.settings.seed, 4])
         unseen, points, triangles = unseen_points(grid, self.room, count, rng)
@@ -390,15 +390,20 @@ class Estimation:
 
     @cached_property
     def _seen_cells(self) -> SeenCells:
-        part = self.parts.triangle_part[self.pixels.triangle[self.seen.hit]]
-        return seen_cells(self.box, self.seen.positions(), part)
+        return find_cells(self.pixels, self.parts.triangle_part, self.box)
 
     def _room_fields(self) -> RoomFields:
         return RoomFields(Fields(self.brdf, self.box), self.parts.triangle_part, self._seen_cells)
 
     def _write_results(self) -> None:
         lights = self.fixtures, self.seen.environment
-        write_results(self.folder, self._room_fields(), *lights, self.scale, self.reporter)
+        fields = self._room_fields()
+        emitting = np.zeros(len(self.room.triangles), bool)
+        emitting[emitter_table(self.fixtures).triangles] = True
+        fields.errors = cell_errors(
+            self.pixels, self.parts, self._open_shadings(), self.levels, fields, emitting, self.settings.seed
+        )
+        write_results(self.folder, fields, *lights, self.scale, self.reporter)
         write_json(self.folder.statistics_json, self.summary())
 
     def summary(self) -> dict[str, Any]:

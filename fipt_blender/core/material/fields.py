@@ -16,6 +16,7 @@ from ..job.errors import FiptError
 from ..job.runfolder import RunFolder, atomic_path
 from ..job.settings import Settings
 from .brdf import set_masking
+from .confidence import UNKNOWN, confidence
 from .losses import factorised_rendering
 from .networks import BrdfNetwork, EmissionNetwork, emission_mask
 from .seen import Box, SeenCells, seen_statistics, stand_ins
@@ -67,10 +68,19 @@ class RoomFields:
         fields: asked where photographs saw the surface.
         triangle_part: (T,) int, negative for none.
         cells: where that is.
+        errors: (K, 3) float32 standard errors of base colour, roughness and metallic in each of them;
+            unknown where not given.
     """
 
-    def __init__(self, fields: Fields, triangle_part: np.ndarray, cells: SeenCells) -> None:
+    def __init__(
+        self,
+        fields: Fields,
+        triangle_part: np.ndarray,
+        cells: SeenCells,
+        errors: np.ndarray | None = None,
+    ) -> None:
         self.fields, self.cells = fields, cells
+        self.errors = np.full((len(cells.keys), 3), UNKNOWN, np.float32) if errors is None else errors
         self._part = triangle_part
         values = _columns(fields.query(cells.points))
         self._statistics = seen_statistics(cells.points, cells.part, values)
@@ -94,9 +104,14 @@ class RoomFields:
             values[unseen] = stand_ins(positions[unseen], part[unseen], self._statistics)
         return values[:, :3], values[:, 3], values[:, 4]
 
-    def seen(self, positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-        """(N,) bool, whether a photograph saw the surface there."""
-        return self.cells.find(self.fields.box, positions, self._part[triangles]) >= 0
+    def confidence(self, positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+        """(N, 3) float32, how well base colour, roughness and metallic are known there; 0 where unseen.
+
+        See :func:`.confidence.confidence`.
+        """
+        place = self.cells.find(self.fields.box, positions, self._part[triangles])
+        known = np.append(confidence(self.errors), np.zeros((1, 3), np.float32), axis=0)
+        return known[place]  # -1 is the last row
 
     @classmethod
     def load(cls, run: RunFolder) -> RoomFields:
@@ -128,7 +143,7 @@ class RoomFields:
             network.load_state_dict(state)
             box = Box(arrays["box_low"].astype(np.float64), float(arrays["box_extent"]))
             cells = SeenCells(arrays["seen_keys"], arrays["seen_points"], arrays["seen_part"])
-            return cls(Fields(network, box), triangle_part, cells)
+            return cls(Fields(network, box), triangle_part, cells, arrays["seen_errors"])
         except (KeyError, ValueError, OSError, RuntimeError) as error:
             raise FiptError(
                 "results-damaged", f"{run.fields_npz} can't be read ({error}).", "Run the estimation again."
@@ -147,6 +162,7 @@ class RoomFields:
                 seen_keys=self.cells.keys,
                 seen_points=self.cells.points,
                 seen_part=self.cells.part,
+                seen_errors=self.errors,
                 **state,
             )
         with atomic_path(run.parts_npz) as temporary:

@@ -7,6 +7,7 @@ seen point. The one rule for textures, for refinement and for forward rendering.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,20 +78,20 @@ class SeenCells:
         return found
 
 
-def seen_cells(box: Box, positions: np.ndarray, part: np.ndarray) -> SeenCells:
+def seen_cells(box: Box, pieces: Iterable[tuple[np.ndarray, np.ndarray]]) -> SeenCells:
     """The pairs of cell and part in which pixels saw surface points.
 
     Args:
-        positions: (N, 3) world.
-        part: (N,) int of each of them, negative for none.
+        pieces: positions (n, 3), world, and part (n,) int of them, negative for none; view by view.
     """
-    keys, first = np.zeros(0, np.int64), np.zeros(0, np.int64)
-    for start in range(0, len(positions), CHUNK):
-        rows = slice(start, start + CHUNK)
-        new, place = np.unique(cell_keys(box, positions[rows], part[rows]), return_index=True)
+    keys, points = np.zeros(0, np.int64), np.zeros((0, 3), np.float32)
+    parts = np.zeros(0, np.int32)
+    for positions, part in pieces:
+        new, place = np.unique(cell_keys(box, positions, part), return_index=True)
         keys, chosen = np.unique(np.concatenate([keys, new]), return_index=True)
-        first = np.concatenate([first, place + start])[chosen]
-    return SeenCells(keys, positions[first].astype(np.float32), part[first].astype(np.int32))
+        points = np.concatenate([points, positions[place].astype(np.float32)])[chosen]
+        parts = np.concatenate([parts, part[place].astype(np.int32)])[chosen]
+    return SeenCells(keys, points, parts)
 
 
 def cell_keys(box: Box, positions: np.ndarray, part: np.ndarray) -> np.ndarray:

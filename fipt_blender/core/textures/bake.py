@@ -26,7 +26,7 @@ from .raster import nearest_triangle_map
 
 QUERY_POINTS = 1 << 18
 PAD_TEXELS = 8
-MAPS = ("base_color", "roughness", "metallic", "coverage")
+MAPS = ("base_color", "roughness", "metallic", "confidence")
 
 
 class FieldSource(Protocol):
@@ -35,7 +35,7 @@ class FieldSource(Protocol):
     def query(
         self, positions: np.ndarray, triangles: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]: ...
-    def seen(self, positions: np.ndarray, triangles: np.ndarray) -> np.ndarray: ...
+    def confidence(self, positions: np.ndarray, triangles: np.ndarray) -> np.ndarray: ...
 
 
 @dataclass
@@ -45,7 +45,7 @@ class Samples:
     base_color: np.ndarray  # (N,3)
     roughness: np.ndarray  # (N,)
     metallic: np.ndarray  # (N,)
-    coverage: np.ndarray  # (N,) 1 where a photograph saw the point
+    confidence: np.ndarray  # (N,3) of the others, 0 where no photograph saw the point
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -125,7 +125,7 @@ def sample_fields(fields: FieldSource, positions: np.ndarray, triangles: np.ndar
         np.zeros((count, 3), np.float32),
         np.zeros(count, np.float32),
         np.zeros(count, np.float32),
-        np.zeros(count, np.float32),
+        np.zeros((count, 3), np.float32),
     )
     for first in range(0, count, QUERY_POINTS):
         chunk = slice(first, first + QUERY_POINTS)
@@ -133,7 +133,7 @@ def sample_fields(fields: FieldSource, positions: np.ndarray, triangles: np.ndar
         result.base_color[chunk] = np.clip(base_color, 0.0, 1.0)
         result.roughness[chunk] = np.clip(np.reshape(roughness, -1), 0.0, 1.0)
         result.metallic[chunk] = np.clip(np.reshape(metallic, -1), 0.0, 1.0)
-        result.coverage[chunk] = fields.seen(positions[chunk], triangles[chunk])
+        result.confidence[chunk] = fields.confidence(positions[chunk], triangles[chunk])
     return result
 
 
@@ -153,17 +153,17 @@ def _write_image(folder: RunFolder, entry: dict, texel: np.ndarray, samples: Sam
     width, height = int(entry["width"]), int(entry["height"])
     filled = np.zeros(width * height, bool)
     filled[texel] = True
-    image = np.zeros((width * height, 6), np.float32)
+    image = np.zeros((width * height, 8), np.float32)
     image[texel] = np.column_stack(
-        [samples.base_color, samples.roughness, samples.metallic, samples.coverage]
+        [samples.base_color, samples.roughness, samples.metallic, samples.confidence]
     )
     # Row 0 is v = 0 here and the top in files.
-    padded = pad(image.reshape(height, width, 6), filled.reshape(height, width), PAD_TEXELS)[::-1]
-    planes = dict(zip(MAPS, (padded[..., :3], *np.moveaxis(padded[..., 3:], -1, 0)), strict=True))
+    padded = pad(image.reshape(height, width, 8), filled.reshape(height, width), PAD_TEXELS)[::-1]
+    planes = padded[..., :3], padded[..., 3], padded[..., 4], padded[..., 5:]
     paths: dict[str, str] = {}
-    for name in MAPS:
+    for name, plane in zip(MAPS, planes, strict=True):
         paths[name] = f"textures/{entry['name']}.{name}.exr"
-        write_exr(folder.root / paths[name], planes[name], half=True)
+        write_exr(folder.root / paths[name], plane, half=True)
     return paths
 
 
@@ -185,7 +185,7 @@ def _bake_corners(
             base_color=samples.base_color.reshape(count, 3, 3),
             roughness=samples.roughness.reshape(count, 3),
             metallic=samples.metallic.reshape(count, 3),
-            coverage=samples.coverage.reshape(count, 3),
+            confidence=samples.confidence.reshape(count, 3, 3),
         )
     progress(1.0)
     return path

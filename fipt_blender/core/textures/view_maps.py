@@ -1,6 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the estimate says about the pixels of some views: base colour, roughness, metallic, emitted radiance.
+"""What the estimate says about the pixels of some views: base colour, roughness, metallic, emitted
+radiance, and how well the first three are known.
 
 Written below results/maps for the report and for anyone who wants images instead of textures.
 """
@@ -62,16 +63,18 @@ def view_maps(room: Room, lights: AreaLights, fields: RoomFields, view: View) ->
     facing = dr.select(surface.front, 1.0, -1.0)
     emission = np.array(lights.radiance(surface.triangle, facing, surface.valid)).T
     reflects = np.array(surface.valid & ~emitter)
-    base_color, roughness, metallic = fields.query(
-        np.array(surface.position).T.astype(np.float32), np.array(surface.triangle)
-    )
-    base_color[~reflects], roughness[~reflects], metallic[~reflects] = 0.0, 0.0, 0.0
+    points = np.array(surface.position).T.astype(np.float32), np.array(surface.triangle)
+    base_color, roughness, metallic = fields.query(*points)
+    confidence = fields.confidence(*points)
+    for values in (base_color, roughness, metallic, confidence):
+        values[~reflects] = 0.0
     size = (view.height, view.width)
     return {
         "base_color": base_color.reshape(*size, 3),
         "roughness": roughness.reshape(size),
         "metallic": metallic.reshape(size),
         "emission": emission.reshape(*size, 3),
+        "confidence": confidence.reshape(*size, 3),
     }
 
 
