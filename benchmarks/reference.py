@@ -22,7 +22,6 @@ from fipt_blender.core.job.stages import Estimation
 from fipt_blender.core.job.view_check import ViewCheck
 from fipt_blender.core.light.cache import SurfaceLookup
 from fipt_blender.core.light.emitters import Fixture, emitter_table, find_emitters, side_medians
-from fipt_blender.core.light.observations import observe
 from fipt_blender.core.light.radiance import CachedRadiance, RadianceSource, TracedRadiance
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, Shadings, bake
 from fipt_blender.core.light.views import CHUNK, HALF_LARGEST
@@ -205,7 +204,8 @@ class ReferenceEstimation(Estimation):
         return {"rays": len(self.pixels)}
 
     def _prepare(self) -> None:
-        self.seen = observe(self.room, self.pixels, self.parts, self.settings)
+        super()._prepare()
+        self.hit = np.flatnonzero(np.asarray(self.pixels.triangle) >= 0)
         self.hash_levels = self.settings.hash_levels
         self.emitting = np.zeros(len(self.room.triangles), bool)
         self._new_networks(0)
@@ -257,7 +257,7 @@ class ReferenceEstimation(Estimation):
         """Bake every pixel that sees the mesh, chunk by chunk."""
         store = self._open_shadings(create=True)
         normals = triangle_normals(self.room.vertices, self.room.triangles).astype(np.float32)
-        hit = self.seen.hit
+        hit = self.hit
         for start in range(0, len(hit), CHUNK):
             rows = hit[start : start + CHUNK]
             points = shading_points(self.pixels, rows, normals)
@@ -291,12 +291,12 @@ class ReferenceEstimation(Estimation):
         parameters = [*self.brdf.parameters(), *self.emission.parameters()]
         optimiser = torch.optim.Adam(parameters, lr=settings.learning_rate, fused=True)
         levels = torch.from_numpy(self.levels).to(self.device)
-        part = self.seen.pixel_parts()
+        part = self.parts.triangle_part[np.asarray(self.pixels.triangle)]  # only hits are looked up
         store = self._open_shadings()
         rng = np.random.default_rng([settings.seed, 5, index])
-        size = min(settings.batch_size, len(self.seen.hit))
+        size = min(settings.batch_size, len(self.hit))
         for step in range(steps):
-            rows = np.sort(self.seen.hit[rng.integers(0, len(self.seen.hit), size)])  # files read in order
+            rows = np.sort(self.hit[rng.integers(0, len(self.hit), size)])  # files read in order
             batch = Batch(
                 *(
                     torch.from_numpy(values).to(self.device)
