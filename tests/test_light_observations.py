@@ -23,15 +23,14 @@ def test_rim_pixels_of_an_emitter_stay_out_of_the_cache() -> None:
 
     class Pixels:
         views = [SimpleNamespace(width=width, height=height)]
-        ranges = np.array([0, width * height])
 
-        def __len__(self) -> int:
-            return width * height
+        def rows(self, view: int) -> slice:
+            return slice(0, width * height)
 
     pixels = Pixels()
     pixels.triangle, pixels.radiance = triangle, radiance  # type: ignore[attr-defined]
     hit = np.flatnonzero(triangle >= 0)
-    seen = Observations(pixels, None, hit, None, np.arange(len(hit)), None, 0.01)  # type: ignore[arg-type]
-    near = seen._near(np.array([False, True]))
+    seen = Observations(pixels, None, None, hit, None, 0.01, None)  # type: ignore[arg-type]
+    near = seen._near(0, np.array([False, True]))
     assert near.sum() == 9
     assert (radiance[hit[~near[hit]]] == 1.0).all()

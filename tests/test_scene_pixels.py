@@ -57,15 +57,15 @@ def test_pixels_across_a_border_of_parts_are_mixed(two_parts: tuple[PixelStore, 
 
 def test_a_mixed_pixel_borrows_from_its_own_part(two_parts: tuple[PixelStore, np.ndarray]) -> None:
     store, part = two_parts
-    donors = find_donors(store, part, 2).reshape(HEIGHT, WIDTH)
+    donors = find_donors(store, 0, part, 2).reshape(HEIGHT, WIDTH)
     own = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
     assert (part.reshape(HEIGHT, WIDTH)[:, 8] == 1).all()  # its centre lies on the right half
     assert (donors[:, 8] == own[:, 9]).all()
     assert (np.delete(donors, 8, axis=1) == np.delete(own, 8, axis=1)).all()
     # Nothing is lent across the part, nor around the image's border, nor without reach.
     alone = np.where(np.arange(WIDTH * HEIGHT) % WIDTH == 8, 7, 0)
-    assert (find_donors(store, alone, 4).reshape(HEIGHT, WIDTH)[:, 8] == -1).all()
-    assert (find_donors(store, part, 0).reshape(HEIGHT, WIDTH)[:, 8] == -1).all()
+    assert (find_donors(store, 0, alone, 4).reshape(HEIGHT, WIDTH)[:, 8] == -1).all()
+    assert (find_donors(store, 0, part, 0).reshape(HEIGHT, WIDTH)[:, 8] == -1).all()
 
 
 def test_the_reach_counts_steps(two_parts: tuple[PixelStore, np.ndarray]) -> None:
@@ -73,7 +73,7 @@ def test_the_reach_counts_steps(two_parts: tuple[PixelStore, np.ndarray]) -> Non
     pure = np.ones((HEIGHT, WIDTH), bool)
     pure[:, 10:] = False
     store.pure[:] = pure.reshape(-1)
-    donors = find_donors(store, np.zeros_like(part), 3).reshape(HEIGHT, WIDTH)
+    donors = find_donors(store, 0, np.zeros_like(part), 3).reshape(HEIGHT, WIDTH)
     own = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
     assert (donors[:, 10:13] == own[:, 9:10]).all() and (donors[:, 13:] == -1).all()
 

@@ -36,8 +36,7 @@ def training_input(
         shadings: of all pixels at the roughness `levels`.
         normalise: world positions to the unit cube.
     """
-    part = seen.pixel_parts()
-    donors = seen.donors()
+    part, donors = seen.part, seen.donor
     pool_rows = np.flatnonzero(donors >= 0)
     rows = pool_rows[donors[pool_rows] == pool_rows]
     if len(rows) > PROJECTION_PIXELS:
@@ -46,7 +45,7 @@ def training_input(
     view = pixels.view_of(np.arange(len(pixels)))
     widths = np.array([each.width for each in pixels.views])
     arrays = (pixels.radiance, shadings.diffuse, shadings.specular)
-    cell = seen.pixel_entries()[rows]
+    cell = np.asarray(seen.entry[rows], np.int64)
     # A semantic class holds several materials: no single pair would fit it.
     known = part[rows] if parts.kind == "part" else np.full(len(rows), -1, np.int32)
     roughness = metallic = np.zeros(0, np.float32)

@@ -79,20 +79,33 @@ def make_grid(
         positions: (N, 3) seen surface points, metres.
         normals: (N, 3) their geometric normals on the seen side.
     """
+    frame = grid_frame(room, resolution)
+    return fill_grid(room, frame, frame.flat_index(positions, normals), rng)
+
+
+def grid_frame(room: Room, resolution: int) -> VoxelGrid:
+    """The grid over the room's bounds, without rows."""
     low, high = room.bounds
     extent = np.maximum(high - low, 1e-3 * (high - low).max())
     size = extent / (resolution - 2)
     low = low - size  # a free layer, so that lifted points stay inside
-    grid = VoxelGrid(low, size, resolution, np.zeros(0, np.int32), np.zeros(0, np.int64))
-    samples, triangle = sample_surface(room, float(np.median(size)), rng)
+    return VoxelGrid(low, size, resolution, np.zeros(0, np.int32), np.zeros(0, np.int64))
+
+
+def fill_grid(room: Room, frame: VoxelGrid, seen: np.ndarray, rng: np.random.Generator) -> VoxelGrid:
+    """The grid with a row for each voxel that was seen or that a surface passes through.
+
+    Args:
+        seen: (K,) int flat voxel indices.
+    """
+    samples, triangle = sample_surface(room, float(np.median(frame.size)), rng)
     sample_normals = triangle_normals(room.vertices, room.triangles)[triangle]
-    flat = [grid.flat_index(positions, normals)]
-    flat += [grid.flat_index(samples, sign * sample_normals) for sign in (1.0, -1.0)]
+    flat = [seen, *(frame.flat_index(samples, sign * sample_normals) for sign in (1.0, -1.0))]
     voxels = np.unique(np.concatenate(flat))
-    rows = np.full(resolution**3, -1, np.int32)
+    rows = np.full(frame.resolution**3, -1, np.int32)
     rows[voxels] = np.arange(len(voxels), dtype=np.int32)
-    _point_to_neighbours(rows.reshape((resolution,) * 3))
-    return VoxelGrid(low, size, resolution, np.maximum(rows, 0), voxels)
+    _point_to_neighbours(rows.reshape((frame.resolution,) * 3))
+    return VoxelGrid(frame.low, frame.size, frame.resolution, np.maximum(rows, 0), voxels)
 
 
 def sample_surface(room: Room, spacing: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -153,19 +166,39 @@ def pool(grid: VoxelGrid, entries: np.ndarray, values: np.ndarray) -> tuple[np.n
     Returns:
         (filled (M * 6, C) float32, count (M * 6,) int64 values that fell into each entry).
     """
-    total = len(grid.voxels) * SIDES
-    count = np.bincount(entries, minlength=total)
-    sums = np.stack([np.bincount(entries, column, minlength=total) for column in values.T], axis=1)
-    mean = sums / np.maximum(count, 1)[:, None]
-    missing = count == 0
-    cell = np.stack(np.unravel_index(grid.voxels, (grid.resolution,) * 3), axis=1)
-    level = 0
-    while missing.any() and (grid.resolution >> level) > 1:
-        level += 1
-        _fill_from_coarser(mean, count, missing, cell >> level, (grid.resolution >> level) + 1)
-    if missing.any():
-        mean[missing] = values.mean(axis=0) if len(values) else 0.0
-    return mean.astype(np.float32), count
+    pooled = Pool(grid, values.shape[1])
+    pooled.add(entries, values)
+    return pooled.filled()
+
+
+class Pool:
+    """Sums of values on cache entries, gathered piece by piece: see :func:`pool`."""
+
+    def __init__(self, grid: VoxelGrid, channels: int) -> None:
+        total = len(grid.voxels) * SIDES
+        self._grid = grid
+        self._count = np.zeros(total, np.int64)
+        self._sums = np.zeros((channels, total))
+
+    def add(self, entries: np.ndarray, values: np.ndarray) -> None:
+        """Gather (N, C) values on (N,) entries; the pieces' sizes do not matter to the result."""
+        np.add.at(self._count, entries, 1)
+        for sums, column in zip(self._sums, values.T, strict=True):
+            np.add.at(sums, entries, column.astype(np.float64))
+
+    def filled(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean of each entry, the missing ones filled, and the count of values; see :func:`pool`."""
+        grid, count = self._grid, self._count
+        mean = self._sums.T / np.maximum(count, 1)[:, None]
+        missing = count == 0
+        cell = np.stack(np.unravel_index(grid.voxels, (grid.resolution,) * 3), axis=1)
+        level = 0
+        while missing.any() and (grid.resolution >> level) > 1:
+            level += 1
+            _fill_from_coarser(mean, count, missing, cell >> level, (grid.resolution >> level) + 1)
+        if missing.any():
+            mean[missing] = self._sums.sum(axis=1) / max(int(count.sum()), 1)
+        return mean.astype(np.float32), count
 
 
 def _fill_from_coarser(

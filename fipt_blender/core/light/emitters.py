@@ -33,6 +33,8 @@ FRAME = 0.2
 WEAK = 1e-3
 DIM = 0.1
 SCREENING_SAMPLES = 8
+# Pixels at a time: arrays of all pixels of a large capture would take gigabytes.
+CHUNK = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -113,6 +115,19 @@ def reflection_explains(
     return result
 
 
+def pixels_of(triangle: np.ndarray, marked: np.ndarray) -> np.ndarray:
+    """(R,) int64 pixels that see one of the triangles marked ((T,) bool).
+
+    Args:
+        triangle: (N,) triangle of each pixel, negative where none; memory-mapped arrays will do.
+    """
+    found = [np.zeros(0, np.int64)]
+    for start in range(0, len(triangle), CHUNK):
+        part = triangle[start : start + CHUNK]
+        found.append(np.flatnonzero((part >= 0) & marked[np.maximum(part, 0)]) + start)
+    return np.concatenate(found)
+
+
 def side_medians(
     triangle: np.ndarray, front: np.ndarray, pure: np.ndarray, radiance: np.ndarray, group: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -160,7 +175,7 @@ def group_fixtures(
 
     Args:
         emitting: (T,) bool.
-        triangle, front, pure, radiance: of the pixels, as in :func:`side_medians`.
+        triangle, front, pure, radiance: of the pixels, as in :func:`side_medians`; memory-mapped arrays do.
         reach: metres; what only mixed pixels saw within this distance of a brighter fixture is taken for the
             fixture's own light in those pixels, no lamp.
     """
@@ -169,6 +184,8 @@ def group_fixtures(
     ids = np.flatnonzero(emitting)
     if not len(ids):
         return []
+    rows = pixels_of(triangle, emitting)  # few: all that follows may be in memory
+    triangle, front, pure, radiance = (array[rows] for array in (triangle, front, pure, radiance))
     own = np.full(len(emitting), -1, np.int64)
     own[ids] = np.arange(len(ids))
     medians, counts = side_medians(triangle, front, pure, radiance, own)
@@ -254,8 +271,10 @@ def _complete(
     """
     piece = _pieces(corners)
     seen, clean = np.zeros((2, len(emitting)), bool)
-    seen[triangle[triangle >= 0]] = True
-    clean[triangle[(triangle >= 0) & pure]] = True
+    for start in range(0, len(triangle), CHUNK):
+        part = triangle[start : start + CHUNK]
+        seen[part[part >= 0]] = True
+        clean[part[(part >= 0) & pure[start : start + CHUNK]]] = True
     seen &= clean | (np.bincount(piece, clean)[piece] == 0)
     area = room.areas
     seen_area = np.bincount(piece, area * seen)
@@ -323,13 +342,18 @@ def bright_triangles(
 
     Only sampling depends on them, never the result's expectation.
     """
-    count = len(room.triangles)
-    sides = []
-    for side in (front, ~front):
-        chosen = (triangle >= 0) & side
-        number = np.bincount(triangle[chosen], minlength=count)
-        sums = [np.bincount(triangle[chosen], radiance[chosen, c], minlength=count) for c in range(3)]
-        sides.append(np.stack(sums, axis=1) / np.maximum(number, 1)[:, None])
+    number = np.zeros((2, len(room.triangles)))
+    sums = np.zeros((2, 3, len(room.triangles)))
+    for start in range(0, len(triangle), CHUNK):
+        rows = slice(start, start + CHUNK)
+        seen = np.asarray(triangle[rows]) >= 0
+        for side in range(2):
+            chosen = np.flatnonzero(seen & (front[rows] != bool(side)))
+            on = triangle[rows][chosen]
+            np.add.at(number[side], on, 1.0)
+            for channel in range(3):
+                np.add.at(sums[side, channel], on, radiance[rows][chosen, channel].astype(np.float64))
+    sides = (sums / np.maximum(number, 1.0)[:, None]).transpose(0, 2, 1)
     light = np.maximum(sides[0] @ LUMINANCE, sides[1] @ LUMINANCE)
     seen = light > 0
     mean = float(np.average(light[seen], weights=room.areas[seen])) if (room.areas * seen).sum() > 0 else 0.0

@@ -33,17 +33,16 @@ class Environment:
 
 def outside_pixels(pixels: PixelStore) -> tuple[np.ndarray, np.ndarray]:
     """World directions (M, 3) and radiance (M, 3) of the pixels that miss the mesh."""
-    missed = np.flatnonzero(pixels.triangle == NO_TRIANGLE)
-    # The colour of a window's frame, in the pixels at its edge, is no light from outside; nor are cracks of
-    # the mesh, which no pixel sees alone.
-    missed = missed[np.asarray(pixels.pure[missed])]
-    directions = np.empty((len(missed), 3))
-    view_of = pixels.view_of(missed)
-    for index in np.unique(view_of):
-        _, rays = pixels.views[index].rays()
-        chosen = view_of == index
-        directions[chosen] = rays[missed[chosen] - pixels.ranges[index]]
-    return directions, np.asarray(pixels.radiance[missed])
+    directions, radiance = [np.zeros((0, 3))], [np.zeros((0, 3), np.float32)]
+    for index, view in enumerate(pixels.views):
+        rows = pixels.rows(index)
+        # The colour of a window's frame, in the pixels at its edge, is no light from outside; nor are cracks
+        # of the mesh, which no pixel sees alone.
+        missed = np.flatnonzero((pixels.triangle[rows] == NO_TRIANGLE) & pixels.pure[rows])
+        if len(missed):
+            directions.append(view.rays()[1][missed])
+            radiance.append(pixels.radiance[missed + rows.start])
+    return np.concatenate(directions), np.concatenate(radiance)
 
 
 def estimate_environment(directions: np.ndarray, radiance: np.ndarray, width: int) -> Environment | None:

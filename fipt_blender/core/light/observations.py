@@ -2,19 +2,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the photographs say about the room before anything is estimated: which surface points they saw, in
 which voxels, of which parts, and what they saw outside.
+
+What is kept of each pixel lies in memory-mapped files, and work goes view by view: memory does not grow with
+the number of views.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from ..job.settings import Settings
-from ..scene.labels import Parts
-from ..scene.pixels import PixelStore, find_donors
+from ..scene.labels import NO_PART, Parts
+from ..scene.pixels import PixelStore, find_donors, open_array
 from ..scene.room import Room, triangle_normals
-from .cache import SIDES, VoxelGrid, make_grid, pool
+from .cache import SIDES, Pool, VoxelGrid, fill_grid, grid_frame
 from .environment import Environment, estimate_environment, outside_pixels
 
 # Steps in the image within which a mixed pixel borrows from a pure one of its part.
@@ -30,24 +36,25 @@ class Observations:
     Attributes:
         pixels: N of them.
         parts: of the room's triangles.
-        hit: (H,) int64 pixels that see the mesh.
         grid: voxels of the radiance cache.
-        entries: (H,) int64 cache entry of each of them.
+        entry: (N,) int32 cache entry of each pixel, -1 where the mesh is missed; memory-mapped.
         environment: in units of the capture's median, None where no pixel looks outside.
         footprint: median width of a pixel on the surfaces, metres.
+        folder: for memory-mapped arrays.
     """
 
     pixels: PixelStore
     parts: Parts
-    hit: np.ndarray
     grid: VoxelGrid
-    entries: np.ndarray
+    entry: np.ndarray
     environment: Environment | None
     footprint: float
+    folder: Path
 
-    def positions(self) -> np.ndarray:
-        """(H, 3) float32 surface points seen, metres."""
-        return np.asarray(self.pixels.position[self.hit])
+    def hits(self) -> Iterator[np.ndarray]:
+        """(n,) int64 pixels that see the mesh, view by view."""
+        for index in range(len(self.pixels.views)):
+            yield _hits(self.pixels, index)
 
     def cache(self, without: np.ndarray | None = None) -> np.ndarray:
         """(M * 6, 3) float32 radiance cache of all pixels, or of all but those lit by the emitters `without`
@@ -56,76 +63,109 @@ class Observations:
         The rim pixels around a lamp hold some of its radiance. Beside emitters of known radiance and shape
         they would count it twice and make the whole room's shadings a few per cent too bright.
         """
-        keep: slice | np.ndarray = slice(None)
-        if without is not None and without.any():
-            keep = ~self._near(without)[self.hit]
-        radiance = np.asarray(self.pixels.radiance[self.hit[keep]])
-        return pool(self.grid, self.entries[keep], radiance)[0]
+        pooled = Pool(self.grid, 3)
+        for index, rows in enumerate(self.hits()):
+            if without is not None and without.any():
+                near = self._near(index, without)
+                rows = rows[~near[rows - self.pixels.ranges[index]]]
+            pooled.add(self.entry[rows], self.pixels.radiance[rows])
+        return pooled.filled()[0]
 
-    def _near(self, marked: np.ndarray) -> np.ndarray:
-        """(N,) bool, pixels that see a marked triangle ((T,) bool), and their neighbours in the image."""
-        near = np.zeros(len(self.pixels), bool)
-        for index, view in enumerate(self.pixels.views):
-            rows = slice(int(self.pixels.ranges[index]), int(self.pixels.ranges[index + 1]))
-            triangle = np.asarray(self.pixels.triangle[rows])
-            seen = ((triangle >= 0) & marked[np.maximum(triangle, 0)]).reshape(view.height, view.width)
-            if seen.any():
-                wide = np.pad(seen, 1)
-                wide = wide[:-2] | wide[1:-1] | wide[2:]
-                near[rows] = (wide[:, :-2] | wide[:, 1:-1] | wide[:, 2:]).ravel()
-        return near
+    def _near(self, index: int, marked: np.ndarray) -> np.ndarray:
+        """(n,) bool, pixels of a view that see a marked triangle ((T,) bool), and their neighbours."""
+        view = self.pixels.views[index]
+        triangle = np.asarray(self.pixels.triangle[self.pixels.rows(index)])
+        seen = ((triangle >= 0) & marked[np.maximum(triangle, 0)]).reshape(view.height, view.width)
+        wide = np.pad(seen, 1)
+        wide = wide[:-2] | wide[1:-1] | wide[2:]
+        return (wide[:, :-2] | wide[:, 1:-1] | wide[:, 2:]).ravel()
 
-    def pixel_parts(self) -> np.ndarray:
-        """(N,) int32 part of each pixel, NO_PART without one and where the mesh is missed."""
-        part = np.full(len(self.pixels), -1, np.int32)
-        part[self.hit] = self.parts.triangle_part[self.pixels.triangle[self.hit]]
+    @cached_property
+    def part(self) -> np.ndarray:
+        """(N,) int32 part of each pixel, NO_PART without one and where the mesh is missed; memory-mapped."""
+        part = open_array(self.folder / "part.npy", (len(self.pixels),), np.int32, create=True)
+        # A row more for those that miss the mesh, at -1.
+        of_triangle = np.append(self.parts.triangle_part, np.int32(NO_PART))
+        for index in range(len(self.pixels.views)):
+            rows = self.pixels.rows(index)
+            part[rows] = of_triangle[np.maximum(self.pixels.triangle[rows], -1)]
         return part
 
-    def pixel_entries(self) -> np.ndarray:
-        """(N,) int64 cache entry of each pixel, 0 where the mesh is missed."""
-        entry = np.zeros(len(self.pixels), np.int64)
-        entry[self.hit] = self.entries
-        return entry
-
-    def donors(self) -> np.ndarray:
-        """(N,) int64 pixel that stands for each, -1 for none: see :func:`find_donors`.
+    @cached_property
+    def donor(self) -> np.ndarray:
+        """(N,) int64 pixel that stands for each, -1 for none: see :func:`find_donors`; memory-mapped.
 
         Without parts nothing says which neighbour shows the same surface. A mixed pixel without a donor
         stands for itself where no pixel sees its surface alone.
         """
         reach = DONOR_REACH if self.parts.kind == "part" else 0
-        donors = find_donors(self.pixels, self.pixel_parts(), reach)
-        pure = np.asarray(self.pixels.pure)[self.hit]
-        alone = np.bincount(self.entries, pure, minlength=len(self.grid.voxels) * SIDES)
-        lonely = self.hit[(alone[self.entries] == 0) & (donors[self.hit] < 0)]
-        donors[lonely] = lonely
+        alone = np.zeros(len(self.grid.voxels) * SIDES, bool)
+        for hit in self.hits():
+            alone[self.entry[hit[self.pixels.pure[hit]]]] = True
+        donors = open_array(self.folder / "donor.npy", (len(self.pixels),), np.int64, create=True)
+        for index, hit in enumerate(self.hits()):
+            rows = self.pixels.rows(index)
+            found = find_donors(self.pixels, index, np.asarray(self.part[rows]), reach)
+            lonely = hit[~alone[self.entry[hit]] & (found[hit - rows.start] < 0)]
+            found[lonely - rows.start] = lonely
+            donors[rows] = found
         return donors
 
 
-def observe(room: Room, pixels: PixelStore, parts: Parts, settings: Settings) -> Observations:
-    """Sort the pixels into voxels and look outside; quick, so it is not kept between sessions."""
-    hit = np.flatnonzero(pixels.triangle >= 0)
-    position = np.asarray(pixels.position[hit])
-    seen = triangle_normals(room.vertices, room.triangles).astype(np.float32)[pixels.triangle[hit]]
-    seen *= np.where(pixels.front[hit], np.float32(1.0), np.float32(-1.0))[:, None]
-    rng = np.random.default_rng([settings.seed, 1])
-    grid = make_grid(room, position, seen, settings.voxel_resolution, rng)
+def _hits(pixels: PixelStore, index: int) -> np.ndarray:
+    """(n,) int64 pixels of a view that see the mesh."""
+    rows = pixels.rows(index)
+    return np.flatnonzero(pixels.triangle[rows] >= 0) + rows.start
+
+
+def observe(room: Room, pixels: PixelStore, parts: Parts, settings: Settings, folder: Path) -> Observations:
+    """Sort the pixels into voxels and look outside; quick, so it is not kept between sessions.
+
+    Args:
+        folder: for memory-mapped arrays, made anew.
+    """
+    normals = triangle_normals(room.vertices, room.triangles).astype(np.float32)
+
+    def surface(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and the geometric normals on the seen side."""
+        side = np.where(pixels.front[rows], np.float32(1.0), np.float32(-1.0))
+        return np.asarray(pixels.position[rows]), normals[pixels.triangle[rows]] * side[:, None]
+
+    views = range(len(pixels.views))
+    frame = grid_frame(room, settings.voxel_resolution)
+    marked = np.zeros(settings.voxel_resolution**3, bool)
+    for index in views:
+        marked[frame.flat_index(*surface(_hits(pixels, index)))] = True
+    grid = fill_grid(room, frame, np.flatnonzero(marked), np.random.default_rng([settings.seed, 1]))
+    entry = open_array(folder / "entry.npy", (len(pixels),), np.int32, create=True)
+    for index in views:
+        hit, rows = _hits(pixels, index), pixels.rows(index)
+        own = np.full(rows.stop - rows.start, -1, np.int32)
+        own[hit - rows.start] = grid.entries(*surface(hit))
+        entry[rows] = own
     return Observations(
         pixels=pixels,
         parts=parts,
-        hit=hit,
         grid=grid,
-        entries=grid.entries(position, seen),
+        entry=entry,
         environment=estimate_environment(*outside_pixels(pixels), settings.environment_width),
         footprint=median_footprint(pixels),
+        folder=folder,
     )
 
 
 def median_footprint(pixels: PixelStore) -> float:
     """Median width in metres of a pixel on the surfaces that it sees."""
-    hit = np.flatnonzero(pixels.triangle >= 0)
-    some = hit[:: max(1, len(hit) // FOOTPRINT_PIXELS)]
-    view_of = pixels.view_of(some)
-    distance = np.linalg.norm(pixels.position[some] - pixels.camera_positions()[view_of], axis=1)
-    focal = np.array([min(view.fx, view.fy) for view in pixels.views])
-    return float(np.median(distance / focal[view_of]))
+    views = range(len(pixels.views))
+    total = sum(len(_hits(pixels, index)) for index in views)
+    step = max(1, total // FOOTPRINT_PIXELS)
+    found = []
+    before = 0
+    for index, view in enumerate(pixels.views):
+        hit = _hits(pixels, index)
+        some = hit[-before % step :: step]  # every step-th of all, over the views' borders
+        before += len(hit)
+        camera = np.asarray(view.camera_to_world)[:3, 3].astype(np.float32)
+        distance = np.linalg.norm(pixels.position[some] - camera, axis=1)
+        found.append(distance.astype(np.float64) / min(view.fx, view.fy))
+    return float(np.median(np.concatenate(found)))

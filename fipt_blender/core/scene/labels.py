@@ -8,7 +8,7 @@ all views agree (paper, supplementary "Semantic segmentation acquisition").
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ from ..capture.views import View
 from .room import Room
 
 NO_PART = -1
+_IDS = 1 << 32  # more than any id
 
 
 @dataclass(frozen=True)
@@ -39,9 +40,8 @@ def choose_parts(room: Room, views: Sequence[View], triangles: Sequence[np.ndarr
         triangles: for each view the (H * W,) triangle seen by each pixel, negative where none.
     """
     source = choose_source(room, views)
-    images: list[np.ndarray | None] = []
-    if source in ("masks", "semantics"):
-        images = [view.part_ids() if source == "masks" else view.semantic_ids() for view in views]
+    # One after the other: all of them may not fit into memory.
+    images = (view.part_ids() if source == "masks" else view.semantic_ids() for view in views)
     return label_parts(room, source, images, triangles)
 
 
@@ -71,7 +71,7 @@ def choose_source(room: Room, views: Sequence[View]) -> str:
 
 
 def label_parts(
-    room: Room, source: str, images: Sequence[np.ndarray | None], triangles: Sequence[np.ndarray]
+    room: Room, source: str, images: Iterable[np.ndarray | None], triangles: Iterable[np.ndarray]
 ) -> Parts:
     """Parts from one source.
 
@@ -117,7 +117,7 @@ def loose_pieces(triangles: np.ndarray, objects: np.ndarray) -> np.ndarray:
             return _compact(root[corner[:, 0]])
 
 
-def fuse_masks(masks: Sequence[np.ndarray | None], triangles: Sequence[np.ndarray], count: int) -> np.ndarray:
+def fuse_masks(masks: Iterable[np.ndarray | None], triangles: Iterable[np.ndarray], count: int) -> np.ndarray:
     """Each triangle takes the id that most of its pixels have.
 
     Args:
@@ -130,13 +130,12 @@ def fuse_masks(masks: Sequence[np.ndarray | None], triangles: Sequence[np.ndarra
     """
     keys: list[np.ndarray] = []
     numbers: list[np.ndarray] = []
-    span = 1 + max((int(mask.max(initial=0)) for mask in masks if mask is not None), default=0)
     for mask, triangle in zip(masks, triangles, strict=True):
         if mask is None:
             continue
         ids = mask.reshape(-1).astype(np.int64)
         valid = (ids > 0) & (triangle >= 0)
-        key, number = np.unique(triangle[valid].astype(np.int64) * span + ids[valid], return_counts=True)
+        key, number = np.unique(triangle[valid].astype(np.int64) * _IDS + ids[valid], return_counts=True)
         keys.append(key)
         numbers.append(number)
     label = np.full(count, NO_PART, np.int64)
@@ -145,8 +144,8 @@ def fuse_masks(masks: Sequence[np.ndarray | None], triangles: Sequence[np.ndarra
     key, inverse = np.unique(np.concatenate(keys), return_inverse=True)
     votes = np.bincount(inverse, np.concatenate(numbers))
     # The last assignment to a triangle wins, so sort by votes, then by descending id.
-    order = np.lexsort((-(key % span), votes))
-    label[key[order] // span] = key[order] % span
+    order = np.lexsort((-(key % _IDS), votes))
+    label[key[order] // _IDS] = key[order] % _IDS
     return label
 
 

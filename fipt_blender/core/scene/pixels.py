@@ -298,35 +298,33 @@ def _toward(view: View, surface: Surface) -> mi.Vector3f:
     return dr.normalize(centre - surface.position)
 
 
-def find_donors(store: PixelStore, part: np.ndarray, reach: int) -> np.ndarray:
-    """For each pixel the one whose photograph stands for it: itself, or near by where it is mixed.
+def find_donors(store: PixelStore, index: int, part: np.ndarray, reach: int) -> np.ndarray:
+    """For each pixel of a view the one whose photograph stands for it: itself, or near by where it is mixed.
 
     A mixed pixel's radiance is that of several surfaces. The nearest pure pixel of the same part, at most
     `reach` steps away in the same view, shows what its own surface looks like.
 
     Args:
-        part: (N,) int part of each pixel; any one value for all where parts are unknown.
+        index: of the view.
+        part: (n,) int part of each of its pixels; any one value for all where parts are unknown.
 
     Returns:
-        (N,) int64 pixel indices; -1 for mixed pixels without such a neighbour and where the mesh is missed.
+        (n,) int64 indices among all views' pixels; -1 for mixed pixels without such a neighbour and where the
+        mesh is missed.
     """
-    donors = np.full(len(store), -1, np.int64)
-    for i, view in enumerate(store.views):
-        first, last = int(store.ranges[i]), int(store.ranges[i + 1])
-        size = (view.height, view.width)
-        hit = (np.asarray(store.triangle[first:last]) >= 0).reshape(size)
-        pure = np.asarray(store.pure[first:last]).reshape(size) & hit
-        label = np.asarray(part[first:last]).reshape(size)
-        own = np.arange(first, last).reshape(size)
-        donor = np.where(pure, own, -1)
-        for _ in range(reach):
-            before = donor
-            for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
-                near = np.roll(before, step, axis=axis)
-                alike = np.roll(label, step, axis=axis) == label
-                edge: list[slice] = [slice(None), slice(None)]
-                edge[axis] = slice(0, 1) if step == 1 else slice(-1, None)
-                alike[tuple(edge)] = False  # np.roll wraps around
-                donor = np.where((donor < 0) & hit & alike, near, donor)
-        donors[first:last] = donor.reshape(-1)
-    return donors
+    rows, view = store.rows(index), store.views[index]
+    size = (view.height, view.width)
+    hit = (np.asarray(store.triangle[rows]) >= 0).reshape(size)
+    pure = np.asarray(store.pure[rows]).reshape(size) & hit
+    label = part.reshape(size)
+    donor = np.where(pure, np.arange(rows.start, rows.stop).reshape(size), -1)
+    for _ in range(reach):
+        before = donor
+        for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
+            near = np.roll(before, step, axis=axis)
+            alike = np.roll(label, step, axis=axis) == label
+            edge: list[slice] = [slice(None), slice(None)]
+            edge[axis] = slice(0, 1) if step == 1 else slice(-1, None)
+            alike[tuple(edge)] = False  # np.roll wraps around
+            donor = np.where((donor < 0) & hit & alike, near, donor)
+    return donor.reshape(-1)
