@@ -71,6 +71,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     add("--parts", choices=PARTS, default="auto", help="what tells materials apart (default: auto)")
     add("--no-renders", action="store_true", help="make no Cycles renders")
+    add("--cluster", metavar="ADDRESS", help="a Dask scheduler whose workers share the work on the views")
     add("--render-spp", type=int, default=64, metavar="N", help="Cycles samples a pixel (default: 64)")
     add("--render-view", default="", metavar="NAME", help="the view to render (default: a held-back one)")
     add("--resume", action="store_true", help="keep what an earlier run in the same folder finished")
@@ -136,6 +137,7 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
         render_spp=arguments.render_spp,
         resume=arguments.resume,
         engine_python=arguments.engine_python,
+        cluster=arguments.cluster,
     )
 
 

@@ -65,6 +65,8 @@ class MainJobOptions:
         render_spp: Cycles' samples a pixel.
         resume: whether finished steps of an earlier run are kept.
         engine_python: interpreter of the engine, or None for the one found.
+        cluster: address of a Dask scheduler whose workers share the work on the views; None for this machine
+            alone. The results are the same.
         own_file: whether the job may replace the open .blend (background); otherwise it adds to it.
     """
 
@@ -85,6 +87,7 @@ class MainJobOptions:
     render_spp: int = 64
     resume: bool = False
     engine_python: str | None = None
+    cluster: str | None = None
     own_file: bool = True
 
 
@@ -204,11 +207,14 @@ def _ingest_arguments(options: MainJobOptions) -> list[str]:
     return arguments
 
 
-def estimate_step(run: RunFolder, settings: Settings, resume: bool = False) -> Step:
+def estimate_step(
+    run: RunFolder, settings: Settings, resume: bool = False, cluster: str | None = None
+) -> Step:
     """The engine's estimation on the capture.json and the room.npz of a run folder.
 
     Args:
         resume: whether stages that other settings leave as they are may be kept; the engine knows which.
+        cluster: see `MainJobOptions`; no input, as results do not depend on it.
     """
     values = {name: value for name, value in asdict(settings).items() if name not in TEXTURE_SETTINGS}
     return Step(
@@ -216,7 +222,7 @@ def estimate_step(run: RunFolder, settings: Settings, resume: bool = False) -> S
         "Estimating materials and lights",
         _ESTIMATE_SECONDS.get(settings.preset, 360.0),
         inputs=values,
-        command=["estimate", str(run.root)],
+        command=["estimate", str(run.root), *([] if cluster is None else [f"--cluster={cluster}"])],
         outputs=[run.fields_npz, run.emitters_json],
         reset=lambda: _empty(*([] if resume else [run.stage]), run.results),
     )
@@ -268,7 +274,7 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
             outputs=[run.room_npz, run.room_json],
             reset=lambda: _remove(run.room_npz, run.room_json),
         ),
-        estimate_step(run, options.settings, options.resume),
+        estimate_step(run, options.settings, options.resume, options.cluster),
         Step(
             "atlas",
             "Laying out texture coordinates",

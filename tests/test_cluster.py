@@ -30,6 +30,8 @@ from small_captures import (
 )
 from small_rooms import BOX, make_room, table
 
+from fipt_blender import cli
+from fipt_blender.bridge.step import chain_keys
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.job import cluster, estimate, stages
 from fipt_blender.core.job.errors import FiptError
@@ -37,6 +39,7 @@ from fipt_blender.core.job.messages import Reporter
 from fipt_blender.core.job.runfolder import RunFolder
 from fipt_blender.core.material import training
 from fipt_blender.core.scene.pixels import Tracing
+from fipt_blender.mainjob import estimate_step
 
 ROOT = Path(__file__).resolve().parent.parent
 # Every stage, and next to no training: that is not shared.
@@ -180,6 +183,17 @@ def test_an_address_where_nothing_answers(address: str, monkeypatch: pytest.Monk
         pass
     assert caught.value.code == "cluster-unreachable" and repr(address) in caught.value.text
     assert time.monotonic() - started < 5.0
+
+
+def test_the_address_reaches_the_engine_and_makes_no_result_stale(tmp_path: Path) -> None:
+    arguments = cli.make_parser().parse_args(["estimate", "room", "--cluster", "tcp://host:8786"])
+    options = cli.make_options(arguments)
+    assert options.cluster == "tcp://host:8786"
+    run = RunFolder(tmp_path)
+    steps = [estimate_step(run, options.settings, cluster=address) for address in (options.cluster, None)]
+    assert "--cluster=tcp://host:8786" in steps[0].command
+    assert steps[1].command == ["estimate", str(run.root)]
+    assert chain_keys(steps[:1]) == chain_keys(steps[1:])
 
 
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
