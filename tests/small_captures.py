@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A lit box with its photographs as a run folder, made in a second: input for tests of whole estimations."""
 
+import argparse
+import io
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +13,8 @@ import numpy as np
 from small_rooms import BOX, area_lights, make_room, table
 
 from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.job import estimate
+from fipt_blender.core.job.messages import Reporter, parse_message
 from fipt_blender.core.job.runfolder import RunFolder
 from fipt_blender.core.job.settings import make_settings
 from fipt_blender.core.render.environment import EnvironmentLight
@@ -160,3 +164,10 @@ def write_run(root: Path, capture: SmallCapture, **changes) -> RunFolder:
     names = [f"object {index}" for index in range(int(room.triangle_object.max(initial=-1)) + 1)]
     run.room_json.write_text(json.dumps({"objects": names, "materials": [], "parts": room.parts}))
     return run
+
+
+def run_here(run: RunFolder) -> list[dict]:
+    """Estimate in this process; returns its messages."""
+    stream = io.StringIO()
+    estimate.run(argparse.Namespace(run=run.root, cluster=None), Reporter(stream))
+    return [message for line in stream.getvalue().splitlines() if (message := parse_message(line))]

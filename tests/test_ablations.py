@@ -9,28 +9,27 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
-from small_captures import COLORS, PANEL_RADIANCE, PANEL_TRIANGLES, SmallCapture, panel_capture, write_run
+from small_captures import (
+    COLORS,
+    PANEL_RADIANCE,
+    PANEL_TRIANGLES,
+    SmallCapture,
+    panel_capture,
+    run_here,
+    write_run,
+)
 from small_rooms import BOX, make_room, surface_points
 
 from benchmarks import ablations, accuracy, disturb
-from fipt_blender.core.job import estimate
 from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.messages import Reporter
 from fipt_blender.core.job.runfolder import RunFolder
 from fipt_blender.core.job.settings import make_settings
 from fipt_blender.core.job.stages import spread_views
 from fipt_blender.core.light.joint import joint_fixtures
 from fipt_blender.core.material.fields import RoomFields
 
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +39,7 @@ def capture() -> SmallCapture:
 
 def finished(root: Path, capture: SmallCapture, **changes) -> tuple[RunFolder, list[dict]]:
     run = write_run(root / "run", capture, **changes)
-    estimate.run(argparse.Namespace(run=run.root, cluster=None), Reporter())
+    run_here(run)
     return run, json.loads(run.emitters_json.read_text())["fixtures"]
 
 
@@ -174,7 +173,7 @@ def test_semantic_masks_instead_of_parts(capture: SmallCapture, tmp_path: Path) 
     for view in data["views"]:
         view["semantics"] = "images/classes.png"
     run.capture_json.write_text(json.dumps(data))
-    estimate.run(argparse.Namespace(run=run.root, cluster=None), Reporter())
+    run_here(run)
     (lamp,) = json.loads(run.emitters_json.read_text())["fixtures"]
     assert lamp["triangles"] == PANEL_TRIANGLES
     assert json.loads(run.statistics_json.read_text())["part_kind"] == "semantic"

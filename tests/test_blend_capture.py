@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from mathutils import Euler, Matrix
 
-import fipt_blender
 from fipt_blender.blend import capture_import, scene_cameras
 from fipt_blender.blend.capture_export import camera_pose, export_capture, find_mask
 from fipt_blender.blend.slices import run_through
@@ -40,11 +39,7 @@ class Pinhole:
         self.camera_to_world = np.array(entry["camera_to_world"])
 
 
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    fipt_blender.register()
-    yield
-    fipt_blender.unregister()
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture

@@ -2,19 +2,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Whole estimations of small rooms whose lamps are hard to find, or whose bright spots are no lamps."""
 
-import argparse
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
-from small_captures import CAMERAS, COLORS, PANEL, SmallCapture, photograph_room, write_run
+from small_captures import CAMERAS, COLORS, PANEL, SmallCapture, photograph_room, run_here, write_run
 from small_rooms import BOX, bulb, make_room, mesh_room, table
 
 from fipt_blender.core.conventions import direction_to_equirect
-from fipt_blender.core.job import estimate
-from fipt_blender.core.job.messages import Reporter
 from fipt_blender.core.render.environment import EnvironmentLight
 from fipt_blender.core.render.lights import EmitterTable
 from fipt_blender.core.render.surfaces import TriangleMaterials
@@ -24,18 +20,13 @@ BLACK = [0.0, 0.0, 0.0]
 FIRST = 2 * len(BOX)  # triangle after those of the box
 
 
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def fixtures(root: Path, capture: SmallCapture) -> list[dict]:
     """Those found after one training; refinement changes materials, hardly ever emitters."""
     run = write_run(root / "run", capture, rounds=0)
-    estimate.run(argparse.Namespace(run=run.root, cluster=None), Reporter())
+    run_here(run)
     return json.loads(run.emitters_json.read_text())["fixtures"]
 
 

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Whole estimations of a tiny lit box: right, the same after kills, clear where there can be none."""
 
-import argparse
-import io
 import json
 import os
 import signal
@@ -14,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from small_captures import (
     COLORS,
     PANEL_RADIANCE,
@@ -22,27 +19,20 @@ from small_captures import (
     SmallCapture,
     look_at,
     panel_capture,
+    run_here,
     window_capture,
     write_run,
 )
 from small_rooms import surface_points
 
 from fipt_blender.core.capture.images import read_radiance
-from fipt_blender.core.job import estimate
 from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.messages import Reporter, parse_message
+from fipt_blender.core.job.messages import parse_message
 from fipt_blender.core.job.runfolder import RunFolder
 from fipt_blender.core.material.fields import RoomFields
 
 ROOT = Path(__file__).resolve().parent.parent
 STAGES = ["pixels", "shadings", "training-0", "refinement-1", "training-1"]
-
-
-def run_here(run: RunFolder) -> list[dict]:
-    """Estimate in this process; returns its messages."""
-    stream = io.StringIO()
-    estimate.run(argparse.Namespace(run=run.root, cluster=None), Reporter(stream))
-    return [message for line in stream.getvalue().splitlines() if (message := parse_message(line))]
 
 
 def run_child(run: RunFolder, kill=None) -> tuple[list[dict], int]:
@@ -72,13 +62,7 @@ def first_stage(messages: list[dict]) -> str:
     return next(message["name"] for message in messages if message["type"] == "stage")
 
 
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    """As in the children."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import argparse
-import io
 import shutil
 from dataclasses import fields
 from pathlib import Path
@@ -14,10 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from small_captures import QUICK, panel_capture, write_run
+from small_captures import QUICK, panel_capture, run_here, write_run
 
-from fipt_blender.core.job import estimate, stages
-from fipt_blender.core.job.messages import Reporter, parse_message
+from fipt_blender.core.job import stages
 from fipt_blender.core.job.runfolder import RunFolder
 from fipt_blender.core.job.settings import (
     LATER_TRAINING,
@@ -58,13 +55,7 @@ def changes(stage: str | None) -> dict[str, Any]:
     return found
 
 
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    """Quicker for networks this small."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")
@@ -83,10 +74,7 @@ def capture():
 
 def work(run: RunFolder) -> list[str]:
     """Estimate; returns the stages that were done."""
-    stream = io.StringIO()
-    estimate.run(argparse.Namespace(run=run.root), Reporter(stream))
-    messages = [parse_message(line) for line in stream.getvalue().splitlines()]
-    return [message["name"] for message in messages if message and message["type"] == "stage"]
+    return [message["name"] for message in run_here(run) if message["type"] == "stage"]
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,6 @@ import pytest
 from small_captures import PANEL, QUICK, SmallCapture, panel_capture, write_run
 from small_rooms import BOX
 
-import fipt_blender
 from fipt_blender import preferences, runjob, running
 from fipt_blender.bridge import interpreter
 from fipt_blender.bridge.process import find_engine
@@ -33,11 +32,7 @@ posix = pytest.mark.skipif(os.name == "nt", reason="signals")
 STAGES = ["pixels", "shadings", "training-0", "refinement-1", "training-1"]
 
 
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    fipt_blender.register()
-    yield
-    fipt_blender.unregister()
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture(scope="module")

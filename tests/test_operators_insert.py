@@ -12,15 +12,9 @@ import pytest
 from insert_samples import VIEW, make_scene
 from mathutils import Euler, Matrix, Vector
 
-import fipt_blender
 from fipt_blender.blend import insert, standing
 
-
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    fipt_blender.register()
-    yield
-    fipt_blender.unregister()
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture

@@ -12,18 +12,13 @@ import pytest
 from applied_rooms import RADIANCE, make_scene, use_fake_engine
 from mathutils import Matrix, Vector
 
-import fipt_blender
 from fipt_blender.blend import light_groups, renders
 from fipt_blender.blend.color import blackbody, luminance, temperature_of
 
 ops = bpy.ops.fipt
 
 
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    fipt_blender.register()
-    yield
-    fipt_blender.unregister()
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture

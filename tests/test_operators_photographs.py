@@ -8,17 +8,12 @@ import bpy
 import pytest
 from applied_rooms import make_scene, use_fake_engine
 
-import fipt_blender
 from fipt_blender.properties.capture import VIEW_KEY
 
 ops = bpy.ops.fipt
 
 
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    fipt_blender.register()
-    yield
-    fipt_blender.unregister()
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture

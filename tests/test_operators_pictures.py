@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from insert_samples import SIZE, VIEW, make_scene, photograph
 
-import fipt_blender
 from fipt_blender.blend import backdrop, composite, light_state, pictures, render_job, renders, view_check
 from fipt_blender.core.job.messages import parse_message
 from fipt_blender.core.job.runfolder import read_json, write_json
@@ -26,11 +25,7 @@ from fipt_blender.properties.lights import STOPS
 ROOM = {"Floor", "Wall"}
 
 
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    fipt_blender.register()
-    yield
-    fipt_blender.unregister()
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture
