@@ -20,7 +20,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks.curves import draw_curves, fit_exponent
 from benchmarks.prepared import clear, copy_input, prepare
 from benchmarks.resampled import write_room, write_views
-from benchmarks.speed import machine, merged, take_turns, tell
+from benchmarks.speed import machine
+from benchmarks.turns import merged, take_turns, tell
 from fipt_blender.core.device.variant import set_variant
 from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.runfolder import RunFolder, write_json

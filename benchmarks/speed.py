@@ -11,11 +11,8 @@ from __future__ import annotations
 
 import argparse
 import importlib.metadata
-import json
 import os
 import platform
-import statistics
-import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -29,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks import accuracy, picture_page, shading_error, speed_table
 from benchmarks.prepared import clear, copy_input, prepare
 from benchmarks.speed_engine import kept_path
-from fipt_blender.bridge.interpreter import engine_environment
+from benchmarks.turns import merged, take_turns, tell
 from fipt_blender.core.device.variant import set_variant
 from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.runfolder import PRODUCT_VERSION, RunFolder, read_json, write_json
@@ -110,11 +107,6 @@ def measure(arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
     return result
 
 
-def tell(text: str) -> None:
-    """Say on stderr what happens now."""
-    print(text, file=sys.stderr, flush=True)
-
-
 def configurations(arguments: argparse.Namespace) -> dict[str, Settings]:
     """Settings of both configurations.
 
@@ -166,117 +158,6 @@ def compare(
         name: merged(found) | {"settings": asdict(settings[name])} for name, found in records.items()
     }
     return ratios(*(result[name] for name in CONFIGURATIONS)) | result | {"machine": machine()}
-
-
-class Turn:
-    """One estimation in a process that waits before each stage.
-
-    Args:
-        name: of the configuration.
-        run: its run folder.
-    """
-
-    def __init__(self, name: str, run: RunFolder) -> None:
-        self._name, self._log = name, run.log
-        script = Path(__file__).resolve().parent / "speed_engine.py"
-        with open(run.log, "ab") as log:
-            self.process = subprocess.Popen(
-                [sys.executable, str(script), str(run.root), name],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=log,
-                env=engine_environment(Path(sys.executable)),
-                text=True,
-            )
-
-    def read(self) -> dict[str, Any]:
-        """The next message; waits for it.
-
-        Raises:
-            FiptError: ``run-failed`` where the process ends without one.
-        """
-        assert self.process.stdout is not None
-        line = self.process.stdout.readline()
-        if not line:
-            raise FiptError("run-failed", f"The {self._name} run failed.", f"{self._log} tells why.")
-        return json.loads(line)
-
-    def permit(self) -> None:
-        """Let the stage begin that is ready."""
-        assert self.process.stdin is not None
-        try:
-            self.process.stdin.write("go\n")
-            self.process.stdin.flush()
-        except BrokenPipeError:  # it died; `read` tells
-            pass
-
-
-def take_turns(runs: Mapping[str, RunFolder]) -> dict[str, dict[str, Any]]:
-    """Run estimations side by side, one stage of one of them at a time; a record of each.
-
-    Raises:
-        FiptError: ``run-failed``.
-    """
-    turns: dict[str, Turn] = {}
-    records: dict[str, dict[str, Any]] = {name: {"seconds": 0.0, "cpu_seconds": 0.0} for name in runs}
-    ready: dict[str, str] = {}
-
-    def hear(name: str) -> None:
-        message = turns[name].read()
-        for key in ("seconds", "cpu_seconds"):
-            records[name][key] += message[key]
-        if "done" in message:
-            records[name]["stages"] = message["done"]["stages"]
-            del ready[name]
-        else:
-            ready[name] = message["ready"]
-
-    try:
-        for name, run in runs.items():
-            turns[name] = Turn(name, run)
-            hear(name)
-        while ready:
-            for name in list(ready):
-                tell(f"{name}: {ready[name]}")
-                turns[name].permit()
-                hear(name)
-    finally:
-        for turn in turns.values():
-            if turn.process.poll() is None:
-                if turn.process.stdin is not None:
-                    turn.process.stdin.close()  # one that waits ends by itself
-                if ready:
-                    turn.process.terminate()
-                turn.process.wait()
-    return records
-
-
-def merged(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """One record of several runs: the least seconds, which other work disturbed least, and the median.
-
-    Beside the stages stands what lies between them ("other": loading, previews, results).
-    """
-    runs = []
-    for record in records:
-        stages = [dict(stage) for stage in record["stages"]]
-        spent = {key: sum(stage[key] for stage in stages) for key in ("seconds", "cpu_seconds")}
-        other = {key: round(max(record[key] - value, 0.0), 2) for key, value in spent.items()}
-        runs.append([*stages, {"name": "other", **other}])
-    merged_stages = []
-    for same in zip(*runs, strict=True):
-        stage = dict(same[0])
-        for key in ("seconds", "cpu_seconds"):
-            stage[key] = min(each[key] for each in same)
-            stage[f"median_{key}"] = statistics.median(each[key] for each in same)
-        if stage.get("rays") and stage["seconds"]:
-            stage["mrays_per_second"] = round(stage["rays"] / stage["seconds"] / 1e6, 3)
-        merged_stages.append(stage)
-    total = {
-        key: round(sum(stage[key] for stage in merged_stages), 2)
-        for key in ("seconds", "cpu_seconds", "median_seconds", "median_cpu_seconds")
-    }
-    peak = max((stage.get("peak_memory_gb", 0.0) for stage in merged_stages), default=0.0)
-    return {**total, "repeats": len(records), "peak_memory_gb": peak, "stages": merged_stages}
 
 
 def ratios(reference: Mapping[str, Any], shipped: Mapping[str, Any]) -> dict[str, Any]:

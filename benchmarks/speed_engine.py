@@ -8,6 +8,7 @@ and in the end {"done": facts}, each with what was spent since the last; reads a
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 import time
@@ -42,7 +43,7 @@ def kept_path(run: RunFolder, stage: str) -> Path:
 
 def reset_peak() -> None:
     """Let the process's peak memory begin anew, where the system can."""
-    if _RESET.exists():
+    with contextlib.suppress(OSError):
         _RESET.write_text("5")
 
 

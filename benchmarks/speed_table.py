@@ -16,7 +16,7 @@ def format_result(result: Mapping[str, Any]) -> str:
     """All tables."""
     parts = [format_stages(result), format_errors(result)]
     parts += [
-        f"accuracy, {name}\n{accuracy.format_table({**result[name]['accuracy'], **_costs(result[name])})}"
+        f"accuracy, {name}\n{accuracy.format_table(_with_costs(result, name))}"
         for name in _NAMES
         if "accuracy" in result[name]
     ]
@@ -26,8 +26,10 @@ def format_result(result: Mapping[str, Any]) -> str:
     return "\n\n".join(part for part in parts if part)
 
 
-def _costs(record: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: record[key] for key in ("seconds", "peak_memory_gb")}
+def _with_costs(result: Mapping[str, Any], name: str) -> dict[str, Any]:
+    record = result[name]
+    costs = {key: record[key] for key in ("seconds", "peak_memory_gb")}
+    return {**record["accuracy"], **costs, "version": result["machine"]["product"]}
 
 
 def format_stages(result: Mapping[str, Any]) -> str:

@@ -14,6 +14,7 @@ from small_rooms import BOX, agree, make_room, surface_points
 from benchmarks import curves, resampled, scaling, shading_error, speed, speed_table
 from benchmarks.reference import AUTHORS, bake_apart, batch_means, reference_settings
 from benchmarks.speed_engine import kept_path
+from benchmarks.turns import merged
 from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
 from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.runfolder import RunFolder, read_json
@@ -113,16 +114,16 @@ def record(scale: float) -> dict:
 
 
 def test_the_fastest_of_several_runs_counts() -> None:
-    merged = speed.merged([record(1.0), record(2.0), record(3.0)])
-    shadings, *_, other = merged["stages"]
+    found = merged([record(1.0), record(2.0), record(3.0)])
+    shadings, *_, other = found["stages"]
     assert shadings["seconds"] == 4.0 and shadings["median_seconds"] == 8.0
     assert shadings["mrays_per_second"] == 2.0
     assert other["name"] == "other" and other["seconds"] == 2.0 and other["cpu_seconds"] == 1.0
-    assert merged["seconds"] == 10.0 and merged["median_seconds"] == 20.0 and merged["peak_memory_gb"] == 2.0
+    assert found["seconds"] == 10.0 and found["median_seconds"] == 20.0 and found["peak_memory_gb"] == 2.0
 
 
 def test_ratios_join_the_rounds_of_a_stage() -> None:
-    slow, fast = speed.merged([record(3.0)]), speed.merged([record(1.0)])
+    slow, fast = merged([record(3.0)]), merged([record(1.0)])
     del fast["stages"][2]  # one round less
     fast["seconds"] -= 3.0
     found = speed.ratios(slow, fast)
@@ -154,7 +155,7 @@ def test_exponents_are_those_of_power_laws(tmp_path: Path) -> None:
     assert curves.fit_exponent(sizes, [2.0] * 4) == pytest.approx(0.0)
     assert curves.fit_exponent([10], [1.0]) is None
     assert curves.fit_exponent(sizes, [0.0, None, 1.0, 4.0]) == pytest.approx(1.0)
-    records = [speed.merged([record(scale)]) for scale in (1.0, 2.0)]
+    records = [merged([record(scale)]) for scale in (1.0, 2.0)]
     stages = scaling.fitted([10, 20], records)
     assert stages["training"]["seconds"] == [4.0, 8.0] and stages["training"]["exponent"] == pytest.approx(
         1.0
