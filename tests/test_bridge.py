@@ -77,15 +77,16 @@ def test_a_message_split_over_two_writes_is_one_message(tmp_path):
 
 def test_poll_never_waits_and_much_output_is_read_whole(tmp_path):
     script = (
-        "import json, sys, time\n"
+        "import json, pathlib, sys, time\n"
         'for i in range(20000): print(json.dumps({"type": "progress", "fraction": i / 20000}))\n'
-        "sys.stdout.flush(); time.sleep(0.5)\n" + DONE
+        "sys.stdout.flush()\n"
+        f"while not pathlib.Path({str(tmp_path / 'go')!r}).exists(): time.sleep(0.01)\n" + DONE
     )
     process = child(tmp_path, script)
-    started = time.monotonic()
-    process.poll()
-    assert time.monotonic() - started < 0.3
-    assert len(collect(process)) >= 20000
+    messages = process.poll()  # would it wait for the end, that would never come
+    assert process.running
+    (tmp_path / "go").touch()
+    assert len(messages) + len(collect(process)) >= 20000
 
 
 @posix
@@ -127,23 +128,25 @@ def test_cancel_ends_a_stubborn_child_and_its_children_within_two_seconds(tmp_pa
     script = (
         "import json, signal, subprocess, sys, time\n"
         "signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
-        "inner = 'import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(60)'\n"
-        "grandchild = subprocess.Popen([sys.executable, '-c', inner])\n"
-        'print(json.dumps({"type": "stage", "name": str(grandchild.pid)}), flush=True)\n'
+        "inner = 'import json, os, signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN)\\n'\n"
+        'inner += \'print(json.dumps({"type": "stage", "name": str(os.getpid())}), flush=True)\\n\'\n'
+        "grandchild = subprocess.Popen([sys.executable, '-c', inner + 'time.sleep(60)'])\n"
         "time.sleep(60)\n"
     )
     process = child(tmp_path, script)
     messages: list[dict] = []
     while not messages:
         messages = process.poll()
-    time.sleep(0.3)
     grandchild = int(messages[0]["name"])
     assert is_alive(process.pid) and is_alive(grandchild)
     started = time.monotonic()
     process.cancel()
     assert time.monotonic() - started < 2.0
-    time.sleep(0.1)
-    assert not is_alive(process.pid) and not is_alive(grandchild)
+    assert not is_alive(process.pid)
+    end = time.monotonic() + 10.0
+    while is_alive(grandchild):  # killed, but the system may not have got to it
+        assert time.monotonic() < end
+        time.sleep(0.01)
     assert process.cancelled and not process.running and process.poll() == [] and process.error is None
 
 
@@ -461,7 +464,5 @@ def test_keys_form_a_chain():
 @posix
 def test_sigterm_is_enough_for_a_child_that_listens(tmp_path):
     process = child(tmp_path, "import time; time.sleep(60)")
-    time.sleep(0.3)
-    started = time.monotonic()
     process.cancel()
-    assert time.monotonic() - started < 0.8 and process.returncode == -signal.SIGTERM
+    assert process.returncode == -signal.SIGTERM

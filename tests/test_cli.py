@@ -194,8 +194,8 @@ def test_ctrl_c_ends_the_engine_and_says_how_to_go_on(capture):
             engine = int(message["name"][2:])
     started = time.monotonic()
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=10)
-    assert process.returncode == 130 and time.monotonic() - started < 3.0
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130 and time.monotonic() - started < 8.0
     assert "--resume" in errors and "Traceback" not in errors
     with pytest.raises(ProcessLookupError):
         os.kill(engine, 0)

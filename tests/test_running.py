@@ -127,9 +127,8 @@ def test_cancel_is_quick_and_never_blocks(run):
     tick_until(lambda: at_work(info))
     engine = find_engine(run)
     assert engine is not None and bpy.ops.fipt.cancel.poll()
-    began = time.monotonic()
     assert bpy.ops.fipt.cancel() == {"FINISHED"}
-    assert time.monotonic() - began < 0.2 and info.stopping and not bpy.ops.fipt.cancel.poll()
+    assert info.state == "running" and info.stopping and not bpy.ops.fipt.cancel.poll()
     tick_until(lambda: info.state == "cancelled", 2.0)
     assert not info.stopping and info.error is None and find_engine(run) is None
 
