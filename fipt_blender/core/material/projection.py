@@ -22,7 +22,11 @@ DARK = 0.05
 # How much the robust cost of a specular surface must be below that of a diffuse one: the l_d of Eq. 14.
 DIFFUSE_PRIOR = 0.004
 # Standard errors by which a gain over the diffuse candidate is discounted.
-CAUTION = 1.0
+CAUTION = 0.5
+# The gloss of a dielectric has a fixed strength. Where so many times as much explains a part still better, it
+# is an error of the shadings that looks like gloss: in the test rooms true gloss wants 0.7 to 1.2 times its
+# own strength, errors on diffuse surfaces below 0.5 or above 1.4.
+OVERDONE_GLOSS = 1.5
 # Steps from the best level at which roughness between levels is tried.
 BETWEEN_LEVELS = (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75)
 # Photographed radiance above this multiple of what a white surface would reflect is emission.
@@ -93,6 +97,10 @@ def part_materials(
         for j, m in enumerate(METALLIC_CANDIDATES):
             prior = DIFFUSE_PRIOR * ((1.0 - levels[k]) + m)
             totals[k, j] = prior + trial.cost(specular[:, k], m)
+        if k < len(levels) - 1:
+            more = specular[:, -1] + OVERDONE_GLOSS * (specular[:, k] - specular[:, -1])
+            dielectric = DIFFUSE_PRIOR * (1.0 - levels[k]) + trial.cost(more, 0.0)
+            totals[k, 0] = np.where(dielectric < totals[k, 0], np.inf, totals[k, 0])
     best = totals.reshape(-1, parts).argmin(axis=0)
     k, j = np.divmod(best, len(METALLIC_CANDIDATES))
     lowest = totals[k, j, np.arange(parts)]
