@@ -15,7 +15,6 @@ from typing import Any
 
 from .errors import FiptError
 
-
 # The first stage of an estimation that reads a setting: what was finished before it is kept when the setting
 # changes. None where no stage's result depends on it.
 PIXELS, SHADINGS, TRAINING = "pixels", "shadings", "training-0"
@@ -76,13 +75,20 @@ class Settings:
     )
     denoise: bool = _setting(True, "denoise diffuse shading with Open Image Denoise", SHADINGS)
     denoise_specular: bool = _setting(
-        False, "denoise specular shading too: costs more time than the rays that it saves", SHADINGS
+        False,
+        "denoise specular shading too: costs more time than the rays that it saves",
+        SHADINGS,
     )
 
     training_steps: int = _setting(2000, "stage 2: optimiser steps of the first round", TRAINING)
     later_training_steps: int = _setting(1000, "stage 2: optimiser steps of each later round", LATER_TRAINING)
     batch_size: int = _setting(8192, "stage 2: pixels a step", TRAINING)
     learning_rate: float = _setting(1e-3, "stage 2: Adam's first learning rate", TRAINING)
+    hash_learning_rate: float = _setting(
+        3e-3,
+        "stage 2: that of the hash grid, whose entries are reached by few pixels (paper: as the rest)",
+        TRAINING,
+    )
     lambda_emission: float = _setting(1.0, "weight of the emission mask's L1 term l_e", TRAINING)
     lambda_diffuse: float = _setting(5e-4, "weight of l_d, which prefers diffuse surfaces", TRAINING)
     lambda_part: float = _setting(
@@ -134,25 +140,26 @@ class Settings:
 PRESETS: dict[str, dict[str, Any]] = {
     "draft": {
         "rounds": 1,
-        "diffuse_spp": 32,
-        "specular_spp": 8,
-        "light_spp": 16,
+        "diffuse_spp": 16,
+        "specular_spp": 4,
+        "light_spp": 8,
         "refine_diffuse_spp": 32,
         "refine_specular_spp": 8,
         "refine_light_spp": 16,
-        "training_steps": 500,
-        "later_training_steps": 400,
+        "training_steps": 250,
+        "later_training_steps": 250,
+        "batch_size": 4096,
     },
     "medium": {},
     "high": {
-        "diffuse_spp": 256,
-        "specular_spp": 64,
-        "light_spp": 128,
+        "diffuse_spp": 64,
+        "specular_spp": 16,
+        "light_spp": 32,
         "refine_diffuse_spp": 256,
         "refine_specular_spp": 64,
         "refine_light_spp": 128,
-        "training_steps": 10000,
-        "later_training_steps": 5000,
+        "training_steps": 2000,
+        "later_training_steps": 4000,
         "roughness_levels": 12,
         "denoise_specular": True,
     },

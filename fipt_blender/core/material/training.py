@@ -8,7 +8,7 @@ checkpoint and ends with the same weights.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,9 +24,12 @@ from .projection import Guess
 # Share of steps in which the learning rate has fallen to a tenth.
 _DECAY = 0.1
 PRETRAINING_STEPS = 200
-_PRETRAINING_RATE = 3e-3
+_PRETRAINING_RATE = 1e-2
+_EMISSION_PRETRAINING_RATE = 3e-3
 # Raw emission mask to which clear emitters are fitted at first.
 _SEED_MASK = 1.0
+# Share of a batch that pretrains the emission network, which costs as much a pixel as all else together.
+_EMISSION_SHARE = 4
 _PARTNERS = 1024
 
 
@@ -136,49 +139,77 @@ def total_loss(
 
 def pretrain(
     brdf: BrdfNetwork,
-    emission: EmissionNetwork,
+    emission: EmissionNetwork | None,
     data: TrainingData,
     guess: Guess,
     guess_rows: np.ndarray,
     settings: Settings,
+    round_index: int,
     device: torch.device,
     progress: Callable[[float], None],
 ) -> None:
-    """Fit both networks to a closed-form guess before the first round.
+    """Fit the networks to a closed-form guess before a round.
 
     A quarter of each batch are pixels that must emit, so that a bulb of a few pixels is not lost. Emission
     that is fitted jointly starts at zero.
 
     Args:
+        emission: None leaves it as it is.
         guess: values at the pixels `guess_rows`.
         progress: called with the share of steps done.
     """
-    parameters = [*brdf.parameters(), *emission.parameters()]
-    optimiser = torch.optim.Adam(parameters, lr=_PRETRAINING_RATE, fused=True)
+    rates = [(list(brdf.parameters()), _PRETRAINING_RATE)]
+    if emission is not None:
+        rates.append((list(emission.parameters()), _EMISSION_PRETRAINING_RATE))
+    optimiser = _Adam(rates, PRETRAINING_STEPS)
     bright = np.flatnonzero(guess.emitting)
     size = min(settings.batch_size, len(guess_rows))
+    part = max(size // _EMISSION_SHARE, 1)
     values = np.concatenate([guess.base_color, guess.roughness[:, None], guess.metallic[:, None]], axis=1)
+    # Inside the sigmoid's range, so that the rendering loss can still move away from 0 and 1.
+    values = values.clip(0.02, 0.98)
+    mask = guess.emitting.astype(np.float32) * (_SEED_MASK if settings.emission == "mask" else 0.0)
+
+    def positions(chosen: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(data.normalise(np.asarray(data.position[guess_rows[chosen]]))).to(device)
+
     for step in range(PRETRAINING_STEPS):
-        for group in optimiser.param_groups:
-            group["lr"] = _PRETRAINING_RATE * _DECAY ** (step / PRETRAINING_STEPS)
-        rng = np.random.default_rng([settings.seed, 1000, step])
+        rng = np.random.default_rng([settings.seed, 1000 + round_index, step])
         chosen = rng.integers(0, len(guess_rows), size)
         if len(bright):
             chosen[: size // 4] = bright[rng.integers(0, len(bright), size // 4)]
-        position = torch.from_numpy(data.normalise(np.asarray(data.position[guess_rows[chosen]]))).to(device)
-        # Inside the sigmoid's range, so that the rendering loss can still move away from 0 and 1.
-        target = torch.from_numpy(values[chosen].clip(0.02, 0.98)).to(device)
-        raw = emission(position)
-        mask = torch.zeros_like(raw)
-        if settings.emission == "mask":
-            mask = torch.from_numpy(guess.emitting[chosen].astype(np.float32) * _SEED_MASK).to(device)
-        found = brdf(position)
+        found = brdf(positions(chosen))
         outputs = torch.cat([found.base_color, found.roughness[:, None], found.metallic[:, None]], dim=1)
-        loss = (outputs - target).square().sum(dim=1).mean() + (raw - mask).square().mean()
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        optimiser.step()
+        loss = (outputs - torch.from_numpy(values[chosen]).to(device)).square().sum(dim=1).mean()
+        if emission is not None:
+            some = chosen[rng.integers(0, size, part)]
+            target = torch.from_numpy(mask[some]).to(device)
+            raw = emission(positions(some))
+            loss = loss + (raw - (target if raw.ndim == 1 else target[:, None])).square().mean()
+        optimiser.step(step, loss)
         progress((step + 1) / PRETRAINING_STEPS)
+
+
+class _Adam:
+    """Adam whose rates fall to a tenth over the steps of a training.
+
+    Args:
+        rates: parameters and their first rate.
+        steps: of the whole training.
+    """
+
+    def __init__(self, rates: Sequence[tuple[list[torch.nn.Parameter], float]], steps: int) -> None:
+        self._rates, self._steps = [rate for _, rate in rates], steps
+        groups = [{"params": parameters, "lr": rate} for parameters, rate in rates]
+        self.optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), fused=True)
+
+    def step(self, step: int, loss: torch.Tensor) -> None:
+        """Step number `step` down the gradient of `loss`."""
+        for group, rate in zip(self.optimiser.param_groups, self._rates, strict=True):
+            group["lr"] = rate * _DECAY ** (step / self._steps)
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        self.optimiser.step()
 
 
 def train(
@@ -199,33 +230,30 @@ def train(
         checkpoint: file for checkpoints, continued from where it exists; None writes none.
         progress: called with the share of steps done.
     """
-    parameters = [*brdf.parameters(), *emission.parameters()]
-    optimiser = torch.optim.Adam(parameters, lr=settings.learning_rate, betas=(0.9, 0.99), fused=True)
+    networks = [*brdf.mlp.parameters(), *emission.parameters()]
+    rates = [([brdf.grid.table], settings.hash_learning_rate), (networks, settings.learning_rate)]
+    optimiser = _Adam(rates, steps)
     start = 0
     if checkpoint is not None and checkpoint.exists():
         state = torch.load(checkpoint, map_location=device, weights_only=True)
         brdf.load_state_dict(state["brdf"])
         emission.load_state_dict(state["emission"])
-        optimiser.load_state_dict(state["optimiser"])
+        optimiser.optimiser.load_state_dict(state["optimiser"])
         start = int(state["step"])
     levels = torch.from_numpy(data.levels).to(device)
     size = min(settings.batch_size, len(data.pool))
     for step in range(start, steps):
-        for group in optimiser.param_groups:
-            group["lr"] = settings.learning_rate * _DECAY ** (step / steps)
         rng = np.random.default_rng([settings.seed, round_index, step])
         batch = gather_batch(data, data.pool[rng.integers(0, len(data.pool), size)], device)
         partners = torch.from_numpy(rng.integers(0, size, min(_PARTNERS, size))).to(device)
         loss = total_loss(brdf, emission, batch, levels, data.part_kind, settings, partners)
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        optimiser.step()
+        optimiser.step(step, loss)
         progress((step + 1) / steps)
         if checkpoint is not None and (step + 1) % settings.checkpoint_steps == 0 and step + 1 < steps:
             state = {
                 "brdf": brdf.state_dict(),
                 "emission": emission.state_dict(),
-                "optimiser": optimiser.state_dict(),
+                "optimiser": optimiser.optimiser.state_dict(),
                 "step": step + 1,
             }
             save_tensors(checkpoint, state)
