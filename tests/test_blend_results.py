@@ -12,6 +12,7 @@ from mathutils import Matrix, Vector
 from fipt_blender.blend import (
     apply,
     cameras,
+    fixture_nodes,
     fixtures,
     insert,
     lights,
@@ -194,6 +195,27 @@ def test_fixture_emits_its_radiance_on_each_side(room):
     assert np.allclose(look_at(centre + 2 * normal, centre), front, rtol=1e-4)
     with pytest.raises(FiptError):
         fixtures.set_fixture_enabled("Fixture.999", True)
+
+
+def test_a_lamp_that_reflects_shows_the_room_beside_its_own_light(room):
+    """Under a white world a lamp of base colour a sends about L_e + a, and more than a black one by that."""
+    run, objects = room
+    data = read_json(run.emitters_json)
+    data["fixtures"][0] |= {"base_color": [0.6, 0.3, 0.0], "radiance": [2.0, 2.0, 2.0]}
+    write_json(run.emitters_json, data)
+    apply.apply_results(run, objects)
+    background = bpy.data.worlds.new("white")
+    background.use_nodes = True
+    background.node_tree.nodes["Background"].inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+    bpy.context.scene.world = background
+    fixture = bpy.data.objects["Fixture.001"]
+    centre = fixture.matrix_world.translation
+    seen = look_at(centre + Vector((0, 0, 2)), centre)
+    assert np.allclose(seen, [2.6, 2.3, 2.03], atol=0.06)
+    fixtures.set_fixture_enabled("Fixture.001", False)
+    assert np.allclose(look_at(centre + Vector((0, 0, 2)), centre), seen - 2.0, atol=0.03)
+    fixture_nodes.write_shown(fixture.data.materials[0], "BASE_COLOR")
+    assert np.allclose(look_at(centre + Vector((0, 0, 2)), centre), [0.6, 0.3, 0.0], atol=1e-3)
 
 
 @pytest.mark.parametrize("as_mesh", [False, True])

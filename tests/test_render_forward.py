@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Path tracing against quadrature and against Mitsuba's own integrator; relighting; material lattices."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import drjit as dr
@@ -214,6 +215,35 @@ def test_emitters_are_one_sided_and_reflect_nothing() -> None:
         lit = LitRoom(room, uniform(room, 0.8, 0.5, 0.0), AreaLights(room.vertices, room.triangles, table))
         result = trace_paths(lit, ray, mi.PCG32(size=64), RenderSettings(depth=4))
         assert np.allclose(np.array(result.radiance), expected)
+
+
+def test_walls_that_emit_and_reflect_are_a_furnace() -> None:
+    """In a closed room of E and albedo rho all over, radiance is E / (1 - rho), whatever the room's shape."""
+    room = make_room([*BOX, [[-2, -2, 0], [-2, -2, 3], [2, -2, 3], [2, -2, 0]]])
+    count = len(room.triangles)
+    table = emitters(list(range(count)), [2.0, 1.0, 0.5], [2.0, 1.0, 0.5])
+    table = replace(table, base_color=np.full((count, 3), 0.6))
+    lit = LitRoom(room, uniform(room, 0.1, 0.3, 1.0), AreaLights(room.vertices, room.triangles, table))
+    toward = np.array([0.3, 0.2, 0.9]) / np.linalg.norm([0.3, 0.2, 0.9])
+    emitted = np.array([2.0, 1.0, 0.5])
+    once = look(lit, toward, 40_000, depth=1).mean(axis=0)
+    albedo = once / emitted - 1.0  # of this direction; that of a rough surface hardly depends on it
+    assert np.allclose(albedo, albedo[0], rtol=0.02) and 0.6 < albedo[0] < 0.68
+    whole = look(lit, toward, 40_000, depth=64, seed=1).mean(axis=0)
+    np.testing.assert_allclose(whole, emitted / (1.0 - albedo.mean()), rtol=0.03)
+
+
+def test_a_lamp_without_its_light_reflects_like_a_wall_of_its_colour() -> None:
+    room = make_room(BOX)
+    lamp = replace(emitters([0, 1], [3.0, 3.0, 3.0]), base_color=np.full((2, 3), 0.4))
+    panel = emitters([12, 13], [5.0, 5.0, 5.0])
+    toward = np.array([0.0, 0.6, 0.8])
+    found = []
+    for table in (joined(switched_off(lamp), panel), panel):
+        lights = AreaLights(room.vertices, room.triangles, table)
+        radiance = look(LitRoom(room, uniform(room, 0.4, 1.0, 0.0), lights), toward, 40_000, depth=8)
+        found.append(radiance.mean(axis=0))
+    np.testing.assert_allclose(*found, rtol=0.02)
 
 
 def test_same_seed_same_image_other_stream_other_noise() -> None:

@@ -70,7 +70,9 @@ def place(scene: bpy.types.Scene, made: Sequence[NewFixture]) -> list[bpy.types.
     for fixture in made:
         entry, name = fixture.entry, fixture.entry["name"]
         fixture.mesh.name = name
-        fixture.mesh.materials.append(emission_material(name, entry["radiance"], entry["back_radiance"]))
+        base_color = entry.get("base_color", [0.0, 0.0, 0.0])
+        light = entry["radiance"], entry["back_radiance"]
+        fixture.mesh.materials.append(emission_material(name, *light, base_color))
         item = bpy.data.objects.new(name, fixture.mesh)
         item.matrix_world = Matrix.Translation(fixture.centre)
         item[FIXTURE] = name

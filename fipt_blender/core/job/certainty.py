@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How well a finished estimate is known on each seen cell: its pixels against its renderings."""
+"""What the last shadings tell of a finished estimate: how well each seen cell is known, and lamps' pixels."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..light.reflecting import LampPixels
 from ..light.views import ShadingStore
 from ..material.confidence import UNKNOWN, Evidence, evidence, standard_errors
 from ..material.fields import RoomFields
@@ -94,7 +95,30 @@ def cell_errors(
 def _usable(pixels: PixelStore, view: int, emitting: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Pixels of a view that see one surface alone that does not shine, thinned out to the view's share."""
     first, last = (int(each) for each in pixels.ranges[view : view + 2])
-    triangle = np.asarray(pixels.triangle[first:last])
-    usable = (triangle >= 0) & np.asarray(pixels.pure[first:last]) & ~emitting[np.maximum(triangle, 0)]
+    usable = _on(pixels, first, last, ~emitting)
     usable &= rng.random(last - first) < PIXELS / max(len(pixels), 1)
     return first + np.flatnonzero(usable)
+
+
+def lamp_pixels(pixels: PixelStore, shadings: ShadingStore, emitting: np.ndarray) -> LampPixels:
+    """The pixels that see the triangles `emitting` ((T,) bool) alone."""
+    rows = np.concatenate(
+        [
+            first + np.flatnonzero(_on(pixels, int(first), int(last), emitting))
+            for first, last in itertools.pairwise(pixels.ranges)
+        ]
+    )
+    return LampPixels(
+        triangle=np.asarray(pixels.triangle[rows]),
+        front=np.asarray(pixels.front[rows]),
+        view=pixels.view_of(rows),
+        radiance=np.asarray(pixels.radiance[rows], np.float64),
+        diffuse=np.asarray(shadings.diffuse[rows], np.float64),
+        specular=np.asarray(shadings.specular[rows, -1], np.float64),
+    )
+
+
+def _on(pixels: PixelStore, first: int, last: int, marked: np.ndarray) -> np.ndarray:
+    """(last - first,) bool, pixels that see marked triangles ((T,) bool) and nothing else."""
+    triangle = np.asarray(pixels.triangle[first:last])
+    return (triangle >= 0) & np.asarray(pixels.pure[first:last]) & marked[np.maximum(triangle, 0)]

@@ -21,6 +21,7 @@ def write_results(
     folder: RunFolder,
     fields: RoomFields,
     fixtures: Sequence[Fixture],
+    base_colors: np.ndarray,
     environment: Environment | None,
     scale: float,
     reporter: Reporter,
@@ -29,6 +30,7 @@ def write_results(
 
     Args:
         fixtures, environment: in units of the capture's median.
+        base_colors: (F, 3) of the fixtures; black reflects nothing.
         scale: radiance of that median in the photographs.
         reporter: gets the warning ``no-emitter`` where nothing lights the room.
     """
@@ -39,7 +41,8 @@ def write_results(
         write_exr(folder.environment_exr, environment.image * scale)
         outside = {"image": folder.environment_exr.name, "observed_share": environment.observed_share}
     described = [
-        _describe(fixture, f"Fixture.{number:03d}", scale) for number, fixture in enumerate(fixtures, start=1)
+        _describe(fixture, f"Fixture.{number:03d}", scale) | {"base_color": base_colors[number - 1].tolist()}
+        for number, fixture in enumerate(fixtures, start=1)
     ]
     if not described and outside is None:
         reporter.warning(

@@ -29,6 +29,7 @@ from ..light.emitters import (
 )
 from ..light.joint import joint_fixtures
 from ..light.observations import Observations, observe
+from ..light.reflecting import separate
 from ..light.shadings import SampleCounts, roughness_levels
 from ..light.views import Baking, ShadingStore, TracedLight, bake_views, open_shadings
 from ..material.fields import Fields, RoomFields, mask_at, new_networks_generator, render_pixels
@@ -39,7 +40,7 @@ from ..render.lights import EmitterTable
 from ..scene.labels import Parts, choose_parts
 from ..scene.pixels import PixelStore, fill_pixels, mark_pure, open_pixels
 from ..scene.room import load_room
-from .certainty import cell_errors, find_cells
+from .certainty import cell_errors, find_cells, lamp_pixels
 from .checkpoints import Checkpoints, stage_keys, stage_names
 from .errors import FiptError
 from .messages import Reporter, peak_memory_gb
@@ -396,14 +397,17 @@ class Estimation:
         return RoomFields(Fields(self.brdf, self.box), self.parts.triangle_part, self._seen_cells)
 
     def _write_results(self) -> None:
-        lights = self.fixtures, self.seen.environment
         fields = self._room_fields()
         emitting = np.zeros(len(self.room.triangles), bool)
         emitting[emitter_table(self.fixtures).triangles] = True
+        shadings = self._open_shadings()
         fields.errors = cell_errors(
-            self.pixels, self.parts, self._open_shadings(), self.levels, fields, emitting, self.settings.seed
+            self.pixels, self.parts, shadings, self.levels, fields, emitting, self.settings.seed
         )
-        write_results(self.folder, fields, *lights, self.scale, self.reporter)
+        fixtures = self.fixtures, np.zeros((len(self.fixtures), 3))
+        if self.settings.emission != "joint":
+            fixtures = separate(self.fixtures, lamp_pixels(self.pixels, shadings, emitting))
+        write_results(self.folder, fields, *fixtures, self.seen.environment, self.scale, self.reporter)
         write_json(self.folder.statistics_json, self.summary())
 
     def summary(self) -> dict[str, Any]:

@@ -3,7 +3,8 @@
 """Forward path tracing of a room with the paper's BRDF: re-rendering, relighting, ground truth.
 
 Unidirectional paths; at each surface one light sample and one BRDF sample, weighted against each other by
-the power heuristic, both densities per steradian. Emitters reflect nothing and end a path.
+the power heuristic, both densities per steradian. Black emitters reflect nothing and end a path; others are
+rough dielectrics.
 """
 
 from __future__ import annotations
@@ -152,8 +153,14 @@ def trace_paths(lit: LitRoom, ray: Any, generator: Any, settings: RenderSettings
 
         emitter = lights.is_emitter(surface.triangle, surface.valid)
         # After the last reflection a path may still meet a light: that is the other half of its MIS pair.
-        active &= surface.valid & ~emitter & (depth < settings.depth)
-        base_color, roughness, metallic = lit.materials.lookup(surface.position, surface.triangle, active)
+        active &= surface.valid & (depth < settings.depth)
+        lamp_color = lights.base_color(surface.triangle, active & emitter)
+        active &= ~emitter | (dr.max(lamp_color) > 0.0)
+        base_color, roughness, metallic = lit.materials.lookup(
+            surface.position, surface.triangle, active & ~emitter
+        )
+        base_color = dr.select(emitter, lamp_color, base_color)
+        roughness, metallic = dr.select(emitter, 1.0, roughness), dr.select(emitter, 0.0, metallic)
         reflectance = brdf.diffuse_reflectance(base_color, metallic) + brdf.specular_reflectance(
             base_color, metallic
         )
@@ -307,8 +314,9 @@ def add_light(
 
 
 def switched_off(table: EmitterTable) -> EmitterTable:
-    """The same emitters, black: they still reflect nothing."""
-    return EmitterTable(table.triangles, np.zeros_like(table.radiance), np.zeros_like(table.back_radiance))
+    """The same emitters without light of their own; they reflect as before."""
+    black = np.zeros_like(table.radiance), np.zeros_like(table.back_radiance)
+    return EmitterTable(table.triangles, *black, table.base_color)
 
 
 def joined(first: EmitterTable, second: EmitterTable) -> EmitterTable:
@@ -317,4 +325,5 @@ def joined(first: EmitterTable, second: EmitterTable) -> EmitterTable:
         np.concatenate([first.triangles, second.triangles]),
         np.concatenate([first.radiance, second.radiance]),
         np.concatenate([first.back_radiance, second.back_radiance]),
+        np.concatenate([first.base_colors(), second.base_colors()]),
     )

@@ -27,11 +27,19 @@ class EmitterTable:
         triangles: (E,) int32, indices into the room's triangles, each at most once.
         radiance: (E, 3) radiance leaving the front side, scene-linear.
         back_radiance: (E, 3) radiance leaving the back side.
+        base_color: (E, 3) of rough dielectrics that reflect as well; None where all are black.
     """
 
     triangles: np.ndarray
     radiance: np.ndarray
     back_radiance: np.ndarray
+    base_color: np.ndarray | None = None
+
+    def base_colors(self) -> np.ndarray:
+        """(E, 3) float32; black emitters reflect nothing at all."""
+        if self.base_color is None:
+            return np.zeros((len(self.triangles), 3), np.float32)
+        return self.base_color.astype(np.float32)
 
     @classmethod
     def empty(cls) -> EmitterTable:
@@ -44,15 +52,18 @@ class EmitterTable:
         triangles: list[int] = []
         front: list[list[float]] = []
         back: list[list[float]] = []
+        color: list[list[float]] = []
         for fixture in data["fixtures"]:
             count = len(fixture["triangles"])
             triangles += fixture["triangles"]
             front += [fixture["radiance"]] * count
             back += [fixture["back_radiance"]] * count
+            color += [fixture.get("base_color", [0.0, 0.0, 0.0])] * count
         return cls(
             np.array(triangles, np.int32),
             np.array(front, np.float32).reshape(-1, 3),
             np.array(back, np.float32).reshape(-1, 3),
+            np.array(color, np.float32).reshape(-1, 3),
         )
 
 
@@ -116,8 +127,11 @@ class AreaLights:
         slot[ids] = np.arange(len(ids), dtype=np.int32)
         self._slot = mi.Int32(slot)
         self._front: Any = None
+        colors = table.base_colors()
+        self._reflecting = bool(colors.any())
         if not len(ids):
             return
+        self._color = _columns(mi.Color3f, colors)
         normal = cross / np.maximum(length, 1e-30)[:, None]
         self._origin = _columns(mi.Point3f, corners[:, 0])
         self._edge_1 = _columns(mi.Vector3f, edge_1)
@@ -155,8 +169,15 @@ class AreaLights:
         return mi.UInt32(dr.maximum(slot, 0)), found
 
     def is_emitter(self, triangle: Any, active: Any = True) -> Any:
-        """Bool: does the room triangle belong to an emitter? Emitters reflect nothing."""
+        """Bool: does the room triangle belong to an emitter?"""
         return self._slots(triangle, mi.Bool(active))[1]
+
+    def base_color(self, triangle: Any, active: Any = True) -> Any:
+        """Color3f: base colour of the emitter that the room triangle belongs to; black without one."""
+        if not self._reflecting:
+            return mi.Color3f(0.0)
+        slot, found = self._slots(triangle, mi.Bool(active))
+        return dr.gather(mi.Color3f, self._color, slot, found)
 
     def pdf_area(self, triangle: Any, active: Any = True) -> Any:
         """Float: density per square metre with which `sample` chooses points of the triangle; else 0."""
