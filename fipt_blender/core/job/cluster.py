@@ -160,7 +160,8 @@ class ClusterWorkers:
                 raise FiptError(
                     "cluster-no-worker",
                     f"The cluster had no worker for {WORKERS_SECONDS:.0f} seconds.",
-                    "Start workers (`dask worker ADDRESS`) and resume the run.",
+                    "Start workers as docs/architecture.md says and resume the run. One that lacks the engine's "
+                    "package ends at its first view: its log says so.",
                 )
 
 
@@ -214,7 +215,7 @@ def _result(future: Future) -> Any:
             raise  # of the work itself
         raise FiptError(
             "cluster-worker-unfit",
-            f"The cluster can't import the engine ({type(error).__name__}: {error}).",
+            f"The cluster can't import the engine ({type(error).__name__}: {' '.join(str(error).split())}).",
             "Start its scheduler and workers with the Python and the version of the engine that run here; "
             "docs/architecture.md says how.",
         ) from error
