@@ -35,6 +35,7 @@ TESTS = (
     "test_blend_capture.py",
     "test_blend_results.py",
     "test_blend_room.py",
+    "test_blend_scene_cameras.py",
     "test_operators_materials.py",
     "test_textures_write_back.py",
 )

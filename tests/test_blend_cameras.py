@@ -7,19 +7,12 @@ import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
+from view_samples import random_views
 
 from fipt_blender.blend import cameras
 from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.runfolder import RunFolder, write_json
 from fipt_blender.core.job.settings import make_settings
-
-INTRINSICS = {
-    "plain": dict(width=192, height=108, fx=150.0, fy=150.0, cx=96.0, cy=54.0),
-    "off-centre": dict(width=192, height=108, fx=150.0, fy=150.0, cx=80.3, cy=61.7),
-    "fx > fy": dict(width=192, height=108, fx=180.0, fy=140.0, cx=90.0, cy=50.0),
-    "fx < fy": dict(width=192, height=108, fx=140.0, fy=180.0, cx=101.0, cy=57.0),
-    "portrait": dict(width=108, height=192, fx=150.0, fy=155.0, cx=50.0, cy=101.0),
-}
 
 
 @pytest.fixture
@@ -27,18 +20,7 @@ def run(tmp_path):
     bpy.ops.wm.read_factory_settings(use_empty=True)
     folder = RunFolder(tmp_path / "run")
     folder.create(make_settings())
-    random = np.random.default_rng(3)
-    views = []
-    for name, intrinsics in INTRINSICS.items():
-        rotation, _ = np.linalg.qr(random.normal(size=(3, 3)))
-        pose = np.eye(4)
-        pose[:3, :3] = rotation * np.sign(np.linalg.det(rotation))
-        pose[:3, 3] = random.uniform(-2, 2, 3)
-        views.append(
-            {"name": f"train/{name}", "split": "train", "image": "images/a.exr", "parts": None,
-             "semantics": None, "camera_to_world": pose.tolist(), **intrinsics}
-        )  # fmt: skip
-    views[0]["split"] = "held_back"
+    views = [{**view, "image": "images/a.exr"} for view in random_views()]
     write_json(folder.capture_json, {"format": "fipt-capture", "version": 1, "views": views})
     image = bpy.data.images.new("a", 192, 108, float_buffer=True)
     folder.images.mkdir()

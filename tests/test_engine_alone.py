@@ -10,10 +10,11 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from child_processes import is_alive, posix, wait_for
 
 from fipt_blender import runjob
 from fipt_blender.bridge.process import AttachedEngine, EngineProcess, explain_death, find_engine
@@ -25,7 +26,6 @@ from fipt_blender.core.job.parent import PARENT_VARIABLE
 from fipt_blender.core.job.runfolder import RunFolder
 
 ROOT = Path(__file__).resolve().parent.parent
-posix = pytest.mark.skipif(sys.platform == "win32", reason="signals and process groups")
 
 # Holds the lock as the engine does, says so, and goes on until the file "stop" appears.
 HOLDER = """
@@ -44,20 +44,6 @@ with hold(run, ["estimate", str(run.root)]):
     print("a stray line")
     reporter.done(["a"], {})
 """
-
-
-def wait_for(true: Callable[[], object], seconds: float = 20.0) -> None:
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end, "it does not come"
-        time.sleep(0.02)
-
-
-def is_alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 @pytest.fixture

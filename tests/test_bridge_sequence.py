@@ -1,0 +1,287 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A job as a sequence of steps: order, resuming, slices of work, cancelling, what is remembered."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+from child_processes import is_alive, posix
+
+from fipt_blender.bridge.process import EngineProcess
+from fipt_blender.bridge.sequence import SLICE_SECONDS, Job
+from fipt_blender.bridge.step import Step, StepRecord, chain_keys
+from fipt_blender.core.job.errors import FiptError
+
+DONE = 'print(json.dumps({"type": "done", "files": ["a"], "data": {}}), flush=True)\n'
+
+
+class Steps:
+    """A job of three steps, a function between two commands; counts what ran."""
+
+    def __init__(self, folder: Path, **inputs) -> None:
+        self.folder = folder
+        self.ran: list[str] = []
+        self.engine = "import json, pathlib, sys; pathlib.Path(sys.argv[1]).touch()\n" + DONE
+        self.inputs = inputs
+
+    def start(self, arguments):
+        self.ran.append(Path(arguments[0]).name)
+        return EngineProcess([sys.executable, "-c", self.engine, *arguments], self.folder / "log.txt")
+
+    def note(self, name):
+        def call():
+            self.ran.append(name)
+
+        return call
+
+    def job(self, resume: bool = True, own_file: bool = True, **changed) -> Job:
+        inputs = {**self.inputs, **changed}
+        a, b, d = (self.folder / name for name in ("a", "b", "d"))
+        steps = [
+            Step("a", "A", 1.0, inputs={"x": inputs.get("a")}, command=[str(a)], outputs=[a]),
+            Step("scene", "Scene", 1.0, function=self.note("scene"), repeat=True),
+            Step(
+                "b",
+                "B",
+                1.0,
+                inputs={"x": inputs.get("b")},
+                command=[str(b)],
+                outputs=[b],
+                reset=self.note("reset b"),
+            ),
+            Step(
+                "save",
+                "Save",
+                1.0,
+                function=self.note("save"),
+                restore=self.note("restore") if own_file else None,
+            ),
+            Step("d", "D", 4.0, inputs={"x": inputs.get("d")}, command=[str(d)], outputs=[d]),
+        ]
+        record = StepRecord(self.folder / "steps.json")
+        return Job(steps, record, self.start, self.folder / "log.txt", lambda: (["result"], {}), resume)
+
+    def run(self, **changed) -> list[dict]:
+        self.ran.clear()
+        messages: list[dict] = []
+        self.job(**changed).run(messages.append)
+        return messages
+
+
+def test_steps_run_in_order_and_progress_only_grows(tmp_path):
+    steps = Steps(tmp_path)
+    messages = steps.run()
+    assert steps.ran == ["a", "scene", "reset b", "b", "save", "d"]
+    fractions = [message["fraction"] for message in messages if message["type"] == "progress"]
+    assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] == 1.0
+    assert messages[-1] == {"type": "done", "files": ["result"], "data": {}}
+    assert [m["name"] for m in messages if m["type"] == "stage"] == ["a", "scene", "b", "save", "d"]
+
+
+def test_resuming_a_finished_job_runs_nothing(tmp_path):
+    steps = Steps(tmp_path)
+    steps.run()
+    assert steps.run()[-1]["type"] == "done" and steps.ran == []
+
+
+def test_changed_inputs_invalidate_from_their_step_on(tmp_path):
+    steps = Steps(tmp_path)
+    steps.run()
+    steps.run(b=1)
+    assert steps.ran == ["scene", "reset b", "b", "save", "d"]
+    steps.run(b=1, d=1)
+    assert steps.ran == ["restore", "d"]
+    steps.run(a=1)
+    assert steps.ran == ["a", "scene", "reset b", "b", "save", "d"]
+
+
+def test_a_scene_that_may_not_be_replaced_is_built_again_instead(tmp_path):
+    steps = Steps(tmp_path)
+    steps.run(own_file=False)
+    steps.run(own_file=False, d=1)
+    assert steps.ran == ["scene", "d"]
+
+
+def test_a_lost_output_is_made_again_with_all_that_follows(tmp_path):
+    steps = Steps(tmp_path)
+    steps.run()
+    (tmp_path / "b").unlink()
+    steps.run()
+    assert steps.ran == ["scene", "b", "save", "d"]
+
+
+def test_without_resume_everything_runs(tmp_path):
+    steps = Steps(tmp_path)
+    steps.run()
+    steps.run(resume=False)
+    assert [name for name in steps.ran if name != "reset b"] == ["a", "scene", "b", "save", "d"]
+
+
+def test_a_step_that_was_interrupted_keeps_its_checkpoints(tmp_path):
+    steps = Steps(tmp_path)
+    good = steps.engine
+    steps.engine = "import pathlib, sys; sys.exit(0 if pathlib.Path(sys.argv[1]).touch() else 9)"
+    messages = steps.run()
+    assert messages[-1]["code"] == "engine-crashed" and steps.ran == ["a"]
+    steps.engine = good
+    steps.run()
+    assert steps.ran[0] == "a"
+    (tmp_path / "b").unlink()
+    steps.engine = steps.engine.replace(
+        "import json", "import json, sys; 'b' in sys.argv[1][-1] and sys.exit(7)\nimport json"
+    )
+    assert steps.run()[-1]["type"] == "error"
+    steps.engine = good
+    steps.run()
+    assert "reset b" not in steps.ran and "b" in steps.ran
+
+
+def test_failures_of_functions_become_messages(tmp_path):
+    def fail():
+        raise ZeroDivisionError("no room")
+
+    def explain():
+        raise FiptError("mesh-empty", "Empty.", "Fill it.")
+
+    for function, code in ((fail, "blender-step-failed"), (explain, "mesh-empty")):
+        step = Step("x", "Doing x", 1.0, function=function)
+        record = StepRecord(tmp_path / f"{code}.json")
+        job = Job([step], record, lambda arguments: None, tmp_path / "log.txt", lambda: ([], {}))
+        messages: list[dict] = []
+        assert job.run(messages.append) is False
+        assert messages[-1]["code"] == code and job.error == messages[-1]
+    assert "ZeroDivisionError" in (tmp_path / "log.txt").read_text()
+
+
+def slice_job(tmp_path, function) -> Job:
+    step = Step("x", "Doing x", 1.0, function=function)
+    record = StepRecord(tmp_path / "steps.json")
+    return Job([step], record, lambda arguments: None, tmp_path / "log.txt", lambda: ([], {}), resume=False)
+
+
+def test_a_function_may_work_in_slices(tmp_path):
+    warning = {"type": "warning", "code": "c", "text": "t", "remedy": "r"}
+    ran = []
+
+    def function():
+        for index in range(30):
+            time.sleep(0.01)
+            ran.append(index)
+            yield index / 30
+        return [warning]
+
+    job = slice_job(tmp_path, function)
+    job.advance()  # announces it
+    assert not ran
+    counts, messages = [], []
+    while not job.finished:
+        before = len(ran)
+        messages += job.advance()
+        counts.append(len(ran) - before)
+    assert ran == list(range(30)) and max(counts) <= 6  # about 50 ms a call
+    fractions = [message["stage_fraction"] for message in messages if message["type"] == "progress"]
+    assert fractions == sorted(fractions) and len(fractions) >= 5
+    assert warning in messages and messages[-1]["type"] == "done"
+
+    ran.clear()
+    assert slice_job(tmp_path, function).run(lambda message: None) and len(ran) == 30
+
+
+def test_slices_that_fail_or_are_cancelled_are_closed(tmp_path):
+    closed = []
+
+    def function(error=None):
+        try:
+            yield
+            if error is not None:
+                raise error
+            time.sleep(SLICE_SECONDS)
+            yield
+            yield
+        finally:
+            closed.append(True)
+
+    for error, code in (
+        (FiptError("mesh-empty", "E.", "F."), "mesh-empty"),
+        (KeyError(), "blender-step-failed"),
+    ):
+        job = slice_job(tmp_path, lambda error=error: function(error))
+        assert not job.run(lambda message: None) and job.error["code"] == code
+    job = slice_job(tmp_path, function)
+    for _ in range(3):
+        job.advance()
+    assert len(closed) == 2 and not job.finished
+    job.request_cancel()
+    assert len(closed) == 3 and job.finished and job.cancelled and job.error is None
+
+
+def test_slices_run_in_the_jobs_context_each(tmp_path):
+    entered = []
+
+    @contextmanager
+    def around():
+        if len(entered) == 2:
+            raise FiptError("scene-gone", "Gone.", "Open it.")
+        entered.append("in")
+        yield
+        entered[-1] = "out"
+
+    def function():
+        while True:
+            assert entered[-1] == "in"
+            time.sleep(SLICE_SECONDS)
+            yield
+
+    job = slice_job(tmp_path, function)
+    job.around = around
+    assert not job.run(lambda message: None)
+    assert job.error["code"] == "scene-gone" and entered == ["out", "out"]
+
+
+def test_jobs_that_share_a_record_forget_their_own_steps_alone(tmp_path):
+    record = StepRecord(tmp_path / "steps.json")
+    for name in ("a", "b"):
+        record.store(name, "key", finished=True)
+    record.forget(["b", "c"])
+    assert (record.key("a"), record.key("b")) == ("key", None)
+
+
+def test_warnings_are_kept_for_the_report(tmp_path):
+    warning = {"type": "warning", "code": "c", "text": "t", "remedy": "r"}
+    step = Step("x", "X", 1.0, function=lambda: [warning])
+    record = StepRecord(tmp_path / "steps.json")
+    messages: list[dict] = []
+    Job([step], record, lambda arguments: None, tmp_path / "log.txt", lambda: ([], {})).run(messages.append)
+    assert warning in messages
+    assert json.loads((tmp_path / "steps.json").read_text())["steps"]["x"]["warnings"] == [warning]
+
+
+@posix
+def test_cancelling_a_job_ends_its_engine(tmp_path):
+    steps = Steps(tmp_path)
+    steps.engine = 'import json, os, time; print(json.dumps({"type": "stage", "name": str(os.getpid()), '
+    steps.engine += '"text": ""}), flush=True); time.sleep(60)'
+    job = steps.job()
+    pid = None
+    while pid is None:
+        for message in job.advance():
+            if message["type"] == "stage" and message["name"].startswith("a/"):
+                pid = int(message["name"][2:])
+    started = time.monotonic()
+    job.cancel()
+    assert time.monotonic() - started < 2.0 and not is_alive(pid)
+    assert job.finished and job.cancelled and job.advance() == []
+
+
+def test_keys_form_a_chain():
+    def keys(*inputs):
+        return chain_keys([Step(str(i), "", 1.0, inputs={"v": v}) for i, v in enumerate(inputs)])
+
+    before, after = keys(1, 2, 3), keys(1, 5, 3)
+    assert before[0] == after[0] and before[1] != after[1] and before[2] != after[2]
+    assert keys(1, 2, 3) == before
