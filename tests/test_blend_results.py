@@ -7,6 +7,7 @@ import math
 import bpy
 import numpy as np
 import pytest
+from applied_rooms import ConstantFields
 from mathutils import Matrix, Vector
 
 from fipt_blender.blend import (
@@ -28,18 +29,6 @@ from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.runfolder import RunFolder, read_json, write_json
 from fipt_blender.core.job.settings import make_settings
 from fipt_blender.core.textures import bake
-
-
-class ConstantFields:
-    base_color, roughness, metallic = (0.6, 0.3, 0.1), 0.7, 0.25
-
-    def query(self, positions, triangles):
-        count = len(positions)
-        base_color = np.tile(self.base_color, (count, 1))
-        return base_color, np.full(count, self.roughness), np.full(count, self.metallic)
-
-    def confidence(self, positions, triangles):
-        return np.ones((len(positions), 3))
 
 
 @pytest.fixture(autouse=True)

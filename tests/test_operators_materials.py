@@ -10,7 +10,6 @@ import pytest
 from applied_rooms import MEDIAN, ConstantFields, fingerprint, make_scene, use_fake_engine
 from mathutils import Matrix, Vector
 
-import fipt_blender
 from fipt_blender.blend import maps, originals, renders, uvs
 from fipt_blender.blend.slices import run_through
 from fipt_blender.core.job.runfolder import RunFolder, write_json

@@ -14,6 +14,7 @@ from .. import preferences
 from ..core.job.errors import FiptError
 from ..core.job.runfolder import RunFolder
 from .job_operator import JobOperator
+from .polls import in_object_mode
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
@@ -31,10 +32,7 @@ class _ImportJob(JobOperator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if context.mode != "OBJECT":
-            cls.poll_message_set("Leave edit mode first")  # type: ignore[attr-defined]
-            return False
-        return super().poll(context)
+        return in_object_mode(cls, context) and super().poll(context)
 
     @staticmethod
     def failed(scene: bpy.types.Scene, run: RunFolder) -> None:
@@ -183,10 +181,7 @@ class FIPT_OT_import_mesh(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if context.mode != "OBJECT":
-            cls.poll_message_set("Leave edit mode first")
-            return False
-        return True
+        return in_object_mode(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         context.window_manager.fileselect_add(self)

@@ -13,19 +13,12 @@ from ..core.job.errors import FiptError
 from ..core.job.runfolder import RunFolder
 from ..properties.check import PICTURES, VIEWS
 from .job_operator import JobOperator
+from .polls import has_run
 
 if TYPE_CHECKING:
     from ..bridge.sequence import Job
 
 VIEW_KEY = "fipt_view"
-
-
-def has_run(cls: type, context: bpy.types.Context) -> bool:
-    """Poll: the scene has a run folder; what is there is looked at when the operator runs."""
-    if not context.scene.fipt.run_folder:
-        cls.poll_message_set("Import a capture and estimate first")  # type: ignore[attr-defined]
-        return False
-    return True
 
 
 class RenderJob(JobOperator):

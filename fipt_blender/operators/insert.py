@@ -13,6 +13,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from ..core.job.errors import FiptError
 from ..properties.insert import ALIGNMENTS, BALLS, KINDS
 from . import picture
+from .polls import in_object_mode
 
 if TYPE_CHECKING:
     from ..blend.standing import Guest, Stance, Surface
@@ -85,10 +86,7 @@ class FIPT_OT_insert_object(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if context.mode != "OBJECT":
-            cls.poll_message_set("Leave edit mode first")
-            return False
-        return True
+        return in_object_mode(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if context.window is None or bpy.app.background:
@@ -315,10 +313,7 @@ class FIPT_OT_remove_inserted(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if context.mode != "OBJECT":
-            cls.poll_message_set("Leave edit mode first")
-            return False
-        return True
+        return in_object_mode(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.standing import remove_inserted

@@ -12,6 +12,7 @@ from .. import preferences
 from ..core.job.runfolder import RunFolder
 from .job_operator import JobOperator
 from .overlay import ShowsColors
+from .polls import has_views
 
 if TYPE_CHECKING:
     from ..bridge.sequence import Job
@@ -38,7 +39,7 @@ class FIPT_OT_look_through(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return _has_views(cls, context)
+        return has_views(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.look import camera_missing, look_through
@@ -78,7 +79,7 @@ class FIPT_OT_tick_views(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return _has_views(cls, context)
+        return has_views(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         settings = context.scene.fipt.capture
@@ -105,7 +106,7 @@ class FIPT_OT_check_views(JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return _has_views(cls, context) and super().poll(context)
+        return has_views(cls, context) and super().poll(context)
 
     def make_job(self, context: bpy.types.Context) -> Job:
         from ..blend.capture_import import room_missing
@@ -159,13 +160,6 @@ class FIPT_OT_show_coverage(ShowsColors, bpy.types.Operator):
         from ..blend.survey import show_coverage
 
         show_coverage(scene)
-
-
-def _has_views(cls: type, context: bpy.types.Context) -> bool:
-    if not context.scene.fipt.capture.views:
-        cls.poll_message_set("Import a capture first")  # type: ignore[attr-defined]
-        return False
-    return True
 
 
 CLASSES = (FIPT_OT_look_through, FIPT_OT_tick_views, FIPT_OT_check_views, FIPT_OT_show_coverage)
