@@ -160,8 +160,8 @@ class ClusterWorkers:
                 raise FiptError(
                     "cluster-no-worker",
                     f"The cluster had no worker for {WORKERS_SECONDS:.0f} seconds.",
-                    "Start workers as docs/architecture.md says and resume the run. One that lacks the engine's "
-                    "package ends at its first view: its log says so.",
+                    "Start workers as docs/architecture.md says and resume the run. A worker that lacks the "
+                    "engine's package ends at its first view: its log says so.",
                 )
 
 
