@@ -28,8 +28,9 @@ Version = tuple[int, int]
 
 
 def read_pins(package: Path = PACKAGE_FOLDER) -> dict[str, list[str]]:
-    """Requirements by group: ``engine``, ``llvm`` and ``pip``; in a checkout ``blender``, ``dev`` and ``cluster``
-    too.
+    """Requirements by group: ``engine``, ``llvm`` and ``pip``.
+
+    In a checkout there are ``blender``, ``dev`` and ``cluster`` too.
 
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.
