@@ -185,3 +185,38 @@ def test_export_without_faces_is_an_error(run):
         room_export.export_room([item], run)
     assert error.value.code == "mesh-empty"
     assert not run.room_npz.exists()
+
+
+def test_faces_wound_against_each_other_render_alike(tmp_path):
+    # Two halves of a wall share an edge; the second one is wound the other way, with normals to match.
+    text = "\n".join(
+        [
+            *(f"v {x} {y} 0" for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))),
+            "vn 0 0 1",
+            "vn 0 0 -1",
+            "s 1",
+            "f 1//1 2//1 3//1",
+            "f 1//2 4//2 3//2",
+        ]
+    )
+    (tmp_path / "wall.obj").write_text(text)
+    (name,) = mesh_import.import_room(tmp_path / "wall.obj", np.eye(4))
+    mesh = bpy.data.objects[name].data
+    mesh.shade_smooth()
+    mesh.normals_split_custom_set([(0.0, 0.0, 1.0)] * 3 + [(0.0, 0.0, -1.0)] * 3)
+    mesh_import.mark_turned_edges(mesh)
+    scene = bpy.context.scene
+    scene.world = bpy.data.worlds.new("white")
+    scene.world.use_nodes = True
+    scene.world.node_tree.nodes["Background"].inputs[0].default_value = (1.0, 1.0, 1.0, 1.0)
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    camera.data.type, camera.data.ortho_scale, camera.location = "ORTHO", 1.6, (0.0, 0.0, 2.0)
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    scene.render.engine, scene.cycles.samples = "CYCLES", 16
+    scene.render.resolution_x = scene.render.resolution_y = 16
+    scene.render.image_settings.file_format = "OPEN_EXR"
+    scene.render.filepath = str(tmp_path / "wall.exr")
+    bpy.ops.render.render(write_still=True)
+    image = np.array(bpy.data.images.load(str(tmp_path / "wall.exr")).pixels[:]).reshape(16, 16, 4)
+    assert image[..., 0].min() > 0.5 * image[..., 0].max() > 0.2

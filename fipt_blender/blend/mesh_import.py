@@ -75,6 +75,7 @@ def import_room(
             item.data = item.data.copy()
         item.parent = None
         transform_mesh(item.data, similarity @ matrices[item.name])
+        mark_turned_edges(item.data)
         item.matrix_world = Matrix.Identity(4)
         move_to(item, target)
     names = [item.name for item in meshes]
@@ -123,6 +124,30 @@ def _run_importer(path: Path) -> None:
 
 def _unreadable(path: Path, reason: str) -> FiptError:
     return FiptError("mesh-unreadable", f"{path} can't be read ({reason}).", "Export the mesh again.")
+
+
+def mark_turned_edges(mesh: bpy.types.Mesh) -> None:
+    """Mark the edges between faces that are wound against each other as sharp.
+
+    Blender shades them as sharp in any case, so no normal changes. Cycles splits a mesh at marked edges only:
+    without the mark one of the faces gets the other's normals and is black.
+    """
+    edge_of, vertex_of = np.empty((2, len(mesh.loops)), np.int32)
+    mesh.loops.foreach_get("edge_index", edge_of)
+    mesh.loops.foreach_get("vertex_index", vertex_of)
+    ends = np.empty(2 * len(mesh.edges), np.int32)
+    mesh.edges.foreach_get("vertices", ends)
+    forward = ends[2 * edge_of] == vertex_of
+    uses = np.bincount(edge_of, minlength=len(mesh.edges))
+    forwards = np.bincount(edge_of, forward, minlength=len(mesh.edges))
+    turned = (forwards > 1) | (uses - forwards > 1)
+    if not turned.any():
+        return
+    attribute = mesh.attributes.get("sharp_edge") or mesh.attributes.new("sharp_edge", "BOOLEAN", "EDGE")
+    sharp = np.empty(len(mesh.edges), bool)
+    attribute.data.foreach_get("value", sharp)
+    attribute.data.foreach_set("value", sharp | turned)
+    mesh.update()
 
 
 def transform_mesh(mesh: bpy.types.Mesh, matrix: np.ndarray) -> None:
