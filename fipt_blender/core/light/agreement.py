@@ -52,9 +52,9 @@ class SurfaceCells:
     """Which pixels saw the same piece of surface.
 
     Attributes:
-        rows: (M,) int64 pixels that see one surface of the mesh, on a lattice in each view.
+        rows: (M,) int64 pixels that see one surface of the mesh, on a lattice in each view; rising.
         cell: (M,) int64 from 0.
-        view: (M,) int64 index of their view.
+        view: (M,) int32 index of their view; rising.
         value: (M,) float64 log of grey radiance, in units of the capture's median.
         count: number of cells.
     """
@@ -65,20 +65,21 @@ class SurfaceCells:
     value: np.ndarray
     count: int
 
+    def of_view(self, view: int) -> slice:
+        """The pixels of a view."""
+        return slice(*(int(place) for place in np.searchsorted(self.view, [view, view + 1])))
+
 
 def reduction(view: View) -> int:
     """Pixels of a view from one point of its lattice to the next."""
     return max(1, view.width // REGISTERED_WIDTH)
 
 
-def _lattice(pixels: PixelStore) -> np.ndarray:
-    """(M,) int64 pixels of all views that lie on the lattices."""
-    found = []
-    for first, view in zip(pixels.ranges[:-1], pixels.views, strict=True):
-        step = reduction(view)
-        own = np.arange(view.height * view.width).reshape(view.height, view.width)
-        found.append(int(first) + own[step // 2 :: step, step // 2 :: step].reshape(-1))
-    return np.concatenate(found)
+def _lattice(view: View) -> np.ndarray:
+    """(m,) int64 pixels of a view that lie on its lattice."""
+    step = reduction(view)
+    own = np.arange(view.height * view.width).reshape(view.height, view.width)
+    return own[step // 2 :: step, step // 2 :: step].reshape(-1)
 
 
 def surface_cells(pixels: PixelStore, room: Room, part: np.ndarray, footprint: float) -> SurfaceCells:
@@ -88,20 +89,26 @@ def surface_cells(pixels: PixelStore, room: Room, part: np.ndarray, footprint: f
         part: (T,) int part of each triangle, negative without.
         footprint: median width of a pixel on the surfaces, metres.
     """
-    rows = _lattice(pixels)
-    rows = rows[(pixels.triangle[rows] >= 0) & pixels.pure[rows]]
     low, high = room.bounds
     spacing = float(np.median([reduction(view) for view in pixels.views]))
     size = max(CELL_PIXELS * spacing * footprint, float((high - low).max()) / MOST_CELLS)
-    place = np.floor((np.asarray(pixels.position[rows]) - low) / size).astype(np.int64) + 1
-    triangle = np.asarray(pixels.triangle[rows])
-    normals = triangle_normals(room.vertices, room.triangles)
-    side = side_index(normals)[triangle] * 2 + np.asarray(pixels.front[rows])
-    key = (place[:, 0] * (MOST_CELLS + 4) + place[:, 1]) * (MOST_CELLS + 4) + place[:, 2]
-    key = (key * 12 + side) * (int(part.max(initial=0)) + 2) + part[triangle] + 1
-    unique, cell = np.unique(key, return_inverse=True)
-    value = np.log(np.maximum(np.asarray(pixels.radiance[rows]).mean(axis=1, dtype=np.float64), DARK))
-    return SurfaceCells(rows, cell.reshape(-1), pixels.view_of(rows), value, len(unique))
+    sides = side_index(triangle_normals(room.vertices, room.triangles))
+    parts = int(part.max(initial=0)) + 2
+    found, keys, values = [], [], []
+    for index, view in enumerate(pixels.views):
+        rows = _lattice(view) + pixels.ranges[index]
+        rows = rows[(pixels.triangle[rows] >= 0) & pixels.pure[rows]]
+        place = np.floor((np.asarray(pixels.position[rows]) - low) / size).astype(np.int64) + 1
+        triangle = np.asarray(pixels.triangle[rows])
+        side = sides[triangle] * 2 + np.asarray(pixels.front[rows])
+        key = (place[:, 0] * (MOST_CELLS + 4) + place[:, 1]) * (MOST_CELLS + 4) + place[:, 2]
+        keys.append((key * 12 + side) * parts + part[triangle] + 1)
+        radiance = np.asarray(pixels.radiance[rows]).mean(axis=1, dtype=np.float64)
+        values.append(np.log(np.maximum(radiance, DARK)))
+        found.append(rows)
+    unique, cell = np.unique(np.concatenate(keys), return_inverse=True)
+    view_of = np.repeat(np.arange(len(found), dtype=np.int32), [len(rows) for rows in found])
+    return SurfaceCells(np.concatenate(found), cell.reshape(-1), view_of, np.concatenate(values), len(unique))
 
 
 def exposure_gains(cells: SurfaceCells, views: int) -> np.ndarray:
@@ -183,7 +190,7 @@ def misaligned_views(pixels: PixelStore, cells: SurfaceCells, gains: np.ndarray)
         gains: (views,) exposure of each view; 1 for the usual one.
     """
     found: dict[int, Fit] = {}
-    judged = [i for i in range(len(pixels.views)) if (cells.view == i).any()]
+    judged = np.unique(cells.view).tolist()
     if len(judged) < LEAST_VIEWS:
         return {}
     value = cells.value - np.log(gains)[cells.view]
@@ -215,7 +222,7 @@ def _fit_view(
     index: int,
 ) -> Fit:
     """Register one view against what the others saw."""
-    own = np.flatnonzero(cells.view == index)
+    own = cells.of_view(index)
     cell = cells.cell[own]
     mine = np.bincount(cell, minlength=cells.count)
     mine_sum = np.bincount(cell, value[own], cells.count)

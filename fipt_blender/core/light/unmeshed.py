@@ -57,8 +57,7 @@ def unmeshed_lights(
     view = pixels.view_of(rows)
     origin = pixels.camera_positions()[view].astype(np.float64)
     way = np.asarray(pixels.position[rows]) - origin
-    hit = np.flatnonzero(pixels.triangle >= 0)
-    shining = np.asarray(pixels.position[hit[pixels.radiance[hit].mean(axis=1) > BRIGHT]], np.float64)
+    shining = np.concatenate([_shining(pixels, index) for index in range(len(pixels.views))])
     lamps: list[UnmeshedLight] = []
     while len(lamps) < MOST_LAMPS and len(np.unique(view)) >= LEAST_VIEWS:
         lamp, near = _meeting(origin, way, view, MEET * footprint, rng)
@@ -73,10 +72,19 @@ def unmeshed_lights(
 
 def shown_by(pixels: PixelStore, lamp: UnmeshedLight, margin: float) -> np.ndarray:
     """(K,) int64 pixels whose rays pass a lamp within its radius and a margin in metres, before the mesh."""
-    hit = np.flatnonzero(pixels.triangle >= 0)
-    origin = pixels.camera_positions()[pixels.view_of(hit)].astype(np.float64)
-    distance, share = _passing(origin, np.asarray(pixels.position[hit]) - origin, lamp.position)
-    return hit[(distance < lamp.radius + margin) & (share > 0.0) & (share < 1.0)]
+    found = []
+    for index, camera in enumerate(pixels.camera_positions().astype(np.float64)):
+        hit = np.flatnonzero(pixels.triangle[pixels.rows(index)] >= 0) + pixels.ranges[index]
+        distance, share = _passing(camera, np.asarray(pixels.position[hit]) - camera, lamp.position)
+        found.append(hit[(distance < lamp.radius + margin) & (share > 0.0) & (share < 1.0)])
+    return np.concatenate(found)
+
+
+def _shining(pixels: PixelStore, index: int) -> np.ndarray:
+    """(K, 3) float64 surface points of a view that are as bright as a lamp."""
+    rows = pixels.rows(index)
+    bright = (pixels.triangle[rows] >= 0) & (pixels.radiance[rows].mean(axis=1) > BRIGHT)
+    return np.asarray(pixels.position[rows][bright], np.float64)
 
 
 def _standing_out(cells: SurfaceCells, views: int) -> np.ndarray:
