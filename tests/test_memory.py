@@ -1,0 +1,96 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Memory does not grow with the number of views: what is kept of each pixel lies in files."""
+
+from __future__ import annotations
+
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_captures import CAMERAS, PANEL, look_at, pinhole
+from small_rooms import BOX, make_room
+
+from fipt_blender.core.capture.views import View
+from fipt_blender.core.job.settings import make_settings
+from fipt_blender.core.light import emitters, observations
+from fipt_blender.core.light.emitters import bright_triangles, group_fixtures
+from fipt_blender.core.light.observations import Observations, observe
+from fipt_blender.core.scene.labels import Parts
+from fipt_blender.core.scene.pixels import PixelStore, mark_pure, open_pixels, trace_view
+from fipt_blender.core.scene.room import Room
+
+SCALE = 3
+SETTINGS = make_settings("draft", {"voxel_resolution": 32})
+# An array of one number a pixel, of the smallest kind that is kept, would be four bytes.
+MOST_BYTES = 2.0
+ROOM = make_room([*BOX, PANEL], objects=np.arange(7))
+PARTS = Parts(ROOM.triangle_object, "part")
+
+
+def store(folder: Path, views: int) -> PixelStore:
+    """Pixels of views that see a box with a bright panel."""
+    cameras = [look_at(*CAMERAS[i % len(CAMERAS)]) for i in range(views)]
+    pixels = open_pixels(
+        folder,
+        [View(str(i), "train", Path("none"), **vars(pinhole(pose, SCALE))) for i, pose in enumerate(cameras)],
+        create=True,
+    )
+    for index, view in enumerate(pixels.views):
+        rows, traced = pixels.rows(index), trace_view(ROOM, view)
+        for name in ("position", "normal", "triangle", "front"):
+            getattr(pixels, name)[rows] = getattr(traced, name)
+        pixels.radiance[rows] = np.where(traced.triangle >= 12, 50.0, 1.0)[:, None]
+    mark_pure(pixels, ROOM, PARTS.triangle_part, lambda done: None)
+    return pixels
+
+
+def peak(action: Callable[[], object]) -> int:
+    """Bytes that numpy and Python take at most; mapped files do not count."""
+    tracemalloc.start()
+    try:
+        action()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def lamps(pixels: PixelStore, room: Room) -> None:
+    arrays = (pixels.triangle, pixels.front, pixels.pure, pixels.radiance)
+    marked = bright_triangles(room, arrays[0], arrays[1], arrays[3])
+    assert marked.triangles.tolist() == [12, 13]
+    # Of a lamp, whose pixels are few, all are looked at together; here there is none.
+    assert group_fixtures(room, np.zeros(len(room.triangles), bool), *arrays, reach=0.01) == []
+
+
+def everything(seen: Observations) -> None:
+    seen.cache()
+    seen.cache(without=np.arange(len(ROOM.triangles)) >= 12)
+    assert len(seen.part) == len(seen.donor) == len(seen.pixels)
+
+
+@pytest.mark.parametrize("action", ["observe", "look up", "lamps"])
+def test_memory_of_the_views(action: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Smaller than these captures, as their usual sizes are smaller than large ones.
+    monkeypatch.setattr(emitters, "CHUNK", 4096)
+    monkeypatch.setattr(observations, "FOOTPRINT_PIXELS", 1000)
+    peaks, sizes = [], []
+    for views in (6, 6, 36):  # the first warms up
+        pixels = store(tmp_path / f"{views}", views)
+
+        def seen(pixels: PixelStore = pixels) -> Observations:
+            return observe(ROOM, pixels, PARTS, SETTINGS, tmp_path / "observed")
+
+        actions: dict[str, Callable[[], object]] = {
+            "observe": seen,
+            "lamps": lambda pixels=pixels: lamps(pixels, ROOM),
+        }
+        if action == "look up":
+            known = seen()
+            actions[action] = lambda known=known: everything(known)
+        peaks.append(peak(actions[action]))
+        sizes.append(len(pixels))
+    slope = (peaks[2] - peaks[1]) / (sizes[2] - sizes[1])
+    assert slope < MOST_BYTES, f"{slope:.1f} bytes a pixel"
