@@ -13,7 +13,7 @@ from ..light.reflecting import LampPixels
 from ..light.views import ShadingStore
 from ..material.confidence import UNKNOWN, Evidence, evidence, standard_errors
 from ..material.fields import RoomFields
-from ..material.seen import Box, SeenCells, cell_keys, seen_cells
+from ..material.seen import RESOLUTION, Box, SeenCells, cell_keys, seen_cells
 from ..scene.labels import Parts
 from ..scene.pixels import PixelStore
 
@@ -61,7 +61,7 @@ def cell_errors(
     position = np.asarray(pixels.position[rows])
     place = np.searchsorted(cells.keys, cell_keys(box, position, part))
     found, cell = np.unique(place, return_inverse=True)
-    blocks = (box.normalise(cells.points) * (128 // BLOCK)).astype(np.int64) @ (1, 64, 64**2)
+    blocks = (box.normalise(cells.points) * (RESOLUTION // BLOCK)).astype(np.int64) @ (1, 64, 64**2)
     if parts.kind == "part":
         blocks = np.where(cells.part >= 0, 0, blocks)
     group_of_cell = np.unique((cells.part + 1) * 64**3 + blocks, return_inverse=True)[1]

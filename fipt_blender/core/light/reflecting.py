@@ -52,19 +52,15 @@ def separate(fixtures: Sequence[Fixture], pixels: LampPixels) -> tuple[list[Fixt
     separated, colors = [], np.zeros((len(fixtures), 3))
     for index, fixture in enumerate(fixtures):
         mine = np.isin(pixels.triangle, fixture.triangles)
-        lines = []
-        for side, total in ((True, fixture.radiance), (False, fixture.back_radiance)):
-            rows = np.flatnonzero(mine & (pixels.front == side))
-            lines.append(_fit(pixels, rows) if np.any(total > 0.0) else None)
-        found = [line for line in lines if line is not None]
-        if found:
-            # One material for both sides: that of the side which is better known.
-            colors[index] = found[0][0] if len(found) == 1 else np.mean([color for color, _ in found], axis=0)
-            light = [
-                total if line is None else line[1]
-                for total, line in zip((fixture.radiance, fixture.back_radiance), lines, strict=True)
-            ]
-            fixture = replace(fixture, radiance=light[0], back_radiance=light[1])
+        sides = ((True, fixture.radiance), (False, fixture.back_radiance))
+        shining = [side for side, total in sides if np.any(total > 0.0)]
+        lines = {side: _fit(pixels, np.flatnonzero(mine & (pixels.front == side))) for side in shining}
+        found = {side: line for side, line in lines.items() if line is not None}
+        # One material for both sides: where one of them may be black, the lamp is.
+        if found and len(found) == len(lines):
+            colors[index] = np.mean([color for color, _ in found.values()], axis=0)
+            front, back = (found[side][1] if side in found else total for side, total in sides)
+            fixture = replace(fixture, radiance=front, back_radiance=back)
         separated.append(fixture)
     return separated, colors
 
