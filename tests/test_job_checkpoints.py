@@ -99,6 +99,25 @@ def test_a_refinement_that_began_has_spoilt_the_shadings_before(tmp_path: Path) 
     assert checkpoints.done("pixels") and not checkpoints.done("shadings")
 
 
+def test_a_kill_amid_dropping_stages_leaves_none_that_lack_their_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "stage"
+    do(Checkpoints(folder, make_keys()), STAGES, folder)
+    (folder / "training-0.pt").touch()
+
+    def killed(path: Path, missing_ok: bool = False) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Path, "unlink", killed)
+        Checkpoints(folder, make_keys("training-1"))
+    assert (folder / "networks-1.pt").exists()
+    again = Checkpoints(folder, make_keys())
+    assert not again.done("training-1") and again.done("refinement-1")
+    assert not (folder / "networks-1.pt").exists(), "it may be another key's"
+
+
 def test_results_need_the_shadings_of_their_own_last_round(tmp_path: Path) -> None:
     folder = tmp_path / "stage"
     do(Checkpoints(folder, make_keys()), STAGES, folder)

@@ -73,15 +73,17 @@ class Checkpoints:
         before = self._read()
         kept = _kept_stages(before, keys)
         if not kept:
+            self._path.unlink(missing_ok=True)  # first: it must not speak of files that are gone
             if folder.exists():
                 shutil.rmtree(folder)
             folder.mkdir(parents=True)
             return
         self._data["stages"] = {name: before["stages"][name] for name in kept}
         self._data["values"] = before["values"]
-        for name in {*before["keys"], *before["stages"]} - set(kept):
-            if before["keys"].get(name) != keys.get(name) or name in before["stages"]:
-                self._remove(name)
+        under_way = {name for name in keys if name not in before["stages"]}
+        valid = {name: keys[name] for name in {*kept, *under_way} if before["keys"].get(name) == keys[name]}
+        write_json(self._path, {**self._data, "keys": valid})
+        self._remove_all_but(set(valid))
         write_json(self._path, self._data)
 
     def _read(self) -> dict[str, Any]:
@@ -92,14 +94,13 @@ class Checkpoints:
         whole = all(isinstance(data.get(name), dict) for name in self._data)
         return data if whole else {"keys": {}, "stages": {}, "values": {}}
 
-    def _remove(self, stage: str) -> None:
-        """Files of a stage that would be taken for the new one's: weights, training under way, pictures."""
-        number = stage.partition("-")[2]
-        if stage.startswith("training"):
-            for name in (f"networks-{number}.pt", f"training-{number}.pt"):
-                (self._folder / name).unlink(missing_ok=True)
-        for path in (self._folder / "previews").glob(f"{stage}*"):
-            path.unlink()
+    def _remove_all_but(self, stages: set[str]) -> None:
+        """Remove what would be taken for a new stage's own: weights, training under way, pictures."""
+        for pattern in ("networks-*.pt", "training-*.pt", "previews/*-*"):
+            for path in self._folder.glob(pattern):
+                stage = path.stem if path.suffix == ".pt" else path.stem.rpartition("-")[0]
+                if stage.replace("networks", "training") not in stages:
+                    path.unlink()
 
     def begin(self, name: str) -> None:
         """Note that a stage begins to write; those that bake write over the shadings of the one before."""
