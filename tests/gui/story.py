@@ -173,8 +173,6 @@ def estimate(window: Window, options: Options) -> None:
 
 def materials(window: Window, options: Options) -> None:
     """Apply the results, and show the room's maps one after the other."""
-    window.open_section("Capture")
-    window.set_text("capture.photograph_opacity", "0")  # it would lie over the maps
     window.open_section("Materials")
     window.click("fipt.apply_results")
     _finish(window, "materials")
