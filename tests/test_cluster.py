@@ -158,7 +158,7 @@ def test_a_scheduler_without_workers(
 
     with cluster.workers_at(empty.scheduler_address) as workers, pytest.raises(FiptError) as caught:
         list(workers.map(Tracing(capture.room), items()))
-    assert caught.value.code == "cluster-no-worker" and "dask worker" in caught.value.remedy
+    assert caught.value.code == "cluster-no-worker" and "Start workers" in caught.value.remedy
     assert 0 < len(taken) < len(views(capture)) / 2  # the rest was never read
 
 
