@@ -118,7 +118,7 @@ def test_each_ablation_is_a_run_of_the_accuracy_command() -> None:
     arguments = parser.parse_args(["c", "o", "--preset", "draft", "--seeds", "3", "--set", "rounds=2"])
     planned = dict(ablations.planned(arguments, list(ablations.ABLATIONS)))
     assert list(planned)[-2:] == ["full-seed-1", "full-seed-2"]
-    assert planned["no-stage-3"][-1] == "training_steps=1300"  # 500 + 2 x 400
+    assert planned["no-stage-3"][-1] == "training_steps=750"  # 250 + 2 x 250
     for options in planned.values():
         parsed = accuracy.make_parser().parse_args(["capture", *options])
         command = accuracy.main_job_options(

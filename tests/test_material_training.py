@@ -39,13 +39,14 @@ def make_data(kind: str = "part") -> TrainingData:
         donor=np.arange(count),
         position=position * 4.0 - 2.0,
         radiance=radiance.astype(np.float32),
-        part=part,
+        label=part,
+        group=np.full(count, -1) if kind == "none" else part,
         diffuse=diffuse.astype(np.float16),
         specular=np.full((count, 3, 2, 3), 1e-3, np.float16),
         levels=LEVELS,
-        part_kind=kind,
-        part_roughness=np.array([1.0, 1.0], np.float32),
-        part_metallic=np.array([0.0, 0.0], np.float32),
+        semantic=kind == "semantic",
+        group_roughness=np.array([1.0, 1.0], np.float32),
+        group_metallic=np.array([0.0, 0.0], np.float32),
         normalise=lambda world: ((world + 2.0) / 4.0).astype(np.float32),
     )
 
@@ -107,7 +108,7 @@ def test_colours_and_the_lamp_are_found(one_thread) -> None:
     with torch.no_grad():
         prediction, alpha = brdf(inputs), emission_mask(emission(inputs)).numpy()
     kd = (prediction.base_color * (1 - prediction.metallic[:, None])).numpy()
-    expected = np.where(data.part[:, None] == 0, [0.7, 0.2, 0.1], [0.1, 0.3, 0.6])
+    expected = np.where(data.label[:, None] == 0, [0.7, 0.2, 0.1], [0.1, 0.3, 0.6])
     distance = np.linalg.norm(data.normalise(data.position) - 1.0, axis=1)
     clear = (np.abs(data.normalise(data.position)[:, 0] - 0.5) > 0.05) & (distance > 0.5)
     assert np.abs(kd - expected)[clear].mean() < 0.06
@@ -126,7 +127,7 @@ def test_every_term_is_in_the_total(kind: str) -> None:
         zero = {name: 0.0 for name in ("lambda_emission", "lambda_diffuse", "lambda_part", "lambda_semantic")}
         settings = Settings(**{**zero, **changes})
         with torch.no_grad():
-            return float(total_loss(*pair, batch, levels, kind, settings, partners))
+            return float(total_loss(*pair, batch, levels, kind == "semantic", settings, partners))
 
     base = total()
     answers = {
@@ -136,18 +137,19 @@ def test_every_term_is_in_the_total(kind: str) -> None:
     assert answers == {
         "lambda_emission": True,
         "lambda_diffuse": True,
-        "lambda_part": kind == "part",
+        "lambda_part": kind != "none",
         "lambda_semantic": kind == "semantic",
     }
 
 
 def test_batches_keep_their_rows_together(rng: np.random.Generator) -> None:
     data = make_data()
-    data.part[5] = -1
+    data.label[5] = data.group[5] = -1
     rows = rng.permutation(200)
     batch = gather_batch(data, rows, CPU)
     order = np.sort(rows)
-    assert (batch.part.numpy() == data.part[order]).all()
+    assert (batch.label.numpy() == data.label[order]).all()
+    assert not batch.grouped[5] and batch.grouped[6]
     np.testing.assert_array_equal(batch.radiance.numpy(), data.radiance[order])
     np.testing.assert_array_equal(batch.position.numpy(), data.normalise(data.position[order]))
-    assert batch.diffuse.dtype == torch.float32 and batch.part_roughness[5] == 1.0
+    assert batch.diffuse.dtype == torch.float32 and batch.group_roughness[5] == 1.0

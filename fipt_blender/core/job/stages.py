@@ -37,7 +37,7 @@ from ..material.networks import BrdfNetwork, EmissionNetwork, useful_hash_levels
 from ..material.seen import SeenCells, room_box
 from ..material.training import PRETRAINING_STEPS, pretrain, train
 from ..render.lights import EmitterTable
-from ..scene.labels import Parts, choose_parts
+from ..scene.labels import Parts, choose_parts, loose_pieces, weld
 from ..scene.pixels import PixelStore, fill_pixels, mark_pure, open_pixels
 from ..scene.room import load_room
 from .certainty import cell_errors, find_cells, lamp_pixels
@@ -254,21 +254,25 @@ class Estimation:
 
     # Stage 2
 
+    @cached_property
+    def _pieces(self) -> np.ndarray:
+        """(T,) int32 connected piece of each triangle."""
+        return loose_pieces(weld(self.room.vertices)[self.room.triangles], self.room.triangle_object)
+
     def _train(self, index: int, steps: int) -> dict[str, Any]:
         data, guess, rows = training_input(
             self.pixels,
             self.seen,
             self.parts,
+            self._pieces,
             self._open_shadings(),
             self.levels,
             self.box.normalise,
             self.settings.seed,
         )
         checkpoint = self.folder.stage / f"training-{index}.pt"
-        # Refined shadings tell parts apart better. Without parts, what was learned is more than the guess.
-        starts_anew = index == 0 or self.parts.kind == "part"
-        before = PRETRAINING_STEPS / (PRETRAINING_STEPS + steps) if starts_anew else 0.0
-        if starts_anew and not checkpoint.exists():
+        before = PRETRAINING_STEPS / (PRETRAINING_STEPS + steps)
+        if not checkpoint.exists():
             pretrain(
                 self.brdf,
                 self.emission if index == 0 else None,

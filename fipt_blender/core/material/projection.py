@@ -108,6 +108,8 @@ def part_materials(
     roughness = levels[k].astype(np.float32)
     mine = np.maximum(part, 0)
     rows = np.arange(len(part))
+    # What is diffuse stays so: a little of a gloss that was found to be none would explain a little, too.
+    glossy = (k < len(levels) - 1) | (metallic > 0.0)
     for step in BETWEEN_LEVELS:
         place = np.clip(k + step, 0.0, len(levels) - 1.0)
         low = np.minimum(place.astype(int), len(levels) - 2)
@@ -117,7 +119,7 @@ def part_materials(
         shading = (1.0 - weight) * specular[rows, below] + weight * specular[rows, below + 1]
         prior = DIFFUSE_PRIOR * ((1.0 - between) + metallic)
         total = prior + trial.cost(shading, metallic[mine, None])
-        roughness = np.where(total < lowest, between, roughness)
+        roughness = np.where(glossy & (total < lowest), between, roughness)
         lowest = np.minimum(total, lowest)
     return roughness, metallic
 
@@ -179,6 +181,7 @@ def project(
     part: np.ndarray,
     part_roughness: np.ndarray,
     part_metallic: np.ndarray,
+    whole: bool = True,
 ) -> Guess:
     """Best base colour of each cell, given each part's roughness and metallic (:func:`part_materials`).
 
@@ -190,6 +193,8 @@ def project(
         cell: (N,) int surface cell of each pixel.
         part: (N,) int part of each pixel, negative without: those are taken as diffuse.
         part_roughness, part_metallic: (parts,) float32.
+        whole: whether parts are what somebody marked; other groups may be a lamp's and a wall's pixels of one
+            colour, and say nothing about emission.
     """
     parts = len(part_roughness)
     known = part >= 0
@@ -203,8 +208,10 @@ def project(
     # A white surface, of this roughness and metallic or diffuse: metals mirror lamps without being lamps.
     white = np.maximum(diffuse, slope) + offset
     emitting = (radiance > CLEAR_EMISSION * white).all(axis=1) & (radiance.mean(axis=1) > 1.0)
-    part_emits = constant_parts(radiance.mean(axis=1), diffuse.mean(axis=1), part, parts)
-    if parts:
+    part_emits = np.zeros(0, bool)
+    if whole:
+        part_emits = constant_parts(radiance.mean(axis=1), diffuse.mean(axis=1), part, parts)
+    if len(part_emits):
         emitting |= known & part_emits[np.maximum(part, 0)]
     return Guess(
         color[cell_id].astype(np.float32),

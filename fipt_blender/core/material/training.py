@@ -43,12 +43,13 @@ class TrainingData:
             beside a mixed one.
         position: (N, 3) float32 normalised to the unit cube by `normalise`.
         radiance: (N, 3) in units of the capture's median.
-        part: (N,) int part of each pixel, negative without.
+        label: (N,) int part or semantic class of each pixel, negative without.
+        group: (N,) int part of each pixel, or what stands for it (core/material/groups.py), negative without.
         diffuse: (N, 3) L_d.
         specular: (N, K, 2, 3) L_s0 and L_s1.
         levels: (K,) roughness levels.
-        part_kind: part, semantic or none.
-        part_roughness, part_metallic: (parts,) closed-form estimates, sigma' and m' of l_p.
+        semantic: whether labels are semantic classes.
+        group_roughness, group_metallic: (groups,) closed-form estimates, sigma' and m' of l_p.
         normalise: world positions to the unit cube.
     """
 
@@ -56,13 +57,14 @@ class TrainingData:
     donor: np.ndarray
     position: np.ndarray
     radiance: np.ndarray
-    part: np.ndarray
+    label: np.ndarray
+    group: np.ndarray
     diffuse: np.ndarray
     specular: np.ndarray
     levels: np.ndarray
-    part_kind: str
-    part_roughness: np.ndarray
-    part_metallic: np.ndarray
+    semantic: bool
+    group_roughness: np.ndarray
+    group_metallic: np.ndarray
     normalise: Callable[[np.ndarray], np.ndarray]
 
 
@@ -72,11 +74,12 @@ class Batch:
 
     position: torch.Tensor
     radiance: torch.Tensor
-    part: torch.Tensor
+    label: torch.Tensor
+    grouped: torch.Tensor
     diffuse: torch.Tensor
     specular: torch.Tensor
-    part_roughness: torch.Tensor
-    part_metallic: torch.Tensor
+    group_roughness: torch.Tensor
+    group_metallic: torch.Tensor
 
 
 def gather_batch(data: TrainingData, rows: np.ndarray, device: torch.device) -> Batch:
@@ -87,15 +90,16 @@ def gather_batch(data: TrainingData, rows: np.ndarray, device: torch.device) -> 
     def tensor(array: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.asarray(array[shown], np.float32)).to(device)
 
-    part = np.asarray(data.part[rows], np.int64)
-    roughness = np.where(part >= 0, data.part_roughness[part], 1.0) if len(data.part_roughness) else 1.0
-    metallic = np.where(part >= 0, data.part_metallic[part], 0.0) if len(data.part_metallic) else 0.0
+    label, group = (np.asarray(array[rows], np.int64) for array in (data.label, data.group))
+    # One more for pixels without a group, at -1.
+    roughness, metallic = np.append(data.group_roughness, 1.0), np.append(data.group_metallic, 0.0)
     return Batch(
-        part_roughness=torch.as_tensor(roughness, dtype=torch.float32, device=device),
-        part_metallic=torch.as_tensor(metallic, dtype=torch.float32, device=device),
+        group_roughness=torch.as_tensor(roughness[group], dtype=torch.float32, device=device),
+        group_metallic=torch.as_tensor(metallic[group], dtype=torch.float32, device=device),
         position=torch.from_numpy(data.normalise(np.asarray(data.position[rows]))).to(device),
         radiance=tensor(data.radiance),
-        part=torch.from_numpy(part).to(device),
+        label=torch.from_numpy(label).to(device),
+        grouped=torch.from_numpy(group >= 0).to(device),
         diffuse=tensor(data.diffuse),
         specular=tensor(data.specular),
     )
@@ -106,7 +110,7 @@ def total_loss(
     emission: EmissionNetwork,
     batch: Batch,
     levels: torch.Tensor,
-    part_kind: str,
+    semantic: bool,
     settings: Settings,
     partners: torch.Tensor,
 ) -> torch.Tensor:
@@ -121,15 +125,14 @@ def total_loss(
         loss = losses.rendering_loss(rendered, emission_mask(raw), batch.radiance)
         loss = loss + settings.lambda_emission * losses.emission_loss(raw)
     loss = loss + settings.lambda_diffuse * losses.diffuse_loss(prediction)
-    if part_kind == "part":
-        loss = loss + settings.lambda_part * losses.part_loss(
-            prediction, batch.part_roughness, batch.part_metallic, batch.part >= 0
-        )
-    elif part_kind == "semantic":
+    loss = loss + settings.lambda_part * losses.part_loss(
+        prediction, batch.group_roughness, batch.group_metallic, batch.grouped
+    )
+    if semantic:
         loss = loss + settings.lambda_semantic * losses.semantic_loss(
             prediction,
             batch.position,
-            batch.part,
+            batch.label,
             partners,
             settings.sigma_albedo,
             settings.sigma_position,
@@ -246,7 +249,7 @@ def train(
         rng = np.random.default_rng([settings.seed, round_index, step])
         batch = gather_batch(data, data.pool[rng.integers(0, len(data.pool), size)], device)
         partners = torch.from_numpy(rng.integers(0, size, min(_PARTNERS, size))).to(device)
-        loss = total_loss(brdf, emission, batch, levels, data.part_kind, settings, partners)
+        loss = total_loss(brdf, emission, batch, levels, data.semantic, settings, partners)
         optimiser.step(step, loss)
         progress((step + 1) / steps)
         if checkpoint is not None and (step + 1) % settings.checkpoint_steps == 0 and step + 1 < steps:

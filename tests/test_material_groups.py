@@ -1,0 +1,51 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Groups that stand for parts: by class, piece and colour, the finest that is large enough."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fipt_blender.core.material.groups import NO_GROUP, color_class, material_groups
+
+
+def columns(*rows: tuple[int, int, int, int]) -> list[np.ndarray]:
+    """Label, piece and colour of `count` pixels each."""
+    counts = [row[3] for row in rows]
+    return [np.repeat([row[i] for row in rows], counts) for i in range(3)]
+
+
+def test_the_finest_group_that_is_large_enough_counts():
+    # Two colours of one piece; a piece whose colours are few pixels each; crumbs of a class in one colour.
+    rows = [
+        (0, 0, 7, 50),
+        (0, 0, 8, 50),
+        (1, 1, 7, 20),
+        (1, 1, 8, 25),
+        *((2, 10 + i, 9, 5) for i in range(8)),
+    ]
+    group = material_groups(*columns(*rows), least=40)
+    assert (group >= 0).all() and len(np.unique(group)) == 4
+    assert len(np.unique(group[:50])) == 1 and group[0] != group[60]
+    assert len(np.unique(group[100:145])) == 1 and len(np.unique(group[145:])) == 1
+
+
+def test_what_nothing_takes_in_has_no_group(rng):
+    label, piece, color = columns((0, 0, 1, 100), (3, 5, 6, 9))
+    order = rng.permutation(109)
+    group = material_groups(label[order], piece[order], color[order], least=10)
+    assert (group[label[order] == 3] == NO_GROUP).all() and (group[label[order] == 0] == 0).all()
+
+
+def test_classes_of_one_colour_never_share_a_group():
+    group = material_groups(*columns((0, 0, 1, 30), (1, 0, 1, 30)), least=10)
+    assert group[0] != group[-1]
+
+
+def test_color_classes_tell_hue_and_brightness_apart_and_bear_noise(rng):
+    base = np.array([[0.6, 0.6, 0.6], [0.15, 0.15, 0.15], [0.6, 0.15, 0.1], [0.1, 0.15, 0.6]])
+    found = color_class(base)
+    assert len(np.unique(found)) == 4
+    noisy = base.repeat(100, axis=0) * rng.normal(1.0, 0.01, (400, 1))
+    assert (color_class(noisy) == found.repeat(100)).mean() > 0.95
+    assert np.isfinite(color_class(np.zeros((1, 3)))).all()
