@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -77,14 +77,15 @@ def main(argv: Sequence[str]) -> int:
         set_variant(settings.device)
         source = prepare(arguments.capture, arguments.output / "input", ["--parts", arguments.parts])
         base = (arguments.base_views, arguments.base_height)
-        curves = measure(source, arguments.output, settings, sizes, base, arguments.repeats)
+        head = {"machine": machine(), "settings": {key: str(value) for key, value in vars(arguments).items()}}
+        curves: dict[str, Any] = {}
+        for curves in measure(source, arguments.output, settings, sizes, base, arguments.repeats):
+            # After each size: a later one may be too large for the machine.
+            write_json(arguments.output.absolute() / "scaling.json", {"curves": curves, **head})
+            draw(curves, arguments.output.absolute())
     except FiptError as error:
         print(f"error: {error.text} {error.remedy}", file=sys.stderr)
         return 1
-    options = {key: str(value) for key, value in vars(arguments).items()}
-    result = {"curves": curves, "machine": machine(), "settings": options}
-    write_json(arguments.output.absolute() / "scaling.json", result)
-    draw(curves, arguments.output.absolute())
     print(format_table(curves))
     return 0
 
@@ -111,8 +112,10 @@ def measure(
     sizes: Mapping[str, Sequence[int]],
     base: tuple[int, int],
     repeats: int,
-) -> dict[str, Any]:
-    """The curves: {name: {"sizes": [...], "records": one of `speed.merged` a size, "stages": fits}}.
+) -> Iterator[dict[str, Any]]:
+    """The curves as far as they are measured, after each size.
+
+    {name: {"unit", "sizes": [...], "records": one of `turns.merged` a size, "stages": of `fitted`}}.
 
     Args:
         sizes: by curve: numbers of views, heights in pixels, numbers of triangles.
@@ -139,7 +142,8 @@ def measure(
     curves: dict[str, Any] = {}
     warm = False
     for name, wanted in sizes.items():
-        real, records = [], []
+        real: list[int] = []
+        records: list[dict[str, Any]] = []
         for size in wanted:
             found = []
             for _ in range(repeats if warm else repeats + 1):
@@ -153,10 +157,9 @@ def measure(
             records.append(merged(found[-repeats:]))
             real.append(number)
             warm = True
-        if records:
-            curves[name] = {"unit": UNITS[name], "sizes": real, "records": records}
-            curves[name]["stages"] = fitted(real, records)
-    return curves
+            stages = fitted(real, records)
+            curves[name] = {"unit": UNITS[name], "sizes": real, "records": records, "stages": stages}
+            yield curves
 
 
 def fitted(sizes: Sequence[int], records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -170,6 +170,29 @@ def test_exponents_are_those_of_power_laws(tmp_path: Path) -> None:
         scaling.read_sizes("ten")
 
 
+def test_each_curve_varies_one_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = write_run(tmp_path / "source", panel_capture())
+    measured: list[tuple[int, int, int]] = []
+
+    def fake(runs: dict[str, RunFolder]) -> dict:
+        views = read_json(runs["shipped"].capture_json)["views"]
+        triangles = load_room(runs["shipped"]).triangles
+        measured.append((len(views), views[0]["height"], len(triangles)))
+        return {"shipped": record(float(len(measured)))}
+
+    monkeypatch.setattr(scaling, "take_turns", fake)
+    sizes = {"views": [2, 8], "resolution": [16, 32], "triangles": [14, 56]}
+    steps = scaling.measure(source, tmp_path / "out", make_settings("draft", QUICK), sizes, (2, 16), 1)
+    *_, last = steps
+    # The first is measured twice: kernels are compiled once.
+    assert measured == [
+        (2, 16, 14), (2, 16, 14), (8, 16, 14), (2, 16, 14), (2, 32, 14), (2, 16, 14), (2, 16, 56)
+    ]  # fmt: skip
+    assert last["views"]["sizes"] == [2, 8] and last["triangles"]["sizes"] == [14, 56]
+    assert last["resolution"]["sizes"] == [16 * 24, 32 * 48]
+    assert last["views"]["stages"]["all"]["seconds"] == [20.0, 30.0]
+
+
 @pytest.fixture
 def compass(tmp_path: Path) -> RunFolder:
     """A run with two views of 40 x 20 pixels whose photographs show each pixel's direction, plus two."""
