@@ -166,3 +166,30 @@ def test_window_means_stay_within_part_and_view(rng: np.random.Generator) -> Non
         ]
         near = [other for other in near if usable[other] and part[other] == part[row]]
         np.testing.assert_allclose(mean, values[near].mean(axis=0), rtol=1e-5, atol=1e-6)
+
+
+def with_gloss(rng: np.random.Generator, strength: float, noise: float) -> tuple[float, float]:
+    """Roughness and metallic found where a dielectric of LEVELS[3] shows `strength` times its gloss."""
+    (radiance, diffuse, specular), cell, part, color = synthetic(rng, [(1.0, 0.0)], 0.0, 0.0)
+    gloss = 0.04 * specular[:, :, 0] + specular[:, :, 1]
+    radiance = color * diffuse + gloss[:, -1] + strength * (gloss[:, 3] - gloss[:, -1])
+    radiance = radiance.clip(0.0) * (1.0 + noise * rng.normal(size=radiance.shape))
+    view = np.arange(len(part)) % VIEWS
+    found = part_materials(radiance.astype(np.float32), diffuse, specular, LEVELS, cell, part, view)
+    return float(found[0][0]), float(found[1][0])
+
+
+def test_gloss_of_its_own_strength_is_found_and_more_of_it_is_an_error_of_shadings(rng):
+    assert with_gloss(rng, 1.0, 0.02) == pytest.approx((LEVELS[3], 0.0), abs=0.05)
+    for strength in (2.0, 3.0):
+        # No dielectric of any roughness near it; a metal's gloss has no fixed strength.
+        roughness, metallic = with_gloss(rng, strength, 0.02)
+        assert metallic == 1.0 or abs(roughness - LEVELS[3]) > 0.1
+    assert with_gloss(rng, 0.0, 0.02) == pytest.approx((1.0, 0.0), abs=0.06)
+
+
+def test_faint_evidence_gives_the_mean_of_gloss_and_none(rng):
+    # The more the noise hides the gloss, the nearer to none; never below the gloss itself.
+    found = [with_gloss(np.random.default_rng(7), 1.0, noise)[0] for noise in (0.02, 0.6, 2.5)]
+    assert found[0] == pytest.approx(LEVELS[3], abs=0.05) and found[2] > 0.8
+    assert found[0] - 0.02 <= found[1] <= found[2] + 0.02
