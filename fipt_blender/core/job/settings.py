@@ -52,11 +52,11 @@ class Settings:
         1.5, "exponent of the levels' spacing; 1 is the paper's linear one", SHADINGS
     )
     roughness_min: float = _setting(0.02, "lowest roughness (authors' code; 0 is singular)", SHADINGS)
-    diffuse_spp: int = _setting(64, "stage 1: samples a pixel for diffuse shading", SHADINGS)
+    diffuse_spp: int = _setting(32, "stage 1: samples a pixel for diffuse shading", SHADINGS)
     specular_spp: int = _setting(
-        16, "stage 1: samples a pixel and roughness level for specular shading", SHADINGS
+        8, "stage 1: samples a pixel and roughness level for specular shading", SHADINGS
     )
-    light_spp: int = _setting(32, "stage 1: samples a pixel aimed at bright triangles", SHADINGS)
+    light_spp: int = _setting(16, "stage 1: samples a pixel aimed at bright triangles", SHADINGS)
     refine_diffuse_spp: int = _setting(64, "stage 3: samples a pixel for diffuse shading", REFINEMENT)
     refine_specular_spp: int = _setting(
         16, "stage 3: samples a pixel and level for specular shading", REFINEMENT
@@ -80,8 +80,8 @@ class Settings:
         SHADINGS,
     )
 
-    training_steps: int = _setting(2000, "stage 2: optimiser steps of the first round", TRAINING)
-    later_training_steps: int = _setting(1000, "stage 2: optimiser steps of each later round", LATER_TRAINING)
+    training_steps: int = _setting(300, "stage 2: optimiser steps of the first round", TRAINING)
+    later_training_steps: int = _setting(300, "stage 2: optimiser steps of each later round", LATER_TRAINING)
     batch_size: int = _setting(8192, "stage 2: pixels a step", TRAINING)
     learning_rate: float = _setting(1e-3, "stage 2: Adam's first learning rate", TRAINING)
     hash_learning_rate: float = _setting(

@@ -28,8 +28,8 @@ _PRETRAINING_RATE = 1e-2
 _EMISSION_PRETRAINING_RATE = 3e-3
 # Raw emission mask to which clear emitters are fitted at first.
 _SEED_MASK = 1.0
-# Share of a batch that pretrains the emission network, which costs as much a pixel as all else together.
-_EMISSION_SHARE = 4
+# Of so many pixels one teaches the emission network, which costs as much a pixel as all else together.
+_EMISSION_STRIDE = 4
 _PARTNERS = 1024
 
 
@@ -113,17 +113,33 @@ def total_loss(
     semantic: bool,
     settings: Settings,
     partners: torch.Tensor,
+    turn: int = 0,
 ) -> torch.Tensor:
-    """l + l_e + l_d + l_p of one batch (paper Eq. 12 to 17)."""
+    """l + l_e + l_d + l_p of one batch (paper Eq. 12 to 17).
+
+    The emission network has gradients at every fourth pixel only; the expected gradient is a quarter of the
+    whole batch's for all its terms alike, and Adam does not care for scale.
+
+    Args:
+        partners: rows of the batch that serve as x' of Eq. 17.
+        turn: which of four pixels it is.
+    """
     prediction = brdf(batch.position)
-    raw = emission(batch.position)
+    taught = torch.zeros(len(batch.position), dtype=torch.bool, device=batch.position.device)
+    taught[turn % _EMISSION_STRIDE :: _EMISSION_STRIDE] = True
+    lesson = emission(batch.position[taught])
+    with torch.no_grad():
+        rest = emission(batch.position[~taught])
+    raw = torch.empty((len(taught), *rest.shape[1:]), dtype=rest.dtype, device=rest.device)
+    raw = raw.masked_scatter(~_like(taught, raw), rest).masked_scatter(_like(taught, raw), lesson)
+    share = len(lesson) / len(taught)
     rendered = losses.factorised_rendering(prediction, batch.diffuse, batch.specular, levels)
     if settings.emission == "joint":
         loss = losses.joint_rendering_loss(rendered, torch.relu(raw), batch.radiance)
-        loss = loss + settings.lambda_joint * losses.emission_loss(raw)
+        loss = loss + settings.lambda_joint * share * losses.emission_loss(lesson)
     else:
         loss = losses.rendering_loss(rendered, emission_mask(raw), batch.radiance)
-        loss = loss + settings.lambda_emission * losses.emission_loss(raw)
+        loss = loss + settings.lambda_emission * share * losses.emission_loss(lesson)
     loss = loss + settings.lambda_diffuse * losses.diffuse_loss(prediction)
     loss = loss + settings.lambda_part * losses.part_loss(
         prediction, batch.group_roughness, batch.group_metallic, batch.grouped
@@ -138,6 +154,11 @@ def total_loss(
             settings.sigma_position,
         )
     return loss
+
+
+def _like(rows: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+    """A mask of rows (N,) as one of all values (N, ...)."""
+    return rows.reshape(-1, *[1] * (values.ndim - 1)).expand_as(values)
 
 
 def pretrain(
@@ -167,7 +188,7 @@ def pretrain(
     optimiser = _Adam(rates, PRETRAINING_STEPS)
     bright = np.flatnonzero(guess.emitting)
     size = min(settings.batch_size, len(guess_rows))
-    part = max(size // _EMISSION_SHARE, 1)
+    part = max(size // _EMISSION_STRIDE, 1)
     values = np.concatenate([guess.base_color, guess.roughness[:, None], guess.metallic[:, None]], axis=1)
     # Inside the sigmoid's range, so that the rendering loss can still move away from 0 and 1.
     values = values.clip(0.02, 0.98)
@@ -249,7 +270,7 @@ def train(
         rng = np.random.default_rng([settings.seed, round_index, step])
         batch = gather_batch(data, data.pool[rng.integers(0, len(data.pool), size)], device)
         partners = torch.from_numpy(rng.integers(0, size, min(_PARTNERS, size))).to(device)
-        loss = total_loss(brdf, emission, batch, levels, data.semantic, settings, partners)
+        loss = total_loss(brdf, emission, batch, levels, data.semantic, settings, partners, step)
         optimiser.step(step, loss)
         progress((step + 1) / steps)
         if checkpoint is not None and (step + 1) % settings.checkpoint_steps == 0 and step + 1 < steps:
