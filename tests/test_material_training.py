@@ -103,7 +103,7 @@ def test_an_interrupted_training_ends_with_the_same_weights(one_thread, tmp_path
 def test_colours_and_the_lamp_are_found(one_thread) -> None:
     brdf, emission = networks()
     data = make_data()
-    train(brdf, emission, data, SETTINGS, 250, 0, CPU, None, lambda _: None)
+    train(brdf, emission, data, SETTINGS, 400, 0, CPU, None, lambda _: None)
     inputs = torch.from_numpy(data.normalise(data.position))
     with torch.no_grad():
         prediction, alpha = brdf(inputs), emission_mask(emission(inputs)).numpy()
