@@ -139,12 +139,13 @@ def confidence_table(run: RunFolder, views: Sequence[View], true: Sequence[Maps]
     known, errors = [np.zeros(0)], [np.zeros(0)]
     for view, maps in zip(views, true, strict=True):
         surface = trace_pixels(room, view)
-        points = np.array(surface.position).T.astype(np.float32), np.array(surface.triangle)
         counted = np.array(surface.valid) & maps.hit.ravel() & (maps.base_color.max(axis=2).ravel() > 0.0)
         counted &= maps.emission.max(axis=2).ravel() <= 0.0
-        off = fields.query(*points)[0] - maps.base_color.reshape(-1, 3)
-        known.append(fields.confidence(*points)[counted, 0])
-        errors.append((off**2).mean(axis=1)[counted])
+        position = np.array(surface.position).T[counted].astype(np.float32)
+        triangle = np.array(surface.triangle)[counted]
+        off = fields.query(position, triangle)[0] - maps.base_color.reshape(-1, 3)[counted]
+        known.append(fields.confidence(position, triangle)[:, 0])
+        errors.append((off**2).mean(axis=1))
     sure, squared = np.concatenate(known), np.concatenate(errors)
     place = np.clip(np.searchsorted(CONFIDENCE_BOUNDS, sure), 1, len(CONFIDENCE_BOUNDS) - 1)
     table = []
