@@ -111,20 +111,29 @@ def part_materials(
     k, j = np.divmod(best, len(METALLIC_CANDIDATES))
     lowest = totals[k, j, np.arange(parts)]
     metallic = np.array(METALLIC_CANDIDATES, np.float32)[j]
-    roughness = levels[k].astype(np.float32)
     mine = np.maximum(part, 0)
     rows = np.arange(len(part))
-    for step in BETWEEN_LEVELS:
-        place = np.clip(k + step, 0.0, len(levels) - 1.0)
+
+    def shading(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Roughness of each part at a place between levels, and its pixels' specular shading there."""
         low = np.minimum(place.astype(int), len(levels) - 2)
         share = (place - low).astype(np.float32)
-        between = ((1.0 - share) * levels[low] + share * levels[low + 1]).astype(np.float32)
-        below, weight = low[mine], share[mine, None, None]
-        shading = (1.0 - weight) * specular[rows, below] + weight * specular[rows, below + 1]
-        prior = DIFFUSE_PRIOR * ((1.0 - between) + metallic)
-        total = prior + trial.cost(shading, metallic[mine, None])
-        roughness = np.where(total < lowest, between, roughness)
+        weight = share[mine, None, None]
+        value = (1.0 - weight) * specular[rows, low[mine]] + weight * specular[rows, low[mine] + 1]
+        return ((1.0 - share) * levels[low] + share * levels[low + 1]).astype(np.float32), value
+
+    place = k.astype(float)
+    for step in BETWEEN_LEVELS:
+        tried = np.clip(k + step, 0.0, len(levels) - 1.0)
+        between, value = shading(tried)
+        total = DIFFUSE_PRIOR * ((1.0 - between) + metallic) + trial.cost(value, metallic[mine, None])
+        place = np.where(total < lowest, tried, place)
         lowest = np.minimum(total, lowest)
+    roughness, value = shading(place)
+    # Overdone once more, now between the levels: even odds at best.
+    more = specular[:, -1] + OVERDONE_GLOSS * (value - specular[:, -1])
+    overdone = DIFFUSE_PRIOR * (1.0 - roughness) + trial.cost(more, 0.0) < lowest
+    lowest = np.where((metallic == 0.0) & overdone, np.maximum(lowest, flat), lowest)
     likely = 1.0 / (1.0 + np.exp(((lowest - flat) / EVIDENCE).clip(-50.0, 50.0)))
     likely = np.where(likely < LEAST_LIKELY, 0.0, likely)
     metallic = np.where(likely < 0.5, 0.0, metallic)
