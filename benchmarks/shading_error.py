@@ -321,6 +321,14 @@ def relative_rmse(found: np.ndarray, truth: np.ndarray, second: np.ndarray | Non
     return float(np.sqrt(squared / max(float(np.mean(true * other)), 1e-12)))
 
 
+def has_true_materials(capture: Path) -> bool:
+    """Whether a capture holds what its truth is traced with: its materials, with all of their textures."""
+    if not (capture / "scene.npz").is_file() or not (capture / "materials.json").is_file():
+        return False
+    textures = [entry.get("texture") for entry in read_json(capture / "materials.json")["materials"]]
+    return all((capture / texture).is_file() for texture in textures if texture)
+
+
 def baked_errors(
     capture: Path, run: RunFolder, kept: np.ndarray, found: Mapping[str, tuple[Views, np.ndarray]], count: int
 ) -> dict[str, Any]:

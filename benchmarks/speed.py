@@ -188,7 +188,7 @@ def judge(result: dict[str, Any], arguments: argparse.Namespace, folder: Path) -
     """Enter errors of the shadings and accuracy of both configurations where there is ground truth."""
     runs = {name: RunFolder(folder / name) for name in CONFIGURATIONS}
     set_variant(arguments.device)
-    if arguments.error_pixels and (arguments.capture / "scene.npz").is_file():
+    if arguments.error_pixels and shading_error.has_true_materials(arguments.capture):
         tell("tracing the shadings' truth")
         enter_errors(result, arguments.capture, runs, arguments.error_pixels)
     if arguments.skip_accuracy or not (arguments.capture / "val" / "DiffCol").is_dir():

@@ -329,3 +329,14 @@ def test_wrong_options_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[s
     with pytest.raises(FiptError, match="no run folder"):
         speed.prepare(tmp_path, tmp_path / "mine")
     assert (tmp_path / "mine" / "diary").exists()
+
+
+def test_shadings_are_judged_only_where_the_truth_has_all_textures(tmp_path):
+    assert not shading_error.has_true_materials(tmp_path)
+    (tmp_path / "scene.npz").touch()
+    materials = [{"texture": None}, {"texture": "textures/wood.png"}]
+    (tmp_path / "materials.json").write_text(json.dumps({"materials": materials}))
+    assert not shading_error.has_true_materials(tmp_path)
+    (tmp_path / "textures").mkdir()
+    (tmp_path / "textures" / "wood.png").touch()
+    assert shading_error.has_true_materials(tmp_path)
