@@ -10,6 +10,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from ..core.job.errors import FiptError
 from ..properties.lights import FIXTURE, FIPT_Light
 from .new_light import FIPT_OT_add_light
+from .polls import has_results
 
 
 def _name_property(what: str) -> object:
@@ -57,10 +58,7 @@ class FIPT_OT_switch_lights(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.fipt.materials.object_count:
-            cls.poll_message_set("Apply results first")
-            return False
-        return True
+        return has_results(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.lights import set_estimated_lights

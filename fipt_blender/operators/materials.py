@@ -14,6 +14,7 @@ from ..core.job.errors import FiptError
 from ..core.job.runfolder import RunFolder
 from ..properties.materials import SHOWN
 from .job_operator import JobOperator
+from .polls import has_results
 
 if TYPE_CHECKING:
     from ..bridge.sequence import Job
@@ -154,8 +155,7 @@ class _NeedsResults:
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.fipt.materials.object_count:
-            cls.poll_message_set("Apply results first")  # type: ignore[attr-defined]
+        if not has_results(cls, context):
             return False
         if context.mode != "OBJECT":
             cls.poll_message_set("Switch to object mode first")  # type: ignore[attr-defined]

@@ -29,3 +29,11 @@ def has_views(cls: type, context: bpy.types.Context) -> bool:
         cls.poll_message_set("Import a capture first")  # type: ignore[attr-defined]
         return False
     return True
+
+
+def has_results(cls: type, context: bpy.types.Context) -> bool:
+    """Results are applied to the scene."""
+    if not context.scene.fipt.materials.object_count:
+        cls.poll_message_set("Apply results first")  # type: ignore[attr-defined]
+        return False
+    return True
