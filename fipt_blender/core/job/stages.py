@@ -37,7 +37,7 @@ from ..material.networks import BrdfNetwork, EmissionNetwork, useful_hash_levels
 from ..material.seen import SeenCells, room_box
 from ..material.training import PRETRAINING_STEPS, pretrain, train
 from ..render.lights import EmitterTable
-from ..scene.labels import Parts, choose_parts, loose_pieces, weld
+from ..scene.labels import Parts, choose_parts, room_pieces
 from ..scene.pixels import PixelStore, fill_pixels, mark_pure, open_pixels
 from ..scene.room import load_room
 from .certainty import cell_errors, find_cells, lamp_pixels
@@ -255,9 +255,9 @@ class Estimation:
     # Stage 2
 
     @cached_property
-    def _pieces(self) -> np.ndarray:
-        """(T,) int32 connected piece of each triangle."""
-        return loose_pieces(weld(self.room.vertices)[self.room.triangles], self.room.triangle_object)
+    def _pieces(self) -> np.ndarray | None:
+        """(T,) int32 connected piece of each triangle; None where parts are known and nobody asks."""
+        return None if self.parts.kind == "part" else room_pieces(self.room)
 
     def _train(self, index: int, steps: int) -> dict[str, Any]:
         data, guess, rows = training_input(

@@ -26,7 +26,7 @@ def training_input(
     pixels: PixelStore,
     seen: Observations,
     parts: Parts,
-    pieces: np.ndarray,
+    pieces: np.ndarray | None,
     shadings: ShadingStore,
     levels: np.ndarray,
     normalise: Callable[[np.ndarray], np.ndarray],
@@ -35,7 +35,7 @@ def training_input(
     """What training draws from, with the closed-form guess at some of its pixels and those pixels' rows.
 
     Args:
-        pieces: (T,) int connected piece of each triangle; not looked at where parts are known.
+        pieces: (T,) int connected piece of each triangle; None where parts are known.
         shadings: of all pixels at the roughness `levels`.
         normalise: world positions to the unit cube.
     """
@@ -50,9 +50,9 @@ def training_input(
     arrays = (pixels.radiance, shadings.diffuse, shadings.specular)
     radiance, diffuse, specular = (np.asarray(array[rows], np.float32) for array in arrays)
     cell = np.asarray(seen.entry[rows], np.int64)
-    whole = parts.kind == "part"
+    whole = pieces is None
     group = seen.part
-    if not whole:
+    if pieces is not None:
         unknown = np.full(len(rows), -1, np.int32)
         nothing = np.zeros(0, np.float32)
         flat = project(radiance, diffuse, specular, levels, cell, unknown, nothing, nothing, whole)

@@ -130,8 +130,8 @@ def total_loss(
     lesson = emission(batch.position[taught])
     with torch.no_grad():
         rest = emission(batch.position[~taught])
-    raw = torch.empty((len(taught), *rest.shape[1:]), dtype=rest.dtype, device=rest.device)
-    raw = raw.masked_scatter(~_like(taught, raw), rest).masked_scatter(_like(taught, raw), lesson)
+    raw = rest.new_empty((len(taught), *rest.shape[1:]))
+    raw[~taught], raw[taught] = rest, lesson
     share = len(lesson) / len(taught)
     rendered = losses.factorised_rendering(prediction, batch.diffuse, batch.specular, levels)
     if settings.emission == "joint":
@@ -154,11 +154,6 @@ def total_loss(
             settings.sigma_position,
         )
     return loss
-
-
-def _like(rows: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
-    """A mask of rows (N,) as one of all values (N, ...)."""
-    return rows.reshape(-1, *[1] * (values.ndim - 1)).expand_as(values)
 
 
 def pretrain(

@@ -85,12 +85,17 @@ def label_parts(
     if source == "materials":
         return Parts(_compact(room.triangle_material), "part")
     if source == "loose":
-        return Parts(loose_pieces(weld(room.vertices)[room.triangles], room.triangle_object), "part")
+        return Parts(room_pieces(room), "part")
     if source in ("masks", "semantics"):
         fused = fuse_masks(images, triangles, len(room.triangles))
         spread = spread_labels(fused, weld(room.vertices)[room.triangles])
         return Parts(_compact(spread), "part" if source == "masks" else "semantic")
     return Parts(np.full(len(room.triangles), NO_PART, np.int32), "none")
+
+
+def room_pieces(room: Room) -> np.ndarray:
+    """(T,) int32 connected piece of each triangle of a room; takes seconds for millions of triangles."""
+    return loose_pieces(weld(room.vertices)[room.triangles], room.triangle_object)
 
 
 def loose_pieces(triangles: np.ndarray, objects: np.ndarray) -> np.ndarray:
