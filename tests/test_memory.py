@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import io
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
@@ -14,12 +15,14 @@ from small_captures import CAMERAS, PANEL, look_at, pinhole
 from small_rooms import BOX, make_room
 
 from fipt_blender.core.capture.views import View
+from fipt_blender.core.job.messages import Reporter
 from fipt_blender.core.job.settings import make_settings
-from fipt_blender.core.light import emitters, observations
+from fipt_blender.core.job.view_check import ViewCheck, check_views
+from fipt_blender.core.light import agreement, emitters, environment, observations
 from fipt_blender.core.light.emitters import bright_triangles, group_fixtures
 from fipt_blender.core.light.observations import Observations, observe
 from fipt_blender.core.scene.labels import Parts
-from fipt_blender.core.scene.pixels import PixelStore, mark_pure, open_pixels, trace_view
+from fipt_blender.core.scene.pixels import NO_TRIANGLE, PixelStore, mark_pure, open_pixels, trace_view
 from fipt_blender.core.scene.room import Room
 
 SCALE = 3
@@ -71,11 +74,25 @@ def everything(seen: Observations) -> None:
     assert len(seen.part) == len(seen.donor) == len(seen.pixels)
 
 
-@pytest.mark.parametrize("action", ["observe", "look up", "lamps"])
+def agreement_of(pixels: PixelStore, room: Room) -> None:
+    assert check_views(pixels, room, PARTS.triangle_part, SETTINGS, Reporter(io.StringIO())) == ViewCheck()
+
+
+def window(pixels: PixelStore) -> None:
+    """Let the upper third of each photograph look outside."""
+    for index in range(len(pixels.views)):
+        rows = pixels.rows(index)
+        above = slice(rows.start, rows.start + (rows.stop - rows.start) // 3)
+        pixels.triangle[above], pixels.pure[above] = NO_TRIANGLE, True
+
+
+@pytest.mark.parametrize("action", ["observe", "look up", "lamps", "agree", "look outside"])
 def test_memory_of_the_views(action: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Smaller than these captures, as their usual sizes are smaller than large ones.
     monkeypatch.setattr(emitters, "CHUNK", 4096)
     monkeypatch.setattr(observations, "FOOTPRINT_PIXELS", 1000)
+    monkeypatch.setattr(agreement, "GAIN_PIXELS", 5000)
+    monkeypatch.setattr(environment, "MOST_PIXELS", 3)
     peaks, sizes = [], []
     for views in (6, 6, 36):  # the first warms up
         pixels = store(tmp_path / f"{views}", views)
@@ -86,7 +103,11 @@ def test_memory_of_the_views(action: str, tmp_path: Path, monkeypatch: pytest.Mo
         actions: dict[str, Callable[[], object]] = {
             "observe": seen,
             "lamps": lambda pixels=pixels: lamps(pixels, ROOM),
+            "agree": lambda pixels=pixels: agreement_of(pixels, ROOM),
+            "look outside": seen,
         }
+        if action == "look outside":
+            window(pixels)
         if action == "look up":
             known = seen()
             actions[action] = lambda known=known: everything(known)

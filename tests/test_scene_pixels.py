@@ -96,5 +96,5 @@ def test_masked_pixels_are_neither_room_nor_outside(tmp_path: Path) -> None:
         :, :8
     ].any()
     assert (triangle[:2, 8:] == NO_TRIANGLE).all() and (triangle[4:, 8:] >= 0).all()
-    _, radiance = outside_pixels(store)
+    ((_, radiance),) = outside_pixels(store)
     assert len(radiance) and np.allclose(radiance, 1.0)

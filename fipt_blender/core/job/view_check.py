@@ -58,9 +58,9 @@ def check_views(
     if len(pixels.views) < 2:
         return found
     cells = surface_cells(pixels, room, part, median_footprint(pixels))
-    gains = exposure_gains(cells, len(pixels.views))
+    gains = exposure_gains(cells)
     if settings.reject_views:
-        fits = misaligned_views(pixels, cells, gains)
+        fits = misaligned_views(cells, gains)
         if fits:
             found.left_out.update({pixels.views[i].name: round(fit.shift, 1) for i, fit in fits.items()})
             texts = {index: f"about {fit.shift:.0f} pixels off" for index, fit in fits.items()}
@@ -74,8 +74,7 @@ def check_views(
                 part_of = slice(int(pixels.ranges[index]), int(pixels.ranges[index + 1]))
                 pixels.triangle[part_of] = LEFT_OUT
                 pixels.pure[part_of] = False
-            cells = surface_cells(pixels, room, part, median_footprint(pixels))
-            gains = exposure_gains(cells, len(pixels.views))
+            gains = exposure_gains(cells)
     if settings.correct_exposure:
         unlike = unlike_exposures(gains)
         if len(unlike):
@@ -90,20 +89,18 @@ def check_views(
             for index in unlike:
                 part_of = slice(int(pixels.ranges[index]), int(pixels.ranges[index + 1]))
                 pixels.radiance[part_of] /= np.float32(gains[index])
-            cells = surface_cells(pixels, room, part, median_footprint(pixels))
-    found.lamps.extend(_leave_out_unmeshed(pixels, cells, settings, reporter))
+    found.lamps.extend(_leave_out_unmeshed(cells, settings, reporter))
     return found
 
 
-def _leave_out_unmeshed(
-    pixels: PixelStore, cells: SurfaceCells, settings: Settings, reporter: Reporter
-) -> list[list[float]]:
+def _leave_out_unmeshed(cells: SurfaceCells, settings: Settings, reporter: Reporter) -> list[list[float]]:
     """Leave out the pixels that show a lamp which the mesh lacks; the lamps' positions in metres.
 
     They would paint the lamp onto the walls behind, as bright albedo or as phantom emitters.
     """
+    pixels = cells.pixels
     footprint = median_footprint(pixels)
-    lamps = unmeshed_lights(pixels, cells, footprint, np.random.default_rng([settings.seed, 4]))
+    lamps = unmeshed_lights(cells, footprint, np.random.default_rng([settings.seed, 4]))
     for lamp in lamps:
         shown = shown_by(pixels, lamp, 1.5 * footprint)
         pixels.triangle[shown] = LEFT_OUT

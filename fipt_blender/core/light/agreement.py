@@ -48,26 +48,66 @@ LEAST_VIEWS = 4
 
 
 @dataclass(frozen=True)
-class SurfaceCells:
-    """Which pixels saw the same piece of surface.
+class CellPixels:
+    """Pixels of one view that see one surface of the mesh, on the view's lattice.
 
     Attributes:
-        rows: (M,) int64 pixels that see one surface of the mesh, on a lattice in each view; rising.
-        cell: (M,) int64 from 0.
-        view: (M,) int32 index of their view; rising.
+        rows: (M,) int64 pixels among those of all views; rising.
+        cell: (M,) int64 surface cell, from 0.
         value: (M,) float64 log of grey radiance, in units of the capture's median.
-        count: number of cells.
     """
 
     rows: np.ndarray
     cell: np.ndarray
-    view: np.ndarray
     value: np.ndarray
-    count: int
 
-    def of_view(self, view: int) -> slice:
+    def means(self) -> tuple[np.ndarray, np.ndarray]:
+        """(m,) int64 cells of the view, rising, and (m,) float64 mean of the values in each."""
+        cell, place = np.unique(self.cell, return_inverse=True)
+        place = place.reshape(-1)
+        return cell, np.bincount(place, self.value) / np.maximum(np.bincount(place), 1)
+
+    def among(self, chosen: np.ndarray) -> CellPixels:
+        """Those marked, (M,) bool."""
+        return CellPixels(self.rows[chosen], self.cell[chosen], self.value[chosen])
+
+
+@dataclass(frozen=True)
+class SurfaceCells:
+    """Pieces of surface by place, side and part, and which pixels saw them.
+
+    Only the cells are kept: their number depends on the surface. Pixels are looked up view by view, as they
+    are by then: left out or brought to another exposure.
+
+    Attributes:
+        part: (T,) int part of each triangle, negative without.
+        side: (T,) int64 dominant direction of each triangle's normal.
+        low: (3,) lowest corner of the room, metres.
+        size: edge of a cell, metres.
+        keys: (count,) int64 number that place, side and part make, rising.
+        seen: pixels that they were made of.
+    """
+
+    pixels: PixelStore
+    part: np.ndarray
+    side: np.ndarray
+    low: np.ndarray
+    size: float
+    keys: np.ndarray
+    seen: int
+
+    @property
+    def count(self) -> int:
+        """Number of cells."""
+        return len(self.keys)
+
+    def of_view(self, index: int) -> CellPixels:
         """The pixels of a view."""
-        return slice(*(int(place) for place in np.searchsorted(self.view, [view, view + 1])))
+        pixels = self.pixels
+        rows = _lattice_hits(pixels, index)
+        keys = _keys(pixels, rows, self.part, self.side, self.low, self.size)
+        radiance = np.asarray(pixels.radiance[rows]).mean(axis=1, dtype=np.float64)
+        return CellPixels(rows, np.searchsorted(self.keys, keys), np.log(np.maximum(radiance, DARK)))
 
 
 def reduction(view: View) -> int:
@@ -75,11 +115,26 @@ def reduction(view: View) -> int:
     return max(1, view.width // REGISTERED_WIDTH)
 
 
-def _lattice(view: View) -> np.ndarray:
-    """(m,) int64 pixels of a view that lie on its lattice."""
+def _lattice_hits(pixels: PixelStore, index: int) -> np.ndarray:
+    """(M,) int64 pixels on the lattice of a view that see one surface of the mesh."""
+    view, own = pixels.views[index], pixels.rows(index)
     step = reduction(view)
-    own = np.arange(view.height * view.width).reshape(view.height, view.width)
-    return own[step // 2 :: step, step // 2 :: step].reshape(-1)
+    usable = (np.asarray(pixels.triangle[own]) >= 0) & pixels.pure[own]
+    chosen = np.zeros((view.height, view.width), bool)
+    lattice = np.s_[step // 2 :: step, step // 2 :: step]
+    chosen[lattice] = usable.reshape(chosen.shape)[lattice]
+    return np.flatnonzero(chosen) + own.start
+
+
+def _keys(
+    pixels: PixelStore, rows: np.ndarray, part: np.ndarray, side: np.ndarray, low: np.ndarray, size: float
+) -> np.ndarray:
+    """(M,) int64 number of the cell of each pixel; arguments as in :class:`SurfaceCells`."""
+    place = np.floor((np.asarray(pixels.position[rows]) - low) / size).astype(np.int64) + 1
+    triangle = np.asarray(pixels.triangle[rows])
+    key = (place[:, 0] * (MOST_CELLS + 4) + place[:, 1]) * (MOST_CELLS + 4) + place[:, 2]
+    key = key * 12 + side[triangle] * 2 + np.asarray(pixels.front[rows])
+    return key * (int(part.max(initial=0)) + 2) + part[triangle] + 1
 
 
 def surface_cells(pixels: PixelStore, room: Room, part: np.ndarray, footprint: float) -> SurfaceCells:
@@ -92,35 +147,37 @@ def surface_cells(pixels: PixelStore, room: Room, part: np.ndarray, footprint: f
     low, high = room.bounds
     spacing = float(np.median([reduction(view) for view in pixels.views]))
     size = max(CELL_PIXELS * spacing * footprint, float((high - low).max()) / MOST_CELLS)
-    sides = side_index(triangle_normals(room.vertices, room.triangles))
-    parts = int(part.max(initial=0)) + 2
-    found, keys, values = [], [], []
-    for index, view in enumerate(pixels.views):
-        rows = _lattice(view) + pixels.ranges[index]
-        rows = rows[(pixels.triangle[rows] >= 0) & pixels.pure[rows]]
-        place = np.floor((np.asarray(pixels.position[rows]) - low) / size).astype(np.int64) + 1
-        triangle = np.asarray(pixels.triangle[rows])
-        side = sides[triangle] * 2 + np.asarray(pixels.front[rows])
-        key = (place[:, 0] * (MOST_CELLS + 4) + place[:, 1]) * (MOST_CELLS + 4) + place[:, 2]
-        keys.append((key * 12 + side) * parts + part[triangle] + 1)
-        radiance = np.asarray(pixels.radiance[rows]).mean(axis=1, dtype=np.float64)
-        values.append(np.log(np.maximum(radiance, DARK)))
-        found.append(rows)
-    unique, cell = np.unique(np.concatenate(keys), return_inverse=True)
-    view_of = np.repeat(np.arange(len(found), dtype=np.int32), [len(rows) for rows in found])
-    return SurfaceCells(np.concatenate(found), cell.reshape(-1), view_of, np.concatenate(values), len(unique))
+    side = side_index(triangle_normals(room.vertices, room.triangles))
+    keys = np.zeros(0, np.int64)
+    waiting: list[np.ndarray] = []
+    seen = number = 0
+    for index in range(len(pixels.views)):
+        rows = _lattice_hits(pixels, index)
+        waiting.append(np.unique(_keys(pixels, rows, part, side, low, size)))
+        seen += len(rows)
+        number += len(waiting[-1])
+        if number > len(keys) or index == len(pixels.views) - 1:  # rarer and rarer: sorting takes time
+            keys = np.unique(np.concatenate([keys, *waiting]))
+            waiting, number = [], 0
+    return SurfaceCells(pixels, part, side, low, size, keys, seen)
 
 
-def exposure_gains(cells: SurfaceCells, views: int) -> np.ndarray:
+def exposure_gains(cells: SurfaceCells) -> np.ndarray:
     """(views,) factor by which each photograph is brighter than the others say; 1 where nothing tells.
 
     Robust least squares of log radiance = surface cell + view. The median view has a factor of 1.
     """
-    step = max(1, len(cells.cell) // GAIN_PIXELS)
-    pair, number = np.unique(cells.cell[::step] * views + cells.view[::step], return_inverse=True)
-    number = number.reshape(-1)
-    value = np.bincount(number, cells.value[::step]) / np.maximum(np.bincount(number), 1)
-    cell, view = pair // views, pair % views
+    views = len(cells.pixels.views)
+    # Of many pixels those of every so many cells: such cells are shared by as many views as all are.
+    step = max(1, -(-cells.seen // GAIN_PIXELS))
+    means = []
+    for index in range(views):
+        own = cells.of_view(index)
+        means.append(own.among(own.cell % step == 0).means())
+    view = np.repeat(np.arange(views), [len(of_view) for of_view, _ in means])
+    cell, value = (np.concatenate(columns) for columns in zip(*means, strict=True))
+    order = np.argsort(cell, kind="stable")
+    cell, view, value = cell[order], view[order], value[order]
     shared = np.bincount(cell, minlength=cells.count)[cell] > 1
     cell, view, value = cell[shared], view[shared], value[shared]
     gain = np.zeros(views)
@@ -180,7 +237,7 @@ def unlike_exposures(gains: np.ndarray) -> np.ndarray:
     return np.flatnonzero(np.abs(np.log(gains)) > np.log(SAME_EXPOSURE))
 
 
-def misaligned_views(pixels: PixelStore, cells: SurfaceCells, gains: np.ndarray) -> dict[int, Fit]:
+def misaligned_views(cells: SurfaceCells, gains: np.ndarray) -> dict[int, Fit]:
     """Views whose photograph does not lie where its pose says, worst first.
 
     Found in passes, since a misaligned view also spoils what is expected of others: each pass leaves out the
@@ -189,21 +246,15 @@ def misaligned_views(pixels: PixelStore, cells: SurfaceCells, gains: np.ndarray)
     Args:
         gains: (views,) exposure of each view; 1 for the usual one.
     """
+    views = cells.pixels.views
     found: dict[int, Fit] = {}
-    judged = np.unique(cells.view).tolist()
+    judged = [index for index in range(len(views)) if len(_lattice_hits(cells.pixels, index))]
     if len(judged) < LEAST_VIEWS:
         return {}
-    value = cells.value - np.log(gains)[cells.view]
     while True:
-        kept = ~np.isin(cells.view, list(found))
-        sums = np.bincount(cells.cell[kept], value[kept], cells.count)
-        number = np.bincount(cells.cell[kept], minlength=cells.count)
-        fits = {
-            i: _fit_view(pixels.views[i], int(pixels.ranges[i]), cells, value, sums, number, i)
-            for i in judged
-            if i not in found
-        }
-        bad = _worst(fits, [reduction(view) for view in pixels.views])
+        kept = [index for index in judged if index not in found]
+        told = _Told(cells, gains, kept)
+        bad = _worst({index: told.fit(index) for index in kept}, [reduction(view) for view in views])
         if not bad:
             break
         found |= bad
@@ -212,30 +263,36 @@ def misaligned_views(pixels: PixelStore, cells: SurfaceCells, gains: np.ndarray)
     return found
 
 
-def _fit_view(
-    view: View,
-    first: int,
-    cells: SurfaceCells,
-    value: np.ndarray,
-    sums: np.ndarray,
-    number: np.ndarray,
-    index: int,
-) -> Fit:
-    """Register one view against what the others saw."""
-    own = cells.of_view(index)
-    cell = cells.cell[own]
-    mine = np.bincount(cell, minlength=cells.count)
-    mine_sum = np.bincount(cell, value[own], cells.count)
-    others = number[cell] - mine[cell]
-    expected = (sums[cell] - mine_sum[cell]) / np.maximum(others, 1)
-    pixel = cells.rows[own] - first
-    images = np.zeros((3, view.height * view.width))
-    images[:, pixel] = value[own], expected, others > 0
-    step = reduction(view)
-    lattice = images.reshape(3, view.height, view.width)[:, step // 2 :: step, step // 2 :: step]
-    shown, told, known = lattice
-    fit = register(shown, told, known > 0.0, view.intrinsics / step)
-    return replace(fit, shift=fit.shift * step)
+class _Told:
+    """What views saw of the cells, against which each of them is registered.
+
+    Args:
+        gains: (views,) exposure of each view.
+        kept: indices of the views that tell.
+    """
+
+    def __init__(self, cells: SurfaceCells, gains: np.ndarray, kept: Sequence[int]) -> None:
+        self._cells, self._log_gains = cells, np.log(gains)
+        self._sums, self._number = np.zeros(cells.count), np.zeros(cells.count, np.int64)
+        for index in kept:
+            own = cells.of_view(index)
+            np.add.at(self._sums, own.cell, own.value - self._log_gains[index])
+            np.add.at(self._number, own.cell, 1)
+
+    def fit(self, index: int) -> Fit:
+        """Register one view, which is among those that tell, against what the others saw."""
+        own, view = self._cells.of_view(index), self._cells.pixels.views[index]
+        value = own.value - self._log_gains[index]
+        place = np.unique(own.cell, return_inverse=True)[1].reshape(-1)
+        others = self._number[own.cell] - np.bincount(place)[place]
+        expected = (self._sums[own.cell] - np.bincount(place, value)[place]) / np.maximum(others, 1)
+        images = np.zeros((3, view.height * view.width))
+        images[:, own.rows - int(self._cells.pixels.ranges[index])] = value, expected, others > 0
+        step = reduction(view)
+        lattice = images.reshape(3, view.height, view.width)[:, step // 2 :: step, step // 2 :: step]
+        shown, told, known = lattice
+        fit = register(shown, told, known > 0.0, view.intrinsics / step)
+        return replace(fit, shift=fit.shift * step)
 
 
 def _worst(fits: dict[int, Fit], steps: list[int]) -> dict[int, Fit]:

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,8 @@ from ..scene.pixels import NO_TRIANGLE, PixelStore
 # Less of the sphere than this is no window but a hole in the mesh; spread over all directions, what it shows
 # would light the room through every other hole.
 LEAST_SHARE = 1e-3
+# Pixels whose median a cell of the map is; more views shall not take more memory.
+MOST_PIXELS = 200
 
 
 @dataclass(frozen=True)
@@ -31,39 +34,45 @@ class Environment:
     observed_share: float
 
 
-def outside_pixels(pixels: PixelStore) -> tuple[np.ndarray, np.ndarray]:
-    """World directions (M, 3) and radiance (M, 3) of the pixels that miss the mesh."""
-    directions, radiance = [np.zeros((0, 3))], [np.zeros((0, 3), np.float32)]
+def outside_pixels(pixels: PixelStore) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """World directions (m, 3) and radiance (m, 3) of the pixels that miss the mesh, view by view."""
     for index, view in enumerate(pixels.views):
         rows = pixels.rows(index)
         # The colour of a window's frame, in the pixels at its edge, is no light from outside; nor are cracks
         # of the mesh, which no pixel sees alone.
         missed = np.flatnonzero((pixels.triangle[rows] == NO_TRIANGLE) & pixels.pure[rows])
         if len(missed):
-            directions.append(view.rays()[1][missed])
-            radiance.append(pixels.radiance[missed + rows.start])
-    return np.concatenate(directions), np.concatenate(radiance)
+            yield view.rays()[1][missed], np.asarray(pixels.radiance[missed + rows.start])
 
 
-def estimate_environment(directions: np.ndarray, radiance: np.ndarray, width: int) -> Environment | None:
+def estimate_environment(
+    outside: Callable[[], Iterable[tuple[np.ndarray, np.ndarray]]], width: int, rng: np.random.Generator
+) -> Environment | None:
     """Median of the pixels that look into each cell of the map; None where next to nothing looks outside.
 
     Cells that no pixel saw take the radiance of the nearest observed ones (diffused outwards), so that a
-    window seen from a few places still lights the room from all angles that pass it.
+    window seen from a few places still lights the room from all angles that pass it. Of the pixels that look
+    into a cell at most about `MOST_PIXELS` count, chosen by chance.
 
     Args:
-        directions: (N, 3) unit world directions of pixels that miss the mesh.
-        radiance: (N, 3) their radiance.
+        outside: begins anew with each call: unit world directions (n, 3) of pixels that miss the mesh and
+            their radiance (n, 3), piece by piece.
         width: of the map in pixels; the height is half of it.
     """
-    if not len(directions):
-        return None
     height = width // 2
-    uv = direction_to_equirect(directions)
-    column = np.clip((uv[:, 0] * width).astype(np.int64), 0, width - 1)
-    # v counts up from the lower edge, rows count down from the upper one
-    row = np.clip(((1.0 - uv[:, 1]) * height).astype(np.int64), 0, height - 1)
-    cell = row * width + column
+    count = np.zeros(height * width, np.int64)
+    for directions, _ in outside():
+        count += np.bincount(_cells(directions, width), minlength=len(count))
+    if not count.any():
+        return None
+    share_kept = MOST_PIXELS / np.maximum(count, 1)
+    cells, kept = [np.zeros(0, np.int64)], [np.zeros((0, 3), np.float32)]
+    for directions, radiance in outside():
+        cell = _cells(directions, width)
+        chosen = rng.random(len(cell)) < share_kept[cell]
+        cells.append(cell[chosen])
+        kept.append(radiance[chosen])
+    cell, radiance = np.concatenate(cells), np.concatenate(kept)
     order = np.argsort(cell, kind="stable")
     starts = np.flatnonzero(np.diff(cell[order], prepend=-1))
     image = np.zeros((height * width, 3), np.float32)
@@ -77,6 +86,16 @@ def estimate_environment(directions: np.ndarray, radiance: np.ndarray, width: in
     if share < LEAST_SHARE:
         return None
     return Environment(_diffuse(image.reshape(height, width, 3), known.reshape(height, width)), share)
+
+
+def _cells(directions: np.ndarray, width: int) -> np.ndarray:
+    """(N,) int64 cell of the map, row by row, into which each direction (N, 3) points."""
+    height = width // 2
+    uv = direction_to_equirect(directions)
+    column = np.clip((uv[:, 0] * width).astype(np.int64), 0, width - 1)
+    # v counts up from the lower edge, rows count down from the upper one
+    row = np.clip(((1.0 - uv[:, 1]) * height).astype(np.int64), 0, height - 1)
+    return row * width + column
 
 
 def _diffuse(image: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -148,7 +148,11 @@ def observe(room: Room, pixels: PixelStore, parts: Parts, settings: Settings, fo
         parts=parts,
         grid=grid,
         entry=entry,
-        environment=estimate_environment(*outside_pixels(pixels), settings.environment_width),
+        environment=estimate_environment(
+            partial(outside_pixels, pixels),
+            settings.environment_width,
+            np.random.default_rng([settings.seed, 6]),
+        ),
         footprint=median_footprint(pixels),
         folder=folder,
     )

@@ -26,6 +26,8 @@ MEET = 3.0
 # Share of the way to the surface within which they must meet.
 IN_FRONT = 0.95
 TRIES = 2000
+# Rays that are looked at; more change nothing but the time.
+MOST_RAYS = 20_000
 MOST_LAMPS = 8
 
 
@@ -44,27 +46,27 @@ class UnmeshedLight:
     views: int
 
 
-def unmeshed_lights(
-    pixels: PixelStore, cells: SurfaceCells, footprint: float, rng: np.random.Generator
-) -> list[UnmeshedLight]:
+def unmeshed_lights(cells: SurfaceCells, footprint: float, rng: np.random.Generator) -> list[UnmeshedLight]:
     """Lamps in front of the mesh, those seen by most views first.
 
     Args:
-        cells: of the pixels, their radiance already brought to one exposure.
+        cells: of pixels whose radiance is already brought to one exposure.
         footprint: median width of a pixel on the surfaces, metres.
     """
-    rows = _standing_out(cells, len(pixels.views))
+    pixels = cells.pixels
+    rows = _standing_out(cells)
+    if len(rows) > MOST_RAYS:
+        rows = np.sort(rng.choice(rows, MOST_RAYS, replace=False))
     view = pixels.view_of(rows)
     origin = pixels.camera_positions()[view].astype(np.float64)
     way = np.asarray(pixels.position[rows]) - origin
-    shining = np.concatenate([_shining(pixels, index) for index in range(len(pixels.views))])
     lamps: list[UnmeshedLight] = []
     while len(lamps) < MOST_LAMPS and len(np.unique(view)) >= LEAST_VIEWS:
         lamp, near = _meeting(origin, way, view, MEET * footprint, rng)
         if lamp is None:
             break
         # Around a lamp that has its mesh, pixels at its outline may pass for wall alone and stand out.
-        if np.linalg.norm(shining - lamp.position, axis=1).min() > lamp.radius + MEET * footprint:
+        if not _shines(pixels, lamp.position, lamp.radius + MEET * footprint):
             lamps.append(lamp)
         origin, way, view = origin[~near], way[~near], view[~near]
     return lamps
@@ -80,27 +82,42 @@ def shown_by(pixels: PixelStore, lamp: UnmeshedLight, margin: float) -> np.ndarr
     return np.concatenate(found)
 
 
-def _shining(pixels: PixelStore, index: int) -> np.ndarray:
-    """(K, 3) float64 surface points of a view that are as bright as a lamp."""
-    rows = pixels.rows(index)
-    bright = (pixels.triangle[rows] >= 0) & (pixels.radiance[rows].mean(axis=1) > BRIGHT)
-    return np.asarray(pixels.position[rows][bright], np.float64)
+def _shines(pixels: PixelStore, position: np.ndarray, reach: float) -> bool:
+    """Whether a surface point as bright as a lamp lies within `reach` metres of a position ((3,))."""
+    for index in range(len(pixels.views)):
+        rows = pixels.rows(index)
+        bright = (pixels.triangle[rows] >= 0) & (pixels.radiance[rows].mean(axis=1) > BRIGHT)
+        points = np.asarray(pixels.position[rows][bright], np.float64)
+        if len(points) and np.linalg.norm(points - position, axis=1).min() <= reach:
+            return True
+    return False
 
 
-def _standing_out(cells: SurfaceCells, views: int) -> np.ndarray:
+def _standing_out(cells: SurfaceCells) -> np.ndarray:
     """(K,) int64 pixels far brighter than their cell is in the views that know it."""
-    pair, number = np.unique(cells.cell * views + cells.view, return_inverse=True)
-    number = number.reshape(-1)
-    value = np.bincount(number, cells.value) / np.bincount(number)
-    cell = pair // views
+    views = range(len(cells.pixels.views))
+    # Bright pixels are few; only what views know of their cells is kept.
+    asked = np.zeros(cells.count, bool)
+    for index in views:
+        own = cells.of_view(index)
+        asked[own.cell[own.value > np.log(BRIGHT)]] = True
+    known, bright = [], []
+    for index in views:
+        own = cells.of_view(index)
+        own = own.among(asked[own.cell])
+        known.append(own.means())
+        bright.append(own.among(own.value > np.log(BRIGHT)))
+    cell, value = (np.concatenate(columns) for columns in zip(*known, strict=True))
     order = np.lexsort((value, cell))
     count = np.bincount(cell, minlength=cells.count)
     first = np.cumsum(count) - count
     # The lower median: of two views the darker one.
     middle = value[order][np.minimum(first + np.maximum(count - 1, 0) // 2, max(len(value) - 1, 0))]
-    known = count[cells.cell] >= LEAST_VIEWS
-    out = cells.value - middle[cells.cell] > np.log(STANDS_OUT)
-    return cells.rows[known & out & (cells.value > np.log(BRIGHT))]
+    out = [
+        (count[own.cell] >= LEAST_VIEWS) & (own.value - middle[own.cell] > np.log(STANDS_OUT))
+        for own in bright
+    ]
+    return np.concatenate([own.rows[chosen] for own, chosen in zip(bright, out, strict=True)])
 
 
 def _meeting(
