@@ -10,9 +10,11 @@ from fipt_blender.core.material.groups import NO_GROUP, color_class, material_gr
 
 
 def columns(*rows: tuple[int, int, int, int]) -> list[np.ndarray]:
-    """Label, piece and colour of `count` pixels each."""
+    """Label, piece and colour of `count` pixels each, and that each counts for one."""
     counts = [row[3] for row in rows]
-    return [np.repeat([row[i] for row in rows], counts) for i in range(3)]
+    return [np.repeat(column, counts) for column in ([row[i] for row in rows] for i in range(3))] + [
+        np.ones(sum(counts), int)
+    ]
 
 
 def test_the_finest_group_that_is_large_enough_counts():
@@ -31,10 +33,17 @@ def test_the_finest_group_that_is_large_enough_counts():
 
 
 def test_what_nothing_takes_in_has_no_group(rng):
-    label, piece, color = columns((0, 0, 1, 100), (3, 5, 6, 9))
+    label, piece, color, one = columns((0, 0, 1, 100), (3, 5, 6, 9))
     order = rng.permutation(109)
-    group = material_groups(label[order], piece[order], color[order], least=10)
+    group = material_groups(label[order], piece[order], color[order], one, least=10)
     assert (group[label[order] == 3] == NO_GROUP).all() and (group[label[order] == 0] == 0).all()
+
+
+def test_kinds_of_pixels_count_for_as_many_as_there_are():
+    rows = [(0, 0, 7, 50), (0, 0, 8, 30), (1, 1, 7, 20), (1, 2, 7, 25)]
+    each = material_groups(*columns(*rows), least=40)
+    kinds = material_groups(*(np.array(column) for column in zip(*rows, strict=True)), least=40)
+    assert np.array_equal(each, kinds.repeat([row[3] for row in rows]))
 
 
 def test_classes_of_one_colour_never_share_a_group():

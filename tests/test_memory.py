@@ -15,12 +15,15 @@ from small_captures import CAMERAS, PANEL, look_at, pinhole
 from small_rooms import BOX, make_room
 
 from fipt_blender.core.capture.views import View
+from fipt_blender.core.job import training_input as training_input_module
 from fipt_blender.core.job.messages import Reporter
 from fipt_blender.core.job.settings import make_settings
+from fipt_blender.core.job.training_input import training_input
 from fipt_blender.core.job.view_check import ViewCheck, check_views
 from fipt_blender.core.light import agreement, emitters, environment, observations
 from fipt_blender.core.light.emitters import bright_triangles, group_fixtures
 from fipt_blender.core.light.observations import Observations, observe
+from fipt_blender.core.light.views import open_shadings
 from fipt_blender.core.scene.labels import Parts
 from fipt_blender.core.scene.pixels import NO_TRIANGLE, PixelStore, mark_pure, open_pixels, trace_view
 from fipt_blender.core.scene.room import Room
@@ -86,13 +89,26 @@ def window(pixels: PixelStore) -> None:
         pixels.triangle[above], pixels.pure[above] = NO_TRIANGLE, True
 
 
-@pytest.mark.parametrize("action", ["observe", "look up", "lamps", "agree", "look outside"])
+def learn_from(seen: Observations, pieces: np.ndarray | None) -> None:
+    levels = np.array([0.1, 0.5, 1.0], np.float32)
+    shadings = open_shadings(seen.folder, len(seen.pixels), len(levels), create=True)
+    data, guess, rows = training_input(
+        seen.pixels, seen, seen.parts, pieces, shadings, levels, lambda position: position, 0
+    )
+    assert len(guess.roughness) == len(rows) < len(data.pool) <= len(seen.pixels)
+    assert 400 < len(rows) < 600
+
+
+@pytest.mark.parametrize(
+    "action", ["observe", "look up", "lamps", "agree", "look outside", "learn", "learn without parts"]
+)
 def test_memory_of_the_views(action: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Smaller than these captures, as their usual sizes are smaller than large ones.
     monkeypatch.setattr(emitters, "CHUNK", 4096)
     monkeypatch.setattr(observations, "FOOTPRINT_PIXELS", 1000)
     monkeypatch.setattr(agreement, "GAIN_PIXELS", 5000)
     monkeypatch.setattr(environment, "MOST_PIXELS", 3)
+    monkeypatch.setattr(training_input_module, "PROJECTION_PIXELS", 500)
     peaks, sizes = [], []
     for views in (6, 6, 36):  # the first warms up
         pixels = store(tmp_path / f"{views}", views)
@@ -108,9 +124,11 @@ def test_memory_of_the_views(action: str, tmp_path: Path, monkeypatch: pytest.Mo
         }
         if action == "look outside":
             window(pixels)
-        if action == "look up":
+        if action in ("look up", "learn", "learn without parts"):
             known = seen()
-            actions[action] = lambda known=known: everything(known)
+            actions["look up"] = lambda known=known: everything(known)
+            actions["learn"] = lambda known=known: learn_from(known, None)
+            actions["learn without parts"] = lambda known=known: learn_from(known, ROOM.triangle_object)
         peaks.append(peak(actions[action]))
         sizes.append(len(pixels))
     slope = (peaks[2] - peaks[1]) / (sizes[2] - sizes[1])

@@ -8,13 +8,14 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..light.cache import SIDES
 from ..light.observations import Observations
 from ..light.views import ShadingStore
 from ..material.groups import LEAST_PIXELS, NO_GROUP, color_class, material_groups
 from ..material.projection import Guess, part_materials, project, window_means
 from ..material.training import TrainingData
 from ..scene.labels import Parts
-from ..scene.pixels import PixelStore
+from ..scene.pixels import PixelStore, open_array
 
 # Pixels that the closed-form start looks at; more change nothing but its time.
 PROJECTION_PIXELS = 600_000
@@ -39,13 +40,7 @@ def training_input(
         shadings: of all pixels at the roughness `levels`.
         normalise: world positions to the unit cube.
     """
-    donors = seen.donor
-    pool_rows = np.flatnonzero(donors >= 0)
-    rows = pool_rows[donors[pool_rows] == pool_rows]
-    if len(rows) > PROJECTION_PIXELS:
-        rng = np.random.default_rng([seed, 2])
-        rows = np.sort(rng.choice(rows, PROJECTION_PIXELS, replace=False))
-    view = pixels.view_of(np.arange(len(pixels)))
+    rows = _own_rows(pixels, seen.donor, np.random.default_rng([seed, 2]))
     widths = np.array([each.width for each in pixels.views])
     arrays = (pixels.radiance, shadings.diffuse, shadings.specular)
     radiance, diffuse, specular = (np.asarray(array[rows], np.float32) for array in arrays)
@@ -56,20 +51,20 @@ def training_input(
         unknown = np.full(len(rows), -1, np.int32)
         nothing = np.zeros(0, np.float32)
         flat = project(radiance, diffuse, specular, levels, cell, unknown, nothing, nothing, whole)
-        group = _groups(pixels, seen, pieces, pool_rows, cell, flat.base_color)
+        group = _groups(pixels, seen, pieces, cell, flat.base_color)
     pure = np.asarray(pixels.pure)
     clean = _clean_rows(pure[rows], group[rows])
     of = rows[clean]
-    means = window_means(arrays, of, widths[view[of]], pure, group, view)
+    means = window_means(arrays, of, pure, group, pixels.ranges, widths)
     roughness, metallic = part_materials(
-        means[0], means[1], means[2], levels, cell[clean], group[of], view[of]
+        means[0], means[1], means[2], levels, cell[clean], group[of], pixels.view_of(of)
     )
     guess = project(radiance, diffuse, specular, levels, cell, group[rows], roughness, metallic, whole)
     # Parts that none of these rows saw are diffuse.
     missing = max(int(group.max(initial=-1)) + 1 - len(roughness), 0)
     data = TrainingData(
-        pool=pool_rows,
-        donor=donors,
+        pool=seen.pool,
+        donor=seen.donor,
         position=pixels.position,
         radiance=pixels.radiance,
         label=seen.part,
@@ -85,26 +80,55 @@ def training_input(
     return data, guess, rows
 
 
+def _own_rows(pixels: PixelStore, donor: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(M,) int64 pixels that stand for themselves: all, or about PROJECTION_PIXELS of them."""
+
+    def own(index: int) -> np.ndarray:
+        rows = pixels.rows(index)
+        return np.flatnonzero(donor[rows] == np.arange(rows.start, rows.stop)) + rows.start
+
+    views = range(len(pixels.views))
+    share = PROJECTION_PIXELS / max(sum(len(own(index)) for index in views), 1)
+    found = [rows if share >= 1.0 else rows[rng.random(len(rows)) < share] for rows in map(own, views)]
+    return np.concatenate(found)
+
+
 def _groups(
-    pixels: PixelStore,
-    seen: Observations,
-    pieces: np.ndarray,
-    pool: np.ndarray,
-    cell: np.ndarray,
-    color: np.ndarray,
+    pixels: PixelStore, seen: Observations, pieces: np.ndarray, cell: np.ndarray, color: np.ndarray
 ) -> np.ndarray:
-    """(N,) int32 group of each pixel that stands for its part, NO_GROUP outside the `pool`.
+    """(N,) int32 group of each pixel that stands for its part, NO_GROUP for those that none stands for.
+
+    Memory-mapped; what is counted are kinds of pixels, which are few.
 
     Args:
         cell: (M,) int cache entry of some pixels, color: (M, 3) diffuse base colour there.
     """
-    size = int(max(cell.max(initial=0), seen.entry[pool].max(initial=0))) + 1
+    size = len(seen.grid.voxels) * SIDES
     count = np.maximum(np.bincount(cell, minlength=size), 1)
     sums = [np.bincount(cell, column, minlength=size) / count for column in color.T]
-    of_cell = color_class(np.stack(sums, axis=1))
-    group = np.full(len(pixels), NO_GROUP, np.int32)
-    piece = pieces[pixels.triangle[pool]]
-    group[pool] = material_groups(np.asarray(seen.part[pool]), piece, of_cell[seen.entry[pool]], LEAST_PIXELS)
+    classes, of_cell = np.unique(color_class(np.stack(sums, axis=1)), return_inverse=True)
+    shape = (int(seen.parts.triangle_part.max(initial=-1)) + 2, int(pieces.max(initial=0)) + 1, len(classes))
+
+    def kinds(index: int) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels of a view that some pixel stands for, and a number for label, piece and colour of each."""
+        rows = pixels.rows(index)
+        used = np.flatnonzero(seen.donor[rows] >= 0) + rows.start
+        columns = (seen.part[used] + 1, pieces[pixels.triangle[used]], of_cell[seen.entry[used]])
+        return used, np.ravel_multi_index(columns, shape)
+
+    known, number = np.zeros(0, np.int64), np.zeros(0, np.int64)
+    for index in range(len(pixels.views)):
+        kind, more = np.unique(kinds(index)[1], return_counts=True)
+        known, place = np.unique(np.concatenate([known, kind]), return_inverse=True)
+        number = np.bincount(place, np.concatenate([number, more])).astype(np.int64)
+    label, piece, color_of = np.unravel_index(known, shape)
+    of_kind = material_groups(label, piece, color_of, number, LEAST_PIXELS)
+    group = open_array(seen.folder / "group.npy", (len(pixels),), np.int32, create=True)
+    for index in range(len(pixels.views)):
+        own = np.full(pixels.views[index].height * pixels.views[index].width, NO_GROUP, np.int32)
+        used, kind = kinds(index)
+        own[used - pixels.ranges[index]] = of_kind[np.searchsorted(known, kind)]
+        group[pixels.rows(index)] = own
     return group
 
 

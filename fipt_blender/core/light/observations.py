@@ -71,6 +71,15 @@ class Observations:
             pooled.add(self.entry[rows], self.pixels.radiance[rows])
         return pooled.filled()[0]
 
+    def means(self, values: np.ndarray) -> np.ndarray:
+        """(M * 6, C) float32 mean of per-pixel values ((N, C), memory-mapped) in each cache entry; -1 in those
+        that no pixel saw."""
+        pooled = Pool(self.grid, values.shape[1])
+        for rows in self.hits():
+            pooled.add(self.entry[rows], np.asarray(values[rows], np.float32))
+        mean, count = pooled.filled()
+        return np.where(count[:, None] > 0, mean, np.float32(-1.0))
+
     def _near(self, index: int, marked: np.ndarray) -> np.ndarray:
         """(n,) bool, pixels of a view that see a marked triangle ((T,) bool), and their neighbours."""
         view = self.pixels.views[index]
@@ -110,6 +119,19 @@ class Observations:
             found[lonely - rows.start] = lonely
             donors[rows] = found
         return donors
+
+    @cached_property
+    def pool(self) -> np.ndarray:
+        """(P,) int64 pixels for which some pixel stands, rising; memory-mapped."""
+        views = range(len(self.pixels.views))
+        known = [int((self.donor[self.pixels.rows(index)] >= 0).sum()) for index in views]
+        pool = open_array(self.folder / "pool.npy", (sum(known),), np.int64, create=True)
+        end = 0
+        for index, number in enumerate(known):
+            rows = self.pixels.rows(index)
+            end += number
+            pool[end - number : end] = np.flatnonzero(self.donor[rows] >= 0) + rows.start
+        return pool
 
 
 def _hits(pixels: PixelStore, index: int) -> np.ndarray:

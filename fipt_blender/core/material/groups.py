@@ -24,8 +24,10 @@ def color_class(color: np.ndarray) -> np.ndarray:
     return (brightness * 10_000 + chroma[:, 0] * 100 + chroma[:, 1]).astype(np.int64)
 
 
-def material_groups(label: np.ndarray, piece: np.ndarray, color: np.ndarray, least: int) -> np.ndarray:
-    """(N,) int32 group of each pixel from 0, NO_GROUP for those that nothing large enough takes in.
+def material_groups(
+    label: np.ndarray, piece: np.ndarray, color: np.ndarray, pixels: np.ndarray, least: int
+) -> np.ndarray:
+    """(N,) int32 group of each kind of pixel from 0, NO_GROUP for those that nothing large enough takes in.
 
     The finest group that is large enough counts: class, piece and colour; else class and piece; else class
     and colour.
@@ -34,6 +36,7 @@ def material_groups(label: np.ndarray, piece: np.ndarray, color: np.ndarray, lea
         label: (N,) int semantic class, the same for all where there is none.
         piece: (N,) int connected piece of the mesh.
         color: (N,) int :func:`color_class`.
+        pixels: (N,) int how many there are of each kind.
         least: pixels that a group must have.
     """
     group = np.full(len(label), NO_GROUP, np.int64)
@@ -43,7 +46,7 @@ def material_groups(label: np.ndarray, piece: np.ndarray, color: np.ndarray, lea
         for column in columns:
             values = np.unique(column, return_inverse=True)[1]
             key = np.unique(key * (int(values.max(initial=0)) + 1) + values, return_inverse=True)[1]
-        count = np.bincount(key)
+        count = np.bincount(key, pixels)
         taken = (group < 0) & (count[key] >= least)
         group[taken] = used + key[taken]
         used += len(count)

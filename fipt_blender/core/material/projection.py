@@ -245,10 +245,10 @@ def project(
 def window_means(
     arrays: Sequence[np.ndarray],
     rows: np.ndarray,
-    width: np.ndarray,
     usable: np.ndarray,
     part: np.ndarray,
-    view: np.ndarray,
+    ranges: np.ndarray,
+    widths: np.ndarray,
 ) -> list[np.ndarray]:
     """Means over the 3 × 3 pixels around some pixels, of those of the same part and view.
 
@@ -258,33 +258,30 @@ def window_means(
     Args:
         arrays: each (N, ...), of all pixels, view after view in rows of the image; may be memory-mapped.
         rows: (M,) int pixels wanted.
-        width: (M,) int width of their images.
-        usable: (N,) bool, pixels that see one surface; part, view: (N,) int.
+        usable: (N,) bool, pixels that see one surface; part: (N,) int.
+        ranges: (views + 1,) int first pixel of each view, and N.
+        widths: (views,) int pixels of each view's rows.
 
     Returns:
         (M, ...) float32 each.
     """
     sums = [np.zeros((len(rows), *array.shape[1:]), np.float32) for array in arrays]
     count = np.zeros(len(rows), np.float32)
-    own_view, own_part, column = view[rows], part[rows], _columns(rows, width, view)
+    view = np.searchsorted(ranges, rows, side="right") - 1
+    first, end, width, own_part = ranges[view], ranges[view + 1], widths[view], part[rows]
+    column = (rows - first) % width
     for down in (-1, 0, 1):
         for right in (-1, 0, 1):
             other = rows + down * width + right
-            inside = (other >= 0) & (other < len(view)) & (column + right >= 0) & (column + right < width)
+            inside = (other >= first) & (other < end) & (column + right >= 0) & (column + right < width)
             other = np.where(inside, other, rows)
-            taken = inside & (view[other] == own_view) & (part[other] == own_part) & usable[other]
+            taken = inside & (part[other] == own_part) & usable[other]
             taken |= (down == 0) & (right == 0)
             chosen = np.flatnonzero(taken)
             for total, array in zip(sums, arrays, strict=True):
                 total[chosen] += array[other[chosen]]
             count[chosen] += 1.0
     return [total / count.reshape(-1, *[1] * (total.ndim - 1)) for total in sums]
-
-
-def _columns(rows: np.ndarray, width: np.ndarray, view: np.ndarray) -> np.ndarray:
-    """(M,) int column of each pixel in its image; `view` ((N,) int) rises."""
-    first = np.searchsorted(view, view[rows], side="left")
-    return (rows - first) % width
 
 
 def constant_parts(radiance: np.ndarray, irradiance: np.ndarray, part: np.ndarray, parts: int) -> np.ndarray:
