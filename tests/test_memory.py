@@ -15,6 +15,7 @@ from small_captures import CAMERAS, PANEL, look_at, pinhole
 from small_rooms import BOX, make_room
 
 from fipt_blender.core.capture.views import View
+from fipt_blender.core.job import certainty
 from fipt_blender.core.job import training_input as training_input_module
 from fipt_blender.core.job.messages import Reporter
 from fipt_blender.core.job.settings import make_settings
@@ -99,9 +100,26 @@ def learn_from(seen: Observations, pieces: np.ndarray | None) -> None:
     assert 400 < len(rows) < 600
 
 
-@pytest.mark.parametrize(
-    "action", ["observe", "look up", "lamps", "agree", "look outside", "learn", "learn without parts"]
+def lamps_colors(pixels: PixelStore, folder: Path) -> None:
+    shadings = open_shadings(folder, len(pixels), 3, create=True)
+    found = certainty.lamp_pixels(pixels, shadings, np.arange(len(ROOM.triangles)) >= 12, 0)
+    assert 150 < len(found.triangle) < 250 and set(found.triangle) == {12, 13}
+    assert 2 * len(np.unique(found.view)) >= len(pixels.views)  # the others do not see it
+
+
+ACTIONS = (
+    "observe",
+    "look up",
+    "lamps",
+    "lamps' colours",
+    "agree",
+    "look outside",
+    "learn",
+    "learn without parts",
 )
+
+
+@pytest.mark.parametrize("action", ACTIONS)
 def test_memory_of_the_views(action: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Smaller than these captures, as their usual sizes are smaller than large ones.
     monkeypatch.setattr(emitters, "CHUNK", 4096)
@@ -109,6 +127,7 @@ def test_memory_of_the_views(action: str, tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(agreement, "GAIN_PIXELS", 5000)
     monkeypatch.setattr(environment, "MOST_PIXELS", 3)
     monkeypatch.setattr(training_input_module, "PROJECTION_PIXELS", 500)
+    monkeypatch.setattr(certainty, "LAMP_PIXELS", 200)
     peaks, sizes = [], []
     for views in (6, 6, 36):  # the first warms up
         pixels = store(tmp_path / f"{views}", views)
@@ -119,6 +138,7 @@ def test_memory_of_the_views(action: str, tmp_path: Path, monkeypatch: pytest.Mo
         actions: dict[str, Callable[[], object]] = {
             "observe": seen,
             "lamps": lambda pixels=pixels: lamps(pixels, ROOM),
+            "lamps' colours": lambda pixels=pixels: lamps_colors(pixels, tmp_path / "shadings"),
             "agree": lambda pixels=pixels: agreement_of(pixels, ROOM),
             "look outside": seen,
         }

@@ -19,6 +19,9 @@ from ..scene.pixels import PixelStore
 
 # Pixels that are looked at; more change nothing but the time.
 PIXELS = 1_500_000
+# Pixels of all lamps that are looked at, and of each triangle of a lamp at least.
+LAMP_PIXELS = 200_000
+LEAST_LAMP_PIXELS = 100
 CHUNK = 1 << 16
 # Cells along the edge of a block that shares roughness and metallic where no parts are known.
 BLOCK = 8
@@ -100,14 +103,25 @@ def _usable(pixels: PixelStore, view: int, emitting: np.ndarray, rng: np.random.
     return first + np.flatnonzero(usable)
 
 
-def lamp_pixels(pixels: PixelStore, shadings: ShadingStore, emitting: np.ndarray) -> LampPixels:
-    """The pixels that see the triangles `emitting` ((T,) bool) alone."""
-    rows = np.concatenate(
-        [
-            first + np.flatnonzero(_on(pixels, int(first), int(last), emitting))
-            for first, last in itertools.pairwise(pixels.ranges)
-        ]
-    )
+def lamp_pixels(pixels: PixelStore, shadings: ShadingStore, emitting: np.ndarray, seed: int) -> LampPixels:
+    """The pixels that see the triangles `emitting` ((T,) bool) alone; of many that see one, some."""
+    views = range(len(pixels.views))
+
+    def seeing(index: int) -> np.ndarray:
+        first, last = (int(each) for each in pixels.ranges[index : index + 2])
+        return first + np.flatnonzero(_on(pixels, first, last, emitting))
+
+    count = np.zeros(len(emitting), np.int64)
+    for index in views:
+        np.add.at(count, pixels.triangle[seeing(index)], 1)
+    most = max(LAMP_PIXELS // max(int(emitting.sum()), 1), LEAST_LAMP_PIXELS)
+    share = most / np.maximum(count, 1)
+    rng = np.random.default_rng([seed, 7])
+    found = [np.zeros(0, np.int64)]
+    for index in views:
+        rows = seeing(index)
+        found.append(rows[rng.random(len(rows)) < share[pixels.triangle[rows]]])
+    rows = np.concatenate(found)
     return LampPixels(
         triangle=np.asarray(pixels.triangle[rows]),
         front=np.asarray(pixels.front[rows]),

@@ -410,7 +410,8 @@ class Estimation:
         )
         fixtures = self.fixtures, np.zeros((len(self.fixtures), 3))
         if self.settings.emission != "joint":
-            fixtures = separate(self.fixtures, lamp_pixels(self.pixels, shadings, emitting))
+            pixels = lamp_pixels(self.pixels, shadings, emitting, self.settings.seed)
+            fixtures = separate(self.fixtures, pixels)
         write_results(self.folder, fields, *fixtures, self.seen.environment, self.scale, self.reporter)
         write_json(self.folder.statistics_json, self.summary())
 

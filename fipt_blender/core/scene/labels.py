@@ -133,25 +133,35 @@ def fuse_masks(masks: Iterable[np.ndarray | None], triangles: Iterable[np.ndarra
     Returns:
         (count,) int64 ids, NO_PART where no labelled pixel saw the triangle. Ties go to the lower id.
     """
-    keys: list[np.ndarray] = []
-    numbers: list[np.ndarray] = []
+    key, votes = np.zeros(0, np.int64), np.zeros(0, np.int64)
+    waiting: list[tuple[np.ndarray, np.ndarray]] = []
     for mask, triangle in zip(masks, triangles, strict=True):
         if mask is None:
             continue
         ids = mask.reshape(-1).astype(np.int64)
         valid = (ids > 0) & (triangle >= 0)
-        key, number = np.unique(triangle[valid].astype(np.int64) * _IDS + ids[valid], return_counts=True)
-        keys.append(key)
-        numbers.append(number)
+        found = triangle[valid].astype(np.int64) * _IDS + ids[valid]
+        waiting.append(np.unique(found, return_counts=True))
+        if sum(len(more) for more, _ in waiting) > len(key):  # rarer and rarer: sorting takes time
+            key, votes = _summed(key, votes, waiting)
+            waiting = []
+    key, votes = _summed(key, votes, waiting)
     label = np.full(count, NO_PART, np.int64)
-    if not keys:
-        return label
-    key, inverse = np.unique(np.concatenate(keys), return_inverse=True)
-    votes = np.bincount(inverse, np.concatenate(numbers))
     # The last assignment to a triangle wins, so sort by votes, then by descending id.
     order = np.lexsort((-(key % _IDS), votes))
     label[key[order] // _IDS] = key[order] % _IDS
     return label
+
+
+def _summed(
+    key: np.ndarray, votes: np.ndarray, more: Sequence[tuple[np.ndarray, np.ndarray]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Each key once, with its votes in all."""
+    keys, numbers = zip((key, votes), *more, strict=True)
+    key, inverse = np.unique(np.concatenate(keys), return_inverse=True)
+    total = np.zeros(len(key), np.int64)
+    np.add.at(total, inverse.reshape(-1), np.concatenate(numbers))
+    return key, total
 
 
 def spread_labels(labels: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -26,6 +26,9 @@ from .room import Room, Surface
 
 NO_TRIANGLE = -1
 LEFT_OUT = -2  # masked out of the photograph: neither the room nor what lies outside it
+# Pixels of all views, and of one at most, whose median luminance is the capture's.
+LUMINANCES = 2_000_000
+VIEW_LUMINANCES = 20_000
 
 
 @dataclass
@@ -201,6 +204,7 @@ def fill_pixels(
         FiptError: ``mesh-unseen`` where no view sees the mesh, ``images-black``.
     """
     luminances = []
+    most = max(1, min(VIEW_LUMINANCES, LUMINANCES // max(len(store.views), 1)))
     seen = 0
     done = 0
     for i, traced in (workers or LocalWorkers()).map(Tracing(room), store.views):
@@ -209,7 +213,7 @@ def fill_pixels(
         store.radiance[rows] = image
         masked = view.masked()
         used = image if masked is None else image[~masked.reshape(-1)]
-        sample = used[:: max(1, len(used) // 20000)].mean(axis=1)
+        sample = used[:: max(1, len(used) // most)].mean(axis=1)
         luminances.append(sample[sample > 0])
         triangle = traced.triangle
         if masked is not None:
