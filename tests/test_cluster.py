@@ -144,6 +144,34 @@ def test_a_worker_of_another_version_is_named(
     assert "99.0" in caught.value.text and "mitsuba" in caught.value.text
 
 
+def test_a_worker_without_the_engine_is_named_at_once(
+    empty: LocalCluster, capture: SmallCapture, tmp_path: Path
+) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "dask",
+        "worker",
+        empty.scheduler_address,
+        "--no-nanny",
+        "--no-dashboard",
+    ]
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    with (
+        subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.DEVNULL) as worker,
+        cluster.workers_at(empty.scheduler_address) as workers,
+    ):
+        try:
+            with Client(empty.scheduler_address, set_as_default=False) as client:
+                client.wait_for_workers(1, timeout=60)
+            with pytest.raises(FiptError) as caught:
+                list(workers.map(Tracing(capture.room), views(capture)))
+        finally:
+            worker.terminate()
+    assert caught.value.code == "cluster-worker-unfit" and "fipt_blender" in caught.value.text
+    assert "worker at tcp://" in caught.value.text and "architecture.md" in caught.value.remedy
+
+
 def test_a_scheduler_without_workers(
     empty: LocalCluster, capture: SmallCapture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

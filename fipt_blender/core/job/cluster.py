@@ -10,6 +10,7 @@ never does. docs/architecture.md says how to start a cluster.
 from __future__ import annotations
 
 import hashlib
+import importlib
 import importlib.metadata
 import sys
 import time
@@ -118,6 +119,7 @@ class ClusterWorkers:
         """
         from distributed.protocol import serialize_bytes
 
+        self._check_imports()
         packed = serialize_bytes(work)
         stage_key = hashlib.sha256(packed).hexdigest()
         name = f"fipt-{uuid.uuid4().hex}"  # keys of other clients' and earlier work are their own
@@ -137,6 +139,18 @@ class ClusterWorkers:
                     yield index, _result(future)
         finally:
             self._client.cancel([stage, *pending])
+
+    def _check_imports(self) -> None:
+        """Whether the workers have the engine: one without it would end at its first view, telling nobody.
+
+        Raises:
+            FiptError: ``cluster-worker-unfit``.
+        """
+        with _answered():
+            found = self._client.run(importlib.import_module, __name__, on_error="return")
+        for address, result in found.items():
+            if isinstance(result, ImportError):
+                raise _unfit(f"The worker at {address}", result) from result
 
     def _count(self) -> int:
         """Workers that are there now."""
@@ -160,8 +174,8 @@ class ClusterWorkers:
                 raise FiptError(
                     "cluster-no-worker",
                     f"The cluster had no worker for {WORKERS_SECONDS:.0f} seconds.",
-                    "Start workers as docs/architecture.md says and resume the run. A worker that lacks the "
-                    "engine's package ends at its first view: its log says so.",
+                    "Start workers as docs/architecture.md says and resume the run. Where there had been "
+                    "some, their logs tell why they ended.",
                 )
 
 
@@ -213,12 +227,16 @@ def _result(future: Future) -> Any:
     except (ImportError, AttributeError, RuntimeError) as error:
         if isinstance(error, RuntimeError) and "deserializ" not in str(error):
             raise  # of the work itself
-        raise FiptError(
-            "cluster-worker-unfit",
-            f"The cluster can't import the engine ({type(error).__name__}: {' '.join(str(error).split())}).",
-            "Start its scheduler and workers with the Python and the version of the engine that run here; "
-            "docs/architecture.md says how.",
-        ) from error
+        raise _unfit("The cluster", error) from error
+
+
+def _unfit(who: str, error: Exception) -> FiptError:
+    return FiptError(
+        "cluster-worker-unfit",
+        f"{who} can't import the engine ({type(error).__name__}: {' '.join(str(error).split())}).",
+        "Start the scheduler and the workers with the Python and the version of the engine that run here; "
+        "docs/architecture.md says how.",
+    )
 
 
 def _versions() -> dict[str, str]:
