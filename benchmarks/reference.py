@@ -233,6 +233,7 @@ class ReferenceEstimation(Estimation):
             self.room,
             self._cache(),
             SurfaceLookup(self.seen.grid, self._material_values()),
+            None,
             AreaLights(self.room.vertices, self.room.triangles, emitter_table(self.fixtures)),
             self._outside(),
             settings.cache_roughness,

@@ -188,7 +188,7 @@ def test_direct_light_of_a_rectangle_is_lambert_formula(aimed: int) -> None:
     grid = grid_of(room)
     lights = area_lights(room, table([2, 3], [5.0, 4.0, 3.0]))
     materials = lookup_by_triangle(room, grid, np.tile([0.5, 0.5, 0.5, 1.0, 0.0], (4, 1)))
-    source = TracedRadiance(room, dark_cache(room, grid), materials, lights, None, 0.6, 5)
+    source = TracedRadiance(room, dark_cache(room, grid), materials, None, lights, None, 0.6, 5)
     points = points_on(room, 6, [0, 1])
     diffuse, _ = baked(points, source, lights, LEVELS, SampleCounts(32, 4, aimed), 256)
     mean, error = mean_and_error(diffuse)
@@ -198,25 +198,35 @@ def test_direct_light_of_a_rectangle_is_lambert_formula(aimed: int) -> None:
     assert np.median(error / mean) < (0.02 if aimed else 0.06)
 
 
-def shiny_box(roughness: float) -> tuple[Room, np.ndarray]:
-    """A box with a metal floor, and the (T, 5) materials of its triangles; 12 and 13 are the lamp."""
+def shiny_box(roughness: float, metallic: float = 1.0) -> tuple[Room, np.ndarray]:
+    """A box with a shiny floor, and the (T, 5) materials of its triangles; 12 and 13 are the lamp."""
     room = make_room([*BOX, LAMP])
     materials = np.tile([0.6, 0.5, 0.4, 1.0, 0.0], (14, 1))
-    materials[:2] = [0.9, 0.8, 0.7, roughness, 1.0]
+    materials[:2] = [0.9, 0.8, 0.7, roughness, metallic]
     return room, materials
 
 
-@pytest.mark.parametrize("roughness", [0.06, 0.3])
-def test_refinement_weighs_emitter_and_brdf_samples_rightly(roughness: float) -> None:
-    """Paths over the metal floor with emitter sampling equal paths that only sample the BRDF."""
-    room, materials = shiny_box(roughness)
+@pytest.mark.parametrize(
+    ("roughness", "metallic", "known"), [(0.06, 1.0, []), (0.3, 1.0, []), (0.3, 0.2, [0]), (0.2, 0.0, [0, 1])]
+)
+def test_refinement_weighs_emitter_and_brdf_samples_rightly(
+    roughness: float, metallic: float, known: list[int]
+) -> None:
+    """Paths over the shiny floor with emitter sampling equal paths that only sample the BRDF.
+
+    On the triangles `known` L_d is looked up, and paths follow the gloss alone.
+    """
+    room, materials = shiny_box(roughness, metallic)
     grid = grid_of(room)
     lookup = lookup_by_triangle(room, grid, materials)
     walls = np.random.default_rng(2).uniform(0.2, 0.6, (14, 3))
     cached = lookup_by_triangle(room, grid, walls)
+    shading = np.full((14, 3), -1.0)
+    shading[known] = [0.4, 0.3, 0.2]
+    gathered = lookup_by_triangle(room, grid, shading)
     emission = [6.0, 5.0, 4.0]
     lights = area_lights(room, table([12, 13], emission))
-    source = TracedRadiance(room, cached, lookup, lights, None, 0.6, 4)
+    source = TracedRadiance(room, cached, lookup, gathered if known else None, lights, None, 0.6, 4)
     # On the ceiling the lamp's back hides nothing of the floor that matters; it emits nothing upwards.
     points = points_on(room, 6, [4, 5, 6])
     diffuse, specular = baked(points, source, lights, LEVELS, SampleCounts(32, 8, 16), 400)
@@ -236,14 +246,20 @@ def test_refinement_weighs_emitter_and_brdf_samples_rightly(roughness: float) ->
         total += dr.select(lamp & hit.front, throughput * mi.Color3f(emission), 0.0)
         active &= ~lamp
         side = dr.select(hit.front, hit.geometric_normal, -hit.geometric_normal)
-        r, g, b, sigma, metallic = lookup(hit.position, side, active)
+        r, g, b, sigma, metal = lookup(hit.position, side, active)
         ends = active & ((sigma > 0.6) | (depth == 4))
         total += dr.select(ends, throughput * mi.Color3f(*cached(hit.position, side, ends)), 0.0)
         active &= ~ends
+        color = mi.Color3f(r, g, b)
+        light = mi.Color3f(*gathered(hit.position, side, active))
+        dark = active & (light.x < 0.0)  # L_d is not known there
+        total += dr.select(active & ~dark, throughput * color * (1.0 - metal) * light, 0.0)
+        color = dr.select(dark, color, 0.04 * (1.0 - metal) + metal * color)
+        metal = dr.select(dark, metal, 1.0)
         local = mi.Frame3f(hit.normal)
         pair = mi.Point2f(rng.next_float32(), rng.next_float32())
         wo = local.to_local(-direction)
-        wi, gain, _ = brdf.sample(rng.next_float32(), pair, wo, mi.Color3f(r, g, b), sigma, metallic)
+        wi, gain, _ = brdf.sample(rng.next_float32(), pair, wo, color, sigma, metal)
         throughput *= gain
         direction = local.to_world(wi)
         active &= (wi.z > 0.0) & (dr.dot(direction, side) > 0.0)
@@ -253,6 +269,46 @@ def test_refinement_weighs_emitter_and_brdf_samples_rightly(roughness: float) ->
     agree(mean - expected, np.hypot(error, noise))
     assert np.isfinite(specular).all()
     assert np.median(error / mean) < 0.02
+
+
+def test_looking_up_the_diffuse_shading_changes_no_mean() -> None:
+    """Between walls that all send radiance 1, L_d is 1, and a glossy floor looks the same either way."""
+    room, materials = shiny_box(0.4, 0.3)
+    grid = grid_of(room)
+    lookup = lookup_by_triangle(room, grid, materials)
+    ones = SurfaceLookup(grid, np.ones((len(grid.voxels) * 6, 3), np.float32))
+    points = points_on(room, 4, [4, 6, 8])
+    found = []
+    for diffuse in (None, ones):
+        source = TracedRadiance(room, ones, lookup, diffuse, area_lights(room, NOTHING), None, 0.6, 5)
+        counts = SampleCounts(32, 8, 0)
+        found.append(
+            mean_and_error(baked(points, source, area_lights(room, NOTHING), LEVELS, counts, 300)[0])
+        )
+    (traced, noise), (looked_up, error) = found
+    agree(traced - looked_up, np.hypot(noise, error))
+    assert (traced.min(axis=1) < 0.99).all()  # the floor matters
+
+
+def test_starts_of_a_pixel_are_averaged() -> None:
+    room = occluded_room()
+    grid = grid_of(room)
+    values = np.random.default_rng(5).uniform(0.0, 1.0, (len(grid.voxels) * 6, 3)).astype(np.float32)
+    source = CachedRadiance(room, SurfaceLookup(grid, values), None)
+    points = points_on(room, 4, [0, 1])
+    lights = area_lights(room, NOTHING)
+    each, noise = mean_and_error(baked(points, source, lights, LEVELS, SampleCounts(16, 8, 0), 400)[0])
+    pairs = ShadingPoints(
+        *(
+            np.tile(getattr(points, name).reshape(4, 6), (400, 1)).reshape(-1, 3)
+            for name in points.__annotations__
+        )
+    )
+    together = bake(pairs, source, lights, LEVELS, SampleCounts(16, 8, 0), 3, starts=2)
+    assert together.specular.shape == (1600, len(LEVELS), 2, 3)
+    mean, error = mean_and_error(together.diffuse.reshape(400, 4, 3).transpose(1, 0, 2))
+    expected = each.reshape(4, 2, 3).mean(axis=1)
+    agree(mean - expected, np.hypot(error, np.sqrt((noise.reshape(4, 2, 3) ** 2).sum(axis=1)) / 2.0))
 
 
 def test_a_mirror_is_seen_by_stage_3_and_blurred_by_stage_1() -> None:
@@ -295,7 +351,7 @@ def test_a_mirror_is_seen_by_stage_3_and_blurred_by_stage_1() -> None:
     lookup = lookup_by_triangle(room, grid, materials)
     counts = SampleCounts(8, 256, 16)
     stage_1 = bake(points, CachedRadiance(room, with_lamp, None), lights, levels, counts, 1).specular
-    traced = TracedRadiance(room, without, lookup, lights, None, 0.6, 5)
+    traced = TracedRadiance(room, without, lookup, None, lights, None, 0.6, 5)
     stage_3 = bake(points, traced, lights, levels, counts, 1).specular
     # L_s0 + L_s1 by sampling the lobe and tracing paths
     paths = 2000

@@ -68,4 +68,4 @@ def test_other_parts_and_what_lies_behind_are_no_start(tmp_path: Path, gap: floa
 
 @pytest.mark.parametrize("samples", [4, 8, 16, 30, 64])
 def test_all_starts_together_take_the_pixels_samples(samples: int) -> None:
-    assert sum(_share(samples, index) for index in range(len(SUBPIXELS))) == samples
+    assert 0 <= _share(samples) * len(SUBPIXELS) - samples < len(SUBPIXELS)

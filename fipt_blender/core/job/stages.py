@@ -96,6 +96,7 @@ class Estimation:
         self.seen: Observations
         self.scale = 1.0
         self.fixtures: list[Fixture] = []
+        self.diffuse: np.ndarray
         self.brdf: BrdfNetwork
         self.emission: EmissionNetwork
 
@@ -303,12 +304,15 @@ class Estimation:
         joint = self.settings.emission == "joint"
         emitting = constant if joint else self._find_emitters(index, constant)
         self._group_fixtures(emitting, index)
+        # Kept, as the next stage writes over the shadings that it is made of.
+        self.diffuse = self.seen.means(self._open_shadings().diffuse).astype(np.float16)
         self.checkpoints.save_tensors(
             f"networks-{index}",
             {
                 "brdf": self.brdf.state_dict(),
                 "emission": self.emission.state_dict(),
                 "emitting": torch.from_numpy(emitting),
+                "diffuse": torch.from_numpy(self.diffuse),
             },
         )
         checkpoint.unlink(missing_ok=True)
@@ -318,6 +322,7 @@ class Estimation:
         state = self.checkpoints.load_tensors(f"networks-{index}", self.device)
         self.brdf.load_state_dict(state["brdf"])
         self.emission.load_state_dict(state["emission"])
+        self.diffuse = state["diffuse"].cpu().numpy()
         # Not found anew: the shadings that it took may have been refined since, or half refined.
         self._group_fixtures(state["emitting"].cpu().numpy(), index)
 
@@ -370,7 +375,10 @@ class Estimation:
         emitting = np.zeros(len(self.room.triangles), bool)
         emitting[table.triangles] = True
         cache = self.seen.cache(without=emitting) if settings.refine_cache else None
-        traced = TracedLight(self._material_values(), settings.cache_roughness, settings.refine_depth)
+        diffuse = self.diffuse if settings.refine_cache else None
+        traced = TracedLight(
+            self._material_values(), diffuse, settings.cache_roughness, settings.refine_depth
+        )
         counts = SampleCounts(
             settings.refine_diffuse_spp, settings.refine_specular_spp, settings.refine_light_spp
         )

@@ -234,7 +234,11 @@ class SurfaceLookup:
         self._values = mi.Float(np.ascontiguousarray(values, np.float32).reshape(-1))
 
     def __call__(self, position: Any, side_normal: Any, active: Any = True) -> list[Any]:
-        """The C values at surface points.
+        """The C values at surface points; see :meth:`entry`."""
+        return self.values(self.entry(position, side_normal, active), active)
+
+    def entry(self, position: Any, side_normal: Any, active: Any = True) -> Any:
+        """UInt32 entry of surface points, the same for all tables of a grid.
 
         Args:
             position: Point3f, metres.
@@ -250,6 +254,9 @@ class SurfaceLookup:
         # The same choice as side_index: the first of equal axes wins.
         axis = dr.select((a.x >= a.y) & (a.x >= a.z), 0, dr.select(a.y >= a.z, 1, 2))
         component = dr.select(axis == 0, n.x, dr.select(axis == 1, n.y, n.z))
-        entry = mi.UInt32(row * SIDES + axis * 2 + dr.select(component < 0.0, 1, 0))
+        return mi.UInt32(row * SIDES + axis * 2 + dr.select(component < 0.0, 1, 0))
+
+    def values(self, entry: Any, active: Any = True) -> list[Any]:
+        """The C values of entries (UInt32)."""
         base = entry * self._channels
         return [dr.gather(mi.Float, self._values, base + i, active) for i in range(self._channels)]

@@ -72,8 +72,11 @@ class Observations:
         return pooled.filled()[0]
 
     def means(self, values: np.ndarray) -> np.ndarray:
-        """(M * 6, C) float32 mean of per-pixel values ((N, C), memory-mapped) in each cache entry; -1 in those
-        that no pixel saw."""
+        """(M * 6, C) float32 mean of per-pixel values in each cache entry; -1 in those that no pixel saw.
+
+        Args:
+            values: (N, C); memory-mapped arrays will do.
+        """
         pooled = Pool(self.grid, values.shape[1])
         for rows in self.hits():
             pooled.add(self.entry[rows], np.asarray(values[rows], np.float32))

@@ -3,7 +3,8 @@
 """Where the radiance along a ray comes from while shadings are baked.
 
 Stage 1 reads the radiance cache at the first hit (paper Eq. 8). Stage 3 follows the path over specular
-surfaces until it meets an emitter or a surface rough enough for the cache (paper Eq. 9 and 10).
+surfaces until it meets an emitter or a surface rough enough for the cache (paper Eq. 9 and 10). Of what a
+specular surface sends, only the gloss depends on the view: the rest is its kd times L_d, which is known.
 """
 
 from __future__ import annotations
@@ -19,6 +20,10 @@ from ..render.environment import EnvironmentLight
 from ..render.lights import AreaLights
 from ..scene.room import Room, Surface
 from .cache import SurfaceLookup
+
+# A path goes on over gloss with this many times the probability of the light that it may bring, at least with
+# the second: the 4 % of a dielectric are not worth a ray each time.
+SURVIVAL, LEAST_SURVIVAL = 2.5, 0.1
 
 
 @dataclass  # not frozen: Dr.Jit's loops write their state back into it
@@ -94,7 +99,11 @@ class TracedRadiance:
         materials: base colour (3), roughness and metallic of the surface, five values.
         cache: photographs averaged without the pixels of emitters. None traces every path to its depth with
             the materials alone, and what comes after is lost (the paper's ablation "w/o rad. cache").
+        diffuse: L_d, three values, negative where unknown. Where it is known paths follow the gloss of
+            specular surfaces alone, elsewhere and with None both lobes, as the paper does.
         depth: most surfaces that a path may meet; the last one is read from the cache.
+
+    All three tables are of one grid.
     """
 
     def __init__(
@@ -102,12 +111,13 @@ class TracedRadiance:
         room: Room,
         cache: SurfaceLookup | None,
         materials: SurfaceLookup,
+        diffuse: SurfaceLookup | None,
         lights: AreaLights,
         environment: EnvironmentLight | None,
         cache_roughness: float,
         depth: int,
     ) -> None:
-        self._room, self._cache, self._materials = room, cache, materials
+        self._room, self._cache, self._materials, self._diffuse = room, cache, materials, diffuse
         self._lights, self._environment = lights, environment
         self._cache_roughness, self._depth = cache_roughness, depth
         self.offset = room.offset
@@ -131,14 +141,23 @@ class TracedRadiance:
         active &= ~is_emitter
 
         side = dr.select(hit.front, hit.geometric_normal, -hit.geometric_normal)
-        r, g, b, roughness, metallic = self._materials(hit.position, side, active)
+        entry = self._materials.entry(hit.position, side, active)
+        r, g, b, roughness, metallic = self._materials.values(entry, active)
         base_color = mi.Color3f(r, g, b)
         path.depth += 1
         ends = active & (path.depth >= self._depth)
         if self._cache is not None:
             ends |= active & (roughness > self._cache_roughness)
-            radiance += mi.Color3f(*self._cache(hit.position, side, ends))
+            radiance += mi.Color3f(*self._cache.values(entry, ends))
             active &= ~ends
+        if self._diffuse is not None:
+            kd = brdf.diffuse_reflectance(base_color, metallic)
+            shading = mi.Color3f(*self._diffuse.values(entry, active))
+            known = active & (shading.x >= 0.0)
+            radiance += dr.select(known, kd * shading, 0.0)
+            # What is left reflects like a metal.
+            base_color = dr.select(known, brdf.specular_reflectance(base_color, metallic), base_color)
+            metallic = dr.select(known, 1.0, metallic)
 
         frame = mi.Frame3f(hit.normal)
         wo = frame.to_local(-direction)
@@ -154,6 +173,10 @@ class TracedRadiance:
         onward = frame.to_world(wi)
         active &= (density > 0.0) & (dr.dot(onward, side) > 0.0) & ~ends
         path.throughput *= dr.select(active, factor, mi.Color3f(1.0))
+        if self._diffuse is not None:
+            survival = dr.clip(SURVIVAL * dr.max(path.throughput), LEAST_SURVIVAL, 1.0)
+            active &= rng.next_float32() < survival
+            path.throughput *= dr.select(active, 1.0 / survival, 1.0)
         path.brdf_pdf = dr.select(active, density, path.brdf_pdf)
         path.origin = dr.select(active, origin, path.origin)
         return path, dr.select(active, onward, direction), active

@@ -81,8 +81,9 @@ def bake(
     levels: np.ndarray,
     counts: SampleCounts,
     seed: int,
+    starts: int = 1,
 ) -> Shadings:
-    """Estimate L_d, L_s0 and L_s1 of each point.
+    """Estimate L_d, L_s0 and L_s1 of each point, or means over each `starts` points that follow each other.
 
     Unbiased for the radiance that `source` returns: what a ray meets first is either one of `lights`, which
     all techniques may sample, or not, which only the BRDF techniques sample; both parts have weights that
@@ -93,8 +94,9 @@ def bake(
         levels: (K,) roughness levels; with none L_d alone is estimated.
         counts: each may be zero, but not all.
         seed: of the random numbers; the same seed gives the same result.
+        starts: points of a result.
     """
-    width = len(points.position)
+    width = len(points.position) // starts
     if not width:
         return Shadings(np.zeros((0, 3), np.float32), np.zeros((0, len(levels), 2, 3), np.float32))
     accumulators = _bake_kernel(
@@ -109,15 +111,22 @@ def bake(
         counts.specular if len(levels) else 0,
         counts.light if lights.count else 0,
         seed,
+        starts,
     )
     dr.eval(accumulators)
-    arrays = [np.array(value).T for value in accumulators]
-    specular = np.stack(arrays, axis=1)[:, 1:].reshape(width, len(levels), 2, 3)
-    return Shadings(arrays[0], specular)
+    channels = [channel for value in accumulators for channel in (value.x, value.y, value.z)]
+    found = np.stack([np.array(channel).reshape(width, starts).mean(axis=1) for channel in channels], axis=1)
+    return Shadings(found[:, :3].copy(), found[:, 3:].reshape(width, len(levels), 2, 3).copy())
 
 
 def _vector(kind: Any, array: np.ndarray) -> Any:
     return kind(np.ascontiguousarray(np.asarray(array, np.float32).T))
+
+
+def _generator(lane: Any, seed: int) -> Any:
+    """A generator a lane; hashed, as the streams of neighbouring PCG sequences are alike."""
+    words = mi.sample_tea_32(lane, dr.opaque(mi.UInt32, seed & 0xFFFFFFFF))
+    return mi.PCG32(initstate=mi.UInt64(words[0]), initseq=mi.UInt64(words[1]))
 
 
 @dr.syntax
@@ -133,14 +142,19 @@ def _bake_kernel(
     level_count: int,
     light_count: int,
     seed: int,
+    starts_of_point: int,
 ) -> list[Any]:
     """One loop over the vertices of all paths of a pixel: each pass adds a vertex to the path of sample i,
     and a path that ends makes room for the next sample."""
     wo = frame.to_local(view)
     wo.z = dr.maximum(wo.z, 1e-3)  # interpolated normals may tip just over the horizon
     wo = dr.normalize(wo)
-    rng = mi.PCG32(dr.width(position), dr.opaque(mi.UInt64, seed))
-    shift = mi.Point2f(rng.next_float32(), rng.next_float32())
+    # All starts of a point share one low-discrepancy sequence.
+    lane = dr.arange(mi.UInt32, dr.width(position))
+    point = lane // starts_of_point
+    shift_rng, rng = _generator(point, 2 * seed), _generator(lane, 2 * seed + 1)
+    shift = mi.Point2f(shift_rng.next_float32(), shift_rng.next_float32())
+    phase = lane - point * starts_of_point
     accumulators = [mi.Color3f(0.0) for _ in range(1 + 2 * len(levels))]
     roughness_of = mi.Float(levels or [1.0])  # a loop can't carry nothing
     brdf_count = cosine_count + level_count * len(levels)
@@ -153,7 +167,8 @@ def _bake_kernel(
     path = new_path(dr.width(position))
     while i < total:
         # A new path's direction, by one of the techniques.
-        u = mi.Point2f(shift.x + i * _R2[0], shift.y + i * _R2[1])
+        number = i * starts_of_point + phase
+        u = mi.Point2f(shift.x + number * _R2[0], shift.y + number * _R2[1])
         u = u - dr.floor(u)
         first = mi.warp.square_to_cosine_hemisphere(u)
         if dr.hint(level_count > 0, mode="scalar"):

@@ -9,7 +9,7 @@ can bake a view.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, fields
 from functools import partial
 from pathlib import Path
 
@@ -66,11 +66,13 @@ class TracedLight:
 
     Attributes:
         materials: (M * 6, 5) base colour, roughness and metallic of each cache entry.
+        diffuse: (M * 6, 3) L_d of each cache entry, negative where unknown; None follows the diffuse lobe, too.
         cache_roughness: rougher surfaces end a path in the cache.
         depth: most surfaces that a path may meet.
     """
 
     materials: np.ndarray
+    diffuse: np.ndarray | None
     cache_roughness: float
     depth: int
 
@@ -121,8 +123,9 @@ class Baking:
             assert cache is not None, "stage 1 reads nothing but the cache"
             return CachedRadiance(self.room, cache, environment)
         materials = SurfaceLookup(self.grid, self.traced.materials)
+        diffuse = None if self.traced.diffuse is None else SurfaceLookup(self.grid, self.traced.diffuse)
         path = self.traced.cache_roughness, self.traced.depth
-        return TracedRadiance(self.room, cache, materials, lights, environment, *path)
+        return TracedRadiance(self.room, cache, materials, diffuse, lights, environment, *path)
 
 
 @dataclass(frozen=True)
@@ -162,36 +165,26 @@ def bake_view(
         source, lights: of `baking`.
         normals: (T, 3) geometric normals of the room's triangles.
     """
-    levels, labels, view = baking.levels, baking.labels, pixels.view
+    levels, view = baking.levels, pixels.view
     centres = view_points(pixels, normals)
-    label = labels[pixels.triangle]
-    seen = pixels.triangle >= 0
-    diffuse = np.zeros((len(seen), 3), np.float32)
-    specular = np.zeros((len(seen), len(levels), 2, 3), np.float32)
-    normal = np.zeros((len(seen), 3), np.float32)
-    rays = 0
-    for number, shift in enumerate(SUBPIXELS):
-        counts = (baking.counts.diffuse, baking.counts.specular, baking.counts.light)
-        share = SampleCounts(*(_share(count, number) for count in counts))
-        points = _shifted(baking.room, view, centres, label, labels, shift)
-        stream = (baking.seed * 100003 + pixels.index) * len(SUBPIXELS) + number
-        found = _bake_seen(points, seen, source, lights, levels, share, stream)
-        diffuse += found.diffuse / len(SUBPIXELS)
-        specular += found.specular / len(SUBPIXELS)
-        normal += points.normal
-        light = share.light if lights.count else 0
-        rays += int(seen.sum()) * (share.diffuse + share.specular * len(levels) + light)
-    found = Shadings(diffuse, specular)
+    label = baking.labels[pixels.triangle]
+    starts = [_shifted(baking.room, view, centres, label, baking.labels, shift) for shift in SUBPIXELS]
+    counts = SampleCounts(*(_share(samples) for samples in astuple(baking.counts)))
+    rows = np.flatnonzero(pixels.triangle >= 0)
+    stream = baking.seed * 100003 + pixels.index
+    found = _bake_rows(starts, rows, source, lights, levels, counts, stream)
     if baking.denoise:
+        normal = np.sum([points.normal for points in starts], axis=0)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
         found = _denoise(found, normal, (view.height, view.width), baking.denoise_specular)
     halves = [array.clip(0.0, HALF_LARGEST).astype(np.float16) for array in (found.diffuse, found.specular)]
-    return BakedView(halves[0], halves[1], rays)
+    samples = counts.diffuse + counts.specular * len(levels) + (counts.light if lights.count else 0)
+    return BakedView(halves[0], halves[1], len(rows) * samples * len(SUBPIXELS))
 
 
-def _share(samples: int, index: int) -> int:
-    """How many of a pixel's samples start at one of its starts: all of them together, at least one each."""
-    return max(1, (samples + index) // len(SUBPIXELS))
+def _share(samples: int) -> int:
+    """How many of a pixel's samples begin at each of its starts, at least all of them together."""
+    return -(-samples // len(SUBPIXELS))
 
 
 def _shifted(
@@ -242,31 +235,35 @@ def view_points(pixels: ViewPixels, normals: np.ndarray) -> ShadingPoints:
     return ShadingPoints(pixels.position, pixels.normal, geometric, toward)
 
 
-def _bake_seen(
-    points: ShadingPoints,
-    seen: np.ndarray,
+def _bake_rows(
+    starts: list[ShadingPoints],
+    rows: np.ndarray,
     source: RadianceSource,
     lights: AreaLights,
     levels: np.ndarray,
     counts: SampleCounts,
     seed: int,
 ) -> Shadings:
-    """Bake the pixels that see the mesh; zero elsewhere."""
-    result = Shadings(
-        np.zeros((len(seen), 3), np.float32), np.zeros((len(seen), len(levels), 2, 3), np.float32)
-    )
-    rows = np.flatnonzero(seen)
-    for number, start in enumerate(range(0, len(rows), CHUNK)):
-        part = rows[start : start + CHUNK]
-        chunk = ShadingPoints(
-            points.position[part],
-            points.normal[part],
-            points.geometric_normal[part],
-            points.view_direction[part],
-        )
-        baked = bake(chunk, source, lights, levels, counts, seed * 1009 + number)
-        result.diffuse[part] = baked.diffuse
-        result.specular[part] = baked.specular
+    """Bake some pixels, mean over their starts; zero elsewhere.
+
+    Args:
+        starts: for each start the points of all pixels.
+        rows: (M,) pixels to bake.
+        counts: samples a start.
+    """
+    count, size = len(starts), len(starts[0].position)
+    result = Shadings(np.zeros((size, 3), np.float32), np.zeros((size, len(levels), 2, 3), np.float32))
+    step = max(1, CHUNK // count)
+    for number, begin in enumerate(range(0, len(rows), step)):
+        part = rows[begin : begin + step]
+
+        def together(name: str, part: np.ndarray = part) -> np.ndarray:
+            """A pixel's starts one after the other, as their rays meet the same things."""
+            return np.stack([getattr(points, name)[part] for points in starts], axis=1).reshape(-1, 3)
+
+        chunk = ShadingPoints(*(together(item.name) for item in fields(ShadingPoints)))
+        baked = bake(chunk, source, lights, levels, counts, seed * 1009 + number, count)
+        result.diffuse[part], result.specular[part] = baked.diffuse, baked.specular
     return result
 
 
