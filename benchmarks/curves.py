@@ -28,9 +28,9 @@ def fit_exponent(sizes: Sequence[float], values: Sequence[float | None]) -> floa
 
 
 def draw_curves(
-    title: str, sizes: Sequence[float], lines: Mapping[str, Sequence[float | None]], path: Path
-) -> None:
-    """Write a PNG of the lines over the sizes, both axes logarithmic; the legend tells the exponents.
+    title: str, sizes: Sequence[float], lines: Mapping[str, Sequence[float | None]]
+) -> Image.Image:
+    """The lines over the sizes, both axes logarithmic; the legend tells the exponents.
 
     Args:
         sizes: (n,) above zero.
@@ -70,5 +70,15 @@ def draw_curves(
         exponent = fit_exponent(sizes, line)
         text = name if exponent is None else f"{name}, exponent {exponent:.2f}"
         draw.text((_WIDTH - _RIGHT + 16, _TOP + 24 * number), text, fill=color, font=font)
+    return image
+
+
+def write_pictures(rows: Sequence[Sequence[Image.Image]], path: Path) -> None:
+    """Write a PNG of pictures of :func:`draw_curves`, row by row."""
+    columns = max((len(row) for row in rows), default=1)
+    page = Image.new("RGB", (columns * _WIDTH, max(len(rows), 1) * _HEIGHT), "white")
+    for down, row in enumerate(rows):
+        for right, picture in enumerate(row):
+            page.paste(picture, (right * _WIDTH, down * _HEIGHT))
     with atomic_path(path) as temporary:
-        image.save(temporary)
+        page.save(temporary)

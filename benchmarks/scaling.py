@@ -4,7 +4,7 @@
 
 Three curves: views, pixels of a view, triangles; the other two stay small meanwhile. Captures of other sizes
 are made of the one given (benchmarks/resampled.py). Samples and steps are few: the curves count, not the
-results. OUTPUT gets the pictures and scaling.json; exponents are fitted to seconds and to processor seconds.
+results. OUTPUT gets scaling.json and the picture; exponents are fitted to seconds and to processor seconds.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks.curves import draw_curves, fit_exponent
+from benchmarks.curves import draw_curves, fit_exponent, write_pictures
 from benchmarks.prepared import clear, copy_input, prepare
 from benchmarks.resampled import write_room, write_views
 from benchmarks.speed import machine
@@ -39,9 +39,12 @@ LITTLE: dict[str, Any] = {
     "refine_light_spp": 4,
     "training_steps": 30,
     "later_training_steps": 30,
+    "emitter_samples": 8,
     "reject_views": False,
     "correct_exposure": False,
 }
+# The curve of triangles ends with baking: training sees pixels alone.
+LAST_STAGES = {"triangles": "shadings"}
 UNITS = {"views": "views", "resolution": "pixels a view", "triangles": "triangles"}
 
 
@@ -50,12 +53,13 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="scaling.py", description=(__doc__ or "").partition("\n")[0])
     add = parser.add_argument
     add("capture", type=Path, metavar="CAPTURE", help="capture whose views and mesh are resampled")
-    add("output", type=Path, metavar="OUTPUT", help="folder of the pictures, the figures and the runs")
+    add("output", type=Path, metavar="OUTPUT", help="folder of the figures and the runs")
     add("--views", default="10,20,40", metavar="N,N", help="sizes of the first curve (default: 10,20,40)")
     add("--heights", default="80,160,320", metavar="N,N", help="of the second, in pixels (80,160,320)")
     add("--triangles", default="1e4,1e5,1e6", metavar="N,N", help="of the third (default: 1e4,1e5,1e6)")
     add("--base-views", type=int, default=10, help="views of the second and third curve (default: 10)")
     add("--base-height", type=int, default=80, help="height in the first and third curve (default: 80)")
+    add("--picture", type=Path, metavar="PNG", help="where the curves are drawn (OUTPUT/scaling.png)")
     add("--repeats", type=int, default=1, metavar="N", help="runs of each size; the fastest counts")
     add("--parts", default="auto", help="what tells materials apart (as estimate)")
     add("--preset", default="draft", help="draft, medium or high, with fewer samples and steps")
@@ -82,7 +86,7 @@ def main(argv: Sequence[str]) -> int:
         for curves in measure(source, arguments.output, settings, sizes, base, arguments.repeats):
             # After each size: a later one may be too large for the machine.
             write_json(arguments.output.absolute() / "scaling.json", {"curves": curves, **head})
-            draw(curves, arguments.output.absolute())
+            draw(curves, (arguments.picture or arguments.output / "scaling.png").absolute())
     except FiptError as error:
         print(f"error: {error.text} {error.remedy}", file=sys.stderr)
         return 1
@@ -152,7 +156,7 @@ def measure(
                 copy_input(source, run, settings)
                 number = inputs[name](run, size)
                 tell(f"{name}: {number}")
-                found.append(take_turns({"shipped": run})["shipped"])
+                found.append(take_turns({"shipped": run}, LAST_STAGES.get(name))["shipped"])
             # The very first run compiles kernels that all others find in the cache.
             records.append(merged(found[-repeats:]))
             real.append(number)
@@ -173,24 +177,42 @@ def fitted(sizes: Sequence[int], records: Sequence[Mapping[str, Any]]) -> dict[s
             prefix = key.removesuffix("seconds")
             entry[f"{prefix}exponent"] = fit_exponent(sizes, values)
             entry[f"{prefix}last_exponent"] = fit_exponent(sizes[-2:], values[-2:])
+        entry["own_gb"] = [_most(record, kind) for record in records]
         result[kind] = entry
-    memory = [record["peak_memory_gb"] for record in records]
-    result["memory"] = {"gb": memory, "exponent": fit_exponent(sizes, memory)}
+    # What the process needs for itself, and all that is resident with the pages of mapped files.
+    for name, key in (("memory", "peak_own_gb"), ("resident", "peak_memory_gb")):
+        memory = [record[key] for record in records]
+        result[name] = {"gb": memory, "exponent": fit_exponent(sizes, memory)}
     return result
+
+
+def _of_kind(record: Mapping[str, Any], kind: str) -> list[Mapping[str, Any]]:
+    return [stage for stage in record["stages"] if stage["name"].partition("-")[0] == kind]
 
 
 def _sum(record: Mapping[str, Any], kind: str, key: str) -> float:
     if kind == "all":
         return float(record[key])
-    return float(sum(stage[key] for stage in record["stages"] if stage["name"].partition("-")[0] == kind))
+    return float(sum(stage[key] for stage in _of_kind(record, kind)))
 
 
-def draw(curves: Mapping[str, Any], folder: Path) -> None:
-    """A picture a curve: NAME.png."""
-    for name, curve in curves.items():
-        lines = {kind: curve["stages"][kind]["seconds"] for kind in (*KINDS, "all")}
-        title = f"Seconds by stage over {curve['unit']}"
-        draw_curves(title, curve["sizes"], lines, folder / f"{name}.png")
+def _most(record: Mapping[str, Any], kind: str) -> float:
+    """GB that the stages of a kind need at most for themselves; 0 where that was not measured."""
+    stages = record["stages"] if kind == "all" else _of_kind(record, kind)
+    return max((float(stage.get("peak_own_gb", 0.0)) for stage in stages), default=0.0)
+
+
+def draw(curves: Mapping[str, Any], path: Path) -> None:
+    """A picture with a row a curve: seconds, and memory."""
+    rows = []
+    for curve in curves.values():
+        row = []
+        for title, key in (("Seconds", "seconds"), ("Own memory in GB", "own_gb")):
+            lines = {kind: curve["stages"][kind][key] for kind in (*KINDS, "all")}
+            lines = {kind: values for kind, values in lines.items() if any(values)}
+            row.append(draw_curves(f"{title} by stage over {curve['unit']}", curve["sizes"], lines))
+        rows.append(row)
+    write_pictures(rows, path)
 
 
 def format_table(curves: Mapping[str, Any]) -> str:
@@ -205,10 +227,12 @@ def format_table(curves: Mapping[str, Any]) -> str:
             exponents = [entry[key] for key in ("exponent", "last_exponent", "cpu_exponent")]
             shown = ["-" if value is None else f"{value:.2f}" for value in exponents]
             lines.append(f"{kind + ', s':14s}{cells}{shown[0]:>12s}{shown[1]:>10s}{shown[2]:>11s}")
-        memory = curve["stages"]["memory"]
-        exponent = "-" if memory["exponent"] is None else f"{memory['exponent']:.2f}"
-        cells = "".join(f"{value:12.2f}" for value in memory["gb"])
-        lines += [f"{'memory, GB':14s}{cells}{exponent:>12s}", ""]
+        for name in ("memory", "resident"):
+            memory = curve["stages"][name]
+            exponent = "-" if memory["exponent"] is None else f"{memory['exponent']:.2f}"
+            cells = "".join(f"{value:12.2f}" for value in memory["gb"])
+            lines.append(f"{name + ', GB':14s}{cells}{exponent:>12s}")
+        lines.append("")
     return "\n".join(lines).rstrip()
 
 

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """One estimation that waits before each stage until it is told to go on, so that two can take turns.
 
-python benchmarks/speed_engine.py RUN reference|shipped: tells, one JSON object a line, {"ready": stage}
+python benchmarks/speed_engine.py RUN reference|shipped [LAST]: tells, one JSON object a line, {"ready": ...}
 and in the end {"done": facts}, each with what was spent since the last; reads a line on stdin for each stage.
+Nothing follows the stage LAST.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from benchmarks.own_memory import watched
 from fipt_blender.core.device.variant import set_variant
 from fipt_blender.core.job.messages import Reporter, claim_stdout, peak_memory_gb
 from fipt_blender.core.job.runfolder import RunFolder
@@ -93,8 +95,15 @@ class Pace:
         self._cpu += time.process_time() - before[1]
 
 
-def paced(kind: type, pace: Pace) -> type:
-    """A subclass of an estimation that waits before each stage, measures it and keeps some shadings."""
+class LastStage(Exception):
+    """The stage that was to be the last has ended."""
+
+
+def paced(kind: type, pace: Pace, last: str | None = None) -> type:
+    """A subclass of an estimation that waits before each stage, measures it and keeps some shadings.
+
+    After the stage `last` it raises :class:`LastStage`.
+    """
 
     class Paced(kind):  # type: ignore[misc, valid-type]
         def _stage(
@@ -105,13 +114,17 @@ def paced(kind: type, pace: Pace) -> type:
             def measured() -> dict[str, Any]:
                 reset_peak()
                 cpu = time.process_time()
-                facts = work() or {}
+                with watched() as own_peak_gb:
+                    facts = work() or {}
+                    peaks = {"peak_memory_gb": stage_peak_gb(), "peak_own_gb": own_peak_gb()}
                 spent = {"cpu_seconds": round(time.process_time() - cpu, 2)}
-                return facts | spent | {"peak_memory_gb": round(stage_peak_gb(), 3)}
+                return facts | spent | {name: round(peak, 3) for name, peak in peaks.items()}
 
             super()._stage(name, text, measured, load)
             if name == "shadings" or name.startswith("refinement-"):
                 pace.aside(lambda: self._keep(name))
+            if name == last:
+                raise LastStage
 
         def _keep(self, name: str) -> None:
             rows = kept_pixels(len(self.pixels))
@@ -126,7 +139,7 @@ def paced(kind: type, pace: Pace) -> type:
 
 
 def main(argv: list[str]) -> int:
-    """Run the estimation in the run folder argv[0], in the configuration argv[1]."""
+    """Run the estimation in the run folder argv[0], in the configuration argv[1], up to the stage argv[2]."""
     folder, name = RunFolder(argv[0]), argv[1]
     pace = Pace(claim_stdout(), sys.stdin)
     pace.restart()
@@ -139,8 +152,10 @@ def main(argv: list[str]) -> int:
         from benchmarks.reference import ReferenceEstimation as Kind
     else:
         from fipt_blender.core.job.stages import Estimation as Kind  # type: ignore[assignment]
-    estimation = paced(Kind, pace)(folder, settings, Reporter())
-    estimation.run()
+    last = argv[2] if len(argv) > 2 else None
+    estimation = paced(Kind, pace, last)(folder, settings, Reporter())
+    with contextlib.suppress(LastStage):
+        estimation.run()
     pace.tell({"done": estimation.summary()})
     return 0
 

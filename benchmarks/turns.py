@@ -28,14 +28,15 @@ class Turn:
     Args:
         name: of the configuration.
         run: its run folder.
+        last: stage that nothing follows; None for all.
     """
 
-    def __init__(self, name: str, run: RunFolder) -> None:
+    def __init__(self, name: str, run: RunFolder, last: str | None = None) -> None:
         self._name, self._log = name, run.log
         script = Path(__file__).resolve().parent / "speed_engine.py"
         with open(run.log, "ab") as log:
             self.process = subprocess.Popen(
-                [sys.executable, str(script), str(run.root), name],
+                [sys.executable, str(script), str(run.root), name, *([] if last is None else [last])],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
@@ -65,8 +66,11 @@ class Turn:
             pass
 
 
-def take_turns(runs: Mapping[str, RunFolder]) -> dict[str, dict[str, Any]]:
+def take_turns(runs: Mapping[str, RunFolder], last: str | None = None) -> dict[str, dict[str, Any]]:
     """Run estimations side by side, one stage of one of them at a time; a record of each.
+
+    Args:
+        last: stage that nothing follows; None for all.
 
     Raises:
         FiptError: ``run-failed``.
@@ -87,7 +91,7 @@ def take_turns(runs: Mapping[str, RunFolder]) -> dict[str, dict[str, Any]]:
 
     try:
         for name, run in runs.items():
-            turns[name] = Turn(name, run)
+            turns[name] = Turn(name, run, last)
             hear(name)
         while ready:
             for name in list(ready):
@@ -129,5 +133,8 @@ def merged(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         key: round(sum(stage[key] for stage in merged_stages), 2)
         for key in ("seconds", "cpu_seconds", "median_seconds", "median_cpu_seconds")
     }
-    peak = max((stage.get("peak_memory_gb", 0.0) for stage in merged_stages), default=0.0)
-    return {**total, "repeats": len(records), "peak_memory_gb": peak, "stages": merged_stages}
+    peaks = {
+        key: max((stage.get(key, 0.0) for stage in merged_stages), default=0.0)
+        for key in ("peak_memory_gb", "peak_own_gb")
+    }
+    return {**total, "repeats": len(records), **peaks, "stages": merged_stages}

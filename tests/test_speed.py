@@ -3,6 +3,7 @@
 """The speed harness: its reference computes the same shadings, its records and curves add up, it runs."""
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from small_rooms import BOX, agree, make_room, surface_points
 from benchmarks import curves, resampled, scaling, shading_error, speed, speed_table
 from benchmarks.reference import AUTHORS, bake_apart, batch_means, reference_settings
 from benchmarks.speed_engine import kept_path
-from benchmarks.turns import merged
+from benchmarks.turns import merged, take_turns
 from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
 from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.runfolder import RunFolder, read_json
@@ -106,6 +107,7 @@ def record(scale: float) -> dict:
             "cpu_seconds": 8.0,
             "rays": 8_000_000,
             "peak_memory_gb": 2.0,
+            "peak_own_gb": 0.7,
         },
         {"name": "training-0", "seconds": 1.0 * scale, "cpu_seconds": 2.0, "peak_memory_gb": 1.0},
         {"name": "training-1", "seconds": 3.0 * scale, "cpu_seconds": 2.0, "peak_memory_gb": 1.5},
@@ -163,8 +165,10 @@ def test_exponents_are_those_of_power_laws(tmp_path: Path) -> None:
     assert stages["all"]["cpu_exponent"] == pytest.approx(0.0)
     shown = {"views": {"unit": "views", "sizes": [10, 20], "stages": stages}}
     assert "1.00" in scaling.format_table(shown)
-    scaling.draw(shown, tmp_path)
-    assert (tmp_path / "views.png").stat().st_size > 1000
+    assert stages["shadings"]["own_gb"] == [0.7, 0.7] and stages["memory"]["gb"] == [0.7, 0.7]
+    assert stages["memory"]["exponent"] == pytest.approx(0.0) and stages["resident"]["gb"] == [2.0, 2.0]
+    scaling.draw(shown, tmp_path / "scaling.png")
+    assert (tmp_path / "scaling.png").stat().st_size > 1000
     assert scaling.read_sizes("1e4, 20") == [20, 10_000] and scaling.read_sizes("") == []
     with pytest.raises(FiptError, match="sizes"):
         scaling.read_sizes("ten")
@@ -173,8 +177,10 @@ def test_exponents_are_those_of_power_laws(tmp_path: Path) -> None:
 def test_each_curve_varies_one_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = write_run(tmp_path / "source", panel_capture())
     measured: list[tuple[int, int, int]] = []
+    lasts: list[str | None] = []
 
-    def fake(runs: dict[str, RunFolder]) -> dict:
+    def fake(runs: dict[str, RunFolder], last: str | None) -> dict:
+        lasts.append(last)
         views = read_json(runs["shipped"].capture_json)["views"]
         triangles = load_room(runs["shipped"]).triangles
         measured.append((len(views), views[0]["height"], len(triangles)))
@@ -188,6 +194,7 @@ def test_each_curve_varies_one_size(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert measured == [
         (2, 16, 14), (2, 16, 14), (8, 16, 14), (2, 16, 14), (2, 32, 14), (2, 16, 14), (2, 16, 56)
     ]  # fmt: skip
+    assert lasts == [None] * 5 + ["shadings"] * 2
     assert last["views"]["sizes"] == [2, 8] and last["triangles"]["sizes"] == [14, 56]
     assert last["resolution"]["sizes"] == [16 * 24, 32 * 48]
     assert last["views"]["stages"]["all"]["seconds"] == [20.0, 30.0]
@@ -299,6 +306,9 @@ def test_both_configurations_run_in_turns(tmp_path: Path, capsys: pytest.Capture
             sum(s["seconds"] for s in result[name]["stages"]), abs=0.1
         )
         assert all(stage["peak_memory_gb"] > 0.0 for stage in result[name]["stages"][:-1])
+        if sys.platform == "linux":
+            peaks = [(stage["peak_own_gb"], stage["peak_memory_gb"]) for stage in result[name]["stages"][:-1]]
+            assert all(0.0 < own <= resident for own, resident in peaks)
         assert len(read_json(run.emitters_json)["fixtures"]) >= 0 and run.fields_npz.exists()
     with np.load(kept_path(RunFolder(tmp_path / "out" / "reference"), "shadings")) as kept:
         assert kept["specular"].shape[1] == AUTHORS["roughness_levels"] and kept["diffuse"].mean() > 0.0
@@ -307,6 +317,12 @@ def test_both_configurations_run_in_turns(tmp_path: Path, capsys: pytest.Capture
     a_pixel = counts.diffuse_spp + counts.specular_spp // 2 + 5 * counts.specular_spp
     assert result["reference"]["stages"][1]["rays"] == pytest.approx(seen * a_pixel, rel=0.02)
     assert load_room(RunFolder(tmp_path / "out" / "shipped")).triangles.shape == (14, 3)
+
+
+def test_nothing_follows_the_last_stage(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", panel_capture(), **QUICK)
+    record = take_turns({"shipped": run}, "shadings")["shipped"]
+    assert [stage["name"] for stage in record["stages"]] == ["pixels", "shadings"]
 
 
 def test_a_run_that_dies_names_its_log(tmp_path: Path) -> None:
