@@ -93,6 +93,13 @@ def test_good_photographs_are_left_as_they_are(capture: SmallCapture, tmp_path: 
     assert (pixels.triangle != LEFT_OUT).all()
 
 
+def test_photographs_without_anything_bright_agree(capture: SmallCapture, tmp_path: Path) -> None:
+    dim = [np.minimum(image, 2.0 * np.median(image)) for image in capture.images]
+    assert checked(tmp_path, replace(capture, images=dim))[1] == ViewCheck()
+    plain = [np.ones_like(image) for image in capture.images]
+    assert checked(tmp_path / "plain", replace(capture, images=plain))[1] == ViewCheck()
+
+
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_view_turned_by_two_degrees_is_left_out_by_name(
     capture: SmallCapture, tmp_path: Path, axis: int

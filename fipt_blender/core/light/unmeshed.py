@@ -101,6 +101,8 @@ def _standing_out(cells: SurfaceCells) -> np.ndarray:
     for index in views:
         own = cells.of_view(index)
         asked[own.cell[own.value > np.log(BRIGHT)]] = True
+    if not asked.any():
+        return np.zeros(0, np.int64)
     known, bright = [], []
     for index in views:
         own = cells.of_view(index)
