@@ -52,16 +52,16 @@ class Settings:
         1.5, "exponent of the levels' spacing; 1 is the paper's linear one", SHADINGS
     )
     roughness_min: float = _setting(0.02, "lowest roughness (authors' code; 0 is singular)", SHADINGS)
-    diffuse_spp: int = _setting(32, "stage 1: samples a pixel for diffuse shading", SHADINGS)
+    diffuse_spp: int = _setting(16, "stage 1: samples a pixel for diffuse shading", SHADINGS)
     specular_spp: int = _setting(
-        8, "stage 1: samples a pixel and roughness level for specular shading", SHADINGS
+        4, "stage 1: samples a pixel and roughness level for specular shading", SHADINGS
     )
-    light_spp: int = _setting(16, "stage 1: samples a pixel aimed at bright triangles", SHADINGS)
-    refine_diffuse_spp: int = _setting(64, "stage 3: samples a pixel for diffuse shading", REFINEMENT)
+    light_spp: int = _setting(8, "stage 1: samples a pixel aimed at bright triangles", SHADINGS)
+    refine_diffuse_spp: int = _setting(32, "stage 3: samples a pixel for diffuse shading", REFINEMENT)
     refine_specular_spp: int = _setting(
-        16, "stage 3: samples a pixel and level for specular shading", REFINEMENT
+        8, "stage 3: samples a pixel and level for specular shading", REFINEMENT
     )
-    refine_light_spp: int = _setting(32, "stage 3: samples a pixel aimed at emitters", REFINEMENT)
+    refine_light_spp: int = _setting(16, "stage 3: samples a pixel aimed at emitters", REFINEMENT)
     refine_depth: int = _setting(
         5, "stage 3: most surfaces a path may meet before it ends in the cache", REFINEMENT
     )
@@ -140,12 +140,9 @@ class Settings:
 PRESETS: dict[str, dict[str, Any]] = {
     "draft": {
         "rounds": 1,
-        "diffuse_spp": 16,
-        "specular_spp": 4,
-        "light_spp": 8,
-        "refine_diffuse_spp": 32,
-        "refine_specular_spp": 8,
-        "refine_light_spp": 16,
+        "refine_diffuse_spp": 16,
+        "refine_specular_spp": 4,
+        "refine_light_spp": 8,
         "training_steps": 250,
         "later_training_steps": 250,
         "batch_size": 4096,
@@ -155,9 +152,9 @@ PRESETS: dict[str, dict[str, Any]] = {
         "diffuse_spp": 64,
         "specular_spp": 16,
         "light_spp": 32,
-        "refine_diffuse_spp": 256,
-        "refine_specular_spp": 64,
-        "refine_light_spp": 128,
+        "refine_diffuse_spp": 128,
+        "refine_specular_spp": 32,
+        "refine_light_spp": 64,
         "training_steps": 2000,
         "later_training_steps": 4000,
         "roughness_levels": 12,

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Emitters from the emission mask (paper Sec. 4.4 "Emitter extraction"), grouped into fixtures.
 
-A triangle whose mean mask is above the threshold emits; its radiance is the median of the pixels that see
-it, as an emitter is taken to reflect nothing. Connected triangles of like radiance make a fixture.
+A triangle whose mean mask is above the threshold may emit; which ones do says :mod:`.evidence`. The radiance
+is the median of the pixels that see it, as an emitter is taken to reflect nothing. Connected triangles of
+like radiance make a fixture.
 """
 
 from __future__ import annotations
@@ -21,17 +22,6 @@ from ..scene.room import Room
 DIM_SIDE = 0.1
 # Neighbours belong to one fixture where their radiance differs by less than this factor.
 ALIKE = 1.5
-# Triangles that no pixel saw join a fixture whose connected piece of mesh is mostly emitter.
-MOSTLY = 0.5
-# Share of an emitter's radiance that reflection must leave unexplained.
-LEAST_EXCESS = 0.3
-# What touches a lamp and has less than this share of its radiance is its frame, lit at angles so grazing that
-# shadings fail.
-FRAME = 0.2
-# What is both this weak against all light and this dim against the brightest lamp is an error of the
-# shadings beside a lamp, and lights nothing.
-WEAK = 1e-3
-DIM = 0.1
 SCREENING_SAMPLES = 8
 # Pixels at a time: arrays of all pixels of a large capture would take gigabytes.
 CHUNK = 1 << 20
@@ -93,28 +83,6 @@ def random_points(room: Room, triangles: np.ndarray, samples: int, rng: np.rando
     return np.einsum("tsc,tcd->tsd", weights, corners).reshape(-1, 3)
 
 
-def reflection_explains(
-    triangle: np.ndarray, radiance: np.ndarray, rendered: np.ndarray, count: int
-) -> np.ndarray:
-    """(count,) bool, triangles where the median pixel's radiance is mostly reflected light.
-
-    Args:
-        triangle: (N,) triangle of each pixel.
-        radiance: (N, 3) photographed.
-        rendered: (N, 3) reflected radiance L_r of the estimate.
-    """
-    photographed = radiance @ LUMINANCE
-    excess = (photographed - rendered @ LUMINANCE) / np.maximum(photographed, 1e-12)
-    result = np.zeros(count, bool)
-    order = np.lexsort((excess, triangle))
-    number = np.bincount(triangle, minlength=count)
-    first = np.cumsum(number) - number
-    seen = np.flatnonzero(number)
-    middle = order[first[seen] + number[seen] // 2]
-    result[seen] = excess[middle] < LEAST_EXCESS
-    return result
-
-
 def pixels_of(triangle: np.ndarray, marked: np.ndarray) -> np.ndarray:
     """(R,) int64 pixels that see one of the triangles marked ((T,) bool).
 
@@ -169,18 +137,14 @@ def group_fixtures(
     front: np.ndarray,
     pure: np.ndarray,
     radiance: np.ndarray,
-    reach: float,
 ) -> list[Fixture]:
     """Fixtures of the emitting triangles, brightest power first.
 
     Args:
         emitting: (T,) bool.
         triangle, front, pure, radiance: of the pixels, as in :func:`side_medians`; memory-mapped arrays do.
-        reach: metres; what only mixed pixels saw within this distance of a brighter fixture is taken for the
-            fixture's own light in those pixels, no lamp.
     """
     corners = weld(room.vertices)[room.triangles]
-    emitting, vague = _complete(room, corners, emitting, triangle, pure)
     ids = np.flatnonzero(emitting)
     if not len(ids):
         return []
@@ -190,13 +154,11 @@ def group_fixtures(
     own[ids] = np.arange(len(ids))
     medians, counts = side_medians(triangle, front, pure, radiance, own)
     brightness = (medians * (counts > 0)[..., None] @ LUMINANCE).max(axis=1)
-    seen = (counts.sum(axis=1) > 0) & ~vague[ids]
+    seen = (counts.sum(axis=1) > 0) & ~_vague(corners[ids], own[triangle[pure]])
     group = np.full(len(emitting), -1, np.int64)
     group[ids] = connected(corners[ids], brightness, seen)
     medians, counts = side_medians(triangle, front, pure, radiance, group)
-    clean = _seen_clean(triangle, pure, group, len(medians))
     fixtures = []
-    trusted = []
     for index in range(len(medians)):
         members = np.flatnonzero(group == index)
         sides = medians[index] * (counts[index] > 0)[:, None]
@@ -210,78 +172,20 @@ def group_fixtures(
         middle = room.vertices[room.triangles[members]].mean(axis=1)
         centroid = (middle * area[:, None]).sum(axis=0) / area.sum()
         fixtures.append(Fixture(members, sides[0], sides[1], float(area.sum()), centroid))
-        trusted.append(bool(clean[index]))
-    kept = [
-        fixture
-        for fixture, sure in zip(fixtures, trusted, strict=True)
-        if not _beside_brighter(room, fixture, fixtures, trusted, reach, FRAME if sure else 1.0)
-    ]
-    total = sum(fixture.area * _brightness(fixture) for fixture in kept)
-    brightest = max((_brightness(fixture) for fixture in kept), default=0.0)
-    lamps = [
-        fixture
-        for fixture in kept
-        if fixture.area * _brightness(fixture) > WEAK * total or _brightness(fixture) > DIM * brightest
-    ]
-    return sorted(lamps, key=lambda f: -f.area * _brightness(f))
+    return sorted(fixtures, key=lambda f: -f.area * float((f.radiance + f.back_radiance) @ LUMINANCE))
 
 
-def _brightness(fixture: Fixture) -> float:
-    """Luminance of both sides."""
-    return float((fixture.radiance + fixture.back_radiance) @ LUMINANCE)
+def _vague(corners: np.ndarray, clean: np.ndarray) -> np.ndarray:
+    """(n,) bool, emitting triangles that no pixel sees alone, though it does others of their piece.
 
-
-def _seen_clean(triangle: np.ndarray, pure: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:
-    """(groups,) bool, groups that some pixel sees without anything else in it."""
-    seen = group[triangle[(triangle >= 0) & pure]]
-    return np.bincount(seen[seen >= 0], minlength=groups) > 0
-
-
-def _beside_brighter(
-    room: Room,
-    fixture: Fixture,
-    fixtures: list[Fixture],
-    trusted: list[bool],
-    reach: float,
-    share: float,
-) -> bool:
-    """Whether a clearly seen fixture is in reach of whose brightness this one has less than `share`."""
-    corners = room.vertices[room.triangles[fixture.triangles]].reshape(-1, 3)
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    for other, sure in zip(fixtures, trusted, strict=True):
-        if sure and _brightness(fixture) < share * _brightness(other):
-            # Triangle by triangle: one box around a long lamp may span the room.
-            triangles = room.vertices[room.triangles[other.triangles]]
-            gap = np.maximum(low - triangles.max(axis=1), triangles.min(axis=1) - high)
-            if np.linalg.norm(np.maximum(gap, 0.0), axis=1).min() < reach:
-                return True
-    return False
-
-
-def _complete(
-    room: Room, corners: np.ndarray, emitting: np.ndarray, triangle: np.ndarray, pure: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Add triangles that no pixel saw where most of the seen area of their piece of mesh emits.
-
-    What only mixed pixels saw, such as the far side of a small bulb, counts as unseen where others of its
-    piece were seen alone.
-
-    Returns:
-        (T,) bool, triangles that emit, and (T,) bool, those of them whose brightness no pixel tells.
+    Args:
+        corners: (n, 3) welded vertices of the emitting triangles.
+        clean: numbers, among these, of triangles that some pixel sees without anything else.
     """
+    alone = np.zeros(len(corners), bool)
+    alone[clean] = True
     piece = _pieces(corners)
-    seen, clean = np.zeros((2, len(emitting)), bool)
-    for start in range(0, len(triangle), CHUNK):
-        part = triangle[start : start + CHUNK]
-        seen[part[part >= 0]] = True
-        clean[part[(part >= 0) & pure[start : start + CHUNK]]] = True
-    seen &= clean | (np.bincount(piece, clean)[piece] == 0)
-    area = room.areas
-    seen_area = np.bincount(piece, area * seen)
-    emitting_area = np.bincount(piece, area * (seen & emitting))
-    mostly = emitting_area > MOSTLY * np.maximum(seen_area, 1e-30)
-    vague = ~seen & mostly[piece]
-    return emitting | vague, vague
+    return ~alone & (np.bincount(piece, alone)[piece] > 0)
 
 
 def _pieces(corners: np.ndarray) -> np.ndarray:

@@ -66,7 +66,7 @@ class TracedLight:
 
     Attributes:
         materials: (M * 6, 5) base colour, roughness and metallic of each cache entry.
-        diffuse: (M * 6, 3) L_d of each cache entry, negative where unknown; None follows the diffuse lobe, too.
+        diffuse: (M * 6, 3) L_d of each cache entry, negative where unknown; None follows diffuse light too.
         cache_roughness: rougher surfaces end a path in the cache.
         depth: most surfaces that a path may meet.
     """
@@ -270,7 +270,7 @@ def _bake_rows(
 def _denoise(shadings: Shadings, normal: np.ndarray, size: tuple[int, int], specular_too: bool) -> Shadings:
     height, width = size
     guide = np.ones((height, width, 3), np.float32)
-    with Denoiser(guide, normal.reshape(height, width, 3), clean_guides=True) as denoiser:
+    with Denoiser(guide, normal.reshape(height, width, 3), clean_guides=True, fast=True) as denoiser:
         diffuse = denoiser(shadings.diffuse.reshape(height, width, 3)).reshape(-1, 3)
         if not specular_too:
             return Shadings(diffuse, shadings.specular)
