@@ -69,7 +69,7 @@ def lamps(pixels: PixelStore, room: Room) -> None:
     marked = bright_triangles(room, arrays[0], arrays[1], arrays[3])
     assert marked.triangles.tolist() == [12, 13]
     # Of a lamp, whose pixels are few, all are looked at together; here there is none.
-    assert group_fixtures(room, np.zeros(len(room.triangles), bool), *arrays, reach=0.01) == []
+    assert group_fixtures(room, np.zeros(len(room.triangles), bool), *arrays) == []
 
 
 def everything(seen: Observations) -> None:

@@ -24,9 +24,8 @@ from ..light.emitters import (
     emitter_table,
     find_emitters,
     group_fixtures,
-    pixels_of,
-    reflection_explains,
 )
+from ..light.evidence import find_emission
 from ..light.joint import joint_fixtures
 from ..light.observations import Observations, observe
 from ..light.reflecting import separate
@@ -327,7 +326,7 @@ class Estimation:
         self._group_fixtures(state["emitting"].cpu().numpy(), index)
 
     def _find_emitters(self, index: int, constant: np.ndarray) -> np.ndarray:
-        """(T,) bool, triangles that emit; those of `constant` ((T,) bool) do whatever the mask says."""
+        """(T,) bool, triangles that emit; those of `constant` ((T,) bool) do in any case."""
         rng = np.random.default_rng([self.settings.seed, 3, index])
         marked = find_emitters(
             self.room,
@@ -337,14 +336,17 @@ class Estimation:
             rng,
             large=(10.0 * self.seen.footprint) ** 2,
         )
-        rows = pixels_of(self.pixels.triangle, marked)
         shadings = self._open_shadings()
-        rendered = render_pixels(
-            self.brdf, self.box, self.pixels.position, shadings.diffuse, shadings.specular, self.levels, rows
+        estimate = partial(
+            render_pixels,
+            self.brdf,
+            self.box,
+            self.pixels.position,
+            shadings.diffuse,
+            shadings.specular,
+            self.levels,
         )
-        triangle, radiance = self.pixels.triangle[rows], self.pixels.radiance[rows]
-        explained = reflection_explains(triangle, radiance, rendered, len(marked))
-        return (marked & ~explained) | constant
+        return find_emission(self.room, self.pixels, shadings, marked, constant, estimate)
 
     def _group_fixtures(self, emitting: np.ndarray, index: int) -> None:
         settings = self.settings
@@ -364,7 +366,6 @@ class Estimation:
             self.pixels.front,
             self.pixels.pure,
             self.pixels.radiance,
-            reach=2.0 * self.seen.footprint,
         )
 
     # Stage 3

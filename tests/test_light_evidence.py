@@ -1,0 +1,172 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What single pixels testify about emission, and where their light may be another surface's."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from small_rooms import make_room
+
+from fipt_blender.core.capture.views import View
+from fipt_blender.core.light.evidence import (
+    brightest_beside,
+    complete,
+    find_emission,
+    most_reflected,
+    own_share,
+    unexplained,
+)
+from fipt_blender.core.light.views import ShadingStore
+from fipt_blender.core.material.losses import factorised_rendering
+from fipt_blender.core.material.networks import Prediction
+from fipt_blender.core.scene.pixels import NO_TRIANGLE, PixelStore, open_pixels
+
+# Three quads apart, two triangles each; the views below show the first of each.
+WALL, LAMP, BAR = 0, 2, 4
+QUAD = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+ROOM = make_room([(QUAD + [2.0 * i, 0.0, 0.0]).tolist() for i in range(3)])
+OPTIONS = {".": (WALL, True), "L": (LAMP, True), "l": (LAMP, False), "B": (BAR, True), "b": (BAR, False)}
+
+
+def store(folder: Path, pictures: list[tuple[list[str], list[list[float]]]]) -> PixelStore:
+    """Views of one letter a pixel (OPTIONS: what its centre sees, and capitals where it sees that alone; a
+    blank looks outside) and of its grey radiance."""
+    views = [
+        View(f"train/{i}", "train", Path(), len(rows[0]), len(rows), 1.0, 1.0, 0.0, 0.0, np.eye(4))
+        for i, (rows, _) in enumerate(pictures)
+    ]
+    pixels = open_pixels(folder / "pixels", views, create=True)
+    for index, (rows, grey) in enumerate(pictures):
+        seen = [OPTIONS.get(letter, (NO_TRIANGLE, True)) for letter in "".join(rows)]
+        place = pixels.rows(index)
+        pixels.triangle[place], pixels.pure[place] = np.array(seen).T
+        pixels.radiance[place] = np.array(grey, np.float32).reshape(-1, 1)
+    return pixels
+
+
+def emission(
+    pixels: PixelStore,
+    marked: tuple[int, ...] = (),
+    constant: tuple[int, ...] = (),
+    estimate: float = 0.5,
+    gloss: float = 0.0,
+) -> list[int]:
+    """Triangles that emit where L_d is 1 and L_s0 is `gloss` everywhere."""
+    count, ids = len(pixels), np.arange(len(ROOM.triangles))
+    specular = np.zeros((count, 2, 2, 3), np.float16)
+    specular[:, 0, 0] = gloss
+    shadings = ShadingStore(np.ones((count, 3), np.float16), specular)
+    found = find_emission(
+        ROOM,
+        pixels,
+        shadings,
+        np.isin(ids, marked),
+        np.isin(ids, constant),
+        lambda rows: np.full((len(rows), 3), estimate),
+    )
+    return np.flatnonzero(found).tolist()
+
+
+def test_no_material_reflects_more_than_the_bound() -> None:
+    rng = np.random.default_rng(0)
+    shadings = rng.random((50, 3)), rng.random((50, 4, 2, 3))
+    bound = most_reflected(*shadings)
+    levels = np.linspace(0.02, 1.0, 4)
+    diffuse, specular = (torch.from_numpy(each) for each in shadings)
+    highest = np.zeros((50, 3))
+    for color in (0.0, 0.5, 1.0):
+        for metallic in (0.0, 0.5, 1.0):
+            for roughness in (*levels, 0.4):
+                size = torch.ones(50, dtype=torch.float64)
+                material = Prediction(color * size[:, None].expand(50, 3), roughness * size, metallic * size)
+                made = factorised_rendering(material, diffuse, specular, torch.from_numpy(levels)).numpy()
+                highest = np.maximum(highest, made)
+    assert (highest <= bound + 1e-9).all()
+    assert highest == pytest.approx(bound, abs=1e-9)  # and some material reaches it
+
+
+def test_light_is_unexplained_channel_by_channel() -> None:
+    """A red lamp under white light is as bright as a grey wall."""
+    lamp, wall = np.array([[3.0, 0.1, 0.1]]), np.full((1, 3), 0.8)
+    assert unexplained(lamp, np.ones((1, 3)))[0] > 0.5
+    assert unexplained(wall, np.ones((1, 3)))[0] == 0.0
+    assert unexplained(np.zeros((1, 3)), np.zeros((1, 3)))[0] == 0.0
+
+
+def test_a_dim_lamp_emits_though_the_mask_misses_it(tmp_path: Path) -> None:
+    """Twice what a white surface reflects; a wall may have 1.3 times that before it counts."""
+    grey = [[0.8, 0.8, 1.3, 1.3, 2.0, 2.0]]
+    assert emission(store(tmp_path, [(["..BBLL"], grey)])) == [LAMP, LAMP + 1]
+    # Gloss may explain it, where the mask says nothing.
+    assert emission(store(tmp_path, [(["..BBLL"], grey)]), gloss=1.8) == []
+    assert emission(store(tmp_path, [(["..BBLL"], grey)]), gloss=1.8, marked=(LAMP,)) == [LAMP, LAMP + 1]
+
+
+def test_what_the_mask_marks_emits_where_the_estimate_falls_short(tmp_path: Path) -> None:
+    pixels = store(tmp_path, [(["..LL"], [[0.8, 0.8, 0.9, 0.9]])])
+    assert emission(pixels, marked=(WALL, LAMP), estimate=0.5) == [0, 1, 2, 3]
+    assert emission(pixels, marked=(WALL, LAMP), estimate=0.6) == [LAMP, LAMP + 1]
+    assert emission(pixels, marked=(WALL, LAMP), estimate=0.7) == []
+    assert emission(pixels, constant=(LAMP, LAMP + 1)) == [LAMP, LAMP + 1]
+
+
+def test_stray_pixels_do_not_decide(tmp_path: Path) -> None:
+    """A highlight on the wall in one view, a dark pixel on the lamp in another."""
+    views = [(["...LLL"], [[9.0, 0.8, 0.8, 5.0, 5.0, 0.1]]), (["...LLL"], [[0.8, 0.8, 0.8, 5.0, 5.0, 5.0]])]
+    assert emission(store(tmp_path, views)) == [LAMP, LAMP + 1]
+
+
+def test_a_bar_before_a_lamp_is_no_lamp_in_however_many_views(tmp_path: Path) -> None:
+    """No pixel sees it alone: what they show, up to nineteen twentieths, is the lamp behind it."""
+    rows, grey = ["LLbLL"] * 3, [[20.0, 20.0, 19.0, 20.0, 20.0]] * 3
+    assert emission(store(tmp_path, [(rows, grey)] * 4)) == [LAMP, LAMP + 1]
+    # Where it crosses a narrower lamp it may even be the brightest around.
+    rows, grey = ["LLbLL"] * 3, [[15.0, 15.0, 19.0, 15.0, 15.0]] * 3
+    assert emission(store(tmp_path, [(rows, grey)] * 4), marked=(BAR,)) == [LAMP, LAMP + 1]
+    # The sky behind it counts like a lamp.
+    rows, grey = ["  b  "] * 3, [[15.0, 15.0, 19.0, 15.0, 15.0]] * 3
+    assert emission(store(tmp_path, [(rows, grey)] * 4), marked=(BAR,)) == []
+
+
+def test_light_that_spills_into_a_pure_pixel_is_no_emission(tmp_path: Path) -> None:
+    """The bar is as bright as half the lamp beside it, in one column of pixels; two columns are proof."""
+    near = store(tmp_path, [(["LB.."] * 2, [[20.0, 9.0, 0.8, 0.8]] * 2)])
+    assert emission(near, marked=(BAR,)) == [LAMP, LAMP + 1]
+    wide = store(tmp_path, [(["LBBB"] * 2, [[20.0, 9.0, 9.0, 9.0]] * 2)])
+    assert emission(wide) == [LAMP, LAMP + 1, BAR, BAR + 1]
+
+
+def test_a_bulb_that_no_pixel_sees_alone_is_found(tmp_path: Path) -> None:
+    """Its brightest pixel is its own; the wall beside it, of which other pixels know more, is none."""
+    rows = ["....", ".b..", "...."]
+    grey = [[0.8, 0.8, 0.8, 0.8], [3.0, 40.0, 12.0, 0.8], [0.8, 5.0, 0.8, 0.8]]
+    assert emission(store(tmp_path, [(rows, grey)])) == [BAR, BAR + 1]
+    # Where a pixel of the wall is brighter, the bulb's own says nothing.
+    grey[1][2] = 50.0
+    assert emission(store(tmp_path, [(rows, grey)])) == []
+
+
+def test_the_share_that_is_a_pixels_own() -> None:
+    light = np.array([1.0, 1.0, 1.0, 0.0])
+    assert own_share(light, np.array([1.0, 1.5, 3.0, 2.0])).tolist() == [1.0, 0.5, 0.0, 0.0]
+
+
+def test_the_brightest_of_nine() -> None:
+    rng = np.random.default_rng(0)
+    light = rng.random((7, 9))
+    found = brightest_beside(light.reshape(-1), (7, 9)).reshape(7, 9)
+    for row, column in ((0, 0), (3, 4), (6, 8), (0, 5)):
+        around = light[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+        assert found[row, column] == around.max()
+
+
+def test_unjudged_triangles_join_a_piece_that_mostly_emits() -> None:
+    areas, piece = np.array([1.0, 1.0, 2.0, 1.0, 1.0]), np.array([0, 0, 0, 1, 1])
+    emits, judged = np.array([[1, 0, 0, 0, 0], [1, 1, 0, 1, 0]], bool)
+    assert complete(areas, piece, emits, judged).tolist() == [True, False, False, False, False]
+    judged[1] = False
+    assert complete(areas, piece, emits, judged).tolist() == [True, True, True, False, False]
+    judged[2] = True  # a dark side of twice the area
+    assert complete(areas, piece, emits, judged).tolist() == [True, False, False, False, False]
