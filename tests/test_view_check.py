@@ -94,10 +94,9 @@ def test_good_photographs_are_left_as_they_are(capture: SmallCapture, tmp_path: 
 
 
 def test_photographs_without_anything_bright_agree(capture: SmallCapture, tmp_path: Path) -> None:
-    dim = [np.minimum(image, 2.0 * np.median(image)) for image in capture.images]
-    assert checked(tmp_path, replace(capture, images=dim))[1] == ViewCheck()
+    """Nothing that could be a lamp is no fault."""
     plain = [np.ones_like(image) for image in capture.images]
-    assert checked(tmp_path / "plain", replace(capture, images=plain))[1] == ViewCheck()
+    assert checked(tmp_path, replace(capture, images=plain))[1] == ViewCheck()
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
