@@ -34,7 +34,7 @@ def draw_curves(
 
     Args:
         sizes: (n,) above zero.
-        lines: by name (n,) values; None and zero are left out.
+        lines: by name (n,) values; None and zero are left out, and keep their colour.
     """
     font = ImageFont.load_default(15)
     image = Image.new("RGB", (_WIDTH, _HEIGHT), "white")
@@ -60,7 +60,10 @@ def draw_curves(
         draw.line([(x, _TOP), (x, y)], fill="#dddddd")
         text = f"{size:g}" if size < 1e4 else f"{size:.1e}"
         draw.text((x, y + 10), text, fill="black", font=font, anchor="ma")
+    shown = 0
     for number, (name, line) in enumerate(lines.items()):
+        if not any(line):
+            continue
         color = _COLORS[number % len(_COLORS)]
         points = [place(size, value) for size, value in zip(sizes, line, strict=True) if value and value > 0]
         if len(points) > 1:
@@ -69,7 +72,8 @@ def draw_curves(
             draw.ellipse([x - 4, y - 4, x + 4, y + 4], fill=color)
         exponent = fit_exponent(sizes, line)
         text = name if exponent is None else f"{name}, exponent {exponent:.2f}"
-        draw.text((_WIDTH - _RIGHT + 16, _TOP + 24 * number), text, fill=color, font=font)
+        draw.text((_WIDTH - _RIGHT + 16, _TOP + 24 * shown), text, fill=color, font=font)
+        shown += 1
     return image
 
 

@@ -209,7 +209,6 @@ def draw(curves: Mapping[str, Any], path: Path) -> None:
         row = []
         for title, key in (("Seconds", "seconds"), ("Own memory in GB", "own_gb")):
             lines = {kind: curve["stages"][kind][key] for kind in (*KINDS, "all")}
-            lines = {kind: values for kind, values in lines.items() if any(values)}
             row.append(draw_curves(f"{title} by stage over {curve['unit']}", curve["sizes"], lines))
         rows.append(row)
     write_pictures(rows, path)

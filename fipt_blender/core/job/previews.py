@@ -39,8 +39,9 @@ class Preview:
 
     def __init__(self, folder: Path, pixels: PixelStore, labels: np.ndarray) -> None:
         self._folder, self._pixels = folder, pixels
-        squares = [_square(pixels, index) for index in range(len(pixels.views))]
-        self._rows = max(squares, key=lambda rows: _content(pixels, rows.reshape(-1), labels))
+        views = range(len(pixels.views))
+        best = max(views, key=lambda index: _content(pixels, _square(pixels, index).reshape(-1), labels))
+        self._rows = _square(pixels, best)
 
     def made(self, stage: str) -> list[Path]:
         """The pictures of a stage that are there already."""
