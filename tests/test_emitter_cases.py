@@ -218,3 +218,26 @@ def test_a_cabinet_whose_front_is_indented_makes_no_phantom_lamps(tmp_path: Path
     wrong = np.abs(color * (1.0 - metallic[:, None]) - tints[triangle]).mean(axis=1)
     # Only where the front's edges cast their shadows elsewhere is anything painted on it.
     assert np.median(wrong) < 0.03 and np.quantile(wrong, 0.9) < 0.08 and metallic.max() < 0.1
+
+
+def test_bars_before_a_window_are_no_lamps_and_a_dim_panel_is_one(tmp_path: Path) -> None:
+    """No pixel sees a bar alone; the panel is three times as bright as white paint would be in its place."""
+    window = [[-0.8, 1.98, 1.0], [0.8, 1.98, 1.0], [0.8, 1.98, 2.2], [-0.8, 1.98, 2.2]]
+    dim = [[-1.98, -1.2, 0.5], [-1.98, 0.8, 0.5], [-1.98, 0.8, 2.5], [-1.98, -1.2, 2.5]]
+    bars = [
+        [[x + dx, 1.8, z] for dx, z in ((0.0, 1.0), (0.02, 1.0), (0.02, 2.2), (0.0, 2.2))]
+        for x in (-0.6, -0.3, 0.0, 0.3, 0.6)
+    ]
+    room, colors = furnished([*BOX, window, dim, *bars], [*COLORS, BLACK, BLACK, *[[0.7] * 3] * 5])
+    lamps = EmitterTable(
+        np.arange(FIRST, FIRST + 4, dtype=np.int32),
+        np.repeat(np.array([[40.0, 38.0, 36.0], [9.0, 8.5, 8.0]], np.float32), 2, axis=0),
+        np.zeros((4, 3), np.float32),
+    )
+    toward = [[[x, -1.5, 1.5], [-0.5 * x, 1.98, 1.6]] for x in (-1.0, 0.2, 1.2)]
+    across = [[[1.5, y, 1.5], [-1.98, -0.2, 1.5]] for y in (-1.0, 0.6)]
+    capture = photograph_room(room, matt(colors), lamps, cameras=[*toward, *across], scale=2, spp=64)
+    found = fixtures(tmp_path, capture)
+    by_triangles = {tuple(fixture["triangles"]): fixture["radiance"] for fixture in found}
+    assert by_triangles.keys() == {(FIRST, FIRST + 1), (FIRST + 2, FIRST + 3)}
+    assert by_triangles[FIRST + 2, FIRST + 3] == pytest.approx([9.0, 8.5, 8.0], rel=1e-3)

@@ -27,6 +27,9 @@ LEAST_EXCESS = 0.3
 SPILL = 0.5
 # A mixed pixel within one step of a lamp that has this share of its radiance shows that lamp's light.
 LAMPLIGHT = 0.5
+# Highlights move with the view: without the mask's word, or with mixed pixels alone, so many views must agree
+# that a triangle emits.
+LEAST_VIEWS = 2
 # Triangles that no pixel judged emit where this share of the judged area of their piece of mesh does.
 MOSTLY = 0.5
 
@@ -43,7 +46,7 @@ def find_emission(
 
     What the emission mask marks emits where the estimate leaves radiance unexplained. The mask's L1 term
     (paper Eq. 13) keeps lamps dark that are little brighter than what they are lit by, so any triangle emits
-    that is brighter than a surface of any material would be (:func:`most_reflected`).
+    that is brighter than a surface of any material would be (:func:`most_reflected`), in two views at least.
 
     Args:
         shadings: of all pixels.
@@ -51,7 +54,7 @@ def find_emission(
         constant: (T,) bool, triangles of parts that shine alike from everywhere: they emit in any case.
         estimate: (R,) pixels to their (R, 3) reflected radiance L_r of the estimate.
     """
-    votes = Votes(np.zeros(len(marked), np.int64), np.zeros(len(marked), np.int64))
+    votes = Votes(*np.zeros((3, len(marked)), np.int64))
     mixed = []
     for index in range(len(pixels.views)):
         rows = pixels.rows(index)
@@ -67,21 +70,29 @@ def find_emission(
         sure = unexplained(radiance * own[:, None], reflected) >= LEAST_EXCESS
         votes.add(triangle[hit & excess & pure & sure])
         mixed.append(np.flatnonzero(hit & excess & ~pure) + rows.start)
-    _ask_mixed(pixels, votes, mixed)
-    return complete(room.areas, room_pieces(room), votes.emits | constant, votes.judged | constant)
+    emits = votes.emits & (marked | (votes.views >= LEAST_VIEWS))
+    _ask_mixed(pixels, votes, emits, mixed)
+    emits |= votes.emits & (votes.views >= LEAST_VIEWS)
+    judged = emits | (votes.judged & ~votes.emits)
+    return complete(room.areas, room_pieces(room), emits | constant, judged | constant)
 
 
 @dataclass(frozen=True)
 class Votes:
-    """Pixels for and against emission, (T,) int64 each."""
+    """Pixels for and against emission, and views with pixels for it: (T,) int64 each."""
 
     number_for: np.ndarray
     number_against: np.ndarray
+    views: np.ndarray
 
     def add(self, triangle: np.ndarray, against: bool = False) -> None:
-        """Count pixels that see the triangles given."""
-        number = self.number_against if against else self.number_for
-        number += np.bincount(triangle, minlength=len(number))
+        """Count pixels of one view that see the triangles given."""
+        number = np.bincount(triangle, minlength=len(self.views))
+        if against:
+            np.add(self.number_against, number, out=self.number_against)
+        else:
+            np.add(self.number_for, number, out=self.number_for)
+            np.add(self.views, number > 0, out=self.views)
 
     @property
     def emits(self) -> np.ndarray:
@@ -144,16 +155,17 @@ def own_share(light: np.ndarray, beside: np.ndarray) -> np.ndarray:
     return np.clip(own / np.maximum(light, 1e-12), 0.0, 1.0)
 
 
-def _ask_mixed(pixels: PixelStore, votes: Votes, mixed: list[np.ndarray]) -> None:
+def _ask_mixed(pixels: PixelStore, votes: Votes, emits: np.ndarray, mixed: list[np.ndarray]) -> None:
     """Let mixed pixels judge what none else judged: lamps so small or thin that no pixel sees them alone.
 
     Such a pixel must be the brightest around, and far from what is known to shine: the lamps found so far,
     and whatever lies outside.
 
     Args:
+        emits: (T,) bool, lamps found so far.
         mixed: for each view its mixed pixels (indices among all) that reflection does not explain.
     """
-    lamp = np.append(votes.emits, True)  # at -1: outside
+    lamp = np.append(emits, True)  # at -1: outside
     open_ = ~votes.judged
     for index, rows in enumerate(mixed):
         rows = rows[open_[pixels.triangle[rows]]]
