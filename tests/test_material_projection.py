@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.light.shadings import roughness_levels
+from fipt_blender.core.material.gloss import part_materials
 from fipt_blender.core.material.projection import (
     Guess,
     constant_parts,
-    part_materials,
     project,
     window_means,
 )
@@ -51,7 +51,7 @@ def synthetic(rng: np.random.Generator, truths: list[tuple[float, float]], noise
 def guess_from(arrays: list[np.ndarray], cell: np.ndarray, part: np.ndarray) -> Guess:
     """Both steps, with pixels that take turns among the views."""
     view = np.arange(len(part)) % VIEWS
-    return project(*arrays, LEVELS, cell, part, *part_materials(*arrays, LEVELS, cell, part, view))
+    return project(*arrays, LEVELS, cell, part, *part_materials(*arrays, LEVELS, cell, cell, part, view))
 
 
 @pytest.mark.parametrize("noise, stray, within", [(0.0, 0.0, 0.01), (0.03, 0.05, 0.06)])
@@ -127,7 +127,7 @@ def test_roughness_between_levels_is_found(rng: np.random.Generator) -> None:
     middle = 0.5 * (specular[:, 3] + specular[:, 4])
     radiance = (color * diffuse + 0.04 * middle[:, 0] + middle[:, 1]).astype(np.float32)
     view = np.arange(len(part)) % VIEWS
-    roughness, metallic = part_materials(radiance, diffuse, specular, LEVELS, cell, part, view)
+    roughness, metallic = part_materials(radiance, diffuse, specular, LEVELS, cell, cell, part, view)
     assert roughness[0] == pytest.approx(0.5 * (LEVELS[3] + LEVELS[4]), abs=1e-6)
     assert metallic[0] == 0.0
 
@@ -139,9 +139,11 @@ def test_one_odd_view_does_not_make_a_part_glossy(rng: np.random.Generator) -> N
     odd = (view == 0)[:, None]
     glossy = color * diffuse + 0.04 * specular[:, 3, 0] + specular[:, 3, 1]
     mixed = np.where(odd, radiance + 0.1 * (glossy - radiance), radiance).astype(np.float32)
-    roughness, _ = part_materials(mixed, diffuse, specular, LEVELS, cell, part, view)
+    roughness, _ = part_materials(mixed, diffuse, specular, LEVELS, cell, cell, part, view)
     assert roughness[0] > 0.9
-    roughness, _ = part_materials(glossy.astype(np.float32), diffuse, specular, LEVELS, cell, part, view)
+    roughness, _ = part_materials(
+        glossy.astype(np.float32), diffuse, specular, LEVELS, cell, cell, part, view
+    )
     assert roughness[0] == pytest.approx(LEVELS[3], abs=0.03)
 
 
@@ -166,30 +168,3 @@ def test_window_means_stay_within_part_and_view(rng: np.random.Generator) -> Non
         ]
         near = [other for other in near if usable[other] and part[other] == part[row]]
         np.testing.assert_allclose(mean, values[near].mean(axis=0), rtol=1e-5, atol=1e-6)
-
-
-def with_gloss(rng: np.random.Generator, strength: float, noise: float) -> tuple[float, float]:
-    """Roughness and metallic found where a dielectric of LEVELS[3] shows `strength` times its gloss."""
-    (radiance, diffuse, specular), cell, part, color = synthetic(rng, [(1.0, 0.0)], 0.0, 0.0)
-    gloss = 0.04 * specular[:, :, 0] + specular[:, :, 1]
-    radiance = color * diffuse + gloss[:, -1] + strength * (gloss[:, 3] - gloss[:, -1])
-    radiance = radiance.clip(0.0) * (1.0 + noise * rng.normal(size=radiance.shape))
-    view = np.arange(len(part)) % VIEWS
-    found = part_materials(radiance.astype(np.float32), diffuse, specular, LEVELS, cell, part, view)
-    return float(found[0][0]), float(found[1][0])
-
-
-def test_gloss_of_its_own_strength_is_found_and_more_of_it_is_an_error_of_shadings(rng):
-    assert with_gloss(rng, 1.0, 0.02) == pytest.approx((LEVELS[3], 0.0), abs=0.05)
-    for strength in (2.0, 3.0):
-        # No dielectric of any roughness near it; a metal's gloss has no fixed strength.
-        roughness, metallic = with_gloss(rng, strength, 0.02)
-        assert metallic == 1.0 or abs(roughness - LEVELS[3]) > 0.1
-    assert with_gloss(rng, 0.0, 0.02) == pytest.approx((1.0, 0.0), abs=0.06)
-
-
-def test_faint_evidence_gives_the_mean_of_gloss_and_none(rng):
-    # The more the noise hides the gloss, the nearer to none; never below the gloss itself.
-    found = [with_gloss(np.random.default_rng(7), 1.0, noise)[0] for noise in (0.02, 0.6, 2.5)]
-    assert found[0] == pytest.approx(LEVELS[3], abs=0.05) and found[2] > 0.8
-    assert found[0] - 0.02 <= found[1] <= found[2] + 0.02

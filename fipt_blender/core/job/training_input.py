@@ -4,15 +4,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from ..light.cache import SIDES
 from ..light.observations import Observations
 from ..light.views import ShadingStore
+from ..material.gloss import part_materials
 from ..material.groups import LEAST_PIXELS, NO_GROUP, color_class, material_groups
-from ..material.projection import Guess, part_materials, project, window_means
+from ..material.projection import Guess, project, window_means
 from ..material.training import TrainingData
 from ..scene.labels import Parts
 from ..scene.pixels import PixelStore, open_array
@@ -21,6 +22,13 @@ from ..scene.pixels import PixelStore, open_array
 PROJECTION_PIXELS = 600_000
 # Parts with fewer pixels that see nothing else are judged by their mixed ones too.
 FEW_PIXELS = 30
+# Of larger parts about so many tell roughness and metallic.
+PART_PIXELS = 20_000
+# Width of the cells of even base colour by which roughness and metallic are told, in voxels of the radiance
+# cache: those hold two or three pixels of the test rooms, too few to tell gloss from base colour.
+WIDE_CELL = 2
+# Pixels of a voxel whose normals lie in one cube of this edge get the same light.
+SLOPE = 0.2
 
 
 def training_input(
@@ -53,11 +61,13 @@ def training_input(
         flat = project(radiance, diffuse, specular, levels, cell, unknown, nothing, nothing, whole)
         group = _groups(pixels, seen, pieces, cell, flat.base_color)
     pure = np.asarray(pixels.pure)
-    clean = _clean_rows(pure[rows], group[rows])
-    of = rows[clean]
+    of = rows[_clean_rows(pure[rows], group[rows])]
+    wide = _wide_cells(pixels, seen, of)
+    some = _some_of_each(group[of], wide, np.random.default_rng([seed, 5]))
+    of, wide = of[some], wide[some]
     means = window_means(arrays, of, pure, group, pixels.ranges, widths)
     roughness, metallic = part_materials(
-        means[0], means[1], means[2], levels, cell[clean], group[of], pixels.view_of(of)
+        means[0], means[1], means[2], levels, wide, _spots(pixels, seen, of), group[of], pixels.view_of(of)
     )
     guess = project(radiance, diffuse, specular, levels, cell, group[rows], roughness, metallic, whole)
     # Parts that none of these rows saw are diffuse.
@@ -130,6 +140,35 @@ def _groups(
         own[used - pixels.ranges[index]] = of_kind[np.searchsorted(known, kind)]
         group[pixels.rows(index)] = own
     return group
+
+
+def _wide_cells(pixels: PixelStore, seen: Observations, rows: np.ndarray) -> np.ndarray:
+    """(M,) int64 from 0, a cube of `WIDE_CELL` voxels and the side of it that each pixel sees."""
+    edge = WIDE_CELL * float(seen.grid.size.max())
+    cube = np.floor((pixels.position[rows] - seen.grid.low) / edge).astype(np.int64)
+    return _numbered([*cube.T, np.asarray(seen.entry[rows], np.int64) % SIDES])
+
+
+def _spots(pixels: PixelStore, seen: Observations, rows: np.ndarray) -> np.ndarray:
+    """(M,) int64 from 0, a voxel's side and the slope that each pixel sees."""
+    slope = np.round(pixels.normal[rows] / SLOPE).astype(np.int64)
+    return _numbered([*slope.T, np.asarray(seen.entry[rows], np.int64)])
+
+
+def _numbered(columns: Sequence[np.ndarray]) -> np.ndarray:
+    """(M,) int64 from 0 a number for each combination of the columns' values."""
+    number = np.zeros(len(columns[0]), np.int64)
+    for column in columns:
+        values = np.unique(column, return_inverse=True)[1]
+        number = np.unique(number * (int(values.max(initial=0)) + 1) + values, return_inverse=True)[1]
+    return number
+
+
+def _some_of_each(part: np.ndarray, cell: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(M,) bool, all pixels of parts that have up to `PART_PIXELS`, of others those of enough whole cells."""
+    share = PART_PIXELS / np.maximum(np.bincount(part), 1)
+    drawn = rng.random(int(cell.max(initial=-1)) + 1)
+    return drawn[cell] < share[part]
 
 
 def _clean_rows(pure: np.ndarray, part: np.ndarray) -> np.ndarray:

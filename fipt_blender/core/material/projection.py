@@ -4,7 +4,7 @@
 
 The factorised rendering (paper Eq. 5) is linear in base colour once roughness and metallic are given. So for
 each pair of roughness and metallic the best base colour of each surface cell, which several views see, has a
-closed form, and the pair with the least residual over a part is the part's best guess. The networks start
+closed form, and what it leaves unexplained tells which pair is the part's (gloss.py). The networks start
 there instead of from noise; everything after is the paper's optimisation.
 """
 
@@ -15,24 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# A part is metal or not. Values between would only lower the 4 % of dielectrics where shadings are wrong.
-METALLIC_CANDIDATES = (0.0, 1.0)
 # Residuals are relative to radiance; darker than this share of the median counts absolutely.
 DARK = 0.05
-# How much the robust cost of a specular surface must be below that of a diffuse one: the l_d of Eq. 14.
-DIFFUSE_PRIOR = 0.006
-# Gain at which a dielectric's gloss is e times as likely as none. Where both are possible the part takes the
-# mean of both: half wrong costs a quarter, and a part does not flip from one run to the next.
-EVIDENCE = 0.004
-LEAST_LIKELY = 0.1
-# Standard errors by which a gain over the diffuse candidate is discounted.
-CAUTION = 0.5
-# The gloss of a dielectric has a fixed strength. Where so many times as much explains a part still better, it
-# is an error of the shadings that looks like gloss: in the test rooms true gloss wants 0.7 to 1.2 times its
-# own strength, errors on diffuse surfaces below 0.5 or above 1.4.
-OVERDONE_GLOSS = 1.5
-# Steps from the best level at which roughness between levels is tried.
-BETWEEN_LEVELS = (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75)
 # Photographed radiance above this multiple of what a white surface would reflect is emission.
 CLEAR_EMISSION = 1.5
 # A part whose radiance spreads less than this share of its irradiance's spread emits. Surfaces of the
@@ -67,123 +51,6 @@ class Guess:
     part_emits: np.ndarray
 
 
-def part_materials(
-    radiance: np.ndarray,
-    diffuse: np.ndarray,
-    specular: np.ndarray,
-    levels: np.ndarray,
-    cell: np.ndarray,
-    part: np.ndarray,
-    view: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Roughness and metallic of each part: those with which its surface cells look most alike in all views.
-
-    Args:
-        radiance: (N, 3) photographed radiance, in units of the capture's median.
-        diffuse: (N, 3) L_d.
-        specular: (N, K, 2, 3) L_s0 and L_s1 at `levels`. All three are best smoothed over neighbours of one
-            part (:func:`window_means`): sharp lobes carry more noise than wide ones, and lose by it.
-        levels: (K,) roughness.
-        cell: (N,) int surface cell of each pixel.
-        part: (N,) int part of each pixel, negative without: those are passed over.
-        view: (N,) int view of each pixel.
-
-    Returns:
-        (parts,) float32 each.
-    """
-    parts = int(part.max(initial=-1)) + 1
-    if not parts:
-        return np.zeros(0, np.float32), np.zeros(0, np.float32)
-    trial = _Trial(radiance, diffuse, cell, part, view)
-    totals = np.empty((len(levels), len(METALLIC_CANDIDATES), parts))
-    # The diffuse candidate comes first: its median residual sets each part's scale.
-    for k in reversed(range(len(levels))):
-        for j, m in enumerate(METALLIC_CANDIDATES):
-            prior = DIFFUSE_PRIOR * ((1.0 - levels[k]) + m)
-            totals[k, j] = prior + trial.cost(specular[:, k], m)
-        if k < len(levels) - 1:
-            more = specular[:, -1] + OVERDONE_GLOSS * (specular[:, k] - specular[:, -1])
-            dielectric = DIFFUSE_PRIOR * (1.0 - levels[k]) + trial.cost(more, 0.0)
-            totals[k, 0] = np.where(dielectric < totals[k, 0], np.inf, totals[k, 0])
-    flat = totals[-1, 0].copy()
-    totals[-1, 0] = np.inf
-    best = totals.reshape(-1, parts).argmin(axis=0)
-    k, j = np.divmod(best, len(METALLIC_CANDIDATES))
-    lowest = totals[k, j, np.arange(parts)]
-    metallic = np.array(METALLIC_CANDIDATES, np.float32)[j]
-    mine = np.maximum(part, 0)
-    rows = np.arange(len(part))
-
-    def shading(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Roughness of each part at a place between levels, and its pixels' specular shading there."""
-        low = np.minimum(place.astype(int), len(levels) - 2)
-        share = (place - low).astype(np.float32)
-        weight = share[mine, None, None]
-        value = (1.0 - weight) * specular[rows, low[mine]] + weight * specular[rows, low[mine] + 1]
-        return ((1.0 - share) * levels[low] + share * levels[low + 1]).astype(np.float32), value
-
-    place = k.astype(float)
-    for step in BETWEEN_LEVELS:
-        tried = np.clip(k + step, 0.0, len(levels) - 1.0)
-        between, value = shading(tried)
-        total = DIFFUSE_PRIOR * ((1.0 - between) + metallic) + trial.cost(value, metallic[mine, None])
-        place = np.where(total < lowest, tried, place)
-        lowest = np.minimum(total, lowest)
-    roughness, value = shading(place)
-    # Overdone once more, now between the levels: even odds at best.
-    more = specular[:, -1] + OVERDONE_GLOSS * (value - specular[:, -1])
-    overdone = DIFFUSE_PRIOR * (1.0 - roughness) + trial.cost(more, 0.0) < lowest
-    lowest = np.where((metallic == 0.0) & overdone, np.maximum(lowest, flat), lowest)
-    likely = 1.0 / (1.0 + np.exp(((lowest - flat) / EVIDENCE).clip(-50.0, 50.0)))
-    likely = np.where(likely < LEAST_LIKELY, 0.0, likely)
-    metallic = np.where(likely < 0.5, 0.0, metallic)
-    share_of_gloss = np.where(metallic > 0.0, 1.0, np.where(j == 0, likely, 0.0))
-    roughness = 1.0 - share_of_gloss * (1.0 - roughness)
-    return roughness.astype(np.float32), metallic.astype(np.float32)
-
-
-class _Trial:
-    """How well candidates explain the parts' pixels, against the first one tried (which must be diffuse)."""
-
-    def __init__(
-        self, radiance: np.ndarray, diffuse: np.ndarray, cell: np.ndarray, part: np.ndarray, view: np.ndarray
-    ) -> None:
-        self._radiance, self._diffuse = radiance, diffuse
-        self._cell = cells_of_parts(cell, part)
-        shared = np.bincount(self._cell)[self._cell] > 1  # a cell of one pixel fits everything
-        self._counted = (part >= 0) & shared
-        self._parts = int(part.max()) + 1
-        self._views = int(view.max(initial=-1)) + 1
-        self._part = part[self._counted]
-        self._group = self._part.astype(np.int64) * self._views + view[self._counted]
-        self._weight = 1.0 / (radiance + DARK) ** 2
-        self._scale: np.ndarray | None = None
-        self._first: np.ndarray | None = None
-
-    def cost(self, specular: np.ndarray, metallic: float | np.ndarray) -> np.ndarray:
-        """(parts,) mean robust cost above the first candidate's, plus `CAUTION` standard errors.
-
-        Errors of shadings are alike all over a view, so the views are the independent samples.
-        """
-        slope, offset = _line(self._diffuse, specular, metallic)
-        color = _fit(self._radiance, slope, offset, self._weight, self._cell)
-        residual = self._radiance - offset - color[self._cell] * slope
-        squared = (residual**2 * self._weight).mean(axis=1)[self._counted]
-        if self._scale is None:
-            self._scale = _median_by(self._part, squared, self._parts)
-        # Cauchy's cost: a part of the pixels (edges, stray shadings) never follows the model.
-        cost = np.log1p(squared / self._scale[self._part])
-        if self._first is None:
-            self._first = cost
-        size = self._parts * self._views
-        count = np.bincount(self._group, minlength=size).reshape(self._parts, -1)
-        gain = np.bincount(self._group, cost - self._first, minlength=size).reshape(self._parts, -1)
-        total = np.maximum(count.sum(axis=1), 1)
-        mean = gain.sum(axis=1) / total
-        spread = gain - count * mean[:, None]
-        return mean + CAUTION * np.sqrt((spread**2).sum(axis=1)) / total
-
-
 def cells_of_parts(cell: np.ndarray, part: np.ndarray) -> np.ndarray:
     """(N,) int from 0, one for each pair of a surface cell and a part."""
     key = cell.astype(np.int64) * (int(part.max(initial=0)) + 2) + part + 1
@@ -201,7 +68,7 @@ def project(
     part_metallic: np.ndarray,
     whole: bool = True,
 ) -> Guess:
-    """Best base colour of each cell, given each part's roughness and metallic (:func:`part_materials`).
+    """Best base colour of each cell, given each part's roughness and metallic (:func:`gloss.part_materials`).
 
     Args:
         radiance: (N, 3) photographed radiance, in units of the capture's median.
@@ -221,8 +88,8 @@ def project(
     pixel_roughness = np.where(known, part_roughness[np.maximum(part, 0)] if parts else 1.0, 1.0)
     pixel_metallic = np.where(known, part_metallic[np.maximum(part, 0)] if parts else 0.0, 0.0)
     chosen = np.abs(levels[None, :] - pixel_roughness[:, None]).argmin(axis=1)
-    slope, offset = _line(diffuse, specular[np.arange(len(chosen)), chosen], pixel_metallic[:, None])
-    color = _fit(radiance, slope, offset, weight, cell_id)
+    slope, offset = line(diffuse, specular[np.arange(len(chosen)), chosen], pixel_metallic[:, None])
+    color = fit_colors(radiance, slope, offset, weight, cell_id)
     # A white surface, of this roughness and metallic or diffuse: metals mirror lamps without being lamps.
     white = np.maximum(diffuse, slope) + offset
     emitting = (radiance > CLEAR_EMISSION * white).all(axis=1) & (radiance.mean(axis=1) > 1.0)
@@ -311,17 +178,7 @@ def _spread(values: np.ndarray) -> float:
     return float((high - low) / middle) if middle > 0.0 else 0.0
 
 
-def _median_by(group: np.ndarray, values: np.ndarray, groups: int) -> np.ndarray:
-    """(groups,) median of the values of each group; 1 for empty groups."""
-    order = np.lexsort((values, group))
-    count = np.bincount(group, minlength=groups)
-    first = np.cumsum(count) - count
-    middle = np.minimum(first + count // 2, max(len(values) - 1, 0))
-    medians = values[order][middle] if len(values) else np.ones(groups)
-    return np.where(count > 0, np.maximum(medians, 1e-12), 1.0)
-
-
-def _line(
+def line(
     diffuse: np.ndarray, specular: np.ndarray, metallic: float | np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(slope, offset) of L_r = slope a + offset for given shadings, each (N, 3)."""
@@ -329,7 +186,7 @@ def _line(
     return (1.0 - metallic) * diffuse + metallic * s0, 0.04 * (1.0 - metallic) * s0 + s1
 
 
-def _fit(
+def fit_colors(
     radiance: np.ndarray,
     slope: np.ndarray,
     offset: np.ndarray,
