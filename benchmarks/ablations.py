@@ -66,6 +66,7 @@ ABLATIONS: dict[str, Ablation] = {
         "semantic masks", ("--parts", "semantics"), (33.25, 27.38, 21.70, 0.91, 1.54e-3, 28.79)
     ),
     "no-masks": Ablation("no masks", ("--parts", "none")),
+    "cycles-g": Ablation("G as in Cycles, which renders it exactly", ("--set", "masking=smith")),
 }
 
 
