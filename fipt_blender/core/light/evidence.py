@@ -115,7 +115,7 @@ def _reflected(
     estimate: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
     """(n, 3) what reflection explains of a view's pixels; of white surfaces where that is enough."""
-    reflected = np.asarray(shadings.diffuse[rows], np.float32)
+    reflected = np.array(shadings.diffuse[rows], np.float32)  # a copy, to be written to
     bright = (triangle >= 0) & (unexplained(radiance, reflected) >= LEAST_EXCESS)
     on_marked = (triangle >= 0) & marked[np.maximum(triangle, 0)]
     asked = np.flatnonzero(bright & ~on_marked)
