@@ -24,7 +24,7 @@ EVIDENCE = 0.003
 PIXELS_OF_SAMPLE = 6.0
 LEAST_LIKELY = 0.1
 # Standard errors by which a gain over the diffuse candidate is discounted.
-CAUTION = 0.5
+CAUTION = 0.35
 # The gloss of a dielectric has a fixed strength. Where so many times as much explains a part still better, it
 # is an error of the shadings that looks like gloss.
 OVERDONE_GLOSS = 2.5
