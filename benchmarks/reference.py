@@ -327,7 +327,6 @@ class ReferenceEstimation(Estimation):
             self.settings.emitter_threshold,
             self.settings.emitter_samples,
             np.random.default_rng([self.settings.seed, 3, index]),
-            large=0.0,
         )
 
     def _group_fixtures(self, emitting: np.ndarray, index: int) -> None:

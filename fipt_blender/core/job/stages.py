@@ -17,7 +17,7 @@ import torch
 
 from ..capture.views import View, load_capture
 from ..device.variant import torch_device
-from ..light.cache import Pool, pool, unseen_points
+from ..light.cache import pool
 from ..light.emitters import (
     Fixture,
     bright_triangles,
@@ -25,7 +25,7 @@ from ..light.emitters import (
     find_emitters,
     group_fixtures,
 )
-from ..light.evidence import find_emission
+from ..light.evidence import find_emission, outshining
 from ..light.joint import joint_fixtures
 from ..light.observations import Observations, observe
 from ..light.reflecting import separate
@@ -328,15 +328,15 @@ class Estimation:
     def _find_emitters(self, index: int, constant: np.ndarray) -> np.ndarray:
         """(T,) bool, triangles that emit; those of `constant` ((T,) bool) do in any case."""
         rng = np.random.default_rng([self.settings.seed, 3, index])
+        shadings = self._open_shadings()
         marked = find_emitters(
             self.room,
             lambda positions: mask_at(self.emission, self.box, positions),
             self.settings.emitter_threshold,
             self.settings.emitter_samples,
             rng,
-            large=(10.0 * self.seen.footprint) ** 2,
+            among=outshining(self.pixels, shadings, len(self.room.triangles)),
         )
-        shadings = self._open_shadings()
         estimate = partial(
             render_pixels,
             self.brdf,
@@ -385,20 +385,18 @@ class Estimation:
         )
         return self._bake_views(self._open_shadings(create=True), cache, traced, table, counts, index)
 
+    @cached_property
+    def _places(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return self.seen.places(self.room, np.random.default_rng([self.settings.seed, 4]))
+
     def _material_values(self) -> np.ndarray:
-        """(M * 6, 5) the estimate at a point of each cache entry: where pixels saw it, the mean of these."""
-        grid = self.seen.grid
-        pooled = Pool(grid, 3)
-        for rows in self.seen.hits():
-            pooled.add(self.seen.entry[rows], self.pixels.position[rows])
-        mean, count = pooled.filled()
-        seen = np.flatnonzero(count)
-        rng = np.random.default_rng([self.settings.seed, 4])
-        unseen, points, triangles = unseen_points(grid, self.room, count, rng)
-        fields = self._room_fields()
-        found = fields.fields.query(mean[seen]), fields.query(points, triangles)
-        values = np.concatenate([np.column_stack(columns) for columns in found])
-        return pool(grid, np.concatenate([seen, unseen]), values)[0]
+        """(M * 6, 5) base colour, roughness and metallic of each cache entry."""
+        entries, points, triangles = self._places
+        fields, seen = self._room_fields(), triangles < 0
+        values = np.empty((len(entries), 5), np.float32)
+        values[seen] = np.column_stack(fields.fields.query(points[seen]))
+        values[~seen] = np.column_stack(fields.query(points[~seen], triangles[~seen]))
+        return pool(self.seen.grid, entries, values)[0]
 
     # Results
 

@@ -22,7 +22,6 @@ from ..scene.room import Room
 DIM_SIDE = 0.1
 # Neighbours belong to one fixture where their radiance differs by less than this factor.
 ALIKE = 1.5
-SCREENING_SAMPLES = 8
 # Pixels at a time: arrays of all pixels of a large capture would take gigabytes.
 CHUNK = 1 << 20
 
@@ -52,23 +51,19 @@ def find_emitters(
     threshold: float,
     samples: int,
     rng: np.random.Generator,
-    large: float = np.inf,
+    among: np.ndarray | None = None,
 ) -> np.ndarray:
     """(T,) bool, triangles whose mean emission mask over random points exceeds the threshold.
-
-    Small triangles are screened with a few samples first; only those with any response get all of them.
 
     Args:
         mask: (N, 3) world positions to (N,) alpha.
         samples: points a triangle.
-        large: square metres from which a triangle, which may be a lamp in part, gets all samples.
+        among: (T,) bool, triangles that are asked; all where None.
     """
-    everything = np.arange(len(room.triangles))
-    screened = mask(random_points(room, everything, SCREENING_SAMPLES, rng)).reshape(-1, SCREENING_SAMPLES)
-    candidates = everything[(screened.max(axis=1) > 0.1 * threshold) | (room.areas >= large)]
-    found = np.zeros(len(everything), bool)
-    for start in range(0, len(candidates), 4096):
-        part = candidates[start : start + 4096]
+    asked = np.arange(len(room.triangles)) if among is None else np.flatnonzero(among)
+    found = np.zeros(len(room.triangles), bool)
+    for start in range(0, len(asked), 4096):
+        part = asked[start : start + 4096]
         mean = mask(random_points(room, part, samples, rng)).reshape(-1, samples).mean(axis=1)
         found[part] = mean > threshold
     return found

@@ -77,6 +77,18 @@ def find_emission(
     return complete(room.areas, room_pieces(room), emits | constant, judged | constant)
 
 
+def outshining(pixels: PixelStore, shadings: ShadingStore, triangles: int) -> np.ndarray:
+    """(triangles,) bool, those that are brighter in any pixel than a white surface: all that may emit."""
+    found = np.zeros(triangles, bool)
+    for index in range(len(pixels.views)):
+        rows = pixels.rows(index)
+        triangle = np.asarray(pixels.triangle[rows])
+        white = np.asarray(shadings.diffuse[rows], np.float32)
+        bright = unexplained(np.asarray(pixels.radiance[rows]), white) >= LEAST_EXCESS
+        found[triangle[bright & (triangle >= 0)]] = True
+    return found
+
+
 @dataclass(frozen=True)
 class Votes:
     """Pixels for and against emission, and views with pixels for it: (T,) int64 each."""

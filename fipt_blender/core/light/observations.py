@@ -20,7 +20,7 @@ from ..job.settings import Settings
 from ..scene.labels import NO_PART, Parts
 from ..scene.pixels import PixelStore, find_donors, open_array
 from ..scene.room import Room, triangle_normals
-from .cache import SIDES, Pool, VoxelGrid, fill_grid, grid_frame
+from .cache import SIDES, Pool, VoxelGrid, fill_grid, grid_frame, unseen_points
 from .environment import Environment, estimate_environment, outside_pixels
 
 # Steps in the image within which a mixed pixel borrows from a pure one of its part.
@@ -82,6 +82,25 @@ class Observations:
             pooled.add(self.entry[rows], np.asarray(values[rows], np.float32))
         mean, count = pooled.filled()
         return np.where(count[:, None] > 0, mean, np.float32(-1.0))
+
+    def places(self, room: Room, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A point on the surface in each cache entry that holds any.
+
+        Returns:
+            (E,) int64 entries, (E, 3) float32 points, metres, and (E,) int64 triangles on which they lie; -1
+            in entries that pixels saw, where the point is the mean of what they saw.
+        """
+        mean = Pool(self.grid, 3)
+        for rows in self.hits():
+            mean.add(self.entry[rows], self.pixels.position[rows])
+        points, count = mean.filled()
+        seen = np.flatnonzero(count)
+        unseen, others, triangles = unseen_points(self.grid, room, count, rng)
+        return (
+            np.concatenate([seen, unseen]),
+            np.concatenate([points[seen], others]),
+            np.concatenate([np.full(len(seen), -1, np.int64), triangles]),
+        )
 
     def _near(self, index: int, marked: np.ndarray) -> np.ndarray:
         """(n,) bool, pixels of a view that see a marked triangle ((T,) bool), and their neighbours."""
