@@ -18,15 +18,7 @@ import torch
 from ..capture.views import View, load_capture
 from ..device.variant import torch_device
 from ..light.cache import pool
-from ..light.emitters import (
-    Fixture,
-    bright_triangles,
-    emitter_table,
-    find_emitters,
-    group_fixtures,
-)
-from ..light.evidence import find_emission, outshining
-from ..light.joint import joint_fixtures
+from ..light.emitters import Fixture, bright_triangles, emitter_table
 from ..light.observations import Observations, observe
 from ..light.reflecting import separate
 from ..light.shadings import SampleCounts, roughness_levels
@@ -42,6 +34,7 @@ from ..scene.room import load_room
 from .certainty import cell_errors, find_cells, lamp_pixels
 from .checkpoints import Checkpoints, stage_keys, stage_names
 from .errors import FiptError
+from .lamps import find_lamps, make_fixtures
 from .messages import Reporter, peak_memory_gb
 from .per_view import LocalWorkers, Workers
 from .previews import Preview
@@ -325,48 +318,20 @@ class Estimation:
         # Not found anew: the shadings that it took may have been refined since, or half refined.
         self._group_fixtures(state["emitting"].cpu().numpy(), index)
 
+    def _mask(self, positions: np.ndarray) -> np.ndarray:
+        return mask_at(self.emission, self.box, positions)
+
     def _find_emitters(self, index: int, constant: np.ndarray) -> np.ndarray:
         """(T,) bool, triangles that emit; those of `constant` ((T,) bool) do in any case."""
-        rng = np.random.default_rng([self.settings.seed, 3, index])
         shadings = self._open_shadings()
-        marked = find_emitters(
-            self.room,
-            lambda positions: mask_at(self.emission, self.box, positions),
-            self.settings.emitter_threshold,
-            self.settings.emitter_samples,
-            rng,
-            among=outshining(self.pixels, shadings, len(self.room.triangles)),
+        fields = self.brdf, self.box, self.pixels.position
+        estimate = partial(render_pixels, *fields, shadings.diffuse, shadings.specular, self.levels)
+        return find_lamps(
+            self.room, self.pixels, shadings, self._mask, estimate, constant, self.settings, index
         )
-        estimate = partial(
-            render_pixels,
-            self.brdf,
-            self.box,
-            self.pixels.position,
-            shadings.diffuse,
-            shadings.specular,
-            self.levels,
-        )
-        return find_emission(self.room, self.pixels, shadings, marked, constant, estimate)
 
     def _group_fixtures(self, emitting: np.ndarray, index: int) -> None:
-        settings = self.settings
-        if settings.emission == "joint":
-            self.fixtures = joint_fixtures(
-                self.room,
-                lambda positions: mask_at(self.emission, self.box, positions),
-                settings.emitter_threshold,
-                settings.emitter_samples,
-                np.random.default_rng([settings.seed, 3, index]),
-            )
-            return
-        self.fixtures = group_fixtures(
-            self.room,
-            emitting,
-            self.pixels.triangle,
-            self.pixels.front,
-            self.pixels.pure,
-            self.pixels.radiance,
-        )
+        self.fixtures = make_fixtures(self.room, self.pixels, emitting, self._mask, self.settings, index)
 
     # Stage 3
 
