@@ -202,7 +202,9 @@ def _shifted(
         shift: pixels.
     """
     surface = trace_pixels(room, view, shift)
-    position = np.array(surface.position, np.float32).T
+    valid = np.array(surface.valid)
+    # Where the mesh is missed, positions lie at infinity.
+    position = np.where(valid[:, None], np.array(surface.position, np.float32).T, centres.position)
     normal = np.array(surface.normal, np.float32).T
     geometric = np.array(dr.select(surface.front, 1.0, -1.0) * mi.Normal3f(surface.geometric_normal)).T
     toward = np.asarray(view.camera_to_world)[:3, 3] - position
@@ -210,8 +212,8 @@ def _shifted(
     toward = (toward / distance).astype(np.float32)
     cosine = np.abs((toward * geometric).sum(axis=1)).clip(0.05)
     reach = SUBPIXEL_REACH * distance[:, 0] / min(view.fx, view.fy) / cosine
-    other = labels[np.where(np.array(surface.valid), np.array(surface.triangle), 0).astype(np.int64)]
-    same = np.array(surface.valid) & (other == label)
+    other = labels[np.where(valid, np.array(surface.triangle), 0).astype(np.int64)]
+    same = valid & (other == label)
     same &= np.linalg.norm(position - centres.position, axis=1) < reach
     keep = same[:, None]
     return ShadingPoints(
