@@ -57,6 +57,20 @@ def test_seen_points_are_the_networks_and_unseen_ones_their_parts_median(fields)
     assert metallic[0] == pytest.approx(0.1 * middle, abs=0.01)
 
 
+def test_uncertain_values_are_drawn_to_their_part_where_it_is_one_material(fields):
+    points = grid_points(0.05, 0.95, 0.0)
+    on = np.zeros(len(points), int)
+    plain = fields.query(points, on)
+    for error, least, most in ((0.001, 0.8, 1.0), (0.28, 0.0, 0.3)):
+        errors = np.full_like(fields.errors, error)
+        drawn = RoomFields(Ramp(), fields._part, fields.cells, errors, one_material=True).query(points, on)
+        kept = np.ptp(drawn[0], axis=0) / np.ptp(plain[0], axis=0)
+        assert (kept > least).all() and (kept <= most).all()
+        assert np.ptp(drawn[1]) < 0.3 * np.ptp(plain[1])  # one roughness, however sure the base colour is
+        as_they_are = RoomFields(Ramp(), fields._part, fields.cells, errors).query(points, on)
+        np.testing.assert_array_equal(as_they_are[0], plain[0])
+
+
 @pytest.mark.parametrize("triangle", [2, 3])
 def test_parts_that_nobody_saw_and_triangles_without_one_take_the_nearest_seen_point(fields, triangle):
     points = np.array([[1.4, 2.0, 0.0], [2.6, 2.0, 0.0]], np.float32)

@@ -377,9 +377,11 @@ class Estimation:
         emitting = np.zeros(len(self.room.triangles), bool)
         emitting[emitter_table(self.fixtures).triangles] = True
         shadings = self._open_shadings()
-        fields.errors = cell_errors(
+        errors = cell_errors(
             self.pixels, self.parts, shadings, self.levels, fields, emitting, self.settings.seed
         )
+        part = self.parts.triangle_part
+        fields = RoomFields(fields.fields, part, fields.cells, errors, self.parts.kind == "part")
         fixtures = self.fixtures, np.zeros((len(self.fixtures), 3))
         if self.settings.emission != "joint":
             pixels = lamp_pixels(self.pixels, shadings, emitting, self.settings.seed)

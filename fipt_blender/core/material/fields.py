@@ -19,9 +19,15 @@ from .brdf import set_masking
 from .confidence import UNKNOWN, confidence
 from .losses import factorised_rendering
 from .networks import BrdfNetwork, EmissionNetwork, emission_mask
+from .part_prior import drawn_to_parts, part_priors
 from .seen import Box, SeenCells, seen_statistics, stand_ins
 
 CHUNK = 1 << 17
+# Base colour, roughness and metallic among the values of a point.
+COLUMNS = (slice(0, 3), slice(3, 4), slice(4, 5))
+# Least standard error of base colour, and what the network smooths away of roughness and metallic at borders.
+LEAST_ERROR = 0.02
+SMOOTHING = 0.2
 
 
 class Fields:
@@ -70,6 +76,8 @@ class RoomFields:
         cells: where that is.
         errors: (K, 3) float32 standard errors of base colour, roughness and metallic in each of them;
             unknown where not given.
+        one_material: whether each part is of one material: then values with known errors are drawn to their
+            part's (:mod:`.part_prior`).
     """
 
     def __init__(
@@ -78,12 +86,17 @@ class RoomFields:
         triangle_part: np.ndarray,
         cells: SeenCells,
         errors: np.ndarray | None = None,
+        one_material: bool = False,
     ) -> None:
-        self.fields, self.cells = fields, cells
+        self.fields, self.cells, self._one_material = fields, cells, one_material
         self.errors = np.full((len(cells.keys), 3), UNKNOWN, np.float32) if errors is None else errors
         self._part = triangle_part
         values = _columns(fields.query(cells.points))
         self._statistics = seen_statistics(cells.points, cells.part, values)
+        self._priors = []
+        if one_material and errors is not None:
+            own = zip(COLUMNS, _spreads(errors), strict=True)
+            self._priors = [part_priors(values[:, columns], spread, cells.part) for columns, spread in own]
 
     def query(
         self, positions: np.ndarray, triangles: np.ndarray
@@ -100,7 +113,12 @@ class RoomFields:
         values = _columns(self.fields.query(positions))
         if len(self.cells.keys):
             part = self._part[triangles]
-            unseen = self.cells.find(self.fields.box, positions, part) < 0
+            place = self.cells.find(self.fields.box, positions, part)
+            if self._priors:
+                own = zip(COLUMNS, _spreads(self.errors[place]), self._priors, strict=True)
+                for columns, spread, prior in own:
+                    values[:, columns] = drawn_to_parts(values[:, columns], spread, part, prior)
+            unseen = place < 0
             values[unseen] = stand_ins(positions[unseen], part[unseen], self._statistics)
         return values[:, :3], values[:, 3], values[:, 4]
 
@@ -143,7 +161,8 @@ class RoomFields:
             network.load_state_dict(state)
             box = Box(arrays["box_low"].astype(np.float64), float(arrays["box_extent"]))
             cells = SeenCells(arrays["seen_keys"], arrays["seen_points"], arrays["seen_part"])
-            return cls(Fields(network, box), triangle_part, cells, arrays["seen_errors"])
+            one_material = bool(arrays["one_material"])
+            return cls(Fields(network, box), triangle_part, cells, arrays["seen_errors"], one_material)
         except (KeyError, ValueError, OSError, RuntimeError) as error:
             raise FiptError(
                 "results-damaged", f"{run.fields_npz} can't be read ({error}).", "Run the estimation again."
@@ -163,10 +182,21 @@ class RoomFields:
                 seen_points=self.cells.points,
                 seen_part=self.cells.part,
                 seen_errors=self.errors,
+                one_material=self._one_material,
                 **state,
             )
         with atomic_path(run.parts_npz) as temporary:
             np.savez(temporary, triangle_part=self._part)
+
+
+def _spreads(errors: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Standard errors (N,) of the values in COLUMNS within their part, of errors (N, 3) of cells.
+
+    Roughness and metallic have one value a part, so theirs are no errors of single points. What differs from
+    point to point is the network's doing, at borders above all.
+    """
+    smoothing = np.full(len(errors), SMOOTHING)
+    return np.maximum(errors[:, 0].astype(float), LEAST_ERROR), smoothing, smoothing
 
 
 def _columns(found: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
