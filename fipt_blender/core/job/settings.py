@@ -140,9 +140,6 @@ class Settings:
 PRESETS: dict[str, dict[str, Any]] = {
     "draft": {
         "rounds": 1,
-        "refine_diffuse_spp": 16,
-        "refine_specular_spp": 4,
-        "refine_light_spp": 8,
         "training_steps": 250,
         "later_training_steps": 250,
         "batch_size": 4096,
