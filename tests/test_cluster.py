@@ -7,11 +7,14 @@ from __future__ import annotations
 import argparse
 import os
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pytest
@@ -211,6 +214,36 @@ def test_an_address_where_nothing_answers(address: str, monkeypatch: pytest.Monk
         pass
     assert caught.value.code == "cluster-unreachable" and repr(address) in caught.value.text
     assert time.monotonic() - started < 5.0
+
+
+def test_a_name_server_that_never_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, done = [], threading.Event()
+
+    def wait(host: str, *arguments, **options) -> NoReturn:
+        asked.append(host)
+        done.wait(60)
+        raise OSError("at last")
+
+    monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)
+    monkeypatch.setattr(socket, "getaddrinfo", wait)
+    started = time.monotonic()
+    with pytest.raises(FiptError) as caught, cluster.workers_at("tcp://a.host.invalid:8786"):
+        pass
+    seconds = time.monotonic() - started
+    done.set()
+    assert asked == ["a.host.invalid"] and seconds < 5.0
+    assert caught.value.code == "cluster-unreachable" and "no answer within" in caught.value.text
+
+
+def test_no_client_is_left_to_be_collected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The __del__ of one that never connected may block for ever whatever thread the collection starts on."""
+    monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)
+    made = []
+    monkeypatch.setattr(Client, "__init__", lambda self, *arguments, **options: made.append(arguments))
+    for address in ("tcp://127.0.0.1:9", "nonsense://x", ""):
+        with pytest.raises(FiptError), cluster.workers_at(address):
+            pass
+    assert not made
 
 
 def test_the_address_reaches_the_engine_and_makes_no_result_stale(tmp_path: Path) -> None:

@@ -9,16 +9,17 @@ never does. docs/architecture.md says how to start a cluster.
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import importlib
 import importlib.metadata
 import sys
+import threading
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 from ..device.variant import VARIANTS, set_variant
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 CONNECT_SECONDS = 5.0
+# More than the transport's own limit, so that its error, which says more, comes first.
+_GRACE_SECONDS = 1.0
 # Without any worker for so long, a run gives up; one that was restarted is back by then.
 WORKERS_SECONDS = 60.0
 _POLL_SECONDS = 2.0
@@ -38,7 +41,7 @@ _AHEAD = 2
 # Packages whose versions decide on a result's last bits.
 _PACKAGES = ("mitsuba", "drjit", "pyoidn")
 # Dr.Jit has one state a process, so a worker of several threads does one view after the other.
-_lock = Lock()
+_lock = threading.Lock()
 # The stage that this worker is at: the key of its work, and the prepared function of one view.
 _stage: tuple[str, Callable[[Any], Any]] | None = None
 
@@ -83,19 +86,45 @@ def _connect(address: str) -> Iterator[Client]:
         ) from None
     # The room and its cache are far larger than a task's usual arguments.
     with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1TB"}):
-        try:
-            client = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
-        except Exception as error:  # each transport has its own
+        # Never a client that can't connect: when it is collected, its __del__ may wait for ever for a lock of
+        # `distributed` that the thread holds on which the collection happened to start.
+        if (reason := _silent(address)) is not None:
             raise FiptError(
                 "cluster-unreachable",
-                f"No Dask scheduler answers at '{address}' ({error}).",
+                f"No Dask scheduler answers at '{address}' ({reason}).",
                 "Check the address, which `dask scheduler` prints, and that a firewall lets it through; or "
                 "leave --cluster out.",
-            ) from None
+            )
+        client = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
         try:
             yield client
         finally:
             client.close(timeout=CONNECT_SECONDS)
+
+
+def _silent(address: str) -> str | None:
+    """Why no scheduler answers there within `CONNECT_SECONDS`; None where one does."""
+    from distributed.core import rpc
+    from distributed.security import Security
+
+    async def ask() -> None:
+        security = Security().get_connection_args("client")
+        async with rpc(address, timeout=CONNECT_SECONDS, connection_args=security) as scheduler:
+            await scheduler.identity()
+
+    def run() -> None:
+        try:
+            asyncio.run(ask())
+            reasons[0] = None
+        except Exception as error:  # each transport has its own
+            reasons[0] = str(error) or type(error).__name__
+
+    reasons: list[str | None] = [f"no answer within {CONNECT_SECONDS:.0f} seconds"]
+    # Looking a name up can't be interrupted and may take minutes; nobody waits for a daemon.
+    thread = threading.Thread(target=run, name="fipt-scheduler", daemon=True)
+    thread.start()
+    thread.join(CONNECT_SECONDS + _GRACE_SECONDS)
+    return reasons[0]
 
 
 class ClusterWorkers:
