@@ -109,10 +109,3 @@ def test_large_parts_are_told_by_whole_cells(monkeypatch: pytest.MonkeyPatch) ->
     assert some[part == 0].all()
     assert some[part == 1].sum() == pytest.approx(1000, rel=0.2)
     assert set(np.bincount(cell, some)) == {0.0, 5.0}
-
-
-def test_combinations_of_columns_get_numbers_of_their_own(rng: np.random.Generator) -> None:
-    columns = [rng.integers(-5, 5, 500), rng.integers(0, 2**40, 500) % 7 * 2**33, rng.integers(0, 3, 500)]
-    number = training_input._numbered(columns)
-    pairs = np.unique(np.column_stack([*columns, number]), axis=0)
-    assert len(pairs) == len(np.unique(number)) == len(np.unique(pairs[:, :3], axis=0))

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fipt_blender.core.material.groups import NO_GROUP, color_class, material_groups
+from fipt_blender.core.material.groups import NO_GROUP, color_class, material_groups, numbered
 
 
 def columns(*rows: tuple[int, int, int, int]) -> list[np.ndarray]:
@@ -58,3 +58,10 @@ def test_color_classes_tell_hue_and_brightness_apart_and_bear_noise(rng):
     noisy = base.repeat(100, axis=0) * rng.normal(1.0, 0.01, (400, 1))
     assert (color_class(noisy) == found.repeat(100)).mean() > 0.95
     assert np.isfinite(color_class(np.zeros((1, 3)))).all()
+
+
+def test_combinations_of_columns_get_numbers_of_their_own(rng: np.random.Generator) -> None:
+    columns = [rng.integers(-5, 5, 500), rng.integers(0, 2**40, 500) % 7 * 2**33, rng.integers(0, 3, 500)]
+    number = numbered(columns)
+    pairs = np.unique(np.column_stack([*columns, number]), axis=0)
+    assert len(pairs) == len(np.unique(number)) == len(np.unique(pairs[:, :3], axis=0))

@@ -12,7 +12,7 @@ import numpy as np
 from ..light.reflecting import LampPixels
 from ..light.views import ShadingStore
 from ..material.confidence import UNKNOWN, Evidence, evidence, standard_errors
-from ..material.fields import RoomFields
+from ..material.fields import Fields
 from ..material.seen import RESOLUTION, Box, SeenCells, cell_keys, seen_cells
 from ..scene.labels import Parts
 from ..scene.pixels import PixelStore
@@ -44,17 +44,18 @@ def cell_errors(
     parts: Parts,
     shadings: ShadingStore,
     levels: np.ndarray,
-    fields: RoomFields,
+    fields: Fields,
+    cells: SeenCells,
     emitting: np.ndarray,
     seed: int,
 ) -> np.ndarray:
-    """(K, 3) float32 standard errors of base colour, roughness and metallic of the cells of `fields`.
+    """(K, 3) float32 standard errors of base colour, roughness and metallic of `fields` in the cells.
 
     Args:
         shadings: of all pixels at the roughness `levels`.
         emitting: (T,) bool; what these reflect was not looked at.
     """
-    cells, box = fields.cells, fields.fields.box
+    box = fields.box
     rng = np.random.default_rng([seed, 5])
     rows = np.concatenate([_usable(pixels, view, emitting, rng) for view in range(len(pixels.views))])
     errors = np.full((len(cells.keys), 3), UNKNOWN, np.float32)
@@ -68,7 +69,7 @@ def cell_errors(
     if parts.kind == "part":
         blocks = np.where(cells.part >= 0, 0, blocks)
     group_of_cell = np.unique((cells.part + 1) * 64**3 + blocks, return_inverse=True)[1]
-    color, roughness, metallic = fields.fields.query(position)
+    color, roughness, metallic = fields.query(position)
     pieces = []
     for start in range(0, len(rows), CHUNK):
         some, own = rows[start : start + CHUNK], slice(start, start + CHUNK)

@@ -369,23 +369,30 @@ class Estimation:
     def _seen_cells(self) -> SeenCells:
         return find_cells(self.pixels, self.parts.triangle_part, self.box)
 
-    def _room_fields(self) -> RoomFields:
-        return RoomFields(Fields(self.brdf, self.box), self.parts.triangle_part, self._seen_cells)
+    def _room_fields(self, errors: np.ndarray | None = None) -> RoomFields:
+        """The estimate on all surfaces; with `errors` (:func:`cell_errors`) drawn to what parts say."""
+        fields, part = Fields(self.brdf, self.box), self.parts.triangle_part
+        return RoomFields(fields, part, self._seen_cells, errors, self.parts.kind == "part")
 
     def _write_results(self) -> None:
-        fields = self._room_fields()
         emitting = np.zeros(len(self.room.triangles), bool)
         emitting[emitter_table(self.fixtures).triangles] = True
         shadings = self._open_shadings()
         errors = cell_errors(
-            self.pixels, self.parts, shadings, self.levels, fields, emitting, self.settings.seed
+            self.pixels,
+            self.parts,
+            shadings,
+            self.levels,
+            Fields(self.brdf, self.box),
+            self._seen_cells,
+            emitting,
+            self.settings.seed,
         )
-        part = self.parts.triangle_part
-        fields = RoomFields(fields.fields, part, fields.cells, errors, self.parts.kind == "part")
         fixtures = self.fixtures, np.zeros((len(self.fixtures), 3))
         if self.settings.emission != "joint":
             pixels = lamp_pixels(self.pixels, shadings, emitting, self.settings.seed)
             fixtures = separate(self.fixtures, pixels)
+        fields = self._room_fields(errors)
         write_results(self.folder, fields, *fixtures, self.seen.environment, self.scale, self.reporter)
         write_json(self.folder.statistics_json, self.summary())
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from ..light.cache import SIDES
 from ..light.observations import Observations
 from ..light.views import ShadingStore
 from ..material.gloss import part_materials
-from ..material.groups import LEAST_PIXELS, NO_GROUP, color_class, material_groups
+from ..material.groups import LEAST_PIXELS, NO_GROUP, color_class, material_groups, numbered
 from ..material.projection import Guess, project, window_means
 from ..material.training import TrainingData
 from ..scene.labels import Parts
@@ -146,22 +146,13 @@ def _wide_cells(pixels: PixelStore, seen: Observations, rows: np.ndarray) -> np.
     """(M,) int64 from 0, a cube of `WIDE_CELL` voxels and the side of it that each pixel sees."""
     edge = WIDE_CELL * float(seen.grid.size.max())
     cube = np.floor((pixels.position[rows] - seen.grid.low) / edge).astype(np.int64)
-    return _numbered([*cube.T, np.asarray(seen.entry[rows], np.int64) % SIDES])
+    return numbered([*cube.T, np.asarray(seen.entry[rows], np.int64) % SIDES])
 
 
 def _spots(pixels: PixelStore, seen: Observations, rows: np.ndarray) -> np.ndarray:
     """(M,) int64 from 0, a voxel's side and the slope that each pixel sees."""
     slope = np.round(pixels.normal[rows] / SLOPE).astype(np.int64)
-    return _numbered([*slope.T, np.asarray(seen.entry[rows], np.int64)])
-
-
-def _numbered(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """(M,) int64 from 0 a number for each combination of the columns' values."""
-    number = np.zeros(len(columns[0]), np.int64)
-    for column in columns:
-        values = np.unique(column, return_inverse=True)[1]
-        number = np.unique(number * (int(values.max(initial=0)) + 1) + values, return_inverse=True)[1]
-    return number
+    return numbered([*slope.T, np.asarray(seen.entry[rows], np.int64)])
 
 
 def _some_of_each(part: np.ndarray, cell: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -77,10 +77,7 @@ class Observations:
         Args:
             values: (N, C); memory-mapped arrays will do.
         """
-        pooled = Pool(self.grid, values.shape[1])
-        for rows in self.hits():
-            pooled.add(self.entry[rows], np.asarray(values[rows], np.float32))
-        mean, count = pooled.filled()
+        mean, count = self._pooled(values)
         return np.where(count[:, None] > 0, mean, np.float32(-1.0))
 
     def places(self, room: Room, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -90,10 +87,7 @@ class Observations:
             (E,) int64 entries, (E, 3) float32 points, metres, and (E,) int64 triangles on which they lie; -1
             in entries that pixels saw, where the point is the mean of what they saw.
         """
-        mean = Pool(self.grid, 3)
-        for rows in self.hits():
-            mean.add(self.entry[rows], self.pixels.position[rows])
-        points, count = mean.filled()
+        points, count = self._pooled(self.pixels.position)
         seen = np.flatnonzero(count)
         unseen, others, triangles = unseen_points(self.grid, room, count, rng)
         return (
@@ -101,6 +95,13 @@ class Observations:
             np.concatenate([points[seen], others]),
             np.concatenate([np.full(len(seen), -1, np.int64), triangles]),
         )
+
+    def _pooled(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean of per-pixel values (N, C) in each cache entry and how many there are; see `Pool.filled`."""
+        pooled = Pool(self.grid, values.shape[1])
+        for rows in self.hits():
+            pooled.add(self.entry[rows], values[rows])
+        return pooled.filled()
 
     def _near(self, index: int, marked: np.ndarray) -> np.ndarray:
         """(n,) bool, pixels of a view that see a marked triangle ((T,) bool), and their neighbours."""

@@ -118,12 +118,12 @@ class Baking:
 
     def _source(self, lights: AreaLights) -> RadianceSource:
         environment = None if self.environment is None else EnvironmentLight(self.environment)
-        cache = None if self.cache is None else SurfaceLookup(self.grid, self.cache)
         if self.traced is None:
-            assert cache is not None, "stage 1 reads nothing but the cache"
-            return CachedRadiance(self.room, cache, environment)
+            assert self.cache is not None, "stage 1 reads nothing but the cache"
+            return CachedRadiance(self.room, SurfaceLookup(self.grid, self.cache), environment)
         materials = SurfaceLookup(self.grid, self.traced.materials)
-        diffuse = None if self.traced.diffuse is None else SurfaceLookup(self.grid, self.traced.diffuse)
+        cache = None if self.cache is None else materials.beside(self.cache)
+        diffuse = None if self.traced.diffuse is None else materials.beside(self.traced.diffuse)
         path = self.traced.cache_roughness, self.traced.depth
         return TracedRadiance(self.room, cache, materials, diffuse, lights, environment, *path)
 

@@ -6,6 +6,8 @@ colour are likely of one material. The paper's kernel for semantic masks (Eq. 17
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 NO_GROUP = -1
@@ -22,6 +24,15 @@ def color_class(color: np.ndarray) -> np.ndarray:
     total = np.maximum(color.sum(axis=1, keepdims=True), 1e-3)
     chroma = np.round(color[:, :2] / total / CHROMA_STEP)
     return (brightness * 10_000 + chroma[:, 0] * 100 + chroma[:, 1]).astype(np.int64)
+
+
+def numbered(columns: Sequence[np.ndarray]) -> np.ndarray:
+    """(N,) int64 from 0, a number for each combination of the values of int columns (N,)."""
+    number = np.zeros(len(columns[0]), np.int64)
+    for column in columns:
+        values = np.unique(column, return_inverse=True)[1]
+        number = np.unique(number * (int(values.max(initial=0)) + 1) + values, return_inverse=True)[1]
+    return number
 
 
 def material_groups(
@@ -42,10 +53,7 @@ def material_groups(
     group = np.full(len(label), NO_GROUP, np.int64)
     used = 0
     for columns in ((label, piece, color), (label, piece), (label, color)):
-        key = np.zeros(len(label), np.int64)
-        for column in columns:
-            values = np.unique(column, return_inverse=True)[1]
-            key = np.unique(key * (int(values.max(initial=0)) + 1) + values, return_inverse=True)[1]
+        key = numbered(columns)
         count = np.bincount(key, pixels)
         taken = (group < 0) & (count[key] >= least)
         group[taken] = used + key[taken]
