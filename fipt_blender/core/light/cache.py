@@ -187,35 +187,47 @@ class Pool:
         for sums, column in zip(self._sums, values.T, strict=True):
             np.add.at(sums, entries, column.astype(np.float64))
 
+    def mean(self) -> tuple[np.ndarray, np.ndarray]:
+        """(M * 6, C) float32 mean of each entry, 0 without any value, and (M * 6,) how many there are."""
+        return self._mean().T.astype(np.float32, order="C"), self._count
+
     def filled(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mean of each entry, the missing ones filled, and the count of values; see :func:`pool`."""
-        grid, count = self._grid, self._count
-        mean = self._sums.T / np.maximum(count, 1)[:, None]
-        missing = count == 0
-        cell = np.stack(np.unravel_index(grid.voxels, (grid.resolution,) * 3), axis=1)
-        level = 0
-        while missing.any() and (grid.resolution >> level) > 1:
-            level += 1
-            _fill_from_coarser(mean, count, missing, cell >> level, (grid.resolution >> level) + 1)
-        if missing.any():
-            mean[missing] = self._sums.sum(axis=1) / max(int(count.sum()), 1)
-        return mean.astype(np.float32), count
+        """The same with the missing means filled; see :func:`pool`."""
+        grid, mean = self._grid, self._mean()
+        observed = self._count > 0
+        missing = np.flatnonzero(~observed)
+        side = missing % SIDES
+        # Sums over the sides of ever coarser voxels, and which of these holds each row of the grid.
+        sums = mean.reshape(len(mean), -1, SIDES)
+        number = observed.reshape(-1, SIDES).astype(np.int64)
+        voxel, size = grid.voxels, grid.resolution
+        holder = np.arange(len(voxel))
+        while len(missing) and size > 1:
+            x, y, z = np.unravel_index(voxel, (size,) * 3)
+            size = (size + 1) // 2
+            voxel, parent = np.unique(((x >> 1) * size + (y >> 1)) * size + (z >> 1), return_inverse=True)
+            sums, number, holder = _added(sums, parent), _added(number, parent), parent[holder]
+            own = holder[missing // SIDES]
+            found = number[own, side] > 0
+            at = own[found], side[found]
+            mean[:, missing[found]] = sums[:, *at] / number[at]
+            missing, side = missing[~found], side[~found]
+        if len(missing):
+            mean[:, missing] = self._sums.sum(axis=1, keepdims=True) / max(int(self._count.sum()), 1)
+        return mean.T.astype(np.float32, order="C"), self._count
+
+    def _mean(self) -> np.ndarray:
+        """(C, M * 6) float64, 0 without any value."""
+        return self._sums / np.maximum(self._count, 1)
 
 
-def _fill_from_coarser(
-    mean: np.ndarray, count: np.ndarray, missing: np.ndarray, coarse: np.ndarray, size: int
-) -> None:
-    """Give missing entries the mean of the observed ones in their coarse voxel and side, in place."""
-    voxel = (coarse[:, 0] * size + coarse[:, 1]) * size + coarse[:, 2]
-    key = (voxel[:, None] * SIDES + np.arange(SIDES)).reshape(-1)
-    observed = count > 0
-    length = size**3 * SIDES
-    number = np.bincount(key[observed], minlength=length)
-    found = missing & (number[key] > 0)
-    for channel in range(mean.shape[1]):
-        sums = np.bincount(key[observed], mean[observed, channel], minlength=length)
-        mean[found, channel] = sums[key[found]] / number[key[found]]
-    missing &= ~found
+def _added(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Sums (..., G, 6) of the rows of values (..., R, 6) that have the same group (R,) from 0."""
+    count = int(group.max(initial=-1)) + 1
+    key = (group[:, None] * SIDES + np.arange(SIDES)).reshape(-1)
+    rows = values.reshape(-1, len(key))
+    sums = np.stack([np.bincount(key, row, minlength=count * SIDES) for row in rows])
+    return sums.reshape(*values.shape[:-2], count, SIDES).astype(values.dtype)
 
 
 class SurfaceLookup:

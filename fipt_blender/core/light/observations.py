@@ -97,11 +97,11 @@ class Observations:
         )
 
     def _pooled(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean of per-pixel values (N, C) in each cache entry and how many there are; see `Pool.filled`."""
+        """Mean of per-pixel values (N, C) in each cache entry and how many there are; see `Pool.mean`."""
         pooled = Pool(self.grid, values.shape[1])
         for rows in self.hits():
             pooled.add(self.entry[rows], values[rows])
-        return pooled.filled()
+        return pooled.mean()
 
     def _near(self, index: int, marked: np.ndarray) -> np.ndarray:
         """(n,) bool, pixels of a view that see a marked triangle ((T,) bool), and their neighbours."""
