@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Give a room of examples/make_room.py other materials and lamps by chance: no constant was tuned on it.
 
-    python examples/make_room.py --seed 7 --no-render --out DIR
-    python benchmarks/other_materials.py DIR --seed 7
-    python examples/render_room.py DIR
-    python3 dev.py accuracy DIR
+python examples/make_room.py --seed 7 --no-render --out DIR
+python benchmarks/other_materials.py DIR --seed 7
+python examples/render_room.py DIR
+python3 dev.py accuracy DIR
 """
 
 from __future__ import annotations
