@@ -282,6 +282,19 @@ def test_denoising_brings_a_noisy_image_closer() -> None:
     assert np.sqrt(((smooth - clean) ** 2).mean()) < 0.2 * np.sqrt(((noisy - clean) ** 2).mean())
 
 
+def test_denoising_keeps_a_texture_that_the_guide_shows_through_its_noise() -> None:
+    """Guides that are called noisy are denoised first: taken as they are, half the texture was blurred away,
+    and a forward render stayed a decibel below one in Cycles with as many samples."""
+    rng = np.random.default_rng(4)
+    albedo = np.kron(rng.uniform(0.3, 0.8, (21, 32, 3)), np.ones((3, 3, 1)))
+    clean = (albedo * 3.0).astype(np.float32)
+    noisy = (clean * rng.gamma(2.0, 0.5, clean.shape)).astype(np.float32)
+    guide = np.clip(albedo + rng.normal(0.0, 0.02, albedo.shape), 0.0, 1.0).astype(np.float32)
+    normal = np.broadcast_to(np.float32([0, 0, 1]), clean.shape)
+    smooth = denoise(noisy, guide, normal)
+    assert np.sqrt(((smooth - clean) ** 2).mean()) < 0.11 * np.sqrt(((noisy - clean) ** 2).mean())
+
+
 def test_lattice_reproduces_linear_fields_and_resolves_steps() -> None:
     """Linear fields come back, on slivers too (but for cells cut by the third edge, where points are moved
     onto it); the error of a curved field falls with the spacing."""
