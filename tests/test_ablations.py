@@ -21,7 +21,8 @@ from small_captures import (
 )
 from small_rooms import BOX, make_room, surface_points
 
-from benchmarks import ablations, accuracy, disturb
+from benchmarks import ablations, accuracy, disturb, predict
+from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.runfolder import RunFolder
 from fipt_blender.core.job.settings import make_settings
@@ -51,13 +52,32 @@ def test_fitted_jointly_the_lamp_is_too_dim_and_walls_shine(capture: SmallCaptur
     assert sum(len(fixture["triangles"]) for fixture in fixtures) > len(PANEL_TRIANGLES)
 
 
+def wall_error(run: RunFolder, capture: SmallCapture) -> float:
+    """Mean absolute error of kd over the box."""
+    points, _, triangle = surface_points(capture.room, 100, np.random.default_rng(0), np.arange(12))
+    color, _, metallic = RoomFields.load(run).query(points, triangle)
+    return float(np.abs(color * (1 - metallic[:, None]) - np.array(COLORS)[triangle // 2]).mean())
+
+
+def test_walls_that_shine_a_little_still_reflect_in_stage_3(capture: SmallCapture, tmp_path: Path) -> None:
+    """Fitted jointly, noise of L_e must not blacken the walls: that would halve the light of stage 3."""
+    run, fixtures = finished(tmp_path, capture, emission="joint")
+    assert all(fixture["beside"] for fixture in fixtures)
+    walls = {triangle for fixture in fixtures for triangle in fixture["triangles"]} & set(range(12))
+    assert len(walls) >= 4
+    assert wall_error(run, capture) < 0.1
+    # A view's maps show their materials and their emission.
+    lit, _ = predict.load_result(run, spacing=0.1)
+    (view, *_) = load_capture(run).train
+    maps = predict.predict_maps(lit, view, filtered=False, spp=1)
+    assert (maps.emission.max(axis=2) > 0.0).mean() > 0.3
+    assert (maps.base_color.max(axis=2) > 0.0).mean() > 0.99
+
+
 def test_paths_without_a_cache_still_find_materials(capture: SmallCapture, tmp_path: Path) -> None:
     run, (lamp,) = finished(tmp_path, capture, refine_cache=False)
     assert lamp["triangles"] == PANEL_TRIANGLES
-    points, _, triangle = surface_points(capture.room, 100, np.random.default_rng(0), np.arange(12))
-    color, _, metallic = RoomFields.load(run).query(points, triangle)
-    wrong = np.abs(color * (1 - metallic[:, None]) - np.array(COLORS)[triangle // 2]).mean()
-    assert wrong < 0.1
+    assert wall_error(run, capture) < 0.1
 
 
 def test_fewer_views_are_spread_over_the_capture() -> None:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Baked shadings: the factorisation is the rendering equation, furnaces, emitters and mirrors of stage 3."""
 
+from dataclasses import replace
 from functools import cache
 
 import drjit as dr
@@ -288,6 +289,52 @@ def test_looking_up_the_diffuse_shading_changes_no_mean() -> None:
     (traced, noise), (looked_up, error) = found
     agree(traced - looked_up, np.hypot(noise, error))
     assert (traced.min(axis=1) < 0.99).all()  # the floor matters
+
+
+@pytest.mark.parametrize("roughness", [0.1, 1.0])
+def test_what_shines_beside_reflecting_is_read_from_the_cache(roughness: float) -> None:
+    """The photographs hold its whole light: it counts once, however bright or rough it was fitted."""
+    room, materials = shiny_box(0.1)
+    grid = grid_of(room)
+    cached = lookup_by_triangle(room, grid, np.linspace(0.5, 2.0, 14)[:, None] * np.ones(3))
+    points = points_on(room, 4, [4, 6, 8])
+    counts = SampleCounts(16, 4, 16)
+    lamp = table([12, 13], [50.0, 40.0, 30.0])
+    aimed = area_lights(room, lamp)
+    expected = TracedRadiance(
+        room,
+        cached,
+        lookup_by_triangle(room, grid, materials),
+        None,
+        area_lights(room, NOTHING),
+        None,
+        0.6,
+        5,
+    )
+    materials[12:, 3] = roughness
+    lights = area_lights(room, replace(lamp, beside=np.ones(2, bool)))
+    source = TracedRadiance(
+        room, cached, lookup_by_triangle(room, grid, materials), None, lights, None, 0.6, 5
+    )
+    found = [bake(points, each, aimed, LEVELS, counts, 3) for each in (source, expected)]
+    np.testing.assert_allclose(found[0].diffuse, found[1].diffuse, rtol=1e-5)
+    np.testing.assert_allclose(found[0].specular, found[1].specular, rtol=1e-4, atol=1e-6)
+
+
+def test_without_a_cache_what_shines_beside_reflecting_lights_the_room() -> None:
+    """Lamps that reflect nothing are the same either way."""
+    room, materials = shiny_box(0.3)
+    materials[12:] = [0.0, 0.0, 0.0, 1.0, 1.0]
+    grid = grid_of(room)
+    lookup = lookup_by_triangle(room, grid, materials)
+    points = points_on(room, 4, [4, 6, 8])
+    found = []
+    for beside in (None, np.ones(2, bool)):
+        lights = area_lights(room, replace(table([12, 13], [6.0, 5.0, 4.0]), beside=beside))
+        source = TracedRadiance(room, None, lookup, None, lights, None, 0.6, 4)
+        found.append(mean_and_error(baked(points, source, lights, LEVELS, SampleCounts(16, 4, 16), 300)[0]))
+    (black, noise), (beside_mean, error) = found
+    agree(black - beside_mean, np.hypot(noise, error))
 
 
 def test_starts_of_a_pixel_are_averaged() -> None:

@@ -217,13 +217,20 @@ def test_emitters_are_one_sided_and_reflect_nothing() -> None:
         assert np.allclose(np.array(result.radiance), expected)
 
 
-def test_walls_that_emit_and_reflect_are_a_furnace() -> None:
-    """In a closed room of E and albedo rho all over, radiance is E / (1 - rho), whatever the room's shape."""
+@pytest.mark.parametrize("beside", [False, True])
+def test_walls_that_emit_and_reflect_are_a_furnace(beside: bool) -> None:
+    """In a closed room of E and albedo rho all over, radiance is E / (1 - rho), whatever the room's shape.
+
+    Beside: emission is added to what the room's material, here that of such lamps, reflects.
+    """
     room = make_room([*BOX, [[-2, -2, 0], [-2, -2, 3], [2, -2, 3], [2, -2, 0]]])
     count = len(room.triangles)
     table = emitters(list(range(count)), [2.0, 1.0, 0.5], [2.0, 1.0, 0.5])
-    table = replace(table, base_color=np.full((count, 3), 0.6))
-    lit = LitRoom(room, uniform(room, 0.1, 0.3, 1.0), AreaLights(room.vertices, room.triangles, table))
+    if beside:
+        table, material = replace(table, beside=np.ones(count, bool)), (0.6, 1.0, 0.0)
+    else:
+        table, material = replace(table, base_color=np.full((count, 3), 0.6)), (0.1, 0.3, 1.0)
+    lit = LitRoom(room, uniform(room, *material), AreaLights(room.vertices, room.triangles, table))
     toward = np.array([0.3, 0.2, 0.9]) / np.linalg.norm([0.3, 0.2, 0.9])
     emitted = np.array([2.0, 1.0, 0.5])
     once = look(lit, toward, 40_000, depth=1).mean(axis=0)
@@ -236,10 +243,11 @@ def test_walls_that_emit_and_reflect_are_a_furnace() -> None:
 def test_a_lamp_without_its_light_reflects_like_a_wall_of_its_colour() -> None:
     room = make_room(BOX)
     lamp = replace(emitters([0, 1], [3.0, 3.0, 3.0]), base_color=np.full((2, 3), 0.4))
+    shining = replace(emitters([2, 3], [3.0, 3.0, 3.0]), beside=np.ones(2, bool))
     panel = emitters([12, 13], [5.0, 5.0, 5.0])
     toward = np.array([0.0, 0.6, 0.8])
     found = []
-    for table in (joined(switched_off(lamp), panel), panel):
+    for table in (joined(switched_off(joined(lamp, shining)), panel), panel):
         lights = AreaLights(room.vertices, room.triangles, table)
         radiance = look(LitRoom(room, uniform(room, 0.4, 1.0, 0.0), lights), toward, 40_000, depth=8)
         found.append(radiance.mean(axis=0))

@@ -56,7 +56,7 @@ def write_results(
 def _describe(fixture: Fixture, name: str, scale: float) -> dict[str, Any]:
     """A fixture for emitters.json, in the photographs' units; power is pi A L of both sides, in watts."""
     front, back = fixture.radiance * scale, fixture.back_radiance * scale
-    return {
+    found = {
         "name": name,
         "triangles": fixture.triangles.tolist(),
         "radiance": front.tolist(),
@@ -65,3 +65,4 @@ def _describe(fixture: Fixture, name: str, scale: float) -> dict[str, Any]:
         "centroid": fixture.centroid.tolist(),
         "power": (np.pi * fixture.area * (front + back)).tolist(),
     }
+    return found | {"beside": True} if fixture.beside else found

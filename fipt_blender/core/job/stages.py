@@ -340,7 +340,9 @@ class Estimation:
         table = emitter_table(self.fixtures)
         emitting = np.zeros(len(self.room.triangles), bool)
         emitting[table.triangles] = True
-        cache = self.seen.cache(without=emitting) if settings.refine_cache else None
+        # What was fitted jointly is read from the cache like all else: its rim counts nothing twice.
+        lamps = emitting if settings.emission == "mask" else None
+        cache = self.seen.cache(without=lamps) if settings.refine_cache else None
         diffuse = self.diffuse if settings.refine_cache else None
         traced = TracedLight(
             self._material_values(), diffuse, settings.cache_roughness, settings.refine_depth

@@ -36,6 +36,7 @@ class Fixture:
         back_radiance: (3,) of the back side.
         area: square metres.
         centroid: (3,) area-weighted, metres.
+        beside: whether the surface also reflects as the room's materials say there.
     """
 
     triangles: np.ndarray
@@ -43,6 +44,7 @@ class Fixture:
     back_radiance: np.ndarray
     area: float
     centroid: np.ndarray
+    beside: bool = False
 
 
 def find_emitters(
@@ -231,6 +233,7 @@ def emitter_table(fixtures: list[Fixture]) -> EmitterTable:
         np.concatenate([fixture.triangles for fixture in fixtures]).astype(np.int32),
         np.repeat([fixture.radiance for fixture in fixtures], sizes, axis=0).astype(np.float32),
         np.repeat([fixture.back_radiance for fixture in fixtures], sizes, axis=0).astype(np.float32),
+        beside=np.repeat([fixture.beside for fixture in fixtures], sizes),
     )
 
 

@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Emitters of an emission that was fitted jointly with the materials: the paper's ablation "Joint L_e opt."
 (Sec. 5.4), which the product itself never uses.
+
+They are surfaces like others: what a photograph shows of them is L_r + L_e, and much of the room has some
+L_e. If they stood for what reflects there, as lamps of known radiance do, half of the room would be black.
 """
 
 from __future__ import annotations
@@ -51,5 +54,5 @@ def joint_fixtures(
         middle = room.vertices[room.triangles[members]].mean(axis=1)
         centroid = np.average(middle, axis=0, weights=area)
         # A fitted emission knows no sides.
-        fixtures.append(Fixture(members, radiance, radiance, float(area.sum()), centroid))
+        fixtures.append(Fixture(members, radiance, radiance, float(area.sum()), centroid, beside=True))
     return fixtures

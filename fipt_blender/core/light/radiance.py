@@ -94,6 +94,8 @@ class TracedRadiance:
     """Stage 3: paths over surfaces with roughness up to `cache_roughness`, ending in emitters or the cache.
 
     Emitters are sampled at every surface on the way and combined with BRDF samples by the balance heuristic.
+    Those that shine beside reflecting end a path in the cache, which holds the sum of both, and are not
+    sampled. Without a cache they are sampled as the others, and paths go on.
 
     Args:
         materials: base colour (3), roughness and metallic of the surface, five values.
@@ -120,6 +122,7 @@ class TracedRadiance:
         self._room, self._cache, self._materials, self._diffuse = room, cache, materials, diffuse
         self._lights, self._environment = lights, environment
         self._cache_roughness, self._depth = cache_roughness, depth
+        self._cached_light = cache is not None and lights.beside
         self.offset = room.offset
         _make_ready(room)
 
@@ -134,8 +137,11 @@ class TracedRadiance:
         active = active & hit.valid
         cosine = -dr.dot(hit.geometric_normal, direction)
         is_emitter = lights.is_emitter(hit.triangle, active)
-        emitted = lights.radiance(hit.triangle, cosine, is_emitter)
-        light_pdf = lights.pdf_direction(hit.triangle, hit.distance, cosine, is_emitter)
+        shines = is_emitter
+        if lights.beside and not self._cached_light:
+            shines = shines | lights.shines_beside(hit.triangle, active)
+        emitted = lights.radiance(hit.triangle, cosine, shines)
+        light_pdf = lights.pdf_direction(hit.triangle, hit.distance, cosine, shines)
         weight = path.brdf_pdf / dr.maximum(path.brdf_pdf + light_pdf, 1e-20)
         radiance += emitted * dr.select(path.brdf_pdf < 0.0, 1.0, weight)
         active &= ~is_emitter
@@ -148,6 +154,8 @@ class TracedRadiance:
         ends = active & (path.depth >= self._depth)
         if self._cache is not None:
             ends |= active & (roughness > self._cache_roughness)
+            if self._cached_light:
+                ends |= lights.shines_beside(hit.triangle, active)
             radiance += mi.Color3f(*self._cache.values(entry, ends))
             active &= ~ends
         if self._diffuse is not None:
@@ -194,7 +202,7 @@ class TracedRadiance:
         active: Any,
     ) -> Any:
         """Reflected radiance of one emitter sample, weighted against BRDF sampling."""
-        if not self._lights.count:
+        if not self._lights.count or self._cached_light:
             return mi.Color3f(0.0)
         light = self._lights.sample_direction(
             origin, rng.next_float32(), rng.next_float32(), rng.next_float32()

@@ -53,7 +53,7 @@ class LitRoom:
 
     Attributes:
         room: the mesh.
-        materials: looked up wherever a path meets a surface that is no emitter.
+        materials: looked up wherever a path meets a surface for which no emitter stands.
         lights: emissive triangles of the same room.
         environment: what rays that leave the mesh see, or None for black.
     """
@@ -316,7 +316,7 @@ def add_light(
 def switched_off(table: EmitterTable) -> EmitterTable:
     """The same emitters without light of their own; they reflect as before."""
     black = np.zeros_like(table.radiance), np.zeros_like(table.back_radiance)
-    return EmitterTable(table.triangles, *black, table.base_color)
+    return EmitterTable(table.triangles, *black, table.base_color, table.beside)
 
 
 def joined(first: EmitterTable, second: EmitterTable) -> EmitterTable:
@@ -326,4 +326,5 @@ def joined(first: EmitterTable, second: EmitterTable) -> EmitterTable:
         np.concatenate([first.radiance, second.radiance]),
         np.concatenate([first.back_radiance, second.back_radiance]),
         np.concatenate([first.base_colors(), second.base_colors()]),
+        np.concatenate([first.all_beside(), second.all_beside()]),
     )

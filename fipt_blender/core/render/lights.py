@@ -28,12 +28,19 @@ class EmitterTable:
         radiance: (E, 3) radiance leaving the front side, scene-linear.
         back_radiance: (E, 3) radiance leaving the back side.
         base_color: (E, 3) of rough dielectrics that reflect as well; None where all are black.
+        beside: (E,) bool, emitters whose surface also reflects as the room's materials say there; None where
+            all stand for them.
     """
 
     triangles: np.ndarray
     radiance: np.ndarray
     back_radiance: np.ndarray
     base_color: np.ndarray | None = None
+    beside: np.ndarray | None = None
+
+    def all_beside(self) -> np.ndarray:
+        """(E,) bool, `beside` of each."""
+        return np.zeros(len(self.triangles), bool) if self.beside is None else self.beside
 
     def base_colors(self) -> np.ndarray:
         """(E, 3) float32; black emitters reflect nothing at all."""
@@ -53,17 +60,20 @@ class EmitterTable:
         front: list[list[float]] = []
         back: list[list[float]] = []
         color: list[list[float]] = []
+        beside: list[bool] = []
         for fixture in data["fixtures"]:
             count = len(fixture["triangles"])
             triangles += fixture["triangles"]
             front += [fixture["radiance"]] * count
             back += [fixture["back_radiance"]] * count
             color += [fixture.get("base_color", [0.0, 0.0, 0.0])] * count
+            beside += [fixture.get("beside", False)] * count
         return cls(
             np.array(triangles, np.int32),
             np.array(front, np.float32).reshape(-1, 3),
             np.array(back, np.float32).reshape(-1, 3),
             np.array(color, np.float32).reshape(-1, 3),
+            np.array(beside, bool),
         )
 
 
@@ -129,9 +139,11 @@ class AreaLights:
         self._front: Any = None
         colors = table.base_colors()
         self._reflecting = bool(colors.any())
+        self.beside = bool(table.all_beside().any())
         if not len(ids):
             return
         self._color = _columns(mi.Color3f, colors)
+        self._beside = mi.Bool(table.all_beside())
         normal = cross / np.maximum(length, 1e-30)[:, None]
         self._origin = _columns(mi.Point3f, corners[:, 0])
         self._edge_1 = _columns(mi.Vector3f, edge_1)
@@ -169,8 +181,16 @@ class AreaLights:
         return mi.UInt32(dr.maximum(slot, 0)), found
 
     def is_emitter(self, triangle: Any, active: Any = True) -> Any:
-        """Bool: does the room triangle belong to an emitter?"""
-        return self._slots(triangle, mi.Bool(active))[1]
+        """Bool: does the room triangle belong to an emitter that stands for what reflects there?"""
+        slot, found = self._slots(triangle, mi.Bool(active))
+        return found & ~dr.gather(mi.Bool, self._beside, slot, found) if self.beside else found
+
+    def shines_beside(self, triangle: Any, active: Any = True) -> Any:
+        """Bool: does the room triangle emit beside what the room's material reflects there?"""
+        if not self.beside:
+            return mi.Bool(False)
+        slot, found = self._slots(triangle, mi.Bool(active))
+        return found & dr.gather(mi.Bool, self._beside, slot, found)
 
     def base_color(self, triangle: Any, active: Any = True) -> Any:
         """Color3f: base colour of the emitter that the room triangle belongs to; black without one."""
