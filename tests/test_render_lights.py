@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Emissive triangles: drawn in proportion to power, uniform by area, and right as estimators."""
 
+from dataclasses import replace
+
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -104,6 +106,10 @@ def test_lookup_by_side() -> None:
     assert np.array_equal(found, expected)
     assert np.array(lights.is_emitter(triangle)).tolist() == [False] + [True] * 6
     assert np.array(lights.pdf_area(mi.UInt32([0, 3]))).tolist() == [0.0, 0.0]
+    lights = AreaLights(VERTICES, TRIANGLES, replace(TABLE, beside=TABLE.triangles == 4))
+    assert np.array_equal(np.array(lights.radiance(triangle, side)).T, expected)
+    assert np.array(lights.is_emitter(triangle)).tolist() == [False] + [True] * 4 + [False] * 2
+    assert np.array(lights.shines_beside(triangle)).tolist() == [False] * 5 + [True] * 2
 
 
 def test_a_room_without_emitters() -> None:
@@ -136,13 +142,14 @@ def test_fixtures_give_one_entry_a_triangle() -> None:
     data = {
         "fixtures": [
             {"triangles": [4, 7], "radiance": [1, 2, 3], "back_radiance": [0, 0, 0]},
-            {"triangles": [2], "radiance": [0, 0, 0], "back_radiance": [4, 5, 6]},
+            {"triangles": [2], "radiance": [0, 0, 0], "back_radiance": [4, 5, 6], "beside": True},
         ]
     }
     table = EmitterTable.from_fixtures(data)
     assert table.triangles.tolist() == [4, 7, 2]
     assert table.radiance.tolist() == [[1, 2, 3], [1, 2, 3], [0, 0, 0]]
     assert table.back_radiance[2].tolist() == [4, 5, 6]
+    assert table.all_beside().tolist() == [False, False, True]
     assert EmitterTable.from_fixtures({"fixtures": []}).radiance.shape == (0, 3)
 
 
