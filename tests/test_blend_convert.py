@@ -123,3 +123,29 @@ def test_other_shapes_keep_their_power_and_say_so():
     assert len(pieces) == 2 and all(piece.exact for piece in pieces)
     assert np.allclose(pieces[1].matrix[:3, 3], [3.5, 0.5, 1.0])
     assert convert.fit_shapes(two, np.array([[0, 0, 1]])) == []
+
+
+def test_light_room_loses_no_light_to_path_length():
+    """A closed box that emits 1 and reflects 80 %: radiance 1 / (1 - 0.8). Twelve bounces left out 5 %."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    bpy.ops.mesh.primitive_cube_add(size=2.0)
+    material = bpy.data.materials.new("wall")
+    if material.node_tree is None:
+        material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    diffuse, emission = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeEmission")
+    diffuse.inputs["Color"].default_value = (0.8, 0.8, 0.8, 1.0)
+    emission.inputs["Strength"].default_value = 1.0
+    add, output = nodes.new("ShaderNodeAddShader"), nodes.new("ShaderNodeOutputMaterial")
+    links.new(diffuse.outputs[0], add.inputs[0])
+    links.new(emission.outputs[0], add.inputs[1])
+    links.new(add.outputs[0], output.inputs["Surface"])
+    bpy.context.object.data.materials.append(material)
+    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    scene.render.resolution_x = scene.render.resolution_y = 16
+    pixels = renders.render_pixels(scene, spp=256, seed=1, denoise=False)
+    assert float(pixels.mean()) == pytest.approx(5.0, rel=0.01)

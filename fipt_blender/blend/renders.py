@@ -27,9 +27,11 @@ CYCLES = {
     "light_sampling_threshold": 0.0,
     "caustics_reflective": True,
     "caustics_refractive": True,
-    "max_bounces": 12,
-    "diffuse_bounces": 12,
-    "glossy_bounces": 12,
+    # Light rooms: Blender's 12 leave out 0.4 % of a bright living room. Paths end by chance long before, so
+    # that further ones cost no time.
+    "max_bounces": 32,
+    "diffuse_bounces": 32,
+    "glossy_bounces": 32,
     # Photographs average the radiance over a pixel; wider filters would blur.
     "pixel_filter_type": "BOX",
 }

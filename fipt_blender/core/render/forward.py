@@ -35,14 +35,14 @@ class RenderSettings:
     Attributes:
         spp: paths a pixel, at random positions in the pixel (box filter).
         seed: seed of all random numbers.
-        depth: most reflections of a path between camera and light.
+        depth: most reflections of a path between camera and light; as many as Cycles has (`blend.renders`).
         roulette_depth: from this surface on, paths end by chance in proportion to what they carry.
         denoise: run Open Image Denoise with albedo and normal guides.
     """
 
     spp: int = 128
     seed: int = 0
-    depth: int = 16
+    depth: int = 32
     roulette_depth: int = 3
     denoise: bool = True
 
