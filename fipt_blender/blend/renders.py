@@ -27,8 +27,8 @@ CYCLES = {
     "light_sampling_threshold": 0.0,
     "caustics_reflective": True,
     "caustics_refractive": True,
-    # Light rooms: Blender's 12 leave out 0.4 % of a bright living room. Paths end by chance long before, so
-    # that further ones cost no time.
+    # Light rooms: Blender's 12 leave out 0.4 % of a bright living room. Paths mostly end by chance before, so
+    # that further ones cost little.
     "max_bounces": 32,
     "diffuse_bounces": 32,
     "glossy_bounces": 32,
