@@ -5,8 +5,20 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+from test_memory import ROOM, SETTINGS, store
 
-from fipt_blender.core.material.groups import NO_GROUP, color_class, material_groups, numbered
+from fipt_blender.core.job import training_input as training_input_module
+from fipt_blender.core.job.training_input import training_input
+from fipt_blender.core.light.observations import observe
+from fipt_blender.core.light.views import open_shadings
+from fipt_blender.core.material.groups import (
+    NO_GROUP,
+    color_class,
+    material_groups,
+    numbered,
+)
+from fipt_blender.core.scene.labels import NO_PART, Parts
 
 
 def columns(*rows: tuple[int, int, int, int]) -> list[np.ndarray]:
@@ -65,3 +77,20 @@ def test_combinations_of_columns_get_numbers_of_their_own(rng: np.random.Generat
     number = numbered(columns)
     pairs = np.unique(np.column_stack([*columns, number]), axis=0)
     assert len(pairs) == len(np.unique(number)) == len(np.unique(pairs[:, :3], axis=0))
+
+
+def test_pixels_that_nobody_drew_have_their_own_colour(tmp_path, monkeypatch: pytest.MonkeyPatch):
+    """Each surface of the box has one colour: groups are surfaces, however few pixels are looked at."""
+    monkeypatch.setattr(training_input_module, "PROJECTION_PIXELS", 300)
+    monkeypatch.setattr(training_input_module, "LEAST_PIXELS", 50)
+    pixels = store(tmp_path / "pixels", 6)
+    nothing = Parts(np.full(len(ROOM.triangles), NO_PART, np.int32), "none")
+    seen = observe(ROOM, pixels, nothing, SETTINGS, tmp_path / "observed")
+    shadings = open_shadings(tmp_path / "shadings", len(pixels), 3, create=True)
+    shadings.diffuse[:] = 2.0
+    levels, own = np.array([0.1, 0.5, 1.0], np.float32), ROOM.triangle_object
+    data, _, _ = training_input(pixels, seen, nothing, own, shadings, levels, lambda position: position, 0)
+    known = np.asarray(data.group) >= 0
+    surface = own[pixels.triangle[known]]
+    assert known.sum() > 0.9 * len(seen.pool)
+    assert (np.bincount(np.unique(np.stack([surface, data.group[known]]), axis=1)[0]) <= 1).all()

@@ -12,8 +12,14 @@ from ..light.cache import SIDES
 from ..light.observations import Observations
 from ..light.views import ShadingStore
 from ..material.gloss import part_materials
-from ..material.groups import LEAST_PIXELS, NO_GROUP, color_class, material_groups, numbered
-from ..material.projection import Guess, project, window_means
+from ..material.groups import (
+    LEAST_PIXELS,
+    NO_GROUP,
+    color_class,
+    material_groups,
+    numbered,
+)
+from ..material.projection import DARK, Guess, line, project, window_means
 from ..material.training import TrainingData
 from ..scene.labels import Parts
 from ..scene.pixels import PixelStore, open_array
@@ -54,21 +60,18 @@ def training_input(
     radiance, diffuse, specular = (np.asarray(array[rows], np.float32) for array in arrays)
     cell = np.asarray(seen.entry[rows], np.int64)
     whole = pieces is None
-    group = seen.part
+    group, color = seen.part, np.zeros((0, 3))
     if pieces is not None:
-        unknown = np.full(len(rows), -1, np.int32)
-        nothing = np.zeros(0, np.float32)
-        flat = project(radiance, diffuse, specular, levels, cell, unknown, nothing, nothing, whole)
-        group = _groups(pixels, seen, pieces, cell, flat.base_color)
+        color = _flat_colors(pixels, seen, shadings)
+        group = _groups(pixels, seen, pieces, color)
     pure = np.asarray(pixels.pure)
     of = rows[_clean_rows(pure[rows], group[rows])]
     wide = _wide_cells(pixels, seen, of)
     some = _some_of_each(group[of], wide, np.random.default_rng([seed, 5]))
     of, wide = of[some], wide[some]
     means = window_means(arrays, of, pure, group, pixels.ranges, widths)
-    roughness, metallic = part_materials(
-        means[0], means[1], means[2], levels, wide, _spots(pixels, seen, of), group[of], pixels.view_of(of)
-    )
+    spots, views = _spots(pixels, seen, of), pixels.view_of(of)
+    roughness, metallic = part_materials(means[0], means[1], means[2], levels, wide, spots, group[of], views)
     guess = project(radiance, diffuse, specular, levels, cell, group[rows], roughness, metallic, whole)
     # Parts that none of these rows saw are diffuse.
     missing = max(int(group.max(initial=-1)) + 1 - len(roughness), 0)
@@ -90,6 +93,13 @@ def training_input(
     return data, guess, rows
 
 
+def _counted(known: np.ndarray, number: np.ndarray, more: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(K,) values, rising, and how often each was found, with more of them (n,) counted in."""
+    values, counts = np.unique(more, return_counts=True)
+    known, place = np.unique(np.concatenate([known, values]), return_inverse=True)
+    return known, np.bincount(place, np.concatenate([number, counts])).astype(np.int64)
+
+
 def _own_rows(pixels: PixelStore, donor: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """(M,) int64 pixels that stand for themselves: all, or about PROJECTION_PIXELS of them."""
 
@@ -103,34 +113,50 @@ def _own_rows(pixels: PixelStore, donor: np.ndarray, rng: np.random.Generator) -
     return np.concatenate(found)
 
 
-def _groups(
-    pixels: PixelStore, seen: Observations, pieces: np.ndarray, cell: np.ndarray, color: np.ndarray
-) -> np.ndarray:
+def _flat_colors(pixels: PixelStore, seen: Observations, shadings: ShadingStore) -> np.ndarray:
+    """(M * 6, 3) base colour of each cache entry by all its pixels, taken as diffuse."""
+    entries = len(seen.grid.voxels) * SIDES
+    top, bottom = np.zeros((entries, 3)), np.zeros((entries, 3))
+    for index in range(len(pixels.views)):
+        used = _used_rows(pixels, seen.donor, index)
+        radiance, diffuse, roughest = (
+            np.asarray(array, np.float32)
+            for array in (pixels.radiance[used], shadings.diffuse[used], shadings.specular[used, -1])
+        )
+        slope, offset = line(diffuse, roughest, 0.0)
+        weight = slope / (radiance + DARK) ** 2
+        found, place = np.unique(seen.entry[used], return_inverse=True)
+        for total, values in ((top, weight * (radiance - offset)), (bottom, weight * slope)):
+            total[found] += np.stack([np.bincount(place, column) for column in values.T], axis=1)
+    return np.clip(top / np.maximum(bottom, 1e-12), 0.0, 1.0)
+
+
+def _used_rows(pixels: PixelStore, donor: np.ndarray, index: int) -> np.ndarray:
+    """(n,) int64 pixels of a view that some pixel stands for."""
+    rows = pixels.rows(index)
+    return np.flatnonzero(donor[rows] >= 0) + rows.start
+
+
+def _groups(pixels: PixelStore, seen: Observations, pieces: np.ndarray, color: np.ndarray) -> np.ndarray:
     """(N,) int32 group of each pixel that stands for its part, NO_GROUP for those that none stands for.
 
     Memory-mapped; what is counted are kinds of pixels, which are few.
 
     Args:
-        cell: (M,) int cache entry of some pixels, color: (M, 3) diffuse base colour there.
+        color: (M * 6, 3) base colour of each cache entry.
     """
-    size = len(seen.grid.voxels) * SIDES
-    count = np.maximum(np.bincount(cell, minlength=size), 1)
-    sums = [np.bincount(cell, column, minlength=size) / count for column in color.T]
-    classes, of_cell = np.unique(color_class(np.stack(sums, axis=1)), return_inverse=True)
+    classes, of_cell = np.unique(color_class(color), return_inverse=True)
     shape = (int(seen.parts.triangle_part.max(initial=-1)) + 2, int(pieces.max(initial=0)) + 1, len(classes))
 
     def kinds(index: int) -> tuple[np.ndarray, np.ndarray]:
         """Pixels of a view that some pixel stands for, and a number for label, piece and colour of each."""
-        rows = pixels.rows(index)
-        used = np.flatnonzero(seen.donor[rows] >= 0) + rows.start
+        used = _used_rows(pixels, seen.donor, index)
         columns = (seen.part[used] + 1, pieces[pixels.triangle[used]], of_cell[seen.entry[used]])
         return used, np.ravel_multi_index(columns, shape)
 
     known, number = np.zeros(0, np.int64), np.zeros(0, np.int64)
     for index in range(len(pixels.views)):
-        kind, more = np.unique(kinds(index)[1], return_counts=True)
-        known, place = np.unique(np.concatenate([known, kind]), return_inverse=True)
-        number = np.bincount(place, np.concatenate([number, more])).astype(np.int64)
+        known, number = _counted(known, number, kinds(index)[1])
     label, piece, color_of = np.unravel_index(known, shape)
     of_kind = material_groups(label, piece, color_of, number, LEAST_PIXELS)
     group = open_array(seen.folder / "group.npy", (len(pixels),), np.int32, create=True)
