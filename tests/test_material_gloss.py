@@ -7,7 +7,7 @@ import pytest
 from test_material_projection import CELLS, LEVELS, VIEWS, synthetic
 
 from fipt_blender.core.job import training_input
-from fipt_blender.core.material.gloss import OVERDONE_GLOSS, _chosen, part_materials
+from fipt_blender.core.material.gloss import OVERDONE_GLOSS, _as_kin_say, _chosen, part_materials
 
 ROUGHNESS = np.linspace(0.0, 1.0, 11)
 SCALE = 0.01
@@ -81,6 +81,36 @@ def test_gloss_without_a_clear_roughness_takes_the_rooms_usual_one() -> None:
     # A diffuse part stays diffuse, whatever the others are.
     costs[0, :, 4] = 0.5
     assert _chosen(costs, ROUGHNESS, np.full(6, SCALE))[0][4] == 1.0
+
+
+def kin_say(costs: np.ndarray, kin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    scale = np.full(costs.shape[2], SCALE)
+    count = np.full(costs.shape[2], 1000.0)
+    return _chosen(_as_kin_say(costs, ROUGHNESS, scale, count, kin), ROUGHNESS, scale)
+
+
+def test_pieces_whose_gloss_is_faint_learn_of_their_kin() -> None:
+    """Twenty clear ones at 0.4; one shows nothing, one a little against it; one is diffuse and one metal."""
+    costs = costs_of([(0, 4, 0.0), (0, 4, 0.0), (0, 4, 1.0), (1, 7, -1.0), *[(0, 4, -1.0)] * 20])
+    costs[0, :, 0] = 0.0
+    costs[0, :, 1] = SCALE
+    alone, _ = _chosen(costs, ROUGHNESS, np.full(24, SCALE))
+    assert alone[0] > 0.6 and alone[1] > 0.8
+    roughness, metallic = kin_say(costs, np.ones((24, 24)))
+    np.testing.assert_allclose(roughness, [0.4, 0.4, 1.0, 0.7, *[0.4] * 20], atol=0.06)
+    np.testing.assert_array_equal(metallic, [0, 0, 0, 1, *[0] * 20])
+    # Among kin that are diffuse the same gloss is none.
+    costs = costs_of([(0, 4, 1.0)] * 3 + [(0, 4, -2.0 * SCALE)])
+    assert _chosen(costs, ROUGHNESS, np.full(4, SCALE))[0][3] < 0.5
+    assert kin_say(costs, np.ones((4, 4)))[0][3] > 0.9
+
+
+def test_who_has_no_kin_is_judged_alone() -> None:
+    costs = np.random.default_rng(0).normal(0.0, 3.0 * SCALE, (2, len(ROUGHNESS), 5))
+    costs[0, -1] = 100.0
+    scale = np.full(5, SCALE)
+    told = _as_kin_say(costs, ROUGHNESS, scale, np.full(5, 1000.0), np.eye(5))
+    np.testing.assert_allclose(told, costs, atol=1e-9)
 
 
 def test_the_same_residuals_say_less_in_a_small_part() -> None:

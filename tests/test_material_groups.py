@@ -15,6 +15,7 @@ from fipt_blender.core.light.views import open_shadings
 from fipt_blender.core.material.groups import (
     NO_GROUP,
     color_class,
+    kinship,
     material_groups,
     numbered,
 )
@@ -77,6 +78,15 @@ def test_combinations_of_columns_get_numbers_of_their_own(rng: np.random.Generat
     number = numbered(columns)
     pairs = np.unique(np.column_stack([*columns, number]), axis=0)
     assert len(pairs) == len(np.unique(number)) == len(np.unique(pairs[:, :3], axis=0))
+
+
+def test_kin_are_of_one_class_and_like_colour():
+    color = np.array([[0.85] * 3, [0.9] * 3, [0.6] * 3, [0.85, 0.6, 0.5], [0.85] * 3, [0.01] * 3, [0.0] * 3])
+    kin = kinship(np.array([0, 0, 0, 0, 1, 0, 0]), color)
+    np.testing.assert_array_equal(kin, kin.T)
+    assert (np.diag(kin) == 1.0).all()
+    assert kin[0, 1] > 0.8 and kin[5, 6] > 0.1  # noise of bright colours, and of dark ones
+    assert (kin[0, 2:] < 0.1).all()
 
 
 def test_pixels_that_nobody_drew_have_their_own_colour(tmp_path, monkeypatch: pytest.MonkeyPatch):

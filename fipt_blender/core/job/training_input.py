@@ -14,8 +14,10 @@ from ..light.views import ShadingStore
 from ..material.gloss import part_materials
 from ..material.groups import (
     LEAST_PIXELS,
+    MOST_GROUPS,
     NO_GROUP,
     color_class,
+    kinship,
     material_groups,
     numbered,
 )
@@ -71,7 +73,10 @@ def training_input(
     of, wide = of[some], wide[some]
     means = window_means(arrays, of, pure, group, pixels.ranges, widths)
     spots, views = _spots(pixels, seen, of), pixels.view_of(of)
-    roughness, metallic = part_materials(means[0], means[1], means[2], levels, wide, spots, group[of], views)
+    kin = None if whole else _kinship(group[of], seen.part[of], color[seen.entry[of]])
+    roughness, metallic = part_materials(
+        means[0], means[1], means[2], levels, wide, spots, group[of], views, kin
+    )
     guess = project(radiance, diffuse, specular, levels, cell, group[rows], roughness, metallic, whole)
     # Parts that none of these rows saw are diffuse.
     missing = max(int(group.max(initial=-1)) + 1 - len(roughness), 0)
@@ -158,7 +163,8 @@ def _groups(pixels: PixelStore, seen: Observations, pieces: np.ndarray, color: n
     for index in range(len(pixels.views)):
         known, number = _counted(known, number, kinds(index)[1])
     label, piece, color_of = np.unravel_index(known, shape)
-    of_kind = material_groups(label, piece, color_of, number, LEAST_PIXELS)
+    least = max(LEAST_PIXELS, int(number.sum()) // MOST_GROUPS)
+    of_kind = material_groups(label, piece, color_of, number, least)
     group = open_array(seen.folder / "group.npy", (len(pixels),), np.int32, create=True)
     for index in range(len(pixels.views)):
         own = np.full(pixels.views[index].height * pixels.views[index].width, NO_GROUP, np.int32)
@@ -166,6 +172,14 @@ def _groups(pixels: PixelStore, seen: Observations, pieces: np.ndarray, color: n
         own[used - pixels.ranges[index]] = of_kind[np.searchsorted(known, kind)]
         group[pixels.rows(index)] = own
     return group
+
+
+def _kinship(group: np.ndarray, label: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """(G, G) kinship of the groups of some pixels (M,), with their classes (M,) and base colours (M, 3)."""
+    count = np.maximum(np.bincount(group), 1)
+    label_of = np.zeros(len(count), np.int64)
+    label_of[group] = label
+    return kinship(label_of, np.stack([np.bincount(group, column) / count for column in color.T], axis=1))
 
 
 def _wide_cells(pixels: PixelStore, seen: Observations, rows: np.ndarray) -> np.ndarray:

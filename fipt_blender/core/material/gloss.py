@@ -36,6 +36,14 @@ STEP = 0.25
 ROUGHNESS_WIDTH = 0.1
 LEAST_USUAL = -3.0
 ROUNDS = 5
+# Kin (groups.py) learn of each other in so many rounds, the least log-likelihood among them is this, and any
+# other material is as likely as a share of a group like the room's middle one.
+KIN_ROUNDS = 20
+LEAST_KIN = -6.0
+STRANGER = 0.1
+# What differs between kin of one material are errors of the shadings, alike over a whole piece and so larger
+# than its pixels tell: so many times.
+KIN_ERROR = 2.0
 
 
 def part_materials(
@@ -47,6 +55,7 @@ def part_materials(
     spot: np.ndarray,
     part: np.ndarray,
     view: np.ndarray,
+    kin: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Roughness and metallic of each part: those with which its surface cells look most alike in all views.
 
@@ -63,6 +72,8 @@ def part_materials(
         spot: (N,) int piece of surface that the same light falls on, at the same slope.
         part: (N,) int part of each pixel, negative without: those are passed over.
         view: (N,) int view of each pixel.
+        kin: (parts, parts) how likely two parts are of one material beforehand (:func:`groups.kinship`); None
+            where each part is known to be one of its own.
 
     Returns:
         (parts,) float32 each.
@@ -91,6 +102,8 @@ def part_materials(
     more = weigh(specular[:, -1] + OVERDONE_GLOSS * (value - specular[:, -1]), 0.0)
     overdone = more < weigh(value, 0.0)
     costs[0, :, overdone] = np.maximum(costs[0, :, overdone], 0.0)  # even odds at best
+    if kin is not None:
+        costs = _as_kin_say(costs, roughness, scale, trials[0].count, kin)
     return _chosen(costs, roughness, scale)
 
 
@@ -129,6 +142,47 @@ def _usual_roughness(costs: np.ndarray, roughness: np.ndarray, scale: np.ndarray
         density = (kernel @ share.sum(axis=1)) / width + 1.0  # as if one part more had any roughness
         usual = np.log(density / density.max()).clip(LEAST_USUAL, 0.0)
     return usual
+
+
+def _as_kin_say(
+    costs: np.ndarray, roughness: np.ndarray, scale: np.ndarray, count: np.ndarray, kin: np.ndarray
+) -> np.ndarray:
+    """Costs with what a part's kin say added, in the scale of its own; arguments as in :func:`_chosen`.
+
+    Pieces of one class and colour are likely of one material, which those that show it plainly tell to the
+    others (empirical Bayes). A part keeps a material of its own where its pixels are clear.
+
+    Args:
+        count: (parts,) pixels that speak for each.
+        kin: (parts, parts) kinship.
+    """
+    scale = KIN_ERROR * scale
+    weight = kin * count
+    np.fill_diagonal(weight, 0.0)  # what it says itself is in its costs
+    levels, parts = len(roughness), len(count)
+    kernel = np.exp(-0.5 * ((roughness[:, None] - roughness) / ROUGHNESS_WIDTH) ** 2)
+    kernel /= kernel.sum(axis=0)
+    width = np.gradient(roughness) / np.gradient(roughness).sum()
+    # Diffuse, dielectrics and metals of each roughness.
+    all_costs = np.concatenate([np.zeros((1, parts)), *costs])
+    likelihood = np.exp(-((all_costs - all_costs.min(axis=0)) / scale).clip(0.0, 60.0))
+    any_material = np.concatenate([[0.5], 0.25 * width, 0.25 * width])[:, None]
+    strangers = STRANGER * max(float(np.median(count)), 1.0)
+    prior = np.repeat(any_material, parts, axis=1)
+    for _ in range(KIN_ROUNDS):
+        share = likelihood * prior
+        share /= share.sum(axis=0)
+        share[1 : 1 + levels] = kernel @ share[1 : 1 + levels]
+        share[1 + levels :] = kernel @ share[1 + levels :]
+        prior = (share @ weight.T + strangers * any_material) / (weight.sum(axis=1) + strangers)
+    # A gloss is as usual as all of its roughness together; which one, the density tells.
+    density = prior[1:] / np.tile(width, 2)[:, None]
+    density *= prior[1:].sum(axis=0) / density.max(axis=0)
+    usual = np.log(np.concatenate([prior[:1], density]))
+    usual = (usual - usual.max(axis=0)).clip(LEAST_KIN)
+    told = costs - scale * (usual[1:] - usual[0]).reshape(costs.shape)
+    told[0, -1] = IMPOSSIBLE
+    return told
 
 
 def _likely(cost: np.ndarray, scale: np.ndarray) -> np.ndarray:

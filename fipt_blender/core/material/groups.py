@@ -16,6 +16,11 @@ LEAST_PIXELS = 1000
 DARKEST = 0.02
 BRIGHTNESS_STEP = 1.0  # stops
 CHROMA_STEP = 0.1
+# Groups at most: what is kept of pairs of them must not grow with the capture.
+MOST_GROUPS = 2000
+# How far apart the base colours of kin lie, in stops; darker than this all colours are alike.
+KIN_COLOR = 0.15
+KIN_DARK = 0.05
 
 
 def color_class(color: np.ndarray) -> np.ndarray:
@@ -62,3 +67,15 @@ def material_groups(
     result = np.full(len(label), NO_GROUP, np.int32)
     result[known] = np.unique(group[known], return_inverse=True)[1]
     return result
+
+
+def kinship(label: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """(G, G) in [0, 1], how likely two groups are of one material beforehand: of one class and like colour.
+
+    Args:
+        label: (G,) int semantic class, the same for all where there is none.
+        color: (G, 3) base colour.
+    """
+    stops = np.log2(color + KIN_DARK)
+    squared = sum((column[:, None] - column) ** 2 for column in stops.T) / 3.0
+    return np.exp(-0.5 * squared / KIN_COLOR**2) * (label[:, None] == label)
