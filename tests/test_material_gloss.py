@@ -105,6 +105,13 @@ def test_pieces_whose_gloss_is_faint_learn_of_their_kin() -> None:
     assert kin_say(costs, np.ones((4, 4)))[0][3] > 0.9
 
 
+def test_kin_leave_it_to_the_part_whether_it_is_metal() -> None:
+    """One fits metal and dark plastic of 0.4 alike; its kin are plastic."""
+    costs = costs_of([(0, 4, -1.0)] * 5)
+    costs[1, 4, 0] = -1.0
+    np.testing.assert_allclose(kin_say(costs, np.ones((5, 5))), [[0.4] * 5, [0.5, 0, 0, 0, 0]], atol=1e-6)
+
+
 def test_who_has_no_kin_is_judged_alone() -> None:
     costs = np.random.default_rng(0).normal(0.0, 3.0 * SCALE, (2, len(ROUGHNESS), 5))
     costs[0, -1] = 100.0

@@ -150,7 +150,8 @@ def _as_kin_say(
     """Costs with what a part's kin say added, in the scale of its own; arguments as in :func:`_chosen`.
 
     Pieces of one class and colour are likely of one material, which those that show it plainly tell to the
-    others (empirical Bayes). A part keeps a material of its own where its pixels are clear.
+    others (empirical Bayes). A part keeps a material of its own where its pixels are clear, and whether it is
+    metal is left to them: of dark surfaces that is hard to tell, and kin would make a fact of a faint guess.
 
     Args:
         count: (parts,) pixels that speak for each.
@@ -159,28 +160,26 @@ def _as_kin_say(
     scale = KIN_ERROR * scale
     weight = kin * count
     np.fill_diagonal(weight, 0.0)  # what it says itself is in its costs
-    levels, parts = len(roughness), len(count)
     kernel = np.exp(-0.5 * ((roughness[:, None] - roughness) / ROUGHNESS_WIDTH) ** 2)
     kernel /= kernel.sum(axis=0)
     width = np.gradient(roughness) / np.gradient(roughness).sum()
-    # Diffuse, dielectrics and metals of each roughness.
-    all_costs = np.concatenate([np.zeros((1, parts)), *costs])
-    likelihood = np.exp(-((all_costs - all_costs.min(axis=0)) / scale).clip(0.0, 60.0))
-    any_material = np.concatenate([[0.5], 0.25 * width, 0.25 * width])[:, None]
+    # Diffuse, or of each roughness.
+    states = np.concatenate([np.zeros((1, len(count))), costs.min(axis=0)])
+    likelihood = np.exp(-((states - states.min(axis=0)) / scale).clip(0.0, 60.0))
+    any_material = np.concatenate([[0.5], 0.5 * width])[:, None]
     strangers = STRANGER * max(float(np.median(count)), 1.0)
-    prior = np.repeat(any_material, parts, axis=1)
+    prior = np.repeat(any_material, len(count), axis=1)
     for _ in range(KIN_ROUNDS):
         share = likelihood * prior
         share /= share.sum(axis=0)
-        share[1 : 1 + levels] = kernel @ share[1 : 1 + levels]
-        share[1 + levels :] = kernel @ share[1 + levels :]
+        share[1:] = kernel @ share[1:]
         prior = (share @ weight.T + strangers * any_material) / (weight.sum(axis=1) + strangers)
     # A gloss is as usual as all of its roughness together; which one, the density tells.
-    density = prior[1:] / np.tile(width, 2)[:, None]
+    density = prior[1:] / width[:, None]
     density *= prior[1:].sum(axis=0) / density.max(axis=0)
     usual = np.log(np.concatenate([prior[:1], density]))
     usual = (usual - usual.max(axis=0)).clip(LEAST_KIN)
-    told = costs - scale * (usual[1:] - usual[0]).reshape(costs.shape)
+    told = costs - scale * (usual[1:] - usual[0])
     told[0, -1] = IMPOSSIBLE
     return told
 
