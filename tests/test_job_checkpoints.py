@@ -20,6 +20,7 @@ from fipt_blender.core.job.errors import FiptError  # noqa: E402
 from fipt_blender.core.job.runfolder import RunFolder, explained_write_errors, write_json  # noqa: E402
 from fipt_blender.core.job.settings import Settings  # noqa: E402
 from fipt_blender.core.material.fields import Fields, RoomFields  # noqa: E402
+from fipt_blender.core.material.groups import Units  # noqa: E402
 from fipt_blender.core.material.networks import BrdfNetwork  # noqa: E402
 from fipt_blender.core.material.seen import Box, seen_cells  # noqa: E402
 from fipt_blender.core.scene.pixels import open_array  # noqa: E402
@@ -182,7 +183,7 @@ def save_fields(run: RunFolder) -> None:
     network = BrdfNetwork(SMALL, 2, torch.Generator(), torch.device("cpu"))
     box, part = Box(np.zeros(3), 1.0), np.zeros(1, np.int32)
     cells = seen_cells(box, [(np.zeros((1, 3), np.float32), part)])
-    RoomFields(Fields(network, box), part, cells).save(run)
+    RoomFields(Fields(network, box), Units(part, np.ones(1, bool)), cells).save(run)
 
 
 WRITERS = {

@@ -11,6 +11,7 @@ from fipt_blender.core.job.runfolder import RunFolder, write_json
 from fipt_blender.core.job.settings import make_settings
 from fipt_blender.core.light.cache import make_grid, pool, unseen_points
 from fipt_blender.core.material.fields import RoomFields
+from fipt_blender.core.material.groups import Units
 from fipt_blender.core.material.seen import RESOLUTION, Box, room_box, seen_cells
 from fipt_blender.core.render.surfaces import LatticeMaterials
 from fipt_blender.core.textures import bake
@@ -33,6 +34,10 @@ def grid_points(low: float, high: float, z: float, count: int = 40) -> np.ndarra
     return np.stack([x.ravel(), y.ravel(), np.full(x.size, z)], axis=1).astype(np.float32)
 
 
+def units(triangle: list[int], single: bool = False) -> Units:
+    return Units(np.array(triangle, np.int32), np.full(max(triangle) + 1, single))
+
+
 @pytest.fixture
 def fields() -> RoomFields:
     """Part 0 was seen up to x = 1, part 1 above 3; part 2 never. Triangle t has part t, triangle 3 none."""
@@ -40,7 +45,7 @@ def fields() -> RoomFields:
     part = np.repeat([0, 1], len(points) // 2)
     cells = seen_cells(BOX_4, [(points[:99], part[:99]), (points[99:], part[99:])])
     certain = np.zeros((len(cells.keys), 3), np.float32)
-    return RoomFields(Ramp(), np.array([0, 1, 2, -1], np.int32), cells, certain)
+    return RoomFields(Ramp(), units([0, 1, 2, -1]), cells, certain)
 
 
 def test_seen_points_are_the_networks_and_unseen_ones_their_parts_median(fields):
@@ -63,12 +68,14 @@ def test_uncertain_values_are_drawn_to_their_part_where_it_is_one_material(field
     plain = fields.query(points, on)
     for error, least, most in ((0.001, 0.8, 1.0), (0.28, 0.0, 0.3)):
         errors = np.full_like(fields.errors, error)
-        drawn = RoomFields(Ramp(), fields._part, fields.cells, errors, one_material=True).query(points, on)
+        drawn = RoomFields(Ramp(), units([0, 1, 2, -1], True), fields.cells, errors).query(points, on)
         kept = np.ptp(drawn[0], axis=0) / np.ptp(plain[0], axis=0)
         assert (kept > least).all() and (kept <= most).all()
         assert np.ptp(drawn[1]) < 0.3 * np.ptp(plain[1])  # one roughness, however sure the base colour is
-        as_they_are = RoomFields(Ramp(), fields._part, fields.cells, errors).query(points, on)
-        np.testing.assert_array_equal(as_they_are[0], plain[0])
+        other = Units(fields.units.triangle, np.array([False, True, True]))
+        for some in (fields.units, other):
+            as_they_are = RoomFields(Ramp(), some, fields.cells, errors).query(points, on)
+            np.testing.assert_array_equal(as_they_are[0], plain[0])
 
 
 @pytest.mark.parametrize("triangle", [2, 3])
@@ -87,7 +94,7 @@ def test_the_cells_beside_a_seen_one_count_as_seen(fields):
 def test_where_nothing_was_seen_the_network_answers():
     nothing = seen_cells(BOX_4, [])
     points = grid_points(0.0, 4.0, 0.0)
-    found = RoomFields(Ramp(), np.zeros(1, np.int32), nothing).query(points, np.zeros(len(points), int))
+    found = RoomFields(Ramp(), units([0]), nothing).query(points, np.zeros(len(points), int))
     np.testing.assert_array_equal(found[0], Ramp().query(points)[0])
 
 
@@ -97,9 +104,7 @@ def test_textures_and_forward_rendering_have_the_same_materials(tmp_path, fields
 
     room = make_room([[[0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]]])
     points = grid_points(0.0, 2.0, 0.0)
-    floor = RoomFields(
-        Ramp(), np.zeros(2, np.int32), seen_cells(BOX_4, [(points, np.zeros(len(points), int))])
-    )
+    floor = RoomFields(Ramp(), units([0, 0]), seen_cells(BOX_4, [(points, np.zeros(len(points), int))]))
     run = RunFolder(tmp_path / "run")
     run.create(make_settings())
     np.savez(run.room_npz, vertices=room.vertices, triangles=room.triangles)

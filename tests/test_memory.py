@@ -19,7 +19,7 @@ from fipt_blender.core.job import certainty
 from fipt_blender.core.job import training_input as training_input_module
 from fipt_blender.core.job.messages import Reporter
 from fipt_blender.core.job.settings import make_settings
-from fipt_blender.core.job.training_input import training_input
+from fipt_blender.core.job.training_input import material_units, training_input
 from fipt_blender.core.job.view_check import ViewCheck, check_views
 from fipt_blender.core.light import agreement, emitters, environment, observations
 from fipt_blender.core.light.emitters import bright_triangles, group_fixtures
@@ -98,6 +98,8 @@ def learn_from(seen: Observations, pieces: np.ndarray | None) -> None:
     )
     assert len(guess.roughness) == len(rows) < len(data.pool) <= len(seen.pixels)
     assert 400 < len(rows) < 600
+    units = material_units(seen.pixels, seen.parts, pieces, data)
+    assert len(units.triangle) == len(seen.parts.triangle_part)
 
 
 def lamps_colors(pixels: PixelStore, folder: Path) -> None:

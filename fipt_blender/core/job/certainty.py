@@ -13,8 +13,8 @@ from ..light.reflecting import LampPixels
 from ..light.views import ShadingStore
 from ..material.confidence import UNKNOWN, Evidence, evidence, standard_errors
 from ..material.fields import Fields
+from ..material.groups import Units
 from ..material.seen import RESOLUTION, Box, SeenCells, cell_keys, seen_cells
-from ..scene.labels import Parts
 from ..scene.pixels import PixelStore
 
 # Pixels that are looked at; more change nothing but the time.
@@ -23,25 +23,25 @@ PIXELS = 1_500_000
 LAMP_PIXELS = 200_000
 LEAST_LAMP_PIXELS = 100
 CHUNK = 1 << 16
-# Cells along the edge of a block that shares roughness and metallic where no parts are known.
+# Cells along the edge of a block that shares roughness and metallic where no unit of one material does.
 BLOCK = 8
 
 
-def find_cells(pixels: PixelStore, triangle_part: np.ndarray, box: Box) -> SeenCells:
-    """Where pixels saw which part of the room."""
+def find_cells(pixels: PixelStore, units: Units, box: Box) -> SeenCells:
+    """Where pixels saw which unit of the room."""
 
     def pieces() -> Iterator[tuple[np.ndarray, np.ndarray]]:
         for first, last in itertools.pairwise(pixels.ranges):
             triangle = np.asarray(pixels.triangle[first:last])
             hit = triangle >= 0
-            yield np.asarray(pixels.position[first:last])[hit], triangle_part[triangle[hit]]
+            yield np.asarray(pixels.position[first:last])[hit], units.triangle[triangle[hit]]
 
     return seen_cells(box, pieces())
 
 
 def cell_errors(
     pixels: PixelStore,
-    parts: Parts,
+    units: Units,
     shadings: ShadingStore,
     levels: np.ndarray,
     fields: Fields,
@@ -61,13 +61,12 @@ def cell_errors(
     errors = np.full((len(cells.keys), 3), UNKNOWN, np.float32)
     if not len(rows):
         return errors
-    part = parts.triangle_part[pixels.triangle[rows]]
+    part = units.triangle[pixels.triangle[rows]]
     position = np.asarray(pixels.position[rows])
     place = np.searchsorted(cells.keys, cell_keys(box, position, part))
     found, cell = np.unique(place, return_inverse=True)
     blocks = (box.normalise(cells.points) * (RESOLUTION // BLOCK)).astype(np.int64) @ (1, 64, 64**2)
-    if parts.kind == "part":
-        blocks = np.where(cells.part >= 0, 0, blocks)
+    blocks = np.where(units.is_single(cells.part), 0, blocks)
     group_of_cell = np.unique((cells.part + 1) * 64**3 + blocks, return_inverse=True)[1]
     color, roughness, metallic = fields.query(position)
     pieces = []

@@ -24,6 +24,7 @@ from ..light.reflecting import separate
 from ..light.shadings import SampleCounts, roughness_levels
 from ..light.views import Baking, ShadingStore, TracedLight, bake_views, open_shadings
 from ..material.fields import Fields, RoomFields, mask_at, new_networks_generator, render_pixels
+from ..material.groups import Units
 from ..material.networks import BrdfNetwork, EmissionNetwork, useful_hash_levels
 from ..material.seen import SeenCells, room_box
 from ..material.training import PRETRAINING_STEPS, pretrain, train
@@ -41,7 +42,7 @@ from .previews import Preview
 from .results import write_results
 from .runfolder import RunFolder, explained_write_errors, write_json
 from .settings import Settings
-from .training_input import training_input
+from .training_input import material_units, training_input
 from .view_check import ViewCheck, check_views
 
 # Expected seconds of each stage in proportion, for the progress bar only.
@@ -89,6 +90,8 @@ class Estimation:
         self.scale = 1.0
         self.fixtures: list[Fixture] = []
         self.diffuse: np.ndarray
+        self.units: Units
+        self.cells: SeenCells
         self.brdf: BrdfNetwork
         self.emission: EmissionNetwork
 
@@ -288,6 +291,7 @@ class Estimation:
             checkpoint,
             lambda done: self.reporter.progress(before + (1.0 - before) * done),
         )
+        self._find_cells(material_units(self.pixels, self.parts, self._pieces, data))
         # Semantic classes, and parts that no pixel saw, have no guess.
         part = self.parts.triangle_part
         guessed = (part >= 0) & (part < len(guess.part_emits))
@@ -305,6 +309,8 @@ class Estimation:
                 "emission": self.emission.state_dict(),
                 "emitting": torch.from_numpy(emitting),
                 "diffuse": torch.from_numpy(self.diffuse),
+                "unit": torch.from_numpy(self.units.triangle),
+                "single": torch.from_numpy(self.units.single),
             },
         )
         checkpoint.unlink(missing_ok=True)
@@ -315,6 +321,7 @@ class Estimation:
         self.brdf.load_state_dict(state["brdf"])
         self.emission.load_state_dict(state["emission"])
         self.diffuse = state["diffuse"].cpu().numpy()
+        self._find_cells(Units(state["unit"].cpu().numpy(), state["single"].cpu().numpy()))
         # Not found anew: the shadings that it took may have been refined since, or half refined.
         self._group_fixtures(state["emitting"].cpu().numpy(), index)
 
@@ -367,14 +374,13 @@ class Estimation:
 
     # Results
 
-    @cached_property
-    def _seen_cells(self) -> SeenCells:
-        return find_cells(self.pixels, self.parts.triangle_part, self.box)
+    def _find_cells(self, units: Units) -> None:
+        """Take the units that the last training found, and where pixels saw them."""
+        self.units, self.cells = units, find_cells(self.pixels, units, self.box)
 
     def _room_fields(self, errors: np.ndarray | None = None) -> RoomFields:
-        """The estimate on all surfaces; with `errors` (:func:`cell_errors`) drawn to what parts say."""
-        fields, part = Fields(self.brdf, self.box), self.parts.triangle_part
-        return RoomFields(fields, part, self._seen_cells, errors, self.parts.kind == "part")
+        """The estimate on all surfaces; with `errors` (:func:`cell_errors`) drawn to what units say."""
+        return RoomFields(Fields(self.brdf, self.box), self.units, self.cells, errors)
 
     def _write_results(self) -> None:
         emitting = np.zeros(len(self.room.triangles), bool)
@@ -382,11 +388,11 @@ class Estimation:
         shadings = self._open_shadings()
         errors = cell_errors(
             self.pixels,
-            self.parts,
+            self.units,
             shadings,
             self.levels,
             Fields(self.brdf, self.box),
-            self._seen_cells,
+            self.cells,
             emitting,
             self.settings.seed,
         )

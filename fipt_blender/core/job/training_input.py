@@ -16,10 +16,13 @@ from ..material.groups import (
     LEAST_PIXELS,
     MOST_GROUPS,
     NO_GROUP,
+    Units,
     color_class,
     kinship,
     material_groups,
     numbered,
+    part_units,
+    piece_units,
 )
 from ..material.projection import DARK, Guess, line, project, window_means
 from ..material.training import TrainingData
@@ -96,6 +99,20 @@ def training_input(
         normalise=normalise,
     )
     return data, guess, rows
+
+
+def material_units(pixels: PixelStore, parts: Parts, pieces: np.ndarray | None, data: TrainingData) -> Units:
+    """What of the mesh is of one material; arguments as in :func:`training_input`, and what that returns."""
+    if pieces is None:
+        return part_units(parts)
+    groups = len(data.group_roughness)
+    known, number = np.zeros(0, np.int64), np.zeros(0, np.int64)
+    for index in range(len(pixels.views)):
+        used = _used_rows(pixels, data.donor, index)
+        kind = pixels.triangle[used] * np.int64(groups + 1) + data.group[used] + 1
+        known, number = _counted(known, number, kind)
+    triangle, group = np.divmod(known, groups + 1)
+    return piece_units(parts, pieces, triangle, group - 1, number, data.group_roughness, data.group_metallic)
 
 
 def _counted(known: np.ndarray, number: np.ndarray, more: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

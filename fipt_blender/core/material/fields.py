@@ -3,7 +3,8 @@
 """The estimated material fields of a finished run, to be queried at any surface point.
 
 results/fields.npz holds the BRDF network's weights, the box it is normalised to and where the photographs
-saw the room, parts.npz the part of each triangle: plain arrays, no pickles.
+saw the room, parts.npz the unit of each triangle and which units are of one material. Plain arrays, no
+pickles.
 """
 
 from __future__ import annotations
@@ -15,8 +16,10 @@ from ..device.variant import torch_device
 from ..job.errors import FiptError
 from ..job.runfolder import RunFolder, atomic_path
 from ..job.settings import Settings
+from ..scene.labels import NO_PART
 from .brdf import set_masking
 from .confidence import UNKNOWN, confidence
+from .groups import Units
 from .losses import factorised_rendering
 from .networks import BrdfNetwork, EmissionNetwork, emission_mask
 from .part_prior import drawn_to_parts, part_priors
@@ -72,31 +75,29 @@ class RoomFields:
 
     Args:
         fields: asked where photographs saw the surface.
-        triangle_part: (T,) int, negative for none.
+        units: of the mesh; values with known errors are drawn to those of their unit where that is of one
+            material (:mod:`.part_prior`).
         cells: where that is.
         errors: (K, 3) float32 standard errors of base colour, roughness and metallic in each of them;
             unknown where not given.
-        one_material: whether each part is of one material: then values with known errors are drawn to their
-            part's (:mod:`.part_prior`).
     """
 
     def __init__(
         self,
         fields: Fields,
-        triangle_part: np.ndarray,
+        units: Units,
         cells: SeenCells,
         errors: np.ndarray | None = None,
-        one_material: bool = False,
     ) -> None:
-        self.fields, self.cells, self._one_material = fields, cells, one_material
+        self.fields, self.units, self.cells = fields, units, cells
         self.errors = np.full((len(cells.keys), 3), UNKNOWN, np.float32) if errors is None else errors
-        self._part = triangle_part
         values = _columns(fields.query(cells.points))
         self._statistics = seen_statistics(cells.points, cells.part, values)
         self._priors = []
-        if one_material and errors is not None:
+        if errors is not None and units.single.any():
+            one = np.where(units.is_single(cells.part), cells.part, NO_PART)
             own = zip(COLUMNS, _spreads(errors), strict=True)
-            self._priors = [part_priors(values[:, columns], spread, cells.part) for columns, spread in own]
+            self._priors = [part_priors(values[:, columns], spread, one) for columns, spread in own]
 
     def query(
         self, positions: np.ndarray, triangles: np.ndarray
@@ -112,7 +113,7 @@ class RoomFields:
         """
         values = _columns(self.fields.query(positions))
         if len(self.cells.keys):
-            part = self._part[triangles]
+            part = self.units.triangle[triangles]
             place = self.cells.find(self.fields.box, positions, part)
             if self._priors:
                 own = zip(COLUMNS, _spreads(self.errors[place]), self._priors, strict=True)
@@ -127,7 +128,7 @@ class RoomFields:
 
         See :func:`.confidence.confidence`.
         """
-        place = self.cells.find(self.fields.box, positions, self._part[triangles])
+        place = self.cells.find(self.fields.box, positions, self.units.triangle[triangles])
         known = np.append(confidence(self.errors), np.zeros((1, 3), np.float32), axis=0)
         return known[place]  # -1 is the last row
 
@@ -149,7 +150,7 @@ class RoomFields:
             with np.load(run.fields_npz, allow_pickle=False) as data:
                 arrays = {name: data[name] for name in data.files}
             with np.load(run.parts_npz, allow_pickle=False) as data:
-                triangle_part = data["triangle_part"]
+                units = Units(data["triangle_part"], data["single"])
             network = BrdfNetwork(
                 settings, int(arrays["hash_levels"]), torch.Generator(), torch.device(torch_device())
             )
@@ -161,8 +162,7 @@ class RoomFields:
             network.load_state_dict(state)
             box = Box(arrays["box_low"].astype(np.float64), float(arrays["box_extent"]))
             cells = SeenCells(arrays["seen_keys"], arrays["seen_points"], arrays["seen_part"])
-            one_material = bool(arrays["one_material"])
-            return cls(Fields(network, box), triangle_part, cells, arrays["seen_errors"], one_material)
+            return cls(Fields(network, box), units, cells, arrays["seen_errors"])
         except (KeyError, ValueError, OSError, RuntimeError) as error:
             raise FiptError(
                 "results-damaged", f"{run.fields_npz} can't be read ({error}).", "Run the estimation again."
@@ -182,11 +182,10 @@ class RoomFields:
                 seen_points=self.cells.points,
                 seen_part=self.cells.part,
                 seen_errors=self.errors,
-                one_material=self._one_material,
                 **state,
             )
         with atomic_path(run.parts_npz) as temporary:
-            np.savez(temporary, triangle_part=self._part)
+            np.savez(temporary, triangle_part=self.units.triangle, single=self.units.single)
 
 
 def _spreads(errors: np.ndarray) -> tuple[np.ndarray, ...]:
