@@ -105,6 +105,14 @@ def test_pieces_whose_gloss_is_faint_learn_of_their_kin() -> None:
     assert kin_say(costs, np.ones((4, 4)))[0][3] > 0.9
 
 
+def test_a_large_piece_does_not_shout_down_its_kin() -> None:
+    """One faint piece between four clear ones of 0.4 and a matt one of as many pixels as all of them."""
+    costs = costs_of([(0, 4, 0.0), *[(0, 4, -1.0)] * 4, (0, 4, 1.0)])
+    scale, count = np.full(6, SCALE), np.array([300.0, 500, 500, 500, 500, 9000])
+    told = _as_kin_say(costs, ROUGHNESS, scale, count, np.ones((6, 6)))
+    assert _chosen(told, ROUGHNESS, scale)[0][0] < 0.6
+
+
 def test_kin_leave_it_to_the_part_whether_it_is_metal() -> None:
     """One fits metal and dark plastic of 0.4 alike; its kin are plastic."""
     costs = costs_of([(0, 4, -1.0)] * 5)

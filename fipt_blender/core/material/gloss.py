@@ -41,9 +41,10 @@ ROUNDS = 5
 KIN_ROUNDS = 20
 LEAST_KIN = -6.0
 STRANGER = 0.1
-# What differs between kin of one material are errors of the shadings, alike over a whole piece and so larger
-# than its pixels tell: so many times.
+# What differs between kin of one material are errors of the shadings, alike over a whole piece. So they are
+# larger than its pixels tell, so many times, and a large piece is heard like one of about so many pixels.
 KIN_ERROR = 2.0
+KIN_PIXELS = 300.0
 
 
 def part_materials(
@@ -158,7 +159,8 @@ def _as_kin_say(
         kin: (parts, parts) kinship.
     """
     scale = KIN_ERROR * scale
-    weight = kin * count
+    voice = count / (1.0 + count / KIN_PIXELS)
+    weight = kin * voice
     np.fill_diagonal(weight, 0.0)  # what it says itself is in its costs
     kernel = np.exp(-0.5 * ((roughness[:, None] - roughness) / ROUGHNESS_WIDTH) ** 2)
     kernel /= kernel.sum(axis=0)
@@ -167,7 +169,7 @@ def _as_kin_say(
     states = np.concatenate([np.zeros((1, len(count))), costs.min(axis=0)])
     likelihood = np.exp(-((states - states.min(axis=0)) / scale).clip(0.0, 60.0))
     any_material = np.concatenate([[0.5], 0.5 * width])[:, None]
-    strangers = STRANGER * max(float(np.median(count)), 1.0)
+    strangers = STRANGER * max(float(np.median(voice)), 1.0)
     prior = np.repeat(any_material, len(count), axis=1)
     for _ in range(KIN_ROUNDS):
         share = likelihood * prior
