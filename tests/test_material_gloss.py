@@ -137,13 +137,14 @@ def test_the_same_residuals_say_less_in_a_small_part() -> None:
     view = np.arange(len(part)) % VIEWS
     arrays = (radiance, diffuse, specular)
 
-    def found(cells: int) -> float:
+    def found(cells: int, kin: np.ndarray | None = None) -> float:
         some = slice(0, cells * VIEWS)
         columns = (cell[some], cell[some], part[some], view[some])
-        return float(part_materials(*(a[some] for a in arrays), LEVELS, *columns)[0][0])
+        return float(part_materials(*(a[some] for a in arrays), LEVELS, *columns, kin)[0][0])
 
     assert found(CELLS) < 0.5
     assert found(CELLS) < found(4) <= 1.0
+    assert found(4, np.ones((1, 1))) < found(4)  # no caution where kin could contradict
 
 
 def test_large_parts_are_told_by_whole_cells(monkeypatch: pytest.MonkeyPatch) -> None:

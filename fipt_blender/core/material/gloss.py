@@ -23,7 +23,8 @@ EVIDENCE = 0.003
 # About so many neighbouring pixels share their errors and are one sample: small parts' evidence counts less.
 PIXELS_OF_SAMPLE = 6.0
 LEAST_LIKELY = 0.1
-# Standard errors by which a gain over the diffuse candidate is discounted.
+# Standard errors by which a gain over the diffuse candidate is discounted; kin, where there are any, tell
+# gloss from chance.
 CAUTION = 0.35
 # The gloss of a dielectric has a fixed strength. Where so many times as much explains a part still better, it
 # is an error of the shadings that looks like gloss.
@@ -43,7 +44,7 @@ LEAST_KIN = -6.0
 STRANGER = 0.1
 # What differs between kin of one material are errors of the shadings, alike over a whole piece. So they are
 # larger than its pixels tell, so many times, and a large piece is heard like one of about so many pixels.
-KIN_ERROR = 2.0
+KIN_ERROR = 1.5
 KIN_PIXELS = 300.0
 
 
@@ -83,7 +84,8 @@ def part_materials(
     if not parts:
         return np.zeros(0, np.float32), np.zeros(0, np.float32)
     lights = (diffuse, _means(diffuse, cells_of_parts(spot, part)))
-    trials = [_Trial(radiance, light, specular[:, -1], cell, part, view) for light in lights]
+    caution = CAUTION if kin is None else 0.0
+    trials = [_Trial(radiance, light, specular[:, -1], cell, part, view, caution) for light in lights]
 
     def weigh(value: np.ndarray, metallic: float) -> np.ndarray:
         """(parts,) cost of specular shading (N, 2, 3), the worse of the two ways."""
@@ -223,8 +225,9 @@ class _Trial:
         cell: np.ndarray,
         part: np.ndarray,
         view: np.ndarray,
+        caution: float,
     ) -> None:
-        self._radiance, self._diffuse = radiance, diffuse
+        self._radiance, self._diffuse, self._caution = radiance, diffuse, caution
         self._cell = cells_of_parts(cell, part)
         shared = np.bincount(self._cell)[self._cell] > 1  # a cell of one pixel fits everything
         self._counted = (part >= 0) & shared
@@ -250,7 +253,7 @@ class _Trial:
         return ((self._radiance - fitted) ** 2 * self._weight).mean(axis=1)[self._counted]
 
     def cost(self, specular: np.ndarray, metallic: float) -> np.ndarray:
-        """(parts,) mean robust cost of a candidate above the diffuse one's, plus `CAUTION` standard errors.
+        """(parts,) mean robust cost of a candidate above the diffuse one's, plus `caution` standard errors.
 
         Errors of shadings are alike all over a view, so the views are the independent samples. Both the
         spread of their gains and their residuals' pull on the gloss bound a gain's error from above: the one
@@ -268,7 +271,7 @@ class _Trial:
         hold = self._sums(weight * (self._weight * gloss * gloss).mean(axis=1)[self._counted])
         more = pull.sum(axis=1) / np.maximum(hold.sum(axis=1), 1e-12)
         error = np.minimum(_root_sum(pull - more[:, None] * hold), _root_sum(spread))
-        return (gain + CAUTION * error) / self.count.clip(1)
+        return (gain + self._caution * error) / self.count.clip(1)
 
     def _sums(self, values: np.ndarray) -> np.ndarray:
         """(parts, views) sums of values (n,) of the pixels that count."""
