@@ -27,6 +27,7 @@ from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, Shadin
 from fipt_blender.core.light.views import CHUNK, HALF_LARGEST
 from fipt_blender.core.material import losses
 from fipt_blender.core.material.fields import mask_at
+from fipt_blender.core.material.groups import Units
 from fipt_blender.core.material.networks import BrdfNetwork, EmissionNetwork, emission_mask
 from fipt_blender.core.render.environment import EnvironmentLight
 from fipt_blender.core.render.lights import AreaLights, EmitterTable
@@ -208,6 +209,9 @@ class ReferenceEstimation(Estimation):
         self.hit = np.flatnonzero(np.asarray(self.pixels.triangle) >= 0)
         self.hash_levels = self.settings.hash_levels
         self.emitting = np.zeros(len(self.room.triangles), bool)
+        # Nothing is drawn to its part: that is the product's.
+        part = self.parts.triangle_part
+        self._find_cells(Units(part, np.zeros(int(part.max(initial=-1)) + 1, bool)))
         self._new_networks(0)
 
     def _new_networks(self, index: int) -> None:
