@@ -10,7 +10,7 @@ not times. Mitsuba's variant must be set before this is imported.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,7 @@ from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, Shadin
 from fipt_blender.core.light.views import CHUNK, HALF_LARGEST
 from fipt_blender.core.material import losses
 from fipt_blender.core.material.fields import mask_at
-from fipt_blender.core.material.groups import Units
+from fipt_blender.core.material.groups import part_units
 from fipt_blender.core.material.networks import BrdfNetwork, EmissionNetwork, emission_mask
 from fipt_blender.core.render.environment import EnvironmentLight
 from fipt_blender.core.render.lights import AreaLights, EmitterTable
@@ -210,8 +210,8 @@ class ReferenceEstimation(Estimation):
         self.hash_levels = self.settings.hash_levels
         self.emitting = np.zeros(len(self.room.triangles), bool)
         # Nothing is drawn to its part: that is the product's.
-        part = self.parts.triangle_part
-        self._find_cells(Units(part, np.zeros(int(part.max(initial=-1)) + 1, bool)))
+        units = part_units(self.parts)
+        self._find_cells(replace(units, single=np.zeros_like(units.single)))
         self._new_networks(0)
 
     def _new_networks(self, index: int) -> None:

@@ -235,6 +235,17 @@ def test_a_name_server_that_never_answers(monkeypatch: pytest.MonkeyPatch) -> No
     assert caught.value.code == "cluster-unreachable" and "no answer within" in caught.value.text
 
 
+def test_a_scheduler_that_goes_after_it_has_answered(monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(*arguments, **options) -> NoReturn:
+        raise TimeoutError("gone")
+
+    monkeypatch.setattr(cluster, "_silent", lambda address: None)
+    monkeypatch.setattr("distributed.Client", gone)
+    with pytest.raises(FiptError) as caught, cluster.workers_at("tcp://127.0.0.1:9"):
+        pass
+    assert caught.value.code == "cluster-unreachable" and "gone" in caught.value.text
+
+
 def test_no_client_is_left_to_be_collected(monkeypatch: pytest.MonkeyPatch) -> None:
     """The __del__ of one that never connected may block for ever whatever thread the collection starts on."""
     monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)

@@ -89,17 +89,24 @@ def _connect(address: str) -> Iterator[Client]:
         # Never a client that can't connect: when it is collected, its __del__ may wait for ever for a lock of
         # `distributed` that the thread holds on which the collection happened to start.
         if (reason := _silent(address)) is not None:
-            raise FiptError(
-                "cluster-unreachable",
-                f"No Dask scheduler answers at '{address}' ({reason}).",
-                "Check the address, which `dask scheduler` prints, and that a firewall lets it through; or "
-                "leave --cluster out.",
-            )
-        client = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
+            raise _unreachable(address, reason)
+        try:
+            client = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
+        except Exception as error:  # it answered, and went since
+            raise _unreachable(address, str(error)) from None
         try:
             yield client
         finally:
             client.close(timeout=CONNECT_SECONDS)
+
+
+def _unreachable(address: str, reason: str) -> FiptError:
+    return FiptError(
+        "cluster-unreachable",
+        f"No Dask scheduler answers at '{address}' ({reason}).",
+        "Check the address, which `dask scheduler` prints, and that a firewall lets it through; or leave "
+        "--cluster out.",
+    )
 
 
 def _silent(address: str) -> str | None:

@@ -90,7 +90,7 @@ class Estimation:
         self.scale = 1.0
         self.fixtures: list[Fixture] = []
         self.diffuse: np.ndarray
-        self.units: Units
+        self.units = Units(np.zeros(0, np.int32), np.zeros(0, bool))
         self.cells: SeenCells
         self.brdf: BrdfNetwork
         self.emission: EmissionNetwork
@@ -375,8 +375,10 @@ class Estimation:
     # Results
 
     def _find_cells(self, units: Units) -> None:
-        """Take the units that the last training found, and where pixels saw them."""
-        self.units, self.cells = units, find_cells(self.pixels, units, self.box)
+        """Take the units that the last training found, and where pixels saw them; known parts stay."""
+        if not np.array_equal(units.triangle, self.units.triangle):
+            self.cells = find_cells(self.pixels, units, self.box)
+        self.units = units
 
     def _room_fields(self, errors: np.ndarray | None = None) -> RoomFields:
         """The estimate on all surfaces; with `errors` (:func:`cell_errors`) drawn to what units say."""

@@ -133,9 +133,7 @@ def _usual_roughness(costs: np.ndarray, roughness: np.ndarray, scale: np.ndarray
     A part whose gloss is plain but blurred by the shadings' errors, or too small to tell, takes a roughness
     that others have (empirical Bayes). Whether it is glossy at all is left to its own pixels.
     """
-    width = np.gradient(roughness)
-    kernel = np.exp(-0.5 * ((roughness[:, None] - roughness) / ROUGHNESS_WIDTH) ** 2)
-    kernel /= kernel.sum(axis=0)
+    width, kernel = np.gradient(roughness), _kernel(roughness)
     glossy = 1.0 / (1.0 + np.exp((costs.min(axis=(0, 1)) / scale).clip(-50.0, 50.0)))
     likelihood = np.exp(-((costs - costs.min(axis=(0, 1))) / scale).clip(0.0, 50.0)).sum(axis=0)
     usual = np.zeros(len(roughness))
@@ -145,6 +143,12 @@ def _usual_roughness(costs: np.ndarray, roughness: np.ndarray, scale: np.ndarray
         density = (kernel @ share.sum(axis=1)) / width + 1.0  # as if one part more had any roughness
         usual = np.log(density / density.max()).clip(LEAST_USUAL, 0.0)
     return usual
+
+
+def _kernel(roughness: np.ndarray) -> np.ndarray:
+    """(K, K) by which a part of one roughness (column) speaks for others like it (rows)."""
+    kernel = np.exp(-0.5 * ((roughness[:, None] - roughness) / ROUGHNESS_WIDTH) ** 2)
+    return kernel / kernel.sum(axis=0)
 
 
 def _as_kin_say(
@@ -164,9 +168,8 @@ def _as_kin_say(
     voice = count / (1.0 + count / KIN_PIXELS)
     weight = kin * voice
     np.fill_diagonal(weight, 0.0)  # what it says itself is in its costs
-    kernel = np.exp(-0.5 * ((roughness[:, None] - roughness) / ROUGHNESS_WIDTH) ** 2)
-    kernel /= kernel.sum(axis=0)
-    width = np.gradient(roughness) / np.gradient(roughness).sum()
+    width, kernel = np.gradient(roughness), _kernel(roughness)
+    width /= width.sum()
     # Diffuse, or of each roughness.
     states = np.concatenate([np.zeros((1, len(count))), costs.min(axis=0)])
     likelihood = np.exp(-((states - states.min(axis=0)) / scale).clip(0.0, 60.0))

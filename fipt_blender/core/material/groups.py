@@ -18,7 +18,7 @@ NO_GROUP = -1
 LEAST_PIXELS = 1000
 # Errors of base colour are about as large in dark surfaces as in bright ones: colours are compared with so
 # much added to them.
-DARK = 0.05
+COLOR_LIFT = 0.05
 BRIGHTNESS_STEP = 1.0  # stops
 CHROMA_STEP = 0.1
 # Groups at most: what is kept of pairs of them must not grow with the capture.
@@ -54,7 +54,7 @@ def part_units(parts: Parts) -> Units:
 
 def color_class(color: np.ndarray) -> np.ndarray:
     """(N,) int64 class of each base colour (N, 3): a step of brightness and of chromaticity."""
-    lifted = color + DARK
+    lifted = color + COLOR_LIFT
     brightness = np.round(np.log2(lifted.mean(axis=1)) / BRIGHTNESS_STEP)
     chroma = np.round(lifted[:, :2] / lifted.sum(axis=1, keepdims=True) / CHROMA_STEP)
     return (brightness * 10_000 + chroma[:, 0] * 100 + chroma[:, 1]).astype(np.int64)
@@ -150,6 +150,6 @@ def kinship(label: np.ndarray, color: np.ndarray) -> np.ndarray:
         label: (G,) int semantic class, the same for all where there is none.
         color: (G, 3) base colour.
     """
-    stops = np.log2(color + DARK)
+    stops = np.log2(color + COLOR_LIFT)
     squared = sum((column[:, None] - column) ** 2 for column in stops.T) / 3.0
     return np.exp(-0.5 * squared / KIN_COLOR**2) * (label[:, None] == label)
