@@ -21,6 +21,7 @@ import pytest
 from fipt_blender.bridge import environment, interpreter, pins, places, setup
 from fipt_blender.bridge.environment import Plan
 from fipt_blender.bridge.pip import PipProgress, pip_error
+from fipt_blender.bridge.torch_build import Size
 from fipt_blender.core.job.errors import FiptError
 from fipt_blender.core.job.lock import hold
 from fipt_blender.core.job.messages import parse_message
@@ -220,10 +221,31 @@ def test_python_without_pip_takes_one_from_the_wheels_or_says_how_to_mend_it(
 
 def test_little_space_is_seen_beforehand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usage = namedtuple("usage", "total used free")
-    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(10, 9, 1_000_000_000))
-    with pytest.raises(FiptError, match=r"1\.0 GB are free") as caught:
-        environment.set_up(make_plan(tmp_path), Listener())
-    assert caught.value.code == "disk-full" and not (tmp_path / "env").exists()
+
+    def check(free: int, wheels: Path | None, build: str) -> Listener:
+        monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(free, 0, free))
+        listener = Listener()
+        environment.check_space(make_plan(tmp_path, wheels=wheels), build, listener)
+        return listener
+
+    for free, build in ((1_000_000_000, ""), (1_000_000_000, "cpu"), (7_000_000_000, "cu130")):
+        with pytest.raises(FiptError, match=f"{free / 1e9:.1f} GB are free") as caught:
+            check(free, None, build)
+        assert caught.value.code == "disk-full" and not (tmp_path / "env").exists()
+    # the package index's own build may be the small one
+    monkeypatch.setitem(environment.SIZES, "", Size(3.0, 9.0))
+    assert check(7_000_000_000, None, "").warnings == ["disk-full"]
+    assert check(9_100_000_000, None, "").warnings == []
+    # a folder's wheels are known: of two versions the larger one counts, unpacked
+    wheels = tmp_path / "wheels"
+    for version, megabytes in (("1.0", 1), ("1.1", 2)):
+        code = "#" * 1_000_000 * megabytes
+        assert make_wheel(wheels, "fipttiny", version, code).stat().st_size > megabytes * 1_000_000
+    (wheels / "broken-1.0-py3-none-any.whl").write_bytes(b"0" * 500_000)
+    assert check(2_502_000, wheels, "").warnings == []
+    with pytest.raises(FiptError) as caught:
+        check(2_500_000, wheels, "")
+    assert caught.value.code == "disk-full"
 
 
 def test_a_base_that_is_no_python_is_refused(tmp_path: Path) -> None:

@@ -47,6 +47,25 @@ def test_unseen_triangles_take_their_neighbours_labels() -> None:
     assert found.tolist() == [4, 4, 4, 9, 9, 9, NO_PART]
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_labels_spread_ring_by_ring_whatever_the_mesh(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    triangles = random.integers(0, random.integers(3, 80), (random.integers(0, 60), 3))
+    expected = np.where(random.random(len(triangles)) < 0.1, random.integers(0, 9, len(triangles)), NO_PART)
+    found = spread_labels(expected, triangles)
+    corners = [set(triangle) for triangle in triangles.tolist()]
+    while True:
+        highest = [
+            max((label for label, other in zip(expected, corners, strict=True) if own & other), default=-1)
+            for own in corners
+        ]
+        after = np.where(expected < 0, np.array(highest, np.int64), expected)
+        if np.array_equal(after, expected):
+            break
+        expected = after
+    assert np.array_equal(found, expected)
+
+
 def test_welding_joins_equal_places() -> None:
     vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 1e-9, 0], [0, 1, 0]], np.float32)
     index = weld(vertices)

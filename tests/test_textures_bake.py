@@ -107,6 +107,39 @@ def test_baked_field_equals_the_field_on_the_surface(run):
     assert np.array_equal(look_up(read_map(run, "confidence"), uv)[inside], expected)
 
 
+def test_each_image_holds_the_triangles_of_its_own(run):
+    fields = AnalyticFields()
+    atlas = read_json(run.atlas_json)
+    entry = atlas["images"][0]
+    names = ["Room.001", "Room.002", "Room.003"]
+    write_json(run.atlas_json, {**atlas, "images": [{**entry, "name": name} for name in names]})
+    with np.load(run.atlas_npz) as arrays:
+        image_of = np.array([0, 0, 2, 2], np.int32)  # and none in the second
+        np.savez(run.atlas_npz, corner_uv=arrays["corner_uv"], triangle_image=image_of)
+    told = []
+    files = bake.bake(run, fields, told.append)
+    entries = read_json(run.textures_json)["images"]
+    assert [each["name"] for each in entries] == names
+    assert files == [run.root / each[name] for each in entries for name in bake.MAPS] + [run.textures_json]
+    assert told == sorted(told) and told[-1] == 1.0
+    positions, uv, triangle = surface_points(run)
+    _, roughness, _ = fields.query(positions, triangle)
+    for index in (0, 2):
+        rows = image_of[triangle] == index
+        found = look_up(read_radiance(run.root / entries[index]["roughness"]), uv[rows])[:, 0]
+        assert np.abs(found - roughness[rows]).max() < 1.2 * 0.5 / TEXELS
+
+
+def test_an_image_that_cannot_be_written_ends_the_baking(run, monkeypatch):
+    def full(*arguments):
+        raise FiptError("disk-full", "The disk is full.", "Make room.")
+
+    monkeypatch.setattr(bake, "_write_image", full)
+    with pytest.raises(FiptError, match="full"):
+        bake.bake(run, AnalyticFields())
+    assert not run.textures_json.exists()
+
+
 def test_colour_attributes_hold_the_field_at_corners(run):
     write_json(run.atlas_json, {"mode": "color_attribute", "images": []})
     fields = AnalyticFields()

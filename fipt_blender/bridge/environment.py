@@ -74,7 +74,7 @@ def set_up(plan: Plan, tell: Teller) -> None:
     Raises:
         FiptError: what is wrong and what to do.
     """
-    check_space(plan, plan.torch)
+    check_space(plan, plan.torch, tell)
     tell.stage("environment", "Making the Python environment")
     make_environment(plan)
     tell.stage("packages", "Looking up the packages")
@@ -91,8 +91,11 @@ def _stamp(plan: Plan, complete: bool, llvm: str | None) -> None:
     write_json(plan.folder / pins.STAMP_NAME, stamp)
 
 
-def check_space(plan: Plan, build: str) -> None:
-    """See beforehand that the disk has room for an environment with a build of PyTorch.
+def check_space(plan: Plan, build: str, tell: Teller) -> None:
+    """See beforehand whether the disk has room for an environment with a build of PyTorch.
+
+    Which build the package index itself gives is not known before: there, too little space for a large one
+    is a warning.
 
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
@@ -102,13 +105,14 @@ def check_space(plan: Plan, build: str) -> None:
     with explained_write_errors(plan.folder):
         plan.folder.parent.mkdir(parents=True, exist_ok=True)
     free = shutil.disk_usage(plan.folder.parent).free / 1e9
-    needed = SIZES[build].disk_gb
-    if free < needed:
-        raise FiptError(
-            "disk-full",
-            f"The packages need {needed:.0f} GB in {plan.folder.parent}, and {free:.1f} GB are free.",
-            "Free some space, or choose a data folder on another disk.",
-        )
+    expected = pins.unpacked_gb(plan.wheels) if plan.wheels else SIZES[build].disk_gb
+    least = expected if plan.wheels or build else SIZES["cpu"].disk_gb
+    place = f"in {plan.folder.parent}, and {free:.1f} GB are free."
+    remedy = "Free some space, or choose a data folder on another disk."
+    if free < least:
+        raise FiptError("disk-full", f"The packages need {least:.1f} GB {place}", remedy)
+    if free < expected:
+        tell.warning("disk-full", f"The packages may need {expected:.1f} GB {place}", remedy)
 
 
 def make_environment(plan: Plan) -> None:
@@ -227,7 +231,7 @@ def install(plan: Plan, tell: Teller) -> None:
                 f"PyTorch's own download site has no usable build here ({(progress.errors or ['?'])[-1]}).",
                 "The package index's build is installed instead; it runs as well, but may be larger.",
             )
-            check_space(plan, "")
+            check_space(plan, "", tell)
     progress = PipProgress(packages, 0.0 if plan.wheels else SIZES[plan.torch].download_gb, tell)
     if run_pip(plan.python, ["install", *source, *plan.requirements], progress, bar):
         raise pip_error(progress, plan.wheels)

@@ -12,6 +12,7 @@ import json
 import platform
 import re
 import sys
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +113,23 @@ def wheel_pythons(folder: Path, pins: dict[str, list[str]]) -> list[Version]:
         if match := re.search(r"-cp3(\d+)-", wheel.name):
             found.append((3, int(match.group(1))))
     return sorted(set(found) & set(ENGINE_PYTHONS))
+
+
+def unpacked_gb(folder: Path) -> float:
+    """About what the packages of a folder of wheels take on the disk (GB): the largest wheel of each.
+
+    A file that is no wheel counts as it is; pip will say what is wrong with it.
+    """
+    largest: dict[str, int] = {}
+    for wheel in folder.glob("*.whl"):
+        try:
+            with zipfile.ZipFile(wheel) as archive:
+                size = sum(member.file_size for member in archive.infolist())
+        except (OSError, zipfile.BadZipFile):
+            size = wheel.stat().st_size
+        name = wheel.name.partition("-")[0]
+        largest[name] = max(size, largest.get(name, 0))
+    return sum(largest.values()) / 1e9
 
 
 def other_versions(groups: dict[str, list[str]], found: dict[str, str | None]) -> list[str]:

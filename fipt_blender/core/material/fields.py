@@ -111,16 +111,18 @@ class RoomFields:
         Returns:
             (base_color (N, 3), roughness (N,), metallic (N,)), float32; roughness is the paper's sigma.
         """
-        values = _columns(self.fields.query(positions))
-        if len(self.cells.keys):
-            part = self.units.triangle[triangles]
-            place = self.cells.find(self.fields.box, positions, part)
-            if self._priors:
-                own = zip(COLUMNS, _spreads(self.errors[place]), self._priors, strict=True)
-                for columns, spread, prior in own:
-                    values[:, columns] = drawn_to_parts(values[:, columns], spread, part, prior)
-            unseen = place < 0
-            values[unseen] = stand_ins(positions[unseen], part[unseen], self._statistics)
+        part = self.units.triangle[triangles]
+        place = self.cells.find(self.fields.box, positions, part)
+        # Where no surface was seen at all there is nothing else to ask.
+        seen = place >= 0 if len(self.cells.keys) else np.ones(len(positions), bool)
+        known = _columns(self.fields.query(positions[seen]))
+        if self._priors:
+            own = zip(COLUMNS, _spreads(self.errors[place[seen]]), self._priors, strict=True)
+            for columns, spread, prior in own:
+                known[:, columns] = drawn_to_parts(known[:, columns], spread, part[seen], prior)
+        values = np.empty((len(positions), known.shape[1]), np.float32)
+        values[seen] = known
+        values[~seen] = stand_ins(positions[~seen], part[~seen], self._statistics)
         return values[:, :3], values[:, 3], values[:, 4]
 
     def confidence(self, positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -9,6 +9,8 @@ from other views, and a dielectric's gloss has a strength of its own.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 
 from .projection import DARK, cells_of_parts, fit_colors, line
@@ -88,8 +90,9 @@ def part_materials(
     trials = [_Trial(radiance, light, specular[:, -1], cell, part, view, caution) for light in lights]
 
     def weigh(value: np.ndarray, metallic: float) -> np.ndarray:
-        """(parts,) cost of specular shading (N, 2, 3), the worse of the two ways."""
-        return np.max([trial.cost(value, metallic) for trial in trials], axis=0)
+        """(parts,) cost of specular shading (N, 2, 3), the worse of the two ways; each has a thread."""
+        with ThreadPoolExecutor(len(trials)) as threads:
+            return np.max(list(threads.map(lambda trial: trial.cost(value, metallic), trials)), axis=0)
 
     places = np.arange(0.0, len(levels) - 1.0 + STEP, STEP)
     roughness = np.interp(places, np.arange(len(levels)), levels)

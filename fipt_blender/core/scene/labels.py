@@ -172,14 +172,23 @@ def spread_labels(labels: np.ndarray, triangles: np.ndarray) -> np.ndarray:
         triangles: (T, 3) welded vertex indices; triangles are neighbours where they share a vertex.
     """
     labels = labels.astype(np.int64).copy()
-    while True:
-        vertex = np.full(int(triangles.max(initial=0)) + 1, NO_PART, np.int64)
-        known = labels >= 0
-        np.maximum.at(vertex, triangles[known].reshape(-1), np.repeat(labels[known], 3))
-        found = ~known & (vertex[triangles].max(axis=1) >= 0)
-        if not found.any():
-            return labels
-        labels[found] = vertex[triangles[found]].max(axis=1)
+    # The triangles around each vertex, one vertex after the other.
+    around = np.argsort(triangles, axis=None, kind="stable") // 3
+    number = np.bincount(triangles.reshape(-1))
+    first = np.cumsum(number) - number
+    vertex = np.full(len(number), NO_PART, np.int64)
+    ring = np.flatnonzero(labels >= 0)
+    while len(ring):
+        corners = triangles[ring].reshape(-1)
+        np.maximum.at(vertex, corners, np.repeat(labels[ring], 3))
+        touched = np.unique(corners)
+        # Rows of `around`: number[touched] of them from first[touched] on.
+        ends = np.cumsum(number[touched])
+        rows = np.arange(ends[-1]) + np.repeat(first[touched] + number[touched] - ends, number[touched])
+        beside = around[rows]
+        ring = np.unique(beside[labels[beside] < 0])
+        labels[ring] = vertex[triangles[ring]].max(axis=1)
+    return labels
 
 
 def weld(vertices: np.ndarray) -> np.ndarray:

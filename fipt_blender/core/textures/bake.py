@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -95,21 +96,39 @@ def bake(
     if atlas["mode"] == "color_attribute":
         return [_bake_corners(folder, fields, corners, progress)]
     entries = atlas["images"]
-    written: list[Path] = []
-    listed = []
-    for index, entry in enumerate(entries):
-        mine = np.flatnonzero(arrays["triangle_image"] == index)
-        size = np.array([entry["width"], entry["height"]], np.float64)
-        texel, triangle, weights = nearest_triangle_map(
-            arrays["corner_uv"][mine] * size, int(entry["width"]), int(entry["height"])
-        )
-        positions = np.einsum("nk,nkc->nc", weights, corners[mine[triangle]]).astype(np.float32)
-        paths = _write_image(folder, entry, texel, sample_fields(fields, positions, mine[triangle]))
-        written += [folder.root / path for path in paths.values()]
-        listed.append({"name": entry["name"], **paths})
-        progress((index + 1) / len(entries))
+    listed: list[dict[str, str]] = []
+    # One image is padded and written while the next is sampled: never more than two in memory.
+    with ThreadPoolExecutor(1) as writer:
+        writing: Future[dict[str, str]] | None = None
+        for index, entry in enumerate(entries):
+            texel, samples = _sample_image(fields, entry, index, arrays, corners)
+            if writing is not None:
+                listed.append(writing.result())
+            writing = writer.submit(_write_image, folder, entry, texel, samples)
+            progress((index + 1) / (len(entries) + 1))
+        if writing is not None:
+            listed.append(writing.result())
+    progress(1.0)
     write_json(folder.textures_json, {"images": listed})
+    written = [folder.root / each[name] for each in listed for name in MAPS]
     return [*written, folder.textures_json]
+
+
+def _sample_image(
+    fields: FieldSource, entry: dict, index: int, arrays: dict[str, np.ndarray], corners: np.ndarray
+) -> tuple[np.ndarray, Samples]:
+    """Flat indices (M,) of the texels that triangles of image number `index` cover, and the fields there.
+
+    Args:
+        entry: of the image in atlas.json.
+        arrays: of atlas.npz. corners: (T,3,3) f32 world.
+    """
+    mine = np.flatnonzero(arrays["triangle_image"] == index)
+    width, height = int(entry["width"]), int(entry["height"])
+    uv = arrays["corner_uv"][mine] * np.array([width, height], np.float64)
+    texel, triangle, weights = nearest_triangle_map(uv, width, height)
+    positions = np.einsum("nk,nkc->nc", weights, corners[mine[triangle]]).astype(np.float32)
+    return texel, sample_fields(fields, positions, mine[triangle])
 
 
 def sample_fields(fields: FieldSource, positions: np.ndarray, triangles: np.ndarray) -> Samples:
@@ -148,6 +167,7 @@ def _load(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
 
 
 def _write_image(folder: RunFolder, entry: dict, texel: np.ndarray, samples: Samples) -> dict[str, str]:
+    """Write the maps of one image; returns its entry in textures.json."""
     from ..capture.images import write_exr
 
     width, height = int(entry["width"]), int(entry["height"])
@@ -160,11 +180,11 @@ def _write_image(folder: RunFolder, entry: dict, texel: np.ndarray, samples: Sam
     # Row 0 is v = 0 here and the top in files.
     padded = pad(image.reshape(height, width, 8), filled.reshape(height, width), PAD_TEXELS)[::-1]
     planes = padded[..., :3], padded[..., 3], padded[..., 4], padded[..., 5:]
-    paths: dict[str, str] = {}
+    listed = {"name": str(entry["name"])}
     for name, plane in zip(MAPS, planes, strict=True):
-        paths[name] = f"textures/{entry['name']}.{name}.exr"
-        write_exr(folder.root / paths[name], plane, half=True)
-    return paths
+        listed[name] = f"textures/{entry['name']}.{name}.exr"
+        write_exr(folder.root / listed[name], plane, half=True)
+    return listed
 
 
 def _bake_corners(

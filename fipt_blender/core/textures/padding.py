@@ -44,8 +44,10 @@ def _grow(image: np.ndarray, filled: np.ndarray, texels: int) -> tuple[np.ndarra
     newest = np.flatnonzero(valid)
     for _ in range(texels):
         # Only neighbours of the texels filled last can be next.
-        frontier = np.unique((newest[:, None] + around).ravel())
-        frontier = frontier[inner[frontier] & ~valid[frontier]]
+        beside = np.zeros_like(valid)
+        for step in around:
+            beside[newest + step] = True
+        frontier = np.flatnonzero(beside & inner & ~valid)
         if not len(frontier):
             break
         total = np.zeros((len(frontier), channels), np.float32)

@@ -1,0 +1,226 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Stage 3: paths that follow gloss, weigh emitters rightly and see what a mirror shows."""
+
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from shading_rooms import (
+    LAMP,
+    LEVELS,
+    NOTHING,
+    baked,
+    grid_of,
+    lanes,
+    lookup_by_triangle,
+    mean_and_error,
+    points_on,
+)
+from small_rooms import BOX, agree, area_lights, make_room, table
+
+from fipt_blender.core.light.cache import SurfaceLookup, pool
+from fipt_blender.core.light.radiance import CachedRadiance, TracedRadiance
+from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
+from fipt_blender.core.material import brdf
+from fipt_blender.core.render.forward import LitRoom, RenderSettings, trace_paths
+from fipt_blender.core.render.surfaces import TriangleMaterials
+from fipt_blender.core.scene.room import Room
+
+
+def shiny_box(roughness: float, metallic: float = 1.0) -> tuple[Room, np.ndarray]:
+    """A box with a shiny floor, and the (T, 5) materials of its triangles; 12 and 13 are the lamp."""
+    room = make_room([*BOX, LAMP])
+    materials = np.tile([0.6, 0.5, 0.4, 1.0, 0.0], (14, 1))
+    materials[:2] = [0.9, 0.8, 0.7, roughness, metallic]
+    return room, materials
+
+
+@pytest.mark.parametrize(
+    ("roughness", "metallic", "known"), [(0.06, 1.0, []), (0.3, 1.0, []), (0.3, 0.2, [0]), (0.2, 0.0, [0, 1])]
+)
+def test_refinement_weighs_emitter_and_brdf_samples_rightly(
+    roughness: float, metallic: float, known: list[int]
+) -> None:
+    """Paths over the shiny floor with emitter sampling equal paths that only sample the BRDF.
+
+    On the triangles `known` L_d is looked up, and paths follow the gloss alone.
+    """
+    room, materials = shiny_box(roughness, metallic)
+    grid = grid_of(room)
+    lookup = lookup_by_triangle(room, grid, materials)
+    walls = np.random.default_rng(2).uniform(0.2, 0.6, (14, 3))
+    cached = lookup_by_triangle(room, grid, walls)
+    shading = np.full((14, 3), -1.0)
+    shading[known] = [0.4, 0.3, 0.2]
+    gathered = lookup_by_triangle(room, grid, shading)
+    emission = [6.0, 5.0, 4.0]
+    lights = area_lights(room, table([12, 13], emission))
+    source = TracedRadiance(room, cached, lookup, gathered if known else None, lights, None, 0.6, 4)
+    # On the ceiling the lamp's back hides nothing of the floor that matters; it emits nothing upwards.
+    points = points_on(room, 6, [4, 5, 6])
+    diffuse, specular = baked(points, source, lights, LEVELS, SampleCounts(32, 8, 16), 400)
+    times = 40_000
+    position, frame, _ = lanes(points, times)
+    rng = mi.PCG32(dr.width(position), 5)
+    direction = frame.to_world(
+        mi.warp.square_to_cosine_hemisphere(mi.Point2f(rng.next_float32(), rng.next_float32()))
+    )
+    origin = position + frame.n * room.offset
+    throughput, total = mi.Color3f(1.0), mi.Color3f(0.0)
+    active = mi.Bool(True)
+    for depth in range(1, 5):
+        hit = room.intersect(mi.Ray3f(origin, direction), active)
+        active &= hit.valid
+        lamp = active & (hit.triangle >= 12)
+        total += dr.select(lamp & hit.front, throughput * mi.Color3f(emission), 0.0)
+        active &= ~lamp
+        side = dr.select(hit.front, hit.geometric_normal, -hit.geometric_normal)
+        r, g, b, sigma, metal = lookup(hit.position, side, active)
+        ends = active & ((sigma > 0.6) | (depth == 4))
+        total += dr.select(ends, throughput * mi.Color3f(*cached(hit.position, side, ends)), 0.0)
+        active &= ~ends
+        color = mi.Color3f(r, g, b)
+        light = mi.Color3f(*gathered(hit.position, side, active))
+        dark = active & (light.x < 0.0)  # L_d is not known there
+        total += dr.select(active & ~dark, throughput * color * (1.0 - metal) * light, 0.0)
+        color = dr.select(dark, color, 0.04 * (1.0 - metal) + metal * color)
+        metal = dr.select(dark, metal, 1.0)
+        local = mi.Frame3f(hit.normal)
+        pair = mi.Point2f(rng.next_float32(), rng.next_float32())
+        wo = local.to_local(-direction)
+        wi, gain, _ = brdf.sample(rng.next_float32(), pair, wo, color, sigma, metal)
+        throughput *= gain
+        direction = local.to_world(wi)
+        active &= (wi.z > 0.0) & (dr.dot(direction, side) > 0.0)
+        origin = hit.position + side * room.offset
+    mean, error = mean_and_error(diffuse)
+    expected, noise = mean_and_error(np.array(total).T.reshape(len(points.position), times, 3))
+    agree(mean - expected, np.hypot(error, noise))
+    assert np.isfinite(specular).all()
+    assert np.median(error / mean) < 0.02
+
+
+def test_looking_up_the_diffuse_shading_changes_no_mean() -> None:
+    """Between walls that all send radiance 1, L_d is 1, and a glossy floor looks the same either way."""
+    room, materials = shiny_box(0.4, 0.3)
+    grid = grid_of(room)
+    lookup = lookup_by_triangle(room, grid, materials)
+    ones = SurfaceLookup(grid, np.ones((len(grid.voxels) * 6, 3), np.float32))
+    points = points_on(room, 4, [4, 6, 8])
+    found = []
+    for diffuse in (None, ones):
+        source = TracedRadiance(room, ones, lookup, diffuse, area_lights(room, NOTHING), None, 0.6, 5)
+        counts = SampleCounts(32, 8, 0)
+        found.append(
+            mean_and_error(baked(points, source, area_lights(room, NOTHING), LEVELS, counts, 300)[0])
+        )
+    (traced, noise), (looked_up, error) = found
+    agree(traced - looked_up, np.hypot(noise, error))
+    assert (traced.min(axis=1) < 0.99).all()  # the floor matters
+
+
+@pytest.mark.parametrize("roughness", [0.1, 1.0])
+def test_what_shines_beside_reflecting_is_read_from_the_cache(roughness: float) -> None:
+    """The photographs hold its whole light: it counts once, however bright or rough it was fitted."""
+    room, materials = shiny_box(0.1)
+    grid = grid_of(room)
+    cached = lookup_by_triangle(room, grid, np.linspace(0.5, 2.0, 14)[:, None] * np.ones(3))
+    points = points_on(room, 4, [4, 6, 8])
+    counts = SampleCounts(16, 4, 16)
+    lamp = table([12, 13], [50.0, 40.0, 30.0])
+    aimed = area_lights(room, lamp)
+    expected = TracedRadiance(
+        room,
+        cached,
+        lookup_by_triangle(room, grid, materials),
+        None,
+        area_lights(room, NOTHING),
+        None,
+        0.6,
+        5,
+    )
+    materials[12:, 3] = roughness
+    lights = area_lights(room, replace(lamp, beside=np.ones(2, bool)))
+    source = TracedRadiance(
+        room, cached, lookup_by_triangle(room, grid, materials), None, lights, None, 0.6, 5
+    )
+    found = [bake(points, each, aimed, LEVELS, counts, 3) for each in (source, expected)]
+    np.testing.assert_allclose(found[0].diffuse, found[1].diffuse, rtol=1e-5)
+    np.testing.assert_allclose(found[0].specular, found[1].specular, rtol=1e-4, atol=1e-6)
+
+
+def test_without_a_cache_what_shines_beside_reflecting_lights_the_room() -> None:
+    """Lamps that reflect nothing are the same either way."""
+    room, materials = shiny_box(0.3)
+    materials[12:] = [0.0, 0.0, 0.0, 1.0, 1.0]
+    grid = grid_of(room)
+    lookup = lookup_by_triangle(room, grid, materials)
+    points = points_on(room, 4, [4, 6, 8])
+    found = []
+    for beside in (None, np.ones(2, bool)):
+        lights = area_lights(room, replace(table([12, 13], [6.0, 5.0, 4.0]), beside=beside))
+        source = TracedRadiance(room, None, lookup, None, lights, None, 0.6, 4)
+        found.append(mean_and_error(baked(points, source, lights, LEVELS, SampleCounts(16, 4, 16), 300)[0]))
+    (black, noise), (beside_mean, error) = found
+    agree(black - beside_mean, np.hypot(noise, error))
+
+
+def test_a_mirror_is_seen_by_stage_3_and_blurred_by_stage_1() -> None:
+    """Sharp shadings of walls that see a mirror-like floor, against path tracing with the true materials."""
+    room, materials = shiny_box(0.06)
+    grid = grid_of(room)
+    emission = [12.0, 12.0, 12.0]
+    lights = area_lights(room, table([12, 13], emission))
+    lit = LitRoom(room, TriangleMaterials(materials[:, :3], materials[:, 3], materials[:, 4]), lights)
+    rng = np.random.default_rng(8)
+    # Photographs from two places: rays over the whole sphere.
+    count = 60_000
+    direction = rng.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    origin = np.where(np.arange(count)[:, None] % 2, [-1.2, -1.3, 1.5], [1.3, 0.8, 1.2])
+
+    def photograph(origin: np.ndarray, direction: np.ndarray, paths: int, seed: int):
+        many = [mi.Point3f(np.repeat(origin, paths, axis=0).T.copy())]
+        many.append(mi.Vector3f(np.repeat(direction, paths, axis=0).T.copy()))
+        ray = mi.Ray3f(*many)
+        found = trace_paths(lit, ray, mi.PCG32(len(origin) * paths, seed), RenderSettings(depth=12))
+        return np.array(found.radiance).T.reshape(len(origin), paths, 3)
+
+    image = photograph(origin, direction, 24, 1).mean(axis=1)
+    hit = room.intersect(mi.Ray3f(mi.Point3f(origin.T.copy()), mi.Vector3f(direction.T.copy())))
+    normal = np.array(dr.select(hit.front, hit.geometric_normal, -hit.geometric_normal)).T
+    entries = grid.entries(np.array(hit.position).T.astype(float), normal.astype(float))
+    on_lamp = np.array(hit.triangle) >= 12
+    with_lamp = SurfaceLookup(grid, pool(grid, entries, image)[0])
+    without = SurfaceLookup(grid, pool(grid, entries[~on_lamp], image[~on_lamp])[0])
+    # Points of a wall that see the lamp's image, or the ceiling beside it, in the floor.
+    position = np.stack([np.full(40, 1.999), rng.uniform(-0.8, 0.8, 40), rng.uniform(1.0, 1.6, 40)], axis=1)
+    image_of_lamp = np.stack([rng.uniform(-0.9, 0.9, 40), position[:, 1] * 0.5, np.full(40, -2.6)], axis=1)
+    mirror = image_of_lamp - position
+    mirror /= np.linalg.norm(mirror, axis=1, keepdims=True)
+    wall = np.tile([-1.0, 0.0, 0.0], (40, 1))
+    view = 2 * (mirror * wall).sum(axis=1, keepdims=True) * wall - mirror
+    points = ShadingPoints(*[np.asarray(a, np.float32) for a in (position, wall, wall, view)])
+    levels = np.array([0.06], np.float32)
+    lookup = lookup_by_triangle(room, grid, materials)
+    counts = SampleCounts(8, 256, 16)
+    stage_1 = bake(points, CachedRadiance(room, with_lamp, None), lights, levels, counts, 1).specular
+    traced = TracedRadiance(room, without, lookup, None, lights, None, 0.6, 5)
+    stage_3 = bake(points, traced, lights, levels, counts, 1).specular
+    # L_s0 + L_s1 by sampling the lobe and tracing paths
+    paths = 2000
+    where, frame, wo = lanes(points, paths)
+    generator = mi.PCG32(dr.width(where), 9)
+    wi = brdf.sample_visible_normal(mi.Point2f(generator.next_float32(), generator.next_float32()), wo, 0.06)
+    lobe = sum(brdf.specular_lobes(wi, wo, 0.06)) / brdf.visible_normal_pdf(wi, wo, 0.06)
+    ray = mi.Ray3f(where + frame.n * room.offset, frame.to_world(wi))
+    radiance = trace_paths(lit, ray, generator, RenderSettings(depth=12)).radiance
+    value = np.array(dr.select(wi.z > 0.0, radiance * lobe, 0.0)).T.reshape(40, paths, 3)
+    true = value.mean(axis=1)
+    error_1 = np.abs(stage_1[:, 0].sum(axis=1) - true).mean() / true.mean()
+    error_3 = np.abs(stage_3[:, 0].sum(axis=1) - true).mean() / true.mean()
+    assert error_3 < 0.06
+    assert error_1 > 5 * error_3
