@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Where in a pixel the samples of its shadings start."""
 
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,9 @@ from small_rooms import make_room
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.light.views import SUBPIXELS, _share, _shifted, view_points
+from fipt_blender.core.light.views import SUBPIXELS, TriangleTables, _share, start_points
 from fipt_blender.core.scene.pixels import fill_pixels, open_pixels
-from fipt_blender.core.scene.room import Room, triangle_normals
+from fipt_blender.core.scene.room import Room
 
 WIDTH, HEIGHT = 9, 5
 
@@ -35,17 +36,21 @@ def starts(tmp_path: Path, gap: float, labels: list[int]) -> list[np.ndarray]:
     room = roof(gap)
     store = open_pixels(tmp_path / "pixels", [view], create=True)
     fill_pixels(store, room, lambda done: None)
-    normals = triangle_normals(room.vertices, room.triangles).astype(np.float32)
-    centres = view_points(store.of_view(0), normals)
-    label = np.array(labels)
-    own = label[np.asarray(store.triangle)]
-    moved = [_shifted(room, view, centres, own, label, shift) for shift in SUBPIXELS]
-    for points in moved:  # a start's directions belong to its own surface point
-        np.testing.assert_allclose(np.linalg.norm(points.view_direction, axis=1), 1.0, atol=1e-5)
-        toward = pose[:3, 3] - points.position
-        assert ((toward * points.view_direction).sum(axis=1) > 0.0).all()
-        assert ((points.normal * points.view_direction).sum(axis=1) > 0.0).all()
-    return [np.sign(points.normal[:, 0]).reshape(HEIGHT, WIDTH) for points in (centres, *moved)]
+    tables = TriangleTables.of(room, np.array(labels))
+    rows = np.arange(WIDTH * HEIGHT)[::-1]  # any pixels in any order
+    points = start_points(room, store.of_view(0), rows, tables)
+    position, normal, geometric, view_direction = (
+        np.array(getattr(points, item.name)).T.reshape(len(rows), len(SUBPIXELS), 3)[::-1]
+        for item in fields(points)
+    )
+    # a start's directions belong to its own surface point
+    toward = pose[:3, 3] - position
+    toward /= np.linalg.norm(toward, axis=-1, keepdims=True)
+    np.testing.assert_allclose(view_direction, toward, atol=1e-6)
+    np.testing.assert_allclose(np.abs((normal * geometric).sum(axis=-1)), 1.0, atol=1e-6)
+    assert ((normal * toward).sum(axis=-1) > 0.0).all() and ((geometric * toward).sum(axis=-1) > 0.0).all()
+    centre = np.sign(store.normal[:, 0])
+    return [slopes.reshape(HEIGHT, WIDTH) for slopes in (centre, *np.sign(normal[..., 0]).T)]
 
 
 def test_a_pixel_over_a_ridge_starts_on_both_slopes(tmp_path: Path) -> None:

@@ -36,19 +36,25 @@ class SampleCounts:
 
 @dataclass(frozen=True)
 class ShadingPoints:
-    """Surface points to shade; numpy arrays, one row a pixel.
+    """Surface points to shade: numpy arrays (N, 3) float32, or Dr.Jit vectors that are on the device already.
 
     Attributes:
-        position: (N, 3) float32, metres.
-        normal: (N, 3) float32 unit shading normal towards the viewer.
-        geometric_normal: (N, 3) float32 unit, on the viewer's side.
-        view_direction: (N, 3) float32 unit, towards the viewer.
+        position: metres.
+        normal: unit shading normal towards the viewer.
+        geometric_normal: unit, on the viewer's side.
+        view_direction: unit, towards the viewer.
     """
 
-    position: np.ndarray
-    normal: np.ndarray
-    geometric_normal: np.ndarray
-    view_direction: np.ndarray
+    position: Any
+    normal: Any
+    geometric_normal: Any
+    view_direction: Any
+
+    def on_device(self) -> ShadingPoints:
+        """The same as a Point3f, two Normal3f and a Vector3f."""
+        kinds = mi.Point3f, mi.Normal3f, mi.Normal3f, mi.Vector3f
+        arrays = self.position, self.normal, self.geometric_normal, self.view_direction
+        return ShadingPoints(*(_vector(kind, array) for kind, array in zip(kinds, arrays, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -96,14 +102,15 @@ def bake(
         seed: of the random numbers; the same seed gives the same result.
         starts: points of a result.
     """
-    width = len(points.position) // starts
+    points = points.on_device()
+    width = dr.width(points.position) // starts
     if not width:
         return Shadings(np.zeros((0, 3), np.float32), np.zeros((0, len(levels), 2, 3), np.float32))
     accumulators = _bake_kernel(
-        _vector(mi.Point3f, points.position),
-        mi.Frame3f(_vector(mi.Normal3f, points.normal)),
-        _vector(mi.Normal3f, points.geometric_normal),
-        _vector(mi.Vector3f, points.view_direction),
+        points.position,
+        mi.Frame3f(points.normal),
+        points.geometric_normal,
+        points.view_direction,
         source,
         lights,
         [float(level) for level in levels],
@@ -114,13 +121,31 @@ def bake(
         starts,
     )
     dr.eval(accumulators)
-    channels = [channel for value in accumulators for channel in (value.x, value.y, value.z)]
-    found = np.stack([np.array(channel).reshape(width, starts).mean(axis=1) for channel in channels], axis=1)
+    found = means(accumulators, starts)
     return Shadings(found[:, :3].copy(), found[:, 3:].reshape(width, len(levels), 2, 3).copy())
 
 
-def _vector(kind: Any, array: np.ndarray) -> Any:
-    return kind(np.ascontiguousarray(np.asarray(array, np.float32).T))
+def means(values: list[Any], group: int) -> np.ndarray:
+    """(N, 3 * len(values)) float32 means over each `group` lanes of evaluated vectors (width N * group).
+
+    Taken on the device, as only they are needed elsewhere.
+    """
+    channels = [channel for value in values for channel in (value.x, value.y, value.z)]
+    width = dr.width(channels) // group
+    row = dr.arange(mi.UInt32, width)
+    packed = dr.zeros(mi.Float, width * len(channels))
+    for number, channel in enumerate(channels):
+        total = mi.Float(0.0)
+        for member in range(group):
+            total += dr.gather(mi.Float, channel, row * group + member)
+        dr.scatter(packed, total / group, row * len(channels) + number)
+    return np.array(packed).reshape(width, len(channels))
+
+
+def _vector(kind: Any, array: Any) -> Any:
+    if isinstance(array, np.ndarray):
+        return kind(np.ascontiguousarray(np.asarray(array, np.float32).T))
+    return kind(array)
 
 
 def _generator(lane: Any, seed: int) -> Any:

@@ -12,22 +12,22 @@ from collections.abc import Callable
 from dataclasses import astuple, dataclass, fields
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..capture.views import View
 from ..job.per_view import Workers
 from ..material.brdf import set_masking
 from ..render.environment import EnvironmentLight
 from ..render.lights import AreaLights, EmitterTable
-from ..scene.pixels import PixelStore, ViewPixels, open_array, trace_pixels
+from ..scene.pixels import PixelStore, ViewPixels, opaque_vector, open_array, trace_pixels
 from ..scene.room import Room, triangle_normals
 from .cache import SurfaceLookup, VoxelGrid
 from .denoise import Denoiser
 from .radiance import CachedRadiance, RadianceSource, TracedRadiance
-from .shadings import SampleCounts, ShadingPoints, Shadings, bake
+from .shadings import SampleCounts, ShadingPoints, Shadings, bake, means
 
 # Most pixels in one kernel launch, so that large photographs stay within memory.
 CHUNK = 1 << 18
@@ -113,8 +113,8 @@ class Baking:
         """The function of one view."""
         set_masking(self.masking)
         lights = AreaLights(self.room.vertices, self.room.triangles, self.emitters)
-        normals = triangle_normals(self.room.vertices, self.room.triangles).astype(np.float32)
-        return partial(bake_view, self, self._source(lights), lights, normals)
+        tables = TriangleTables.of(self.room, self.labels)
+        return partial(bake_view, self, self._source(lights), lights, tables)
 
     def _source(self, lights: AreaLights) -> RadianceSource:
         environment = None if self.environment is None else EnvironmentLight(self.environment)
@@ -157,24 +157,32 @@ def bake_views(
 
 
 def bake_view(
-    baking: Baking, source: RadianceSource, lights: AreaLights, normals: np.ndarray, pixels: ViewPixels
+    baking: Baking,
+    source: RadianceSource,
+    lights: AreaLights,
+    tables: TriangleTables,
+    pixels: ViewPixels,
 ) -> BakedView:
     """Shadings of one view.
 
     Args:
-        source, lights: of `baking`.
-        normals: (T, 3) geometric normals of the room's triangles.
+        source, lights, tables: of `baking`.
     """
     levels, view = baking.levels, pixels.view
-    centres = view_points(pixels, normals)
-    label = baking.labels[pixels.triangle]
-    starts = [_shifted(baking.room, view, centres, label, baking.labels, shift) for shift in SUBPIXELS]
-    counts = SampleCounts(*(_share(samples) for samples in astuple(baking.counts)))
+    size = view.height * view.width
     rows = np.flatnonzero(pixels.triangle >= 0)
+    counts = SampleCounts(*(_share(samples) for samples in astuple(baking.counts)))
     stream = baking.seed * 100003 + pixels.index
-    found = _bake_rows(starts, rows, source, lights, levels, counts, stream)
+    found = Shadings(np.zeros((size, 3), np.float32), np.zeros((size, len(levels), 2, 3), np.float32))
+    normal = np.zeros((size, 3), np.float32)
+    step = max(1, CHUNK // len(SUBPIXELS))
+    for number, begin in enumerate(range(0, len(rows), step)):
+        part = rows[begin : begin + step]
+        points = start_points(baking.room, pixels, part, tables)
+        baked = bake(points, source, lights, levels, counts, stream * 1009 + number, len(SUBPIXELS))
+        found.diffuse[part], found.specular[part] = baked.diffuse, baked.specular
+        normal[part] = means([points.normal], len(SUBPIXELS))
     if baking.denoise:
-        normal = np.sum([points.normal for points in starts], axis=0)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
         found = _denoise(found, normal, (view.height, view.width), baking.denoise_specular)
     halves = [array.clip(0.0, HALF_LARGEST).astype(np.float16) for array in (found.diffuse, found.specular)]
@@ -187,86 +195,71 @@ def _share(samples: int) -> int:
     return -(-samples // len(SUBPIXELS))
 
 
-def _shifted(
-    room: Room,
-    view: View,
-    centres: ShadingPoints,
-    label: np.ndarray,
-    labels: np.ndarray,
-    shift: tuple[float, float],
-) -> ShadingPoints:
-    """The surface points beside the pixels' centres; the centre where another surface lies there.
+@dataclass(frozen=True)
+class TriangleTables:
+    """What the starts of samples ask about the room's triangles, on the device.
+
+    Attributes:
+        normal: Float (T * 3), geometric normals.
+        label: Int32 (T), as in :class:`Baking`.
+    """
+
+    normal: Any
+    label: Any
+
+    @classmethod
+    def of(cls, room: Room, labels: np.ndarray) -> TriangleTables:
+        """Those of a room; `labels` (T,) int."""
+        normals = triangle_normals(room.vertices, room.triangles).astype(np.float32)
+        return cls(mi.Float(normals.reshape(-1)), mi.Int32(np.ascontiguousarray(labels, np.int32)))
+
+
+def start_points(room: Room, pixels: ViewPixels, rows: np.ndarray, tables: TriangleTables) -> ShadingPoints:
+    """Evaluated points at which samples of some pixels start: each pixel's :data:`SUBPIXELS` in order.
+
+    Each is the surface point beside the pixel's centre, or the centre's where another surface lies there: one
+    of another label, or far away.
 
     Args:
-        label: (N,) int of the centres' triangles, labels: (T,) of all.
-        shift: pixels.
+        rows: (M,) pixels of the view that see the room.
     """
-    surface = trace_pixels(room, view, shift)
-    valid = np.array(surface.valid)
-    # Where the mesh is missed, positions lie at infinity.
-    position = np.where(valid[:, None], np.array(surface.position, np.float32).T, centres.position)
-    normal = np.array(surface.normal, np.float32).T
-    geometric = np.array(dr.select(surface.front, 1.0, -1.0) * mi.Normal3f(surface.geometric_normal)).T
-    toward = np.asarray(view.camera_to_world)[:3, 3] - position
-    distance = np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-12)
-    toward = (toward / distance).astype(np.float32)
-    cosine = np.abs((toward * geometric).sum(axis=1)).clip(0.05)
-    reach = SUBPIXEL_REACH * distance[:, 0] / min(view.fx, view.fy) / cosine
-    other = labels[np.where(valid, np.array(surface.triangle), 0).astype(np.int64)]
-    same = valid & (other == label)
-    same &= np.linalg.norm(position - centres.position, axis=1) < reach
-    keep = same[:, None]
-    return ShadingPoints(
-        np.where(keep, position, centres.position),
-        np.where(keep, normal, centres.normal),
-        np.where(keep, geometric, centres.geometric_normal),
-        np.where(keep, toward, centres.view_direction),
-    )
+    view, count = pixels.view, len(SUBPIXELS)
+    number = dr.arange(mi.UInt32, len(rows) * count) // count
+    camera = opaque_vector(mi.Point3d, np.asarray(view.camera_to_world)[:3, 3])
+
+    def seen(kind: Any, array: np.ndarray) -> Any:
+        flat = np.ascontiguousarray(array[rows]).reshape(-1)
+        scalar = mi.Float if flat.dtype == np.float32 else mi.Int32
+        return dr.gather(kind, scalar(flat), number)
+
+    triangle = seen(mi.Int32, pixels.triangle)
+    side = dr.select(seen(mi.Int32, pixels.front.astype(np.int32)) != 0, mi.Float(1.0), -1.0)
+    position, normal = seen(mi.Point3f, pixels.position), seen(mi.Normal3f, pixels.normal)
+    geometric = dr.gather(mi.Normal3f, tables.normal, mi.UInt32(triangle)) * side
+    centre = ShadingPoints(position, normal, geometric, _toward(camera, position)[0])
+
+    surface = trace_pixels(room, view, SUBPIXELS, mi.UInt32(rows.astype(np.uint32)))
+    geometric = surface.geometric_normal * dr.select(surface.front, mi.Float(1.0), -1.0)
+    toward, distance = _toward(camera, surface.position)
+    beside = ShadingPoints(surface.position, surface.normal, geometric, toward)
+    cosine = dr.maximum(dr.abs(dr.dot(toward, geometric)), 0.05)
+    reach = SUBPIXEL_REACH * distance / dr.opaque(mi.Float, float(min(view.fx, view.fy))) / cosine
+    own = dr.gather(mi.Int32, tables.label, mi.UInt32(triangle))
+    same = surface.valid & (dr.gather(mi.Int32, tables.label, surface.triangle, surface.valid) == own)
+    same &= dr.norm(surface.position - position) < reach
+    chosen = [
+        dr.select(same, getattr(beside, item.name), getattr(centre, item.name))
+        for item in fields(ShadingPoints)
+    ]
+    dr.eval(chosen)
+    return ShadingPoints(*chosen)
 
 
-def view_points(pixels: ViewPixels, normals: np.ndarray) -> ShadingPoints:
-    """Shading points of the pixels' centres.
-
-    Args:
-        normals: (T, 3) geometric normals of the room's triangles.
-    """
-    toward = pixels.view.camera_to_world[:3, 3].astype(np.float32) - pixels.position
-    toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-12)
-    side = np.where(pixels.front, 1.0, -1.0).astype(np.float32)
-    geometric = normals[np.maximum(pixels.triangle, 0)] * side[:, None]
-    return ShadingPoints(pixels.position, pixels.normal, geometric, toward)
-
-
-def _bake_rows(
-    starts: list[ShadingPoints],
-    rows: np.ndarray,
-    source: RadianceSource,
-    lights: AreaLights,
-    levels: np.ndarray,
-    counts: SampleCounts,
-    seed: int,
-) -> Shadings:
-    """Bake some pixels, mean over their starts; zero elsewhere.
-
-    Args:
-        starts: for each start the points of all pixels.
-        rows: (M,) pixels to bake.
-        counts: samples a start.
-    """
-    count, size = len(starts), len(starts[0].position)
-    result = Shadings(np.zeros((size, 3), np.float32), np.zeros((size, len(levels), 2, 3), np.float32))
-    step = max(1, CHUNK // count)
-    for number, begin in enumerate(range(0, len(rows), step)):
-        part = rows[begin : begin + step]
-
-        def together(name: str, part: np.ndarray = part) -> np.ndarray:
-            """A pixel's starts one after the other, as their rays meet the same things."""
-            return np.stack([getattr(points, name)[part] for points in starts], axis=1).reshape(-1, 3)
-
-        chunk = ShadingPoints(*(together(item.name) for item in fields(ShadingPoints)))
-        baked = bake(chunk, source, lights, levels, counts, seed * 1009 + number, count)
-        result.diffuse[part], result.specular[part] = baked.diffuse, baked.specular
-    return result
+def _toward(camera: Any, position: Any) -> tuple[Any, Any]:
+    """Unit Vector3f towards the camera (Point3d), and its distance as Float."""
+    toward = camera - mi.Point3d(position)
+    distance = dr.maximum(dr.norm(toward), 1e-12)
+    return mi.Vector3f(toward / distance), mi.Float(distance)
 
 
 def _denoise(shadings: Shadings, normal: np.ndarray, size: tuple[int, int], specular_too: bool) -> Shadings:

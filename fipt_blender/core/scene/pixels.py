@@ -9,10 +9,11 @@ Pixels of all views stand one after the other; `ranges` says where each view beg
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -132,15 +133,25 @@ def open_pixels(folder: Path, views: list[View], create: bool = False) -> PixelS
     return PixelStore(views=views, ranges=ranges, **arrays)
 
 
-def trace_pixels(room: Room, view: View, shift: tuple[float, float] = (0.0, 0.0)) -> Surface:
-    """First surface seen through each pixel (row-major), at the centre plus `shift` in pixels."""
-    width, height = view.width, view.height
-    index = dr.arange(mi.UInt32, width * height)
+def trace_pixels(
+    room: Room, view: View, shifts: Sequence[tuple[float, float]] = ((0.0, 0.0),), pixels: Any = None
+) -> Surface:
+    """First surface seen through each pixel, at its centre plus each of `shifts`, one after the other.
+
+    Args:
+        shifts: (x, y) in pixels.
+        pixels: UInt32 row-major numbers of pixels; all of the view where not given.
+    """
+    count = len(shifts)
+    number = view.width * view.height if pixels is None else dr.width(pixels)
+    lane = dr.arange(mi.UInt32, number * count)
+    pixel = lane // count if pixels is None else dr.gather(mi.UInt32, pixels, lane // count)
     # Opaque numbers: literals would make a kernel of its own for each view.
-    numbers = [view.fx, view.fy, view.cx - shift[0] - 0.5, view.cy - shift[1] - 0.5]
-    fx, fy, cx, cy = (dr.opaque(mi.Float, float(number)) for number in numbers)
-    row = index // dr.opaque(mi.UInt32, width)
-    column = index - row * dr.opaque(mi.UInt32, width)
+    fx, fy = (dr.opaque(mi.Float, float(number)) for number in (view.fx, view.fy))
+    centres = [[view.cx - x - 0.5 for x, _ in shifts], [view.cy - y - 0.5 for _, y in shifts]]
+    cx, cy = (dr.gather(mi.Float, mi.Float(numbers), lane % count) for numbers in centres)
+    row = pixel // dr.opaque(mi.UInt32, view.width)
+    column = pixel - row * dr.opaque(mi.UInt32, view.width)
     local = dr.normalize(mi.Vector3f((mi.Float(column) - cx) / fx, (mi.Float(row) - cy) / fy, 1.0))
     pose = np.asarray(view.camera_to_world, np.float64)
     x_axis, y_axis, z_axis = (opaque_vector(mi.Vector3f, pose[:3, axis]) for axis in range(3))
@@ -289,7 +300,7 @@ def _pure(room: Room, label: mi.Int32, view: View) -> np.ndarray:
     reach = 1.5 * pixel / dr.maximum(cosine, 0.05)
     pure, outside = mi.Bool(valid), ~valid
     for shift in ((-0.45, -0.45), (0.45, -0.45), (-0.45, 0.45), (0.45, 0.45)):
-        corner = trace_pixels(room, view, shift)
+        corner = trace_pixels(room, view, [shift])
         outside &= ~corner.valid
         pure &= corner.valid & (dr.norm(corner.position - centre.position) < reach)
         pure &= dr.dot(corner.normal, centre.normal) > 0.8
