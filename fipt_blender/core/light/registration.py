@@ -50,18 +50,21 @@ def register(shown: np.ndarray, told: np.ndarray, known: np.ndarray, intrinsics:
     """
     if known.sum() < LEAST_PIXELS:
         return Fit(0.0, 1.0, 0.0, 0.0)
-    flow = _flow(known.shape, intrinsics)
+    everywhere = _flow(known.shape, intrinsics)
+    size = np.sqrt((everywhere**2).sum(axis=1).mean(axis=(1, 2)))
+    flow = everywhere[:, :, known]
     turn = np.zeros(len(flow))
     for blur in BLURS:
-        one, other = _blurred(shown, known, blur), _blurred(told, known, blur)
+        one, other = _blurred(shown, known, blur), _blurred(told, known, blur)[known]
+        gradient_y, gradient_x = np.gradient(one)
+        # A pull towards the given pose, in proportion to what the residuals leave undecided; blur makes so
+        # many pixels say the same.
+        pull = 4.0 * np.pi * blur**2 * (size / EXPECTED_SHIFT) ** 2
         for _ in range(STEPS):
-            turn = turn + _step(one, other, known, flow, turn, blur)
-    blur = BLURS[-1]
-    one, other = _blurred(shown, known, blur), _blurred(told, known, blur)
+            turn = turn + _step([one, gradient_x, gradient_y], other, known, flow, turn, pull)
     before, _ = _cost(one, other, known, flow, np.zeros(len(turn)))
     after, difference = _cost(one, other, known, flow, turn)
-    shift = np.einsum("k,kahw->ahw", turn, flow)
-    length = float(np.sqrt((shift**2).sum(axis=0)[known].mean()))
+    length = float(np.sqrt((_shift(turn, flow) ** 2).sum(axis=0).mean()))
     return Fit(length, min(after / max(before, 1e-12), 1.0), before - after, difference)
 
 
@@ -98,40 +101,58 @@ def _convolve(image: np.ndarray, kernel: np.ndarray, axis: int) -> np.ndarray:
     return result
 
 
+def _shift(turn: np.ndarray, flow: np.ndarray) -> np.ndarray:
+    """(2, M) displacement (x, y) of M pixels by a turn, where `flow` (3, 2, M) is that of each axis."""
+    return np.einsum("k,kam->am", turn, flow)
+
+
 def _warp(
     images: list[np.ndarray], known: np.ndarray, shift: np.ndarray
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Images looked up `shift` pixels (x, y) beside each pixel, bilinearly, and where that is known."""
+    """Images looked up beside each of the M known pixels, bilinearly.
+
+    Args:
+        shift: (2, M) pixels (x, y).
+
+    Returns:
+        (M,) values of each image, and (M,) bool whether they are known.
+    """
     height, width = known.shape
-    x = np.arange(width)[None] + shift[0]
-    y = np.arange(height)[:, None] + shift[1]
+    row, column = np.nonzero(known)
+    x, y = column + shift[0], row + shift[1]
     inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
     x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
     x0 = np.minimum(x.astype(np.int64), max(width - 2, 0))
     y0 = np.minimum(y.astype(np.int64), max(height - 2, 0))
     u, v = x - x0, y - y0
     weights = [(1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u]
-    corners = [(y0, x0), (y0, x0 + 1), (y0 + 1, x0), (y0 + 1, x0 + 1)]
-    warped = [
-        sum((w * image[at] for w, at in zip(weights, corners, strict=True)), np.zeros(known.shape))
-        for image in images
-    ]
-    everywhere = np.all([known[at] for at in corners], axis=0)
-    return warped, inside & everywhere & known
+    first = y0 * width + x0
+    corners = [first, first + 1, first + width, first + width + 1]
+    warped = []
+    for image in images:
+        flat = image.reshape(-1)
+        warped.append(sum(w * flat.take(corner) for w, corner in zip(weights, corners, strict=True)))
+    everywhere = np.all([known.reshape(-1).take(corner) for corner in corners], axis=0)
+    return warped, inside & everywhere
 
 
 def _step(
-    shown: np.ndarray,
+    shown: list[np.ndarray],
     told: np.ndarray,
     known: np.ndarray,
     flow: np.ndarray,
     turn: np.ndarray,
-    blur: float,
+    pull: np.ndarray,
 ) -> np.ndarray:
-    """One Gauss-Newton step of the turn, with a factor of exposure fitted along."""
-    shift = np.einsum("k,kahw->ahw", turn, flow)
-    gradient_y, gradient_x = np.gradient(shown)
-    (here, dx, dy), usable = _warp([shown, gradient_x, gradient_y], known, shift)
+    """One Gauss-Newton step of the turn, with a factor of exposure fitted along.
+
+    Args:
+        shown: the image and its gradients along x and y.
+        told: (M,) the other image at the known pixels.
+        flow: (3, 2, M) there.
+        pull: (3,) towards no turn, for residuals of 1.
+    """
+    (here, dx, dy), usable = _warp(shown, known, _shift(turn, flow))
     if usable.sum() < LEAST_PIXELS:
         return np.zeros(len(turn))
     residual = (told - here)[usable]
@@ -141,21 +162,17 @@ def _step(
     matrix = np.stack([*rows, np.ones(len(residual))], axis=1)
     normal = matrix.T @ (matrix * weight[:, None])
     right = matrix.T @ (weight * residual)
-    # A pull towards the given pose, in proportion to what the residuals leave undecided; blur makes so many
-    # pixels say the same.
-    size = np.sqrt((flow**2).sum(axis=1).mean(axis=(1, 2)))
     noise = float(np.average(residual**2, weights=weight)) + 1e-6
-    pull = 4.0 * np.pi * blur**2 * noise * (size / EXPECTED_SHIFT) ** 2
-    normal[:-1, :-1] += np.diag(pull)
-    right[:-1] -= pull * turn
+    normal[:-1, :-1] += np.diag(noise * pull)
+    right[:-1] -= noise * pull * turn
     return np.linalg.solve(normal + 1e-9 * np.eye(len(normal)), right)[:-1]
 
 
 def _cost(
     shown: np.ndarray, told: np.ndarray, known: np.ndarray, flow: np.ndarray, turn: np.ndarray
 ) -> tuple[float, float]:
-    """Mean robust residual at a turn, and the median absolute one."""
-    (here,), usable = _warp([shown], known, np.einsum("k,kahw->ahw", turn, flow))
+    """Mean robust residual at a turn, and the median absolute one; arguments as in :func:`_step`."""
+    (here,), usable = _warp([shown], known, _shift(turn, flow))
     if usable.sum() < LEAST_PIXELS:
         return np.inf, np.inf
     residual = (told - here)[usable]
