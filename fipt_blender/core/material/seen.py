@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 RESOLUTION = 128
+# Cells along an axis with one more at each end, so that neighbours of the outermost have numbers too.
+SIDE = RESOLUTION + 2
 # Seen points kept for the nearest-neighbour search, and the cells along the room in which unseen ones share.
 SEEN_POINTS = 4096
 CELLS = 64
@@ -60,21 +62,22 @@ class SeenCells:
         result = np.full(len(positions), -1, np.int64)
         for start in range(0, len(positions), CHUNK):
             rows = slice(start, start + CHUNK)
-            result[rows] = self._find(_cells(box, positions[rows]), part[rows].astype(np.int64))
+            result[rows] = self._find(cell_keys(box, positions[rows], part[rows]))
         return result
 
-    def _find(self, cells: np.ndarray, part: np.ndarray) -> np.ndarray:
-        found = np.full(len(cells), -1, np.int64)
+    def _find(self, wanted: np.ndarray) -> np.ndarray:
+        found = np.full(len(wanted), -1, np.int64)
         if not len(self.keys):
             return found
-        # Own cell first, then faces, edges and corners.
+        # Own cell first, then faces, edges and corners; the number of a neighbour differs by a constant.
         steps = sorted(itertools.product((0, -1, 1), repeat=3), key=lambda step: sum(map(abs, step)))
-        for step in steps:
-            lost = np.flatnonzero(found < 0)
-            keys = _numbers(cells[lost] + np.array(step), part[lost])
+        lost = np.arange(len(wanted))
+        for step in _flat(np.array(steps)):
+            keys = wanted[lost] + step
             place = np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)
             hit = self.keys[place] == keys
             found[lost[hit]] = place[hit]
+            lost = lost[~hit]
         return found
 
 
@@ -96,18 +99,15 @@ def seen_cells(box: Box, pieces: Iterable[tuple[np.ndarray, np.ndarray]]) -> See
 
 def cell_keys(box: Box, positions: np.ndarray, part: np.ndarray) -> np.ndarray:
     """(N,) int64 number of the pair of cell and part of each point."""
-    return _numbers(_cells(box, positions), part.astype(np.int64))
+    return (np.maximum(part.astype(np.int64), -1) + 1) * SIDE**3 + _flat(_cells(box, positions))
 
 
 def _cells(box: Box, positions: np.ndarray) -> np.ndarray:
-    # From 1 on, so that neighbours of the outermost cells have numbers of their own.
     return np.clip((box.normalise(positions) * RESOLUTION).astype(np.int64), 0, RESOLUTION - 1) + 1
 
 
-def _numbers(cells: np.ndarray, part: np.ndarray) -> np.ndarray:
-    side = RESOLUTION + 2
-    flat = (cells[:, 0] * side + cells[:, 1]) * side + cells[:, 2]
-    return (np.maximum(part, -1) + 1) * side**3 + flat
+def _flat(cells: np.ndarray) -> np.ndarray:
+    return (cells[:, 0] * SIDE + cells[:, 1]) * SIDE + cells[:, 2]
 
 
 @dataclass(frozen=True)

@@ -23,10 +23,7 @@ def pad(image: np.ndarray, filled: np.ndarray, texels: int = 8) -> np.ndarray:
     """
     if not filled.any():
         return np.zeros_like(image)
-    grown, valid = _grow(image, filled, texels)
-    if valid.all():
-        return grown
-    return np.where(valid[..., None], grown, _push_pull(grown, valid))
+    return _push_pull(*_grow(image, filled, texels))
 
 
 def _grow(image: np.ndarray, filled: np.ndarray, texels: int) -> tuple[np.ndarray, np.ndarray]:
@@ -38,16 +35,14 @@ def _grow(image: np.ndarray, filled: np.ndarray, texels: int) -> tuple[np.ndarra
     inner = np.zeros_like(valid)
     inner[1:-1, 1:-1] = True
     values = np.zeros((height + 2, stride, channels), np.float32)
-    values[1:-1, 1:-1] = np.where(filled[..., None], image, 0.0)
+    np.copyto(values[1:-1, 1:-1], image, where=filled[..., None])
     valid, inner, values = valid.ravel(), inner.ravel(), values.reshape(-1, channels)
     around = np.array([-stride - 1, -stride, -stride + 1, -1, 1, stride - 1, stride, stride + 1])
-    newest = np.flatnonzero(valid)
     for _ in range(texels):
-        # Only neighbours of the texels filled last can be next.
-        beside = np.zeros_like(valid)
-        for step in around:
-            beside[newest + step] = True
-        frontier = np.flatnonzero(beside & inner & ~valid)
+        beside = valid.reshape(height + 2, stride).copy()
+        beside[:, 1:-1] |= beside[:, :-2] | beside[:, 2:]
+        beside[1:-1] |= beside[:-2] | beside[2:]
+        frontier = np.flatnonzero(beside.ravel() & inner & ~valid)
         if not len(frontier):
             break
         total = np.zeros((len(frontier), channels), np.float32)
@@ -58,7 +53,6 @@ def _grow(image: np.ndarray, filled: np.ndarray, texels: int) -> tuple[np.ndarra
             count += known
         values[frontier] = total / count[:, None]
         valid[frontier] = True
-        newest = frontier
     shape = (height + 2, stride)
     return values.reshape(*shape, channels)[1:-1, 1:-1], valid.reshape(shape)[1:-1, 1:-1]
 
@@ -66,13 +60,19 @@ def _grow(image: np.ndarray, filled: np.ndarray, texels: int) -> tuple[np.ndarra
 def _push_pull(image: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """Averages of ever larger blocks, each empty texel taking the finest block that holds anything."""
     height, width, channels = image.shape
-    if height <= 1 and width <= 1:
+    if valid.all() or (height <= 1 and width <= 1):
         return image
-    padded = np.zeros((height + height % 2, width + width % 2, channels + 1), np.float32)
-    padded[:height, :width, :channels] = np.where(valid[..., None], image, 0.0)
-    padded[:height, :width, channels] = valid
-    blocks = padded.reshape(padded.shape[0] // 2, 2, padded.shape[1] // 2, 2, channels + 1).sum(axis=(1, 3))
-    weight = blocks[..., channels:]
-    coarse = _push_pull(blocks[..., :channels] / np.maximum(weight, 1.0), weight[..., 0] > 0.0)
-    spread = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1)[:height, :width]
-    return np.where(valid[..., None], image, spread)
+    blocks = np.zeros(((height + 1) // 2, (width + 1) // 2, channels), np.float32)
+    weight = np.zeros((*blocks.shape[:2], 1), np.float32)
+    quarters = np.s_[0::2, 0::2], np.s_[0::2, 1::2], np.s_[1::2, 0::2], np.s_[1::2, 1::2]
+    for quarter in quarters:
+        known = valid[quarter][..., None]
+        part = np.s_[: known.shape[0], : known.shape[1]]
+        np.add(blocks[part], image[quarter], out=blocks[part], where=known)
+        weight[part] += known
+    coarse = _push_pull(blocks / np.maximum(weight, 1.0), weight[..., 0] > 0.0)
+    result = image.copy()
+    for quarter in quarters:
+        empty = ~valid[quarter][..., None]
+        np.copyto(result[quarter], coarse[: empty.shape[0], : empty.shape[1]], where=empty)
+    return result
