@@ -225,7 +225,7 @@ def start_points(room: Room, pixels: ViewPixels, rows: np.ndarray, tables: Trian
     """
     view, count = pixels.view, len(SUBPIXELS)
     number = dr.arange(mi.UInt32, len(rows) * count) // count
-    camera = opaque_vector(mi.Point3d, np.asarray(view.camera_to_world)[:3, 3])
+    camera = np.asarray(view.camera_to_world)[:3, 3]
 
     def seen(kind: Any, array: np.ndarray) -> Any:
         flat = np.ascontiguousarray(array[rows]).reshape(-1)
@@ -236,17 +236,21 @@ def start_points(room: Room, pixels: ViewPixels, rows: np.ndarray, tables: Trian
     side = dr.select(seen(mi.Int32, pixels.front.astype(np.int32)) != 0, mi.Float(1.0), -1.0)
     position, normal = seen(mi.Point3f, pixels.position), seen(mi.Normal3f, pixels.normal)
     geometric = dr.gather(mi.Normal3f, tables.normal, mi.UInt32(triangle)) * side
-    centre = ShadingPoints(position, normal, geometric, _toward(camera, position)[0])
+    toward, _ = _unit(opaque_vector(mi.Vector3f, camera) - mi.Vector3f(position))
+    centre = ShadingPoints(position, normal, geometric, toward)
 
     surface = trace_pixels(room, view, SUBPIXELS, mi.UInt32(rows.astype(np.uint32)))
     geometric = surface.geometric_normal * dr.select(surface.front, mi.Float(1.0), -1.0)
-    toward, distance = _toward(camera, surface.position)
+    toward, distance = _unit(opaque_vector(mi.Vector3d, camera) - mi.Vector3d(surface.position))
+    toward = mi.Vector3f(toward)
     beside = ShadingPoints(surface.position, surface.normal, geometric, toward)
-    cosine = dr.maximum(dr.abs(dr.dot(toward, geometric)), 0.05)
-    reach = SUBPIXEL_REACH * distance / dr.opaque(mi.Float, float(min(view.fx, view.fy))) / cosine
+    product = toward * geometric
+    cosine = dr.maximum(dr.abs(product.x + product.y + product.z), 0.05)
+    width = dr.opaque(mi.Float64, float(min(view.fx, view.fy)))
+    reach = SUBPIXEL_REACH * distance / width / mi.Float64(cosine)
     own = dr.gather(mi.Int32, tables.label, mi.UInt32(triangle))
     same = surface.valid & (dr.gather(mi.Int32, tables.label, surface.triangle, surface.valid) == own)
-    same &= dr.norm(surface.position - position) < reach
+    same &= mi.Float64(_unit(surface.position - position)[1]) < reach
     chosen = [
         dr.select(same, getattr(beside, item.name), getattr(centre, item.name))
         for item in fields(ShadingPoints)
@@ -255,11 +259,11 @@ def start_points(room: Room, pixels: ViewPixels, rows: np.ndarray, tables: Trian
     return ShadingPoints(*chosen)
 
 
-def _toward(camera: Any, position: Any) -> tuple[Any, Any]:
-    """Unit Vector3f towards the camera (Point3d), and its distance as Float."""
-    toward = camera - mi.Point3d(position)
-    distance = dr.maximum(dr.norm(toward), 1e-12)
-    return mi.Vector3f(toward / distance), mi.Float(distance)
+def _unit(vector: Any) -> tuple[Any, Any]:
+    """A vector's direction and length, without Dr.Jit's fused sums and reciprocals: rounded as numpy does."""
+    x, y, z = vector.x, vector.y, vector.z
+    length = dr.maximum(dr.sqrt(x * x + y * y + z * z), 1e-12)
+    return type(vector)(x / length, y / length, z / length), length
 
 
 def _denoise(shadings: Shadings, normal: np.ndarray, size: tuple[int, int], specular_too: bool) -> Shadings:

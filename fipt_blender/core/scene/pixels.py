@@ -161,7 +161,7 @@ def trace_pixels(
 
 def opaque_vector(kind: type, values: np.ndarray) -> mi.Vector3f:
     """Three numbers that Dr.Jit must not bake into kernels."""
-    return kind(*[dr.opaque(mi.Float, float(value)) for value in values])
+    return kind(*[dr.opaque(dr.value_t(kind), float(value)) for value in values])
 
 
 @dataclass(frozen=True)
