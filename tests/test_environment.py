@@ -229,8 +229,9 @@ def test_little_space_is_seen_beforehand(tmp_path: Path, monkeypatch: pytest.Mon
         return listener
 
     for free, build in ((1_000_000_000, ""), (1_000_000_000, "cpu"), (7_000_000_000, "cu130")):
-        with pytest.raises(FiptError, match=f"{free / 1e9:.1f} GB are free") as caught:
-            check(free, None, build)
+        monkeypatch.setattr(shutil, "disk_usage", lambda path, free=free: usage(free, 0, free))
+        with pytest.raises(FiptError, match=rf"{free // 10**9}\.0 GB are free") as caught:
+            environment.set_up(make_plan(tmp_path, wheels=None, torch=build), Listener())
         assert caught.value.code == "disk-full" and not (tmp_path / "env").exists()
     # the package index's own build may be the small one
     monkeypatch.setitem(environment.SIZES, "", Size(3.0, 9.0))

@@ -50,9 +50,9 @@ def register(shown: np.ndarray, told: np.ndarray, known: np.ndarray, intrinsics:
     """
     if known.sum() < LEAST_PIXELS:
         return Fit(0.0, 1.0, 0.0, 0.0)
-    everywhere = _flow(known.shape, intrinsics)
-    size = np.sqrt((everywhere**2).sum(axis=1).mean(axis=(1, 2)))
-    flow = everywhere[:, :, known]
+    flow = _flow(known.shape, intrinsics)
+    size = np.sqrt((flow**2).sum(axis=1).mean(axis=(1, 2)))
+    flow = flow[:, :, known]
     turn = np.zeros(len(flow))
     for blur in BLURS:
         one, other = _blurred(shown, known, blur), _blurred(told, known, blur)[known]
@@ -62,6 +62,7 @@ def register(shown: np.ndarray, told: np.ndarray, known: np.ndarray, intrinsics:
         pull = 4.0 * np.pi * blur**2 * (size / EXPECTED_SHIFT) ** 2
         for _ in range(STEPS):
             turn = turn + _step([one, gradient_x, gradient_y], other, known, flow, turn, pull)
+    # Both are judged at the last blur, the finest.
     before, _ = _cost(one, other, known, flow, np.zeros(len(turn)))
     after, difference = _cost(one, other, known, flow, turn)
     length = float(np.sqrt((_shift(turn, flow) ** 2).sum(axis=0).mean()))

@@ -181,7 +181,8 @@ def bake_view(
         points = start_points(baking.room, pixels, part, tables)
         baked = bake(points, source, lights, levels, counts, stream * 1009 + number, len(SUBPIXELS))
         found.diffuse[part], found.specular[part] = baked.diffuse, baked.specular
-        normal[part] = means([points.normal], len(SUBPIXELS))
+        if baking.denoise:
+            normal[part] = means([points.normal], len(SUBPIXELS))
     if baking.denoise:
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
         found = _denoise(found, normal, (view.height, view.width), baking.denoise_specular)
@@ -232,10 +233,10 @@ def start_points(room: Room, pixels: ViewPixels, rows: np.ndarray, tables: Trian
         scalar = mi.Float if flat.dtype == np.float32 else mi.Int32
         return dr.gather(kind, scalar(flat), number)
 
-    triangle = seen(mi.Int32, pixels.triangle)
-    side = dr.select(seen(mi.Int32, pixels.front.astype(np.int32)) != 0, mi.Float(1.0), -1.0)
+    triangle = mi.UInt32(seen(mi.Int32, pixels.triangle))
+    side = seen(mi.Float, np.where(pixels.front, np.float32(1.0), np.float32(-1.0)))
     position, normal = seen(mi.Point3f, pixels.position), seen(mi.Normal3f, pixels.normal)
-    geometric = dr.gather(mi.Normal3f, tables.normal, mi.UInt32(triangle)) * side
+    geometric = dr.gather(mi.Normal3f, tables.normal, triangle) * side
     toward, _ = _unit(opaque_vector(mi.Vector3f, camera) - mi.Vector3f(position))
     centre = ShadingPoints(position, normal, geometric, toward)
 
@@ -248,7 +249,7 @@ def start_points(room: Room, pixels: ViewPixels, rows: np.ndarray, tables: Trian
     cosine = dr.maximum(dr.abs(product.x + product.y + product.z), 0.05)
     width = dr.opaque(mi.Float64, float(min(view.fx, view.fy)))
     reach = SUBPIXEL_REACH * distance / width / mi.Float64(cosine)
-    own = dr.gather(mi.Int32, tables.label, mi.UInt32(triangle))
+    own = dr.gather(mi.Int32, tables.label, triangle)
     same = surface.valid & (dr.gather(mi.Int32, tables.label, surface.triangle, surface.valid) == own)
     same &= mi.Float64(_unit(surface.position - position)[1]) < reach
     chosen = [
