@@ -1,19 +1,20 @@
 #!/usr/bin/env python3
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The project's commands, each with all set-up included: python3 dev.py COMMAND [ARGUMENT ...]
+"""The commands of the project, which include the set-up: python3 dev.py COMMAND [ARGUMENT ...]
 
   demo      run the main job on the example capture
   test      run the tests
-  run       run the product's command line, e.g. run estimate CAPTURE --output FOLDER
+  run       run the command line, e.g. run estimate CAPTURE --output FOLDER
   accuracy  run the engine on a capture with ground truth and print its accuracy
   speed     time the engine against the paper's algorithm, stage by stage
+  lock      write engine.lock from the pins in pyproject.toml
   lint      run ruff and mypy
   build     make the extension's zip in dist/ (needs no set-up)
   setup     only set up
 
-Standard library only. Set-up makes the virtual environment .venv with the packages pinned in
-pyproject.toml and finds or fetches an LLVM; nothing outside this folder is changed, but for caches.
+Standard library only. The set-up creates the virtual environment .venv with the packages pinned in
+pyproject.toml and finds or fetches an LLVM. Nothing outside this folder is changed, except for caches.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ import time
 import zipfile
 from pathlib import Path
 
-SUPPORTED_PYTHONS = ((3, 11), (3, 13))  # those that bpy exists for
+SUPPORTED_PYTHONS = ((3, 11), (3, 13))  # for these, bpy exists
 ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 VENV_PYTHON = VENV / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
@@ -37,11 +38,11 @@ DEMO = ("estimate", "examples/room", "--output", "out/demo", "--preset", "draft"
 
 
 class SetupError(Exception):
-    """Set-up can't go on; the text says what to do."""
+    """Set-up has failed; the text says what to do."""
 
 
 class Terminal:
-    """Tells on stderr what set-up does; stdout belongs to the command itself."""
+    """Prints the progress of set-up to stderr; stdout is for the command itself."""
 
     def __init__(self) -> None:
         self._last = ""
@@ -51,47 +52,48 @@ class Terminal:
         self.detail(text)
 
     def detail(self, text: str) -> None:
-        """Say what the running stage does now."""
+        """Describe what the current stage is doing."""
         if text != self._last:
             print(f"set-up: {text}", file=sys.stderr, flush=True)
         self._last = text
 
     def progress(self, stage_fraction: float) -> None:
-        """The texts tell enough."""
+        """Not printed; the texts are sufficient."""
 
     def warning(self, code: str, text: str, remedy: str) -> None:
-        """Say what did not go as it should."""
+        """Report a problem that does not stop set-up."""
         self.detail(f"warning: {text} {remedy}")
 
     def log(self, line: str) -> None:
-        """Of pip's many lines show what may matter."""
+        """Print those of pip's lines that may be important."""
         if line.startswith(("ERROR", "WARNING")):
             print(line, file=sys.stderr, flush=True)
 
 
 def setup_key(pins: dict[str, list[str]], folder: Path = VENV) -> str:
-    """Changes whenever set-up has to be done again: other pins, another Python, a moved checkout."""
-    from fipt_blender.bridge.environment import plan_key
+    """A key that changes when set-up must be repeated: other pins, another Python, a moved checkout."""
+    from fipt_blender.bridge.plan import plan_key
 
     return plan_key(pins, sys.version_info[:2], str(folder))
 
 
 def child_environment() -> dict[str, str]:
-    """Environment of every child: the engine's, with the libraries that set-up fetched."""
+    """Environment variables of all child processes: the engine's, with the libraries of set-up."""
     from fipt_blender.bridge.interpreter import engine_environment
 
     return engine_environment(VENV_PYTHON)
 
 
 def set_up() -> None:
-    """Make or complete the environment; does nothing where it stands.
+    """Create or complete the environment; does nothing if it is complete.
 
     Raises:
         SetupError: with what to do.
     """
     from fipt_blender.bridge import environment
     from fipt_blender.bridge.pins import is_set_up, read_pins
-    from fipt_blender.core.job.errors import FiptError
+    from fipt_blender.bridge.plan import ENGINE_MODULES, Plan
+    from fipt_blender.core.run.errors import FiptError
 
     started = time.monotonic()
     try:
@@ -99,14 +101,16 @@ def set_up() -> None:
         key = setup_key(pins)
         if is_set_up(VENV, key):
             return
-        plan = environment.Plan(
+        plan = Plan(
             folder=VENV,
             base=Path(sys.executable),
             requirements=[*pins["engine"], *pins["blender"], *pins["dev"], *pins["cluster"]],
-            modules=("bpy", *environment.ENGINE_MODULES),
+            modules=("bpy", *ENGINE_MODULES),
             llvm=pins["llvm"],
             pip=pins["pip"],
+            lock=pins["lock"],
             key=key,
+            allow_large=True,
         )
         environment.set_up(plan, Terminal())
     except FiptError as error:
@@ -115,12 +119,12 @@ def set_up() -> None:
 
 
 def read_versions() -> dict[str, str]:
-    """The product's version in each place that states it."""
+    """The version of the product in each file that contains it."""
     import tomllib
 
     manifest = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    code = (ROOT / "fipt_blender/core/job/runfolder.py").read_text(encoding="utf-8")
+    code = (ROOT / "fipt_blender/core/run/runfolder.py").read_text(encoding="utf-8")
     product = re.search(r'^PRODUCT_VERSION = "(.+)"$', code, re.MULTILINE)
     log = re.search(r"^## (\d\S*)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
     return {
@@ -132,19 +136,19 @@ def read_versions() -> dict[str, str]:
 
 
 def build_extension(folder: Path = ROOT / "dist") -> Path:
-    """Make the extension's zip: the manifest, the licence and the package's files at its top.
+    """Build the extension's zip, with the manifest, the licence and the package's files at its top level.
 
-    The same files give the same bytes, whenever and wherever it is built.
+    The build is reproducible: the same files give the same bytes.
 
     Raises:
-        SetupError: where versions disagree.
+        SetupError: the versions in `read_versions` differ.
     """
     from fipt_blender.bridge.pins import ENGINE_GROUPS, PINS_NAME, read_pins
 
     versions = read_versions()
     if len(set(versions.values())) != 1:
         listed = "\n".join(f"  {place}: {version}" for place, version in versions.items())
-        raise SetupError(f"The versions disagree:\n{listed}\nMake them equal.")
+        raise SetupError(f"The versions differ:\n{listed}\nMake them equal.")
     package = ROOT / "fipt_blender"
     contents = {name: (ROOT / name).read_bytes() for name in ("blender_manifest.toml", "LICENSE")}
     contents[PINS_NAME] = json.dumps({name: read_pins()[name] for name in ENGINE_GROUPS}, indent=1).encode()
@@ -159,7 +163,7 @@ def build_extension(folder: Path = ROOT / "dist") -> Path:
     with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         for name in sorted(contents):
             info = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
-            info.create_system = 3  # else it tells the platform
+            info.create_system = 3  # otherwise it depends on the platform
             info.external_attr = 0o644 << 16
             info.compress_type = zipfile.ZIP_DEFLATED
             archive.writestr(info, contents[name])
@@ -168,19 +172,74 @@ def build_extension(folder: Path = ROOT / "dist") -> Path:
 
 
 def call(*arguments: str) -> int:
-    """Run the environment's Python; its exit status, as a shell would give it."""
+    """Run the environment's Python; returns its exit status as a shell does (128 + signal)."""
     child = subprocess.Popen([str(VENV_PYTHON), *arguments], cwd=ROOT, env=child_environment())
     while True:
         try:
             status = child.wait()
-        except KeyboardInterrupt:  # the child got it as well and ends in its own way
+        except KeyboardInterrupt:  # the child gets it too and ends by itself
             continue
         return status if status >= 0 else 128 - status
 
 
 def lint() -> int:
-    """Run both tools, also where the first finds something."""
+    """Run ruff and mypy, the second even if the first finds something."""
     return max(call("-m", "ruff", "check", "."), call("-m", "mypy"))
+
+
+def lock() -> int:
+    """Write engine.lock: every package that the engine needs on any platform, with its files' hashes.
+
+    PyTorch, and what only its CUDA builds need, is left out: which build is installed depends on the machine.
+    """
+    from fipt_blender.bridge.pins import LOCK_NAME, parse_lock, read_pins, without_hashes
+
+    pins = read_pins()
+    name = re.compile(r"[A-Za-z0-9_.-]+")
+    compiler = [
+        str(VENV_PYTHON),
+        "-m",
+        "uv",
+        "pip",
+        "compile",
+        "-",
+        "--universal",
+        "--python-version",
+        "3.11",
+    ]
+    options = [
+        "--python-version",
+        "3.11",
+        "--only-binary",
+        ":all:",
+        "--generate-hashes",
+        "--no-header",
+        "--no-annotate",
+        "--quiet",
+    ]
+
+    def compiled(requirements: list[str], *more: str) -> str:
+        text = "\n".join(requirements)
+        child = subprocess.run([*compiler, *options, *more], input=text, capture_output=True, text=True)
+        if child.returncode:
+            raise SetupError(child.stderr.strip())
+        return child.stdout
+
+    def names(text: str) -> set[str]:
+        return {name.match(without_hashes(line)).group() for line in parse_lock(text)}
+
+    without_torch = [pin for pin in pins["engine"] if not pin.startswith("torch==")]
+    everything = names(compiled(pins["engine"]))
+    cuda = {each for each in everything if each.startswith(("nvidia-", "cuda-")) or each == "triton"}
+    left_out = [f"--no-emit-package={each}" for each in sorted({"torch", *cuda})]
+    text = compiled(pins["engine"], *left_out)
+    missing = {name.match(pin).group().lower() for pin in without_torch} - names(text)
+    if missing:
+        raise SetupError(f"The lock lacks {', '.join(sorted(missing))}.")
+    header = "# The engine's packages with hashes; written by python3 dev.py lock from pyproject.toml.\n"
+    (ROOT / LOCK_NAME).write_text(header + text, encoding="utf-8")
+    print(ROOT / LOCK_NAME)
+    return 0
 
 
 COMMANDS = {
@@ -190,12 +249,13 @@ COMMANDS = {
     "accuracy": lambda extra: call(str(ROOT / "benchmarks" / "accuracy.py"), *extra),
     "speed": lambda extra: call(str(ROOT / "benchmarks" / "speed.py"), *extra),
     "lint": lambda extra: lint(),
+    "lock": lambda extra: lock(),
     "setup": lambda extra: 0,
 }
 
 
 def other_python() -> str | None:
-    """A supported Python among those on the search path."""
+    """A supported Python on the search path, or None."""
     for major, minor in SUPPORTED_PYTHONS:
         found = shutil.which(f"python{major}.{minor}")
         code = f"import sys; sys.exit(sys.version_info[:2] != ({major}, {minor}))"
@@ -205,7 +265,7 @@ def other_python() -> str | None:
 
 
 def main(argv: list[str]) -> int:
-    """Run one command; its exit status."""
+    """Run one command; returns its exit status."""
     if not argv or argv[0] not in (*COMMANDS, "build"):
         print(__doc__.strip())
         return 0 if argv and argv[0] in ("-h", "--help") else 2
@@ -225,7 +285,11 @@ def main(argv: list[str]) -> int:
         return 1
     except KeyboardInterrupt:
         return 130
-    return COMMANDS[argv[0]](argv[1:])
+    try:
+        return COMMANDS[argv[0]](argv[1:])
+    except SetupError as error:
+        print(f"dev.py: {error}", file=sys.stderr)
+        return 1
 
 
 if __name__ == "__main__":

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""python3 benchmarks/ablations.py CAPTURE OUTPUT: the paper's ablations, one after another, in one table.
+"""python3 benchmarks/ablations.py CAPTURE OUTPUT: run the paper's ablations and print a table.
 
-Each is a run of benchmarks/accuracy.py with other options; finished ones (OUTPUT/NAME.json) are not done
-again. The table stands beside the paper's Tables 3 and 4, which are of its kitchen: compare differences to
-the full model, not values. More than one seed of the full model gives the noise floor.
+Each ablation is a run of benchmarks/accuracy.py with other options; finished runs (OUTPUT/NAME.json) are not
+repeated. The table lists the figures of the paper's Tables 3 and 4 too, which are for its kitchen: compare
+the differences from the full model, not the values. More than one seed of the full model gives the noise
+floor.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks import accuracy
-from fipt_blender.core.job.runfolder import read_json
-from fipt_blender.core.job.settings import make_settings
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.settings import make_settings
 
 COLUMNS = ("kd_psnr", "a_prime_psnr", "sigma_psnr", "emission_iou", "emission_log_l2", "relight_psnr")
 FULL = "full"
@@ -31,9 +32,9 @@ class Ablation:
     """One row of the table.
 
     Attributes:
-        text: what is different from the full model.
+        text: the difference from the full model.
         options: of benchmarks/accuracy.py.
-        paper: the paper's figures in the order of COLUMNS (Tables 3 and 4, kitchen), None where it has none.
+        paper: the paper's figures in the order of COLUMNS (Tables 3 and 4, kitchen), None if it has none.
     """
 
     text: str
@@ -80,13 +81,15 @@ def make_parser() -> argparse.ArgumentParser:
     add("--only", default=",".join(ABLATIONS), metavar="A,B", help=f"of: {', '.join(ABLATIONS)}")
     add("--seeds", type=int, default=1, metavar="N", help="runs of the full model (default: 1)")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one setting of all runs")
-    add("--spp", type=int, default=64, help="paths a pixel of the renders, denoised (default: 64)")
-    add("--table", type=Path, metavar="FILE", help="write the table there too")
+    add(
+        "--spp", type=int, default=64, help="paths per pixel of the renders, which are denoised (default: 64)"
+    )
+    add("--table", type=Path, metavar="FILE", help="also write the table to a file")
     return parser
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run what is not done yet and print the table; 0, 1 where a run failed, 2 for wrong usage."""
+    """Do the runs that are missing and print the table; returns 0, 1 if a run failed, 2 for wrong usage."""
     parser = make_parser()
     arguments = parser.parse_args(list(argv))
     names = [name for name in arguments.only.split(",") if name]
@@ -113,7 +116,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def planned(arguments: argparse.Namespace, names: Sequence[str]) -> list[tuple[str, list[str]]]:
-    """Names of the runs and their options, the seeds of the full model among them."""
+    """Names of the runs and their options, including the other seeds of the full model."""
     common = [word for change in arguments.set for word in ("--set", change)]
     runs = []
     for name in names:
@@ -129,14 +132,14 @@ def planned(arguments: argparse.Namespace, names: Sequence[str]) -> list[tuple[s
 
 
 def all_steps(preset: str, changes: Sequence[str]) -> int:
-    """Optimiser steps of a run over all its rounds."""
+    """Optimiser steps of a run in all of its rounds."""
     values = dict(change.partition("=")[::2] for change in changes)
     settings = make_settings(preset, values)
     return settings.training_steps + settings.rounds * settings.later_training_steps
 
 
 def table(folder: Path) -> str:
-    """Figures of the held-back views of all finished runs, each beside the paper's."""
+    """Table of the figures of all finished runs (held-back views) and of the paper's."""
     results = {path.stem: read_json(path)["held_back"] for path in sorted(folder.glob("*.json"))}
     head = f"{'held-back views, paper protocol':44s}" + "".join(
         f"{name.removesuffix('_psnr'):>16s}" for name in COLUMNS
@@ -154,7 +157,7 @@ def table(folder: Path) -> str:
 
 
 def spread(results: Sequence[Mapping[str, Any]]) -> list[float | None]:
-    """Highest minus lowest of each figure; None where a run lacks it."""
+    """Range (highest minus lowest) of each figure; None if a run lacks it."""
     ranges: list[float | None] = []
     for key in COLUMNS:
         values = [figures.get(key) for figures in results]

@@ -24,9 +24,10 @@ from benchmarks import cycles_views, disturb, metrics, picture_page, truth
 from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.capture.views import View, load_capture
 from fipt_blender.core.device.variant import set_variant
-from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.messages import parse_message
-from fipt_blender.core.job.runfolder import PRODUCT_VERSION, RunFolder, read_json, write_json
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.messages import parse_message
+from fipt_blender.core.run.runfolder import PRODUCT_VERSION, RunFolder, write_json
 
 ROOT = Path(__file__).resolve().parent.parent
 SPLITS = ("training", "held_back")
@@ -216,7 +217,7 @@ def score(run: RunFolder, scope: Scope, page: picture_page.PicturePage) -> Score
     # Mitsuba, torch: not before the main job's own processes are gone, and the variant is chosen.
     set_variant(run.read().device)
     from benchmarks import predict
-    from fipt_blender.core.render.forward import RenderSettings, render_view
+    from benchmarks.tracer.forward import RenderSettings, render_view
 
     capture = load_capture(run)
     relight = truth.read_relight(scope.capture, capture)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Curves of cost against size: their exponents, and a picture with logarithmic axes."""
+"""Curves of cost against size: fitted exponents, and plots with logarithmic axes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from fipt_blender.core.job.runfolder import atomic_path
+from fipt_blender.core.run.runfolder import atomic_path
 
 _COLORS = ("#c0392b", "#2471a3", "#1e8449", "#b9770e", "#6c3483", "#626567")
 _WIDTH, _HEIGHT = 900, 560
@@ -18,7 +18,7 @@ _LEFT, _TOP, _RIGHT, _BOTTOM = 90, 50, 250, 60
 
 
 def fit_exponent(sizes: Sequence[float], values: Sequence[float | None]) -> float | None:
-    """b of values = a sizes^b by least squares of logarithms; None with fewer than two points above zero."""
+    """Exponent b of values = a sizes^b, by least squares of logarithms; None without two positive values."""
     known = [(size, value) for size, value in zip(sizes, values, strict=True) if value and value > 0.0]
     if len({size for size, _ in known}) < 2:
         return None
@@ -30,11 +30,12 @@ def fit_exponent(sizes: Sequence[float], values: Sequence[float | None]) -> floa
 def draw_curves(
     title: str, sizes: Sequence[float], lines: Mapping[str, Sequence[float | None]]
 ) -> Image.Image:
-    """The lines over the sizes, both axes logarithmic; the legend tells the exponents.
+    """Plot lines over the sizes with logarithmic axes; the legend contains the exponents.
 
     Args:
+        title: above the plot.
         sizes: (n,) above zero.
-        lines: by name (n,) values; None and zero are left out, and keep their colour.
+        lines: (n,) values by name; None and zero are not drawn. An empty line still takes its colour.
     """
     font = ImageFont.load_default(15)
     image = Image.new("RGB", (_WIDTH, _HEIGHT), "white")
@@ -78,7 +79,7 @@ def draw_curves(
 
 
 def write_pictures(rows: Sequence[Sequence[Image.Image]], path: Path) -> None:
-    """Write a PNG of pictures of :func:`draw_curves`, row by row."""
+    """Write the pictures of :func:`draw_curves`, given in rows, to one PNG."""
     columns = max((len(row) for row in rows), default=1)
     page = Image.new("RGB", (columns * _WIDTH, max(len(rows), 1) * _HEIGHT), "white")
     for down, row in enumerate(rows):

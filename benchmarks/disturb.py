@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A room's mesh as a reconstruction might have it: displaced by smooth noise, rounded, one object.
+"""A disturbed copy of a room's mesh, similar to a reconstruction: smooth noise, smooth normals, one object.
 
-Stands in for the paper's estimated geometry (Sec. 5.4, Table 4): `disturb_obj(source, target, sigma)`.
+It replaces the paper's estimated geometry (Sec. 5.4, Table 4): `disturb_obj(source, target, sigma)`.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-# Bumps are this many times wider than they are high: slopes are off by about 6 degrees.
+# Ratio of the bumps' width to their height; slopes are changed by about 6 degrees.
 BUMP_WIDTH = 10.0
 _WAVES = 64
 
 
 def disturb_obj(source: Path, target: Path, sigma: float, seed: int = 0) -> None:
-    """Write a disturbed copy of an OBJ file: positions, smooth normals and triangles alone.
+    """Write a disturbed copy of an OBJ file that contains only positions, smooth normals and triangles.
 
     Args:
         sigma: standard deviation of the displacement along each axis, in the file's units.
@@ -52,7 +52,7 @@ def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
 def disturb(
     vertices: np.ndarray, triangles: np.ndarray, sigma: float, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displace a mesh by a smooth random field, after making its triangles smaller than the field's bumps.
+    """Displace a mesh by a smooth random field, after subdividing its triangles below the size of the bumps.
 
     The field depends on the place alone, so that what touches stays together.
 
@@ -79,7 +79,7 @@ def disturb(
 
 
 def subdivide(vertices: np.ndarray, triangles: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:
-    """Halve edges until none is longer; neighbours split the edge that they share at the same place."""
+    """Halve edges until none is longer; neighbours split a shared edge at the same point."""
     while True:
         corners = vertices[triangles]
         length = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
@@ -91,7 +91,7 @@ def subdivide(vertices: np.ndarray, triangles: np.ndarray, longest: float) -> tu
         middle = np.full(triangles.shape, -1)
         middle[split] = len(vertices) + number.reshape(-1)
         vertices = np.concatenate([vertices, vertices[unique].mean(axis=1)])
-        # Turn each triangle so that its first edge is split, and its last one is not unless all are.
+        # Rotate each triangle so that its first edge is split, and its last one only if all are.
         turn = np.where(split.all(axis=1), 0, (split & ~np.roll(split, 1, axis=1)).argmax(axis=1))
         order = (turn[:, None] + np.arange(3)) % 3
         (a, b, c), (ab, bc, ca) = (np.take_along_axis(x, order, axis=1).T for x in (triangles, middle))
@@ -108,7 +108,7 @@ def subdivide(vertices: np.ndarray, triangles: np.ndarray, longest: float) -> tu
 
 
 def smooth_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(V, 3) unit normals, means of the triangles around each vertex weighted by area."""
+    """(V, 3) unit normals: area-weighted means of the triangles around each vertex."""
     corners = vertices[triangles]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(vertices)

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Measure Cycles' Principled BSDF against the fitted model, write the table that makes them agree, and sweep
-materials, angles of view and lights to see that they do. Needs bpy; the model answers from a child process.
+"""Measure Cycles' Principled BSDF, write the table of its correction to the fitted model, and evaluate it.
+
+The evaluation sweeps materials, viewing angles and lights. Needs bpy; the model runs in a child process.
 
     python benchmarks/fit_write_back.py                # fit the table, then sweep
-    python benchmarks/fit_write_back.py --check        # sweep with the table that is there
+    python benchmarks/fit_write_back.py --check        # only sweep, with the existing table
     python benchmarks/fit_write_back.py --picture out.png --json out.json
 """
 
@@ -23,7 +24,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import model_side, patches
-from fipt_blender.blend.write_back_nodes import agree_with_model
+from fipt_blender.blend.results.write_back_nodes import agree_with_model
+from fipt_blender.core.optics.factorised import specular_reflectance
 from fipt_blender.core.textures import write_back
 
 MIN_ROUGHNESS = 0.02  # of the model
@@ -38,27 +40,27 @@ LIGHTS = ("white", "sun")
 
 
 def leave(material: Any) -> None:
-    """Keep Blender's own Principled."""
+    """Leave Blender's Principled BSDF unchanged."""
 
 
 def fit(spp: int = 4096) -> dict[str, dict[str, np.ndarray]]:
     """The table's functions, each (ROWS, COLUMNS), of "principled" and of the model with each G."""
-    # Edge-on patches have no size; what is seen so is as good as what is seen almost so.
+    # A patch that is seen exactly edge-on has no area; it is replaced by one that is seen almost edge-on.
     cosine = np.maximum(np.linspace(0.0, 1.0, COLUMNS), 0.25 / COLUMNS)
     roughness = np.linspace(0.0, 1.0, ROWS)
     both = patches.grid((0.0, 1.0), np.maximum(roughness, MIN_ROUGHNESS), (0.0, 1.0), cosine)
-    seen = patches.render(both, leave, spp=spp).mean(axis=1).reshape(2, ROWS, 2, COLUMNS)
-    black, slope = seen[0], seen[1] - seen[0]
-    nv, sigma = (each.ravel() for each in np.meshgrid(cosine, roughness))
-    found = {"principled": {"e": black[:, 0], "t": slope[:, 0], "f1": black[:, 1], "f0": slope[:, 1]}}
+    rendered = patches.render(both, leave, spp=spp).mean(axis=1).reshape(2, ROWS, 2, COLUMNS)
+    black, slope = rendered[0], rendered[1] - rendered[0]
+    nv, sigma = (axis.ravel() for axis in np.meshgrid(cosine, roughness))
+    functions = {"principled": {"e": black[:, 0], "t": slope[:, 0], "f1": black[:, 1], "f0": slope[:, 1]}}
     for masking in write_back.MASKINGS:
         lobes = model_side.ask(masking, cosine=nv, roughness=np.maximum(sigma, MIN_ROUGHNESS))
-        found[masking] = {name: lobes[name].reshape(ROWS, COLUMNS) for name in ("s0", "s1")}
-    return found
+        functions[masking] = {name: lobes[name].reshape(ROWS, COLUMNS) for name in ("s0", "s1")}
+    return functions
 
 
 def write(functions: dict[str, dict[str, np.ndarray]]) -> None:
-    """Write the package's table."""
+    """Write the table of the package, `write_back.TABLE`."""
     groups = []
     for group, members in functions.items():
         rows = []
@@ -71,12 +73,12 @@ def write(functions: dict[str, dict[str, np.ndarray]]) -> None:
 
 
 def model(materials: patches.Patches, sun: float | None, masking: str = write_back.MASKINGS[0]) -> np.ndarray:
-    """What the fitted model reflects, (N,3); lights as in `patches.render`."""
+    """(N,3) radiance that the fitted model reflects; lights as in `patches.render`."""
     common = {"roughness": materials.roughness, "metallic": materials.metallic}
     if sun is None:
         lobes = model_side.ask(masking, cosine=materials.cosine, roughness=materials.roughness)
         m = materials.metallic[:, None]
-        specular = write_back.DIELECTRIC * (1.0 - m) + materials.base_color * m
+        specular = specular_reflectance(materials.base_color, m)
         return materials.base_color * (1.0 - m) + specular * lobes["s0"][:, None] + lobes["s1"][:, None]
     normal = materials.normals()
     side = np.column_stack([np.cos(materials.azimuth), np.sin(materials.azimuth), np.zeros(len(normal))])
@@ -89,35 +91,40 @@ def model(materials: patches.Patches, sun: float | None, masking: str = write_ba
     return model_side.ask(masking, wi=light, wo=view, base_color=materials.base_color, **common)["value"]
 
 
-def relative_errors(seen: np.ndarray, wanted: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Mean over the last axis (directions) of |seen - wanted|, relative to the mean of what is wanted."""
-    difference = np.abs(seen - wanted).mean(axis=1).reshape(shape)
-    return difference.mean(axis=-1) / wanted.mean(axis=1).reshape(shape).mean(axis=-1)
+def relative_errors(rendered: np.ndarray, modelled: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Mean absolute difference over the last axis (directions), relative to the mean of the model."""
+    difference = np.abs(rendered - modelled).mean(axis=1).reshape(shape)
+    return difference.mean(axis=-1) / modelled.mean(axis=1).reshape(shape).mean(axis=-1)
 
 
 def sweep(finish: Any, masking: str, spp: int = 1024) -> dict[str, np.ndarray]:
-    """Relative errors (a, sigma, m, angle of view) under each of LIGHTS, of Cycles against the model.
+    """Relative errors of Cycles against the model under each of LIGHTS, by (a, sigma, m, viewing angle).
 
-    Under the sun an entry is over all its directions about the surface; where the sun does not reach the
-    patch or only grazes it (n.l < 0.05) it does not count.
+    Under the sun, an entry is a mean over all directions of the sun, except those that do not reach the patch
+    or only graze it (n.l < 0.05).
+
+    Args:
+        finish: changes the material of each patch; see `patches.render`.
+        masking: G of the model.
+        spp: samples per patch under the white world.
     """
     cosines = np.cos(np.radians(np.maximum(ANGLES, 0.5)))
     shape = (len(BASE_COLORS), len(ROUGHNESSES), len(METALLICS), len(ANGLES))
     flat = patches.grid(BASE_COLORS, ROUGHNESSES, METALLICS, cosines)
     white = relative_errors(patches.render(flat, finish, spp=spp), model(flat, None, masking), (*shape, 1))
-    turned = patches.grid(BASE_COLORS, ROUGHNESSES, METALLICS, cosines, AZIMUTHS)
-    seen, wanted = [], []
+    rotated = patches.grid(BASE_COLORS, ROUGHNESSES, METALLICS, cosines, AZIMUTHS)
+    rendered, modelled = [], []
     for sun in SUNS:
-        lit = turned.normals() @ np.array([np.sin(sun), 0.0, np.cos(sun)]) > 0.05
-        seen.append(patches.render(turned, finish, sun, spp=4) * lit[:, None])
-        wanted.append(model(turned, sun, masking) * lit[:, None])
-    # suns beside azimuths: the directions
-    both = [np.stack(each, axis=1).reshape(-1, 3) for each in (seen, wanted)]
+        lit = rotated.normals() @ np.array([np.sin(sun), 0.0, np.cos(sun)]) > 0.05
+        rendered.append(patches.render(rotated, finish, sun, spp=4) * lit[:, None])
+        modelled.append(model(rotated, sun, masking) * lit[:, None])
+    # suns x azimuths are the directions
+    both = [np.stack(values, axis=1).reshape(-1, 3) for values in (rendered, modelled)]
     return {"white": white, "sun": relative_errors(*both, (*shape, len(AZIMUTHS) * len(SUNS)))}
 
 
 def tables(errors: dict[str, np.ndarray]) -> str:
-    """Mean errors in per cent by angle, roughness, metallic and base colour."""
+    """Text: mean errors in per cent by viewing angle, roughness, metallic and base colour."""
     lines = []
     for light in LIGHTS:
         all_of_them = 100 * errors[light]
@@ -135,37 +142,37 @@ def tables(errors: dict[str, np.ndarray]) -> str:
 def main(argv: Sequence[str]) -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
-    parser.add_argument("--check", action="store_true", help="only sweep, with the table that is there")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the sweep to a PNG")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the sweep's errors")
+    parser.add_argument("--check", action="store_true", help="only sweep, with the existing table")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the errors of the sweep as PNG")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the errors of the sweep as JSON")
     arguments = parser.parse_args(list(argv))
     if not arguments.check:
         write(fit())
-    found = {}
+    sweeps = {}
     for masking in write_back.MASKINGS:
-        found[f"{masking}, Principled alone"] = sweep(leave, masking)
-        found[f"{masking}, with write-back"] = sweep(partial(agree_with_model, masking=masking), masking)
-    for name, errors in found.items():
+        sweeps[f"{masking}, Principled alone"] = sweep(leave, masking)
+        sweeps[f"{masking}, with write-back"] = sweep(partial(agree_with_model, masking=masking), masking)
+    for name, errors in sweeps.items():
         print(f"--- {name}\n{tables(errors)}")
     if arguments.json:
         axes = {"a": BASE_COLORS, "sigma": ROUGHNESSES, "m": METALLICS, "angle": ANGLES}
         rounded = {
             name: {light: np.round(errors[light], 5).tolist() for light in LIGHTS}
-            for name, errors in found.items()
+            for name, errors in sweeps.items()
         }
         arguments.json.write_text(json.dumps({"axes": axes, "errors": rounded}), encoding="utf-8")
     if arguments.picture:
-        draw(arguments.picture, found)
+        draw(arguments.picture, sweeps)
     return 0
 
 
-def draw(path: Path, found: dict[str, dict[str, np.ndarray]]) -> None:
-    """One row of squares a light: sigma to the right, angle upwards, metallic from square to square."""
+def draw(path: Path, sweeps: dict[str, dict[str, np.ndarray]]) -> None:
+    """One row of squares per light and one square per metallic: sigma to the right, viewing angle upwards."""
     import bpy
 
     scale, gap = 10, 6
     strips = []
-    for errors in found.values():
+    for errors in sweeps.values():
         for light in LIGHTS:
             by = errors[light].mean(axis=0).transpose(1, 2, 0)  # m, angle, sigma
             squares = [np.kron(each[::-1], np.ones((scale, scale))) for each in by]

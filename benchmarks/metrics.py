@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The metrics of the paper's experiments (Sec. 6.1 and 6.2) as pure functions, and stricter ones beside them.
+"""The metrics of the paper's experiments (Sec. 5.1 and 5.2) as pure functions, in two protocols.
 
-Two protocols. PAPER: pixels set aside are black in both images and count as right, map values are 8 bit,
-roughness is clamped to the model's range: what comparing the maps that the authors' code draws amounts to.
-STRICT: pixels set aside do not count at all, values are floats and unclamped, and in rendered images
-pixels that are clipped in the truth do not count. Map errors are pooled over all pixels of a split;
-PSNRs of rendered images are means over images. The paper does not define log L2; here it is the mean
-squared difference of log(1 + radiance).
+PAPER: excluded pixels are black in both images and count as correct, map values have 8 bits, and roughness is
+clamped to the model's range. This is equivalent to comparing the maps that the authors' code writes.
+STRICT: excluded pixels do not count, values are unclamped floats, and pixels of rendered images that are
+clipped in the truth do not count. Map errors are pooled over all pixels of a split; PSNRs of rendered images
+are means over images. The paper does not define log L2; here it is the mean squared difference of
+log(1 + radiance).
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ def pooled_psnr(
 
     Args:
         predicted, true: (H, W) or (H, W, C) each.
-        kept: (H, W) bool; the others are set aside.
-        strict: see the module's text.
+        kept: (H, W) bool; other pixels are excluded.
+        strict: see the module's docstring.
 
     Returns:
         dB, or None where no pixel is kept.
@@ -86,7 +86,7 @@ def pooled_psnr(
 
 
 def surfaces(true: Maps) -> np.ndarray:
-    """(H, W) bool: pixels that count for materials; emitters and what lies beyond the mesh are set aside."""
+    """(H, W) bool: pixels that count for materials; emitters and pixels that miss the mesh are excluded."""
     return true.hit & ~(true.emission > 0.0).any(axis=-1)
 
 

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The fitted model's side of comparisons with Cycles; a process of its own, as Mitsuba and bpy share none.
+"""The fitted model in comparisons with Cycles: a separate process, since Mitsuba and bpy can't share one.
 
 python model_side.py MASKING < IN.npz > OUT.npz. IN holds cosine (N,) and roughness (N,); OUT then holds the
-integrals s0 and s1 over all directions of light. With wi (N,3), wo (N,3), base_color (N,3) and metallic (N,)
+integrals s0 and s1 over all light directions. With wi (N,3), wo (N,3), base_color (N,3) and metallic (N,)
 it holds `value`, the BRDF times cosine (N,3). Directions are in the shading frame.
 """
 
@@ -24,27 +24,27 @@ SAMPLES = 1 << 14
 
 
 def ask(masking: str, **arrays: np.ndarray) -> dict[str, np.ndarray]:
-    """Run this file on arrays; see the module's text."""
+    """Run this file in a child process on arrays; see the module's docstring."""
     sent = io.BytesIO()
     np.savez(sent, **arrays)
     command = [sys.executable, __file__, masking]
     answer = subprocess.run(command, input=sent.getvalue(), capture_output=True, check=False)
     if answer.returncode:
         raise RuntimeError(answer.stderr.decode(errors="replace"))
-    with np.load(io.BytesIO(answer.stdout), allow_pickle=False) as found:
-        return {name: found[name] for name in found.files}
+    with np.load(io.BytesIO(answer.stdout), allow_pickle=False) as results:
+        return {name: results[name] for name in results.files}
 
 
 def lobe_integrals(cosine: np.ndarray, roughness: np.ndarray) -> dict[str, np.ndarray]:
-    """s0 and s1 (N,) by importance sampling with evenly spread samples (R2 sequence)."""
+    """s0 and s1 (N,) by importance sampling with a low-discrepancy sequence (R2)."""
     import drjit as dr
     import mitsuba as mi
 
-    from fipt_blender.core.material import brdf
+    from fipt_blender.core.optics import brdf
 
     index = np.arange(SAMPLES) + 0.5
     u = mi.Point2f(mi.Float(index * 0.7548776662466927 % 1.0), mi.Float(index * 0.5698402909980532 % 1.0))
-    found: dict[str, list[float]] = {"s0": [], "s1": []}
+    results: dict[str, list[float]] = {"s0": [], "s1": []}
     for one, sigma in zip(cosine, roughness, strict=True):
         c, r = dr.opaque(mi.Float, float(one)), dr.opaque(mi.Float, float(sigma))
         wo = mi.Vector3f(dr.safe_sqrt(1.0 - c * c), 0.0, c) + dr.zeros(mi.Vector3f, SAMPLES)
@@ -54,16 +54,16 @@ def lobe_integrals(cosine: np.ndarray, roughness: np.ndarray) -> dict[str, np.nd
         lobes = brdf.specular_lobes(wi, wo, r)
         means = [dr.mean(dr.select(density > 0.0, lobe / density, 0.0)) for lobe in lobes]
         dr.eval(means)
-        for name, mean in zip(found, means, strict=True):
-            found[name].append(float(mean[0]))
-    return {name: np.array(values) for name, values in found.items()}
+        for name, mean in zip(results, means, strict=True):
+            results[name].append(float(mean[0]))
+    return {name: np.array(values) for name, values in results.items()}
 
 
 def reflected(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The BRDF times cosine."""
+    """The BRDF times the cosine of the light direction."""
     import mitsuba as mi
 
-    from fipt_blender.core.material import brdf
+    from fipt_blender.core.optics import brdf
 
     def vector(name: str, kind: Any) -> Any:
         return kind(np.ascontiguousarray(arrays[name].T.astype(np.float32)))
@@ -76,18 +76,18 @@ def reflected(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def main() -> None:
-    """Answer what stdin asks."""
+    """Compute what the arrays on stdin ask for."""
     from fipt_blender.core.device.variant import set_variant
 
     with np.load(io.BytesIO(sys.stdin.buffer.read()), allow_pickle=False) as given:
         arrays = {name: given[name] for name in given.files}
     set_variant("llvm")
-    from fipt_blender.core.material import brdf
+    from fipt_blender.core.optics import brdf
 
     brdf.set_masking(sys.argv[1])
-    found = reflected(arrays) if "wi" in arrays else lobe_integrals(arrays["cosine"], arrays["roughness"])
+    results = reflected(arrays) if "wi" in arrays else lobe_integrals(arrays["cosine"], arrays["roughness"])
     answer = io.BytesIO()
-    np.savez(answer, **found)
+    np.savez(answer, **results)
     sys.stdout.buffer.write(answer.getvalue())
 
 

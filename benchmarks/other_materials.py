@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Give a room of examples/make_room.py other materials and lamps by chance: no constant was tuned on it.
+"""Give a room of examples/make_room.py random materials and lamps; no constant was tuned on such a room.
 
 python examples/make_room.py --seed 7 --no-render --out DIR
 python benchmarks/other_materials.py DIR --seed 7
@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-# Shares of rough and of metallic materials; the others are glossy dielectrics.
+# Shares of rough and of metallic materials; all others are glossy dielectrics.
 DIFFUSE_SHARE, METALLIC_SHARE = 0.5, 0.2
 
 
 def drawn_material(material: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
-    """The material with a base colour, roughness (the paper's sigma) and metallic drawn anew.
+    """The material with random base colour, roughness (the paper's sigma) and metallic.
 
     Textured ones keep their texture, and are no metals.
     """
@@ -41,14 +41,14 @@ def drawn_material(material: dict[str, Any], rng: np.random.Generator) -> dict[s
 
 
 def drawn_radiance(radiance: list[float], rng: np.random.Generator) -> list[float]:
-    """(3,) radiance of another brightness (half to twice) and warmth."""
+    """(3,) radiance with a random brightness (half to twice) and colour temperature."""
     warmth = rng.uniform(-0.5, 0.5)
     factor = 2.0 ** rng.uniform(-1.0, 1.0) * 2.0 ** (warmth * np.array([1.0, 0.0, -1.0]))
     return [round(float(value), 3) for value in np.array(radiance) * factor]
 
 
 def change(folder: Path, seed: int) -> None:
-    """Rewrite materials.json, emitters.json and scene.npz of a capture that was not rendered yet."""
+    """Rewrite materials.json, emitters.json and scene.npz of a capture that has not been rendered yet."""
     rng = np.random.default_rng(seed)
     table = json.loads((folder / "materials.json").read_text())
     emitters = json.loads((folder / "emitters.json").read_text())

@@ -1,7 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How much memory a process needs for itself. Its resident memory also counts pages of mapped files, which
-the system takes back when others need the room: they grow with a capture and are no need.
+"""Anonymous memory of a process, i.e. what it really needs.
+
+Resident memory also includes pages of mapped files, which grow with a capture but which the system reclaims
+when memory becomes scarce.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ _EVERY_SECONDS = 0.02
 
 
 def own_gb() -> float:
-    """Anonymous resident memory of this process in GB; 0 where the system does not tell."""
+    """Anonymous resident memory of this process in GB; 0 if the system does not report it."""
     if _STATUS.exists():
         for line in _STATUS.read_text().splitlines():
             if line.startswith("RssAnon:"):
@@ -26,7 +28,7 @@ def own_gb() -> float:
 
 @contextmanager
 def watched() -> Iterator[Callable[[], float]]:
-    """Watch the process's own memory meanwhile; what is yielded tells the peak so far, in GB.
+    """Watch the anonymous memory of this process; yields a function that returns the peak so far in GB.
 
     The system keeps no such peak, so it is looked at fifty times a second.
     """

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Small patches of many materials, each seen at an angle of its own, in one tiny Cycles render.
+"""Small patches of many materials, each with its own viewing angle, in one small Cycles render.
 
-A pixel a patch, a parallel camera that looks down. Patches neither light nor shadow each other, so a pixel is
-the reflected radiance of one material under a white world or under the sun.
+Each patch fills one pixel of an orthographic camera that looks down. Patches neither light nor shadow each
+other. Therefore a pixel is the radiance that one material reflects under a white world or under the sun.
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ import bpy
 import numpy as np
 from mathutils import Euler, Matrix
 
-from fipt_blender.blend import materials, renders
+from fipt_blender.blend.marks import MAP
+from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
+from fipt_blender.blend.results import materials
 
 
 @dataclass(frozen=True)
 class Patches:
-    """Materials and directions of N patches.
+    """Materials and viewing directions of N patches.
 
     Attributes:
         base_color: (N,3). roughness, metallic: (N,).
@@ -36,13 +38,13 @@ class Patches:
     azimuth: np.ndarray
 
     def normals(self) -> np.ndarray:
-        """(N,3); the direction of view is +Z."""
+        """(N,3) normals; the viewing direction is +Z."""
         sine = np.sqrt(1.0 - self.cosine**2)
         return np.column_stack([sine * np.cos(self.azimuth), sine * np.sin(self.azimuth), self.cosine])
 
 
 def grid(base_colors: Any, roughnesses: Any, metallics: Any, cosines: Any, azimuths: Any = (0.0,)) -> Patches:
-    """All combinations, the last one fastest; base colours are greys (numbers) or rgb."""
+    """All combinations, the last value varying fastest; base colours are greys (numbers) or rgb."""
     colors = np.array([np.broadcast_to(color, 3) for color in base_colors], np.float64)
     index, *rest = np.meshgrid(
         np.arange(len(colors)), roughnesses, metallics, cosines, azimuths, indexing="ij"
@@ -56,7 +58,7 @@ def render(
     sun: float | None = None,
     spp: int = 256,
 ) -> np.ndarray:
-    """Radiance (N,3) of the patches; the open file is replaced.
+    """Radiance (N,3) of the patches; replaces the open file.
 
     Args:
         finish: what is done to the material, which reads the patches' values as colour attributes.
@@ -83,8 +85,8 @@ def render(
     scene.collection.objects.link(camera)
     scene.camera = camera
     scene.render.resolution_x, scene.render.resolution_y = columns, rows
-    image = renders.render_pixels(scene, spp=spp)
-    return image[::-1].reshape(-1, 3)[:count]  # row 0 of patches is at the bottom
+    image = render_pixels(scene, RenderOptions(spp, denoise=False))
+    return image[::-1].reshape(-1, 3)[:count]  # the first row of patches is at the bottom
 
 
 def _light(scene: bpy.types.Scene, sun: float | None) -> None:
@@ -98,12 +100,12 @@ def _light(scene: bpy.types.Scene, sun: float | None) -> None:
         light = bpy.data.lights.new("Sun", "SUN")
         light.energy, light.angle = 1.0, 0.0
         item = bpy.data.objects.new("Sun", light)
-        item.rotation_euler = Euler((0.0, sun, 0.0))  # at 0 it shines down; turned, it comes from +X
+        item.rotation_euler = Euler((0.0, sun, 0.0))  # at 0 it shines downwards; rotated, it comes from +X
         scene.collection.objects.link(item)
 
 
 def _mesh(patches: Patches, columns: int) -> bpy.types.Mesh:
-    """Quads that fill their pixel as the camera sees them, whatever their tilt."""
+    """Quads that exactly fill their pixel at any tilt."""
     normals, count = patches.normals(), len(patches.cosine)
     corner = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
     centre = np.column_stack([np.arange(count) % columns, np.arange(count) // columns]) + 0.5
@@ -116,7 +118,7 @@ def _mesh(patches: Patches, columns: int) -> bpy.types.Mesh:
         ("Roughness", patches.roughness[:, None]),
         ("Metallic", patches.metallic[:, None]),
     ):
-        name = materials.COLOR_ATTRIBUTE.format(label)
+        name = MAP.format(label)
         mesh.attributes.new(name, "FLOAT_COLOR", "CORNER")
         rgba = np.ones((4 * count, 4), np.float32)
         rgba[:, :3] = np.repeat(np.broadcast_to(values, (count, 3)), 4, axis=0)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A plain HTML page that shows truth, prediction and error side by side, with its PNGs beside it."""
+"""An HTML page with pictures of ground truth, prediction and error side by side."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 from PIL import Image
 
 from benchmarks.metrics import Maps
-from fipt_blender.core.job.runfolder import atomic_path
 from fipt_blender.core.report.comparison import tone_mapped
+from fipt_blender.core.run.runfolder import atomic_path
 
 ERROR_GAIN = 4.0
 
@@ -36,7 +36,7 @@ td:first-child, th:first-child { text-align: left } img { width: 24em; image-ren
 
 
 class PicturePage:
-    """Collects pictures, then writes the page.
+    """Collects pictures and then writes the page.
 
     Args:
         folder: where index.html and the pictures go.
@@ -55,7 +55,7 @@ class PicturePage:
             self._add(view, name, one, other)
 
     def add_images(self, view: str, title: str, predicted: np.ndarray, true: np.ndarray) -> None:
-        """Add a rendered image (H, W, 3) in linear radiance."""
+        """Add a rendered image (H, W, 3), linear radiance."""
         self._add(view, title, tone_mapped(predicted), tone_mapped(true))
 
     def _add(self, view: str, title: str, predicted: np.ndarray, true: np.ndarray) -> None:
@@ -73,7 +73,7 @@ class PicturePage:
         self._views.setdefault(view, []).append((title, files))
 
     def write(self, result: dict[str, Any]) -> None:
-        """Write index.html with the table of figures of `accuracy.score`."""
+        """Write index.html with the pictures and a table of the figures of `accuracy.score`."""
         groups = [(split, figures) for split, figures in result.items() if isinstance(figures, dict)]
         titles, columns = [], []
         for split, figures in groups:

@@ -1,32 +1,33 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a finished run says about a view: its maps, taken where the ground truth takes them.
+"""Predicted maps of a finished run, sampled as in the ground truth.
 
-That is the pixel's centre, or the mean over random positions in the pixel. Emitters are black in all maps
-but their emission.
+That is at the pixel's centre, or averaged over random positions in the pixel. Emitters are black in all maps
+except emission.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from benchmarks.metrics import Maps
+from benchmarks.tracer.forward import LitRoom, add_light, camera_rays, joined, switched_off
+from benchmarks.tracer.surfaces import LatticeMaterials, SurfaceMaterials
 from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.job.runfolder import RunFolder, read_json
-from fipt_blender.core.material import brdf
-from fipt_blender.core.material.confidence import UNKNOWN
+from fipt_blender.core.material.confidence import UNIFORM_DEVIATION
 from fipt_blender.core.material.fields import RoomFields
-from fipt_blender.core.render.environment import EnvironmentLight
-from fipt_blender.core.render.forward import LitRoom, add_light, camera_rays, joined, switched_off
-from fipt_blender.core.render.lights import AreaLights, EmitterTable
-from fipt_blender.core.render.surfaces import LatticeMaterials, SurfaceMaterials
-from fipt_blender.core.scene.pixels import trace_pixels
+from fipt_blender.core.optics import brdf, factorised
+from fipt_blender.core.optics.brdf import Material
+from fipt_blender.core.optics.environment import EnvironmentLight
+from fipt_blender.core.optics.lights import AreaLights, EmitterTable
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.scene.camera_rays import trace_pixels
 from fipt_blender.core.scene.room import load_room
 
 from .truth import Relight
@@ -52,18 +53,18 @@ def load_result(run: RunFolder, spacing: float = LATTICE_SPACING) -> tuple[LitRo
 
 
 class _Padded:
-    """Materials of a room for the same room with more triangles; those are emitters and reflect nothing."""
+    """Materials of a room, for the same room with additional triangles, which are black emitters."""
 
     def __init__(self, materials: SurfaceMaterials, count: int) -> None:
         self._materials, self._count = materials, count
 
-    def lookup(self, position: Any, triangle: Any, active: Any = True) -> tuple[Any, Any, Any]:
+    def lookup(self, position: mi.Point3f, triangle: mi.UInt32, active: mi.Bool = True) -> Material:
         active = mi.Bool(active) & (triangle < self._count)
         return self._materials.lookup(position, dr.select(active, triangle, 0), active)
 
 
 def relit(lit: LitRoom, table: EmitterTable, relight: Relight) -> LitRoom:
-    """The same room with its own lights off, the environment too, and one new light."""
+    """The same room with its lights and environment switched off, and one new light."""
     room, added = add_light(lit.room, relight.vertices, relight.triangles, relight.radiance)
     lights = AreaLights(room.vertices, room.triangles, joined(switched_off(table), added))
     return LitRoom(room, _Padded(lit.materials, len(lit.room.triangles)), lights)
@@ -73,8 +74,8 @@ def predict_maps(lit: LitRoom, view: View, filtered: bool, spp: int = 128, seed:
     """Maps of one view.
 
     Args:
-        filtered: average over the pixel instead of looking at its centre.
-        spp: BRDF samples a pixel for a' (the paper's 128), and positions where filtered.
+        filtered: average over the pixel instead of sampling its centre.
+        spp: BRDF samples per pixel for a' (128 in the paper), and positions if filtered.
     """
     count = view.width * view.height
     rows = max(1, (1 << 21) // (spp * view.width))
@@ -98,14 +99,14 @@ def predict_maps(lit: LitRoom, view: View, filtered: bool, spp: int = 128, seed:
         emission = lit.lights.radiance(surface.triangle, cosine, surface.valid)
         reflects = surface.valid & ~lit.lights.is_emitter(surface.triangle, surface.valid)
         base_color, roughness, metallic = lit.materials.lookup(surface.position, surface.triangle, reflects)
-        toward_viewer = mi.Frame3f(surface.normal).to_local(-ray.d)
+        wo = mi.Frame3f(surface.normal).to_local(-ray.d)
         sample = mi.Point2f(generator.next_float32(), generator.next_float32())
-        kd = brdf.diffuse_reflectance(base_color, metallic)
+        kd = factorised.diffuse_reflectance(base_color, metallic)
         # The diffuse part of a' is known; only the specular one needs samples.
-        light = brdf.sample_visible_normal(sample, toward_viewer, roughness)
-        density = brdf.visible_normal_pdf(light, toward_viewer, roughness)
-        s0, s1 = brdf.specular_lobes(light, toward_viewer, roughness)
-        specular = brdf.specular_reflectance(base_color, metallic) * s0 + s1
+        wi = brdf.sample_visible_normal(sample, wo, roughness)
+        density = brdf.visible_normal_pdf(wi, wo, roughness)
+        s0, s1 = brdf.specular_lobes(wi, wo, roughness)
+        specular = factorised.specular_reflectance(base_color, metallic) * s0 + s1
         a_prime = kd + dr.select(density > 0.0, specular / density, 0.0)
         materials = [*kd, *a_prime, *base_color, roughness, metallic]
         columns = [*[dr.select(reflects, value, 0.0) for value in materials], *emission]
@@ -127,32 +128,32 @@ def predict_maps(lit: LitRoom, view: View, filtered: bool, spp: int = 128, seed:
 
 
 def confidence_table(run: RunFolder, views: Sequence[View], true: Sequence[Maps]) -> list[dict[str, float]]:
-    """Expected and made errors (RMS) of base colour of the pixels in each class of confidence.
+    """Expected and actual RMS errors of base colour of the pixels in each class of confidence.
 
     Args:
-        true: maps of the views; emitters and what has no base colour do not count.
+        true: maps of the views; emitters and pixels without base colour do not count.
 
     Returns:
         For each class that has pixels: upper bound ``to``, ``share`` of the pixels, ``expected``, ``made``.
     """
     fields, room = RoomFields.load(run), load_room(run)
-    known, errors = [np.zeros(0)], [np.zeros(0)]
+    confidence, errors = [np.zeros(0)], [np.zeros(0)]
     for view, maps in zip(views, true, strict=True):
         surface = trace_pixels(room, view)
         counted = np.array(surface.valid) & maps.hit.ravel() & (maps.base_color.max(axis=2).ravel() > 0.0)
         counted &= maps.emission.max(axis=2).ravel() <= 0.0
         position = np.array(surface.position).T[counted].astype(np.float32)
         triangle = np.array(surface.triangle)[counted]
-        off = fields.query(position, triangle)[0] - maps.base_color.reshape(-1, 3)[counted]
-        known.append(fields.confidence(position, triangle)[:, 0])
-        errors.append((off**2).mean(axis=1))
-    sure, squared = np.concatenate(known), np.concatenate(errors)
-    place = np.clip(np.searchsorted(CONFIDENCE_BOUNDS, sure), 1, len(CONFIDENCE_BOUNDS) - 1)
+        error = fields.query(position, triangle)[0] - maps.base_color.reshape(-1, 3)[counted]
+        confidence.append(fields.confidence(position, triangle)[:, 0])
+        errors.append((error**2).mean(axis=1))
+    certainty, squared = np.concatenate(confidence), np.concatenate(errors)
+    place = np.clip(np.searchsorted(CONFIDENCE_BOUNDS, certainty), 1, len(CONFIDENCE_BOUNDS) - 1)
     table = []
     for index, bound in enumerate(CONFIDENCE_BOUNDS[1:], start=1):
-        mine = place == index
-        if mine.any():
-            expected = UNKNOWN * float(np.sqrt(((1.0 - sure[mine]) ** 2).mean()))
-            made = float(np.sqrt(squared[mine].mean()))
-            table.append({"to": bound, "share": float(mine.mean()), "expected": expected, "made": made})
+        in_class = place == index
+        if in_class.any():
+            expected = UNIFORM_DEVIATION * float(np.sqrt(((1.0 - certainty[in_class]) ** 2).mean()))
+            made = float(np.sqrt(squared[in_class].mean()))
+            table.append({"to": bound, "share": float(in_class.mean()), "expected": expected, "made": made})
     return table

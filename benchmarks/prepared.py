@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Run folders that are ready for the engine's estimation: made of a capture, copied for several runs.
+"""Run folders that are ready for the engine's estimation: made from a capture, copied for several runs.
 
-python benchmarks/prepared.py CAPTURE RUN [OPTION ...]: the main job's steps before the estimation, in a
-process of its own because Blender's module and Mitsuba don't share one here. The options are `estimate`'s.
+python benchmarks/prepared.py CAPTURE RUN [OPTION ...]: the steps of the main job before the estimation, in a
+separate process because Mitsuba runs in the caller's. The options are those of `estimate`.
 """
 
 from __future__ import annotations
@@ -17,42 +17,44 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from fipt_blender.bridge.interpreter import engine_command, engine_environment
-from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.runfolder import RunFolder
-from fipt_blender.core.job.settings import Settings
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.settings import Settings
 
 
 def prepare(capture: Path, root: Path, options: Sequence[str] = ()) -> RunFolder:
-    """A new run folder with a capture's views and mesh; what was there is removed.
+    """A new run folder with a capture's views and mesh; an existing run is deleted.
 
     Args:
-        options: of the product's `estimate`: --parts, --mesh.
+        capture: folder of the capture.
+        root: of the run folder.
+        options: of the command line's `estimate`, e.g. --parts and --mesh.
 
     Raises:
-        FiptError: ``run-foreign`` where something else lies there, ``run-failed`` where a step fails.
+        FiptError: ``run-foreign`` if the folder contains something else, ``run-failed`` if a step fails.
     """
     run = RunFolder(root)
     clear(run)
     command = [sys.executable, str(Path(__file__).resolve()), str(capture), str(run.root), *options]
     if subprocess.run(command, stdout=sys.stderr, check=False).returncode:
-        raise FiptError("run-failed", f"{capture} could not be prepared.", "Mend what is reported above.")
+        raise FiptError("run-failed", f"{capture} could not be prepared.", "See the error above.")
     return run
 
 
 def clear(run: RunFolder) -> None:
-    """Remove a run folder, of whatever version.
+    """Delete a run folder of any version.
 
     Raises:
-        FiptError: ``run-foreign`` where something else lies there.
+        FiptError: ``run-foreign`` if the folder contains something else.
     """
     if run.root.exists():
         if not run.run_json.exists() and any(run.root.iterdir()):
-            raise FiptError("run-foreign", f"{run.root} is no run folder.", "Choose another folder.")
+            raise FiptError("run-foreign", f"{run.root} is not a run folder.", "Choose another folder.")
         shutil.rmtree(run.root)
 
 
 def copy_input(source: RunFolder, target: RunFolder, settings: Settings) -> None:
-    """Make `target` the same run with other settings; what it finished with the same input is kept."""
+    """Copy a run's input to another run folder, which gets new settings; its finished stages are kept."""
     target.create(settings)
     for path in (source.room_npz, source.room_json, source.capture_json):
         shutil.copyfile(path, target.root / path.name)
@@ -61,9 +63,9 @@ def copy_input(source: RunFolder, target: RunFolder, settings: Settings) -> None
 
 
 def main(argv: Sequence[str]) -> int:
-    """Ingest, import and export; 0, or 1 for a failure."""
+    """Ingest the capture, import it into Blender and export the room; returns 0, or 1 after an error."""
     from fipt_blender import cli
-    from fipt_blender.mainjob import check_options
+    from fipt_blender.jobs.options import check_options
 
     arguments = cli.make_parser().parse_args(["estimate", argv[0], "--output", argv[1], *argv[2:]])
     try:
@@ -77,12 +79,12 @@ def main(argv: Sequence[str]) -> int:
         python = Path(sys.executable)
         with open(run.log, "ab") as log:
             command = engine_command(python, *ingest)
-            ended = subprocess.run(
+            result = subprocess.run(
                 command, stdout=log, stderr=log, env=engine_environment(python), check=False
             )
-        if ended.returncode:
-            raise FiptError("run-failed", "The capture could not be read.", f"{run.log} tells why.")
-        from fipt_blender.blend.steps import RoomSteps  # bpy
+        if result.returncode:
+            raise FiptError("run-failed", "The capture could not be read.", f"See {run.log}.")
+        from fipt_blender.jobs.room_steps import RoomSteps  # bpy
 
         steps = RoomSteps(options, run)
         steps.import_room()

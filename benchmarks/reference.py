@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The paper's algorithm with its authors' sample counts on the engine's kernels: what speed is measured by.
+"""The paper's algorithm with its authors' sample counts on the engine's kernels: the reference for speed.
 
-Ratios are thus of algorithms, not of implementations. Known defects of the authors' code (densities mixed in
-the weights of stage 3, black voxels, hash grid positions below zero) are not repeated: they change results,
-not times. Mitsuba's variant must be set before this is imported.
+Ratios to it thus compare algorithms, not implementations. Known defects of the authors' code (densities mixed
+in the weights of stage 3, black voxels, hash grid positions below zero) are not reproduced: they change
+results, not times. Mitsuba's variant must be set before this module is imported.
 """
 
 from __future__ import annotations
@@ -17,22 +17,28 @@ import numpy as np
 import torch
 
 from benchmarks.shading_error import shading_points
-from fipt_blender.core.job.settings import Settings, make_settings
-from fipt_blender.core.job.stages import Estimation
-from fipt_blender.core.job.view_check import ViewCheck
+from fipt_blender.core.estimate.stages import Estimation
+from fipt_blender.core.light.baking import CHUNK, HALF_LARGEST
 from fipt_blender.core.light.cache import SurfaceLookup
-from fipt_blender.core.light.emitters import Fixture, emitter_table, find_emitters, side_medians
+from fipt_blender.core.light.emitters import (
+    EmitterPixels,
+    Fixture,
+    emitter_table,
+    find_emitters,
+    side_medians,
+)
 from fipt_blender.core.light.radiance import CachedRadiance, RadianceSource, TracedRadiance
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, Shadings, bake
-from fipt_blender.core.light.views import CHUNK, HALF_LARGEST
 from fipt_blender.core.material import losses
-from fipt_blender.core.material.fields import mask_at
 from fipt_blender.core.material.groups import part_units
+from fipt_blender.core.material.inference import mask_at
 from fipt_blender.core.material.networks import BrdfNetwork, EmissionNetwork, emission_mask
-from fipt_blender.core.render.environment import EnvironmentLight
-from fipt_blender.core.render.lights import AreaLights, EmitterTable
+from fipt_blender.core.optics.environment import EnvironmentLight
+from fipt_blender.core.optics.lights import AreaLights, EmitterTable
+from fipt_blender.core.run.settings import Settings, make_settings
 from fipt_blender.core.scene.pixels import fill_pixels, open_pixels
 from fipt_blender.core.scene.room import triangle_normals
+from fipt_blender.core.views.check import ViewCheck
 
 # The authors' code: 6 linear levels; 256 cosine rays and 64 + 5 x 128 visible-normal ones, then 128 and
 # 6 x 64; three trainings, each anew. Two of their epochs would be too few steps on small captures, so the
@@ -80,7 +86,7 @@ AUTHORS: dict[str, Any] = {
     "correct_exposure": False,
 }
 _SAMPLES = ("diffuse_spp", "specular_spp", "refine_diffuse_spp", "refine_specular_spp")
-# Added to the weight of each pixel in sigma' and m' (authors' code; Eq. 16 leaves groups without highlights
+# Added to the weight of each pixel in sigma' and m' (authors' code; Eq. 19 leaves groups without highlights
 # undefined).
 LEAST_WEIGHT = 1e-4
 _PARTNERS = 1024
@@ -110,12 +116,12 @@ def bake_apart(
     specular: Sequence[int],
     seed: int,
 ) -> Shadings:
-    """L_d from cosine samples, and each roughness level from its own visible-normal samples alone.
+    """L_d from cosine samples only, and each roughness level from its visible-normal samples only.
 
     Args:
         levels: (K,) roughness levels.
-        diffuse: samples a point for L_d.
-        specular: samples a point for each level.
+        diffuse: samples per point for L_d.
+        specular: samples per point for each level.
     """
     no_lights = AreaLights(np.zeros((0, 3)), np.zeros((0, 3), np.int64), EmitterTable.empty())
     streams = (seed * 1009 + k for k in range(len(levels) + 1))
@@ -139,11 +145,11 @@ class Batch:
 
 
 def batch_means(values: torch.Tensor, weight: torch.Tensor, part: torch.Tensor) -> torch.Tensor:
-    """(N, C) weighted mean of the values over the batch's pixels of the same part (paper Eq. 15).
+    """(N, C) weighted mean of the values over the batch's pixels of the same part (paper Eq. 19).
 
     Args:
         values: (N, C).
-        weight: (N,) w of Eq. 16, without gradient.
+        weight: (N,) w of Eq. 19, without gradient.
         part: (N,) int64; negative ids make a group of their own.
     """
     _, group = torch.unique(part, return_inverse=True)
@@ -163,7 +169,7 @@ def reference_loss(
     settings: Settings,
     partners: torch.Tensor,
 ) -> torch.Tensor:
-    """l + l_e + l_d + l_p of one batch, sigma' and m' being the batch's means (paper Eq. 12 to 17)."""
+    """l + l_e + l_d + l_p of one batch, sigma' and m' being the batch's means (paper Eq. 15 to 20)."""
     prediction = brdf(batch.position)
     raw = emission(batch.position)
     kd, ks = losses.reflectances(prediction)
@@ -190,14 +196,14 @@ def reference_loss(
 
 
 class ReferenceEstimation(Estimation):
-    """The stages as the paper has them: all pixels at their centres, no guide, no start, no correction."""
+    """The paper's stages: all pixels at their centres, no emitter guide, no pretraining, no correction."""
 
     # Pixels
 
     def _trace(self) -> dict[str, Any]:
         self.pixels = open_pixels(self.folder.stage / "pixels", self.views, create=True)
         self.scale = fill_pixels(self.pixels, self.room, self.reporter.progress)
-        self.pixels.pure[:] = np.asarray(self.pixels.triangle) >= 0  # none is told apart
+        self.pixels.pure[:] = np.asarray(self.pixels.triangle) >= 0  # no pixel counts as mixed
         self.parts = self._choose_parts()
         self.view_check = ViewCheck()
         self.checkpoints.remember("scale", self.scale)
@@ -209,7 +215,7 @@ class ReferenceEstimation(Estimation):
         self.hit = np.flatnonzero(np.asarray(self.pixels.triangle) >= 0)
         self.hash_levels = self.settings.hash_levels
         self.emitting = np.zeros(len(self.room.triangles), bool)
-        # Nothing is drawn to its part: that is the product's.
+        # Nothing is shrunk towards its part: only the product does that.
         units = part_units(self.parts)
         self._find_cells(replace(units, single=np.zeros_like(units.single)))
         self._new_networks(0)
@@ -220,7 +226,7 @@ class ReferenceEstimation(Estimation):
         self.emission = EmissionNetwork(self.settings, generator, self.device)
 
     def _show(self, name: str) -> None:
-        """No previews: they are the product's."""
+        """No previews."""
 
     # Stages 1 and 3
 
@@ -236,7 +242,7 @@ class ReferenceEstimation(Estimation):
         source = TracedRadiance(
             self.room,
             self._cache(),
-            SurfaceLookup(self.seen.grid, self._material_values()),
+            SurfaceLookup(self.observations.grid, self._material_values()),
             None,
             AreaLights(self.room.vertices, self.room.triangles, emitter_table(self.fixtures)),
             self._outside(),
@@ -249,11 +255,11 @@ class ReferenceEstimation(Estimation):
         )
 
     def _cache(self) -> SurfaceLookup:
-        """Of all photographs, lamps included: the paper's is never made again."""
-        return SurfaceLookup(self.seen.grid, self.seen.cache())
+        """The cache of all photographs, lamps included; the paper never updates it."""
+        return SurfaceLookup(self.observations.grid, self.observations.cache())
 
     def _outside(self) -> EnvironmentLight | None:
-        environment = self.seen.environment
+        environment = self.observations.environment
         return None if environment is None else EnvironmentLight(environment.image)
 
     def _bake_pixels(
@@ -324,7 +330,7 @@ class ReferenceEstimation(Estimation):
             progress((step + 1) / steps)
 
     def _find_emitters(self, index: int, constant: np.ndarray) -> np.ndarray:
-        """(T,) bool, triangles whose mean mask is above the threshold, whatever else speaks against them."""
+        """(T,) bool, triangles whose mean mask is above the threshold, without any further test."""
         return find_emitters(
             self.room,
             lambda positions: mask_at(self.emission, self.box, positions),
@@ -334,12 +340,11 @@ class ReferenceEstimation(Estimation):
         )
 
     def _group_fixtures(self, emitting: np.ndarray, index: int) -> None:
-        """Each triangle is a lamp, as bright as the median of the pixels that see it; black ones drop out."""
+        """A fixture per triangle, with the median radiance of its pixels; black ones are dropped."""
         ids = np.flatnonzero(emitting)
-        own = np.full(len(emitting), -1, np.int64)
-        own[ids] = np.arange(len(ids))
-        arrays = (self.pixels.triangle, self.pixels.front, self.pixels.pure, self.pixels.radiance)
-        medians, _ = side_medians(*(np.asarray(array) for array in arrays), own)
+        emitter = np.full(len(emitting), -1, np.int64)
+        emitter[ids] = np.arange(len(ids))
+        medians, _ = side_medians(EmitterPixels.of(self.pixels), emitter)
         middle = self.room.vertices[self.room.triangles].mean(axis=1)
         self.fixtures = [
             Fixture(np.array([t]), front, back, float(self.room.areas[t]), middle[t])

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A run's input with another number of views, of pixels or of triangles: what benchmarks/scaling.py measures.
+"""A run's input with another number of views, pixels or triangles, for benchmarks/scaling.py.
 
-No photograph is invented. Others sizes are resampled; more views than there are come from the same places,
-turned a little and zoomed in so far that the photograph still covers the frame: a turn has no parallax, so
-that photographs, cameras and mesh go on agreeing. Meshes are subdivided, or their vertices merged.
+Photographs are resampled to other sizes. Additional views are existing ones whose camera is rotated a little
+and zoomed in until the photograph covers the frame: a rotation has no parallax, so that photographs, cameras
+and mesh still agree. Meshes are subdivided, or their vertices are merged.
 """
 
 from __future__ import annotations
@@ -15,23 +15,25 @@ from typing import Any
 import numpy as np
 
 from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
-from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.runfolder import RunFolder, read_json, write_json
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder, write_json
 
 TURN_DEGREES = 4.0
 Entry = dict[str, Any]  # one view of capture.json
 
 
 def write_views(source: RunFolder, target: RunFolder, count: int, height: int | None = None) -> int:
-    """Write capture.json of `target` and the images that it needs; returns the pixels of the first view.
+    """Write capture.json of `target` and the images that it needs; returns the number of pixels per view.
 
     Args:
-        source: has the photographs; held-back ones are left out.
-        count: views wanted.
-        height: pixels of each, None for as many as there are; the shape stays.
+        source: run with the photographs; held-back ones are left out.
+        target: run that gets the resampled views.
+        count: number of views.
+        height: of each view in pixels, with the same aspect ratio; None: unchanged.
 
     Raises:
-        FiptError: ``views-none`` and those of reading images.
+        FiptError: ``views-none``, or an image can't be read or written.
     """
     data = read_json(source.capture_json)
     train = [entry for entry in data["views"] if entry["split"] == "train"]
@@ -56,15 +58,15 @@ def write_views(source: RunFolder, target: RunFolder, count: int, height: int | 
 
 
 def planned_views(views: Sequence[Entry], count: int) -> list[tuple[Entry, np.ndarray]]:
-    """`count` views and how each is turned, (3, 3): spread over those given, or these again and again."""
+    """`count` views, each with a (3, 3) rotation: a subset of the given views, or repetitions of them."""
     if count <= len(views):
         return [(views[i * len(views) // count], np.eye(3)) for i in range(count)]
     rng = np.random.default_rng(0)
     plan = []
     for i in range(count):
         axis = rng.normal(size=3)
-        again = i // len(views)
-        angle = np.radians(TURN_DEGREES) * rng.uniform(0.25, 1.0) if again else 0.0
+        repetition = i // len(views)
+        angle = np.radians(TURN_DEGREES) * rng.uniform(0.25, 1.0) if repetition else 0.0
         plan.append((views[i % len(views)], rotation(axis, angle)))
     return plan
 
@@ -77,14 +79,14 @@ def rotation(axis: np.ndarray, angle: float) -> np.ndarray:
 
 
 def resized(entry: Entry, width: int, height: int) -> Entry:
-    """The same view in other pixels."""
+    """The same view with another resolution."""
     x, y = width / entry["width"], height / entry["height"]
     scaled = {"fx": entry["fx"] * x, "cx": entry["cx"] * x, "fy": entry["fy"] * y, "cy": entry["cy"] * y}
     return {**entry, **scaled, "width": width, "height": height}
 
 
 def turned(entry: Entry, turn: np.ndarray) -> Entry:
-    """The view turned in camera axes ((3, 3)), zoomed in until its frame lies inside the first one's."""
+    """The view rotated by `turn` (3, 3) in camera axes, zoomed in until its frame is inside the original."""
     pose = np.array(entry["camera_to_world"], np.float64)
     pose[:3, :3] = pose[:3, :3] @ turn
     result = {**entry, "camera_to_world": pose.tolist()}
@@ -98,16 +100,16 @@ def turned(entry: Entry, turn: np.ndarray) -> Entry:
 
 
 def source_pixels(source: Entry, target: Entry, pixels: np.ndarray) -> np.ndarray:
-    """(N, 2) where `source` sees what `target`, at the same place, sees at `pixels` ((N, 2))."""
+    """(N, 2) pixel positions in `source` of what `target`, at the same position, sees at `pixels` (N, 2)."""
     local = (pixels - [target["cx"], target["cy"]]) / [target["fx"], target["fy"]]
     local = np.concatenate([local, np.ones((len(local), 1))], axis=1)
-    axes = [np.array(each["camera_to_world"], np.float64)[:3, :3] for each in (target, source)]
-    seen = local @ axes[0].T @ axes[1]
-    return seen[:, :2] / seen[:, 2:] * [source["fx"], source["fy"]] + [source["cx"], source["cy"]]
+    axes = [np.array(entry["camera_to_world"], np.float64)[:3, :3] for entry in (target, source)]
+    direction = local @ axes[0].T @ axes[1]
+    return direction[:, :2] / direction[:, 2:] * [source["fx"], source["fy"]] + [source["cx"], source["cy"]]
 
 
 def warped(image: np.ndarray, source: Entry, target: Entry, ids: bool) -> np.ndarray:
-    """The image that `target` sees: (H, W, ...) means over its pixels, for ids the value at their centres."""
+    """The image (H, W, ...) of `target`: means over its pixels, or for ids the values at their centres."""
     width, height = target["width"], target["height"]
     side = 1 if ids else max(1, round(2.0 * source["fx"] / target["fx"]))
     steps = (np.arange(side) + 0.5) / side
@@ -122,7 +124,7 @@ def warped(image: np.ndarray, source: Entry, target: Entry, ids: bool) -> np.nda
 
 
 def _look_up(image: np.ndarray, position: np.ndarray, nearest: bool) -> np.ndarray:
-    """Values at (N, 2) positions, pixel centres at +0.5; beyond the border the nearest pixel's."""
+    """Values at (N, 2) positions in pixels (centres at +0.5), clamped to the image."""
     high = np.array([image.shape[1], image.shape[0]]) - 1
     if nearest:
         x, y = np.clip(np.floor(position).astype(np.int64), 0, high).T

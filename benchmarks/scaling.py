@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""python3 benchmarks/scaling.py CAPTURE OUTPUT: what the engine's stages cost as a capture grows.
+"""python3 benchmarks/scaling.py CAPTURE OUTPUT: how the cost of the engine's stages grows with a capture.
 
-Three curves: views, pixels of a view, triangles; the other two stay small meanwhile. Captures of other sizes
-are made of the one given (benchmarks/resampled.py). Samples and steps are few: the curves count, not the
-results. OUTPUT gets scaling.json and the picture; exponents are fitted to seconds and to processor seconds.
+Three curves: over the number of views, of pixels per view and of triangles, while the other two stay small.
+The captures are resampled from the given one (benchmarks/resampled.py), with few samples and steps, because
+only the costs count. Writes scaling.json and a picture to OUTPUT; exponents are fitted to seconds and to
+processor seconds.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ from benchmarks.resampled import write_room, write_views
 from benchmarks.speed import machine
 from benchmarks.turns import merged, take_turns, tell
 from fipt_blender.core.device.variant import set_variant
-from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.runfolder import RunFolder, write_json
-from fipt_blender.core.job.settings import Settings, make_settings
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.settings import Settings, make_settings
 
 KINDS = ("pixels", "shadings", "training", "refinement", "other")
-# A share of the draft preset's work; no view is left out, else sizes would not be what they are called.
-LITTLE: dict[str, Any] = {
+# Less work than with the draft preset; no view may be left out, since that would change the size.
+FEW_SAMPLES: dict[str, Any] = {
     "rounds": 1,
     "diffuse_spp": 8,
     "specular_spp": 4,
@@ -43,9 +44,9 @@ LITTLE: dict[str, Any] = {
     "reject_views": False,
     "correct_exposure": False,
 }
-# The curve of triangles ends with baking: training sees pixels alone.
+# The curve over triangles ends with stage 1, since training depends only on pixels.
 LAST_STAGES = {"triangles": "shadings"}
-UNITS = {"views": "views", "resolution": "pixels a view", "triangles": "triangles"}
+UNITS = {"views": "views", "resolution": "pixels per view", "triangles": "triangles"}
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -53,22 +54,47 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="scaling.py", description=(__doc__ or "").partition("\n")[0])
     add = parser.add_argument
     add("capture", type=Path, metavar="CAPTURE", help="capture whose views and mesh are resampled")
-    add("output", type=Path, metavar="OUTPUT", help="folder of the figures and the runs")
+    add("output", type=Path, metavar="OUTPUT", help="folder for the figures and the runs")
     add("--views", default="10,20,40", metavar="N,N", help="sizes of the first curve (default: 10,20,40)")
-    add("--heights", default="80,160,320", metavar="N,N", help="of the second, in pixels (80,160,320)")
-    add("--triangles", default="1e4,1e5,1e6", metavar="N,N", help="of the third (default: 1e4,1e5,1e6)")
+    add(
+        "--heights",
+        default="80,160,320",
+        metavar="N,N",
+        help="heights of the second curve in pixels (default: 80,160,320)",
+    )
+    add(
+        "--triangles",
+        default="1e4,1e5,1e6",
+        metavar="N,N",
+        help="sizes of the third curve (default: 1e4,1e5,1e6)",
+    )
     add("--base-views", type=int, default=10, help="views of the second and third curve (default: 10)")
     add("--base-height", type=int, default=80, help="height in the first and third curve (default: 80)")
-    add("--picture", type=Path, metavar="PNG", help="where the curves are drawn (OUTPUT/scaling.png)")
-    add("--repeats", type=int, default=1, metavar="N", help="runs of each size; the fastest counts")
-    add("--parts", default="auto", help="what tells materials apart (as estimate)")
-    add("--preset", default="draft", help="draft, medium or high, with fewer samples and steps")
+    add(
+        "--picture",
+        type=Path,
+        metavar="PNG",
+        help="file for the picture of the curves (default: OUTPUT/scaling.png)",
+    )
+    add(
+        "--repeats",
+        type=int,
+        default=1,
+        metavar="N",
+        help="runs of each size, of which the fastest counts (default: 1)",
+    )
+    add("--parts", default="auto", help="source of the parts (as for estimate)")
+    add(
+        "--preset",
+        default="draft",
+        help="draft, medium or high, but with fewer samples and steps (default: draft)",
+    )
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one setting of the runs")
     return parser
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the command; 0, 1 for a failure."""
+    """Run the command; returns 0, or 1 after an error."""
     arguments = make_parser().parse_args(list(argv))
     try:
         sizes = {
@@ -76,15 +102,15 @@ def main(argv: Sequence[str]) -> int:
             "resolution": read_sizes(arguments.heights),
             "triangles": read_sizes(arguments.triangles),
         }
-        own = dict(change.partition("=")[::2] for change in arguments.set)
-        settings = make_settings(arguments.preset, {**LITTLE, **own})
+        changes = dict(change.partition("=")[::2] for change in arguments.set)
+        settings = make_settings(arguments.preset, {**FEW_SAMPLES, **changes})
         set_variant(settings.device)
         source = prepare(arguments.capture, arguments.output / "input", ["--parts", arguments.parts])
         base = (arguments.base_views, arguments.base_height)
         head = {"machine": machine(), "settings": {key: str(value) for key, value in vars(arguments).items()}}
         curves: dict[str, Any] = {}
         for curves in measure(source, arguments.output, settings, sizes, base, arguments.repeats):
-            # After each size: a later one may be too large for the machine.
+            # Written after each size, as a later one may be too large for the machine.
             write_json(arguments.output.absolute() / "scaling.json", {"curves": curves, **head})
             draw(curves, (arguments.picture or arguments.output / "scaling.png").absolute())
     except FiptError as error:
@@ -95,7 +121,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def read_sizes(text: str) -> list[int]:
-    """Ascending whole numbers of "1e4,100000"; none of an empty text.
+    """Whole numbers, ascending, from a text such as "1e4,100000"; none from an empty text.
 
     Raises:
         FiptError: ``option-invalid``.
@@ -105,7 +131,9 @@ def read_sizes(text: str) -> list[int]:
     except (ValueError, OverflowError):
         sizes = [0]
     if any(size < 1 for size in sizes):
-        raise FiptError("option-invalid", f"'{text}' are no sizes.", "Give numbers such as 10,20,40.")
+        raise FiptError(
+            "option-invalid", f"'{text}' is not a list of sizes.", "Give numbers such as 10,20,40."
+        )
     return sizes
 
 
@@ -117,13 +145,17 @@ def measure(
     base: tuple[int, int],
     repeats: int,
 ) -> Iterator[dict[str, Any]]:
-    """The curves as far as they are measured, after each size.
+    """Measure the curves; after each size, yields all that has been measured so far.
 
-    {name: {"unit", "sizes": [...], "records": one of `turns.merged` a size, "stages": of `fitted`}}.
+    {name: {"unit", "sizes": [...], "records": [`turns.merged` for each size], "stages": `fitted`}}.
 
     Args:
+        source: input with the photographs.
+        folder: for the run.
+        settings: of all runs.
         sizes: by curve: numbers of views, heights in pixels, numbers of triangles.
-        base: views and height where they are not what varies.
+        base: number of views and height in curves where they do not vary.
+        repeats: runs of each size.
     """
     views, height = base
 
@@ -145,29 +177,29 @@ def measure(
     }
     curves: dict[str, Any] = {}
     warm = False
-    for name, wanted in sizes.items():
-        real: list[int] = []
+    for name, requested in sizes.items():
+        actual: list[int] = []
         records: list[dict[str, Any]] = []
-        for size in wanted:
-            found = []
+        for size in requested:
+            runs = []
             for _ in range(repeats if warm else repeats + 1):
                 run = RunFolder(folder / "run")
                 clear(run)
                 copy_input(source, run, settings)
                 number = inputs[name](run, size)
                 tell(f"{name}: {number}")
-                found.append(take_turns({"shipped": run}, LAST_STAGES.get(name))["shipped"])
-            # The very first run compiles kernels that all others find in the cache.
-            records.append(merged(found[-repeats:]))
-            real.append(number)
+                runs.append(take_turns({"shipped": run}, LAST_STAGES.get(name))["shipped"])
+            # The first run of all compiles kernels, which all others find in the cache.
+            records.append(merged(runs[-repeats:]))
+            actual.append(number)
             warm = True
-            stages = fitted(real, records)
-            curves[name] = {"unit": UNITS[name], "sizes": real, "records": records, "stages": stages}
+            stages = fitted(actual, records)
+            curves[name] = {"unit": UNITS[name], "sizes": actual, "records": records, "stages": stages}
             yield curves
 
 
 def fitted(sizes: Sequence[int], records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """By kind of stage, all rounds together, and in all: values at each size and their exponents."""
+    """Values at each size and their exponents, by kind of stage (all rounds together) and in total."""
     result: dict[str, Any] = {}
     for kind in (*KINDS, "all"):
         entry: dict[str, Any] = {}
@@ -179,7 +211,7 @@ def fitted(sizes: Sequence[int], records: Sequence[Mapping[str, Any]]) -> dict[s
             entry[f"{prefix}last_exponent"] = fit_exponent(sizes[-2:], values[-2:])
         entry["own_gb"] = [_most(record, kind) for record in records]
         result[kind] = entry
-    # What the process needs for itself, and all that is resident with the pages of mapped files.
+    # Anonymous memory, and resident memory with the pages of mapped files.
     for name, key in (("memory", "peak_own_gb"), ("resident", "peak_memory_gb")):
         memory = [record[key] for record in records]
         result[name] = {"gb": memory, "exponent": fit_exponent(sizes, memory)}
@@ -197,13 +229,13 @@ def _sum(record: Mapping[str, Any], kind: str, key: str) -> float:
 
 
 def _most(record: Mapping[str, Any], kind: str) -> float:
-    """GB that the stages of a kind need at most for themselves; 0 where that was not measured."""
+    """Peak anonymous memory in GB of the stages of a kind; 0 if it was not measured."""
     stages = record["stages"] if kind == "all" else _of_kind(record, kind)
     return max((float(stage.get("peak_own_gb", 0.0)) for stage in stages), default=0.0)
 
 
 def draw(curves: Mapping[str, Any], path: Path) -> None:
-    """A picture with a row a curve: seconds, and memory."""
+    """Draw one row per curve: seconds and memory."""
     rows = []
     for curve in curves.values():
         row = []
@@ -215,7 +247,7 @@ def draw(curves: Mapping[str, Any], path: Path) -> None:
 
 
 def format_table(curves: Mapping[str, Any]) -> str:
-    """Seconds by stage and size, with the exponents of all points and of the last two."""
+    """Table of seconds by stage and size, with the exponents of all points and of the last two."""
     lines = []
     for curve in curves.values():
         head = "".join(f"{size:>12d}" for size in curve["sizes"])

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """python3 benchmarks/shading_error.py CAPTURE RUN: how far baked shadings are from path-traced ones.
 
-The truth is L_d, L_s0 and L_s1 (paper, Sec. 3) of some views' pixels, by full paths over the capture's true
-materials and emitters (the layout of examples/). Compared are the shadings in RUN, which stage 3 left
-there, and those of stage 1, baked anew from the same photographs with the same settings. All are denoised
-alike: noise is set aside, since training averages over thousands of pixels, and bias is not.
+The truth is L_d, L_s0 and L_s1 (paper Eq. 6) of the pixels of some views, path-traced with the capture's
+true materials and emitters (the layout of examples/). The shadings in RUN, which are those of stage 3, and
+those of stage 1, baked again from the same photographs with the same settings, are compared with it. All are
+denoised: the measure is bias, not noise, since training averages over thousands of pixels.
 """
 
 from __future__ import annotations
@@ -26,10 +26,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "examples"))
 from benchmarks.prepared import copy_input
 from fipt_blender.bridge.interpreter import engine_command
 from fipt_blender.core.device.variant import set_variant
-from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.runfolder import RunFolder, read_json, write_json
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder, write_json
 
-# Of the truth's samples: cosine-distributed, for each roughness level, and aimed at emitters.
+# Samples of the truth: cosine-distributed, for each roughness level, and towards emitters.
 SAMPLES = (128, 16, 128)
 TERMS = ("L_d", "L_s0", "L_s1")
 # Roughness at which shadings of different levels are compared, interpolated as stage 2 does.
@@ -116,7 +117,7 @@ def evaluate(capture: Path, run: RunFolder, count: int) -> dict[str, Any]:
 
 def denoised(shadings: Views, normal: np.ndarray, size: tuple[int, int]) -> Views:
     """Every term of one view through Open Image Denoise, guided by normals as in the engine."""
-    from fipt_blender.core.light.denoise import Denoiser
+    from fipt_blender.core.optics.denoise import Denoiser
 
     shape = (*size, 3)
     with Denoiser(np.ones(shape, np.float32), normal.reshape(shape), clean_guides=True) as run:
@@ -147,7 +148,7 @@ def bake_stage_1(run: RunFolder) -> RunFolder:
 
 def read_shadings(run: RunFolder, rows: np.ndarray, levels: int) -> Views:
     """Baked shadings of some pixels in the photographs' units."""
-    from fipt_blender.core.light.views import open_shadings
+    from fipt_blender.core.light.baking import open_shadings
 
     scale = float(read_json(run.statistics_json)["radiance_scale"])
     total = len(np.load(run.stage / "shadings" / "diffuse.npy", mmap_mode="r"))
@@ -198,10 +199,10 @@ def true_room(capture: Path, world_from_source: np.ndarray) -> Any:
     from room_files import read_capture
     from room_mitsuba import linear
 
+    from benchmarks.tracer.forward import LitRoom
+    from benchmarks.tracer.surfaces import LatticeMaterials
     from fipt_blender.core import conventions
-    from fipt_blender.core.render.forward import LitRoom
-    from fipt_blender.core.render.lights import AreaLights, EmitterTable
-    from fipt_blender.core.render.surfaces import LatticeMaterials
+    from fipt_blender.core.optics.lights import AreaLights, EmitterTable
     from fipt_blender.core.scene.room import Room
 
     truth = read_capture(capture)
@@ -253,14 +254,14 @@ def sample(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
 
 
 class PathTraced:
-    """A source of radiance for baking: what full paths bring along a ray, directly seen emission included."""
+    """Radiance source for baking: the radiance of full paths, including directly visible emission."""
 
     def __init__(self, lit: Any) -> None:
         import mitsuba as mi
 
-        from fipt_blender.core.render.forward import RenderSettings
+        from benchmarks.tracer.forward import RenderSettings
 
-        # The room makes its arrays when they are first asked for: not while a loop is recorded.
+        # The room makes its arrays on first use, which is impossible while a loop is recorded.
         lit.room.intersect(mi.Ray3f([0, 0, 0], [0, 0, 1]))
         self._lit, self._settings = lit, RenderSettings()
         self.offset = lit.room.offset
@@ -270,11 +271,11 @@ class PathTraced:
         return self._lit.room.intersect(ray, active)
 
     def step(self, path: Any, direction: Any, hit: Any, rng: Any, active: Any) -> tuple[Any, Any, Any]:
-        """All the light that comes along the ray; the path ends."""
+        """The radiance of a full path along the ray; the path ends."""
         import drjit as dr
         import mitsuba as mi
 
-        from fipt_blender.core.render.forward import trace_paths
+        from benchmarks.tracer.forward import trace_paths
 
         # A generator of its own: a loop inside a loop would not advance the outer one's.
         generator = mi.PCG32(
@@ -310,8 +311,8 @@ def errors(found: Views, truth: Views, second: Views | None = None) -> dict[str,
 def relative_rmse(found: np.ndarray, truth: np.ndarray, second: np.ndarray | None = None) -> float:
     """RMSE of display values (γ = 1/2.2, clipped at 1) over the truth's root mean square.
 
-    Linear values would tell of the few pixels beside a bulb and of nothing else. With a `second` truth of
-    independent noise both differences are multiplied instead of one squared: the truth's noise then cancels.
+    Linear values would be dominated by the few pixels next to a bulb. With a `second` truth of independent
+    noise, the two differences are multiplied instead of one squared, so that the truth's noise cancels.
     """
     shown, true, other = (
         np.clip(values.astype(np.float64), 0.0, 1.0) ** (1.0 / 2.2)
@@ -322,7 +323,7 @@ def relative_rmse(found: np.ndarray, truth: np.ndarray, second: np.ndarray | Non
 
 
 def has_true_materials(capture: Path) -> bool:
-    """Whether a capture holds what its truth is traced with: its materials, with all of their textures."""
+    """Whether a capture has true materials with all of their textures."""
     if not (capture / "scene.npz").is_file() or not (capture / "materials.json").is_file():
         return False
     textures = [entry.get("texture") for entry in read_json(capture / "materials.json")["materials"]]
@@ -332,10 +333,10 @@ def has_true_materials(capture: Path) -> bool:
 def baked_errors(
     capture: Path, run: RunFolder, kept: np.ndarray, found: Mapping[str, tuple[Views, np.ndarray]], count: int
 ) -> dict[str, Any]:
-    """Errors of shadings as they were baked, noise included, at COMMON_LEVELS; the truth's noise drops out.
+    """Errors of baked shadings, noise included, at COMMON_LEVELS; the truth's noise cancels.
 
     Args:
-        run: finished; its pixel store tells where pixels are. Pixels at edges and on emitters don't count.
+        run: finished; with the pixel store. Mixed pixels and pixels on emitters don't count.
         kept: (M,) pixels, the rows of all `found`.
         found: by name the shadings and their (K,) roughness levels.
         count: pixels that are compared, at most.
@@ -344,7 +345,7 @@ def baked_errors(
         {"pixels": number, "levels": COMMON_LEVELS, name: as of :func:`errors`}.
     """
     from fipt_blender.core.capture.views import load_capture
-    from fipt_blender.core.job.stages import spread_views
+    from fipt_blender.core.estimate.state import spread_views
     from fipt_blender.core.scene.pixels import open_pixels
 
     captured = load_capture(run)
@@ -366,14 +367,14 @@ def baked_errors(
 
 
 def interpolated(specular: np.ndarray, levels: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """(N, W, 2, 3) specular shadings at `wanted` roughness, linear between `levels` (paper Eq. 7)."""
+    """(N, W, 2, 3) specular shadings at `wanted` roughness, linear between `levels` (paper Eq. 8)."""
     upper = np.clip(np.searchsorted(levels, wanted), 1, len(levels) - 1)
     t = ((wanted - levels[upper - 1]) / (levels[upper] - levels[upper - 1]))[:, None, None]
     return specular[:, upper - 1] * (1.0 - t) + specular[:, upper] * t
 
 
 def format_table(result: dict[str, Any]) -> str:
-    """The errors as text, a line a term and level."""
+    """The errors as text, one line per term and level."""
     names = [name for name in result if isinstance(result[name], dict)]
     lines = [f"{'relative RMSE, γ = 1/2.2':28s}" + "".join(f"{name:>20s}" for name in names)]
     lines.append(f"{'L_d':28s}" + "".join(f"{result[name]['L_d']:20.4f}" for name in names))

@@ -4,7 +4,7 @@
 
 Both estimate the same capture on the same machine and take turns stage by stage (benchmarks/speed_engine.py,
 benchmarks/reference.py). Prints time, rays, memory and the error of the shadings for each stage, and the
-accuracy of both. Machines that are busy otherwise are best judged by processor seconds.
+accuracy of both. On a machine that is busy with other work, compare processor seconds.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ from benchmarks.prepared import clear, copy_input, prepare
 from benchmarks.speed_engine import kept_path
 from benchmarks.turns import merged, take_turns, tell
 from fipt_blender.core.device.variant import set_variant
-from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.runfolder import PRODUCT_VERSION, RunFolder, read_json, write_json
-from fipt_blender.core.job.settings import Settings, make_settings
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import PRODUCT_VERSION, RunFolder, write_json
+from fipt_blender.core.run.settings import Settings, make_settings
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIGURATIONS = ("reference", "shipped")
@@ -42,16 +43,22 @@ def make_parser() -> argparse.ArgumentParser:
     """The command's options."""
     parser = argparse.ArgumentParser(prog="dev.py speed", description=(__doc__ or "").partition("\n")[0])
     add = parser.add_argument
-    add("capture", type=Path, metavar="CAPTURE", help="capture; with ground truth also errors are told")
-    add("--json", type=Path, metavar="FILE", help="write all figures there")
-    add("--output", type=Path, metavar="DIR", help="folder of both runs (default: below out/speed)")
+    add("capture", type=Path, metavar="CAPTURE", help="capture; with ground truth, errors are measured too")
+    add("--json", type=Path, metavar="FILE", help="write all figures to a file")
+    add("--output", type=Path, metavar="DIR", help="folder of both runs (default: in out/speed)")
     add("--preset", default="medium", help="of the shipped configuration (default: medium)")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one of its settings")
-    add("--parts", default="auto", help="what tells materials apart, in both (as estimate)")
+    add("--parts", default="auto", help="source of the parts in both runs (as for estimate)")
     add("--views", type=float, default=1.0, metavar="SHARE", help="share of the training views (default: 1)")
     add("--device", default="auto", help="auto, cuda or llvm (default: auto)")
-    add("--seed", type=int, default=0, help="of both (default: 0)")
-    add("--repeats", type=int, default=1, metavar="N", help="runs of both; the fastest count (default: 1)")
+    add("--seed", type=int, default=0, help="seed of both runs (default: 0)")
+    add(
+        "--repeats",
+        type=int,
+        default=1,
+        metavar="N",
+        help="runs of both, of which the fastest count (default: 1)",
+    )
     add(
         "--reference-steps",
         type=int,
@@ -64,18 +71,24 @@ def make_parser() -> argparse.ArgumentParser:
         type=float,
         default=1.0,
         metavar="SHARE",
-        help="share of the authors' samples, for quick looks (default: 1)",
+        help="share of the authors' samples, for quick tests (default: 1)",
     )
-    add("--error-pixels", type=int, default=2000, metavar="N", help="pixels whose shadings are path-traced")
-    add("--spp", type=int, default=64, help="paths a pixel of the accuracy's renders (default: 64)")
-    add("--train-views", type=int, default=4, help="training views whose maps count (default: 4)")
-    add("--skip-accuracy", action="store_true", help="no accuracy table")
-    add("--reuse", action="store_true", help="judge the runs that an earlier call left in DIR, make none")
+    add(
+        "--error-pixels",
+        type=int,
+        default=2000,
+        metavar="N",
+        help="pixels whose shadings are compared with path tracing (default: 2000)",
+    )
+    add("--spp", type=int, default=64, help="paths per pixel of the renders for accuracy (default: 64)")
+    add("--train-views", type=int, default=4, help="training views whose maps are compared (default: 4)")
+    add("--skip-accuracy", action="store_true", help="do not measure accuracy")
+    add("--reuse", action="store_true", help="evaluate the existing runs of an earlier call in DIR")
     return parser
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the command; 0, 1 for a failure."""
+    """Run the command; returns 0, or 1 after an error."""
     arguments = make_parser().parse_args(list(argv))
     folder = arguments.output or ROOT / "out" / "speed" / arguments.capture.absolute().name
     try:
@@ -91,10 +104,10 @@ def main(argv: Sequence[str]) -> int:
 
 
 def measure(arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
-    """Run both configurations; the times are kept beside the runs, since judging them may fail.
+    """Run both configurations; times are saved with the runs before these are evaluated, which may fail.
 
     Raises:
-        FiptError: those of :func:`configurations`, `prepare` and :func:`compare`.
+        FiptError: see :func:`configurations`, `prepare` and :func:`compare`.
     """
     settings = configurations(arguments)
     tell("preparing the capture")
@@ -118,21 +131,21 @@ def configurations(arguments: argparse.Namespace) -> dict[str, Settings]:
             "option-invalid", "Repeats, steps and samples must be above zero.", "Give at least 1."
         )
     common = {"device": arguments.device, "seed": arguments.seed, "view_share": arguments.views}
-    # Chosen before the reference's module is loaded, whose engine modules need it.
+    # Set before the reference's module is imported, which needs the variant.
     set_variant(make_settings("draft", {"device": arguments.device}).device)
     from benchmarks.reference import reference_settings
 
-    own = dict(change.partition("=")[::2] for change in arguments.set)
+    changes = dict(change.partition("=")[::2] for change in arguments.set)
     return {
         "reference": reference_settings(arguments.reference_steps, arguments.reference_samples, common),
-        "shipped": make_settings(arguments.preset, {**common, **own}),
+        "shipped": make_settings(arguments.preset, {**common, **changes}),
     }
 
 
 def compare(
     source: RunFolder, folder: Path, settings: Mapping[str, Settings], repeats: int = 1
 ) -> dict[str, Any]:
-    """Run both configurations in turns.
+    """Run both configurations, which take turns.
 
     Args:
         source: run folder that is ready for an estimation.
@@ -143,7 +156,7 @@ def compare(
         {"ratio", "stage_ratios", "machine", and for each configuration its times and settings}.
 
     Raises:
-        FiptError: ``run-failed`` where an estimation fails.
+        FiptError: ``run-failed`` if an estimation fails.
     """
     records: dict[str, list[dict[str, Any]]] = {name: [] for name in settings}
     for repeat in range(repeats):
@@ -155,13 +168,13 @@ def compare(
         for name, record in take_turns(runs).items():
             records[name].append(record)
     result: dict[str, Any] = {
-        name: merged(found) | {"settings": asdict(settings[name])} for name, found in records.items()
+        name: merged(repeats) | {"settings": asdict(settings[name])} for name, repeats in records.items()
     }
     return ratios(*(result[name] for name in CONFIGURATIONS)) | result | {"machine": machine()}
 
 
 def ratios(reference: Mapping[str, Any], shipped: Mapping[str, Any]) -> dict[str, Any]:
-    """How many times longer the reference takes, in all and by kind of stage (all rounds together)."""
+    """Times of the reference divided by the engine's, in total and by kind of stage (all rounds together)."""
 
     def by_kind(record: Mapping[str, Any], key: str) -> dict[str, float]:
         sums: dict[str, float] = {}
@@ -185,7 +198,7 @@ def _ratio(first: float, second: float) -> float | None:
 
 
 def judge(result: dict[str, Any], arguments: argparse.Namespace, folder: Path) -> None:
-    """Enter errors of the shadings and accuracy of both configurations where there is ground truth."""
+    """If there is ground truth, add the errors of the shadings and the accuracy of both configurations."""
     runs = {name: RunFolder(folder / name) for name in CONFIGURATIONS}
     set_variant(arguments.device)
     if arguments.error_pixels and shading_error.has_true_materials(arguments.capture):
@@ -202,8 +215,8 @@ def judge(result: dict[str, Any], arguments: argparse.Namespace, folder: Path) -
 
 
 def enter_errors(result: dict[str, Any], capture: Path, runs: Mapping[str, RunFolder], count: int) -> None:
-    """Errors of the shadings after stage 1 and after each round of stage 3, beside the stages' times."""
-    found: dict[str, Any] = {}
+    """Add the errors of the shadings after stage 1 and after each round of stage 3 to the stages' records."""
+    baked: dict[str, Any] = {}
     rows = np.zeros(0, np.int64)
     for name, run in runs.items():
         for stage in result[name]["stages"]:
@@ -212,8 +225,8 @@ def enter_errors(result: dict[str, Any], capture: Path, runs: Mapping[str, RunFo
                 with np.load(path, allow_pickle=False) as data:
                     rows = data["rows"]
                     shadings = shading_error.Views(data["diffuse"], data["specular"])
-                    found[f"{name} {stage['name']}"] = (shadings, data["levels"])
-    errors = shading_error.baked_errors(capture, runs["shipped"], rows, found, count)
+                    baked[f"{name} {stage['name']}"] = (shadings, data["levels"])
+    errors = shading_error.baked_errors(capture, runs["shipped"], rows, baked, count)
     result["shading_pixels"], result["shading_levels"] = errors["pixels"], errors["levels"]
     for name in runs:
         for stage in result[name]["stages"]:
@@ -221,7 +234,7 @@ def enter_errors(result: dict[str, Any], capture: Path, runs: Mapping[str, RunFo
 
 
 def machine() -> dict[str, Any]:
-    """What the figures were measured on."""
+    """Description of the machine and of the packages with which the figures were measured."""
     import mitsuba as mi
 
     memory = 0.0
@@ -241,7 +254,7 @@ def machine() -> dict[str, Any]:
 
 
 def processor_name() -> str:
-    """The processor's name as the system tells it."""
+    """The name of the processor according to the system."""
     information = Path("/proc/cpuinfo")
     if information.exists():
         for line in information.read_text(encoding="utf-8", errors="replace").splitlines():

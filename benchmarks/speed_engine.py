@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One estimation that waits before each stage until it is told to go on, so that two can take turns.
+"""One estimation that waits for permission before each stage, so that two estimations can take turns.
 
-python benchmarks/speed_engine.py RUN reference|shipped [LAST]: tells, one JSON object a line, {"ready": ...}
-and in the end {"done": facts}, each with what was spent since the last; reads a line on stdin for each stage.
-Nothing follows the stage LAST.
+python benchmarks/speed_engine.py RUN reference|shipped [LAST]: prints, one JSON object per line, {"ready":
+stage} before each stage and {"done": summary} at the end, each with the time spent since the last line. A
+line on stdin starts the stage. The process ends after the stage LAST.
 """
 
 from __future__ import annotations
@@ -23,34 +23,34 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.own_memory import watched
 from fipt_blender.core.device.variant import set_variant
-from fipt_blender.core.job.messages import Reporter, claim_stdout, peak_memory_gb
-from fipt_blender.core.job.runfolder import RunFolder
+from fipt_blender.core.run.messages import Reporter, claim_stdout, peak_memory_gb
+from fipt_blender.core.run.runfolder import RunFolder
 
-# Pixels whose shadings are kept after stages 1 and 3; enough that some thousand usable ones are among them.
+# Pixels whose shadings are saved after stages 1 and 3; some thousand of them are usable.
 KEPT_PIXELS = 20_000
 _STATUS, _RESET = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 
 def kept_pixels(count: int) -> np.ndarray:
-    """(M,) int64 pixels of `count` whose shadings are kept: the same in both configurations."""
+    """(M,) int64 pixels, of `count`, whose shadings are saved; the same in both configurations."""
     if count <= KEPT_PIXELS:
         return np.arange(count)
     return np.sort(np.random.default_rng(0).choice(count, KEPT_PIXELS, replace=False))
 
 
 def kept_path(run: RunFolder, stage: str) -> Path:
-    """File of the shadings kept after a stage."""
+    """File of the shadings saved after a stage."""
     return run.root / "speed" / f"{stage}.npz"
 
 
 def reset_peak() -> None:
-    """Let the process's peak memory begin anew, where the system can."""
+    """Reset the peak memory of this process, if the system supports it."""
     with contextlib.suppress(OSError):
         _RESET.write_text("5")
 
 
 def stage_peak_gb() -> float:
-    """Peak resident memory in GB since the last reset, of the whole process where it can't be reset."""
+    """Peak resident memory in GB since the last reset, or since the start if it can't be reset."""
     if _STATUS.exists():
         for line in _STATUS.read_text().splitlines():
             if line.startswith("VmHWM:"):
@@ -59,11 +59,11 @@ def stage_peak_gb() -> float:
 
 
 class Pace:
-    """Waits for permission before each stage and adds up what was spent in between.
+    """Waits for permission before each stage and measures the time in between.
 
     Args:
-        stream: gets the messages.
-        permission: gives a line for each stage.
+        stream: for the messages.
+        permission: contains a line for each permitted stage.
     """
 
     def __init__(self, stream: IO[str], permission: IO[str]) -> None:
@@ -71,10 +71,10 @@ class Pace:
         self._started, self._cpu = 0.0, 0.0
 
     def wait(self, stage: str) -> None:
-        """Tell that a stage is ready and wait until it may begin."""
+        """Report that a stage is ready and wait until it may begin."""
         self.tell({"ready": stage})
         if not self._permission.readline():
-            raise SystemExit("nobody gives permission any more")
+            raise SystemExit("stdin was closed")
         self.restart()
 
     def tell(self, message: dict[str, Any]) -> None:
@@ -84,11 +84,11 @@ class Pace:
         self._stream.flush()
 
     def restart(self) -> None:
-        """Count from now on."""
+        """Restart the measurement."""
         self._started, self._cpu = time.monotonic(), time.process_time()
 
     def aside(self, work: Callable[[], None]) -> None:
-        """Do something that does not count."""
+        """Do work that is not measured."""
         before = time.monotonic(), time.process_time()
         work()
         self._started += time.monotonic() - before[0]
@@ -96,18 +96,18 @@ class Pace:
 
 
 class LastStage(Exception):
-    """The stage that was to be the last has ended."""
+    """Ends an estimation after the requested last stage."""
 
 
 def paced(kind: type, pace: Pace, last: str | None = None) -> type:
-    """A subclass of an estimation that waits before each stage, measures it and keeps some shadings.
+    """A subclass of an estimation that waits before each stage, measures it and saves some shadings.
 
     After the stage `last` it raises :class:`LastStage`.
     """
 
     class Paced(kind):  # type: ignore[misc, valid-type]
         def _stage(
-            self, name: str, text: str, work: Callable[[], dict[str, Any] | None], load: Callable[[], None]
+            self, name: str, text: str, work: Callable[[], dict[str, Any]], load: Callable[[], None]
         ) -> None:
             pace.wait(name)
 
@@ -115,7 +115,7 @@ def paced(kind: type, pace: Pace, last: str | None = None) -> type:
                 reset_peak()
                 cpu = time.process_time()
                 with watched() as own_peak_gb:
-                    facts = work() or {}
+                    facts = work()
                     peaks = {"peak_memory_gb": stage_peak_gb(), "peak_own_gb": own_peak_gb()}
                 spent = {"cpu_seconds": round(time.process_time() - cpu, 2)}
                 return facts | spent | {name: round(peak, 3) for name, peak in peaks.items()}
@@ -131,27 +131,27 @@ def paced(kind: type, pace: Pace, last: str | None = None) -> type:
             store = self._open_shadings()
             path = kept_path(self.folder, name)
             path.parent.mkdir(exist_ok=True)
-            found = (np.asarray(array[rows], np.float32) for array in (store.diffuse, store.specular))
-            diffuse, specular = (values * np.float32(self.scale) for values in found)
+            stored = (np.asarray(array[rows], np.float32) for array in (store.diffuse, store.specular))
+            diffuse, specular = (values * np.float32(self.scale) for values in stored)
             np.savez(path, rows=rows, levels=self.levels, diffuse=diffuse, specular=specular)
 
     return Paced
 
 
 def main(argv: list[str]) -> int:
-    """Run the estimation in the run folder argv[0], in the configuration argv[1], up to the stage argv[2]."""
+    """Run the estimation of the run folder argv[0] in the configuration argv[1], up to the stage argv[2]."""
     folder, name = RunFolder(argv[0]), argv[1]
     pace = Pace(claim_stdout(), sys.stdin)
     pace.restart()
     settings = folder.read()
     set_variant(settings.device)
-    from fipt_blender.core.material.brdf import set_masking
+    from fipt_blender.core.optics.brdf import set_masking
 
     set_masking(settings.masking)
     if name == "reference":
         from benchmarks.reference import ReferenceEstimation as Kind
     else:
-        from fipt_blender.core.job.stages import Estimation as Kind  # type: ignore[assignment]
+        from fipt_blender.core.estimate.stages import Estimation as Kind  # type: ignore[assignment]
     last = argv[2] if len(argv) > 2 else None
     estimation = paced(Kind, pace, last)(folder, settings, Reporter())
     with contextlib.suppress(LastStage):

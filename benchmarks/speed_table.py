@@ -33,7 +33,7 @@ def _with_costs(result: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def format_stages(result: Mapping[str, Any]) -> str:
-    """A line a stage, both configurations side by side: seconds, processor seconds, rays, memory."""
+    """One line per stage with both configurations: seconds, processor seconds, rays, memory."""
     columns = ("s", "median", "cpu s", "Mrays", "Mrays/s", "GB")
     head = "".join(f"{column:>9s}" for column in columns)
     lines = [f"{'':14s}" + "".join(f"{name:>{9 * len(columns)}s}" for name in _NAMES) + f"{'ratio':>9s}"]
@@ -65,7 +65,7 @@ def _ratio(both: Sequence[Mapping[str, Any]]) -> str:
 
 
 def format_errors(result: Mapping[str, Any]) -> str:
-    """Relative errors of the shadings after each stage that bakes; empty without ground truth."""
+    """Relative errors of the shadings after stage 1 and each stage 3; empty without ground truth."""
     levels = result.get("shading_levels", ())
     titles = ["L_d", *(f"{term} {level:g}" for term in ("L_s0", "L_s1") for level in levels)]
     lines = []

@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The ground truth of a capture in the FIPT authors' layout, read and written.
+"""Reader and writer of the ground truth of a capture in the FIPT authors' layout.
 
-Beside SPLIT/Image lie DiffCol (kd), BaseColor, Metallic, Roughness, Emit and IndexMA (0: nothing hit) with
-the photographs' names, and albedo (a') under the bare number. relight.json names views lit by one new light.
+The folders DiffCol (kd), BaseColor, Metallic, Roughness, Emit and IndexMA (0: nothing hit) next to
+SPLIT/Image have files with the photographs' names, the folder albedo (a') with their numbers only.
+relight.json names views that are lit by one new light.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from benchmarks.metrics import Maps
 from fipt_blender.core import conventions
 from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
 from fipt_blender.core.capture.views import Capture, View
-from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.runfolder import read_json
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.errors import FiptError
 
 COLOR_MAPS = {"kd": "DiffCol", "base_color": "BaseColor", "emission": "Emit"}
 VALUE_MAPS = {"roughness": "Roughness", "metallic": "Metallic"}
@@ -75,9 +76,9 @@ def read_maps(view: View) -> Maps:
 
 
 def maps_are_filtered(views: Sequence[Maps]) -> bool:
-    """Whether true maps are means over pixels rather than values at their centres.
+    """Whether true maps are averages over pixels rather than values at their centres.
 
-    Told by pixels at steps of roughness: a mean lies between the values on both sides, a centre has one.
+    Decided by pixels at steps of roughness: an average is between the values of both sides.
     """
     between = steps = 0
     for view in views:
@@ -112,7 +113,7 @@ def read_relight(folder: Path, capture: Capture) -> Relight | None:
     """relight.json of a capture folder, or None where it has none.
 
     Raises:
-        FiptError: ``truth-missing`` where it is garbled.
+        FiptError: ``truth-missing`` where it can't be parsed.
     """
     path = folder / "relight.json"
     if not path.is_file() or not capture.held_back:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Estimations in processes of their own that take turns stage by stage, and the records of what they cost."""
+"""Estimations in separate processes that take turns stage by stage, and records of their costs."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from fipt_blender.bridge.interpreter import engine_environment
-from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.runfolder import RunFolder
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder
 
 
 def tell(text: str) -> None:
-    """Say on stderr what happens now."""
+    """Print a line of progress to stderr."""
     print(text, file=sys.stderr, flush=True)
 
 
@@ -28,7 +28,7 @@ class Turn:
     Args:
         name: of the configuration.
         run: its run folder.
-        last: stage that nothing follows; None for all.
+        last: the last stage; None: all stages.
     """
 
     def __init__(self, name: str, run: RunFolder, last: str | None = None) -> None:
@@ -45,32 +45,33 @@ class Turn:
             )
 
     def read(self) -> dict[str, Any]:
-        """The next message; waits for it.
+        """Wait for the next message.
 
         Raises:
-            FiptError: ``run-failed`` where the process ends without one.
+            FiptError: ``run-failed`` if the process ends without one.
         """
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         if not line:
-            raise FiptError("run-failed", f"The {self._name} run failed.", f"{self._log} tells why.")
+            raise FiptError("run-failed", f"The {self._name} run failed.", f"See {self._log}.")
         return json.loads(line)
 
     def permit(self) -> None:
-        """Let the stage begin that is ready."""
+        """Permit the stage that is ready."""
         assert self.process.stdin is not None
         try:
             self.process.stdin.write("go\n")
             self.process.stdin.flush()
-        except BrokenPipeError:  # it died; `read` tells
+        except BrokenPipeError:  # the process has died; `read` reports that
             pass
 
 
 def take_turns(runs: Mapping[str, RunFolder], last: str | None = None) -> dict[str, dict[str, Any]]:
-    """Run estimations side by side, one stage of one of them at a time; a record of each.
+    """Run several estimations, one stage of one of them at a time; returns a record of each by name.
 
     Args:
-        last: stage that nothing follows; None for all.
+        runs: run folder by name of the configuration.
+        last: the last stage; None: all stages.
 
     Raises:
         FiptError: ``run-failed``.
@@ -79,7 +80,7 @@ def take_turns(runs: Mapping[str, RunFolder], last: str | None = None) -> dict[s
     records: dict[str, dict[str, Any]] = {name: {"seconds": 0.0, "cpu_seconds": 0.0} for name in runs}
     ready: dict[str, str] = {}
 
-    def hear(name: str) -> None:
+    def receive(name: str) -> None:
         message = turns[name].read()
         for key in ("seconds", "cpu_seconds"):
             records[name][key] += message[key]
@@ -92,17 +93,17 @@ def take_turns(runs: Mapping[str, RunFolder], last: str | None = None) -> dict[s
     try:
         for name, run in runs.items():
             turns[name] = Turn(name, run, last)
-            hear(name)
+            receive(name)
         while ready:
             for name in list(ready):
                 tell(f"{name}: {ready[name]}")
                 turns[name].permit()
-                hear(name)
+                receive(name)
     finally:
         for turn in turns.values():
             if turn.process.poll() is None:
                 if turn.process.stdin is not None:
-                    turn.process.stdin.close()  # one that waits ends by itself
+                    turn.process.stdin.close()  # a process that waits then ends
                 if ready:
                     turn.process.terminate()
                 turn.process.wait()
@@ -110,9 +111,9 @@ def take_turns(runs: Mapping[str, RunFolder], last: str | None = None) -> dict[s
 
 
 def merged(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """One record of several runs: the least seconds, which other work disturbed least, and the median.
+    """One record of several runs: minimum (least disturbed by other work) and median of the seconds.
 
-    Beside the stages stands what lies between them ("other": loading, previews, results).
+    The time between the stages (loading, previews, results) becomes a stage named "other".
     """
     runs = []
     for record in records:
@@ -121,11 +122,11 @@ def merged(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         other = {key: round(max(record[key] - value, 0.0), 2) for key, value in spent.items()}
         runs.append([*stages, {"name": "other", **other}])
     merged_stages = []
-    for same in zip(*runs, strict=True):
-        stage = dict(same[0])
+    for repeats in zip(*runs, strict=True):
+        stage = dict(repeats[0])
         for key in ("seconds", "cpu_seconds"):
-            stage[key] = min(each[key] for each in same)
-            stage[f"median_{key}"] = statistics.median(each[key] for each in same)
+            stage[key] = min(repeat[key] for repeat in repeats)
+            stage[f"median_{key}"] = statistics.median(repeat[key] for repeat in repeats)
         if stage.get("rays") and stage["seconds"]:
             stage["mrays_per_second"] = round(stage["rays"] / stage["seconds"] / 1e6, 3)
         merged_stages.append(stage)

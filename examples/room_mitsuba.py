@@ -19,8 +19,8 @@ import pyoidn
 from PIL import Image
 from room_files import Capture
 
-from fipt_blender.core.material import brdf
-from fipt_blender.core.render.bsdf import PLUGIN_NAME, register
+from benchmarks.tracer.bsdf import PLUGIN_NAME, register
+from fipt_blender.core.optics import brdf, factorised
 
 MAX_DEPTH = 16
 CHUNK = 64  # paths a pixel in one kernel launch
@@ -172,7 +172,7 @@ class LoadedRoom:
             hit = self.trace(*self.rays(pose, shift))
             material = material_of[hit.triangle]
             a, m = hit.base_color, metallic[material]
-            ks = (0.04 * (1 - m) + a * m) * (material > 0)[:, None]
+            ks = factorised.specular_reflectance(a, m) * (material > 0)[:, None]
             black = self.radiance[material].any(1) | (material == 0)
             lobes = self.directional_lobes(roughness[material], hit.cosine)
             values = {

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Factorized Inverse Path Tracing for Blender: materials and lights of a room from its photographs.
 
-bpy is imported only while registering, so that the engine imports as `core` where there is no bpy.
+bpy is imported only in `register`, so that a Python without bpy can import the engine, `core`.
 """
 
 from __future__ import annotations
@@ -17,21 +17,24 @@ _undo: list[Callable[[], object]] = []
 def register() -> None:
     """Register the preferences, the scene's state, operators, panels and `blender --command fipt`.
 
-    Where something fails, what was registered before is taken back.
+    If one of them fails, those before it are unregistered again.
     """
     import bpy
 
-    from . import operators, panels, preferences, properties, running
+    from . import machine, operators, panels, properties
+    from .blend.capture import other_cameras
+    from .jobs import session
+    from .panels import preferences
 
     try:
-        for each in preferences.CLASSES:
-            bpy.utils.register_class(each)
-            _undo.append(partial(bpy.utils.unregister_class, each))
-        preferences.recall()
+        for preferences_class in preferences.CLASSES:
+            bpy.utils.register_class(preferences_class)
+            _undo.append(partial(bpy.utils.unregister_class, preferences_class))
+        machine.recall()
         _undo.append(_hide_overlay)
-        for room in (properties, operators, panels, running):
-            room.register()
-            _undo.append(room.unregister)
+        for module in (properties, operators, panels, session, other_cameras):
+            module.register()
+            _undo.append(module.unregister)
         command = bpy.utils.register_cli_command("fipt", _run_command_line)
         _undo.append(partial(bpy.utils.unregister_cli_command, command))
     except BaseException:
@@ -40,20 +43,20 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take everything back, in reverse order."""
+    """Unregister everything, in reverse order."""
     while _undo:
         _undo.pop()()
 
 
 def _run_command_line(arguments: Sequence[str]) -> int:
-    """`blender --command fipt`; imported when it is used, as starting Blender should not wait for it."""
+    """`blender --command fipt`; imported on use, to keep Blender's start fast."""
     from . import cli
 
     return cli.main(arguments)
 
 
 def _hide_overlay() -> None:
-    """Take down what is drawn over the room, where that was ever loaded."""
-    overlay = sys.modules.get(f"{__package__}.blend.overlay")
+    """Hide the colours drawn over the room, if that module was ever imported."""
+    overlay = sys.modules.get(f"{__package__}.blend.capture.overlay")
     if overlay is not None:
         overlay.hide()

@@ -16,7 +16,7 @@ from pathlib import Path
 
 
 def _package() -> str:
-    """The package's name; run as a file there is none, so its parent folder is made importable."""
+    """The package's name; when run as a file, import it from its parent folder first."""
     if __package__:
         return __package__
     folder = Path(__file__).resolve().parent
@@ -29,7 +29,7 @@ def _package() -> str:
 
 
 def _arguments() -> list[str]:
-    """Our part of the command line: behind `--` in Blender, all of it elsewhere."""
+    """The arguments for this command line: those after `--` in Blender, all of them elsewhere."""
     file = Path(__file__).resolve()
     if __package__ or Path(sys.argv[0]).resolve() in (file, file.parent):
         return sys.argv[1:]
@@ -37,15 +37,15 @@ def _arguments() -> list[str]:
 
 
 def main() -> None:
-    """Run the command line and leave with its exit status."""
+    """Run the command line and exit with its status."""
     try:
         status = importlib.import_module(".cli", _package()).main(_arguments())
-    except Exception:  # after a script's exception Blender would end with status 0
+    except Exception:  # Blender would exit with status 0
         traceback.print_exc()
         status = 1
     sys.stdout.flush()
     sys.stderr.flush()
-    # Not sys.exit: Blender goes on after a script's end, and bpy as a module can hang or crash while it ends.
+    # Not sys.exit: Blender would keep running, and bpy as a module can hang or crash at exit.
     os._exit(status)
 
 

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one command line, behind `__main__.py` and behind `blender --command fipt`.
+"""The command line, behind `__main__.py` and `blender --command fipt`.
 
-Exit status: 0 all went well, 1 the job failed (`error: ...` on stderr), 2 wrong usage, 130 stopped.
+Exit status: 0 success, 1 the job failed (`error: ...` on stderr), 2 wrong usage, 130 stopped.
 """
 
 from __future__ import annotations
@@ -17,16 +17,17 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from .bridge.interpreter import engine_command
 from .bridge.process import EngineProcess, Message
 from .core.conventions import UP_AXES
-from .core.job.errors import FiptError
-from .core.job.runfolder import PRODUCT_VERSION
-from .core.job.settings import PRESETS, make_settings
-from .mainjob import PARTS, RENDER_KINDS, MainJobOptions, make_main_job
-from .runjob import find_launch
+from .core.run.errors import FiptError
+from .core.run.runfolder import PRODUCT_VERSION
+from .core.run.settings import PRESETS, make_settings
+from .jobs.main_job import make_main_job
+from .jobs.options import PARTS, RENDER_KINDS, MainJobOptions
+from .jobs.run_job import find_launch
 
 FORMATS = ("auto", "fipt-synthetic", "fipt-real", "transforms", "colmap")
 _LINE_SECONDS = 5.0
@@ -34,7 +35,7 @@ _REFRESH_SECONDS = 0.2
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """The only definition of commands, options and their help."""
+    """The parser of all commands and options."""
     parser = argparse.ArgumentParser(
         prog="fipt",
         description="Estimate the materials and lights of a room from posed HDR photographs and its mesh.",
@@ -52,36 +53,41 @@ def make_parser() -> argparse.ArgumentParser:
     add("capture", type=Path, metavar="CAPTURE", help="the capture's folder or its camera file")
     add("--mesh", type=Path, metavar="FILE", help="the room's mesh (default: the one beside the cameras)")
     add("--output", type=Path, metavar="DIR", help="the run folder (default: ./CAPTURE-fipt)")
-    add("--preset", choices=tuple(PRESETS), default="medium", help="quality against time (default: medium)")
+    add("--preset", choices=tuple(PRESETS), default="medium", help="quality and duration (default: medium)")
     add("--device", choices=("auto", "cuda", "llvm"), help="GPU (cuda) or CPU (llvm) (default: auto)")
-    add("--seed", type=int, metavar="N", help="seed of every random number (default: 0)")
-    add("--rounds", type=int, metavar="N", help="how often training and refinement are repeated")
+    add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
+    add("--rounds", type=int, metavar="N", help="number of refinements of light and materials")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one constant of the method")
     add("--format", choices=FORMATS, default="auto", help="layout of the capture (default: auto)")
     up_axes = ("auto", *UP_AXES)
     add("--up-axis", choices=up_axes, default="auto", help="up axis of the capture; --up-axis=-y for -y")
-    add("--scale", type=float, default=1.0, metavar="S", help="metres per unit of the capture (default: 1)")
-    add("--hold-back", type=int, metavar="N", help="hold back every N-th view to judge by; 0 for none")
-    add("--images", type=Path, metavar="DIR", help="where the HDR photographs lie")
-    add("--clamp-negative", action="store_true", help="take negative radiance in photographs as zero")
+    add("--scale", type=float, default=1.0, metavar="S", help="meters per unit of the capture (default: 1)")
+    add("--hold-back", type=int, metavar="N", help="hold back every N-th view for comparison; 0 for none")
+    add("--images", type=Path, metavar="DIR", help="folder of the HDR photographs")
+    add("--clamp-negative", action="store_true", help="treat negative radiance in photographs as zero")
     add(
         "--undo-applied-transform",
         action="store_true",
         help="transforms.json: the mesh has the coordinates from before nerfstudio's applied_transform",
     )
-    add("--parts", choices=PARTS, default="auto", help="what tells materials apart (default: auto)")
-    add("--no-renders", action="store_true", help="make no Cycles renders")
+    add(
+        "--parts",
+        choices=PARTS,
+        default="auto",
+        help="how surfaces of the same material are recognized (default: auto)",
+    )
+    add("--no-renders", action="store_true", help="do not render in Cycles")
     add("--cluster", metavar="ADDRESS", help="a Dask scheduler whose workers share the work on the views")
-    add("--render-spp", type=int, default=64, metavar="N", help="Cycles samples a pixel (default: 64)")
+    add("--render-spp", type=int, default=64, metavar="N", help="Cycles samples per pixel (default: 64)")
     add("--render-view", default="", metavar="NAME", help="the view to render (default: a held-back one)")
-    add("--resume", action="store_true", help="keep what an earlier run in the same folder finished")
+    add("--resume", action="store_true", help="keep finished steps of an earlier run in the same folder")
 
-    check = commands.add_parser("check", help="say whether the engine works here, and on which device")
+    check = commands.add_parser("check", help="check whether the engine works, and on which device")
     for command in (estimate, check):
         add = command.add_argument
-        add("--engine-python", metavar="PATH", help="the Python that has the engine's packages")
-        add("--quiet", action="store_true", help="print nothing but warnings and errors")
-        add("--json", action="store_true", help="print the messages as JSON, one a line")
+        add("--engine-python", metavar="PATH", help="Python interpreter with the engine's packages")
+        add("--quiet", action="store_true", help="print only warnings and errors")
+        add("--json", action="store_true", help="print the messages as JSON, one per line")
     return parser
 
 
@@ -89,7 +95,7 @@ def main(argv: Sequence[str]) -> int:
     """Run the command line and return its exit status; never raises SystemExit."""
     try:
         arguments = make_parser().parse_args(list(argv))
-    except SystemExit as end:  # argparse; Blender would turn it into a traceback
+    except SystemExit as end:  # argparse; Blender would print a traceback
         return end.code if isinstance(end.code, int) else 2
     return _estimate(arguments) if arguments.command == "estimate" else _check(arguments)
 
@@ -100,7 +106,7 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
     Raises:
         FiptError: ``setting-unknown``, ``setting-invalid`` or ``option-invalid``.
     """
-    changes: dict[str, Any] = {}
+    changes: dict[str, str | int] = {}
     for text in arguments.set:
         name, equals, value = text.partition("=")
         if not equals:
@@ -116,9 +122,9 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
             "option-invalid", f"--hold-back is {arguments.hold_back}.", "Give 0 for none, or at least 2."
         )
     if not 0.0 < arguments.scale < float("inf"):
-        raise FiptError("option-invalid", f"--scale {arguments.scale} is no scale.", "Give a number above 0.")
+        raise FiptError("option-invalid", f"--scale is {arguments.scale}.", "Give a number above 0.")
     capture = arguments.capture
-    folder = capture if capture.suffix == "" else capture.parent
+    folder = capture.parent if capture.is_file() else capture
     return MainJobOptions(
         capture=capture,
         output=arguments.output or Path.cwd() / f"{folder.absolute().name}-fipt",
@@ -152,7 +158,7 @@ def _estimate(arguments: argparse.Namespace) -> int:
     except FiptError as error:
         return _report_error(arguments, error)
     run_log = options.output / "log.txt"
-    with _own_stdout(run_log) as stream, _interrupts() as interrupts:
+    with _private_stdout(run_log) as stream, _interrupts() as interrupts:
         display = _Display(stream, arguments.json, arguments.quiet)
 
         def show(message: Message) -> None:
@@ -161,12 +167,12 @@ def _estimate(arguments: argparse.Namespace) -> int:
             display.show(message)
 
         try:
-            good = job.run(show)
+            succeeded = job.run(show)
         except KeyboardInterrupt:
             display.end_line()
-            print("stopped; the same command with --resume continues from here.", file=sys.stderr)
+            print("stopped; to continue, add --resume to the same command.", file=sys.stderr)
             return 130
-    return 0 if good else 1
+    return 0 if succeeded else 1
 
 
 def _check(arguments: argparse.Namespace) -> int:
@@ -178,7 +184,9 @@ def _check(arguments: argparse.Namespace) -> int:
         return _report_error(arguments, error)
     except OSError as error:
         explained = FiptError(
-            "engine-missing", f"The engine's Python can't be started ({error}).", "Name another interpreter."
+            "engine-missing",
+            f"The engine's Python can't be started ({error}).",
+            "Choose another interpreter (--engine-python).",
         )
         return _report_error(arguments, explained)
     display = _Display(sys.stdout, arguments.json, arguments.quiet)
@@ -192,8 +200,8 @@ def _check(arguments: argparse.Namespace) -> int:
                 print(f"{name.replace('_', ' ')}: {'none' if value is None else value}")
 
     try:
-        good = process.run_blocking(show)
-        return 0 if good and process.done and process.done["data"].get("ready", True) else 1
+        succeeded = process.run_blocking(show)
+        return 0 if succeeded and process.done and process.done["data"].get("ready", True) else 1
     except KeyboardInterrupt:
         return 130
 
@@ -205,7 +213,7 @@ def _report_error(arguments: argparse.Namespace, error: FiptError) -> int:
 
 
 class _Display:
-    """Shows messages: one line that changes on a terminal, plain lines now and then elsewhere, or JSON."""
+    """Shows messages: as one updated line on a terminal, as a line every few seconds elsewhere, as JSON."""
 
     def __init__(self, stream: IO[str], as_json: bool, quiet: bool) -> None:
         self._stream = stream
@@ -237,7 +245,7 @@ class _Display:
             self._files(message["files"])
 
     def end_line(self) -> None:
-        """Leave the changing line, so that other output starts on its own."""
+        """End the updated line, so that other output starts on a new one."""
         if self._line_open:
             self._stream.write("\n")
             self._stream.flush()
@@ -270,17 +278,17 @@ class _Display:
 
 
 def format_seconds(seconds: float) -> str:
-    """A time for people: "45 s", "3 min 20 s", "1 h 5 min"."""
-    whole = int(seconds + 0.5)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600} h {whole % 3600 // 60} min"
+    """A duration in one or two units: "45 s", "3 min 20 s", "1 h 5 min"."""
+    rounded = int(seconds + 0.5)
+    if rounded < 60:
+        return f"{rounded} s"
+    if rounded < 3600:
+        return f"{rounded // 60} min {rounded % 60} s"
+    return f"{rounded // 3600} h {rounded % 3600 // 60} min"
 
 
 def format_size(size: int) -> str:
-    """A file size for people, in powers of 1000."""
+    """A file size in B, kB, MB or GB (powers of 1000)."""
     value = float(size)
     for unit in ("B", "kB", "MB", "GB"):
         if value < 1000 or unit == "GB":
@@ -297,37 +305,37 @@ def _terminal_width(stream: IO[str]) -> int:
 
 
 @contextmanager
-def _own_stdout(log: Path) -> Iterator[IO[str]]:
-    """Stdout for the display alone; what Blender prints there goes to the log meanwhile.
+def _private_stdout(log: Path) -> Iterator[IO[str]]:
+    """A stream to stdout for the display alone; Blender's own output goes to the log meanwhile.
 
-    Blender prints in C, so the file descriptor itself is moved, and put back at the end.
+    Blender prints in C, so the file descriptor itself is redirected, and restored at the end.
     """
     sys.stdout.flush()
     try:
-        kept = os.dup(1)
+        saved = os.dup(1)
         with open(log, "ab") as file:
             os.dup2(file.fileno(), 1)
-    except OSError:  # no console (Windows), or a full disk: share it then
+    except OSError:  # no console (Windows), or a full disk: share stdout
         yield sys.stdout
         return
-    stream = os.fdopen(kept, "w", encoding="utf-8", errors="replace", buffering=1)
+    stream = os.fdopen(saved, "w", encoding="utf-8", errors="replace", buffering=1)
     try:
         yield stream
     finally:
         sys.stdout.flush()
         if sys.platform != "win32":
-            ctypes.CDLL(None).fflush(None)  # what Blender's C code has printed but not yet written
+            ctypes.CDLL(None).fflush(None)  # flushes the output of Blender's C code
         stream.flush()
-        os.dup2(kept, 1)
+        os.dup2(saved, 1)
         stream.close()
 
 
 @contextmanager
 def _interrupts() -> Iterator[Callable[[bool], None]]:
-    """Ctrl-C and SIGTERM as KeyboardInterrupt, also where Blender has put a handler of its own.
+    """Turn Ctrl-C and SIGTERM into KeyboardInterrupt, also where Blender has installed its own handler.
 
-    Yields a switch: off, the signal ends the process at once, for the renders, in which Python has no turn
-    (no engine runs then, and everything finished is on disk).
+    Yields a switch: off, the signals end the process at once. That is for renders, during which Python
+    handles no signals; no engine runs then, and all finished work is on the disk.
     """
     numbers = (signal.SIGINT, signal.SIGTERM)
 
@@ -338,10 +346,10 @@ def _interrupts() -> Iterator[Callable[[bool], None]]:
         for number in numbers:
             signal.signal(number, interrupt if on else signal.SIG_DFL)
 
-    before = [signal.getsignal(number) for number in numbers]
+    handlers = [signal.getsignal(number) for number in numbers]
     switch(True)
     try:
         yield switch
     finally:
-        for number, handler in zip(numbers, before, strict=True):
+        for number, handler in zip(numbers, handlers, strict=True):
             signal.signal(number, signal.SIG_DFL if handler is None else handler)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What every test starts from: an LLVM found as the product finds it, fixed seeds, an empty run folder."""
+"""What every test starts from: LLVM found as the product finds it, fixed seeds, an empty Blender file."""
 
 from __future__ import annotations
 
@@ -14,19 +14,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
-if str(ROOT) not in sys.path:
-    sys.path.insert(0, str(ROOT))
-
-from fipt_blender.core.device.llvm import LLVM_VARIABLE, companions, find_llvm  # noqa: E402
-from fipt_blender.core.device.probe import preload  # noqa: E402
-from fipt_blender.core.job.errors import FiptError  # noqa: E402
-from fipt_blender.core.job.runfolder import RunFolder  # noqa: E402
-from fipt_blender.core.job.settings import make_settings  # noqa: E402
+from fipt_blender.core.device.llvm import LLVM_VARIABLE, companions, find_llvm
+from fipt_blender.core.device.probe import preload
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.settings import make_settings
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Choose LLVM before any test module imports Mitsuba, where that is there: Dr.Jit looks for it once."""
+    """Choose LLVM and Mitsuba's variant before any test module is imported, where Mitsuba is installed."""
     if importlib.util.find_spec("mitsuba") is None:  # tests/matrix.py: Blender's side alone
         return
     try:
@@ -35,20 +31,31 @@ def pytest_configure(config: pytest.Config) -> None:
         raise pytest.UsageError(str(error)) from None
     preload(companions(library))
     os.environ[LLVM_VARIABLE] = str(library)
-    # As in the engine: torch's threads must not spin while Dr.Jit's or another process's work.
+    # As in the engine: torch's threads must not spin while those of Dr.Jit or another process work.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    import mitsuba
+
+    # The engine's modules need a variant when they are imported, and torch must be imported after it.
+    mitsuba.set_variant("llvm_ad_rgb")
 
 
 @pytest.fixture(autouse=True)
 def fixed_seeds() -> None:
-    """Python's and numpy's global generators start alike in every test."""
+    """Python's and numpy's global generators have the same seed in every test."""
     random.seed(0)
     np.random.seed(0)
 
 
+@pytest.fixture(autouse=True)
+def empty_blender_file(request: pytest.FixtureRequest) -> None:
+    """Each test of a module that imports bpy starts with an empty file and factory settings."""
+    if bpy := getattr(request.module, "bpy", None):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
 @pytest.fixture(scope="module")
 def registered() -> Iterator[None]:
-    """The add-on in the Blender that runs the test."""
+    """The add-on is registered in the Blender that runs the test."""
     import fipt_blender
 
     fipt_blender.register()
@@ -58,7 +65,7 @@ def registered() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def one_thread() -> Iterator[None]:
-    """Torch on one thread: networks as small as the tests' lose more by waiting for a second one."""
+    """Torch on one thread, which is faster for networks as small as those of the tests."""
     import torch
 
     threads = torch.get_num_threads()

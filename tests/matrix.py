@@ -28,7 +28,7 @@ from fipt_blender.bridge.pins import read_pins  # noqa: E402
 VERSIONS = {"4.2.23": "3.11", "4.5.15": "3.11", "5.0.1": "3.11", "5.2.3": "3.13"}
 # What the tests need besides bpy; the versions are those pinned for the engine.
 PACKAGES = ("numpy", "OpenEXR", "pillow", "jinja2", "psutil", "pytest")
-# Sockets, colour spaces, UVs, cameras, write-back, revert: files that import none of the engine's packages.
+# Sockets, colour spaces, UVs, cameras, write-back, revert: these import none of the engine's packages.
 TESTS = (
     "test_blend_atlas.py",
     "test_blend_cameras.py",
@@ -39,9 +39,9 @@ TESTS = (
     "test_operators_materials.py",
     "test_textures_write_back.py",
 )
-# Ask the engine's BRDF what Cycles should show.
+# Tests that compare Cycles with the engine's BRDF.
 NEEDS_ENGINE = "test_cycles_agrees"
-# bpy may hang or crash while Python ends, long after the last test.
+# bpy may hang or crash at interpreter exit, after the last test.
 _RUN = "import os, sys, pytest; status = pytest.main(sys.argv[1:]); sys.stdout.flush(); os._exit(status)"
 
 
@@ -64,14 +64,14 @@ def find_python(version: str, named: dict[str, str]) -> str:
 
 
 def requirements(bpy: str) -> list[str]:
-    """What an environment gets."""
+    """Packages of an environment."""
     pins = read_pins()
     wanted = [pin for pin in pins["engine"] + pins["dev"] if pin.partition("==")[0] in PACKAGES]
     return [f"bpy=={bpy}", *wanted]
 
 
 def make_environment(bpy: str, python: str) -> Path:
-    """Make a version's environment where it does not stand; its interpreter."""
+    """Make a version's environment unless it exists; returns its interpreter."""
     folder = FOLDER / bpy
     wanted, stamp = requirements(bpy), folder / "installed.json"
     interpreter = folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
@@ -86,7 +86,7 @@ def make_environment(bpy: str, python: str) -> Path:
 
 
 def main(argv: list[str]) -> int:
-    """Run all versions, or those named; 0 where all pass."""
+    """Run all versions, or those named; returns 0 if all pass."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("versions", nargs="*", metavar="VERSION", help=f"of {', '.join(VERSIONS)}")
     parser.add_argument("--python", action="append", default=[], metavar="3.13=PATH", help="an interpreter")

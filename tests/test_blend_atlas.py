@@ -1,21 +1,18 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""UVs judged, made and packed: nothing overlaps, little is wasted, the artist's layers stay."""
+"""The atlas: UVs kept or made, and packed without overlap or waste; the artist's layers stay."""
 
 import bpy
 import numpy as np
 import pytest
 
-from fipt_blender.blend import packing, room_export, uvs
-from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.runfolder import RunFolder, read_json
-from fipt_blender.core.job.settings import make_settings
+from fipt_blender.blend.room import exporting, islands, packing
+from fipt_blender.blend.room.atlas import make_atlas
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures.raster import cover_count
-
-
-@pytest.fixture(autouse=True)
-def empty_file():
-    bpy.ops.wm.read_factory_settings(use_empty=True)
 
 
 @pytest.fixture
@@ -35,14 +32,14 @@ def cube(size=1.0, location=(0, 0, 0), keep_uvs=True):
 
 def atlas_of(objects, run, **changes):
     settings = make_settings(changes=changes)
-    room = room_export.export_room(objects, run)
-    atlas = uvs.make_atlas(objects, run, settings)
+    room = exporting.export_room(objects, run)
+    atlas = make_atlas(objects, run, settings)
     with np.load(run.atlas_npz, allow_pickle=False) as data:
         return room, atlas, data["corner_uv"].astype(np.float64), data["triangle_image"]
 
 
 def check_layout(atlas, corner_uv, triangle_image):
-    """In bounds, no texel shared by two triangles, islands apart by the padding."""
+    """Within the image, no texel shared by two triangles, the padding kept."""
     assert corner_uv.min() >= 0.0 and corner_uv.max() <= 1.0
     for image, size in enumerate(atlas.images):
         count = cover_count(corner_uv[triangle_image == image] * size, *size)
@@ -56,21 +53,21 @@ def test_good_uvs_are_kept_and_missing_ones_made(run):
     room, atlas, corner_uv, image = atlas_of(objects, run, texel_density=100.0)
     assert atlas.kept == [objects[0].name] and atlas.unwrapped == [objects[1].name]
     check_layout(atlas, corner_uv, image)
-    # Texel density: 100 texels a metre, a square metre is 10,000 texels.
+    # 100 texels per metre are 10,000 texels per square metre.
     sizes = np.array(atlas.images)[image][:, None]
-    texels = packing.triangle_areas(corner_uv * sizes).sum()
-    area = packing.triangle_areas(room.vertices[room.triangles]).sum()
+    texels = islands.triangle_areas(corner_uv * sizes).sum()
+    area = islands.triangle_areas(room.vertices[room.triangles]).sum()
     assert texels == pytest.approx(area * 100.0**2, rel=0.02)
 
 
-def test_objects_are_left_as_they_were(run):
+def test_objects_are_not_changed(run):
     item = cube()
     item.modifiers.new("Subdivision", "SUBSURF").levels = 2
     mesh = item.data
     atlas_of([item], run)
     assert item.data == mesh and len(mesh.uv_layers) == 1 and item.modifiers[0].show_viewport
     assert len(bpy.data.meshes) == 1 and len(bpy.data.scenes) == 1
-    assert not [key for key in item.keys() if key.startswith("fipt_")]
+    assert [key for key in item.keys() if key.startswith("fipt_")] == ["fipt_object_id"]  # of the export
 
 
 @pytest.mark.parametrize("fault", ["overlap", "collapsed", "not finite"])
@@ -82,7 +79,7 @@ def test_bad_uvs_are_replaced(run, fault):
     layer.foreach_get("vector", uv)
     uv = uv.reshape(-1, 2)
     if fault == "overlap":
-        uv[:, 0] = np.abs(uv[:, 0] - 0.5)  # folded in the middle: one island lies on itself
+        uv[:, 0] = np.abs(uv[:, 0] - 0.5)  # folded in the middle: one island overlaps itself
     elif fault == "collapsed":
         uv[:, 1] = 0.5
     else:
@@ -93,9 +90,9 @@ def test_bad_uvs_are_replaced(run, fault):
     check_layout(atlas, corner_uv, image)
 
 
-def test_islands_on_top_of_each_other_are_taken_apart(run):
+def test_islands_that_overlap_each_other_are_packed_apart(run):
     items = [cube() for _ in range(3)]
-    for item in items:  # every face on the whole image: six islands in one place
+    for item in items:  # every face covers the whole image: six islands in one place
         layer = item.data.uv_layers[0].uv
         corners = np.tile([(0, 0), (1, 0), (1, 1), (0, 1)], (6, 1)).astype(np.float32)
         layer.foreach_set("vector", corners.ravel())
@@ -121,8 +118,8 @@ def test_500_small_objects_share_few_images(run):
 def test_too_much_surface_shrinks_instead_of_making_more_images(run):
     objects = [cube(size=4.0, location=(10 * index, 0, 0)) for index in range(6)]
     settings = make_settings(changes={"texture_size": 256})
-    room_export.export_room(objects, run)
-    atlas = uvs.make_atlas(objects, run, settings, max_images=4)
+    exporting.export_room(objects, run)
+    atlas = make_atlas(objects, run, settings, max_images=4)
     assert len(atlas.images) <= 4 and max(max(size) for size in atlas.images) <= 256
     assert atlas.texel_density < 128.0
 
@@ -136,9 +133,9 @@ def test_sparse_islands_are_cut():
         corners += [[a, b, c], [a, c, d]]
         polygon += [index, index]
     corners = np.array(corners, np.float64) * 40.0
-    island = packing.split_sparse_islands(corners, np.zeros(len(corners), np.int64), np.array(polygon))
-    before = packing.island_bounds(corners, np.zeros(len(corners), np.int64))[1].prod(axis=1).sum()
-    after = packing.island_bounds(corners, island)[1].prod(axis=1).sum()
+    island = islands.split_sparse_islands(corners, np.zeros(len(corners), np.int64), np.array(polygon))
+    before = islands.island_bounds(corners, np.zeros(len(corners), np.int64))[1].prod(axis=1).sum()
+    after = islands.island_bounds(corners, island)[1].prod(axis=1).sum()
     assert after < 0.7 * before
     assert (island[0::2] == island[1::2]).all()
 
@@ -151,5 +148,5 @@ def test_colour_attribute_mode_and_changed_rooms(run):
     item.modifiers.new("Bevel", "BEVEL")
     bpy.context.view_layer.update()
     with pytest.raises(FiptError) as error:
-        uvs.make_atlas([item], run, make_settings())
+        make_atlas([item], run, make_settings())
     assert error.value.code == "room-changed"

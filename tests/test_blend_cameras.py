@@ -1,27 +1,29 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender cameras project as the views' pinholes do."""
+"""Blender cameras project like the views' pinholes."""
 
 import bpy
 import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
-from view_samples import random_views
 
-from fipt_blender.blend import cameras
-from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.runfolder import RunFolder, write_json
-from fipt_blender.core.job.settings import make_settings
+from fipt_blender.blend.capture import cameras
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.settings import make_settings
+from samples.camera_views import random_views
 
 
 @pytest.fixture
 def run(tmp_path):
-    bpy.ops.wm.read_factory_settings(use_empty=True)
     folder = RunFolder(tmp_path / "run")
     folder.create(make_settings())
-    views = [{**view, "image": "images/a.exr"} for view in random_views()]
-    write_json(folder.capture_json, {"format": "fipt-capture", "version": 1, "views": views})
+    files = {"image": "images/a.exr", "parts": None, "semantics": None}
+    views = [{**view, **files} for view in random_views()]
+    head = {"format": "fipt-capture", "version": 1, "source": "transforms", "mesh": None}
+    data = {**head, "world_from_source": np.eye(4).tolist(), "views": views}
+    write_json(folder.capture_json, data)
     image = bpy.data.images.new("a", 192, 108, float_buffer=True)
     folder.images.mkdir()
     image.filepath_raw, image.file_format = str(folder.images / "a.exr"), "OPEN_EXR"
@@ -32,11 +34,11 @@ def run(tmp_path):
 
 
 def test_projection_agrees_with_the_pinhole(run):
-    cameras.add_cameras(run)
     scene = bpy.context.scene
+    cameras.add_cameras(run, scene)
     random = np.random.default_rng(0)
     for view in run.views:
-        camera = cameras.find_camera(view["name"])
+        camera = cameras.find_camera(view["name"], scene)
         cameras.use_view(scene, camera)
         bpy.context.view_layer.update()
         assert (scene.render.resolution_x, scene.render.resolution_y) == (view["width"], view["height"])
@@ -52,7 +54,7 @@ def test_projection_agrees_with_the_pinhole(run):
             assert depth > 0
             # Blender keeps single precision: 1e-4 pixels is two parts in a million of the width.
             assert np.abs(projected - pixel).max() < 1e-4
-        # world_to_camera_view ignores the render engine's own path: the projection matrix says the same.
+        # world_to_camera_view is not what the renderer uses: check the projection matrix too.
         matrix = np.array(
             camera.calc_matrix_camera(
                 bpy.context.evaluated_depsgraph_get(), x=view["width"], y=view["height"],
@@ -66,7 +68,7 @@ def test_projection_agrees_with_the_pinhole(run):
         assert np.abs(projected - pixels).max() < 1e-4
 
 
-def test_cameras_carry_photographs_and_are_not_doubled(run):
+def test_cameras_show_photographs_and_are_not_duplicated(run):
     names = cameras.add_cameras(run)
     assert cameras.add_cameras(run) == names
     assert len(bpy.data.objects) == len(run.views)
@@ -80,5 +82,5 @@ def test_cameras_carry_photographs_and_are_not_doubled(run):
 
 def test_unknown_view(run):
     with pytest.raises(FiptError) as error:
-        cameras.find_camera("train/none")
+        cameras.find_camera("train/none", bpy.context.scene)
     assert error.value.code == "view-missing"

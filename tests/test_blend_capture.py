@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Captures into the scene and back: exact cameras, also under a moved alignment; ticks, splits, own ones."""
+"""Captures imported and exported: exact cameras, also with a moved alignment; ticks, splits, chosen rooms."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ import bpy
 import numpy as np
 import pytest
 from mathutils import Euler, Matrix
-from view_samples import points_before, projections, random_views
 
-from fipt_blender.blend import capture_import
-from fipt_blender.blend.capture_export import export_capture, find_mask
+from fipt_blender.blend.capture import importing
+from fipt_blender.blend.capture.exporting import export_capture, find_mask
 from fipt_blender.blend.slices import run_through
 from fipt_blender.core import conventions
-from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.runfolder import RunFolder, read_json, write_json
-from fipt_blender.core.job.settings import make_settings
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.settings import make_settings
+from samples.camera_views import points_before, projections, random_views
 
 ALIGNED = Matrix.LocRotScale((1.5, -2.0, 0.3), Euler((0.2, -0.1, 1.1)), (0.4,) * 3)
 
@@ -28,7 +29,6 @@ pytestmark = pytest.mark.usefixtures("registered")
 
 @pytest.fixture
 def scene():
-    bpy.ops.wm.read_factory_settings(use_empty=True)
     return bpy.context.scene
 
 
@@ -47,7 +47,7 @@ def run(tmp_path, scene):
 
 
 def bring_in(run: RunFolder, path: str = "somewhere") -> list:
-    return run_through(capture_import.import_capture(run, path))
+    return run_through(importing.import_capture(run, path))
 
 
 def entries(run: RunFolder) -> dict[str, dict]:
@@ -66,14 +66,14 @@ def test_unmoved_cameras_keep_their_poses_to_the_bit(run, scene):
 
 
 @pytest.mark.parametrize("evaluated", [True, False])
-def test_round_trip_under_a_moved_turned_and_scaled_alignment(run, scene, evaluated):
-    """What a view showed at a pixel it shows there still, after the room and its cameras went elsewhere."""
+def test_round_trip_with_a_moved_rotated_and_scaled_alignment(run, scene, evaluated):
+    """Moving the room with its cameras does not change what a view shows at a pixel."""
     bring_in(run)
     settings = scene.fipt.capture
     settings.alignment.matrix_basis = ALIGNED
     if evaluated:
         bpy.context.view_layer.update()
-    else:  # Blender evaluates nothing in hidden collections
+    else:  # Blender does not evaluate hidden collections
         scene.view_layers[0].layer_collection.children["FIPT Cameras"].hide_viewport = True
     export_capture(scene, run)
     move = np.array(ALIGNED, np.float64)
@@ -100,7 +100,7 @@ def test_the_mesh_follows_the_alignment_and_the_capture_s_axes(run, scene):
     assert np.abs(np.sort(world, axis=0) - np.sort(expected, axis=0)).max() < 1e-5
 
 
-def test_a_camera_moved_by_hand_counts(run, scene):
+def test_a_camera_moved_by_hand_is_exported(run, scene):
     bring_in(run)
     camera = scene.fipt.capture.views[1].camera_object()
     camera.location.x += 0.25
@@ -136,7 +136,7 @@ def test_ticks_splits_and_deleted_cameras(run, scene):
         "train/off-centre": "train",
         "train/fx > fy": "held_back",
     }
-    settings.views["train/portrait"].enabled = True  # nothing was lost by leaving it out
+    settings.views["train/portrait"].enabled = True  # leaving it out lost nothing
     assert export_capture(scene, run) == 4
     settings.views["train/plain"].enabled = settings.views["train/off-centre"].enabled = False
     before = run.capture_json.read_bytes()
@@ -168,7 +168,7 @@ def test_importing_again_keeps_ticks_and_alignment_and_adds_nothing(run, scene):
     )
 
 
-def test_another_capture_takes_its_own_cameras_and_sets_the_old_mesh_aside(run, scene, tmp_path):
+def test_another_capture_removes_the_cameras_and_hides_the_mesh_of_the_first(run, scene, tmp_path):
     bring_in(run)
     (old,) = scene.fipt.capture.room_objects(scene)
     own = bpy.data.objects.new("Artist's", bpy.data.cameras.new("Artist's"))
@@ -186,11 +186,11 @@ def test_another_capture_takes_its_own_cameras_and_sets_the_old_mesh_aside(run, 
     assert old.users_collection[0].hide_viewport and old.users_collection[0].hide_render
 
 
-def test_chosen_objects_stay_the_room_untouched(run, scene):
+def test_chosen_objects_stay_the_room_and_are_not_changed(run, scene):
     bpy.ops.mesh.primitive_cube_add()
     cube = bpy.context.object
     before = (cube.parent, cube.matrix_basis.copy(), [each.name for each in cube.users_collection])
-    capture_import.set_room(scene, [cube])
+    importing.set_room(scene, [cube])
     warnings = bring_in(run)
     assert [message["code"] for message in warnings] == ["mesh-kept"]
     assert scene.fipt.capture.room_objects(scene) == [cube]
@@ -198,12 +198,12 @@ def test_chosen_objects_stay_the_room_untouched(run, scene):
     assert {each.name for each in cube.users_collection} == {*before[2], "FIPT Room"}
     plane = bpy.data.objects.new("plane", cube.data)
     scene.collection.objects.link(plane)
-    capture_import.set_room(scene, [plane])
+    importing.set_room(scene, [plane])
     assert scene.fipt.capture.room_objects(scene) == [plane]
-    assert cube.name in scene.objects  # it was only taken from the collection
+    assert cube.name in scene.objects  # only unlinked from the collection
 
 
-def test_a_room_without_mesh_says_so(run, scene):
+def test_a_capture_without_mesh_warns(run, scene):
     write_json(run.ingest_json, {**read_json(run.ingest_json), "mesh": None})
     assert [message["code"] for message in bring_in(run)] == ["mesh-missing"]
     assert len(scene.fipt.capture.views) == 5
@@ -235,8 +235,8 @@ def test_masks_of_a_folder(run, scene, tmp_path):
     assert not any(entry["parts"] for entry in entries(run).values())
 
 
-def test_runs_of_the_command_line_keep_all_their_views(run, scene):
-    """They have no ingest.json: capture.json is the source until something is left out."""
+def test_runs_of_the_command_line_keep_all_views(run, scene):
+    """They have no ingest.json: the first export makes it of capture.json."""
     run.ingest_json.rename(run.capture_json)
     run_through(iter_views(run, scene))
     scene.fipt.capture.views[1].enabled = False
@@ -251,8 +251,8 @@ def test_runs_of_the_command_line_keep_all_their_views(run, scene):
 
 
 def iter_views(run, scene):
-    from fipt_blender.blend import cameras
+    from fipt_blender.blend.capture import cameras
 
     cameras.add_cameras(run, scene, photographs=False)
     yield
-    capture_import.fill_views(scene, run)
+    importing.fill_views(scene, run)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender lights that stand for fixtures give the same light: renders of both agree within their noise."""
+"""Blender lights that stand for fixtures emit the same light: renders of both agree within their noise."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ import bpy
 import numpy as np
 import pytest
 from mathutils import Matrix, Vector
-from small_rooms import agree
 
-from fipt_blender.blend import convert, fixtures, light_state, renders
+from fipt_blender.blend.lights import convert, fixtures, light_state
+from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
+from samples.rendered_rooms import diffuse_floor
+from samples.small_rooms import agree
 
 RADIANCE = [8.0, 4.0, 2.0]
 
 
 def irradiance(scene, point: Vector, spp: int, seed: int) -> np.ndarray:
-    """Renders of a white diffuse spot from above: 81 estimates of its radiosity over pi, (81,3)."""
+    """Pixels of a white diffuse spot from above: 81 estimates of its radiosity over pi, (81,3)."""
     camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
     scene.collection.objects.link(camera)
     camera.data.type, camera.data.ortho_scale = "ORTHO", 0.02
@@ -26,26 +28,15 @@ def irradiance(scene, point: Vector, spp: int, seed: int) -> np.ndarray:
     camera.matrix_world = Matrix.Translation(point + Vector((0, 0, 0.05)))
     scene.camera = camera
     scene.render.resolution_x = scene.render.resolution_y = 9
-    pixels = renders.render_pixels(scene, spp=spp, seed=seed, denoise=False)
+    pixels = render_pixels(scene, RenderOptions(spp, seed=seed, denoise=False))
     bpy.data.objects.remove(camera)
     return pixels.reshape(-1, 3)
 
 
 def lamp_scene(shape: str) -> tuple[bpy.types.Scene, bpy.types.Object]:
     """A fixture of some shape, tilted, half a metre above a white diffuse floor."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    bpy.ops.mesh.primitive_plane_add(size=2.0)
-    floor = bpy.context.object
-    material = bpy.data.materials.new("floor")
-    if material.node_tree is None:
-        material.use_nodes = True
-    nodes = material.node_tree.nodes
-    nodes.clear()
-    diffuse, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
-    diffuse.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
-    material.node_tree.links.new(diffuse.outputs[0], output.inputs["Surface"])
-    floor.data.materials.append(material)
+    diffuse_floor(2.0, 1.0)
     if shape == "rectangle":
         bpy.ops.mesh.primitive_plane_add(size=1.0)
         size = (0.5, 0.2, 1.0)
@@ -70,7 +61,7 @@ def lamp_scene(shape: str) -> tuple[bpy.types.Scene, bpy.types.Object]:
 
 
 @pytest.mark.parametrize("shape", ["rectangle", "disk", "ball"])
-def test_a_fixtures_blender_light_gives_the_same_light(shape):
+def test_blender_lights_emit_as_the_fixture_does(shape):
     scene, item = lamp_scene(shape)
     spots = [Vector((0.0, 0.0, 0.0)), Vector((0.35, 0.3, 0.0)), Vector((-0.6, 0.1, 0.0))]
 
@@ -90,7 +81,7 @@ def test_a_fixtures_blender_light_gives_the_same_light(shape):
     error = np.hypot(np.hypot(surface_error, light_error), 0.003 * surface)
     agree(light - surface, error)
     camera_sees = look(scene, item)
-    assert np.allclose(camera_sees, RADIANCE, rtol=1e-3)  # the surface is still there for the camera
+    assert np.allclose(camera_sees, RADIANCE, rtol=1e-3)  # the camera still sees the surface
     convert.lights_to_fixture(scene, item)
     assert not item.children and item.visible_diffuse and item.visible_shadow
     back, back_error = measure()
@@ -106,12 +97,12 @@ def look(scene, item) -> np.ndarray:
     )
     scene.camera = camera
     scene.render.resolution_x = scene.render.resolution_y = 3
-    pixels = renders.render_pixels(scene, spp=4, denoise=False)
+    pixels = render_pixels(scene, RenderOptions(4, denoise=False))
     bpy.data.objects.remove(camera)
     return pixels.mean(axis=(0, 1))
 
 
-def test_other_shapes_keep_their_power_and_say_so():
+def test_other_shapes_keep_their_power_and_are_not_exact():
     half = 3.0 * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [2, 1, 0], [2, 2, 0], [0, 2, 0]])
     triangles = np.array([[0, 1, 2], [0, 2, 5], [2, 3, 4], [2, 4, 5]])
     (shape,) = convert.fit_shapes(half, triangles)
@@ -125,9 +116,40 @@ def test_other_shapes_keep_their_power_and_say_so():
     assert convert.fit_shapes(two, np.array([[0, 0, 1]])) == []
 
 
-def test_light_room_loses_no_light_to_path_length():
-    """A closed box that emits 1 and reflects 80 %: radiance 1 / (1 - 0.8). Twelve bounces left out 5 %."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+def outline_shape(outline: np.ndarray, degrees: float) -> convert.Shape:
+    """The light for a convex polygon (N,2) that is turned by an angle in its plane, far from the origin."""
+    turn = np.array(Matrix.Rotation(math.radians(degrees), 3, "Z"))
+    points = np.column_stack([outline, np.zeros(len(outline))]) @ turn.T + [30.0, -20.0, 2.0]
+    fan = np.array([[0, index, index + 1] for index in range(1, len(points) - 1)])
+    (shape,) = convert.fit_shapes(points, fan)
+    return shape
+
+
+@pytest.mark.parametrize("degrees", [0.0, 10.25, 33.3, 45.0, 89.77])
+def test_thin_lamps_keep_their_width(degrees):
+    tube = np.array([[0.0, 0.0], [1.2, 0.0], [1.2, 0.03], [0.0, 0.03]])
+    shape = outline_shape(tube, degrees)
+    assert (shape.kind, shape.exact) == ("RECTANGLE", True)
+    assert sorted(shape.size) == pytest.approx([0.03, 1.2], rel=1e-4)
+    long = shape.matrix[:3, int(np.argmax(shape.size))]
+    expected = [math.cos(math.radians(degrees)), math.sin(math.radians(degrees))]
+    assert abs(long[:2] @ expected) == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 10.25, 33.3])
+@pytest.mark.parametrize("count", [16, 33, 96])
+def test_round_lamps_have_the_axes_of_the_ellipse(degrees, count):
+    angle = 2.0 * math.pi * (np.arange(count) + 0.3) / count
+    shape = outline_shape(np.column_stack([0.5 * np.cos(angle), 0.15 * np.sin(angle)]), degrees)
+    assert (shape.kind, shape.exact) == ("ELLIPSE", True)
+    assert sorted(shape.size) == pytest.approx([0.3, 1.0], rel=0.02)
+    long = shape.matrix[:3, int(np.argmax(shape.size))]
+    expected = [math.cos(math.radians(degrees)), math.sin(math.radians(degrees))]
+    assert abs(long[:2] @ expected) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_path_length_does_not_darken_bright_rooms():
+    """A closed box that emits 1 and reflects 80 %: radiance 1 / (1 - 0.8). Twelve bounces would lack 5 %."""
     scene = bpy.context.scene
     bpy.ops.mesh.primitive_cube_add(size=2.0)
     material = bpy.data.materials.new("wall")
@@ -147,5 +169,5 @@ def test_light_room_loses_no_light_to_path_length():
     scene.collection.objects.link(camera)
     scene.camera = camera
     scene.render.resolution_x = scene.render.resolution_y = 16
-    pixels = renders.render_pixels(scene, spp=256, seed=1, denoise=False)
+    pixels = render_pixels(scene, RenderOptions(256, seed=1, denoise=False))
     assert float(pixels.mean()) == pytest.approx(5.0, rel=0.01)

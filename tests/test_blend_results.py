@@ -1,39 +1,33 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Results on the room: materials applied and taken back, fixtures and lights of the right radiance."""
+"""Results on the room: materials applied and reverted, fixtures and lights with the right radiance."""
 
 import math
 
 import bpy
 import numpy as np
 import pytest
-from applied_rooms import ConstantFields
 from mathutils import Matrix, Vector
 
-from fipt_blender.blend import (
-    apply,
-    cameras,
-    fixture_nodes,
-    fixtures,
-    insert,
-    lights,
-    materials,
-    originals,
-    renders,
-    room_export,
-    save,
-    uvs,
-    world,
-)
-from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.runfolder import RunFolder, read_json, write_json
-from fipt_blender.core.job.settings import make_settings
+from fipt_blender.blend import save
+from fipt_blender.blend.capture import cameras
+from fipt_blender.blend.insert import sample_objects
+from fipt_blender.blend.insert.surfaces import free_spot
+from fipt_blender.blend.lights import fixture_nodes, light_state, world
+from fipt_blender.blend.lights.area_lights import Rectangle, add_area_light
+from fipt_blender.blend.marks import ON
+from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels, set_up_scene
+from fipt_blender.blend.pictures.image_files import read_pixels
+from fipt_blender.blend.pictures.renders import render_cycles_views
+from fipt_blender.blend.results import applying, materials
+from fipt_blender.blend.room import exporting, originals
+from fipt_blender.blend.room.atlas import make_atlas
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures import bake
-
-
-@pytest.fixture(autouse=True)
-def empty_file():
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+from samples.applied_rooms import ConstantFields
+from samples.rendered_rooms import diffuse_floor
 
 
 @pytest.fixture
@@ -62,7 +56,7 @@ def room(tmp_path):
 
 def prepare(run, objects, **changes):
     settings = make_settings(changes={"texel_density": 16.0, **changes})
-    arrays = room_export.export_room(objects, run)
+    arrays = exporting.export_room(objects, run)
     lamp = np.flatnonzero((arrays.triangle_object == 0) & (arrays.triangle_polygon == 2))
     write_json(
         run.emitters_json,
@@ -75,12 +69,12 @@ def prepare(run, objects, **changes):
             "environment": None,
         },
     )  # fmt: skip
-    uvs.make_atlas(objects, run, settings)
+    make_atlas(objects, run, settings)
     bake.bake(run, ConstantFields())
 
 
 def snapshot(item):
-    """All that must come back."""
+    """Everything that must be restored."""
     mesh = item.data
     indices = np.empty(len(mesh.polygons), np.int32)
     mesh.polygons.foreach_get("material_index", indices)
@@ -96,14 +90,14 @@ def snapshot(item):
     )
 
 
-def test_apply_and_restore_bring_everything_back(room):
+def test_restoring_undoes_applying(room):
     run, objects = room
     before = [snapshot(item) for item in objects]
-    applied = apply.apply_results(run, objects)
+    applied = applying.apply_results(run, objects)
     assert applied.fixtures == ["Fixture.001"] and len(applied.materials) == 1
     assert [slot.material.name for slot in objects[1].material_slots] == applied.materials
     assert len(objects[0].data.polygons) == 2  # the third is the fixture
-    again = apply.apply_results(run, objects)
+    again = applying.apply_results(run, objects)
     assert again == applied and len(objects[0].data.polygons) == 2
     assert originals.restore_original(objects) == [item.name for item in objects]
     assert [snapshot(item) for item in objects] == before
@@ -113,7 +107,7 @@ def test_apply_and_restore_bring_everything_back(room):
 
 def test_material_tree(room):
     run, objects = room
-    name = apply.apply_results(run, objects).materials[0]
+    name = applying.apply_results(run, objects).materials[0]
     nodes = bpy.data.materials[name].node_tree.nodes
     principled = nodes["FIPT Principled"]
     for label in ("Base Color", "Roughness", "Metallic"):
@@ -133,7 +127,7 @@ def test_material_tree(room):
 def test_colour_attributes(room):
     run, objects = room
     prepare(run, objects, atlas_mode="color_attribute")
-    apply.apply_results(run, objects)
+    applying.apply_results(run, objects)
     mesh = objects[1].data
     attribute = mesh.attributes["FIPT Base Color"]
     assert (attribute.data_type, attribute.domain) == ("FLOAT_COLOR", "CORNER")
@@ -145,7 +139,7 @@ def test_colour_attributes(room):
 
 
 def look_at(position, target, background=0.0, spp=16, size=9, ortho=0.1):
-    """A small render of the middle of what a camera sees."""
+    """Radiance (3,) at the middle of a small render."""
     scene = bpy.context.scene
     if background:
         scene.world = bpy.data.worlds.new("w")
@@ -160,39 +154,37 @@ def look_at(position, target, background=0.0, spp=16, size=9, ortho=0.1):
     camera.matrix_world = Matrix.Translation(position) @ turn
     scene.camera = camera
     scene.render.resolution_x = scene.render.resolution_y = size
-    return renders.render_pixels(scene, spp=spp)
+    return render_pixels(scene, RenderOptions(spp, denoise=False))
 
 
 def test_fixture_emits_its_radiance_on_each_side(room):
     run, objects = room
-    apply.apply_results(run, objects)
+    applying.apply_results(run, objects)
     world.apply_environment(run)
     fixture = bpy.data.objects["Fixture.001"]
     assert [each.name for each in fixture.users_collection] == ["FIPT Fixtures"]
     normal = (fixture.matrix_world.to_3x3() @ fixture.data.polygons[0].normal).normalized()
     centre = fixture.matrix_world.translation
     assert (centre - Vector((2.5, 0.5, 0.0))).length < 1e-5
-    # The mirrored panel's normals look up, as its triangles in room.npz do.
+    # The mirrored panel's normals point up, like those of its triangles in room.npz.
     assert normal.z > 0.99
     front = look_at(centre + 2 * normal, centre)
     assert np.allclose(front, [8.0, 4.0, 2.0], rtol=1e-4)
     back = look_at(centre - 2 * normal, centre)
     assert np.allclose(back, [0.0, 1.0, 0.0], atol=1e-4)
-    fixtures.set_fixture_enabled("Fixture.001", False)
+    light_state.change(bpy.context.scene, fixture, {ON: False})
     assert not look_at(centre + 2 * normal, centre).any()
-    lights.set_estimated_lights(True)
+    light_state.set_estimated_lights(True)
     assert np.allclose(look_at(centre + 2 * normal, centre), front, rtol=1e-4)
-    with pytest.raises(FiptError):
-        fixtures.set_fixture_enabled("Fixture.999", True)
 
 
-def test_a_lamp_that_reflects_shows_the_room_beside_its_own_light(room):
-    """Under a white world a lamp of base colour a sends about L_e + a, and more than a black one by that."""
+def test_a_reflecting_lamp_adds_reflected_to_emitted_light(room):
+    """In a white world, a lamp of base colour a has radiance of about L_e + a; switched off, of a."""
     run, objects = room
     data = read_json(run.emitters_json)
     data["fixtures"][0] |= {"base_color": [0.6, 0.3, 0.0], "radiance": [2.0, 2.0, 2.0]}
     write_json(run.emitters_json, data)
-    apply.apply_results(run, objects)
+    applying.apply_results(run, objects)
     background = bpy.data.worlds.new("white")
     background.use_nodes = True
     background.node_tree.nodes["Background"].inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
@@ -201,30 +193,20 @@ def test_a_lamp_that_reflects_shows_the_room_beside_its_own_light(room):
     centre = fixture.matrix_world.translation
     seen = look_at(centre + Vector((0, 0, 2)), centre)
     assert np.allclose(seen, [2.6, 2.3, 2.03], atol=0.06)
-    fixtures.set_fixture_enabled("Fixture.001", False)
+    light_state.change(bpy.context.scene, fixture, {ON: False})
     assert np.allclose(look_at(centre + Vector((0, 0, 2)), centre), seen - 2.0, atol=0.03)
     fixture_nodes.write_shown(fixture.data.materials[0], "BASE_COLOR")
     assert np.allclose(look_at(centre + Vector((0, 0, 2)), centre), [0.6, 0.3, 0.0], atol=1e-3)
 
 
-@pytest.mark.parametrize("as_mesh", [False, True])
-def test_area_light_has_the_radiance_asked_for(as_mesh):
+def test_area_light_has_the_given_radiance():
     """A diffuse floor of albedo 0.5 below a square light: radiance by the analytic form factor."""
     radiance, height, half = np.array([3.0, 2.0, 1.0]), 1.0, 0.5
     corners = [(-half, -half, height), (-half, half, height), (half, half, height), (half, -half, height)]
-    light = lights.add_area_light("light", radiance, vertices=corners, as_mesh=as_mesh)
+    light = add_area_light("light", radiance, Rectangle.of_corners(corners))
     assert light.matrix_world.to_3x3() @ Vector((0, 0, -1)) == Vector((0, 0, -1))
-    bpy.ops.mesh.primitive_plane_add(size=0.2)
-    material = bpy.data.materials.new("floor")
-    if material.node_tree is None:
-        material.use_nodes = True
-    nodes = material.node_tree.nodes
-    nodes.clear()
-    diffuse, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
-    diffuse.inputs["Color"].default_value = (0.5, 0.5, 0.5, 1.0)
-    material.node_tree.links.new(diffuse.outputs[0], output.inputs["Surface"])
-    bpy.context.object.data.materials.append(material)
-    # Irradiance below the centre of a parallel square: 4 corners of the differential form factor.
+    diffuse_floor(0.2, 0.5)
+    # Irradiance below the centre of a parallel square: 4 times the form factor of a corner.
     x = half / math.hypot(half, height)
     form = 4.0 / (2.0 * math.pi) * (2.0 * x * math.atan(half / math.hypot(half, height)))
     expected = 0.5 * radiance * form
@@ -252,7 +234,7 @@ def test_environment_direction(room):
         assert np.allclose(image.mean(axis=(0, 1)), np.array(unit) * 0.5 + 0.5, atol=0.03)
 
 
-def test_views_rendered_to_the_run_and_relit_from_the_saved_file(room, tmp_path):
+def test_views_are_rendered_and_relit_from_the_saved_file(room, tmp_path):
     run, objects = room
     pose = np.diag([1.0, -1.0, -1.0, 1.0])  # looks down
     pose[:3, 3] = (3.5, 0.5, 3.0)
@@ -261,25 +243,28 @@ def test_views_rendered_to_the_run_and_relit_from_the_saved_file(room, tmp_path)
         "fx": 20.0, "fy": 20.0, "cx": 12.0, "cy": 6.0, "camera_to_world": pose.tolist(),
         "parts": None, "semantics": None,
     }  # fmt: skip
-    write_json(run.capture_json, {"format": "fipt-capture", "version": 1, "views": [view]})
+    head = {"format": "fipt-capture", "version": 1, "source": "transforms", "mesh": None}
+    data = {**head, "world_from_source": np.eye(4).tolist(), "views": [view]}
+    write_json(run.capture_json, data)
     cameras.add_cameras(run)
-    apply.apply_results(run, objects)
+    applying.apply_results(run, objects)
     world.apply_environment(run)
-    renders.set_up_scene(bpy.context.scene)
+    set_up_scene(bpy.context.scene)
     resolution = bpy.context.scene.render.resolution_x
     blend = tmp_path / "out" / "room.blend"
     save.save_blend(blend)
     files = [each for each in bpy.data.images if each.source == "FILE" and each.packed_file is None]
     assert files and all(image.filepath.startswith("//") for image in files)
-    (path,) = renders.render_cycles_views(run, blend, ["val/000"], spp=4, denoise=False)
-    image = renders.read_pixels(path)
+    options = RenderOptions(4, denoise=False)
+    (path,) = render_cycles_views(run, blend, ["val/000"], options)
+    image = read_pixels(path)
     assert image.shape == (12, 24, 3) and image.max() == pytest.approx(8.0, rel=1e-3)
     assert bpy.context.scene.render.resolution_x == resolution
     corners = [(3, 0, 1), (3, 1, 1), (4, 1, 1), (4, 0, 1)]
     relight = {"vertices": corners, "radiance": [1.0, 2.0, 3.0]}
-    (path,) = renders.render_cycles_views(run, blend, ["val/000"], relight=relight, spp=4, denoise=False)
-    relit = renders.read_pixels(path)
-    assert relit.max() < 3.0  # lamp off, the new light's black back towards the camera
+    (path,) = render_cycles_views(run, blend, ["val/000"], options, relight)
+    relit = read_pixels(path)
+    assert relit.max() < 3.0  # the lamp is off, and the new light's black back faces the camera
     assert relit.max() > 0.0
     kinds = [entry["kind"] for entry in read_json(run.renders_json)["renders"]]
     assert kinds == ["rerender", "relight"]
@@ -291,10 +276,10 @@ def test_object_stands_on_the_floor_in_view():
     camera.matrix_world = Matrix.Translation((0, -3, 1)) @ Matrix.Rotation(math.radians(60), 4, "X")
     bpy.context.scene.collection.objects.link(camera)
     bpy.context.view_layer.update()
-    position, normal = insert.free_spot(bpy.context.scene, camera)
+    position, normal = free_spot(bpy.context.scene, camera)
     assert position.z == pytest.approx(-1.0, abs=1e-5) and normal.z > 0.99
-    for kind in insert.MATERIALS:
-        item = insert.insert_object(bpy.context.scene, position, normal, kind, size=0.4)
+    for kind in sample_objects.MATERIALS:
+        item = sample_objects.insert_object(bpy.context.scene, position, normal, kind, size=0.4)
         bpy.context.view_layer.update()
         heights = [(item.matrix_world @ vertex.co).z for vertex in item.data.vertices]
         assert min(heights) == pytest.approx(-1.0, abs=1e-4) and max(heights) == pytest.approx(-0.6, abs=1e-4)

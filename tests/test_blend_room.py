@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Meshes in and out: imports without a turn of axes, evaluated world-space exports."""
+"""Meshes imported without conversion of axes, and exported evaluated and in world space."""
 
 import math
 from pathlib import Path
@@ -10,20 +10,16 @@ import numpy as np
 import pytest
 from mathutils import Euler, Matrix
 
-from fipt_blender.blend import mesh_import, room_export
+from fipt_blender.blend.capture import mesh_import
+from fipt_blender.blend.room import arrays, exporting
 from fipt_blender.core import conventions
-from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.runfolder import RunFolder
-from fipt_blender.core.job.settings import make_settings
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.settings import make_settings
 
-# A tetrahedron-like shape without symmetry, so that any turn or mirroring shows.
+# A tetrahedron-like shape without symmetry, so that any rotation or mirroring shows.
 POINTS = np.array([(0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3)], np.float64)
 FACES = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)]
-
-
-@pytest.fixture(autouse=True)
-def empty_file():
-    bpy.ops.wm.read_factory_settings(use_empty=True)
 
 
 @pytest.fixture
@@ -84,7 +80,7 @@ def write_gltf(path: Path) -> Path:
 
 
 def canonical(vertices, triangles):
-    """Triangles as sorted rows of coordinates, each begun at its lowest corner: order-free, winding kept."""
+    """Triangles as sorted rows that begin with the lowest corner: independent of order, not of winding."""
     corners = np.round(np.asarray(vertices, np.float64)[triangles], 4) + 0.0
     rows = []
     for triangle in corners:
@@ -103,14 +99,14 @@ def test_import_applies_world_from_source_and_nothing_else(tmp_path, run, name, 
     item = bpy.data.objects[names[0]]
     assert item.matrix_world == Matrix.Identity(4)
     assert [each.name for each in item.users_collection] == ["FIPT Room"]
-    room = room_export.export_room([item], run)
+    room = exporting.export_room([item], run)
     expected = conventions.transform_points(matrix, POINTS)
     assert canonical(room.vertices, room.triangles) == canonical(expected, FACES)
 
 
 def test_mirroring_transform_keeps_faces_outwards(tmp_path, run):
     names = mesh_import.import_room(write_obj(tmp_path / "a.obj"), np.diag([-1.0, 1.0, 1.0, 1.0]))
-    room = room_export.export_room([bpy.data.objects[names[0]]], run)
+    room = exporting.export_room([bpy.data.objects[names[0]]], run)
     corners = room.vertices[room.triangles]
     outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     away = corners.mean(axis=1) - room.vertices.mean(axis=0)
@@ -131,12 +127,12 @@ def test_import_errors(tmp_path):
     assert not bpy.data.objects
 
 
-def test_degenerate_and_inverted_faces_survive(tmp_path, run):
+def test_degenerate_and_inverted_faces_are_kept(tmp_path, run):
     mesh = bpy.data.meshes.new("m")
     mesh.from_pydata([(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 1, 0)], [], [(0, 1, 2), (0, 3, 1)])
     item = bpy.data.objects.new("m", mesh)
     bpy.context.scene.collection.objects.link(item)
-    room = room_export.export_room([item], run)
+    room = exporting.export_room([item], run)
     assert len(room.triangles) == 2
     assert np.isfinite(room.corner_normals).all()
     assert np.allclose(np.linalg.norm(room.corner_normals, axis=2), 1.0, atol=1e-5)
@@ -152,19 +148,19 @@ def test_export_of_modifiers_mirrored_scale_and_materials(run):
         item.data.materials.append(bpy.data.materials.new(name))
     item.data.polygons[2].material_index = 1
     bpy.context.view_layer.update()
-    room = room_export.export_room([item], run, parts="materials")
+    room = exporting.export_room([item], run, parts="materials")
     assert len(room.triangles) > 12
     corners = room.vertices[room.triangles].astype(np.float64)
     face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     away = corners.mean(axis=1) - np.array(item.location)
     assert ((face * away).sum(axis=1) > 0).all()
     assert ((room.corner_normals * face[:, None]).sum(axis=2) > 0).all()
-    # The six sides keep their areas' plane distances: a box of half sizes 1, 2, 0.5 in its own frame.
+    # The sides keep their distances: a box of half sizes 1, 2, 0.5 in its own frame.
     local = (corners.reshape(-1, 3) - np.array(item.location)) @ np.array(Euler((0.3, 0.2, 0.1)).to_matrix())
     assert np.allclose(np.abs(local).max(axis=0), [1.0, 2.0, 0.5], atol=1e-5)
     assert room.materials == ["first", "second"]
     assert set(np.unique(room.triangle_material)) == {0, 1}
-    again = room_export.read_room(run)
+    again = arrays.read_room(run)
     assert np.array_equal(again.triangles, room.triangles) and again.objects == [item.name]
 
 
@@ -175,20 +171,20 @@ def test_custom_normals_reach_the_export(run):
     item.data.normals_split_custom_set([tilted.tolist()] * 4)
     item.rotation_euler = (0.0, 0.0, math.pi / 2)
     bpy.context.view_layer.update()
-    room = room_export.export_room([item], run)
+    room = exporting.export_room([item], run)
     assert np.allclose(room.corner_normals, [0.0, math.sin(0.3), math.cos(0.3)], atol=1e-3)
 
 
 def test_export_without_faces_is_an_error(run):
     item = bpy.data.objects.new("m", bpy.data.meshes.new("m"))
     with pytest.raises(FiptError) as error:
-        room_export.export_room([item], run)
+        exporting.export_room([item], run)
     assert error.value.code == "mesh-empty"
     assert not run.room_npz.exists()
 
 
-def test_faces_wound_against_each_other_render_alike(tmp_path):
-    # Two halves of a wall share an edge; the second one is wound the other way, with normals to match.
+def test_faces_of_opposite_winding_render_alike(tmp_path):
+    # Two halves of a wall share an edge; the second one has the opposite winding and normals.
     text = "\n".join(
         [
             *(f"v {x} {y} 0" for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))),
@@ -220,3 +216,17 @@ def test_faces_wound_against_each_other_render_alike(tmp_path):
     bpy.ops.render.render(write_still=True)
     image = np.array(bpy.data.images.load(str(tmp_path / "wall.exr")).pixels[:]).reshape(16, 16, 4)
     assert image[..., 0].min() > 0.5 * image[..., 0].max() > 0.2
+
+
+def test_objects_keep_their_ids_and_copies_get_new_ones():
+    for name in ("chair", "table"):
+        item = bpy.data.objects.new(name, bpy.data.meshes.new(name))
+        bpy.context.scene.collection.objects.link(item)
+    chair = bpy.data.objects["chair"]
+    assert exporting.give_ids(["chair", "table"]) == ["chair", "table"]
+    copy = chair.copy()
+    chair.name, copy.name = "seat", "another"
+    assert exporting.give_ids(["seat", "another", "table"]) == ["chair", "another", "table"]
+    new = bpy.data.objects.new("chair", bpy.data.meshes.new("chair"))
+    bpy.context.scene.collection.objects.link(new)
+    assert exporting.give_ids(["seat", "chair"]) == ["chair", "chair (2)"]

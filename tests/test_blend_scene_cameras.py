@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scene's own cameras as the capture: exact for every sensor fit, and what can't be used is named."""
+"""The artist's cameras as the capture: exact for every sensor fit; unusable ones are refused."""
 
 from __future__ import annotations
 
@@ -12,20 +12,19 @@ import bpy
 import numpy as np
 import pytest
 from mathutils import Euler, Matrix
-from view_samples import points_before, projections
 
-from fipt_blender.blend import scene_cameras
-from fipt_blender.blend.capture_export import camera_pose
+from fipt_blender.blend.capture import scene_cameras
+from fipt_blender.blend.capture.exporting import camera_pose
 from fipt_blender.core import conventions
-from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.runfolder import RunFolder
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder
+from samples.camera_views import points_before, projections
 
 pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture
 def scene():
-    bpy.ops.wm.read_factory_settings(use_empty=True)
     return bpy.context.scene
 
 
@@ -62,7 +61,7 @@ LENSES = {
 @pytest.mark.parametrize("size", [(96, 64), (64, 96)])
 @pytest.mark.parametrize("aspect", [(1.0, 1.0), (1.0, 1.5), (2.0, 1.0)])
 @pytest.mark.parametrize("lens", LENSES)
-def test_own_cameras_project_as_blender_does(scene, tmp_path, size, aspect, lens):
+def test_cameras_of_the_scene_project_as_blender_does(scene, tmp_path, size, aspect, lens):
     """Against Blender's own projection matrix, for each sensor fit, shift, pixel aspect and orientation."""
     run = RunFolder(tmp_path / "run")
     render = scene.render
@@ -87,7 +86,7 @@ def test_own_cameras_project_as_blender_does(scene, tmp_path, size, aspect, lens
     assert np.abs(projections(entry, points) - blender).max() < 1e-4 and not left_out
 
 
-def test_a_photograph_of_another_shape_than_the_frame(scene, tmp_path):
+def test_a_photograph_with_another_aspect_than_the_frame(scene, tmp_path):
     """64 x 64 in a frame of 128 x 64: fit keeps its height, crop its width, stretch both."""
     scene.render.resolution_x, scene.render.resolution_y = 128, 64
     item = own_camera(scene, tmp_path / "square.exr", (64, 64), lens=36.0, sensor_width=36.0)
@@ -100,7 +99,7 @@ def test_a_photograph_of_another_shape_than_the_frame(scene, tmp_path):
         assert (frame["cx"], frame["cy"]) == pytest.approx((32.0, 32.0))
 
 
-def test_own_cameras_that_cannot_be_used_are_named(scene, tmp_path):
+def test_unusable_cameras_are_refused(scene, tmp_path):
     run = RunFolder(tmp_path / "run")
 
     def code() -> str:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A job as a sequence of steps: order, resuming, slices of work, cancelling, what is remembered."""
+"""A job as a sequence of steps: order, resuming, slices of work, cancelling, the record of steps."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-from child_processes import is_alive, posix
+import pytest
 
 from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.sequence import SLICE_SECONDS, Job
 from fipt_blender.bridge.step import Step, StepRecord, chain_keys
-from fipt_blender.core.job.errors import FiptError
+from fipt_blender.core.run.errors import FiptError
+from samples.child_processes import is_alive, posix
 
 DONE = 'print(json.dumps({"type": "done", "files": ["a"], "data": {}}), flush=True)\n'
 
 
 class Steps:
-    """A job of three steps, a function between two commands; counts what ran."""
+    """A job with engine commands and functions; records which of them ran."""
 
     def __init__(self, folder: Path, **inputs) -> None:
         self.folder = folder
@@ -285,3 +286,48 @@ def test_keys_form_a_chain():
     before, after = keys(1, 2, 3), keys(1, 5, 3)
     assert before[0] == after[0] and before[1] != after[1] and before[2] != after[2]
     assert keys(1, 2, 3) == before
+
+
+def test_a_resumed_job_repeats_the_warnings_of_finished_steps(tmp_path):
+    def warn(code):
+        return {"type": "warning", "code": code, "text": "t", "remedy": "r"}
+
+    def run(last):
+        steps = [
+            Step("a", "A", 1.0, function=lambda: [warn("a")]),
+            Step("again", "Again", 1.0, function=lambda: [warn("again")], repeat=True),
+            Step("saved", "S", 1.0, function=lambda: [warn("saved")], restore=lambda: None),
+            Step("b", "B", 1.0, inputs={"x": last}, function=lambda: [warn("b")]),
+        ]
+        record = StepRecord(tmp_path / "steps.json")
+        messages = []
+        Job(steps, record, lambda arguments: None, tmp_path / "log.txt", lambda: ([], {})).run(
+            messages.append
+        )
+        codes = [message["code"] for message in messages if message["type"] == "warning"]
+        data = json.loads((tmp_path / "steps.json").read_text())["steps"]
+        return codes, [warning["code"] for step in data.values() for warning in step["warnings"]]
+
+    first = run(1)
+    assert first == (["a", "again", "saved", "b"],) * 2
+    assert run(1) == first, "nothing is left to do"
+    assert run(2) == first, "only the last step is done again"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        *("", "[]", "{}", '{"version": 1, "steps": [1]}', '{"version": 1, "steps": {"a": {"key": 1}}}'),
+        '{"version": 1, "steps": {"a": {"key": "k", "finished": true, "warnings": 5}}}',
+        '{"version": 1, "steps": {"a": {"key": "k", "finished": true, "warnings": [{"type": "warning"}]}}}',
+    ],
+)
+def test_a_damaged_record_of_steps_is_discarded_with_a_warning(tmp_path, content):
+    path = tmp_path / "steps.json"
+    path.write_text(content)
+    step = Step("a", "A", 1.0, function=lambda: None)
+    job = Job([step], StepRecord(path), lambda arguments: None, tmp_path / "log.txt", lambda: ([], {}))
+    messages = []
+    assert job.run(messages.append)
+    assert [message.get("code") for message in messages if message["type"] == "warning"] == ["steps-damaged"]
+    assert StepRecord(path).problem == "" and StepRecord(path).finished(step, chain_keys([step])[0])

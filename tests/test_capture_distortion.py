@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A pattern photographed through a distorted lens comes back as the pinhole would have seen it."""
+"""A pattern photographed through a distorted lens is resampled to what a pinhole camera sees."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fipt_blender.core.capture.distortion import (
     undistortion,
 )
 from fipt_blender.core.capture.rig import Lens
-from fipt_blender.core.job.errors import FiptError
+from fipt_blender.core.run.errors import FiptError
 
 WIDTH, HEIGHT = 160, 120
 LENSES = [
@@ -32,7 +32,7 @@ LENSES = [
 
 
 def pattern(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Radiance (..., 3) in direction (x, y, 1): smooth, far above 1 and tiny too."""
+    """Radiance (..., 3) in direction (x, y, 1): smooth, with values far above 1 and close to 0."""
     return np.stack(
         [50.0 + 45.0 * np.sin(9.0 * x), np.exp(4.0 * y), 1e-3 * (2.0 + np.cos(8.0 * (x + y)))], -1
     )
@@ -67,7 +67,7 @@ def test_undistorted_pattern_is_the_pinholes(lens):
     np.testing.assert_allclose(
         image / [95.0, 1.0, 3e-3], pattern(u, v) / [95.0, 1.0, 3e-3], atol=4e-3, rtol=4e-3
     )
-    assert set(np.unique(ids)) == {7, 1000}  # nearest neighbour makes no ids in between
+    assert set(np.unique(ids)) == {7, 1000}  # nearest neighbour does not interpolate ids
     assert (ids != parts(u, v)).mean() < 0.01
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every reader gives back the cameras that the capture was written from."""
+"""Every reader returns the cameras from which the capture was written."""
 
 from __future__ import annotations
 
@@ -9,7 +9,12 @@ import math
 
 import numpy as np
 import pytest
-from capture_samples import (
+
+from fipt_blender.core.capture.formats import FORMATS, detect_format, read_rig
+from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.capture.rig import Lens, ReadOptions, find_image, view_name
+from fipt_blender.core.run.errors import FiptError
+from samples.capture_files import (
     level_pose,
     make_samples,
     write_colmap,
@@ -18,11 +23,6 @@ from capture_samples import (
     write_mesh,
     write_transforms,
 )
-
-from fipt_blender.core.capture.formats import FORMATS, detect_format, read_rig
-from fipt_blender.core.capture.images import write_exr
-from fipt_blender.core.capture.rig import Lens, ReadOptions, find_image, view_name
-from fipt_blender.core.job.errors import FiptError
 
 
 def read(path, **options):
@@ -207,7 +207,7 @@ def test_transforms_splits_masks_and_up_axis(tmp_path):
 
 
 def test_fipt_synthetic_from_a_split_or_its_camera_file(tmp_path):
-    """Read as transforms.json of others its cameras would look backwards."""
+    """If another reader took its transforms.json, the cameras would look backwards."""
     pose = level_pose(np.random.default_rng(1), np.array([0.0, 1.0, 0.0]))
     write_fipt_synthetic(tmp_path, {"train": [pose], "val": [pose]})
     for path in (tmp_path, tmp_path / "train", tmp_path / "val" / "transforms.json"):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""EXR and id images of every kind that cameras, renderers and painters write."""
+"""EXR and id images of all kinds that cameras, renderers and painting programs write."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from fipt_blender.core.capture.images import read_ids, read_radiance, read_size, write_exr
-from fipt_blender.core.job.errors import FiptError
+from fipt_blender.core.run.errors import FiptError
 
 RNG = np.random.default_rng(0)
 PIXELS = RNG.lognormal(0.0, 3.0, (5, 7, 3)).astype(np.float32)
@@ -29,7 +29,7 @@ def test_float_round_trip_is_exact(tmp_path):
     write_exr(path, PIXELS)
     np.testing.assert_array_equal(read_radiance(path), PIXELS)
     assert read_size(path) == (7, 5)
-    assert [entry.name for entry in path.parent.iterdir()] == ["a.exr"]  # no temporary file stays
+    assert [entry.name for entry in path.parent.iterdir()] == ["a.exr"]  # no temporary file is left
 
 
 def test_half_round_trip_keeps_eleven_bits_and_the_range(tmp_path):
@@ -74,7 +74,7 @@ def test_data_window_is_placed_on_the_display_window(tmp_path):
 
 
 def test_declared_primaries_become_rec709(tmp_path):
-    """ACEScg (AP1, white near D60): its white stays white, its red is the published one in Rec.709."""
+    """ACEScg (AP1, white near D60): white stays white, and red becomes the published value in Rec.709."""
     ap1 = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
     pixels = np.array([[[1, 1, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1]]], np.float32)
     write_channels(tmp_path / "a.exr", planes(pixels=pixels), chromaticities=ap1)

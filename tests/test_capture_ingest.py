@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`ingest` end to end: good captures become capture.json, bad ones an error and nothing on disk."""
+"""`ingest` end to end: valid captures become capture.json, invalid ones raise an error and write no files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,20 @@ import json
 import numpy as np
 import OpenEXR
 import pytest
-from capture_samples import (
+from PIL import Image
+
+from fipt_blender.core import conventions
+from fipt_blender.core.__main__ import main
+from fipt_blender.core.capture import checks
+from fipt_blender.core.capture.distortion import undistorted_pinhole
+from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
+from fipt_blender.core.capture.ingest import IngestOptions, ingest
+from fipt_blender.core.capture.views import load_capture
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.messages import Reporter, parse_message
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.settings import make_settings
+from samples.capture_files import (
     level_pose,
     make_samples,
     radiance,
@@ -20,19 +33,6 @@ from capture_samples import (
     write_mesh,
     write_transforms,
 )
-from PIL import Image
-
-from fipt_blender.core import conventions
-from fipt_blender.core.__main__ import main
-from fipt_blender.core.capture import checks
-from fipt_blender.core.capture.distortion import undistorted_pinhole
-from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
-from fipt_blender.core.capture.ingest import IngestOptions, ingest
-from fipt_blender.core.capture.views import load_capture, load_images
-from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.messages import Reporter, parse_message
-from fipt_blender.core.job.runfolder import RunFolder
-from fipt_blender.core.job.settings import make_settings
 
 
 def run_ingest(capture, run, **options):
@@ -53,7 +53,7 @@ def run(tmp_path):
 
 @pytest.mark.parametrize("model", ["PINHOLE", "OPENCV"])
 def test_masks_of_pixels_to_leave_out(tmp_path, run, model):
-    """Undistorted together with their photograph; a missing one is named before anything is written."""
+    """They are undistorted with their photograph; a missing one is reported before anything is written."""
     samples = make_samples(2, model=model)
     write_transforms(tmp_path / "in", samples)
     path = tmp_path / "in" / "transforms.json"
@@ -86,7 +86,7 @@ def test_transforms_become_views_in_metres(tmp_path, run):
     assert warnings(messages) == []
     assert messages[-1]["type"] == "done" and messages[-1]["data"]["held_back"] == 2
     assert [message["fraction"] for message in messages if message["type"] == "progress"][-1] >= 0.8
-    assert run.read().preset == "draft"  # settings are left alone
+    assert run.read().preset == "draft"  # settings are not changed
     capture = load_capture(run)
     assert capture.source == "transforms" and capture.mesh == tmp_path / "room.obj"
     np.testing.assert_allclose(capture.world_from_source, conventions.world_from_source("y", 0.5))
@@ -100,9 +100,9 @@ def test_transforms_become_views_in_metres(tmp_path, run):
         np.testing.assert_allclose(view.radiance(), radiance(index, view.width, view.height), rtol=2.0**-11)
         origins, directions = view.rays()
         assert origins.shape == directions.shape == (view.width * view.height, 3)
-    assert [image.shape for image in load_images(capture.views[:2])] == [(32, 48, 3), (48, 32, 3)]
+    assert [view.radiance().shape for view in capture.views[:2]] == [(32, 48, 3), (48, 32, 3)]
     assert capture.views[0].part_ids() is None and capture.views[0].semantic_ids() is None
-    assert not run.images.exists()  # nothing had to change
+    assert not run.images.exists()  # nothing had to be converted
 
 
 def test_fipt_synthetic_through_the_command(tmp_path, run, monkeypatch):
@@ -167,7 +167,7 @@ def test_nearly_orthonormal_poses_are_made_exact(tmp_path, run):
 
 
 def test_names_and_splits(tmp_path, run):
-    """Two images of one stem get two names; the format's own held-back views win over --hold-back."""
+    """Two images with one stem get two names; the format's held-back views override --hold-back."""
     samples = make_samples(3)
     write_transforms(tmp_path / "in", samples)
     path = tmp_path / "in" / "transforms.json"
@@ -187,7 +187,7 @@ def test_names_and_splits(tmp_path, run):
     ]
 
 
-# --- photographs that are wrong ----------------------------------------------------------------------------
+# --- invalid photographs -----------------------------------------------------------------------------------
 
 
 def set_pixels(tmp_path, change, name="001_0001"):
@@ -308,7 +308,7 @@ def test_run_of_another_version_is_left_alone(tmp_path, run):
 
 
 def test_full_disk_while_writing(tmp_path, run, monkeypatch):
-    """The second undistorted image does not fit: the first goes too, and there is no capture.json."""
+    """The disk is full at the second undistorted image: the first is deleted, capture.json not written."""
     write_transforms(tmp_path / "in", make_samples(3, model="OPENCV"))
     calls = []
 
@@ -325,7 +325,7 @@ def test_full_disk_while_writing(tmp_path, run, monkeypatch):
     assert not run.capture_json.exists() and not list(run.images.rglob("*.exr"))
 
 
-# --- photographs that are doubtful -------------------------------------------------------------------------
+# --- suspicious photographs --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("value", "options"), [(-1e-5, {}), (-0.1, {"clamp_negative": True})])
@@ -375,7 +375,7 @@ def test_dark_hdr_is_not_taken_for_ldr():
 
 
 def highlight():
-    """A warm highlight (64, 64, 3) that rises far above what its surroundings reach."""
+    """A warm highlight (64, 64, 3), much brighter than its surroundings."""
     y, x = np.mgrid[-1:1:64j, -1:1:64j]
     noise = np.random.default_rng(0).lognormal(0.0, 0.05, (64, 64, 3))
     return np.exp(-8.0 * (x**2 + y**2))[..., None] * [40.0, 28.0, 15.0] * noise + 0.1

@@ -18,7 +18,7 @@ from fipt_blender import cli
 from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step, StepRecord
-from fipt_blender.core.job.errors import FiptError
+from fipt_blender.core.run.errors import FiptError
 
 PACKAGE = Path(cli.__file__).parent
 GOOD = (
@@ -98,6 +98,19 @@ def test_help_and_version(capsys):
     assert cli.main(["--version"]) == 0
 
 
+def test_captures_whose_names_differ_have_different_output_folders(capture, monkeypatch):
+    cameras = capture / "cameras.json"
+    cameras.touch()
+    folders = [capture.parent / name for name in ("room.v1", "room.v2")]
+    for folder in folders:
+        folder.mkdir()
+    jobs = fake_job(monkeypatch, GOOD)
+    for path in (*folders, capture, cameras):
+        assert cli.main(["estimate", str(path)]) == 0
+    names = [options.output.name for options in jobs]
+    assert names == ["room.v1-fipt", "room.v2-fipt", "room-fipt", "room-fipt"]
+
+
 def test_options_reach_the_job(capture, monkeypatch, capsys):
     seen = fake_job(monkeypatch, GOOD)
     arguments = "estimate room --preset draft --seed 7 --device llvm --rounds 0 --set texel_density=64"
@@ -152,13 +165,18 @@ def test_a_job_that_cannot_start_is_status_1(capture, monkeypatch, capfd):
 
 
 def test_what_blender_prints_meanwhile_goes_to_the_log(capture, monkeypatch, capfd):
-    log = capture.parent / "log.txt"
-    with cli._own_stdout(log) as stream:
-        os.write(1, b"Fra:1 Mem:20M\n")
-        stream.write("ours\n")
+    def make(options):
+        options.output.mkdir()
+        step = Step("a", "A", 1.0, function=lambda: os.write(1, b"Fra:1 Mem:20M\n") and None)
+        record = StepRecord(options.output / "steps.json")
+        return Job([step], record, None, options.output / "log.txt", lambda: ([], {}))
+
+    monkeypatch.setattr(cli, "make_main_job", make)
+    assert cli.main(["estimate", str(capture), "--output", "out", "--json"]) == 0
     os.write(1, b"after\n")
-    assert capfd.readouterr().out == "ours\nafter\n"
-    assert log.read_text() == "Fra:1 Mem:20M\n"
+    *messages, after = capfd.readouterr().out.splitlines()
+    assert json.loads(messages[-1])["type"] == "done" and after == "after"
+    assert "Fra:1 Mem:20M\n" in Path("out/log.txt").read_text()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")

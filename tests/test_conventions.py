@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Conversions come back to where they started, and agree with what Blender itself does."""
+"""Conversions are inverses of each other and agree with Blender."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_projection_of_rays_gives_pixel_centres(values, z_depth):
     assert origins.dtype == directions.dtype == np.float32
     assert origins.shape == directions.shape == (view.width * view.height, 3)
     distance = rng.uniform(0.5, 8.0, (len(origins), 1))
-    # the float32 origin is the ray's own; its rounding is no part of the projection
+    # Relative to the ray's float32 origin: its rounding is not an error of the projection.
     exact = View("e", "train", Path(), *values, camera_to_world=view.camera_to_world.copy())
     exact.camera_to_world[:3, 3] = origins[0]
     pixels, depth = conventions.project(origins.astype(float) + directions.astype(float) * distance, exact)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The GUI test in a real Blender's window, which $FIPT_TEST_BLENDER names; see gui/README.md."""
+"""The GUI test in the window of the Blender that $FIPT_TEST_BLENDER names; see gui/README.md."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ RUN = Path(__file__).with_name("gui") / "run.py"
 BLENDER = os.environ.get("FIPT_TEST_BLENDER", "")
 
 
-@pytest.mark.skipif(not BLENDER, reason="FIPT_TEST_BLENDER names no Blender")
-@pytest.mark.skipif(not shutil.which("Xvfb"), reason="there is no Xvfb for a window without a screen")
+@pytest.mark.skipif(not BLENDER, reason="FIPT_TEST_BLENDER is not set")
+@pytest.mark.skipif(not shutil.which("Xvfb"), reason="Xvfb is not installed")
 def test_from_an_empty_scene_to_a_relit_render(tmp_path):
     shots = Path(os.environ.get("FIPT_TEST_SHOTS") or tmp_path)
     command = [sys.executable, str(RUN), "--blender", BLENDER, "--shots", str(shots)]

@@ -73,7 +73,7 @@ for _ in range(3):
 values = bpy.context.preferences.addons[MODULE].preferences
 say(off=off, first=first, on=on, again=state(), lost=lost, seconds=seconds, loaded=loaded,
     data_folder=values.data_folder, on_close=values.on_close,
-    version=sys.modules[MODULE + ".core.job.runfolder"].PRODUCT_VERSION)
+    version=sys.modules[MODULE + ".core.run.runfolder"].PRODUCT_VERSION)
 """
 )
 
@@ -90,7 +90,7 @@ say(run=str(package.new_run_folder("room")))
 
 
 class Home:
-    """A user's folder of its own, and a Blender that knows no other."""
+    """A separate user folder, and a Blender that uses only this folder."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -110,13 +110,13 @@ class Home:
         )
 
     def extension(self, *arguments: str) -> str:
-        """Run `blender --command extension`; its output."""
+        """Run `blender --command extension`; returns its output."""
         result = self.run("--command", "extension", *arguments)
         assert result.returncode == 0, result.stdout + result.stderr
         return result.stdout
 
     def script(self, text: str, *arguments: str) -> dict:
-        """Run a script with the user's preferences; what it said."""
+        """Run a script with the user's preferences; returns its output."""
         file = self.folder / "script.py"
         file.write_text(text)
         result = self.run("--background", "--python", str(file), "--", *arguments, MODULE)
@@ -125,7 +125,7 @@ class Home:
         return json.loads(lines[-1].removeprefix("ANSWER "))
 
     def installed(self) -> Path:
-        """Where the extension lies."""
+        """The folder of the installed extension."""
         found = [path.parent for path in (self.folder / "blender").rglob("fipt_blender/__init__.py")]
         assert len(found) <= 1
         return found[0] if found else self.folder / "none"
@@ -150,7 +150,7 @@ def older(archive: Path, folder: Path) -> Path:
     with zipfile.ZipFile(archive) as source, zipfile.ZipFile(target, "w") as copy:
         for name in source.namelist():
             data = source.read(name)
-            if name in ("blender_manifest.toml", "core/job/runfolder.py"):
+            if name in ("blender_manifest.toml", "core/run/runfolder.py"):
                 pattern = rb'^(version|PRODUCT_VERSION) = ".+"$'
                 data, count = re.subn(pattern, rb'\1 = "0.0.1"', data, flags=re.MULTILINE)
                 assert count == 1

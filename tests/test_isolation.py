@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The two sides stay apart: the engine without bpy, Blender's side without the engine's packages."""
+"""Who may import whom: the engine no bpy, Blender's side no engine package, each floor only those below."""
 
 from __future__ import annotations
 
 import ast
+import graphlib
 import subprocess
 import sys
 from pathlib import Path
@@ -19,15 +20,55 @@ HEAVY = ("mitsuba", "drjit", "torch", "OpenEXR", "pycolmap", "pyoidn")
 SHARED = (
     "conventions",
     "device.cuda",
-    "job.errors",
-    "job.lock",
-    "job.messages",
-    "job.parent",
-    "job.settings",
-    "job.runfolder",
+    "optics.factorised",
+    "run.arrays",
+    "run.documents",
+    "run.errors",
+    "run.lock",
+    "run.messages",
+    "run.method",
+    "run.parent",
+    "run.process_identity",
+    "run.run_files",
+    "run.runfolder",
+    "run.settings",
+    "run.shapes",
     "report.comparison",
     "textures.raster",
     "textures.write_back",
+)
+# The rooms from the lowest floor to the highest: each imports only from itself and from rooms before it.
+FLOORS = (
+    "core.run",
+    "core.conventions",
+    "core.device",
+    "core.capture",
+    "core.scene",
+    "core.optics",
+    "core.light",
+    "core.views",
+    "core.material",
+    "core.textures",
+    "core.report",
+    "core.estimate",
+    "core.__main__",
+    "core",
+    "bridge",
+    "machine",
+    "blend",
+    "blend.room",
+    "blend.capture",
+    "blend.lights",
+    "blend.results",
+    "blend.insert",
+    "blend.pictures",
+    "properties",
+    "jobs",
+    "panels",
+    "operators",
+    "cli",
+    "__main__",
+    "__init__",
 )
 LIGHT_MODULES = (*SHARED, "device.llvm", "device.variant", "device.probe", "device.check")
 
@@ -67,6 +108,19 @@ def relative_targets(file: Path) -> set[str]:
                 is_module = path.is_dir() or path.with_suffix(".py").exists()
                 targets.add(".".join([*stem, alias.name] if is_module else stem))
     return targets
+
+
+def module_of(file: Path) -> str:
+    """Dotted path of a file below fipt_blender; a package's own file has the package's."""
+    parts = file.relative_to(PACKAGE).with_suffix("").parts
+    return ".".join(parts[:-1] if len(parts) > 1 and parts[-1] == "__init__" else parts)
+
+
+def room_of(module: str) -> str:
+    """The floor of a module: the longest name of FLOORS that it starts with."""
+    rooms = [room for room in FLOORS if (module + ".").startswith(room + ".")]
+    assert rooms, f"{module} lies on no floor: name its room in FLOORS"
+    return max(rooms, key=len)
 
 
 def import_blocked(blocked: tuple[str, ...], modules: list[str]) -> subprocess.CompletedProcess[str]:
@@ -122,3 +176,24 @@ def test_dev_py_needs_the_standard_library_only() -> None:
     assert imported_modules(ROOT / "dev.py") - set(sys.stdlib_module_names) == {"fipt_blender"}
     for file in (*sorted((PACKAGE / "bridge").glob("*.py")), CORE / "device" / "llvm.py"):
         assert imported_modules(file) <= set(sys.stdlib_module_names), file
+
+
+@pytest.mark.parametrize("file", sorted(PACKAGE.rglob("*.py")), ids=lambda file: module_of(file))
+def test_imports_run_down(file: Path) -> None:
+    room = room_of(module_of(file))
+    others = {room_of(target) for target in relative_targets(file) if target} - {room}
+    above = {other for other in others if FLOORS.index(other) > FLOORS.index(room)}
+    assert not above, f"{module_of(file)} ({room}) imports from above: {sorted(above)}"
+
+
+def test_no_module_imports_itself_by_a_detour() -> None:
+    graph = {module_of(file): relative_targets(file) for file in PACKAGE.rglob("*.py")}
+    # A package's own file lists its modules; a module does not need it.
+    packages = {module_of(file) for file in PACKAGE.rglob("__init__.py")}
+    graph = {module: targets - packages - {module} for module, targets in graph.items()}
+    list(graphlib.TopologicalSorter(graph).static_order())  # CycleError names the modules
+
+
+def test_every_floor_exists() -> None:
+    rooms = {room_of(module_of(file)) for file in PACKAGE.rglob("*.py")}
+    assert rooms == set(FLOORS)

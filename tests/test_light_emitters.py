@@ -2,18 +2,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Emitters: marked by the mask, grouped into fixtures, measured by clean pixels."""
 
+import itertools
+
 import numpy as np
 import pytest
-from small_rooms import BOX, bulb, make_room, mesh_room
 
 from fipt_blender.core.light.emitters import (
+    ALIKE,
+    EmitterPixels,
     bright_triangles,
+    emitter_components,
     emitter_table,
     find_emitters,
     group_fixtures,
     side_medians,
 )
 from fipt_blender.core.scene.room import Room
+from samples.small_rooms import BOX, bulb, make_room, mesh_room
 
 
 def room_with_bulb(radius: float = 0.05) -> Room:
@@ -29,10 +34,10 @@ def room_with_bulb(radius: float = 0.05) -> Room:
 
 def pixels(
     rows: list[tuple[int, bool, bool, float]],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(triangle, front, pure, radiance) of (triangle, front, pure, grey) rows."""
+) -> EmitterPixels:
+    """Pixels of (triangle, front, pure, grey) rows."""
     triangle, front, pure, grey = (np.array(column) for column in zip(*rows, strict=True))
-    return triangle, front.astype(bool), pure.astype(bool), np.repeat(grey[:, None], 3, axis=1)
+    return EmitterPixels(triangle, front.astype(bool), pure.astype(bool), np.repeat(grey[:, None], 3, axis=1))
 
 
 def test_a_bulb_of_five_centimetres_is_found_and_nothing_else() -> None:
@@ -56,10 +61,10 @@ def test_medians_of_both_sides_from_clean_pixels() -> None:
     group = np.array([0, 0, 1, -1])
     rows = [(0, True, True, 4.0), (0, True, True, 6.0), (1, True, True, 9.0), (1, True, False, 100.0)]
     rows += [(0, False, True, 1.0), (2, True, False, 3.0), (3, True, True, 50.0), (-1, True, True, 70.0)]
-    medians, counts = side_medians(*pixels(rows), group)
+    medians, counts = side_medians(pixels(rows), group)
     assert medians[:, :, 0].tolist() == [[6.0, 1.0], [3.0, 0.0]]
     assert counts.tolist() == [[3, 1], [1, 0]]
-    medians, counts = side_medians(*pixels(rows), np.full(4, -1))
+    medians, counts = side_medians(pixels(rows), np.full(4, -1))
     assert len(medians) == 0
 
 
@@ -72,7 +77,7 @@ def test_two_lamps_apart_are_two_fixtures_with_their_sides() -> None:
     emitting[12:] = True
     rows = [(12, True, True, 10.0), (13, True, True, 10.5), (12, False, True, 0.4)]
     rows += [(14, True, True, 4.0), (15, True, True, 4.2), (14, False, True, 3.0), (0, True, True, 0.5)]
-    fixtures = group_fixtures(room, emitting, *pixels(rows))
+    fixtures = group_fixtures(room, emitting, pixels(rows))
     assert [fixture.triangles.tolist() for fixture in fixtures] == [[12, 13], [14, 15]]
     assert fixtures[0].radiance[0] == pytest.approx(10.25) and fixtures[0].back_radiance[0] == 0.0
     assert fixtures[1].radiance[0] == pytest.approx(4.1) and fixtures[1].back_radiance[0] == 3.0
@@ -83,7 +88,7 @@ def test_two_lamps_apart_are_two_fixtures_with_their_sides() -> None:
     assert table.radiance[:, 1].tolist() == pytest.approx([10.25, 10.25, 4.1, 4.1])
     assert table.back_radiance[:, 2].tolist() == [0.0, 0.0, 3.0, 3.0]
     assert len(emitter_table([]).triangles) == 0
-    assert group_fixtures(room, np.zeros(16, bool), *pixels(rows)) == []
+    assert group_fixtures(room, np.zeros(16, bool), pixels(rows)) == []
 
 
 def test_touching_triangles_of_unlike_radiance_are_two_fixtures() -> None:
@@ -92,17 +97,17 @@ def test_touching_triangles_of_unlike_radiance_are_two_fixtures() -> None:
     emitting[12:] = True
     for other, number in ((1.3, 1), (3.0, 2)):
         rows = [(12, True, True, 1.0), (13, True, True, other)]
-        assert len(group_fixtures(room, emitting, *pixels(rows))) == number
+        assert len(group_fixtures(room, emitting, pixels(rows))) == number
 
 
 def test_unseen_triangles_are_as_bright_as_their_lamp_and_black_ones_are_no_lamp() -> None:
     room = room_with_bulb()
     emitting = np.arange(20) >= 12
     rows = [(i, True, True, 8.0) for i in (12, 13, 14)] + [(2, True, True, 0.3)]
-    fixtures = group_fixtures(room, emitting, *pixels(rows))
+    fixtures = group_fixtures(room, emitting, pixels(rows))
     assert [fixture.triangles.tolist() for fixture in fixtures] == [list(range(12, 20))]
     black = [(i, True, True, 0.0) for i in (12, 13, 14)]
-    assert group_fixtures(room, emitting, *pixels(black)) == []
+    assert group_fixtures(room, emitting, pixels(black)) == []
 
 
 def test_the_far_side_of_a_bulb_in_mixed_pixels_alone_is_the_bulb() -> None:
@@ -111,7 +116,7 @@ def test_the_far_side_of_a_bulb_in_mixed_pixels_alone_is_the_bulb() -> None:
     emitting = np.arange(20) >= 12
     rows = [(i, True, True, 8.0) for i in (12, 13, 14)] + [(2, True, True, 0.3)]
     rows += [(i, True, False, 0.6) for i in (15, 16, 17, 18)]
-    (fixture,) = group_fixtures(room, emitting, *pixels(rows))
+    (fixture,) = group_fixtures(room, emitting, pixels(rows))
     assert fixture.triangles.tolist() == list(range(12, 20))
     assert fixture.radiance.tolist() == [8.0] * 3
 
@@ -119,8 +124,35 @@ def test_the_far_side_of_a_bulb_in_mixed_pixels_alone_is_the_bulb() -> None:
 def test_bright_triangles_are_aimed_at() -> None:
     room = make_room([*BOX, [[0, 0, 2.9], [0, 0.4, 2.9], [0.4, 0.4, 2.9], [0.4, 0, 2.9]]])
     rows = [(i, True, True, 0.5) for i in range(12)] + [(12, True, True, 60.0), (13, False, True, 40.0)]
-    triangle, front, _, radiance = pixels(rows)
-    table = bright_triangles(room, triangle, front, radiance)
+    seen = pixels(rows)
+    table = bright_triangles(room, seen.triangle, seen.front, seen.radiance)
     assert table.triangles.tolist() == [12, 13]
     assert table.radiance[:, 0].tolist() == [60.0, 0.0] and table.back_radiance[:, 0].tolist() == [0.0, 40.0]
-    assert len(bright_triangles(room, triangle, front, radiance * 0.0).triangles) == 0
+    assert len(bright_triangles(room, seen.triangle, seen.front, seen.radiance * 0.0).triangles) == 0
+
+
+@pytest.mark.parametrize("unseen", [0, 3])
+def test_fixtures_do_not_depend_on_the_order_of_triangles(unseen: int, rng: np.random.Generator) -> None:
+    """Triangles of two luminances, and some without pixels, alternate around vertices."""
+    luminance, seen = np.array([1.0, 10.0, 1.0, 10.0]), np.ones(4, bool)
+    fan = np.array([[0, 1, 2], [0, 3, 4], [0, 5, 6], [0, 7, 8]])
+    for order in itertools.permutations(range(4)):
+        group = emitter_components(fan, luminance[list(order)], seen)
+        assert len(np.unique(group)) == 2, order
+        assert len(np.unique(group[np.argsort(order)][:2])) == 2
+    corners = rng.integers(0, 40, (60, 3))
+    luminance = np.exp(rng.normal(size=60))
+    seen = np.arange(60) >= unseen
+    group = emitter_components(corners, luminance, seen)
+    # Two triangles are of one group exactly if a path of pairs leads from one to the other.
+    shared = (corners[:, None, :, None] == corners[None, :, None, :]).any(axis=(2, 3))
+    ratio = np.maximum(luminance[:, None] / luminance, luminance / luminance[:, None])
+    linked = shared & ((ratio <= ALIKE) | ~(seen[:, None] & seen))
+    for _ in range(6):
+        linked = (linked.astype(int) @ linked) > 0
+    np.testing.assert_array_equal(group[:, None] == group, linked)
+    assert 1 < len(np.unique(group)) < 60
+    for _ in range(20):
+        order = rng.permutation(60)
+        other = emitter_components(rng.permuted(corners[order], axis=1), luminance[order], seen[order])
+        np.testing.assert_array_equal(other[:, None] == other, linked[order][:, order])

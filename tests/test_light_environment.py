@@ -5,15 +5,13 @@
 import mitsuba as mi
 import numpy as np
 
-mi.set_variant("llvm_ad_rgb")
-
-from fipt_blender.core.conventions import equirect_pixel_directions  # noqa: E402
-from fipt_blender.core.light.environment import (  # noqa: E402
+from fipt_blender.core.conventions import equirect_pixel_directions
+from fipt_blender.core.light.environment import (
     MOST_PIXELS,
     Environment,
     estimate_environment,
 )
-from fipt_blender.core.render.environment import EnvironmentLight  # noqa: E402
+from fipt_blender.core.optics.environment import EnvironmentLight
 
 
 def estimated(

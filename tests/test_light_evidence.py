@@ -7,22 +7,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from small_rooms import make_room
 
 from fipt_blender.core.capture.views import View
+from fipt_blender.core.light.baking import ShadingStore
 from fipt_blender.core.light.evidence import (
-    brightest_beside,
-    complete,
+    brighter_than_white,
+    extend_to_components,
     find_emission,
     most_reflected,
-    outshining,
-    own_share,
-    unexplained,
+    neighbourhood_maximum,
+    relative_residual,
+    spill_free_fraction,
 )
-from fipt_blender.core.light.views import ShadingStore
 from fipt_blender.core.material.losses import factorised_rendering
 from fipt_blender.core.material.networks import Prediction
 from fipt_blender.core.scene.pixels import NO_TRIANGLE, PixelStore, open_pixels
+from samples.small_rooms import make_room
 
 # Three quads apart, two triangles each; the views below show the first of each.
 WALL, LAMP, BAR = 0, 2, 4
@@ -75,7 +75,7 @@ def test_only_what_outshines_white_paint_is_asked_for_its_mask(tmp_path: Path) -
     pixels = store(tmp_path, [(["..Lb "], grey), (["bB..."], [[1.44, 1.0, 0.0, 0.0, 0.0]])])
     shadings = ShadingStore(np.ones((10, 3), np.float16), np.zeros((10, 2, 2, 3), np.float16))
     # Three tenths of the radiance must be left: from 1.43 on.
-    assert np.flatnonzero(outshining(pixels, shadings, len(ROOM.triangles))).tolist() == [LAMP, BAR]
+    assert np.flatnonzero(brighter_than_white(pixels, shadings, len(ROOM.triangles))).tolist() == [LAMP, BAR]
 
 
 def test_no_material_reflects_more_than_the_bound() -> None:
@@ -99,9 +99,9 @@ def test_no_material_reflects_more_than_the_bound() -> None:
 def test_light_is_unexplained_channel_by_channel() -> None:
     """A red lamp under white light is as bright as a grey wall."""
     lamp, wall = np.array([[3.0, 0.1, 0.1]]), np.full((1, 3), 0.8)
-    assert unexplained(lamp, np.ones((1, 3)))[0] > 0.5
-    assert unexplained(wall, np.ones((1, 3)))[0] == 0.0
-    assert unexplained(np.zeros((1, 3)), np.zeros((1, 3)))[0] == 0.0
+    assert relative_residual(lamp, np.ones((1, 3)))[0] > 0.5
+    assert relative_residual(wall, np.ones((1, 3)))[0] == 0.0
+    assert relative_residual(np.zeros((1, 3)), np.zeros((1, 3)))[0] == 0.0
 
 
 def test_a_dim_lamp_emits_though_the_mask_misses_it(tmp_path: Path) -> None:
@@ -163,13 +163,13 @@ def test_a_bulb_that_no_pixel_sees_alone_is_found(tmp_path: Path) -> None:
 
 def test_the_share_that_is_a_pixels_own() -> None:
     light = np.array([1.0, 1.0, 1.0, 0.0])
-    assert own_share(light, np.array([1.0, 1.5, 3.0, 2.0])).tolist() == [1.0, 0.5, 0.0, 0.0]
+    assert spill_free_fraction(light, np.array([1.0, 1.5, 3.0, 2.0])).tolist() == [1.0, 0.5, 0.0, 0.0]
 
 
 def test_the_brightest_of_nine() -> None:
     rng = np.random.default_rng(0)
     light = rng.random((7, 9))
-    found = brightest_beside(light.reshape(-1), (7, 9)).reshape(7, 9)
+    found = neighbourhood_maximum(light.reshape(-1), (7, 9)).reshape(7, 9)
     for row, column in ((0, 0), (3, 4), (6, 8), (0, 5)):
         around = light[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
         assert found[row, column] == around.max()
@@ -178,8 +178,8 @@ def test_the_brightest_of_nine() -> None:
 def test_unjudged_triangles_join_a_piece_that_mostly_emits() -> None:
     areas, piece = np.array([1.0, 1.0, 2.0, 1.0, 1.0]), np.array([0, 0, 0, 1, 1])
     emits, judged = np.array([[1, 0, 0, 0, 0], [1, 1, 0, 1, 0]], bool)
-    assert complete(areas, piece, emits, judged).tolist() == [True, False, False, False, False]
+    assert extend_to_components(areas, piece, emits, judged).tolist() == [True, False, False, False, False]
     judged[1] = False
-    assert complete(areas, piece, emits, judged).tolist() == [True, True, True, False, False]
+    assert extend_to_components(areas, piece, emits, judged).tolist() == [True, True, True, False, False]
     judged[2] = True  # a dark side of twice the area
-    assert complete(areas, piece, emits, judged).tolist() == [True, False, False, False, False]
+    assert extend_to_components(areas, piece, emits, judged).tolist() == [True, False, False, False, False]

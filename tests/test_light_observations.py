@@ -4,33 +4,24 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from pathlib import Path
 
 import numpy as np
+import pytest
+from scipy.ndimage import binary_dilation
 
-from fipt_blender.core.light.observations import Observations
+from fipt_blender.core.light.observations import observe
+from samples.panel_pixels import IS_PANEL, PARTS, ROOM, SETTINGS, WALL_RADIANCE, make_pixels
 
 
-def test_rim_pixels_of_an_emitter_stay_out_of_the_cache() -> None:
-    """A bright rim around a lamp is the lamp's own light: the voxel beside it keeps the wall's radiance."""
-    width, height, lamp = 6, 5, (2, 3)
-    triangle = np.zeros(width * height, np.int32)
-    triangle[lamp[0] * width + lamp[1]] = 1
-    triangle[-1] = -1
-    radiance = np.ones((width * height, 3), np.float32)
-    rim = np.array([(lamp[0] + dy) * width + lamp[1] + dx for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
-    radiance[rim] = 100.0
-
-    class Pixels:
-        views = [SimpleNamespace(width=width, height=height)]
-
-        def rows(self, view: int) -> slice:
-            return slice(0, width * height)
-
-    pixels = Pixels()
-    pixels.triangle, pixels.radiance = triangle, radiance  # type: ignore[attr-defined]
-    hit = np.flatnonzero(triangle >= 0)
-    seen = Observations(pixels, None, None, hit, None, 0.01, None)  # type: ignore[arg-type]
-    near = seen._near(0, np.array([False, True]))
-    assert near.sum() == 9
-    assert (radiance[hit[~near[hit]]] == 1.0).all()
+@pytest.mark.parametrize("rim_width", [1, 2])
+def test_rim_pixels_of_an_emitter_stay_out_of_the_cache(tmp_path: Path, rim_width: int) -> None:
+    """A bright rim one pixel wide is the lamp's own light: cells beside the lamp keep the wall's radiance."""
+    pixels = make_pixels(tmp_path / "pixels", 6)
+    for index, view in enumerate(pixels.views):
+        rows = pixels.rows(index)
+        on_panel = (np.asarray(pixels.triangle[rows]) >= 12).reshape(view.height, view.width)
+        rim = binary_dilation(on_panel, np.ones((3, 3)), iterations=rim_width).ravel()
+        pixels.radiance[rows] = np.where(rim, 100.0, WALL_RADIANCE)[:, None]
+    cache = observe(ROOM, pixels, PARTS, SETTINGS, tmp_path / "observed").cache(without=IS_PANEL)
+    assert (cache == WALL_RADIANCE).all() == (rim_width == 1)

@@ -8,7 +8,15 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from shading_rooms import (
+
+from benchmarks.tracer.forward import LitRoom, RenderSettings, trace_paths
+from benchmarks.tracer.surfaces import TriangleMaterials
+from fipt_blender.core.light.cache import SurfaceLookup, pool
+from fipt_blender.core.light.radiance import CachedRadiance, TracedRadiance
+from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
+from fipt_blender.core.optics import brdf
+from fipt_blender.core.scene.room import Room
+from samples.shading_points import (
     LAMP,
     LEVELS,
     NOTHING,
@@ -19,15 +27,7 @@ from shading_rooms import (
     mean_and_error,
     points_on,
 )
-from small_rooms import BOX, agree, area_lights, make_room, table
-
-from fipt_blender.core.light.cache import SurfaceLookup, pool
-from fipt_blender.core.light.radiance import CachedRadiance, TracedRadiance
-from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
-from fipt_blender.core.material import brdf
-from fipt_blender.core.render.forward import LitRoom, RenderSettings, trace_paths
-from fipt_blender.core.render.surfaces import TriangleMaterials
-from fipt_blender.core.scene.room import Room
+from samples.small_rooms import BOX, agree, area_lights, make_room, table
 
 
 def shiny_box(roughness: float, metallic: float = 1.0) -> tuple[Room, np.ndarray]:
@@ -123,7 +123,7 @@ def test_looking_up_the_diffuse_shading_changes_no_mean() -> None:
 
 
 @pytest.mark.parametrize("roughness", [0.1, 1.0])
-def test_what_shines_beside_reflecting_is_read_from_the_cache(roughness: float) -> None:
+def test_reflective_emitters_are_read_from_the_cache(roughness: float) -> None:
     """The photographs hold its whole light: it counts once, however bright or rough it was fitted."""
     room, materials = shiny_box(0.1)
     grid = grid_of(room)
@@ -143,7 +143,7 @@ def test_what_shines_beside_reflecting_is_read_from_the_cache(roughness: float) 
         5,
     )
     materials[12:, 3] = roughness
-    lights = area_lights(room, replace(lamp, beside=np.ones(2, bool)))
+    lights = area_lights(room, replace(lamp, reflective=np.ones(2, bool)))
     source = TracedRadiance(
         room, cached, lookup_by_triangle(room, grid, materials), None, lights, None, 0.6, 5
     )
@@ -152,7 +152,7 @@ def test_what_shines_beside_reflecting_is_read_from_the_cache(roughness: float) 
     np.testing.assert_allclose(found[0].specular, found[1].specular, rtol=1e-4, atol=1e-6)
 
 
-def test_without_a_cache_what_shines_beside_reflecting_lights_the_room() -> None:
+def test_without_a_cache_reflective_emitters_light_the_room() -> None:
     """Lamps that reflect nothing are the same either way."""
     room, materials = shiny_box(0.3)
     materials[12:] = [0.0, 0.0, 0.0, 1.0, 1.0]
@@ -160,12 +160,12 @@ def test_without_a_cache_what_shines_beside_reflecting_lights_the_room() -> None
     lookup = lookup_by_triangle(room, grid, materials)
     points = points_on(room, 4, [4, 6, 8])
     found = []
-    for beside in (None, np.ones(2, bool)):
-        lights = area_lights(room, replace(table([12, 13], [6.0, 5.0, 4.0]), beside=beside))
+    for reflective in (None, np.ones(2, bool)):
+        lights = area_lights(room, replace(table([12, 13], [6.0, 5.0, 4.0]), reflective=reflective))
         source = TracedRadiance(room, None, lookup, None, lights, None, 0.6, 4)
         found.append(mean_and_error(baked(points, source, lights, LEVELS, SampleCounts(16, 4, 16), 300)[0]))
-    (black, noise), (beside_mean, error) = found
-    agree(black - beside_mean, np.hypot(noise, error))
+    (black, noise), (reflective_mean, error) = found
+    agree(black - reflective_mean, np.hypot(noise, error))
 
 
 def test_a_mirror_is_seen_by_stage_3_and_blurred_by_stage_1() -> None:

@@ -8,7 +8,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from shading_rooms import (
+
+from fipt_blender.core.light.cache import SurfaceLookup, VoxelGrid
+from fipt_blender.core.light.radiance import CachedRadiance, TracedRadiance, new_path
+from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake, roughness_levels
+from fipt_blender.core.optics import brdf
+from fipt_blender.core.scene.room import Room
+from samples.shading_points import (
     LAMP,
     LEVELS,
     NOTHING,
@@ -19,13 +25,7 @@ from shading_rooms import (
     mean_and_error,
     points_on,
 )
-from small_rooms import BOX, agree, area_lights, bulb, make_room, mesh_room, surface_points, table
-
-from fipt_blender.core.light.cache import SurfaceLookup, VoxelGrid
-from fipt_blender.core.light.radiance import CachedRadiance, TracedRadiance, new_path
-from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake, roughness_levels
-from fipt_blender.core.material import brdf
-from fipt_blender.core.scene.room import Room
+from samples.small_rooms import BOX, agree, area_lights, bulb, make_room, mesh_room, surface_points, table
 
 BLOCK = [[-0.6, -0.1, 2.0], [0.3, -0.1, 2.0], [0.3, 0.5, 2.0], [-0.6, 0.5, 2.0]]
 

@@ -1,24 +1,37 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Standard errors of the estimate against errors that are known, from made-up pixels."""
+"""Expected standard errors compared with the actual errors of synthetic pixels."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from fipt_blender.core.material import confidence
-from fipt_blender.core.material.confidence import UNKNOWN, Evidence, evidence, standard_errors
+from fipt_blender.core.material.cell_errors import groups_of_cells
+from fipt_blender.core.material.confidence import (
+    UNIFORM_DEVIATION,
+    LinearisedPixels,
+    linearise,
+    standard_errors,
+)
+from fipt_blender.core.material.groups import Units
+from fipt_blender.core.material.pixel_samples import PixelSamples
+from fipt_blender.core.material.projection import RADIANCE_FLOOR
+from fipt_blender.core.material.seen import Box, SeenCells
 
 LEVELS = np.linspace(0.02, 1.0, 6).astype(np.float32)
 VIEWS, EACH = 6, 4
 
 
-def made_up(cells: int, light: np.ndarray, noise: float, rng: np.random.Generator, gloss: float = 0.3):
-    """Dielectric cells of unknown colour, lit by `light` (cells,), in VIEWS views of EACH pixels.
+def synthetic(
+    cells: int, light: np.ndarray, noise: float, rng: np.random.Generator, gloss: float = 0.3
+) -> tuple[LinearisedPixels, np.ndarray, np.ndarray]:
+    """Dielectric cells lit by `light` (cells,) in VIEWS views of EACH pixels; estimated and true colours.
 
-    Relative errors of shadings are alike within a view, and darkness adds some. The estimate is the
-    least-squares colour, as training's is.
+    All cells are one group. Relative errors of the shadings are correlated within a view and larger where it
+    is dark. The estimate is the least-squares colour, as in training.
     """
     true = rng.uniform(0.2, 0.8, (cells, 3))
     cell = np.repeat(np.arange(cells), VIEWS * EACH)
@@ -29,12 +42,15 @@ def made_up(cells: int, light: np.ndarray, noise: float, rng: np.random.Generato
     by_level = lobe[:, None] / (1.0 + LEVELS)
     specular = np.broadcast_to(by_level[:, :, None, None], (count, len(LEVELS), 2, 3))
     roughness, metallic = np.full(count, 0.5, np.float32), np.zeros(count, np.float32)
-    seen = evidence(np.ones((count, 3)), true[cell], roughness, metallic, diffuse, specular, LEVELS)
-    rendered = 1.0 - seen.residual
+    samples = PixelSamples(
+        np.arange(count), np.ones((count, 3)), diffuse, specular, LEVELS, cell, np.zeros_like(cell), view
+    )
+    at_truth = linearise(samples, true[cell], roughness, metallic)
+    rendered = 1.0 - at_truth.residual
     errors = rng.standard_normal((cells, VIEWS, 3))[cell, view] + 0.1 * rng.standard_normal((count, 3))
-    radiance = rendered + noise * (rendered + confidence.DARK) * errors
-    weight = 1.0 / (rendered + confidence.DARK) ** 2
-    slope = seen.by_color
+    radiance = rendered + noise * (rendered + RADIANCE_FLOOR) * errors
+    weight = 1.0 / (rendered + RADIANCE_FLOOR) ** 2
+    slope = at_truth.by_color
     change = np.stack(
         [
             np.bincount(cell, (weight * slope * (radiance - rendered))[:, c])
@@ -44,8 +60,7 @@ def made_up(cells: int, light: np.ndarray, noise: float, rng: np.random.Generato
         axis=1,
     )
     color = true + change
-    found = evidence(radiance, color[cell], roughness, metallic, diffuse, specular, LEVELS)
-    return found, color, true, roughness, metallic, cell, view
+    return linearise(replace(samples, radiance=radiance), color[cell], roughness, metallic), color, true
 
 
 def test_derivatives_are_those_of_the_rendering():
@@ -53,63 +68,70 @@ def test_derivatives_are_those_of_the_rendering():
     radiance, color, diffuse = rng.uniform(0.1, 0.9, (3, 50, 3))
     roughness, metallic = rng.uniform(0.05, 0.95, (2, 50))
     specular = rng.uniform(0.0, 2.0, (50, 6, 2, 3))
-    at = lambda a, s, m: evidence(radiance, a, s, m, diffuse, specular, LEVELS)  # noqa: E731
+    index = np.zeros(50, int)
+    samples = PixelSamples(np.arange(50), radiance, diffuse, specular, LEVELS, index, index, index)
+    at = lambda a, s, m: linearise(samples, a, s, m)  # noqa: E731
     here, step = at(color, roughness, metallic), 1e-4
     for moved, slope in (
         (at(color + step, roughness, metallic), here.by_color),
         (at(color, roughness + step, metallic), here.by_roughness),
         (at(color, roughness, metallic + step), here.by_metallic),
     ):
-        found = (here.residual - moved.residual) / step
-        assert np.quantile(np.abs(found - slope), 0.95) < 0.01  # a few steps cross a level
+        difference = (here.residual - moved.residual) / step
+        assert np.quantile(np.abs(difference - slope), 0.95) < 0.01  # a few steps cross a level
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.03])
-def test_expected_errors_of_colour_are_the_errors_made(monkeypatch, noise):
-    """Noise of each view alone: a sum in quadrature over cells, dark and light ones apart."""
+def test_expected_errors_of_colour_are_the_actual_errors(monkeypatch, noise):
+    """Only independent noise of each view; root mean squares over dark and over bright cells."""
     monkeypatch.setattr(confidence, "COMMON", 0.0)
     monkeypatch.setattr(confidence, "FLOOR", 0.0)
     light = np.repeat([0.02, 0.1, 1.0], 300)
-    found, color, true, roughness, metallic, cell, view = made_up(
-        900, light, noise, np.random.default_rng(1), gloss=0.0
-    )
-    found = replace(found, by_metallic=np.zeros_like(found.by_metallic))  # known to be no metal
-    expected, _, _ = standard_errors(found, roughness, metallic, cell, np.zeros_like(cell), view)
-    made = np.sqrt(((color - true) ** 2).mean(axis=1))
+    pixels, color, true = synthetic(900, light, noise, np.random.default_rng(1), gloss=0.0)
+    pixels = replace(pixels, by_metallic=np.zeros_like(pixels.by_metallic))  # known to be no metal
+    expected, _, _ = standard_errors(pixels)
+    actual = np.sqrt(((color - true) ** 2).mean(axis=1))
     for level in np.unique(light):
-        mine = light == level
-        ratio = np.sqrt((expected[mine] ** 2).mean() / (made[mine] ** 2).mean())
+        cells = light == level
+        ratio = np.sqrt((expected[cells] ** 2).mean() / (actual[cells] ** 2).mean())
         assert 0.7 < ratio < 1.5, level
-    means = [made[light == level].mean() for level in np.unique(light)]
-    assert means[0] > 2 * means[1] > 3 * means[2]  # there is something to tell apart
+    means = [actual[light == level].mean() for level in np.unique(light)]
+    assert means[0] > 2 * means[1] > 3 * means[2]  # the levels differ
     order = np.argsort(confidence.confidence(expected))
-    binned = [np.sqrt((made[part] ** 2).mean()) for part in np.array_split(order, 3)]
+    binned = [np.sqrt((actual[part] ** 2).mean()) for part in np.array_split(order, 3)]
     assert binned[0] > binned[1] > binned[2]
 
 
 def test_without_gloss_roughness_and_metallic_stay_unknown():
     light = np.full(100, 0.5)
     for gloss, low, high in ((0.0, 0.8, 1.01), (1.0, 0.0, 0.5)):
-        found, *_, roughness, metallic, cell, view = made_up(
-            100, light, 0.002, np.random.default_rng(2), gloss
-        )
-        _, error, _ = standard_errors(found, roughness, metallic, cell, np.zeros_like(cell), view)
-        assert low * UNKNOWN <= error[0] <= high * UNKNOWN
+        pixels, *_ = synthetic(100, light, 0.002, np.random.default_rng(2), gloss)
+        _, error, _ = standard_errors(pixels)
+        assert low * UNIFORM_DEVIATION <= error[0] <= high * UNIFORM_DEVIATION
 
 
-def test_errors_say_no_more_than_what_is_known_beforehand():
-    found, *_, roughness, metallic, cell, view = made_up(20, np.full(20, 0.5), 0.01, np.random.default_rng(3))
-    dark = Evidence(**{**vars(found), "by_color": np.zeros_like(found.by_color)})
-    by_cell, *_ = standard_errors(dark, roughness, metallic, cell, np.zeros_like(cell), view)
-    assert by_cell == pytest.approx(UNKNOWN, rel=1e-3)
-    once = np.zeros_like(view)
-    _, error, other = standard_errors(found, roughness, metallic, cell, once * 0, once)
-    assert error[0] == UNKNOWN and other[0] == UNKNOWN  # one view tells no spread
-    off = replace(found, residual=found.residual + 0.2)
-    worse, *_ = standard_errors(off, roughness, metallic, cell, np.zeros_like(cell), view)
-    better, *_ = standard_errors(found, roughness, metallic, cell, np.zeros_like(cell), view)
+def test_errors_never_exceed_those_of_the_uniform_prior():
+    pixels, *_ = synthetic(20, np.full(20, 0.5), 0.01, np.random.default_rng(3))
+    color_error, *_ = standard_errors(replace(pixels, by_color=np.zeros_like(pixels.by_color)))
+    assert color_error == pytest.approx(UNIFORM_DEVIATION, rel=1e-3)
+    one_view = replace(pixels, view=np.zeros_like(pixels.view))
+    _, roughness_error, metallic_error = standard_errors(one_view)  # one view has no spread
+    assert roughness_error[0] == UNIFORM_DEVIATION and metallic_error[0] == UNIFORM_DEVIATION
+    worse, *_ = standard_errors(replace(pixels, residual=pixels.residual + 0.2))
+    better, *_ = standard_errors(pixels)
     assert worse.mean() > 2 * better.mean()
 
 
-def test_confidence_is_the_share_of_ignorance_that_is_gone():
-    assert confidence.confidence(np.array([0.0, UNKNOWN / 2, UNKNOWN, 1.0])).tolist() == [1.0, 0.5, 0.0, 0.0]
+def test_confidence_is_one_minus_the_error_relative_to_the_priors():
+    errors = np.array([0.0, UNIFORM_DEVIATION / 2, UNIFORM_DEVIATION, 1.0])
+    assert confidence.confidence(errors).tolist() == [1.0, 0.5, 0.0, 0.0]
+
+
+def test_many_units_stay_apart() -> None:
+    """Also from unit 8191 on, where 32 bits do not hold the pair of unit and block."""
+    part = np.array([-1, 0, 8190, 8191, 8192, 16384, 16384 + 8191, 100_000, 116_384], np.int32)
+    for single in (True, False):
+        units = Units(part, np.full(part.max() + 1, single))
+        fields = SimpleNamespace(box=Box(np.zeros(3), 1.0))
+        cells = SeenCells(np.arange(len(part)), np.full((len(part), 3), 0.5, np.float32), part)
+        assert len(np.unique(groups_of_cells(units, fields, cells))) == len(part)

@@ -1,31 +1,31 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Groups that stand for parts: by class, piece and colour, the finest that is large enough."""
+"""Groups in place of parts: by class, piece and colour, the finest that is large enough."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_memory import ROOM, SETTINGS, store
 
-from fipt_blender.core.job import training_input as training_input_module
-from fipt_blender.core.job.training_input import training_input
+from fipt_blender.core.light.baking import open_shadings
 from fipt_blender.core.light.observations import observe
-from fipt_blender.core.light.views import open_shadings
+from fipt_blender.core.material import training_input as training_input_module
 from fipt_blender.core.material.groups import (
     NO_GROUP,
     color_class,
-    kinship,
     material_groups,
     numbered,
     part_units,
     piece_units,
+    similarity,
 )
+from fipt_blender.core.material.training_input import training_input
 from fipt_blender.core.scene.labels import NO_PART, Parts
+from samples.panel_pixels import ROOM, SETTINGS, make_pixels
 
 
 def columns(*rows: tuple[int, int, int, int]) -> list[np.ndarray]:
-    """Label, piece and colour of `count` pixels each, and that each counts for one."""
+    """Label, piece, colour and weight 1 of the pixels of (label, piece, colour, count) rows."""
     counts = [row[3] for row in rows]
     return [np.repeat(column, counts) for column in ([row[i] for row in rows] for i in range(3))] + [
         np.ones(sum(counts), int)
@@ -33,7 +33,7 @@ def columns(*rows: tuple[int, int, int, int]) -> list[np.ndarray]:
 
 
 def test_the_finest_group_that_is_large_enough_counts():
-    # Two colours of one piece; a piece whose colours are few pixels each; crumbs of a class in one colour.
+    # Two colours of one piece; a piece whose colours have few pixels; small pieces of one class and colour.
     rows = [
         (0, 0, 7, 50),
         (0, 0, 8, 50),
@@ -47,14 +47,14 @@ def test_the_finest_group_that_is_large_enough_counts():
     assert len(np.unique(group[100:145])) == 1 and len(np.unique(group[145:])) == 1
 
 
-def test_what_nothing_takes_in_has_no_group(rng):
+def test_pixels_in_no_large_combination_have_no_group(rng):
     label, piece, color, one = columns((0, 0, 1, 100), (3, 5, 6, 9))
     order = rng.permutation(109)
     group = material_groups(label[order], piece[order], color[order], one, least=10)
     assert (group[label[order] == 3] == NO_GROUP).all() and (group[label[order] == 0] == 0).all()
 
 
-def test_kinds_of_pixels_count_for_as_many_as_there_are():
+def test_kinds_of_pixels_are_weighted_by_their_number():
     rows = [(0, 0, 7, 50), (0, 0, 8, 30), (1, 1, 7, 20), (1, 2, 7, 25)]
     each = material_groups(*columns(*rows), least=40)
     kinds = material_groups(*(np.array(column) for column in zip(*rows, strict=True)), least=40)
@@ -66,35 +66,35 @@ def test_classes_of_one_colour_never_share_a_group():
     assert group[0] != group[-1]
 
 
-def test_color_classes_tell_hue_and_brightness_apart_and_bear_noise(rng):
+def test_color_classes_separate_hue_and_brightness_and_tolerate_noise(rng):
     base = np.array([[0.6, 0.6, 0.6], [0.15, 0.15, 0.15], [0.6, 0.15, 0.08], [0.08, 0.15, 0.6]])
-    found = color_class(base)
-    assert len(np.unique(found)) == 4
+    classes = color_class(base)
+    assert len(np.unique(classes)) == 4
     noisy = base.repeat(100, axis=0) * rng.normal(1.0, 0.01, (400, 1))
-    assert (color_class(noisy) == found.repeat(100)).mean() > 0.95
-    # A black surface is one, whatever the chroma of its noise.
+    assert (color_class(noisy) == classes.repeat(100)).mean() > 0.95
+    # A black surface has one class, whatever the chroma of its noise.
     assert len(np.unique(color_class(rng.uniform(0.0, 0.004, (100, 3))))) == 1
 
 
-def test_combinations_of_columns_get_numbers_of_their_own(rng: np.random.Generator) -> None:
+def test_each_combination_of_values_has_its_own_number(rng: np.random.Generator) -> None:
     columns = [rng.integers(-5, 5, 500), rng.integers(0, 2**40, 500) % 7 * 2**33, rng.integers(0, 3, 500)]
     number = numbered(columns)
     pairs = np.unique(np.column_stack([*columns, number]), axis=0)
     assert len(pairs) == len(np.unique(number)) == len(np.unique(pairs[:, :3], axis=0))
 
 
-def test_kin_are_of_one_class_and_like_colour():
+def test_similar_groups_are_of_one_class_and_similar_colour():
     color = np.array([[0.85] * 3, [0.9] * 3, [0.6] * 3, [0.85, 0.6, 0.5], [0.85] * 3, [0.01] * 3, [0.0] * 3])
-    kin = kinship(np.array([0, 0, 0, 0, 1, 0, 0]), color)
-    np.testing.assert_array_equal(kin, kin.T)
-    assert (np.diag(kin) == 1.0).all()
-    assert kin[0, 1] > 0.8 and kin[5, 6] > 0.1  # noise of bright colours, and of dark ones
-    assert (kin[0, 2:] < 0.1).all()
+    likeness = similarity(np.array([0, 0, 0, 0, 1, 0, 0]), color)
+    np.testing.assert_array_equal(likeness, likeness.T)
+    assert (np.diag(likeness) == 1.0).all()
+    assert likeness[0, 1] > 0.8 and likeness[5, 6] > 0.1  # noise of bright and of dark colours
+    assert (likeness[0, 2:] < 0.1).all()
 
 
-def test_pieces_of_one_roughness_are_units_and_others_are_left_to_their_class():
+def test_pieces_of_one_roughness_are_units_and_others_belong_to_their_class():
     # Piece 0: two groups of one roughness; 1: a matt and a glossy half; 2: hardly any pixel has a group;
-    # 3: a tenth strays; 4: nobody saw it.
+    # 3: a tenth are outliers; 4: unseen.
     piece = np.array([0, 0, 1, 2, 3, 4, 1])
     parts = Parts(np.array([0, 0, 0, 1, 1, 1, NO_PART], np.int32), "semantic")
     triangle, group = np.array([0, 1, 2, 2, 3, 3, 4, 4]), np.array([0, 1, 0, 2, NO_GROUP, 0, 2, 0])
@@ -104,22 +104,22 @@ def test_pieces_of_one_roughness_are_units_and_others_are_left_to_their_class():
     assert units.single.tolist() == [False, False, True, True]
     assert units.is_single(np.array([3, 0, NO_PART])).tolist() == [True, False, False]
     metal = piece_units(parts, piece, triangle, group, pixels, np.full(3, 0.4), np.array([0.0, 1.0, 0.0]))
-    assert metal.single.tolist() == [False, False, True, True] and metal.triangle[0] == 0  # half a metal
+    assert metal.single.tolist() == [False, False, True, True] and metal.triangle[0] == 0  # half of it metal
     assert part_units(parts).single.all()
 
 
-def test_pixels_that_nobody_drew_have_their_own_colour(tmp_path, monkeypatch: pytest.MonkeyPatch):
-    """Each surface of the box has one colour: groups are surfaces, however few pixels are looked at."""
+def test_pixels_outside_the_sample_have_their_own_colour(tmp_path, monkeypatch: pytest.MonkeyPatch):
+    """Each surface of the box has one colour, so groups are surfaces, however small the sample is."""
     monkeypatch.setattr(training_input_module, "PROJECTION_PIXELS", 300)
     monkeypatch.setattr(training_input_module, "LEAST_PIXELS", 50)
-    pixels = store(tmp_path / "pixels", 6)
+    pixels = make_pixels(tmp_path / "pixels", 6)
     nothing = Parts(np.full(len(ROOM.triangles), NO_PART, np.int32), "none")
     seen = observe(ROOM, pixels, nothing, SETTINGS, tmp_path / "observed")
     shadings = open_shadings(tmp_path / "shadings", len(pixels), 3, create=True)
     shadings.diffuse[:] = 2.0
-    levels, own = np.array([0.1, 0.5, 1.0], np.float32), ROOM.triangle_object
-    data, _, _ = training_input(pixels, seen, nothing, own, shadings, levels, lambda position: position, 0)
+    levels, pieces = np.array([0.1, 0.5, 1.0], np.float32), ROOM.triangle_object
+    data, _ = training_input(seen, pieces, shadings, levels, lambda position: position, SETTINGS)
     known = np.asarray(data.group) >= 0
-    surface = own[pixels.triangle[known]]
+    surface = pieces[pixels.triangle[known]]
     assert known.sum() > 0.9 * len(seen.pool)
     assert (np.bincount(np.unique(np.stack([surface, data.group[known]]), axis=1)[0]) <= 1).all()

@@ -1,18 +1,14 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hash grid, networks and losses: values by hand or in double precision, gradients by differences."""
+"""Hash grid, networks and losses against values by hand or in double precision, and differences."""
 
-import mitsuba as mi
 import numpy as np
 import pytest
 import torch
 
-mi.set_variant("llvm_ad_rgb")
-
-from fipt_blender.core.job.settings import Settings  # noqa: E402
-from fipt_blender.core.material import losses  # noqa: E402
-from fipt_blender.core.material.hashgrid import HashGrid  # noqa: E402
-from fipt_blender.core.material.networks import (  # noqa: E402
+from fipt_blender.core.material import losses
+from fipt_blender.core.material.hashgrid import HashGrid
+from fipt_blender.core.material.networks import (
     BrdfNetwork,
     EmissionNetwork,
     Prediction,
@@ -20,12 +16,13 @@ from fipt_blender.core.material.networks import (  # noqa: E402
     positional_encoding,
     useful_hash_levels,
 )
+from fipt_blender.core.run.settings import Settings
 
 CPU = torch.device("cpu")
 
 
 def make_grid(levels: int = 5, seed: int = 0) -> HashGrid:
-    """Levels 4, 7, 12, 22 and 40: the first three have an entry for each point, the others share 2^12."""
+    """Five levels: the first three have an entry for each grid point, the others share 2^12."""
     grid = HashGrid(levels, 2, 12, 4, 1.8, torch.Generator().manual_seed(seed), CPU)
     with torch.no_grad():
         grid.table.mul_(1e4)
@@ -33,7 +30,7 @@ def make_grid(levels: int = 5, seed: int = 0) -> HashGrid:
 
 
 def reference_weights(grid: HashGrid, positions: np.ndarray) -> np.ndarray:
-    """(N, levels, table rows) trilinear weights in double precision, by Müller et al.'s Eq. 4."""
+    """(N, levels, table rows) trilinear weights in double precision, by Eq. 4 of Müller et al.."""
     result = np.zeros((len(positions), len(grid.resolutions), int(grid.offsets[-1])))
     for level, resolution in enumerate(grid.resolutions):
         scaled = positions.astype(np.float64) * resolution
@@ -98,7 +95,7 @@ def test_hash_grid_at_the_borders_and_with_no_gradient() -> None:
 
 
 def test_hash_grid_gradients_are_the_same_bit_for_bit(rng: np.random.Generator) -> None:
-    """Many points fall into the same cells, so the order of sums would show."""
+    """Many points lie in the same cells, so the order of summation would show."""
     positions = torch.from_numpy((rng.random((20_000, 3)) * 0.2).astype(np.float32))
     upstream = torch.from_numpy(rng.normal(size=(20_000, 10)).astype(np.float32))
     gradients = []
@@ -116,13 +113,13 @@ def test_hash_grid_gradients_are_the_same_bit_for_bit(rng: np.random.Generator) 
 def test_networks_stay_in_range_and_start_alike() -> None:
     settings = Settings(hash_levels=4, hash_log2_size=10)
     positions = torch.rand((300, 3), generator=torch.Generator().manual_seed(2))
-    found = []
+    outputs = []
     for _ in range(2):
         generator = torch.Generator().manual_seed(5)
         brdf = BrdfNetwork(settings, 4, generator, CPU)
         emission = EmissionNetwork(settings, generator, CPU)
-        found.append((brdf(positions), emission(positions)))
-    (prediction, raw), (again, raw_again) = found
+        outputs.append((brdf(positions), emission(positions)))
+    (prediction, raw), (again, raw_again) = outputs
     assert torch.equal(prediction.base_color, again.base_color) and torch.equal(raw, raw_again)
     assert 0 <= prediction.base_color.min() and prediction.base_color.max() <= 1
     assert prediction.roughness.min() >= 0.02 and prediction.roughness.max() <= 1
@@ -147,7 +144,7 @@ def test_hash_levels_end_at_half_a_pixel() -> None:
 
 
 def prediction(seed: int, count: int = 6) -> tuple[torch.Tensor, ...]:
-    """Base colour, roughness and metallic away from kinks, in double precision."""
+    """Base colour, roughness and metallic where the losses are differentiable, in double precision."""
     values = torch.rand((count, 5), generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
     values = 0.1 + 0.8 * values
     return tuple(v.clone().requires_grad_() for v in (values[:, :3], values[:, 3], values[:, 4]))
@@ -173,10 +170,11 @@ def test_specular_shading_at_and_between_levels() -> None:
 def test_factorised_rendering_by_hand_and_its_gradient() -> None:
     shadings = torch.tensor([[[[1.0], [0.5]], [[2.0], [0.1]], [[3.0], [0.2]]]], dtype=torch.float64)
     one = Prediction(*(torch.tensor(v, dtype=torch.float64) for v in ([[0.5, 0.5, 0.2]], [0.3], [0.25])))
-    found = losses.factorised_rendering(
+    rendered = losses.factorised_rendering(
         one, torch.full((1, 3), 4.0, dtype=torch.float64), shadings.expand(1, 3, 2, 3), LEVELS
     )
-    assert found[0].tolist() == pytest.approx([1.5 + (0.03 + 0.125) * 2 + 0.1] * 2 + [0.6 + 0.08 * 2 + 0.1])
+    expected = [1.5 + (0.03 + 0.125) * 2 + 0.1] * 2 + [0.6 + 0.08 * 2 + 0.1]
+    assert rendered[0].tolist() == pytest.approx(expected)
     values = prediction(2)
     assert torch.autograd.gradcheck(
         lambda *v: losses.factorised_rendering(Prediction(*v), LIGHT, UNIFORM, LEVELS), values
@@ -189,14 +187,14 @@ def test_tone_mapping_and_rendering_loss() -> None:
     curve = np.where(logs <= 0.0031308, 12.92 * logs, 1.055 * logs ** (1 / 2.4) - 0.055)
     assert losses.tone_map(x).tolist() == pytest.approx(curve.tolist())
     photographed = torch.full((6, 3), 2.0, dtype=torch.float64)
-    whole = torch.ones(6, dtype=torch.float64)
-    # Full emission explains the photograph; none leaves the rendering.
-    assert float(losses.rendering_loss(LIGHT, whole, photographed)) == 0.0
+    ones = torch.ones(6, dtype=torch.float64)
+    # With alpha = 1 emission explains the photograph; with 0 only the rendering counts.
+    assert float(losses.rendering_loss(LIGHT, ones, photographed)) == 0.0
     expected = (losses.tone_map(LIGHT) - losses.tone_map(photographed)).square().sum(dim=1).mean()
-    assert float(losses.rendering_loss(LIGHT, whole * 0, photographed)) == pytest.approx(
+    assert float(losses.rendering_loss(LIGHT, ones * 0, photographed)) == pytest.approx(
         float(expected.detach())
     )
-    rendered, alpha = LIGHT.clone().requires_grad_(), (whole * 0.3).requires_grad_()
+    rendered, alpha = LIGHT.clone().requires_grad_(), (ones * 0.3).requires_grad_()
     assert torch.autograd.gradcheck(lambda r, a: losses.rendering_loss(r, a, photographed), (rendered, alpha))
 
 
@@ -224,7 +222,7 @@ def test_part_term_by_hand() -> None:
 
 
 def test_semantic_term_is_its_equation(rng: np.random.Generator) -> None:
-    """Eq. 17: sigma' is the mean over x' of one class, weighted by likeness in colour and nearness."""
+    """Eq. 20: sigma' is the mean over x' of the same class, weighted by distance in colour and position."""
     color, roughness, metallic = (v.detach().numpy() for v in prediction(5))
     positions = rng.random((6, 3)) * 0.2
     part = np.array([0, 0, 1, 1, -1, 2])
@@ -242,12 +240,12 @@ def test_semantic_term_is_its_equation(rng: np.random.Generator) -> None:
         if weights > 0:  # the last pixel has no partner, the fifth no class
             total += np.abs(np.array([roughness[i], metallic[i]]) - means / weights).sum()
     arguments = [torch.from_numpy(a) for a in (positions, part, partners)]
-    found = losses.semantic_loss(Prediction(*prediction(5)), *arguments, 0.3, 0.1)
-    assert float(found) == pytest.approx(total / 6, rel=1e-9)
+    loss = losses.semantic_loss(Prediction(*prediction(5)), *arguments, 0.3, 0.1)
+    assert float(loss) == pytest.approx(total / 6, rel=1e-9)
 
 
 def test_semantic_term_has_the_gradient_of_fixed_means() -> None:
-    """sigma' and m' are targets: only the pixel's own value is drawn to them (no gradient in x')."""
+    """sigma' and m' are constant targets: x' gets no gradient."""
     values = prediction(6)
     positions = torch.zeros((6, 3), dtype=torch.float64)
     part, partners = torch.zeros(6, dtype=torch.int64), torch.arange(6)

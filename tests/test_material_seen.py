@@ -1,26 +1,34 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What stands in for surfaces that no photograph saw, the same for every user of the estimate."""
+"""Fallback values of unseen surfaces, which are the same wherever the estimate is used."""
 
 import numpy as np
 import pytest
-from small_rooms import BOX, make_room
 
-from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.runfolder import RunFolder, write_json
-from fipt_blender.core.job.settings import make_settings
+from benchmarks.tracer.surfaces import LatticeMaterials
 from fipt_blender.core.light.cache import make_grid, pool, unseen_points
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.material.groups import Units
-from fipt_blender.core.material.seen import RESOLUTION, Box, room_box, seen_cells
-from fipt_blender.core.render.surfaces import LatticeMaterials
+from fipt_blender.core.material.seen import (
+    RESOLUTION,
+    Box,
+    fallback_values,
+    room_box,
+    seen_cells,
+    seen_statistics,
+)
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.settings import make_settings
+from fipt_blender.core.run.shapes import ROOM_ARRAYS
 from fipt_blender.core.textures import bake
+from samples.small_rooms import BOX, make_room
 
 BOX_4 = Box(np.zeros(3), 4.0)
 
 
 class Ramp:
-    """Stands for the network: base colour and the rest follow x."""
+    """In place of the network: base colour, roughness and metallic are linear in x."""
 
     box = BOX_4
 
@@ -40,7 +48,7 @@ def units(triangle: list[int], single: bool = False) -> Units:
 
 @pytest.fixture
 def fields() -> RoomFields:
-    """Part 0 was seen up to x = 1, part 1 above 3; part 2 never. Triangle t has part t, triangle 3 none."""
+    """Part 0 was seen up to x = 1, part 1 from x = 3, part 2 never. Triangle t is part t, triangle 3 none."""
     points = np.concatenate([grid_points(0.0, 1.0, 0.0), grid_points(3.0, 4.0, 0.0)])
     part = np.repeat([0, 1], len(points) // 2)
     cells = seen_cells(BOX_4, [(points[:99], part[:99]), (points[99:], part[99:])])
@@ -48,13 +56,13 @@ def fields() -> RoomFields:
     return RoomFields(Ramp(), units([0, 1, 2, -1]), cells, certain)
 
 
-def test_seen_points_are_the_networks_and_unseen_ones_their_parts_median(fields):
+def test_seen_points_take_the_networks_values_and_unseen_ones_their_parts_median(fields):
     points = grid_points(0.05, 0.95, 0.0)
     on = lambda part: np.full(len(points), part)  # noqa: E731
-    for got, wanted in zip(fields.query(points, on(0)), Ramp().query(points), strict=True):
-        np.testing.assert_array_equal(got, wanted)
+    for value, expected in zip(fields.query(points, on(0)), Ramp().query(points), strict=True):
+        np.testing.assert_array_equal(value, expected)
     assert (fields.confidence(points, on(0)) == 1.0).all() and not fields.confidence(points, on(1)).any()
-    color, roughness, metallic = fields.query(points, on(1))  # of part 1 the other end was seen
+    color, roughness, metallic = fields.query(points, on(1))  # part 1 was seen at the other end
     assert np.ptp(color, axis=0).max() == 0.0
     middle = 3.5 / 4.0
     assert color[0] == pytest.approx([middle, 0.5 * middle, 0.2 * middle], abs=0.01)
@@ -62,44 +70,54 @@ def test_seen_points_are_the_networks_and_unseen_ones_their_parts_median(fields)
     assert metallic[0] == pytest.approx(0.1 * middle, abs=0.01)
 
 
-def test_uncertain_values_are_drawn_to_their_part_where_it_is_one_material(fields):
+def test_uncertain_values_are_shrunk_towards_their_part_if_it_is_one_material(fields):
     points = grid_points(0.05, 0.95, 0.0)
     on = np.zeros(len(points), int)
     plain = fields.query(points, on)
     for error, least, most in ((0.001, 0.8, 1.0), (0.28, 0.0, 0.3)):
         errors = np.full_like(fields.errors, error)
-        drawn = RoomFields(Ramp(), units([0, 1, 2, -1], True), fields.cells, errors).query(points, on)
-        kept = np.ptp(drawn[0], axis=0) / np.ptp(plain[0], axis=0)
+        shrunk = RoomFields(Ramp(), units([0, 1, 2, -1], True), fields.cells, errors).query(points, on)
+        kept = np.ptp(shrunk[0], axis=0) / np.ptp(plain[0], axis=0)
         assert (kept > least).all() and (kept <= most).all()
-        assert np.ptp(drawn[1]) < 0.3 * np.ptp(plain[1])  # one roughness, however sure the base colour is
+        assert np.ptp(shrunk[1]) < 0.3 * np.ptp(plain[1])  # one roughness, whatever the error of base colour
         other = Units(fields.units.triangle, np.array([False, True, True]))
-        for some in (fields.units, other):
-            as_they_are = RoomFields(Ramp(), some, fields.cells, errors).query(points, on)
-            np.testing.assert_array_equal(as_they_are[0], plain[0])
+        for several_materials in (fields.units, other):
+            values = RoomFields(Ramp(), several_materials, fields.cells, errors).query(points, on)
+            np.testing.assert_array_equal(values[0], plain[0])
 
 
 @pytest.mark.parametrize("triangle", [2, 3])
-def test_parts_that_nobody_saw_and_triangles_without_one_take_the_nearest_seen_point(fields, triangle):
+def test_unseen_parts_and_triangles_without_part_take_the_nearest_seen_point(fields, triangle):
     points = np.array([[1.4, 2.0, 0.0], [2.6, 2.0, 0.0]], np.float32)
     color, _, _ = fields.query(points, np.full(2, triangle))
     assert color[:, 0] == pytest.approx([1.0 / 4.0, 3.0 / 4.0], abs=0.03)
 
 
-def test_the_cells_beside_a_seen_one_count_as_seen(fields):
+def test_neighbours_of_a_seen_cell_count_as_seen(fields):
     cell = 4.0 / RESOLUTION
     points = np.array([[1.0 + 0.9 * cell, 2.0, 0.0], [1.0 + 2.5 * cell, 2.0, 0.0]], np.float32)
     assert fields.confidence(points, np.zeros(2, int)).all(axis=1).tolist() == [True, False]
 
 
-def test_where_nothing_was_seen_the_network_answers():
+def test_without_any_seen_surface_the_networks_values_remain():
     nothing = seen_cells(BOX_4, [])
     points = grid_points(0.0, 4.0, 0.0)
-    found = RoomFields(Ramp(), units([0]), nothing).query(points, np.zeros(len(points), int))
-    np.testing.assert_array_equal(found[0], Ramp().query(points)[0])
+    values = RoomFields(Ramp(), units([0]), nothing).query(points, np.zeros(len(points), int))
+    np.testing.assert_array_equal(values[0], Ramp().query(points)[0])
+
+
+def test_points_far_from_the_few_seen_ones_take_the_nearest_value():
+    """A scan of a whole building of which a corner was photographed; here by one pixel, then by two."""
+    for points in ([[1.0, 1.0, 1.0]], [[1.0, 1.0, 1.0], [1.0 + 1e-5, 1.0, 1.0]]):
+        seen = np.array(points, np.float32)
+        statistics = seen_statistics(seen, np.zeros(len(seen), int), seen)
+        far = np.array([[-300.0, 50.0, 4.0], [1.0, 1.0, 1.0], [2e3, 1e3, -5e2]], np.float32)
+        values = fallback_values(far, np.ones(3, int), statistics)
+        np.testing.assert_allclose(values, 1.0, atol=1e-4)
 
 
 def test_textures_and_forward_rendering_have_the_same_materials(tmp_path, fields):
-    """Cycles' textures and the path tracer's lattice, on a floor of which half was seen."""
+    """Cycles' textures and the path tracer's lattice agree on a floor of which half was seen."""
     import mitsuba as mi
 
     room = make_room([[[0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]]])
@@ -107,7 +125,9 @@ def test_textures_and_forward_rendering_have_the_same_materials(tmp_path, fields
     floor = RoomFields(Ramp(), units([0, 0]), seen_cells(BOX_4, [(points, np.zeros(len(points), int))]))
     run = RunFolder(tmp_path / "run")
     run.create(make_settings())
-    np.savez(run.room_npz, vertices=room.vertices, triangles=room.triangles)
+    arrays = {name: getattr(room, name, np.zeros(2, np.int32)) for name in ROOM_ARRAYS}
+    np.savez(run.room_npz, **arrays)
+    write_json(run.room_json, {"objects": ["floor"], "materials": ["paint"]})
     uv = room.vertices[room.triangles][..., :2] / 4.0 * 0.8 + 0.1
     np.savez(run.atlas_npz, corner_uv=uv.astype(np.float32), triangle_image=np.zeros(2, np.int32))
     write_json(run.atlas_json, {"mode": "uv", "images": [{"name": "a", "width": 400, "height": 400}]})
@@ -122,12 +142,12 @@ def test_textures_and_forward_rendering_have_the_same_materials(tmp_path, fields
     materials = LatticeMaterials(room, floor.query, 0.02)
     position = mi.Point3f(x.astype(np.float32), y.astype(np.float32), 0.0)
     color, _, _ = materials.lookup(position, mi.UInt32((y > x).astype(np.uint32)))
-    away = np.abs(x - 2.0) > 2 * 4.0 / RESOLUTION  # from the border of what was seen
-    np.testing.assert_allclose(np.array(color).T[away], texels[away], atol=0.01)
+    off_border = np.abs(x - 2.0) > 2 * 4.0 / RESOLUTION  # of the seen area
+    np.testing.assert_allclose(np.array(color).T[off_border], texels[off_border], atol=0.01)
     assert np.ptp(texels[(x > 2.2), 0]) < 1e-3 < np.ptp(texels[x < 1.8, 0])
 
 
-def test_refinement_finds_a_point_for_every_entry_without_pixels():
+def test_refinement_has_a_point_for_every_entry_without_pixels():
     room = make_room(BOX)
     rng = np.random.default_rng(0)
     floor = np.column_stack([rng.uniform(-2, 2, (4000, 2)), np.zeros(4000)]).astype(np.float32)
@@ -136,12 +156,12 @@ def test_refinement_finds_a_point_for_every_entry_without_pixels():
     count = pool(grid, grid.entries(floor, up), floor)[1]
     entries, points, triangles = unseen_points(grid, room, count, rng)
     assert (count[entries] == 0).all() and len(np.unique(entries)) == len(entries)
-    assert (triangles[points[:, 2] > 2.99] >= 2).all()  # the ceiling's points are on no floor triangle
+    assert (triangles[points[:, 2] > 2.99] >= 2).all()  # points of the ceiling lie on no floor triangle
     # Both sides of five walls and the floor's underside, of about 22 x 22 or 22 x 16 voxels each.
     assert 3000 < len(entries) < 8000
 
 
-def test_results_without_parts_are_explained(tmp_path):
+def test_missing_and_damaged_results_raise(tmp_path):
     run = RunFolder(tmp_path / "run")
     run.create(make_settings())
     run.results.mkdir(exist_ok=True)

@@ -1,19 +1,25 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Training: finds what made the pixels, the same twice on several threads, the same after an interruption."""
+"""Training recovers the materials of synthetic pixels, and is reproducible over threads and interruptions."""
 
 from pathlib import Path
 
-import mitsuba as mi
 import numpy as np
 import pytest
 import torch
 
-mi.set_variant("llvm_ad_rgb")
-
-from fipt_blender.core.job.settings import Settings  # noqa: E402
-from fipt_blender.core.material.networks import BrdfNetwork, EmissionNetwork, emission_mask  # noqa: E402
-from fipt_blender.core.material.training import TrainingData, gather_batch, total_loss, train  # noqa: E402
+from fipt_blender.core.material.networks import BrdfNetwork, EmissionNetwork, Networks, emission_mask
+from fipt_blender.core.material.training import (
+    Resume,
+    TrainingData,
+    gather_batch,
+    read_checkpoint,
+    total_loss,
+    train,
+)
+from fipt_blender.core.run.checkpoints import save_tensors
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.settings import Settings
 
 CPU = torch.device("cpu")
 SETTINGS = Settings(
@@ -24,7 +30,7 @@ LEVELS = np.array([0.02, 0.5, 1.0], np.float32)
 
 
 def make_data(kind: str = "part") -> TrainingData:
-    """Matt pixels in two halves, red and blue, and a lamp in a corner."""
+    """Matt pixels in two halves, one red and one blue, and a lamp in a corner."""
     rng = np.random.default_rng(4)
     count = 4000
     position = rng.random((count, 3)).astype(np.float32)
@@ -53,37 +59,36 @@ def make_data(kind: str = "part") -> TrainingData:
 
 @pytest.fixture
 def one_thread():
-    """Networks this small lose more by waiting for a second thread than they gain."""
+    """Networks this small lose more time waiting for a second thread than they gain."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(threads)
 
 
-def networks() -> tuple[BrdfNetwork, EmissionNetwork]:
+def make_networks() -> Networks:
     generator = torch.Generator().manual_seed(1)
-    return BrdfNetwork(SETTINGS, 4, generator, CPU), EmissionNetwork(SETTINGS, generator, CPU)
+    return Networks(BrdfNetwork(SETTINGS, 4, generator, CPU), EmissionNetwork(SETTINGS, generator, CPU))
 
 
-def weights(*modules: torch.nn.Module) -> list[bytes]:
+def weights(networks: Networks) -> list[bytes]:
+    modules = (networks.brdf, networks.emission)
     return [value.numpy().tobytes() for module in modules for value in module.state_dict().values()]
 
 
 def test_the_same_seed_gives_the_same_weights_on_all_threads() -> None:
-    found = []
-    for _ in range(2):
-        pair = networks()
-        train(*pair, make_data(), SETTINGS, 6, 0, CPU, None, lambda _: None)
-        found.append(weights(*pair))
-    assert found[0] == found[1]
-    pair = networks()
-    train(*pair, make_data(), SETTINGS, 6, 1, CPU, None, lambda _: None)
-    assert weights(*pair) != found[0]  # another round draws other batches
+    results = []
+    for round_index in (0, 0, 1):
+        networks = make_networks()
+        train(networks, make_data(), SETTINGS, 6, round_index, None, lambda _: None)
+        results.append(weights(networks))
+    assert results[0] == results[1]
+    assert results[2] != results[0]  # another round draws other batches
 
 
 def test_an_interrupted_training_ends_with_the_same_weights(one_thread, tmp_path: Path) -> None:
-    whole = networks()
-    train(*whole, make_data(), SETTINGS, 12, 0, CPU, None, lambda _: None)
+    uninterrupted = make_networks()
+    train(uninterrupted, make_data(), SETTINGS, 12, 0, None, lambda _: None)
 
     def interrupt(share: float) -> None:
         if share > 0.9:
@@ -91,22 +96,45 @@ def test_an_interrupted_training_ends_with_the_same_weights(one_thread, tmp_path
 
     checkpoint = tmp_path / "training-0.pt"
     with pytest.raises(KeyboardInterrupt):
-        train(*networks(), make_data(), SETTINGS, 12, 0, CPU, checkpoint, interrupt)
+        train(make_networks(), make_data(), SETTINGS, 12, 0, Resume(checkpoint), interrupt)
     assert checkpoint.exists()
-    resumed = networks()
+    resumed = make_networks()
     shares: list[float] = []
-    train(*resumed, make_data(), SETTINGS, 12, 0, CPU, checkpoint, shares.append)
+    resume = Resume(checkpoint, read_checkpoint(checkpoint, resumed, 12))
+    train(resumed, make_data(), SETTINGS, 12, 0, resume, shares.append)
     assert shares[0] == pytest.approx(11 / 12)  # from the checkpoint after step 10
-    assert weights(*whole) == weights(*resumed)
+    assert weights(uninterrupted) == weights(resumed)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"brdf": None},
+        {"emission": {}},
+        {"step": 12},
+        {"step": "5"},
+        {"optimiser": {}},
+        {"optimiser": {"state": {0: {"exp_avg": torch.zeros(3)}}, "param_groups": []}},
+    ],
+)
+def test_a_checkpoint_that_does_not_fit_is_refused(change, tmp_path: Path) -> None:
+    checkpoint = tmp_path / "training-0.pt"
+    train(make_networks(), make_data(), SETTINGS, 6, 0, Resume(checkpoint), lambda _: None)
+    assert read_checkpoint(checkpoint, make_networks(), 6)["step"] == 5
+    save_tensors(checkpoint, {**torch.load(checkpoint, weights_only=True), **change})
+    with pytest.raises(FiptError) as caught:
+        read_checkpoint(checkpoint, make_networks(), 6)
+    assert caught.value.code == "file-damaged"
 
 
 def test_colours_and_the_lamp_are_found(one_thread) -> None:
-    brdf, emission = networks()
+    networks = make_networks()
     data = make_data()
-    train(brdf, emission, data, SETTINGS, 400, 0, CPU, None, lambda _: None)
+    train(networks, data, SETTINGS, 400, 0, None, lambda _: None)
     inputs = torch.from_numpy(data.normalise(data.position))
     with torch.no_grad():
-        prediction, alpha = brdf(inputs), emission_mask(emission(inputs)).numpy()
+        prediction = networks.brdf(inputs)
+        alpha = emission_mask(networks.emission(inputs)).numpy()
     kd = (prediction.base_color * (1 - prediction.metallic[:, None])).numpy()
     expected = np.where(data.label[:, None] == 0, [0.7, 0.2, 0.1], [0.1, 0.3, 0.6])
     distance = np.linalg.norm(data.normalise(data.position) - 1.0, axis=1)
@@ -117,24 +145,23 @@ def test_colours_and_the_lamp_are_found(one_thread) -> None:
 
 @pytest.mark.parametrize("kind", ["part", "semantic", "none"])
 def test_every_term_is_in_the_total(kind: str) -> None:
-    """Raising one weight raises the total by that weight's term; the others do not answer."""
+    """Raising the weight of a term raises the total, unless the data have no such term."""
     data = make_data(kind)
     batch = gather_batch(data, np.arange(0, 400), CPU)
-    levels, partners = torch.from_numpy(LEVELS), torch.arange(0, 400, 2)
-    pair = networks()
+    partners, networks = torch.arange(0, 400, 2), make_networks()
 
     def total(**changes: float) -> float:
         zero = {name: 0.0 for name in ("lambda_emission", "lambda_diffuse", "lambda_part", "lambda_semantic")}
         settings = Settings(**{**zero, **changes})
         with torch.no_grad():
-            return float(total_loss(*pair, batch, levels, kind == "semantic", settings, partners))
+            return float(total_loss(networks, batch, settings, partners))
 
     base = total()
-    answers = {
+    raised = {
         name: total(**{name: 1.0}) > base + 1e-6
         for name in ("lambda_emission", "lambda_diffuse", "lambda_part", "lambda_semantic")
     }
-    assert answers == {
+    assert raised == {
         "lambda_emission": True,
         "lambda_diffuse": True,
         "lambda_part": kind != "none",

@@ -11,14 +11,18 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from capture_samples import make_samples, write_colmap, write_mesh, write_transforms
 
 import fipt_blender
-from fipt_blender import preferences, running
-from fipt_blender.blend import overlay
-from fipt_blender.blend.survey import coverage_colors, part_colors
+from fipt_blender import machine
+from fipt_blender.blend.capture import overlay
+from fipt_blender.blend.capture.survey import coverage_colors, part_colors
 from fipt_blender.core.capture.images import write_exr
-from fipt_blender.core.job.runfolder import RunFolder, read_json
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.jobs import running
+from fipt_blender.panels import capture as panel
+from fipt_blender.panels import swatches
+from samples.capture_files import make_samples, write_colmap, write_mesh, write_transforms
 
 ops = bpy.ops.fipt
 
@@ -28,14 +32,12 @@ def registered():
     fipt_blender.register()
     yield
     fipt_blender.unregister()
-    assert overlay._shown is None
 
 
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    monkeypatch.setattr(preferences._defaults, "data_folder", str(tmp_path / "data"))
-    monkeypatch.setattr(preferences._defaults, "device", "llvm")
+    monkeypatch.setattr(machine.DEFAULTS, "data_folder", str(tmp_path / "data"))
+    monkeypatch.setattr(machine.DEFAULTS, "device", "llvm")
     return bpy.context.scene
 
 
@@ -103,7 +105,7 @@ def test_bad_captures_are_refused_in_words_and_change_nothing(imported, sample, 
     run, views = imported.fipt.run_folder, len(imported.fipt.capture.views)
     assert "does not exist" in refused(ops.import_capture, filepath=str(tmp_path / "nowhere"))
     (tmp_path / "empty").mkdir()
-    assert "no capture that can be read" in refused(ops.import_capture, filepath=str(tmp_path / "empty"))
+    assert "not a capture in a known format" in refused(ops.import_capture, filepath=str(tmp_path / "empty"))
     broken = tmp_path / "broken"
     shutil.copytree(sample, broken)
     (broken / "images" / "003_0001.exr").unlink()
@@ -126,6 +128,15 @@ def test_first_import_needs_a_path_and_an_engine(scene, sample, tmp_path, monkey
     assert scene.fipt.run_folder == ""
 
 
+def test_a_run_is_named_after_the_capture_that_could_be_imported(scene, sample, tmp_path):
+    (tmp_path / "empty").mkdir()
+    refused(ops.import_capture, filepath=str(tmp_path / "empty"))
+    assert Path(scene.fipt.run_folder).name.startswith("empty")  # holds the log
+    assert ops.import_capture(filepath=str(sample)) == {"FINISHED"}
+    (folder,) = (tmp_path / "data" / "runs").iterdir()
+    assert folder.name.startswith("kitchen") and scene.fipt.run_folder == str(folder)
+
+
 def test_mesh_and_room(imported, sample, tmp_path):
     settings = imported.fipt.capture
     assert "does not exist" in refused(ops.import_mesh, filepath=str(tmp_path / "gone.obj"))
@@ -135,7 +146,7 @@ def test_mesh_and_room(imported, sample, tmp_path):
     assert ops.import_mesh(filepath=str(tmp_path / "other.obj")) == {"FINISHED"}
     (item,) = settings.room_objects(imported)
     assert len(item.data.polygons) == 1 and item.parent == settings.alignment
-    assert "No meshes are selected" in refused(ops.set_room)
+    assert "No mesh objects are selected" in refused(ops.set_room)
     assert "no collection" in refused(ops.set_room, collection="Nothing")
     bpy.ops.mesh.primitive_cube_add()
     cube = bpy.context.object
@@ -144,6 +155,41 @@ def test_mesh_and_room(imported, sample, tmp_path):
     imported.collection.children.link(mine)
     mine.objects.link(item)
     assert ops.set_room(collection="Mine") == {"FINISHED"} and settings.room_objects(imported) == [item]
+
+
+def test_what_is_left_out_of_the_room_is_named(imported, capfd):
+    """Collection instances and curves among the selected objects, and in a collection that is chosen."""
+    chairs = bpy.data.collections.new("Chairs")
+    bpy.ops.mesh.primitive_cube_add()
+    cube = bpy.context.object
+    bpy.context.collection.objects.unlink(cube)
+    chairs.objects.link(cube)
+    for name in ("chair 1", "chair 2"):
+        instance = bpy.data.objects.new(name, None)
+        instance.instance_type, instance.instance_collection = "COLLECTION", chairs
+        imported.collection.objects.link(instance)
+        instance.select_set(True)
+    assert "Make Instances Real" in refused(ops.set_room)
+    bpy.ops.mesh.primitive_plane_add()
+    curve = bpy.data.objects.new("lamp cable", bpy.data.curves.new("cable", "CURVE"))
+    imported.collection.objects.link(curve)
+    for name in ("chair 1", "chair 2", "lamp cable", "Plane"):
+        bpy.data.objects[name].select_set(True)
+    capfd.readouterr()
+    assert ops.set_room() == {"FINISHED"}
+    told = capfd.readouterr().out
+    assert "2 collection instances ('chair 1', 'chair 2')" in told and "Make Instances Real" in told
+    assert "'lamp cable'" in told and "Convert" in told
+    furniture = bpy.data.collections.new("Furniture")
+    imported.collection.children.link(furniture)
+    for name in ("chair 1", "Plane"):
+        furniture.objects.link(bpy.data.objects[name])
+    capfd.readouterr()
+    assert ops.set_room(collection="Furniture") == {"FINISHED"}
+    assert "1 collection instance ('chair 1')" in capfd.readouterr().out
+    assert ops.check_views() == {"FINISHED"}
+    (warning,) = (w for w in running.last("survey").warnings if w["code"] == "instances-left-out")
+    assert "'chair 1'" in warning["text"]
 
 
 def test_looking_through_views_and_ticking_them(imported):
@@ -188,12 +234,25 @@ def test_undo_takes_an_import_back_and_redo_brings_it_again(scene, sample):
 def test_without_a_capture_the_buttons_say_what_is_needed(scene):
     for operator in (ops.look_through, ops.tick_views, ops.check_views):
         assert "Import a capture first" in refused(operator)
-    assert "Check the views" in refused(ops.show_coverage)
-    assert "Check the views" in refused(ops.show_parts)
+    assert "Use Check Views first" in refused(ops.show_coverage)
+    assert "Use Check Views first" in refused(ops.show_parts)
     assert "no cameras" in refused(ops.use_scene_cameras)
 
 
-def test_check_fills_the_list_and_colours_follow_the_ticks(imported, sample):
+@pytest.fixture
+def drawn(monkeypatch) -> list[list[overlay.Part]]:
+    """The coloured triangles given to the overlay, in the order in which they were."""
+    calls = []
+
+    def show(scene, kind, parts, show=overlay.show):
+        calls.append(parts)
+        show(scene, kind, parts)
+
+    monkeypatch.setattr(overlay, "show", show)
+    return calls
+
+
+def test_check_fills_the_list_and_colours_follow_the_ticks(imported, sample, drawn):
     settings, parts = imported.fipt.capture, imported.fipt.parts
     (sample / "images" / "002_0001.exr").rename(sample / "images" / "aside")
     settings.views[5].enabled = False
@@ -214,17 +273,17 @@ def test_check_fills_the_list_and_colours_follow_the_ticks(imported, sample):
     assert splits.count("unused") == 1 and len(splits) == 9
 
     assert ops.show_coverage() == {"FINISHED"} and overlay.shown(imported) == "coverage"
-    (part,) = overlay._shown.parts
+    (part,) = drawn[-1]
     greens = part.colors.copy()
     assert len(part.positions) == 36
     ops.tick_views(action="NONE")
     assert settings.unseen_share == 1.0
-    (part,) = overlay._shown.parts
+    (part,) = drawn[-1]
     assert (part.colors[:, 0] > part.colors[:, 1]).all() and not np.array_equal(part.colors, greens)
     assert ops.show_parts() == {"FINISHED"} and overlay.shown(imported) == "parts"
-    assert len(np.unique(overlay._shown.parts[0].colors.round(3), axis=0)) >= 6
+    assert len(np.unique(drawn[-1][0].colors.round(3), axis=0)) >= 6
     parts.source = "objects"
-    assert "one object" in refused(ops.show_parts)
+    assert "a single object" in refused(ops.show_parts)
     parts.source = "loose"
     assert ops.show_parts() == {"FINISHED"}
     parts.source, parts.folder = "folder", str(sample)
@@ -285,10 +344,62 @@ def test_own_cameras_become_the_capture(scene, sample, tmp_path):
     assert len(settings.views) == 3
 
 
+# Linear RGB as people without one kind of cones see it (Machado, Oliveira, Fernandes 2009, severity 1).
+COLOR_BLINDNESS = {
+    "none": np.eye(3),
+    "protanopia": [[0.1523, 1.0526, -0.2049], [0.1145, 0.7863, 0.0992], [-0.0039, -0.0481, 1.0520]],
+    "deuteranopia": [[0.3673, 0.8606, -0.2280], [0.2801, 0.6725, 0.0474], [-0.0118, 0.0429, 0.9689]],
+    "tritanopia": [[1.2555, -0.0767, -0.1788], [-0.0784, 0.9308, 0.1476], [0.0047, 0.6914, 0.3039]],
+}
+
+
+def lab(linear: np.ndarray) -> np.ndarray:
+    """CIELAB of linear sRGB, (N, 3)."""
+    xyz_from_rgb = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+    xyz = linear @ xyz_from_rgb.T / xyz_from_rgb.sum(axis=1)
+    x, y, z = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16.0 / 116.0).T
+    return np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=1)
+
+
+@pytest.mark.parametrize("blindness", COLOR_BLINDNESS)
+def test_everyone_can_tell_the_colors_of_the_coverage_apart(blindness):
+    colors = coverage_colors(np.array([0, 1, 2, 3, 5]))
+    linear = np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
+    seen = lab((linear @ np.array(COLOR_BLINDNESS[blindness]).T).clip(0.0, 1.0))
+    distance = np.linalg.norm(seen[:, None] - seen[None], axis=2) + 100.0 * np.eye(5)
+    assert distance.min() > 20.0
+    assert (np.diff(seen[1:, 0]) > 15.0).all()  # more views are lighter
+
+
+class Layout:
+    """Records the texts that are drawn into it."""
+
+    def __init__(self, texts):
+        self.texts = texts
+
+    def column(self, **options):
+        return self
+
+    row = column
+
+    def label(self, **options):
+        self.texts.append(options)
+
+
+def test_the_legend_has_a_swatch_of_each_color(monkeypatch):
+    monkeypatch.setattr(swatches, "icon", lambda color: color)
+    drawn = []
+    panel.draw_legend(Layout(drawn))
+    levels = [(options["text"], options["icon_value"]) for options in drawn[1:]]
+    assert [text for text, _ in levels] == ["0", "1", "2", "3+", "5+"]
+    np.testing.assert_array_equal([color for _, color in levels], coverage_colors(np.array([0, 1, 2, 3, 5])))
+    pixels = np.reshape(swatches.square_pixels(levels[0][1]), (-1, 4))
+    assert (pixels[:, 3] == 1.0).all() and (pixels[:, :3] == levels[0][1]).all(axis=1).mean() > 0.7
+
+
 def test_colours_of_coverage_and_parts():
     colors = coverage_colors(np.array([0, 1, 2, 3, 4, 5, 200]))
     assert len(np.unique(colors, axis=0)) == 5 and (colors[3] == colors[4]).all()
-    assert colors[0, 0] > colors[0, 1] and colors[-1, 1] > colors[-1, 0]
     parts = part_colors(np.arange(-1, 40))
     assert parts.min() >= 0.0 and parts.max() <= 1.0 and (parts[0] == 0.25).all()
     distance = np.linalg.norm(parts[1:, None] - parts[None, 1:], axis=2) + np.eye(40)

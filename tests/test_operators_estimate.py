@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -15,17 +16,20 @@ from pathlib import Path
 
 import bpy
 import pytest
-from small_captures import PANEL, QUICK, SmallCapture, panel_capture, write_run
-from small_rooms import BOX
 
-from fipt_blender import preferences, runjob, running
+from fipt_blender import machine
 from fipt_blender.bridge import interpreter
-from fipt_blender.bridge.process import find_engine
-from fipt_blender.core.job.runfolder import RunFolder, read_json
-from fipt_blender.core.job.settings import make_settings
+from fipt_blender.bridge.attached import find_engine
+from fipt_blender.core.run import settings as settings_module
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.settings import make_settings
+from fipt_blender.jobs import run_job, running
 from fipt_blender.operators import estimate
 from fipt_blender.operators.estimate import make_steps, scene_settings, smaller_preset
 from fipt_blender.properties.estimate import CHOICES
+from samples.small_captures import PANEL, QUICK, SmallCapture, panel_capture, write_run
+from samples.small_rooms import BOX
 
 ops = bpy.ops.fipt
 posix = pytest.mark.skipif(os.name == "nt", reason="signals")
@@ -51,9 +55,8 @@ def run(tmp_path, capture) -> RunFolder:
 
 @pytest.fixture
 def scene(run, tmp_path, monkeypatch):
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    monkeypatch.setattr(preferences._defaults, "data_folder", str(tmp_path / "data"))
-    monkeypatch.setattr(preferences._defaults, "device", "llvm")
+    monkeypatch.setattr(machine.DEFAULTS, "data_folder", str(tmp_path / "data"))
+    monkeypatch.setattr(machine.DEFAULTS, "device", "llvm")
     monkeypatch.setenv("OMP_NUM_THREADS", "1")  # quicker for networks this small
     scene = bpy.context.scene
     room = bpy.data.collections.new("FIPT Room")
@@ -81,8 +84,8 @@ def start(resume: bool = False) -> running.RunningJob:
     settings = estimate.scene_settings(scene)
     run = RunFolder(scene.fipt.run_folder)
     run.create(settings)
-    job = runjob.open_job(run, make_steps(run, settings, resume), resume=resume)
-    return running.start(job, title="Estimate", kind="estimate", scene_name=scene.name, run_folder=run.root)
+    job = run_job.open_job(run, make_steps(run, settings, resume), resume=resume)
+    return running.start(job, running.RunningJob("Estimate", "estimate", scene.name, run.root))
 
 
 def tick_to_stage(run: RunFolder, stage: str) -> None:
@@ -183,8 +186,8 @@ def test_an_interpreter_that_breaks_at_work(scene, run, tmp_path, monkeypatch, s
     broken = tmp_path / "python"
     broken.write_text(f"#!/bin/sh\n{script}\n")
     broken.chmod(0o755)
-    launch = runjob.Launch(broken, dict(os.environ))
-    monkeypatch.setattr(runjob, "find_launch", lambda explicit=None: launch)
+    launch = run_job.Launch(broken, dict(os.environ))
+    monkeypatch.setattr(run_job, "find_launch", lambda explicit=None: launch)
     with pytest.raises(RuntimeError, match=r"log\.txt"):
         ops.estimate()
     assert running.last("estimate").error["code"] == code
@@ -242,6 +245,7 @@ def test_only_changed_settings_leave_the_preset(scene):
     settings.training_steps = 123
     settings.diffuse_samples = 7
     settings.denoise = False
+    settings.reject_views = settings.correct_exposure = False
     settings.preset = "draft"
     made = scene_settings(scene)
     assert (made.training_steps, made.diffuse_spp, made.refine_diffuse_spp, made.denoise) == (
@@ -250,6 +254,7 @@ def test_only_changed_settings_leave_the_preset(scene):
         7,
         False,
     )
+    assert not made.reject_views and not made.correct_exposure
     assert made.later_training_steps == make_settings("draft").later_training_steps
     assert settings.is_changed("denoise") and not settings.is_changed("rounds")
     assert ops.reset_setting(setting="diffuse_samples") == {"FINISHED"}
@@ -265,6 +270,13 @@ def test_every_choice_is_a_setting_and_says_what_it_does():
     fields = make_settings("medium").__dataclass_fields__
     for choice in CHOICES.values():
         assert choice.description and all(name in fields for name in choice.fields)
+
+
+def test_settings_that_messages_name_are_in_the_panel():
+    core = Path(settings_module.__file__).parent.parent
+    text = "".join(path.read_text(encoding="utf-8") for path in core.rglob("*.py"))
+    named = set(re.findall(r"--set (\w+)=", text))
+    assert named and named <= {field for choice in CHOICES.values() for field in choice.fields}
 
 
 def test_settings_of_textures_are_kept(scene, run):
@@ -296,7 +308,7 @@ def test_smaller_presets(scene, monkeypatch):
     scene.fipt.estimate.preset = "medium"
     scene.fipt.estimate.rounds = 5
     assert ops.smaller_preset.poll()
-    monkeypatch.setattr(runjob, "find_launch", lambda explicit=None: runjob.Launch(Path("nowhere"), {}))
+    monkeypatch.setattr(run_job, "find_launch", lambda explicit=None: run_job.Launch(Path("nowhere"), {}))
     with pytest.raises(RuntimeError):
         ops.smaller_preset()
     assert scene.fipt.estimate.preset == "draft" and scene.fipt.estimate.rounds == 1

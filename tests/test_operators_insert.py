@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Placing objects on the room: where, how, what is refused, and back again."""
+"""Placing objects in the room: where and how, what is refused, and removing them."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import math
 import bpy
 import numpy as np
 import pytest
-from insert_samples import VIEW, make_scene
 from mathutils import Euler, Matrix, Vector
 
-from fipt_blender.blend import insert, standing
+from fipt_blender.blend import marks
+from fipt_blender.blend.insert import placing, sample_objects, surfaces
+from samples.rendered_rooms import VIEW, make_scene
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -44,7 +45,7 @@ def test_a_ball_stands_where_the_pixel_shows_the_floor(scene):
     assert lowest(ball) == pytest.approx(0.0, abs=1e-4)
     place_of_ball = ball.matrix_world.translation.copy()
     assert place(kind="OBJECT", object_name=ball.name, view=VIEW, pixel=(16.0, 12.0)) == {"FINISHED"}
-    assert (ball.matrix_world.translation - place_of_ball).length < 1e-5  # the ray passes the ball itself
+    assert (ball.matrix_world.translation - place_of_ball).length < 1e-5  # the ray skips the ball itself
     assert bpy.context.view_layer.objects.active == ball and ball.select_get()
 
 
@@ -52,12 +53,12 @@ def test_the_pixel_of_a_surface_agrees_with_the_camera(scene):
     from bpy_extras.object_utils import world_to_camera_view
 
     camera = bpy.data.objects[VIEW]
-    place = insert.surface_at(scene, camera, 10.25, 13.5).position
+    place = surfaces.surface_at(scene, camera, 10.25, 13.5).position
     x, y, _ = world_to_camera_view(scene, camera, place)
     assert (x * 32, (1.0 - y) * 20) == (pytest.approx(10.25, abs=1e-3), pytest.approx(13.5, abs=1e-3))
 
 
-def test_a_wall_turns_it_and_upright_does_not(scene):
+def test_a_wall_tilts_objects_unless_upright(scene):
     cube = add_cube(scene)
     on_wall = {"kind": "OBJECT", "object_name": "Chair", "location": (0, 2, 1), "normal": (0, -1, 0)}
     assert place(align="NORMAL", **on_wall) == {"FINISHED"}
@@ -68,19 +69,19 @@ def test_a_wall_turns_it_and_upright_does_not(scene):
     assert tuple(cube.matrix_world.translation) == pytest.approx((0, 2, 1.1), abs=1e-5)
 
 
-def test_turn_scale_and_origin(scene):
+def test_rotation_scale_and_origin(scene):
     cube = add_cube(scene)
     options = {"kind": "OBJECT", "object_name": "Chair", "location": (0.5, 0, 0)}
     place(turn=math.radians(30), scale=2.0, drop=False, **options)
     assert tuple(cube.matrix_world.translation) == pytest.approx((0.5, 0, 0), abs=1e-6)
     assert cube.matrix_world.to_euler().z == pytest.approx(math.radians(30), abs=1e-5)
     assert tuple(cube.matrix_world.to_scale()) == pytest.approx((2, 2, 2), abs=1e-5)
-    place(turn=0.0, scale=2.0, drop=True, **options)  # factors count from the size it had at first
+    place(turn=0.0, scale=2.0, drop=True, **options)  # relative to the original size
     assert tuple(cube.matrix_world.to_scale()) == pytest.approx((2, 2, 2), abs=1e-5)
     assert lowest(cube) == pytest.approx(0.0, abs=1e-5)
 
 
-def test_a_turned_object_keeps_its_own_rotation_and_children_come_along(scene):
+def test_a_rotated_object_keeps_its_rotation_and_children(scene):
     cube = add_cube(scene)
     cube.rotation_euler = Euler((math.pi / 2, 0, 0))
     child = add_cube(scene, "Leg", 0.1, (1.0, 0.5, 2.7))
@@ -94,7 +95,7 @@ def test_a_turned_object_keeps_its_own_rotation_and_children_come_along(scene):
     assert cube.matrix_world.to_euler().x == pytest.approx(math.pi / 2, abs=1e-5)
 
 
-def test_an_object_with_its_origin_far_away_stands_under_the_mouse(scene):
+def test_an_object_with_a_distant_origin_stands_at_the_pixel(scene):
     mesh = bpy.data.meshes.new("far")
     mesh.from_pydata([(9, 9, 4), (10, 9, 4), (9, 10, 4), (9, 9, 5)], [], [(0, 1, 2), (0, 1, 3)])
     item = bpy.data.objects.new("Far", mesh)
@@ -106,18 +107,18 @@ def test_an_object_with_its_origin_far_away_stands_under_the_mouse(scene):
     assert corners.max(axis=0) == pytest.approx([1.5, 0.5, 1.0], abs=1e-5)
 
 
-def test_a_copy_leaves_the_original_where_it_is(scene):
+def test_a_copy_does_not_move_the_original(scene):
     cube = add_cube(scene)
     before = cube.matrix_world.copy()
     place(kind="OBJECT", object_name="Chair", copy=True, location=(0, 0, 0))
     copy = bpy.data.objects["Chair.001"]
     assert copy.data == cube.data and cube.matrix_world == before
     assert [each.name for each in copy.users_collection] == ["FIPT Inserted"]
-    place(kind="OBJECT", object_name="Floor", copy=True, location=(0, 0, 0))  # of the room, too
+    place(kind="OBJECT", object_name="Floor", copy=True, location=(0, 0, 0))  # a part of the room, too
     assert "Floor.001" in scene.objects and "fipt_inserted" not in bpy.data.objects["Floor"]
 
 
-def test_an_object_from_elsewhere_is_copied(scene):
+def test_an_object_of_another_scene_is_copied(scene):
     mesh = bpy.data.meshes.new("asset")
     mesh.from_pydata([(0, 0, 1), (1, 0, 1), (0, 1, 2)], [], [(0, 1, 2)])
     asset = bpy.data.objects.new("Asset", mesh)
@@ -126,7 +127,7 @@ def test_an_object_from_elsewhere_is_copied(scene):
     assert asset.matrix_world == Matrix()
 
 
-def test_a_collection_stands_as_an_instance(scene):
+def test_a_collection_is_placed_as_an_instance(scene):
     cube = add_cube(scene, location=(0, 0, 5))
     group = bpy.data.collections.new("Set")
     group.objects.link(cube)
@@ -137,30 +138,30 @@ def test_a_collection_stands_as_an_instance(scene):
     assert item.matrix_world.translation.z == pytest.approx(-4.9, abs=1e-5)  # its lowest point is at 4.9
 
 
-def test_without_a_place_it_finds_a_free_spot(scene):
+def test_without_a_location_a_free_spot_is_found(scene):
     assert place(kind="BALLS") == {"FINISHED"}
     root = scene.objects["FIPT balls"]
     balls = list(root.children)
     assert len(balls) == 2 and lowest(*balls) == pytest.approx(0.0, abs=1e-4)
     bpy.context.view_layer.update()
     across = balls[0].matrix_world.translation - balls[1].matrix_world.translation
-    assert abs(across.x) > 0.1 and abs(across.y) < 1e-5  # side by side for the camera
+    assert abs(across.x) > 0.1 and abs(across.y) < 1e-5  # side by side as the camera sees them
     diagonal = math.hypot(4.0, 4.0, 2.5)
-    assert insert.ball_size(scene.fipt.capture.room_objects(scene)) == pytest.approx(0.03 * diagonal)
+    assert sample_objects.ball_size(scene.fipt.capture.room_objects(scene)) == pytest.approx(0.03 * diagonal)
 
 
-def test_rays_pass_what_is_hidden(scene):
+def test_rays_skip_hidden_objects(scene):
     shelf = add_cube(scene, "Shelf", 0.5, (0, 0, 1.0))
-    guest = standing.invite(scene, shelf)
+    placement = placing.begin_placing(scene, shelf)
 
     def height(**options):
         bpy.context.view_layer.update()
         graph = bpy.context.evaluated_depsgraph_get()
-        found = standing.find_surface(scene, graph, Vector((0, 0, 2)), Vector((0, 0, -3)), **options)
+        found = surfaces.find_surface(scene, graph, Vector((0, 0, 2)), Vector((0, 0, -3)), **options)
         return None if found is None else round(found.position.z, 4)
 
     assert height() == 1.25
-    with standing.aside(guest):
+    with placing.moved_aside(placement):
         assert height() == 0.0
     assert height() == 1.25
     shelf.hide_set(True)
@@ -179,14 +180,14 @@ def test_rays_pass_what_is_hidden(scene):
 
 def test_the_normal_faces_the_ray(scene):
     graph = bpy.context.evaluated_depsgraph_get()
-    found = standing.find_surface(scene, graph, Vector((0, 0, -1)), Vector((0, 0, 1)))
+    found = surfaces.find_surface(scene, graph, Vector((0, 0, -1)), Vector((0, 0, 1)))
     assert tuple(found.normal) == (0.0, 0.0, -1.0)
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"kind": "OBJECT"}, "No object is chosen"),
+        ({"kind": "OBJECT"}, "No object is selected"),
         ({"kind": "OBJECT", "object_name": "nothing"}, "no object 'nothing'"),
         ({"kind": "COLLECTION", "collection_name": "nothing"}, "no collection 'nothing'"),
         ({"kind": "OBJECT", "object_name": "Floor", "location": (0, 0, 0)}, "part of the room"),
@@ -195,20 +196,20 @@ def test_the_normal_faces_the_ray(scene):
         ({"kind": "GREY_BALL", "location": (0, 0, 0), "normal": (0, 0, 0)}, "no length"),
     ],
 )
-def test_what_cannot_be_is_explained_and_leaves_nothing(scene, options, words):
+def test_impossible_placements_are_explained_and_leave_nothing(scene, options, words):
     before = {item.name for item in bpy.data.objects}
     with pytest.raises(RuntimeError, match=words):
         place(**options)
-    assert {item.name for item in bpy.data.objects} == before and not standing.inserted(scene)
+    assert {item.name for item in bpy.data.objects} == before and not marks.inserted_objects(scene)
 
 
-def test_the_collection_of_inserted_objects_cannot_stand_in_itself(scene):
+def test_the_collection_of_inserted_objects_cannot_be_placed(scene):
     place(kind="GREY_BALL", location=(0, 0, 0))
-    with pytest.raises(RuntimeError, match="holds the inserted objects"):
+    with pytest.raises(RuntimeError, match="contains the inserted objects"):
         place(kind="COLLECTION", collection_name="FIPT Inserted", location=(1, 0, 0))
 
 
-def test_removing_brings_everything_back(scene):
+def test_removing_restores_everything(scene):
     cube = add_cube(scene)
     before = cube.matrix_world.copy()
     meshes, materials = len(bpy.data.meshes), len(bpy.data.materials)
@@ -224,34 +225,34 @@ def test_removing_brings_everything_back(scene):
     assert bpy.ops.fipt.remove_inserted() == {"CANCELLED"}
 
 
-def test_giving_up_leaves_no_trace(scene):
+def test_cancelling_leaves_no_trace(scene):
     cube = add_cube(scene)
     names = sorted(item.name for item in bpy.data.objects)
     before = cube.matrix_world.copy()
-    surface = standing.Surface(Vector((0, 0, 0)), Vector((0, 0, 1)))
-    for guest in (
-        standing.invite(scene, cube),
-        standing.invite(scene, cube, copy=True),
-        insert.make_balls(scene, ("grey_ball", "mirror_ball"), 0.2),
+    surface = surfaces.Surface(Vector((0, 0, 0)), Vector((0, 0, 1)))
+    for placement in (
+        placing.begin_placing(scene, cube),
+        placing.begin_placing(scene, cube, copy=True),
+        sample_objects.make_balls(scene, ("grey_ball", "mirror_ball"), 0.2),
     ):
-        standing.stand(guest, surface, standing.Stance(scale=3.0))
-        standing.give_up(guest)
+        placing.place(placement, surface, placing.Stance(scale=3.0))
+        placing.cancel_placing(placement)
     assert sorted(item.name for item in bpy.data.objects) == names
-    assert np.allclose(cube.matrix_world, before) and not standing.inserted(scene)
+    assert np.allclose(cube.matrix_world, before) and not marks.inserted_objects(scene)
 
 
-def test_giving_up_moving_it_again_keeps_the_first_place(scene):
+def test_cancelling_a_second_placement_keeps_the_first(scene):
     add_cube(scene)
     place(kind="OBJECT", object_name="Chair", location=(0, 0, 0))
     cube = bpy.data.objects["Chair"]
     first = cube.matrix_world.copy()
-    guest = standing.invite(scene, cube)
-    standing.stand(guest, standing.Surface(Vector((1, 1, 1)), Vector((1, 0, 0))), standing.Stance())
-    standing.give_up(guest)
-    assert np.allclose(cube.matrix_world, first) and standing.inserted(scene) == [cube]
+    placement = placing.begin_placing(scene, cube)
+    placing.place(placement, surfaces.Surface(Vector((1, 1, 1)), Vector((1, 0, 0))), placing.Stance())
+    placing.cancel_placing(placement)
+    assert np.allclose(cube.matrix_world, first) and marks.inserted_objects(scene) == [cube]
 
 
-def test_undo_takes_the_ball_back(scene):
+def test_undo_removes_the_ball(scene):
     bpy.ops.ed.undo_push(message="before")
     place(kind="GREY_BALL", location=(0, 0, 0))
     bpy.ops.ed.undo_push(message="after")

@@ -9,11 +9,12 @@ import math
 import bpy
 import numpy as np
 import pytest
-from applied_rooms import RADIANCE, make_scene, use_fake_engine
 from mathutils import Matrix, Vector
 
-from fipt_blender.blend import light_groups, renders
-from fipt_blender.blend.color import blackbody, luminance, temperature_of
+from fipt_blender.blend.lights.color import blackbody, luminance, temperature_of
+from fipt_blender.blend.marks import has_light_groups
+from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
+from samples.applied_rooms import RADIANCE, make_scene, use_fake_engine
 
 ops = bpy.ops.fipt
 
@@ -30,7 +31,7 @@ def scene(tmp_path, monkeypatch):
 
 
 def front(item: bpy.types.Object) -> np.ndarray:
-    """Radiance (3,) of a fixture's front as its material has it."""
+    """Radiance (3,) of a fixture's front in its material."""
     node = item.data.materials[0].node_tree.nodes["FIPT Front"]
     return np.array(node.inputs["Color"].default_value)[:3] * node.inputs["Strength"].default_value
 
@@ -49,14 +50,13 @@ def refused(operator, **arguments) -> str:
 def test_black_bodies(kelvin):
     rgb = blackbody(kelvin)
     assert luminance(rgb) == pytest.approx(1.0) and min(rgb) >= 0.0
-    # Below 1,900 K blue is cut off: the colour is nearest to a little higher a temperature.
+    # Below 1,900 K blue is clipped: the nearest black body is slightly hotter.
     assert temperature_of(rgb) == pytest.approx(kelvin, rel=0.003 if kelvin > 1800.0 else 0.03)
 
 
 def test_black_body_agrees_with_blender_and_daylight():
-    # D65's correlated temperature; a black body lies a little on the magenta side of it.
+    # D65's correlated temperature; the black body is slightly on the magenta side of it.
     assert temperature_of((1.0, 1.0, 1.0)) == pytest.approx(6504.0, rel=0.002)
-    bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     world = scene.world = bpy.data.worlds.new("w")
     if world.node_tree is None:
@@ -70,7 +70,7 @@ def test_black_body_agrees_with_blender_and_daylight():
     scene.render.resolution_x = scene.render.resolution_y = 4
     for kelvin in (2000.0, 3200.0, 5000.0, 9000.0):
         node.inputs[0].default_value = kelvin
-        theirs = renders.render_pixels(scene, spp=1, denoise=False).mean(axis=(0, 1))
+        theirs = render_pixels(scene, RenderOptions(1, denoise=False)).mean(axis=(0, 1))
         assert np.allclose(theirs / luminance(theirs), blackbody(kelvin), rtol=0.03, atol=0.01), kelvin
 
 
@@ -92,7 +92,7 @@ def test_colour_and_temperature_keep_the_luminance(scene):
     row = scene.fipt.lights.lights[0]
     assert row.tint == "ESTIMATED" and np.allclose(row.color, [1.0, 0.5, 0.25])
     assert row.kelvin == pytest.approx(temperature_of((1.0, 0.5, 0.25)))
-    row.tint = "COLOR"  # starts from what it was
+    row.tint = "COLOR"  # starts from its present colour
     assert np.allclose(front(row.object), RADIANCE)
     row.color = (0.2, 0.4, 1.0)
     assert luminance(front(row.object)) == pytest.approx(luminance(RADIANCE), rel=1e-5)
@@ -101,7 +101,7 @@ def test_colour_and_temperature_keep_the_luminance(scene):
     assert row.tint == "TEMPERATURE"
     expected = np.array(blackbody(3000.0)) * luminance(RADIANCE)
     assert np.allclose(front(row.object), expected, rtol=1e-5)
-    row.color = (0.0, 0.0, 0.0)  # no colour at all: white
+    row.color = (0.0, 0.0, 0.0)  # black has no colour: white
     assert np.allclose(front(row.object), luminance(RADIANCE))
     row.tint = "ESTIMATED"
     assert np.allclose(front(row.object), RADIANCE)
@@ -113,7 +113,7 @@ def test_on_solo_and_all(scene):
     energy = new.object.data.energy
     lamp.on = False
     assert not front(lamp.object).any() and new.object.data.energy == energy
-    lamp.stops = 1.0  # what is off may be set up
+    lamp.stops = 1.0  # a light that is off can be changed
     assert not front(lamp.object).any()
     lamp.solo = True
     assert np.allclose(front(lamp.object), np.array(RADIANCE) * 2.0)
@@ -126,7 +126,7 @@ def test_on_solo_and_all(scene):
     assert not scene.fipt.lights.environment_on
 
 
-def test_strengths_typed_into_blenders_own_fields_are_taken_over(scene):
+def test_strengths_entered_in_blenders_fields_become_settings(scene):
     ops.add_light(location=(0, 0, 3), size=1.0, power=50.0)
     lamp, new = scene.fipt.lights.lights
     lamp.object.data.materials[0].node_tree.nodes["FIPT Front"].inputs["Strength"].default_value = 32.0
@@ -137,7 +137,7 @@ def test_strengths_typed_into_blenders_own_fields_are_taken_over(scene):
     assert luminance(front(lamp.object)) == pytest.approx(4.0 * luminance(RADIANCE), rel=1e-4)
 
 
-def test_settings_survive_saving_and_travel_with_the_object(scene, tmp_path):
+def test_settings_are_saved_and_copied_with_the_object(scene, tmp_path):
     row = scene.fipt.lights.lights[0]
     row.stops, row.kelvin, row.on = 2.0, 3000.0, False
     path = str(tmp_path / "saved.blend")
@@ -164,7 +164,7 @@ def test_choosing_and_bad_names(scene):
     assert "no light 'Sun'" in refused(ops.select_light, light="Sun")
     assert "no light 'x'" in refused(ops.fixture_to_area_light, fixture="x")
     ops.add_light(location=(0, 0, 3))
-    assert "no fixture" in refused(ops.fixture_to_area_light)  # the new light is the chosen one
+    assert "not an estimated fixture" in refused(ops.fixture_to_area_light)  # the new light is the chosen one
     bpy.data.collections["FIPT Fixtures"].hide_viewport = True
     bpy.context.view_layer.update()
     assert "hidden" in refused(ops.select_light, light="Fixture.001")
@@ -186,16 +186,15 @@ def test_new_light(scene):
     assert (item.data.size, item.data.energy) == (0.5, 12.0)
     assert scene.fipt.lights.active_light().object == item
     bpy.ops.object.delete()
-    assert scene.fipt.lights.active_light() is None and "No light is chosen" in refused(ops.reset_light)
+    assert scene.fipt.lights.active_light() is None and "No light is selected" in refused(ops.reset_light)
     ops.list_lights()
     assert len(scene.fipt.lights.lights) == 2
     assert "no direction" in refused(ops.add_light, direction=(0, 0, 0))
 
 
-def test_a_light_aims_from_this_side_of_what_is_in_the_way():
-    from fipt_blender.blend.new_lights import aim
+def test_a_light_is_aimed_from_in_front_of_obstacles():
+    from fipt_blender.blend.lights.new_lights import aim
 
-    bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.mesh.primitive_plane_add(size=10.0)
     bpy.ops.mesh.primitive_plane_add(size=10.0, location=(0, 0, 2.5))
     graph, scene = bpy.context.evaluated_depsgraph_get(), bpy.context.scene
@@ -223,7 +222,7 @@ def test_a_converted_fixture_follows_its_settings(scene):
     assert not [light for light in bpy.data.lights if light.name.startswith("Fixture")]
 
 
-def test_light_groups_sum_to_the_whole_picture(scene, tmp_path):
+def test_light_groups_sum_to_the_image(scene, tmp_path):
     ops.add_light(location=(2.5, 0.5, 2.0), size=0.5, power=30.0)
     layer = bpy.context.view_layer
     layer.lightgroups.add(name="mine")
@@ -263,7 +262,7 @@ def test_light_groups_sum_to_the_whole_picture(scene, tmp_path):
     assert ops.make_light_groups() == {"FINISHED"} and len(layer.lightgroups) == 4
     assert ops.remove_light_groups() == {"FINISHED"}
     assert [group.name for group in layer.lightgroups] == ["mine"] and not ops.remove_light_groups.poll()
-    assert not light_groups.has_light_groups(layer)
+    assert not has_light_groups(layer)
     assert {item.lightgroup for item in scene.objects} == {""}
 
 
@@ -281,11 +280,11 @@ def test_environment_strength_and_rotation(scene):
     assert settings.environment_rotation == pytest.approx(math.radians(30.0))
 
 
-def test_the_environment_turns_as_asked(scene, tmp_path):
-    from fipt_blender.blend.world import apply_environment
+def test_the_environment_rotates_as_entered(scene, tmp_path):
+    from fipt_blender.blend.lights.world import apply_environment
     from fipt_blender.core import conventions
     from fipt_blender.core.capture.images import write_exr
-    from fipt_blender.core.job.runfolder import RunFolder
+    from fipt_blender.core.run.runfolder import RunFolder
 
     run = RunFolder(tmp_path / "run")
     directions = conventions.equirect_pixel_directions(64, 32)
@@ -302,8 +301,8 @@ def test_the_environment_turns_as_asked(scene, tmp_path):
     camera.matrix_world = way.to_track_quat("-Z", "Y").to_matrix().to_4x4()
     scene.camera = camera
     scene.render.resolution_x = scene.render.resolution_y = 3
-    seen = renders.render_pixels(scene, spp=4, denoise=False).mean(axis=(0, 1))
-    # The picture is turned by +50° about Z: what is seen there lay 50° back.
+    seen = render_pixels(scene, RenderOptions(4, denoise=False)).mean(axis=(0, 1))
+    # The environment is rotated by +50° about Z: what is visible there was 50° back.
     before = Matrix.Rotation(-turn, 3, "Z") @ way
     assert np.allclose(seen, np.array(before) * 0.5 + 0.5, atol=0.03)
 
@@ -324,8 +323,7 @@ def test_exposure_and_other_lights(scene):
     assert ops.hide_other_lights(hide=True) == {"FINISHED"} and sun.hide_viewport
 
 
-def test_everything_asks_for_results_first():
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+def test_buttons_need_results():
     for operator in (
         ops.switch_lights, ops.reset_light, ops.select_light, ops.fixture_to_area_light,
         ops.area_light_to_fixture, ops.make_light_groups, ops.remove_light_groups, ops.match_exposure,

@@ -1,20 +1,26 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Apply Results, the maps and Revert as scripts press them: what they show, leave and refuse."""
+"""Apply Results, maps and Revert, run as scripts do: what they show, keep and refuse."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
-from applied_rooms import MEDIAN, ConstantFields, fingerprint, make_scene, use_fake_engine
 from mathutils import Matrix, Vector
 
-from fipt_blender.blend import maps, originals, renders, uvs
+from fipt_blender.blend import marks
+from fipt_blender.blend.pictures.image_files import read_pixels
+from fipt_blender.blend.room.atlas import atlas_slices
 from fipt_blender.blend.slices import run_through
-from fipt_blender.core.job.runfolder import RunFolder, write_json
-from fipt_blender.core.job.settings import make_settings
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.settings import make_settings
+from fipt_blender.jobs import running
 from fipt_blender.properties.materials import SHOWN
+from samples.applied_rooms import MEDIAN, ConstantFields, fingerprint, make_scene, use_fake_engine
 
 ops = bpy.ops.fipt
 
@@ -45,7 +51,7 @@ def refused(operator, **arguments) -> str:
 
 
 def picture(scene, position, target, size=9, ortho=0.2):
-    """What a small Cycles render of a spot shows through the view transform, 0 to 1, (3,)."""
+    """A spot in a small Cycles render with the view transform, 0 to 1, (3,)."""
     camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
     scene.collection.objects.link(camera)
     camera.data.type, camera.data.ortho_scale = "ORTHO", ortho
@@ -59,7 +65,7 @@ def picture(scene, position, target, size=9, ortho=0.2):
     path = bpy.app.tempdir + "shown.png"
     scene.render.filepath = path
     bpy.ops.render.render(write_still=True, scene=scene.name)
-    pixels = renders.read_pixels(path)
+    pixels = read_pixels(path)
     bpy.data.objects.remove(camera)
     return pixels.mean(axis=(0, 1))
 
@@ -88,7 +94,7 @@ def test_applying_again_replaces_and_bakes_only_what_changed(applied, bakes):
 
 @pytest.mark.parametrize("mode", ["uv", "color_attribute"])
 @pytest.mark.parametrize("shown", ["ESTIMATED", "ORIGINAL", "ROUGHNESS"])
-def test_revert_leaves_the_file_as_it_was(scene, mode, shown):
+def test_revert_restores_the_file(scene, mode, shown):
     before = fingerprint(scene)
     scene.fipt.materials.atlas_mode = mode
     assert ops.apply_results() == {"FINISHED"}
@@ -100,7 +106,7 @@ def test_revert_leaves_the_file_as_it_was(scene, mode, shown):
     assert not ops.revert.poll() and not ops.show_map.poll()
 
 
-def test_new_lights_outlive_revert_unless_asked(applied):
+def test_revert_keeps_new_lights_by_default(applied):
     ops.add_light(location=(0, 0, 2))
     ops.revert()
     assert [row.name for row in applied.fipt.lights.lights] == ["FIPT Light"]
@@ -109,12 +115,12 @@ def test_new_lights_outlive_revert_unless_asked(applied):
     assert "FIPT Light" not in bpy.data.objects and not len(applied.fipt.lights.lights)
 
 
-def test_maps_read_as_their_values(applied):
+def test_maps_show_their_values(applied):
     above, spot = Vector((0, 5, 4)), Vector((0, 5, 0))
     applied.view_settings.view_transform = "AgX"
     kept = applied.view_settings.exposure
     expected = {
-        # As Blender's colour fields show it: sRGB's curve.
+        # As Blender's colour fields show it: with sRGB's transfer function.
         "BASE_COLOR": [1.055 * value ** (1 / 2.4) - 0.055 for value in ConstantFields.base_color],
         "ROUGHNESS": [ConstantFields.roughness] * 3,
         "METALLIC": [ConstantFields.metallic] * 3,
@@ -136,7 +142,7 @@ def test_maps_read_as_their_values(applied):
 
 
 @pytest.mark.parametrize("mode", ["uv", "color_attribute"])
-def test_every_map_and_back_changes_nothing(scene, mode):
+def test_showing_maps_changes_nothing(scene, mode):
     scene.fipt.materials.atlas_mode = mode
     ops.apply_results()
     material = bpy.data.objects["cube"].data.materials[0]
@@ -161,14 +167,14 @@ def test_original_is_the_artists_own(applied):
     assert cube.data.name == "Cube" and cube.modifiers[0].show_viewport
     assert [slot.material.name for slot in cube.material_slots] == ["red", "own", "blue"]
     assert applied.world.name == "sky" and bpy.data.collections["FIPT Fixtures"].hide_render
-    cube.material_slots[1].material = bpy.data.materials["green"]  # the artist works on
+    cube.material_slots[1].material = bpy.data.materials["green"]  # the artist's change
     ops.show_map(shown="ESTIMATED")
     assert cube.data == ours and not cube.modifiers[0].show_viewport
     ops.revert()
     assert [slot.material.name for slot in cube.material_slots] == ["red", "green", "blue"]
 
 
-def test_an_artists_node_before_the_output_comes_back(applied):
+def test_an_artists_node_before_the_output_is_restored(applied):
     tree = bpy.data.objects["cube"].data.materials[0].node_tree
     output = tree.nodes["FIPT Output"]
     before = output.inputs["Surface"].links[0].from_socket
@@ -193,8 +199,10 @@ def test_solid_shading_draws_the_map(applied):
 
 
 @pytest.mark.parametrize("mode", ["uv", "color_attribute"])
-def test_solid_viewports_draw_maps_and_are_given_back(scene, mode):
-    space = next(space for _, _, space in maps._solid_views())
+def test_solid_viewports_draw_maps_and_are_restored(scene, mode):
+    areas = [area for window in bpy.context.window_manager.windows for area in window.screen.areas]
+    space = next(area.spaces.active for area in areas if area.type == "VIEW_3D")
+    space.shading.type = "SOLID"
     space.shading.color_type = "RANDOM"
     scene.fipt.materials.atlas_mode = mode
     ops.apply_results()
@@ -220,23 +228,150 @@ def test_light_settings_survive_another_apply(applied):
     assert [item.name for item in lamp.object.children] == ["Fixture.001 Light"]
 
 
-def test_rooms_that_changed_are_explained_and_left_alone(applied):
-    cube, panel = bpy.data.objects["cube"], bpy.data.objects["panel"]
-    before = fingerprint(applied)
-    cube.name = "box"
-    assert "'cube'" in refused(ops.apply_results)
-    cube.name = "cube"
+def warned() -> str:
+    """What the last Apply Results warned of."""
+    return " ".join(message["text"] for message in running.last("materials").warnings)
+
+
+@pytest.mark.parametrize("density", [16.0, 32.0])
+def test_renamed_objects_keep_their_results(applied, density):
+    names = ("cube", "box"), ("panel", "wall")
+    for old, new in names:
+        bpy.data.objects[old].name = new
+    applied.fipt.materials.texel_density = density
+    assert ops.apply_results() == {"FINISHED"} and not warned()
+    assert all(marks.has_results(bpy.data.objects[new]) for _, new in names)
+    # The fixture of the renamed panel was replaced: a second one would double the light.
+    assert [item.name for item in applied.objects if marks.is_fixture(item)] == ["Fixture.001"]
+    assert len(bpy.data.objects["wall"].data.polygons) == 2
+    assert len(bpy.data.materials["FIPT Room.001"].node_tree.nodes)
+
+
+@pytest.mark.parametrize("density", [16.0, 32.0])
+@pytest.mark.parametrize("mode", ["uv", "color_attribute"])
+def test_deleted_objects_are_left_out_with_a_warning(scene, density, mode):
+    scene.fipt.materials.atlas_mode = mode
+    ops.apply_results()
+    bpy.data.objects.remove(bpy.data.objects["panel"])
+    scene.fipt.materials.texel_density = density
+    assert ops.apply_results() == {"FINISHED"}
+    assert "'panel'" in warned() and "'cube'" not in warned()
+    assert marks.has_results(bpy.data.objects["cube"])
+    # Its lamp is an object of its own, which the artist has kept.
+    assert [item.name for item in scene.objects if marks.is_fixture(item)] == ["Fixture.001"]
+    assert scene.fipt.materials.object_count == 1
+
+
+def test_an_object_with_other_faces_shows_its_own_materials(applied):
+    cube = bpy.data.objects["cube"]
     ops.show_map(shown="ORIGINAL")
     cube.modifiers["Bevel"].segments = 3
-    assert "other faces" in refused(ops.apply_results)
+    assert ops.apply_results() == {"FINISHED"} and "'cube'" in warned()
+    assert not marks.has_results(cube) and marks.has_results(bpy.data.objects["panel"])
+    assert [slot.material.name for slot in cube.material_slots] == ["red", "own", "blue"]
     cube.modifiers["Bevel"].segments = 1
-    assert ops.apply_results() == {"FINISHED"}
+    assert ops.apply_results() == {"FINISHED"} and not warned()
+    assert marks.has_results(cube)
+
+
+def test_objects_are_found_by_their_ids_not_by_the_names_of_others(applied):
+    cube, panel = bpy.data.objects["cube"], bpy.data.objects["panel"]
+    cube.name, panel.name = "aside", "cube"
+    cube.name = "panel"
+    copy = panel.copy()  # with its id
+    bpy.data.collections["FIPT Room"].objects.link(copy)
+    assert ops.apply_results() == {"FINISHED"} and not warned()
+    assert len(cube.data.polygons) > 6 and len(panel.data.polygons) == 2
+
+
+def test_runs_without_ids_match_by_name(scene):
+    run = RunFolder(scene.fipt.run_folder)
+    names = read_json(run.room_json)
+    assert names.pop("object_ids") == ["panel", "cube"]
+    write_json(run.room_json, names)
+    for item in scene.objects:
+        marks.remove_marks(item, marks.OBJECT_ID)
+    assert ops.apply_results() == {"FINISHED"} and not warned()
+    bpy.data.objects["panel"].name = "wall"  # applying gave it an id
+    assert ops.apply_results() == {"FINISHED"} and not warned()
+    assert len(bpy.data.objects["wall"].data.polygons) == 2
+
+
+def test_a_room_without_any_estimated_object_is_refused(applied):
+    room = bpy.data.collections["FIPT Room"]
+    for item in list(room.objects):
+        room.objects.unlink(item)
+        applied.collection.objects.link(item)
+    bpy.ops.mesh.primitive_cube_add()
+    room.objects.link(bpy.context.object)
+    before = fingerprint(applied)
+    assert "None of the estimated objects" in refused(ops.apply_results)
     assert fingerprint(applied) == before
-    bpy.data.objects.remove(panel)
-    assert "'panel'" in refused(ops.apply_results)
 
 
-def test_what_apply_needs_first(scene, tmp_path):
+def textures(scene) -> list[bpy.types.Image]:
+    """The images of the applied materials and of the environment."""
+    nodes = list(scene.world.node_tree.nodes)
+    for material in bpy.data.materials:
+        if marks.MATERIAL in material:
+            nodes += material.node_tree.nodes
+    return [node.image for node in nodes if getattr(node, "image", None) is not None]
+
+
+def test_textures_of_a_saved_file_lie_beside_it(scene, tmp_path):
+    blend = tmp_path / "shot" / "kitchen.blend"
+    blend.parent.mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+    assert ops.apply_results() == {"FINISHED"}
+    names = sorted(image.filepath for image in textures(scene))
+    maps = ("base_color", "confidence", "metallic", "roughness")
+    assert names == [
+        *(f"//kitchen_textures/Room.001.{name}.exr" for name in maps),
+        "//kitchen_textures/environment.exr",
+    ]
+    sizes = {image.size[:] for image in textures(scene)}
+    scene.fipt.materials.texel_density = 64.0
+    assert ops.apply_results() == {"FINISHED"}
+    assert sizes != {image.size[:] for image in textures(scene)}  # the copies are the new ones
+    bpy.ops.wm.save_mainfile()
+    # On another machine, without the run folder:
+    (tmp_path / "run").rename(tmp_path / "gone")
+    (tmp_path / "shot").rename(tmp_path / "elsewhere")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "elsewhere" / "kitchen.blend"))
+    assert all(image.size[0] for image in textures(bpy.context.scene))
+    image = bpy.data.materials["FIPT Room.001"].node_tree.nodes["FIPT Roughness"].image
+    assert max(list(image.pixels)[::4]) == pytest.approx(ConstantFields.roughness, abs=1e-3)
+
+
+def test_textures_of_an_unsaved_file_are_packed_until_it_is_saved(applied, tmp_path):
+    assert len(textures(applied)) == 5 and all(image.packed_file for image in textures(applied))
+    names = {image.name for image in textures(applied)}
+    assert "FIPT Room.001 Base Color" in names
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kitchen.blend"))
+    ops.apply_results()
+    assert all(image.filepath.startswith("//kitchen_textures") for image in textures(applied))
+    assert not any(image.packed_file for image in textures(applied))
+    assert {image.name for image in textures(applied)} == names
+    applied.fipt.materials.texture_files = "PACKED"
+    ops.apply_results()
+    assert all(image.packed_file for image in textures(applied))
+    applied.fipt.materials.texture_files = "IN_RUN"
+    ops.apply_results()
+    run = RunFolder(applied.fipt.run_folder).root
+    assert all(Path(bpy.path.abspath(image.filepath)).is_relative_to(run) for image in textures(applied))
+    assert not any(image.packed_file for image in textures(applied))
+    assert {image.name for image in textures(applied)} == names
+
+
+def test_textures_that_can_not_be_copied_change_nothing(applied, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kitchen.blend"))
+    (tmp_path / "kitchen_textures").write_text("a file of that name")
+    before = fingerprint(applied)
+    assert "'In the File'" in refused(ops.apply_results)
+    assert fingerprint(applied) == before
+
+
+def test_what_apply_needs(scene, tmp_path):
     scene.fipt.run_folder = ""
     assert not ops.apply_results.poll()
     scene.fipt.run_folder = str(tmp_path / "nowhere")
@@ -257,8 +392,8 @@ def test_a_missing_texture_changes_nothing(applied):
     assert fingerprint(applied) == before
 
 
-def test_stopping_in_between_changes_nothing(applied):
-    from fipt_blender.blend.apply import apply_slices
+def test_stopping_halfway_changes_nothing(applied):
+    from fipt_blender.blend.results.applying import apply_slices
 
     before = fingerprint(applied)
     run = RunFolder(applied.fipt.run_folder)
@@ -270,11 +405,11 @@ def test_stopping_in_between_changes_nothing(applied):
         assert fingerprint(applied) == before
 
 
-def test_the_layout_does_not_touch_a_room_with_results(applied):
+def test_laying_out_does_not_change_a_room_with_results(applied):
     before = fingerprint(applied)
     run = RunFolder(applied.fipt.run_folder)
     objects = applied.fipt.capture.room_objects(applied)
-    atlas = run_through(uvs.atlas_slices(objects, run, make_settings(changes={"texel_density": 20.0})))
+    atlas = run_through(atlas_slices(objects, run, make_settings(changes={"texel_density": 20.0})))
     assert fingerprint(applied) == before and atlas.images
 
 
@@ -287,9 +422,9 @@ def test_results_and_state_survive_saving(applied, tmp_path):
     assert scene.fipt.materials.shown == "ORIGINAL"
     ops.show_map(shown="ESTIMATED")
     assert bpy.data.objects["cube"].data.name == "Cube FIPT"
-    assert len(maps.room_with_results(scene)) == 2
+    assert len(marks.room_with_results(scene)) == 2
     ops.revert()
-    assert not any(originals.has_results(item) for item in bpy.data.objects)
+    assert not any(marks.has_results(item) for item in bpy.data.objects)
 
 
 def test_each_is_one_step_of_undo(scene):
@@ -315,11 +450,11 @@ def test_each_is_one_step_of_undo(scene):
         bpy.ops.ed.redo()
         assert now() == state
     bpy.ops.ed.undo()
-    # What is found again is alive: the list, the room and its maps.
+    # Everything works after undo: the list, the room and its maps.
     scene = bpy.context.scene
     assert [row.object.name for row in scene.fipt.lights.lights] == ["Fixture.001"]
     scene.fipt.materials.shown = "ESTIMATED"
-    assert len(maps.room_with_results(scene)) == 2
+    assert len(marks.room_with_results(scene)) == 2
 
 
 def test_damaged_results_are_explained(applied):
@@ -327,3 +462,45 @@ def test_damaged_results_are_explained(applied):
     write_json(run.textures_json, {"images": []})
     run.atlas_npz.write_bytes(b"nothing")
     assert "can't be read" in refused(ops.apply_results)
+
+
+def eevee() -> str:
+    """The identifier of EEVEE in this Blender."""
+    return "BLENDER_EEVEE_NEXT" if (4, 2) <= bpy.app.version < (5, 0) else "BLENDER_EEVEE"
+
+
+def test_apply_switches_to_cycles_and_revert_back(scene):
+    assert scene.fipt.materials.use_cycles
+    scene.render.engine = "BLENDER_WORKBENCH"
+    ops.apply_results()
+    assert scene.render.engine == "CYCLES" and not scene.fipt.lights.needs_cycles()
+    ops.apply_results()
+    ops.revert()
+    assert scene.render.engine == "BLENDER_WORKBENCH"
+    ops.apply_results()
+    scene.render.engine = eevee()
+    ops.revert()
+    assert scene.render.engine == eevee()  # the artist's last choice
+
+
+def test_eevee_without_light_is_warned_of(scene):
+    scene.fipt.materials.use_cycles = False
+    scene.render.engine = eevee()
+    ops.apply_results()
+    assert scene.render.engine == eevee() and scene.fipt.lights.needs_cycles()
+    assert "Switch to Cycles" in refused(ops.make_light_groups)
+    ops.fixture_to_area_light(fixture="Fixture.001")  # EEVEE renders Blender lights
+    assert not scene.fipt.lights.needs_cycles()
+    ops.area_light_to_fixture(fixture="Fixture.001")
+    assert ops.use_cycles() == {"FINISHED"} and not scene.fipt.lights.needs_cycles()
+    assert ops.make_light_groups() == {"FINISHED"}
+    ops.revert()
+    assert scene.render.engine == eevee()
+
+
+def test_new_fixtures_belong_to_the_backdrop(applied):
+    ops.set_backdrop(mode="PHOTOGRAPH")
+    ops.fixture_to_area_light(fixture="Fixture.001")
+    ops.apply_results()
+    lamp = bpy.data.objects["Fixture.001"]
+    assert lamp.is_shadow_catcher and lamp.children[0].is_shadow_catcher

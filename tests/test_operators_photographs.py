@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import bpy
 import pytest
-from applied_rooms import make_scene, use_fake_engine
 
-from fipt_blender.properties.capture import VIEW_KEY
+from fipt_blender.blend.marks import VIEW
+from samples.applied_rooms import make_scene, use_fake_engine
 
 ops = bpy.ops.fipt
 
@@ -30,7 +30,7 @@ def photographs(scene) -> list[bpy.types.Camera]:
         data = bpy.data.cameras.new(name)
         item = bpy.data.objects.new(name, data)
         scene.collection.objects.link(item)
-        item[VIEW_KEY] = name
+        item[VIEW] = name
         data.background_images.new().image = bpy.data.images.new(name, 4, 4)
         view = scene.fipt.capture.views.add()
         view.name = view.camera = name

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What stands behind inserted objects, composites into photographs, and views checked against them."""
+"""Backdrops, composites into photographs, and views compared with their photographs."""
 
 from __future__ import annotations
 
@@ -9,18 +9,23 @@ import os
 import subprocess
 import sys
 import webbrowser
+from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
-from insert_samples import SIZE, VIEW, make_scene, photograph
 
-from fipt_blender.blend import backdrop, composite, light_state, pictures, render_job, renders, view_check
-from fipt_blender.core.job.messages import parse_message
-from fipt_blender.core.job.runfolder import read_json, write_json
+from fipt_blender.blend.lights import light_state
+from fipt_blender.blend.marks import KEPT_PHOTOGRAPH, STOPS, estimated_objects
+from fipt_blender.blend.pictures import check_pictures, composite, image_files, orders, render_job, view_check
 from fipt_blender.core.report.comparison import ERROR_STOPS, psnr
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.messages import parse_message
+from fipt_blender.core.run.runfolder import write_json
+from fipt_blender.jobs import running
+from fipt_blender.jobs.room_steps import RoomSteps
 from fipt_blender.properties.check import ERROR_SCALE
-from fipt_blender.properties.lights import STOPS
+from samples.rendered_rooms import SIZE, VIEW, make_scene, photograph
 
 ROOM = {"Floor", "Wall"}
 
@@ -48,14 +53,14 @@ def test_without_any_change_the_composite_is_the_photograph():
     np.testing.assert_array_equal(composite.compose(image), image.photograph)
 
 
-def test_with_a_perfect_estimate_it_is_the_render():
+def test_with_a_perfect_estimate_the_composite_is_the_render():
     image = layers()
-    smooth = np.linspace(0.5, 1.5, 8)[None, :, None] * image.empty  # shading over a texture
+    smooth = np.linspace(0.5, 1.5, 8)[None, :, None] * image.empty  # shading on a texture
     perfect = composite.Layers(image.empty, smooth.astype(np.float32), image.empty, image.added)
     np.testing.assert_allclose(composite.compose(perfect), smooth, rtol=0.02)
 
 
-def test_shadows_multiply_light_adds_and_the_object_covers():
+def test_shadows_multiply_light_is_added_and_objects_cover():
     grey = np.full((5, 5, 3), 0.4, np.float32)
     nothing = np.zeros((5, 5, 4), np.float32)
     shadow = composite.compose(composite.Layers(0.5 * grey, 0.25 * grey, grey, nothing))
@@ -69,12 +74,12 @@ def test_shadows_multiply_light_adds_and_the_object_covers():
 
 def test_half_covered_pixels_mix_object_and_photograph():
     photo, empty = np.full((3, 3, 3), 0.2, np.float32), np.full((3, 3, 3), 0.6, np.float32)
-    half = np.full((3, 3, 4), 0.5, np.float32)  # colour 1, half covering
+    half = np.full((3, 3, 4), 0.5, np.float32)  # colour 1, half coverage
     full = 0.5 + 0.5 * empty
     np.testing.assert_allclose(composite.compose(composite.Layers(photo, full, empty, half)), 0.6, atol=1e-5)
 
 
-def test_single_noisy_pixels_and_what_nobody_sees_leave_the_photograph():
+def test_noisy_pixels_and_invisible_changes_leave_the_photograph():
     image = layers((9, 9))
     full = image.empty.copy()
     full[4, 4] += 50.0
@@ -87,21 +92,21 @@ def test_without_an_object_the_rendered_composite_is_the_photograph(run):
     photo = photograph(run, 16)
     assert bpy.ops.fipt.render_composite(backdrop="PHOTOGRAPH", samples=4) == {"FINISHED"}
     path = run.renders / "composite" / "val_000.exr"
-    np.testing.assert_array_equal(renders.read_pixels(path), photo)
+    np.testing.assert_array_equal(image_files.read_pixels(path), photo)
     assert bpy.context.scene.fipt.insert.picture == str(path) and path.with_suffix(".png").exists()
     (entry,) = read_json(run.renders_json)["renders"]
     assert entry == {"kind": "composite", "view": VIEW, "image": "renders/composite/val_000.exr"}
 
 
-def test_an_object_changes_what_is_near_it_and_leaves_the_rest(run):
+def test_an_object_changes_only_its_surroundings(run):
     photo = photograph(run)
     ball()
     scene = bpy.context.scene
     before = state(scene)
     assert bpy.ops.fipt.render_composite(backdrop="PHOTOGRAPH", samples=64) == {"FINISHED"}
     assert state(scene) == before
-    result = renders.read_pixels(run.renders / "composite" / "val_000.exr")
-    # The ball stands in the middle column; its shadow falls around its foot.
+    result = image_files.read_pixels(run.renders / "composite" / "val_000.exr")
+    # The ball stands in the middle column; its shadow is around its foot.
     far = np.ones(SIZE[::-1], bool)
     far[:, 9:23] = False
     assert psnr(result[far], photo[far]) > 40.0
@@ -110,19 +115,19 @@ def test_an_object_changes_what_is_near_it_and_leaves_the_rest(run):
 
 
 def state(scene):
-    """What renders must leave as it was."""
+    """What renders must not change."""
     items = [(o.name, o.hide_render, o.is_holdout, o.is_shadow_catcher) for o in scene.objects]
     render = scene.render
     return items, render.film_transparent, render.engine, render.resolution_x, scene.camera.name
 
 
-def test_lights_of_the_photograph_come_back_only_for_its_part(run):
+def test_photographed_lights_are_temporary(run):
     scene = bpy.context.scene
     lamp = scene.objects["Fixture.001"]
     nodes = lamp.data.materials[0].node_tree.nodes
     light_state.change(scene, lamp, {STOPS: 1.0})
     assert nodes["FIPT Front"].inputs["Strength"].default_value == pytest.approx(16.0)
-    from fipt_blender.blend.photographed import lights_as_photographed
+    from fipt_blender.blend.pictures.photographed import lights_as_photographed
 
     with lights_as_photographed(scene):
         node = nodes["FIPT Front"].inputs
@@ -132,13 +137,88 @@ def test_lights_of_the_photograph_come_back_only_for_its_part(run):
     assert nodes["FIPT Front"].inputs["Strength"].default_value == pytest.approx(16.0)
 
 
-def test_what_counts_as_added(run):
+def test_added_objects(run):
     scene = bpy.context.scene
     ball()
     light = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "AREA"))
     scene.collection.objects.link(light)
     assert {item.name for item in composite.added_objects(scene, ROOM)} == {"FIPT grey_ball", "Lamp"}
-    assert {item.name for item in composite.estimated_objects(scene, ROOM)} == ROOM | {"Fixture.001"}
+    assert {item.name for item in estimated_objects(scene, ROOM)} == ROOM | {"Fixture.001"}
+
+
+def convert_lamp() -> tuple[bpy.types.Object, bpy.types.Object]:
+    """Let a Blender light stand for the room's fixture; returns both."""
+    scene = bpy.context.scene
+    light_state.list_lights(scene)
+    assert bpy.ops.fipt.fixture_to_area_light(fixture="Fixture.001") == {"FINISHED"}
+    lamp = scene.objects["Fixture.001"]
+    (light,) = lamp.children
+    return lamp, light
+
+
+def test_a_converted_fixture_leaves_the_photograph_as_it_is(run):
+    photo = photograph(run, 16)
+    lamp, light = convert_lamp()
+    before = state(bpy.context.scene), lamp.visible_diffuse, light.hide_render
+    assert bpy.ops.fipt.render_composite(backdrop="PHOTOGRAPH", samples=4) == {"FINISHED"}
+    result = image_files.read_pixels(run.renders / "composite" / "val_000.exr")
+    np.testing.assert_array_equal(result, photo)
+    assert (state(bpy.context.scene), lamp.visible_diffuse, light.hide_render) == before
+
+
+@pytest.mark.parametrize("how", ["panel", "power", "moved", "deleted"])
+def test_what_was_changed_of_a_converted_fixture_is_seen_in_the_photograph(run, how):
+    photo = photograph(run, 16)
+    lamp, light = convert_lamp()
+    if how == "panel":
+        light_state.change(bpy.context.scene, lamp, {STOPS: -2.0})
+    elif how == "power":
+        light.data.energy *= 0.25
+    elif how == "moved":
+        light.location.z += 10.0
+    else:
+        bpy.data.objects.remove(light)
+    assert bpy.ops.fipt.render_composite(backdrop="PHOTOGRAPH", samples=64) == {"FINISHED"}
+    result = image_files.read_pixels(run.renders / "composite" / "val_000.exr")
+    assert result.mean() < 0.4 * photo.mean()
+
+
+def test_checks_show_a_converted_fixture_as_photographed(run):
+    photo = photograph(run)
+    lamp, light = convert_lamp()
+    light.location.z += 10.0
+    lamp.visible_camera = False
+    bpy.ops.fipt.set_backdrop(mode="PHOTOGRAPH")
+    assert bpy.ops.fipt.render_views(samples=64) == {"FINISHED"}
+    render = image_files.read_pixels(run.renders / "rerender" / "val_000.exr")
+    assert render.mean() == pytest.approx(photo.mean(), rel=0.05)
+    assert not light.hide_render and not lamp.visible_diffuse and not lamp.visible_camera
+
+
+def test_the_light_of_a_converted_fixture_is_not_inserted_into_the_backdrop(run):
+    """Cycles adds the light of lamps that are no shadow catchers to the photograph."""
+    bpy.ops.fipt.set_backdrop(mode="PHOTOGRAPH")
+    _, light = convert_lamp()
+    assert light.is_shadow_catcher
+    bpy.ops.fipt.set_backdrop(mode="ROOM")
+    assert not light.is_shadow_catcher
+    bpy.ops.fipt.set_backdrop(mode="PHOTOGRAPH")
+    assert light.is_shadow_catcher
+
+
+def test_pictures_are_made_of_the_scene_that_was_asked_for(run, tmp_path):
+    """Another scene, which is the open one, holds no view."""
+    scene = bpy.context.scene
+    photograph(run, 4)
+    other = bpy.data.scenes.new("other")
+    bpy.context.window.scene = other
+    order = orders.make_order(scene, run, orders.CHECK, [VIEW], 2)
+    orders.carry_out(order)
+    check_pictures.take_checks(scene, run)
+    scene.fipt.check.picture = "RENDER"
+    image = check_pictures.show_active(scene, bpy.context)
+    assert bpy.data.objects[VIEW].data.background_images[0].image == image
+    assert other.camera is None
 
 
 def test_the_room_backdrop_renders_the_whole_view(run):
@@ -148,7 +228,7 @@ def test_the_room_backdrop_renders_the_whole_view(run):
     assert entry["kind"] == "insert" and (run.renders / "insert" / "val_000.png").exists()
 
 
-def test_the_backdrop_changes_and_comes_back(run):
+def test_the_backdrop_changes_and_is_restored(run):
     scene = bpy.context.scene
     before = state(scene)
     camera = bpy.data.objects[VIEW].data
@@ -157,7 +237,7 @@ def test_the_backdrop_changes_and_comes_back(run):
     assert caught == ROOM | {"Fixture.001"} and scene.render.film_transparent
     assert camera.background_images[0].display_depth == "BACK" and camera.background_images[0].alpha == 1.0
     bpy.ops.fipt.set_backdrop(mode="PHOTOGRAPH")  # twice
-    bpy.ops.fipt.look_through(view="train/000")  # another view keeps it behind
+    bpy.ops.fipt.look_through(view="train/000")  # also behind the room in another view
     assert bpy.data.objects["train/000"].data.background_images[0].display_depth == "BACK"
     bpy.ops.fipt.look_through(view=VIEW)
     assert bpy.ops.fipt.set_backdrop(mode="ROOM") == {"FINISHED"}
@@ -165,24 +245,24 @@ def test_the_backdrop_changes_and_comes_back(run):
     assert camera.background_images[0].display_depth == "FRONT" and camera.background_images[0].alpha == 0.5
 
 
-def test_renders_do_not_mind_the_backdrop(run):
+def test_renders_are_independent_of_the_backdrop(run):
     photo = photograph(run, 16)
     bpy.ops.fipt.set_backdrop(mode="PHOTOGRAPH")
     before = state(bpy.context.scene)
     assert bpy.ops.fipt.render_views(which="CURRENT", samples=64) == {"FINISHED"}
     assert state(bpy.context.scene) == before
-    render = renders.read_pixels(run.renders / "rerender" / "val_000.exr")
+    render = image_files.read_pixels(run.renders / "rerender" / "val_000.exr")
     assert render.mean() == pytest.approx(photo.mean(), rel=0.1)
 
 
-def test_views_are_checked_without_what_was_inserted(run):
+def test_views_are_checked_without_inserted_objects(run):
     photo = photograph(run)
     ball(y=0.0)
     scene = bpy.context.scene
     light_state.change(scene, scene.objects["Fixture.001"], {STOPS: -3.0})
-    assert bpy.ops.fipt.render_views(samples=64) == {"FINISHED"}  # the panel's choice: held back
+    assert bpy.ops.fipt.render_views(samples=64) == {"FINISHED"}  # the panel's choice: held-back views
     (line,) = scene.fipt.check.views
-    render = renders.read_pixels(run.renders / "rerender" / "val_000.exr")
+    render = image_files.read_pixels(run.renders / "rerender" / "val_000.exr")
     assert line.name == VIEW and line.held_back
     assert line.psnr == pytest.approx(psnr(render, photo), abs=1e-3) and line.psnr > 25.0
     assert scene.fipt.check.mean_psnr == pytest.approx(line.psnr)
@@ -201,7 +281,7 @@ def test_ticked_views_are_added_to_the_list(run):
     assert len(scene.fipt.check.views) == 2
 
 
-def test_pictures_lie_over_the_view_and_go_again(run):
+def test_pictures_are_shown_over_the_view_and_removed(run):
     photograph(run, 4)
     bpy.ops.fipt.render_views(samples=2)
     scene = bpy.context.scene
@@ -232,7 +312,7 @@ def test_pictures_lie_over_the_view_and_go_again(run):
         ("render_views", {"which": "HELD_BACK"}, "No ticked view is held back"),
     ],
 )
-def test_views_that_are_not_there_are_explained(run, name, options, words):
+def test_missing_views_are_explained(run, name, options, words):
     for view in bpy.context.scene.fipt.capture.views:
         view.enabled = False
     with pytest.raises(RuntimeError, match=words):
@@ -241,8 +321,8 @@ def test_views_that_are_not_there_are_explained(run, name, options, words):
 
 def test_missing_photographs_rooms_and_cameras_are_explained(run):
     (run.root / "photos/val_000.exr").unlink()
-    with pytest.raises(RuntimeError, match="can't be read"):
-        bpy.ops.fipt.render_views(samples=1)
+    with pytest.raises(RuntimeError, match=r"val_000\.exr of the view 'val/000' can't be read"):
+        bpy.ops.fipt.render_composite(backdrop="PHOTOGRAPH", samples=1)
     bpy.context.scene.camera = None
     with pytest.raises(RuntimeError, match="no camera of the capture"):
         bpy.ops.fipt.render_composite()
@@ -250,6 +330,36 @@ def test_missing_photographs_rooms_and_cameras_are_explained(run):
         bpy.data.objects.remove(bpy.data.objects[name])
     with pytest.raises(RuntimeError, match="no room"):
         bpy.ops.fipt.render_views(view=VIEW)
+
+
+def test_views_without_photographs_are_rendered_but_not_compared(run):
+    photograph(run, 4)
+    scene = bpy.context.scene
+    scene.fipt.check.which = "TICKED"
+    assert bpy.ops.fipt.render_views(samples=1) == {"FINISHED"} and len(scene.fipt.check.views) == 2
+    render = run.renders / "rerender" / "val_000.exr"
+    for content in (None, b"", b"no picture"):
+        render.unlink()
+        (run.root / "photos/val_000.exr").unlink()
+        if content is not None:
+            (run.root / "photos/val_000.exr").write_bytes(content)
+        assert bpy.ops.fipt.render_views(samples=1) == {"FINISHED"}
+        (warning,) = (each for each in running.last("check").warnings if each["code"] == "image-missing")
+        assert "val_000.exr" in warning["text"] and "'val/000'" in warning["text"] and warning["remedy"]
+        assert render.exists() and [view.name for view in scene.fipt.check.views] == ["train/000"]
+        if content is None:
+            (run.root / "photos/val_000.exr").touch()
+
+
+def test_the_main_job_goes_on_without_a_photograph(run):
+    write_json(run.statistics_json, {"radiance_scale": 0.25})
+    steps = RoomSteps(None, run)
+    _, warnings = steps.photographed_radiance(VIEW)
+    assert not warnings
+    (run.root / "photos/val_000.exr").unlink()
+    radiance, (warning,) = steps.photographed_radiance(VIEW)
+    assert np.median(radiance) == 0.25
+    assert "val_000.exr" in warning["text"] and warning["code"] == "image-missing" and warning["remedy"]
 
 
 def test_polls(run):
@@ -275,16 +385,16 @@ def test_the_report_is_written_and_opened_on_demand(run, monkeypatch):
     assert bpy.ops.fipt.open_report() == {"FINISHED"}
     assert opened == [page.as_uri()]
     page.unlink()
-    with pytest.raises(RuntimeError, match="does not exist any more"):
+    with pytest.raises(RuntimeError, match="no longer exists"):
         bpy.ops.fipt.open_report()
 
 
-def test_a_second_blender_does_the_same(run, tmp_path):
-    """The child's part, by the module: its messages, its files, and that it takes its folder away."""
+def test_a_second_blender_carries_out_the_order(run, tmp_path):
+    """The child in a bpy module: its messages and files, and that it removes its folder."""
     photograph(run, 4)
     scene = bpy.context.scene
     folder = run.renders / ".job"
-    order = render_job.make_order(scene, run, render_job.CHECK, [VIEW], 2)
+    order = orders.make_order(scene, run, orders.CHECK, [VIEW], 2)
     write_json(folder / "order.json", vars(order))
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"), copy=True)
     code = render_job.child_command(folder / "scene.blend", folder / "order.json")[-1]
@@ -297,9 +407,9 @@ def test_a_second_blender_does_the_same(run, tmp_path):
     assert not folder.exists() and view_check.read_checks(run)["views"][0]["view"] == VIEW
 
 
-def test_a_second_blender_explains_what_is_wrong(run):
+def test_a_second_blender_reports_errors(run):
     folder = run.renders / ".job"
-    order = render_job.make_order(bpy.context.scene, run, render_job.CHECK, [VIEW], 2)
+    order = orders.make_order(bpy.context.scene, run, orders.CHECK, [VIEW], 2)
     write_json(folder / "order.json", {**vars(order), "scene": "gone"})
     code = render_job.child_command(folder / "scene.blend", folder / "order.json")[-1]
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
@@ -307,16 +417,27 @@ def test_a_second_blender_explains_what_is_wrong(run):
     assert result.returncode == 1 and (last["type"], last["code"]) == ("error", "scene-gone")
 
 
-def test_pixels_survive_writing(tmp_path):
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+def test_written_pixels_are_read_back(tmp_path):
     values = np.random.default_rng(0).random((5, 7, 3)).astype(np.float32) * 4.0
-    pictures.save_exr(tmp_path / "a.exr", values)
-    np.testing.assert_array_equal(renders.read_pixels(tmp_path / "a.exr"), values)
+    image_files.save_exr(tmp_path / "a.exr", values)
+    np.testing.assert_array_equal(image_files.read_pixels(tmp_path / "a.exr"), values)
     display = np.random.default_rng(0).integers(0, 256, (5, 7, 3)) / 255.0
-    pictures.save_png(tmp_path / "a.png", display)
-    np.testing.assert_allclose(renders.read_pixels(tmp_path / "a.png"), display, atol=1e-6)
+    image_files.save_png(tmp_path / "a.png", display)
+    np.testing.assert_allclose(image_files.read_pixels(tmp_path / "a.png"), display, atol=1e-6)
 
 
 def test_the_panels_scale_has_the_colours_of_the_pictures():
     np.testing.assert_allclose(np.array(ERROR_SCALE) * 255.0, ERROR_STOPS, atol=1e-4)
-    assert backdrop.KEPT_PHOTOGRAPH.startswith("fipt_")
+    assert KEPT_PHOTOGRAPH.startswith("fipt_")
+
+
+def test_radiance_is_displayed_as_renders_are_and_error_images_are_not(run):
+    photograph(run, 4)
+    bpy.ops.fipt.render_views(samples=2)
+    bpy.ops.fipt.render_composite(backdrop="PHOTOGRAPH", samples=1)
+    view = bpy.context.scene.fipt.check.views[0]
+    composite_path = Path(bpy.context.scene.fipt.insert.picture)
+    for path, as_render in ((Path(view.render), True), (composite_path, True), (Path(view.error), False)):
+        assert check_pictures.load_picture(path).use_view_as_render == as_render, path
+    photo = bpy.data.objects["train/000"].data.background_images[0].image
+    assert photo.use_view_as_render

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parts of triangles: votes of pixels, ties, sparse ids, neighbours, and which source is chosen."""
+"""Parts of triangles: votes of pixels, ties, sparse ids, neighbours, and the choice of the source."""
 
 import tracemalloc
 from dataclasses import replace
@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_rooms import BOX, make_room
 
 from fipt_blender.core.capture.images import MAX_ID, write_exr
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.scene.labels import NO_PART, choose_parts, fuse_masks, spread_labels, weld
+from samples.small_rooms import BOX, make_room
 
 
 def test_the_majority_of_all_views_wins() -> None:
@@ -30,7 +30,7 @@ def test_ties_go_to_the_lower_id_whatever_the_order() -> None:
 
 
 def test_the_highest_id_counts_and_huge_ids_cost_nothing() -> None:
-    """Colour masks have ids up to 2^24; nothing may be as long as they are large."""
+    """Colour masks have ids up to 2^24: no array may have a length in proportion to the ids."""
     mask = np.array([[MAX_ID, MAX_ID, 1, MAX_ID - 1]])
     tracemalloc.start()
     found = fuse_masks([mask], [np.array([0, 0, 0, 1])], 2)
@@ -75,7 +75,7 @@ def test_welding_joins_equal_places() -> None:
 
 @pytest.fixture
 def view(tmp_path: Path) -> View:
-    """Sees triangles 0 to 3 of the box, one a pixel: parts 40 and 2, semantics 6."""
+    """Sees triangles 0 to 3 of the box, one per pixel: parts 40 and 2, semantics 6."""
     write_exr(tmp_path / "parts.exr", np.array([[40, 40], [2, 2]], np.float32))
     write_exr(tmp_path / "semantics.exr", np.array([[6, 6], [6, 0]], np.float32))
     return View(

@@ -1,32 +1,25 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Mixed pixels: found at borders of depth, slope and parts, and lent what a pure neighbour shows."""
+"""Mixed pixels are found at edges of depth, slope and parts, and take the radiance of a pure neighbour."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from small_rooms import make_room
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.light.environment import outside_pixels
-from fipt_blender.core.scene.pixels import (
-    LEFT_OUT,
-    NO_TRIANGLE,
-    PixelStore,
-    fill_pixels,
-    find_donors,
-    mark_pure,
-    open_pixels,
-)
+from fipt_blender.core.scene.mixed_pixels import find_donors, mark_pure
+from fipt_blender.core.scene.pixels import LEFT_OUT, NO_TRIANGLE, PixelStore, fill_pixels, open_pixels
+from samples.small_rooms import make_room
 
 WIDTH, HEIGHT = 16, 12
 
 
 def floor_camera(image: Path) -> View:
-    """Looks straight down at the origin from two metres: a pixel is 0.1 m wide on the floor."""
+    """A camera that looks straight down at the origin from two metres: a pixel is 0.1 m wide on the floor."""
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] = [0.0, 0.0, 2.0]
     return View("train/0", "train", image, WIDTH, HEIGHT, 20.0, 20.0, WIDTH / 2, HEIGHT / 2, pose)
@@ -55,14 +48,14 @@ def test_pixels_across_a_border_of_parts_are_mixed(two_parts: tuple[PixelStore, 
     assert pure[:, :8].all() and pure[:, 9:].all()
 
 
-def test_a_mixed_pixel_borrows_from_its_own_part(two_parts: tuple[PixelStore, np.ndarray]) -> None:
+def test_a_mixed_pixel_takes_a_donor_of_its_own_part(two_parts: tuple[PixelStore, np.ndarray]) -> None:
     store, part = two_parts
     donors = find_donors(store, 0, part, 2).reshape(HEIGHT, WIDTH)
     own = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
     assert (part.reshape(HEIGHT, WIDTH)[:, 8] == 1).all()  # its centre lies on the right half
     assert (donors[:, 8] == own[:, 9]).all()
     assert (np.delete(donors, 8, axis=1) == np.delete(own, 8, axis=1)).all()
-    # Nothing is lent across the part, nor around the image's border, nor without reach.
+    # No pixel of another part, beyond the image's border or out of reach is a donor.
     alone = np.where(np.arange(WIDTH * HEIGHT) % WIDTH == 8, 7, 0)
     assert (find_donors(store, 0, alone, 4).reshape(HEIGHT, WIDTH)[:, 8] == -1).all()
     assert (find_donors(store, 0, part, 0).reshape(HEIGHT, WIDTH)[:, 8] == -1).all()
@@ -79,7 +72,7 @@ def test_the_reach_counts_steps(two_parts: tuple[PixelStore, np.ndarray]) -> Non
 
 
 def test_masked_pixels_are_neither_room_nor_outside(tmp_path: Path) -> None:
-    """The left half is masked; its glare may not reach the scale, the pixels or the environment."""
+    """The left half is masked; its glare must not affect the scale, the pixels or the environment."""
     image, mask = tmp_path / "image.exr", tmp_path / "mask.exr"
     pixels = np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
     pixels[:, :8] = 1000.0

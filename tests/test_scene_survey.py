@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The survey: which triangles the views see, what is said of their photographs, which parts there are."""
+"""The survey: which triangles the views see, warnings about their photographs, available parts."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_captures import look_at
-from small_rooms import BOX, bulb, make_room, mesh_room
 
 from fipt_blender.core.capture.images import write_exr
-from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.messages import Reporter, parse_message
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.scene import survey
 from fipt_blender.core.scene.labels import loose_pieces, weld
 from fipt_blender.core.scene.room import Room
+from samples.small_captures import look_at
+from samples.small_rooms import BOX, bulb, make_room, mesh_room
 
 WIDTH, HEIGHT = 48, 32
 FLOOR, CEILING, BACK, FRONT = (0, 1), (2, 3), (4, 5), (10, 11)
@@ -41,8 +41,11 @@ def write_survey_input(folder: Path, room: Room, poses: dict[str, np.ndarray], *
     data = {**head, "world_from_source": np.eye(4).tolist(), "views": views}
     (folder / "capture.json").write_text(json.dumps(data))
     arrays = ("vertices", "triangles", "corner_normals", "triangle_object", "triangle_material")
-    np.savez(folder / "room.npz", **{name: getattr(room, name) for name in arrays})
-    names = {"objects": ["a"], "materials": ["b"], "parts": "auto"}
+    polygon = np.arange(len(room.triangles)) // 2
+    np.savez(folder / "room.npz", **{n: getattr(room, n) for n in arrays}, triangle_polygon=polygon)
+    objects = [f"object {index}" for index in range(int(room.triangle_object.max()) + 1)]
+    materials = [f"material {index}" for index in range(int(room.triangle_material.max()) + 1)]
+    names = {"objects": objects, "materials": materials, "parts": "auto"}
     (folder / "room.json").write_text(json.dumps(names))
 
 
@@ -97,7 +100,7 @@ def test_triangles_between_the_rays_are_seen_and_hidden_ones_not(tmp_path):
     assert len(np.unique(labels["loose"])) == 3  # the box, and two bulbs
     with np.load(tmp_path / "in" / "survey.npz") as arrays:
         areas = arrays["areas"]
-    # What is behind the camera counts as a gap; what is behind the wall, and bulbs' far sides, can't be seen.
+    # Surfaces behind the camera count as a gap; those behind the wall and the bulbs' far sides are hidden.
     assert (areas[:12] > 0.0).all() and not areas[20:].any()
     assert ((areas[12:20] > 0.0) == toward).all()
 
@@ -120,7 +123,7 @@ def test_missing_unusable_and_clipped_photographs_are_named(tmp_path):
     assert "4 x 4" in views["small"]["warning"]
     assert views["clipped"]["clipped_share"] > 0.1 and "over-exposed" in views["clipped"]["warning"]
     assert "8-bit" in views["ldr"]["warning"]
-    assert (seen[:1] == seen).all()  # what a camera sees does not hang on its file
+    assert (seen[:1] == seen).all()  # what a camera sees does not depend on its file
 
 
 def test_masks_of_ticked_views_become_parts(tmp_path):
@@ -148,7 +151,7 @@ def test_loose_pieces_stay_inside_objects_and_follow_long_chains():
     far = np.array([[600, 601, 602]])
     pieces = loose_pieces(np.concatenate([strip, far]), np.zeros(501, int))
     assert len(np.unique(pieces[:500])) == 1 and pieces[500] != pieces[0]
-    halves = (np.arange(501) % 2).astype(int)  # neighbours of different objects are no piece
+    halves = (np.arange(501) % 2).astype(int)  # neighbours of different objects are not connected
     assert len(np.unique(loose_pieces(np.concatenate([strip, far]), halves))) > 2
     room = make_room(BOX, objects=np.zeros(6, int))
     assert len(np.unique(loose_pieces(weld(room.vertices)[room.triangles], room.triangle_object))) == 1

@@ -1,23 +1,25 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Baking an analytic field: textures looked up at random surface points give the field back."""
+"""Baking analytic fields: lookups in the textures at random surface points return the fields."""
 
 import json
 
 import numpy as np
 import pytest
 
+from fipt_blender.core.capture import images
 from fipt_blender.core.capture.images import read_radiance
-from fipt_blender.core.job.errors import FiptError
-from fipt_blender.core.job.runfolder import RunFolder, read_json, write_json
-from fipt_blender.core.job.settings import make_settings
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures import bake, padding, raster
 
 TEXELS = 40  # a metre
 
 
 class AnalyticFields:
-    """Smooth functions of position; nothing on the second object was seen."""
+    """Smooth functions of position; the second object was not seen."""
 
     def query(self, positions, triangles):
         x, y, z = positions.astype(np.float64).T
@@ -30,7 +32,7 @@ class AnalyticFields:
 
 @pytest.fixture
 def run(tmp_path):
-    """Two squares that share an edge in space (at x = 1) but lie apart, one of them turned, in the atlas."""
+    """Two squares that share an edge in space (at x = 1); in the atlas they are apart and one is rotated."""
     folder = RunFolder(tmp_path / "run")
     folder.create(make_settings())
     vertices = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (2, 0, 0.5), (2, 1, 0.5)], np.float32)
@@ -74,7 +76,7 @@ def surface_points(folder, count=2000):
 
 
 def look_up(image, uv):
-    """Bilinear lookup with V up, as renderers do."""
+    """Bilinear lookup with V upwards, as in renderers."""
     height, width = image.shape[:2]
     x = uv[:, 0] * width - 0.5
     y = (1.0 - uv[:, 1]) * height - 0.5
@@ -131,10 +133,10 @@ def test_each_image_holds_the_triangles_of_its_own(run):
 
 
 def test_an_image_that_cannot_be_written_ends_the_baking(run, monkeypatch):
-    def full(*arguments):
+    def full(*arguments, **options):
         raise FiptError("disk-full", "The disk is full.", "Make room.")
 
-    monkeypatch.setattr(bake, "_write_image", full)
+    monkeypatch.setattr(images, "write_exr", full)
     with pytest.raises(FiptError, match="full"):
         bake.bake(run, AnalyticFields())
     assert not run.textures_json.exists()

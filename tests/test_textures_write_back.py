@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The write-back: what the artist sees in Cycles is what the fitted model reflects, from every side."""
+"""The write-back: at all viewing angles Cycles reflects as much as the fitted model."""
 
 from functools import partial
 
@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from benchmarks import fit_write_back, patches
-from fipt_blender.blend import materials, write_back_nodes
-from fipt_blender.blend.write_back_nodes import agree_with_model
+from fipt_blender.blend.results import materials, write_back_nodes
+from fipt_blender.blend.results.write_back_nodes import agree_with_model
 from fipt_blender.core.textures import write_back
 
 
@@ -70,7 +70,7 @@ def test_cycles_agrees_under_white_light(sweep, masking):
 
 
 def under_the_sun(sweep, sun, masking, finish=None):
-    """Mean error of each material and angle relative to what the model reflects, where the sun shines."""
+    """Mean error of each material and angle under the sun, relative to the model."""
     lit = sweep.normals() @ np.array([np.sin(sun), 0.0, np.cos(sun)]) > 0.05
     wanted = fit_write_back.model(sweep, sun, masking)[lit]
     seen = patches.render(sweep, finish or partial(agree_with_model, masking=masking), sun, spp=4)[lit]
@@ -93,7 +93,6 @@ def test_cycles_agrees_under_the_sun_with_the_authors_masking(sweep, sun):
 
 
 def test_the_group_is_one_a_file_and_mutes_to_principled():
-    bpy.ops.wm.read_factory_settings(use_empty=True)
     first, second = materials.attribute_material(), materials.attribute_material()
     for material in (first, second):
         agree_with_model(material)
@@ -111,7 +110,6 @@ def test_the_group_is_one_a_file_and_mutes_to_principled():
 
 
 def test_the_group_survives_saving(tmp_path):
-    bpy.ops.wm.read_factory_settings(use_empty=True)
     material = materials.attribute_material()
     agree_with_model(material)
     material.use_fake_user = True

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""dev.py and what it makes: the extension's zip, the manifest, pins, set-up that runs once."""
+"""dev.py: the extension's zip, the manifest, pins, set-up that runs only once."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_zip_is_the_extension_and_reproducible(dev: ModuleType, tmp_path: Path) 
         manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
         written = json.loads(archive.read(pins.PINS_NAME))
     groups = pins.read_pins()
-    assert written == {name: groups[name] for name in ("engine", "llvm", "pip")}
+    assert written == {name: groups[name] for name in ("engine", "llvm", "pip", "lock")}
     assert first.stat().st_size < 2e6, "the heavy packages live in the engine's environment"
     assert first.name == f"fipt_blender-{manifest['version']}.zip"
     assert {"__init__.py", "__main__.py", "LICENSE", "core/__main__.py", "cli.py"} <= set(names)
@@ -83,9 +83,25 @@ def test_build_refuses_versions_that_disagree(
 
 def test_every_pin_is_exact() -> None:
     groups = pins.read_pins()
-    assert set(groups) == {"engine", "blender", "dev", "cluster", "llvm", "pip"}
-    for requirement in (pin for group in groups.values() for pin in group):
-        assert re.match(r"[A-Za-z0-9-]+==[0-9][0-9a-z.]*(;|$)", requirement), requirement
+    assert set(groups) == {"engine", "blender", "dev", "cluster", "llvm", "pip", "lock"}
+    locked = [pins.without_hashes(line) for line in groups.pop("lock")]
+    for requirement in (pin for group in (*groups.values(), locked) for pin in group):
+        assert re.match(r"[A-Za-z0-9-]+==[0-9][0-9a-z.]*( ?;|$)", requirement), requirement
+
+
+def test_the_lock_has_every_pin_of_the_engine_and_hashes_of_all() -> None:
+    """After a change of a pin: python3 dev.py lock."""
+    groups = pins.read_pins()
+    names = {re.split("[=; ]", line)[0].lower(): [] for line in groups["lock"]}
+    for line in groups["lock"]:
+        assert re.search(r" --hash=sha256:[0-9a-f]{64}( |$)", line), line
+        names[re.split("[=; ]", line)[0].lower()].append(re.search(r"==([^ ;]+)", line).group(1))
+    for pin in groups["engine"]:
+        name, _, version = pin.partition(";")[0].strip().partition("==")
+        if name != "torch":
+            assert version in names[name.lower()], f"{pin}: run python3 dev.py lock"
+    assert not {"torch", "triton"} & set(names) and not any(name.startswith("nvidia") for name in names)
+    assert len(names) >= 20
 
 
 def test_set_up_is_done_once_and_again_when_something_changed(dev: ModuleType, tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scene's collections that hold what we make, each under a name an artist recognises."""
+"""The scene's collections for objects that we make, by name; selecting and removing objects."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ ROOM = "FIPT Room"
 CAMERAS = "FIPT Cameras"
 FIXTURES = "FIPT Fixtures"
 LIGHTS = "FIPT Lights"
+INSERTED = "FIPT Inserted"
+EARLIER_ROOMS = "FIPT Earlier Rooms"
 
 
 def find_collection(scene: bpy.types.Scene, name: str) -> bpy.types.Collection | None:
-    """The scene's collection of that name; where a file has several ("name.001"), the scene's own."""
+    """The scene's collection of that name; where the file has several ("name.001"), the one in the scene."""
     for child in scene.collection.children_recursive:
         if child.name == name or (child.name[:-4] == name and child.name[-4:-3] == "."):
             return child
@@ -21,10 +23,10 @@ def find_collection(scene: bpy.types.Scene, name: str) -> bpy.types.Collection |
 
 
 def collection(scene: bpy.types.Scene, name: str) -> bpy.types.Collection:
-    """The same, made and linked where it is missing."""
-    found = find_collection(scene, name)
-    if found is not None:
-        return found
+    """The scene's collection of that name; made and linked if it is missing."""
+    existing = find_collection(scene, name)
+    if existing is not None:
+        return existing
     new = bpy.data.collections.new(name)
     scene.collection.children.link(new)
     return new
@@ -40,9 +42,17 @@ def move_to(item: bpy.types.Object, target: bpy.types.Collection) -> None:
 
 
 def select_only(layer: bpy.types.ViewLayer, item: bpy.types.Object) -> None:
-    """Deselect everything in a view layer and make one object, if it is there, selected and active."""
-    for each in list(layer.objects.selected):
-        each.select_set(False, view_layer=layer)
+    """Select one object of a view layer and make it active, if it is there; deselect all others."""
+    for selected in list(layer.objects.selected):
+        selected.select_set(False, view_layer=layer)
     if item.name in layer.objects:
         item.select_set(True, view_layer=layer)
         layer.objects.active = item
+
+
+def remove_object(item: bpy.types.Object) -> None:
+    """Remove an object, and its data if nothing else uses it."""
+    data = item.data
+    bpy.data.objects.remove(item)
+    if data is not None and data.users == 0:
+        bpy.data.batch_remove([data])

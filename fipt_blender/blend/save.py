@@ -1,21 +1,28 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Saving the result's .blend so that it and its textures can be moved together."""
+"""Saves the result's .blend so that it can be moved together with its textures; explains failed writes."""
 
 from __future__ import annotations
 
+import os
+import shutil
+import tempfile
 from pathlib import Path
 
 import bpy
 
-from ..core.job.errors import FiptError
-from ..core.job.runfolder import explained_write_errors
+from ..core.run.errors import FiptError
+from ..core.run.runfolder import explained_write_errors
+
+_PROBE_BYTES = 16_000_000
+# Below this much free space a failed write is blamed on the disk, since no file's size is known beforehand.
+_LITTLE_SPACE = 500_000_000
 
 
 def save_blend(path: Path) -> None:
-    """Save the open file under a path, whole or not at all (Blender renames a finished file).
+    """Save the open file under a path, atomically (Blender renames the finished file).
 
-    Paths of images become relative to it where that is possible.
+    Image paths become relative to it where possible.
 
     Raises:
         FiptError: ``disk-full``, ``run-unwritable`` or ``blend-unwritable``.
@@ -29,8 +36,54 @@ def save_blend(path: Path) -> None:
         bpy.ops.file.make_paths_relative()
         bpy.ops.wm.save_mainfile()
     except RuntimeError as error:
-        raise FiptError(
-            "blend-unwritable",
-            f"{path} could not be saved ({str(error).strip()}).",
-            "Free some space, or choose a folder that you may write to.",
-        ) from None
+        raise write_error(path, error, "blend-unwritable") from None
+
+
+def write_error(path: Path, error: RuntimeError, code: str) -> FiptError:
+    """The error for a file that Blender could not write: ``disk-full``, ``run-unwritable`` or `code`.
+
+    Blender names the last error of the system, which is "Success" or that of another file on a full disk.
+    """
+    try:
+        check_space(path)
+        with explained_write_errors(path):
+            free = shutil.disk_usage(path.parent).free
+    except FiptError as reason:
+        return reason
+    if free < _LITTLE_SPACE:
+        return FiptError(
+            "disk-full",
+            f"{path} could not be written. The disk is probably full: {free / 1e6:,.0f} MB are left.",
+            "Free some space and start again; finished steps are kept.",
+        )
+    reason_text = str(error).strip().removeprefix("Error: ")
+    known = "" if reason_text in ("", "Success") else f" ({reason_text})"
+    return FiptError(
+        code,
+        f"{path} could not be written{known}.",
+        "Choose a folder in which you may write, and check that no other program uses the file.",
+    )
+
+
+def check_space(path: Path) -> None:
+    """Check that the folder of a file is writable and has some space left.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    with explained_write_errors(path):
+        reserve(path.parent)
+
+
+def reserve(folder: Path) -> None:
+    """Reserve some space in a folder for a moment.
+
+    Raises:
+        OSError: the folder is missing or write-protected, or the disk is full.
+    """
+    with tempfile.TemporaryFile(dir=folder) as file:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(file.fileno(), 0, _PROBE_BYTES)
+        else:
+            file.write(bytes(_PROBE_BYTES))
+            file.flush()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One material between its own surface and a map of it, which it then sends out as light in any engine."""
+"""Switches a material between its own surface and one of its maps, shown as emission in any engine."""
 
 from __future__ import annotations
 
@@ -8,35 +8,37 @@ from collections.abc import Sequence
 
 import bpy
 
-SURFACE = "fipt_surface"  # what fed the output before a map did: node and socket, a line each
-OUTPUT, SHOWN = "FIPT Output", "FIPT Shown"
+from .marks import OUTPUT, SURFACE, remove_marks
+
+SHOWN = "FIPT Shown"
+UNCHANGED = ("ESTIMATED", "ORIGINAL")  # what is shown of a material other than a map
 
 
 def write_surface(
     material: bpy.types.Material, shown: str, source: bpy.types.Node | None, constant: Sequence[float]
 ) -> None:
-    """Let a material of ours show itself or a map.
+    """Let one of our materials show itself or a map.
 
     Args:
-        material: with an output node "FIPT Output"; without one nothing happens.
-        shown: "ESTIMATED" or "ORIGINAL" for the material itself, else a map.
+        material: its output node is "FIPT Output"; nothing happens without it.
+        shown: one of `UNCHANGED` for the material itself, otherwise a map.
         source: the node whose colour is the map; None for a constant.
-        constant: rgba where there is no source.
+        constant: rgba of a map without a source.
     """
     nodes, links = material.node_tree.nodes, material.node_tree.links
     output = nodes.get(OUTPUT)
     if output is None:
         return
     surface, node = output.inputs["Surface"], nodes.get(SHOWN)
-    if shown in ("ESTIMATED", "ORIGINAL"):
+    if shown in UNCHANGED:
         if node is None:
             return
         name, _, socket = material.get(SURFACE, "").partition("\n")
-        before = nodes.get(name)
+        original = nodes.get(name)
         nodes.remove(node)
-        if before is not None and socket in before.outputs:
-            links.new(before.outputs[socket], surface)
-        material.pop(SURFACE, None)
+        if original is not None and socket in original.outputs:
+            links.new(original.outputs[socket], surface)
+        remove_marks(material, SURFACE)
         return
     if node is None:
         if surface.is_linked:

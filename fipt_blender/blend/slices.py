@@ -1,25 +1,20 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Work on Blender's data in slices: generators that yield where a window may draw in between.
+"""Work on Blender's data in slices: generators that yield so that windows can redraw in between.
 
-Between two slices the artist may undo, rename or load a file, so that they remember names alone.
+Between two slices the artist may undo, rename or load a file; so a generator keeps names, not Blender's data.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from typing import TypeVar
-
 import bpy
 
-from ..core.job.errors import FiptError
-
-Result = TypeVar("Result")
-Slices = Generator[None, None, Result]
+from ..bridge.step import Result, Slices
+from ..core.run.errors import FiptError
 
 
 def run_through(slices: Slices[Result]) -> Result:
-    """Do all slices at once and return the generator's result."""
+    """Run all slices at once and return the generator's result."""
     while True:
         try:
             next(slices)
@@ -28,20 +23,22 @@ def run_through(slices: Slices[Result]) -> Result:
 
 
 def find_object(name: str) -> bpy.types.Object:
-    """An object between two slices.
+    """An object of an earlier slice, by name.
 
     Raises:
-        FiptError: ``room-changed`` where it has gone, or is being edited.
+        FiptError: ``room-changed`` where it is gone, ``room-edited`` where it is in edit mode.
     """
     item = bpy.data.objects.get(name)
     if item is None:
         raise FiptError(
             "room-changed",
             f"The object '{name}' was removed or renamed in the meantime.",
-            "Undo that, and start again: what is finished is kept.",
+            "Undo that, and start again: finished steps are kept.",
         )
     if item.mode == "EDIT":
         raise FiptError(
-            "room-edited", f"'{name}' is in edit mode.", "Leave edit mode, and start again: it goes on there."
+            "room-edited",
+            f"'{name}' is in edit mode.",
+            "Leave edit mode, and start again: finished steps are kept.",
         )
     return item

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which Python runs the engine, with which command line and environment. Standard library only."""
+"""The Python that runs the engine, its command line and its environment. Standard library only."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..core.job.errors import FiptError
+from ..core.run.errors import FiptError
 from .pins import managed_environments
 from .places import PACKAGE_FOLDER, default_data_folder, environment_python
 
@@ -27,13 +27,13 @@ sys.exit(1 if missing else 0)
 def find_engine_python(explicit: str | None = None, managed: Sequence[Path] | None = None) -> Path:
     """The interpreter that runs the engine.
 
-    An interpreter that the user names (argument, then $FIPT_ENGINE_PYTHON) is taken or refused, never
-    passed over. Then come the managed environments, the checkout's ``.venv`` beside the package, and
-    the running interpreter where it has the packages (Blender as a Python module).
+    An interpreter that the user names (by the argument or by $FIPT_ENGINE_PYTHON) is used, or it is an error.
+    Otherwise the first of these that has the packages is used: the managed environments, the checkout's
+    ``.venv`` beside the package, and the running interpreter (Blender as a Python module).
 
     Args:
-        explicit: an interpreter, or the folder of a virtual environment.
-        managed: folders of the environments that the add-on made, best first; None: those in the user's
+        explicit: an interpreter or the folder of a virtual environment.
+        managed: folders of the environments that the add-on has made, best first; None: those in the user's
             data folder.
 
     Raises:
@@ -49,7 +49,7 @@ def find_engine_python(explicit: str | None = None, managed: Sequence[Path] | No
             raise FiptError(
                 "engine-missing",
                 f"The engine's Python {source}, {python}, can't be used: {reason}.",
-                "Name an interpreter that has the engine's packages, or name none and set the engine up.",
+                "Choose an interpreter that has the engine's packages, or choose none and set up the engine.",
             )
         return python
     if managed is None:
@@ -61,13 +61,13 @@ def find_engine_python(explicit: str | None = None, managed: Sequence[Path] | No
     raise FiptError(
         "engine-missing",
         "No Python with the engine's packages (Mitsuba, torch and others) was found.",
-        "Press Set Up in the add-on's preferences, or name an interpreter that has them, there or in"
+        "Press Set Up Engine in the add-on's preferences, or choose one that has them, there or by"
         f" {PYTHON_VARIABLE}.",
     )
 
 
 def _why_not(python: Path) -> str | None:
-    """Why an interpreter can't run the engine, or None where it can; imports nothing heavy."""
+    """Why an interpreter can't run the engine; None if it can. The packages are looked up, not imported."""
     if not python.is_file():
         return "there is no such file"
     try:
@@ -79,13 +79,13 @@ def _why_not(python: Path) -> str | None:
             env=engine_environment(python),
             timeout=60,
             check=False,
-            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),  # Windows shows a console otherwise
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),  # else Windows opens a console
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         return f"it does not start ({error})"
     if result.returncode == 0:
         return None
-    return (result.stdout or result.stderr).strip()[-200:] or f"it ends with status {result.returncode}"
+    return (result.stdout or result.stderr).strip()[-200:] or f"it ended with status {result.returncode}"
 
 
 def engine_command(python: Path, *args: str) -> list[str]:
@@ -96,32 +96,35 @@ def engine_command(python: Path, *args: str) -> list[str]:
 def package_command(python: Path, module: str, *args: str) -> list[str]:
     """The command line that runs a module of this package as a program in a Python.
 
-    Isolated (-I): neither the working directory nor the user's site folder reaches it.
+    With -I neither the working directory nor the user's site folder is on its path.
     """
     return [str(python), "-I", "-X", "utf8", str(PACKAGE_FOLDER / "bridge" / "start.py"), module, *args]
 
 
-def setup_command(python: Path, data: Path, device: str, wheels: Path | None) -> list[str]:
+def setup_command(
+    python: Path, data: Path, device: str, wheels: Path | None, allow_large: bool = False
+) -> list[str]:
     """The command line of set-up.
 
     Args:
-        python: Blender's own, which the environment is made with where it can be.
-        data: the data folder, below which the environment lies.
-        device: the preference, which decides on PyTorch's build.
-        wheels: folder to install from, None for the network.
+        python: Blender's Python, with which the environment is made if possible.
+        data: the data folder, for the environment.
+        device: the preference; it determines the build of PyTorch.
+        wheels: folder from which packages are installed; None: from the network.
+        allow_large: see `plan.Plan`.
     """
     source = [] if wheels is None else [f"--wheels={wheels}"]
+    source += ["--allow-large"] if allow_large else []
     return package_command(python, "fipt_blender.bridge.setup", str(data), f"--device={device}", *source)
 
 
 def engine_environment(python: Path | None = None) -> dict[str, str]:
-    """Environment of the engine: the caller's without what would bend its Python.
+    """Environment variables of the engine: the caller's, without those that affect Python.
 
-    Idle OpenMP threads sleep instead of spinning, as torch and Dr.Jit take turns on the same cores.
+    Idle OpenMP threads sleep instead of spinning, since torch and Dr.Jit take turns on the same cores.
 
     Args:
-        python: the engine's interpreter; system libraries kept in its environment (``system_folder``)
-            become visible to the child.
+        python: the engine's interpreter; the child finds the libraries of its `system_folder`.
     """
     environment = {key: value for key, value in os.environ.items() if not key.upper().startswith("PYTHON")}
     environment.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -133,5 +136,5 @@ def engine_environment(python: Path | None = None) -> dict[str, str]:
 
 
 def system_folder(python: Path) -> Path:
-    """Where an environment keeps shared libraries that its packages need and the system lacks."""
+    """The folder of an environment for shared libraries that its packages need and the system lacks."""
     return python.parent.parent / "system"

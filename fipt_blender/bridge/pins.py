@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which packages the engine needs, and which environment holds them. Standard library only.
+"""The pinned packages of the engine, and the environments that contain them. Standard library only.
 
-pyproject.toml is the only place of the pins; `dev.py build` copies them into the extension's zip.
+Pins are defined in pyproject.toml alone; `dev.py build` copies them into the extension's zip.
 """
 
 from __future__ import annotations
@@ -16,22 +16,25 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-from ..core.job.errors import FiptError
-from ..core.job.runfolder import read_json
+from ..core.run.documents import read_json
+from ..core.run.errors import FiptError
 from .places import PACKAGE_FOLDER, environment_python
 
 PINS_NAME = "engine_pins.json"
-ENGINE_GROUPS = ("engine", "llvm", "pip")  # what the add-on needs of them
+LOCK_NAME = "engine.lock"
+ENGINE_GROUPS = ("engine", "llvm", "pip", "lock")  # the groups that the add-on needs
 STAMP_NAME = "setup.json"
-ENGINE_PYTHONS = ((3, 11), (3, 12), (3, 13), (3, 14))  # those that every pinned package has wheels for
+ENGINE_PYTHONS = ((3, 11), (3, 12), (3, 13), (3, 14))  # for these all pinned packages have wheels
 
 Version = tuple[int, int]
 
 
 def read_pins(package: Path = PACKAGE_FOLDER) -> dict[str, list[str]]:
-    """Requirements by group: ``engine``, ``llvm`` and ``pip``.
+    """Requirements by group: ``engine``, ``llvm``, ``pip`` and ``lock``.
 
-    In a checkout there are ``blender``, ``dev`` and ``cluster`` too.
+    ``lock`` has every package that the engine needs, with its version and the hashes of its files, but for
+    PyTorch and what only its CUDA builds need: which build is installed depends on the machine. A checkout
+    also has ``blender``, ``dev`` and ``cluster``.
 
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.
@@ -49,39 +52,53 @@ def read_pins(package: Path = PACKAGE_FOLDER) -> dict[str, list[str]]:
             "file-missing", f"The list of the engine's packages, {copied}, can't be read ({error}).",
             "Install the extension again.",
         ) from None  # fmt: skip
-    return {"engine": project["dependencies"], **project["optional-dependencies"]}
+    lock = package.parent / LOCK_NAME
+    locked = parse_lock(lock.read_text(encoding="utf-8")) if lock.exists() else []
+    return {"engine": project["dependencies"], "lock": locked, **project["optional-dependencies"]}
+
+
+def parse_lock(text: str) -> list[str]:
+    """The requirements of a lock file, one line each: name, version, marker, hashes."""
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    joined = "\n".join(lines).replace("\\\n", " ")
+    return [" ".join(line.split()) for line in joined.splitlines()]
+
+
+def without_hashes(requirement: str) -> str:
+    """A locked requirement's name, version and marker."""
+    return requirement.partition(" --hash=")[0].strip()
 
 
 def environment_name(pins: dict[str, list[str]], version: Version) -> str:
-    """Name of the environment that belongs to these packages and a Python's version."""
-    text = json.dumps([pins["engine"], sys.platform, platform.machine()])
+    """Name of the environment for these packages and this version of Python."""
+    text = json.dumps([pins["engine"], pins.get("lock", []), sys.platform, platform.machine()])
     return f"engine-{version[0]}.{version[1]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
 def environments(data: Path) -> list[Path]:
-    """Every environment in a data folder, finished or not, of any version of the add-on."""
+    """All environments in a data folder, finished or not, of all versions of the add-on."""
     return sorted(path for path in data.glob("engine-*") if path.is_dir() and _version(path))
 
 
 def managed_environments(data: Path) -> list[Path]:
-    """The finished environments in a data folder that have the packages pinned now, best first.
+    """The finished environments in a data folder that contain the current pins, best first.
 
-    The one of the running interpreter's version leads: the one that it made itself.
+    The first is that of the running interpreter's version, if there is one.
     """
     pins = read_pins()
-    found = []
+    ranked = []
     for folder in environments(data):
         version = _version(folder)
         if version and folder.name == environment_name(pins, version) and read_stamp(folder).get("complete"):
-            found.append((version != sys.version_info[:2], folder))
-    return [folder for _, folder in sorted(found)]
+            ranked.append((version != sys.version_info[:2], folder))
+    return [folder for _, folder in sorted(ranked)]
 
 
 def read_stamp(folder: Path) -> dict[str, Any]:
-    """What set-up noted in an environment; empty where it was not finished once.
+    """The record that set-up has written into an environment; empty if there is none.
 
-    ``key`` (what was asked for), ``installed`` (the packages are there), ``complete``, ``llvm`` (the LLVM
-    that it needs, or null), ``torch`` (which build).
+    ``key`` (`plan_key`), ``installed`` (whether the packages are installed), ``complete``, ``llvm`` (path of
+    the LLVM that it uses, or null), ``torch`` (the build).
     """
     try:
         return read_json(folder / STAMP_NAME)
@@ -90,7 +107,7 @@ def read_stamp(folder: Path) -> dict[str, Any]:
 
 
 def is_set_up(folder: Path, key: str) -> bool:
-    """Whether an earlier set-up with this key still stands."""
+    """Whether an environment was completed with this key and still exists."""
     stamp = read_stamp(folder)
     if stamp.get("key") != key or not stamp.get("complete") or not environment_python(folder).exists():
         return False
@@ -98,27 +115,29 @@ def is_set_up(folder: Path, key: str) -> bool:
 
 
 def wheel_command(pins: dict[str, list[str]], version: Version, folder: str = "wheels") -> str:
-    """The command that fills a folder with all that an offline machine of the same kind needs."""
-    names = [*pins["pip"], *pins["engine"], *pins["llvm"]]
+    """The command that downloads all wheels that an offline machine of the same kind needs."""
+    locked = [without_hashes(requirement) for requirement in pins.get("lock", [])]
+    torch = [pin for pin in pins["engine"] if pin.startswith("torch==")]
+    names = [*pins["pip"], *(locked + torch if locked else pins["engine"]), *pins["llvm"]]
     quoted = " ".join(f'"{name}"' if ";" in name else name for name in names)
     return f"python{version[0]}.{version[1]} -m pip download --only-binary :all: --dest {folder} {quoted}"
 
 
 def wheel_pythons(folder: Path, pins: dict[str, list[str]]) -> list[Version]:
-    """The versions of Python for which a folder has the wheel of the engine's main package."""
+    """The versions of Python for which a folder contains the wheel of Mitsuba."""
     pinned = next((pin for pin in pins["engine"] if pin.startswith("mitsuba==")), "")
     version = pinned.partition("==")[2].partition(";")[0].strip()
-    found = []
+    versions = set()
     for wheel in folder.glob(f"mitsuba-{version}-cp3*.whl"):
         if match := re.search(r"-cp3(\d+)-", wheel.name):
-            found.append((3, int(match.group(1))))
-    return sorted(set(found) & set(ENGINE_PYTHONS))
+            versions.add((3, int(match.group(1))))
+    return sorted(versions & set(ENGINE_PYTHONS))
 
 
 def unpacked_gb(folder: Path) -> float:
-    """About what the packages of a folder of wheels take on the disk (GB): the largest wheel of each.
+    """Approximate size (GB) of the unpacked packages of a folder; of each package the largest wheel counts.
 
-    A file that is no wheel counts as it is; pip will say what is wrong with it.
+    A file that is not a valid wheel counts with its own size; pip will report what is wrong with it.
     """
     largest: dict[str, int] = {}
     for wheel in folder.glob("*.whl"):
@@ -132,19 +151,19 @@ def unpacked_gb(folder: Path) -> float:
     return sum(largest.values()) / 1e9
 
 
-def other_versions(groups: dict[str, list[str]], found: dict[str, str | None]) -> list[str]:
-    """Packages whose version is none that is pinned, as "name version (pinned version)".
+def other_versions(groups: dict[str, list[str]], versions: dict[str, str | None]) -> list[str]:
+    """Packages with a version that is not pinned, as "name version (pinned version)".
 
     Args:
         groups: see `read_pins`.
-        found: version by package, None where it is missing; builds ("+cpu") count alike.
+        versions: installed version by package, None if it is missing; the build ("+cpu") is ignored.
     """
     pinned: dict[str, list[str]] = {}
     for pin in groups["engine"]:
         name, _, version = pin.partition(";")[0].strip().partition("==")
         pinned.setdefault(name.lower(), []).append(version)
     others = []
-    for name, installed in found.items():
+    for name, installed in versions.items():
         wanted = pinned.get(name.lower())
         if installed and wanted and installed.partition("+")[0] not in wanted:
             others.append(f"{name} {installed} ({' or '.join(wanted)})")

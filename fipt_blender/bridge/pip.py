@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""pip as a child process: its output as progress by bytes and packages, its failures in words.
+"""pip as a child process: progress from its output, and explanations of its failures.
 
-pip's own configuration decides from where packages come. Standard library only.
+pip's own configuration determines the sources of packages. Standard library only.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from ..core.job.errors import FiptError
+from ..core.run.errors import FiptError
 from .interpreter import engine_environment
 
 _OPTIONS = ("--no-input", "--disable-pip-version-check", "--progress-bar")
-_RAW_SINCE = (24, 1)  # from this version on pip tells its progress for programs to read
-# Of the time of an installation: over a usual network, and from a folder.
+_RAW_SINCE = (24, 1)  # the first version of pip that prints its progress for programs
+# Share of an installation's time for getting the packages: over an average network, and from a folder.
 _DOWNLOAD_SHARE, _FOLDER_SHARE = 0.7, 0.05
 _WATCH_SECONDS = 1.0
 _NETWORK_SIGNS = (
@@ -30,35 +30,47 @@ _NETWORK_SIGNS = (
 
 
 class Teller(Protocol):
-    """Who hears of the progress of set-up: the preferences, through messages, or a terminal."""
+    """Receives the progress of set-up: the preferences, through messages, or a terminal."""
 
     def stage(self, name: str, text: str) -> None:
         """Begin the next stage."""
 
     def detail(self, text: str) -> None:
-        """Say what the running stage does now."""
+        """Describe what the current stage is doing."""
 
     def progress(self, stage_fraction: float) -> None:
-        """Say how much of the running stage is done."""
+        """Report which share of the current stage is done (0 to 1)."""
 
     def warning(self, code: str, text: str, remedy: str) -> None:
-        """Say what did not go as it should; set-up goes on."""
+        """Report a problem that does not stop set-up."""
 
     def log(self, line: str) -> None:
-        """Keep a line of pip's output."""
+        """Write a line of pip's output to the log."""
+
+
+_NEXT_LINE = "named in the next line"
 
 
 class PipProgress:
-    """Turns pip's lines into texts and one fraction.
+    """Turns pip's output into texts and one fraction.
 
     Args:
-        packages: the folder into which it installs.
-        expected_gb: about how much will be downloaded; 0 where all comes from a folder.
-        tell: who hears of it.
+        packages: the folder into which pip installs.
+        expected_gb: expected size of the downloads; 0 if packages come from a folder.
+        tell: gets the progress.
+        span: share of the stage before and after this run of pip.
+
+    Attributes:
+        errors: pip's error lines.
+        mismatch: the package whose hash is not the one of the lock; "" for none.
+        offline: whether pip's output indicates a problem of the network.
     """
 
-    def __init__(self, packages: Path, expected_gb: float, tell: Teller) -> None:
+    def __init__(
+        self, packages: Path, expected_gb: float, tell: Teller, span: tuple[float, float] = (0.0, 1.0)
+    ) -> None:
         self.errors: list[str] = []
+        self.mismatch = ""
         self.offline = False
         self.tell = tell
         self._expected = expected_gb * 1e9
@@ -67,9 +79,10 @@ class PipProgress:
         self._size = 0.0
         self._packages = packages
         self._count = self._before = 0
+        self._span = span
 
     def line(self, line: str) -> None:
-        """Take one line of pip's output."""
+        """Process one line of pip's output."""
         if match := re.match(r"Progress (\d+) of (\d+)", line):
             self._progress(float(match.group(1)))
             return
@@ -88,24 +101,32 @@ class PipProgress:
             self._before = len(list(self._packages.glob("*.dist-info")))
             self.tell.detail(f"Installing {self._count} packages")
             self.watch()
+        elif self.mismatch == _NEXT_LINE:
+            self.mismatch = text.partition(" from ")[0]
+        elif "DO NOT MATCH THE HASHES" in text:
+            self.mismatch = _NEXT_LINE
         elif text.startswith("ERROR:"):
             self.errors.append(text.removeprefix("ERROR:").strip())
         self.offline = self.offline or any(sign in text for sign in _NETWORK_SIGNS)
 
     def watch(self) -> None:
-        """Look how many packages are installed, while pip itself is silent about it."""
+        """Report progress by counting installed packages, since pip prints nothing while it installs."""
         if self._count:
             done = len(list(self._packages.glob("*.dist-info"))) - self._before
             share = min(max(done / self._count, 0.0), 1.0)
-            self.tell.progress(self._share + (1.0 - self._share) * share)
+            self._tell(self._share + (1.0 - self._share) * share)
 
     def _progress(self, current: float) -> None:
         done = (self._finished + current) / max(self._expected, self._finished + self._size, 1.0)
-        self.tell.progress(self._share * min(done, 1.0))
+        self._tell(self._share * min(done, 1.0))
+
+    def _tell(self, fraction: float) -> None:
+        low, high = self._span
+        self.tell.progress(low + (high - low) * fraction)
 
 
 def progress_bar(version: str) -> str:
-    """The kind of progress that a version of pip is asked for."""
+    """The value of pip's option --progress-bar for a version of pip."""
     numbers = tuple(int(part) for part in re.findall(r"\d+", version)[:2])
     return "raw" if numbers >= _RAW_SINCE else "off"
 
@@ -116,7 +137,7 @@ def run_pip(python: Path, arguments: Sequence[str], progress: PipProgress, bar: 
     Args:
         python: the environment's interpreter.
         arguments: of pip, e.g. ``["install", "numpy"]``.
-        progress: takes its output.
+        progress: processes pip's output.
         bar: see `progress_bar`.
     """
     pip = [str(python), "-I", "-X", "utf8", "-m", "pip"]
@@ -152,42 +173,49 @@ def _read(stream: Iterable[str], lines: queue.SimpleQueue[str | None]) -> None:
 
 
 def pip_error(progress: PipProgress, wheels: Path | None) -> FiptError:
-    """What pip's failure means for the user.
+    """The error that explains pip's failure to the user.
 
     Args:
-        progress: that took its output.
-        wheels: the folder that it installed from, None for the network.
+        progress: that processed pip's output.
+        wheels: the folder from which packages were installed; None: from the network.
     """
-    said = next((text for text in progress.errors if "No matching" in text), "")
-    said = said or (progress.errors[-1] if progress.errors else "pip gave no reason")
+    reason = next((text for text in progress.errors if "No matching" in text), "")
+    reason = reason or (progress.errors[-1] if progress.errors else "pip gave no reason")
     if any("No space left" in text or "Errno 28" in text for text in progress.errors):
         return FiptError(
             "disk-full",
             "The disk is full; the engine's packages could not be installed.",
-            "Free some space, or move the data folder to another disk, and set up again: downloads are kept.",
+            "Free some space or move the data folder to another disk, and set up again; downloads are kept.",
+        )
+    if progress.mismatch:
+        return FiptError(
+            "package-hash",
+            f"A package is not the one that this version was made with: {progress.mismatch}",
+            "Do not use the package index or the folder of wheels that it came from; if you trust them, ask"
+            " their owner why the file was changed.",
         )
     if wheels is not None:
         return FiptError(
             "wheels-missing",
-            f"The folder of wheels {wheels} does not have all packages: {said}",
-            "Fill it anew with the command that Copy Download Command gives, on a machine with network.",
+            f"The folder of wheels {wheels} does not contain all packages: {reason}",
+            "Fill it again with the command from Copy Download Command, on a machine with network access.",
         )
     if progress.offline:
         return FiptError(
             "network-missing",
-            f"The engine's packages could not be downloaded: {said}",
-            "Check the network, or the proxy (HTTPS_PROXY), or install from a folder of wheels; then set up"
-            " again: what was downloaded is kept.",
+            f"The engine's packages could not be downloaded: {reason}",
+            "Check the network and the proxy (HTTPS_PROXY), or install from a folder of wheels; then set up"
+            " again. Finished downloads are kept.",
         )
     return FiptError(
         "packages-failed",
-        f"The engine's packages could not be installed: {said}",
-        "The log tells more. If your studio has a package index of its own, see to its having them.",
+        f"The engine's packages could not be installed: {reason}",
+        "See the log. If your studio uses its own package index, make sure that it has these packages.",
     )
 
 
 def _bytes(size: str) -> float:
-    """A size as pip writes it: "530.2 MB"."""
+    """Bytes of a size as pip prints it, e.g. "530.2 MB"; 0 if it can't be read."""
     number, _, unit = size.partition(" ")
     try:
         return float(number) * {"kB": 1e3, "MB": 1e6, "GB": 1e9}.get(unit, 1.0)

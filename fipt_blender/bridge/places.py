@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where things lie: the package, the user's runs and the engine's environments. Standard library only.
+"""The folders of the package, of the user's runs and of the engine's environments. Standard library only.
 
-Blender deletes an extension's folder on upgrade and its user folder on removal, so neither holds any of it.
+Blender deletes an extension's folder on upgrade and its user folder on removal, therefore neither is used.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import sys
 import time
 from pathlib import Path
 
-from ..core.job.runfolder import explained_write_errors
+from ..core.run.runfolder import explained_write_errors
 
 PACKAGE_FOLDER = Path(__file__).resolve().parent.parent
 DATA_VARIABLE = "FIPT_DATA"
@@ -24,7 +24,7 @@ def default_data_folder() -> Path:
     """The user's data folder: $FIPT_DATA, or the platform's place for an application's data."""
     if named := os.environ.get(DATA_VARIABLE):
         return Path(named).expanduser().absolute()
-    home = Path(os.path.expanduser("~"))  # Path.home() raises where there is none
+    home = Path(os.path.expanduser("~"))  # Path.home() raises an error if there is none
     if sys.platform == "win32":
         base = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
     elif sys.platform == "darwin":
@@ -35,16 +35,16 @@ def default_data_folder() -> Path:
 
 
 def runs_folder(data: Path) -> Path:
-    """Where runs lie that the user gave no folder of their own."""
+    """The folder of the runs for which the user has not chosen a folder."""
     return data / "runs"
 
 
 def new_run_folder(data: Path, name: str) -> Path:
-    """Make a fresh, empty folder for a run, named after what it is about and when.
+    """Make a new, empty folder for a run; its name contains `name` and the time.
 
     Args:
         data: the data folder.
-        name: what the user will recognise it by, e.g. the name of the .blend or of the capture.
+        name: by which the user recognises the run, e.g. the name of the .blend file or of the capture.
 
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
@@ -65,12 +65,12 @@ def new_run_folder(data: Path, name: str) -> Path:
 
 
 def environment_python(folder: Path) -> Path:
-    """The interpreter inside a virtual environment's folder."""
+    """The interpreter of a virtual environment."""
     return folder / "Scripts" / "python.exe" if sys.platform == "win32" else folder / "bin" / "python"
 
 
 def site_packages(folder: Path) -> Path:
-    """Where a virtual environment keeps its packages; it exists."""
+    """The folder of the packages of an existing virtual environment."""
     if sys.platform == "win32":
         return folder / "Lib" / "site-packages"
     return next((folder / "lib").glob("python3*")) / "site-packages"

@@ -1,16 +1,14 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""An engine command as a process of its own: started or found, watched, cancelled, its death explained.
+"""An engine command as a child process: starting it, reading its messages, cancelling it.
 
-It writes its messages to a file that is read here, not to a pipe: so it can outlive Blender, and another
-Blender can watch it. Standard library only; no threads and no timers: who wants to know calls `poll`.
+The engine writes its messages to a file, not to a pipe. Therefore it can outlive Blender, and another Blender
+can watch it (:mod:`.attached`). Standard library only; no threads and no timers: callers use `poll`.
 """
 
 from __future__ import annotations
 
-import errno
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -20,31 +18,33 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..core.job.lock import Holder, holder
-from ..core.job.messages import parse_message, says_out_of_memory
-from ..core.job.runfolder import RunFolder, explained_write_errors
+from ..core.run.errors import FiptError
+from ..core.run.lock import open_lockable, try_lock
+from ..core.run.messages import parse_message
+from ..core.run.runfolder import explained_write_errors
+from .death import explain_death, last_lines
 
 Message = dict[str, Any]
 
 _POLL_SECONDS = 0.05
-_TERMINATE_SECONDS = 1.0
+_TERMINATE_SECONDS = 1.0  # between asking the engine to end and killing it
 _NICENESS = 10
-_TAIL_BYTES = 4096
-_FULL_DISK_BYTES = 1 << 20
-_OUT_OF_MEMORY_REMEDY = "Use a smaller preset, fewer or smaller views, or close other programs; then resume."
 
 
 class Engine:
-    """An engine command that runs, and the file of its messages.
+    """A running engine command and the file of its messages.
 
     Args:
-        messages: file to which the engine's stdout goes.
-        log: file to which everything that is no message is appended.
+        messages: file to which the engine's stdout is written.
+        log: file to which everything else is appended.
 
     Attributes:
-        done: the engine's `done` message once it came.
-        error: the `error` message that ended it, its own or one that explains its death.
-        cancelled: whether it was told to end.
+        done: the engine's message `done`, or None.
+        error: the message `error` that ended it: its own or one that explains its death; or None.
+        cancelled: whether it was asked to end.
+
+    Raises:
+        OSError: the file of messages can't be read.
     """
 
     def __init__(self, messages: Path, log: Path) -> None:
@@ -54,7 +54,7 @@ class Engine:
         self.cancelled = False
         self._finished = False
         self._deadline = 0.0
-        self._last_stray = ""
+        self._last_other = ""
         self._pending = b""
         self._messages = messages
         self._stream = open(messages, "rb")
@@ -65,19 +65,24 @@ class Engine:
         return not self._finished
 
     @property
+    def elsewhere(self) -> str:
+        """Where the engine runs if this process can't end it; "" if it can."""
+        return ""
+
+    @property
     def returncode(self) -> int | None:
-        """The process's exit status, negative for a signal; None while it runs or where nobody tells."""
+        """The exit status, negative for a signal; None while the process runs or if it is unknown."""
         return None
 
     def poll(self) -> list[Message]:
-        """The messages that came since the last call, oldest first; never waits.
+        """The new messages since the last call, oldest first; never waits.
 
-        When the engine has died without a `done` or `error` message, the last message is an `error` that
-        explains it. After `request_cancel` it is what kills an engine that does not listen.
+        If the engine has died without a message `done` or `error`, the last message is an `error` that
+        explains its death. After `request_cancel`, this method kills an engine that has not ended in time.
         """
         if self._finished:
             return []
-        ended = not self._alive()  # asked before reading: what it wrote is then all there
+        ended = not self._alive()  # asked before reading, so that all that it wrote is read
         messages = self._read()
         if ended:
             messages += self._finish()
@@ -86,9 +91,9 @@ class Engine:
         return [] if self.cancelled else messages
 
     def run_blocking(self, on_message: Callable[[Message], None]) -> bool:
-        """Wait for the end, handing over each message; True when the command succeeded.
+        """Wait for the end and pass on each message; returns whether the command succeeded.
 
-        An exception in between, Ctrl-C among them, cancels the engine first.
+        Any exception, also one by Ctrl-C, first cancels the engine.
         """
         try:
             while self.running:
@@ -102,16 +107,16 @@ class Engine:
         return self.error is None and not self.cancelled
 
     def request_cancel(self) -> None:
-        """Tell the engine and everything it started to end; `poll` sees to it, within two seconds."""
+        """Ask the engine and all that it started to end; `poll` makes sure of it within two seconds."""
         if not self._finished and not self.cancelled:
             self.cancelled = True
             self._deadline = time.monotonic() + _TERMINATE_SECONDS
             self._signal(terminate=True)
 
     def cancel(self) -> None:
-        """End the engine and everything it started; returns within two seconds."""
+        """End the engine and all that it started; returns within two seconds."""
         self.request_cancel()
-        # A process that is stuck in the kernel is left to the kill that takes effect when it returns.
+        # A process that hangs in a system call ends as soon as the call returns.
         give_up = self._deadline + 0.5
         while not self._finished and time.monotonic() < give_up:
             self.poll()
@@ -120,14 +125,14 @@ class Engine:
         self._close()
 
     def leave(self) -> None:
-        """Watch it no more; it goes on."""
+        """Stop watching the engine, which continues to run."""
         self._close()
 
     def _alive(self) -> bool:
         raise NotImplementedError
 
     def _signal(self, terminate: bool) -> None:
-        """End the process and what it started, asking (True) or by force."""
+        """End the process and all that it started: ask it to (True) or kill it."""
         raise NotImplementedError
 
     def _read(self) -> list[Message]:
@@ -136,7 +141,7 @@ class Engine:
         for line in lines:
             message = parse_message(line.decode("utf-8", "replace"))
             if message is None:
-                self._keep_stray(line)
+                self._keep_other(line)
                 continue
             if message["type"] == "done":
                 self.done = message
@@ -147,8 +152,8 @@ class Engine:
 
     def _finish(self) -> list[Message]:
         if self._pending:
-            self._keep_stray(self._pending)
-        self._signal(terminate=False)  # whatever it left running
+            self._keep_other(self._pending)
+        self._signal(terminate=False)  # processes that it has left running
         self._close()
         if self.cancelled:
             self._log("--- cancelled")
@@ -163,21 +168,21 @@ class Engine:
         self._finished = True
         self._stream.close()
 
-    def _keep_stray(self, line: bytes) -> None:
+    def _keep_other(self, line: bytes) -> None:
         text = line.decode("utf-8", "replace").strip()
         if text:
-            self._last_stray = text
+            self._last_other = text
 
     def _last_line(self) -> str:
-        """The last thing that was printed besides messages."""
-        lines = [self._last_stray, *_tail(self.log)]
+        """The last line that the engine printed besides messages."""
+        lines = [self._last_other, *last_lines(self.log)]
         return next((line for line in reversed(lines) if line and not line.startswith("--- ")), "")[:300]
 
     def _log(self, text: str) -> None:
         try:
             with open(self.log, "a", encoding="utf-8", errors="replace") as file:
                 file.write(f"{text}\n")
-        except OSError:  # a full disk must not hide the engine's own message about it
+        except OSError:  # a full disk must not hide the engine's own error message
             pass
 
 
@@ -186,13 +191,15 @@ class EngineProcess(Engine):
 
     Args:
         command: the interpreter and its arguments.
-        log: file to which everything that is no message is appended.
-        environment: the child's whole environment; None keeps the caller's.
-        messages: file for the messages, begun anew; None takes a temporary one.
+        log: file to which everything that is not a message is appended.
+        environment: the child's complete environment; None: that of this process.
+        messages: file for the messages, which is overwritten; None: a temporary file. It stays locked until
+            the engine and this object have ended, so that a second engine never writes over it.
 
     Raises:
         OSError: the interpreter can't be started.
-        FiptError: ``disk-full`` or ``run-unwritable``.
+        FiptError: ``run-busy`` where another engine writes its messages there; ``disk-full`` or
+            ``run-unwritable``.
     """
 
     def __init__(
@@ -210,23 +217,32 @@ class EngineProcess(Engine):
         else:
             with explained_write_errors(messages):
                 messages.parent.mkdir(parents=True, exist_ok=True)
-                messages.write_bytes(b"")
+        self._stdout = open_lockable(messages)
+        if not try_lock(self._stdout):
+            self._stdout.close()
+            raise FiptError(
+                "run-busy",
+                f"Another engine is writing its messages to {messages}.",
+                "Wait until it has finished, or stop it where it was started.",
+            )
+        with explained_write_errors(messages):
+            self._stdout.truncate(0)
         super().__init__(messages, log)
         try:
-            self._process = self._start(command, messages, environment)
+            self._process = self._start(command, environment)
         except BaseException:
             self._close()
             raise
         if sys.platform != "win32":
-            # From here and not in the child: preexec_fn is unsafe in a process with threads, as Blender is.
+            # Not by preexec_fn, which is unsafe in a process with threads such as Blender.
             try:
                 os.setpriority(os.PRIO_PGRP, self._process.pid, _NICENESS)
-            except OSError:  # it may have ended already
+            except OSError:  # the child may have ended already
                 pass
 
     @property
     def pid(self) -> int:
-        """The child's process id, which is its process group's too (POSIX)."""
+        """The child's process id; on POSIX also that of its process group."""
         return self._process.pid
 
     @property
@@ -234,22 +250,22 @@ class EngineProcess(Engine):
         return self._process.returncode
 
     def _start(
-        self, command: Sequence[str], messages: Path, environment: Mapping[str, str] | None
+        self, command: Sequence[str], environment: Mapping[str, str] | None
     ) -> subprocess.Popen[bytes]:
         flags = 0
         if sys.platform == "win32":
             flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.BELOW_NORMAL_PRIORITY_CLASS
-            flags |= subprocess.CREATE_NO_WINDOW  # a console would open, and closing it would end the engine
+            flags |= subprocess.CREATE_NO_WINDOW  # else a console opens, and closing it ends the engine
         self._log(f"--- {time.strftime('%Y-%m-%d %H:%M:%S')} {' '.join(command)}")
         try:
             log = open(self.log, "ab")
         except OSError:
             log = open(os.devnull, "ab")
-        with log, open(messages, "ab") as stdout:
+        with log:
             return subprocess.Popen(
                 list(command),
                 stdin=subprocess.DEVNULL,
-                stdout=stdout,
+                stdout=self._stdout,
                 stderr=log,
                 env=None if environment is None else dict(environment),
                 start_new_session=True,  # ignored on Windows
@@ -265,116 +281,15 @@ class EngineProcess(Engine):
                 self._process.kill()
             else:
                 os.killpg(self._process.pid, signal.SIGTERM if terminate else signal.SIGKILL)
-        except (ProcessLookupError, PermissionError):  # macOS says EPERM for a group of zombies
+        except (ProcessLookupError, PermissionError):  # macOS: EPERM for a group of zombies
             pass
 
-    def _keep_stray(self, line: bytes) -> None:
-        super()._keep_stray(line)
+    def _keep_other(self, line: bytes) -> None:
+        super()._keep_other(line)
         self._log(line.decode("utf-8", "replace"))
 
     def _close(self) -> None:
         super()._close()
+        self._stdout.close()
         if self._temporary is not None:
             self._temporary.unlink(missing_ok=True)
-
-
-class AttachedEngine(Engine):
-    """An engine that another process started and that still works in a run folder.
-
-    Args:
-        run: the run folder.
-        found: the engine, from `find_engine`.
-
-    Raises:
-        OSError: its messages can't be read.
-    """
-
-    def __init__(self, run: RunFolder, found: Holder) -> None:
-        super().__init__(run.messages(found.command[0]), run.log)
-        self._run, self._found = run, found
-
-    @property
-    def pid(self) -> int:
-        """The engine's process id."""
-        return self._found.pid
-
-    def _alive(self) -> bool:
-        return holder(self._run) == self._found
-
-    def _signal(self, terminate: bool) -> None:
-        if not self._alive():  # the id may be another process's now
-            return
-        pid = self._found.pid
-        try:
-            if sys.platform == "win32":
-                os.kill(pid, signal.SIGTERM)
-                return
-            number = signal.SIGTERM if terminate else signal.SIGKILL
-            if os.getpgid(pid) == pid:
-                os.killpg(pid, number)
-            else:  # started by hand, in somebody else's group
-                os.kill(pid, number)
-        except (ProcessLookupError, PermissionError):
-            pass
-
-
-def find_engine(run: RunFolder) -> Holder | None:
-    """The engine that works in a run folder, whoever started it, or None."""
-    found = holder(run)
-    return found if found is not None and found.command and run.messages(found.command[0]).exists() else None
-
-
-def explain_death(returncode: int | None, last_line: str = "", file: Path | None = None) -> Message:
-    """The `error` message for an engine that ended without one of its own.
-
-    Args:
-        returncode: as of `subprocess`: negative for a signal; 128 + signal from a shell; None if unknown.
-        last_line: the last thing that the engine printed.
-        file: a file on the disk on which it worked.
-    """
-    code = returncode or 0
-    number = -code if code < 0 else code - 128 if 128 < code < 160 else 0
-    if number == 9 or says_out_of_memory(last_line):
-        text = "The engine was killed by the system (SIGKILL), most likely because memory ran out."
-        return {
-            "type": "error",
-            "code": "out-of-memory",
-            "text": text if number == 9 else "The engine ran out of memory.",
-            "remedy": _OUT_OF_MEMORY_REMEDY,
-        }
-    if code == errno.ENOSPC or (file is not None and _is_full(file)):
-        return {
-            "type": "error",
-            "code": "disk-full",
-            "text": "The disk is full; the engine could not write its files.",
-            "remedy": "Free some space and resume the run: finished stages are kept.",
-        }
-    try:
-        how = f"was ended by the signal {signal.Signals(number).name}"
-    except ValueError:
-        how = "ended" if returncode is None else f"ended with exit status {returncode}"
-    said = f"; its last line was: {last_line}" if last_line else ""
-    return {
-        "type": "error",
-        "code": "engine-crashed",
-        "text": f"The engine {how} without a message of its own{said}",
-        "remedy": "Resume the run: finished stages are kept. If it happens again, log.txt in the run folder"
-        " tells more.",
-    }
-
-
-def _is_full(path: Path) -> bool:
-    try:
-        return shutil.disk_usage(path.parent).free < _FULL_DISK_BYTES
-    except OSError:
-        return False
-
-
-def _tail(log: Path) -> list[str]:
-    """The log's last lines."""
-    try:
-        with open(log, "rb") as file:
-            file.seek(max(os.fstat(file.fileno()).st_size - _TAIL_BYTES, 0))
-            return [line.strip() for line in file.read().decode("utf-8", "replace").splitlines()]
-    except OSError:
-        return []

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shared libraries that no Python package brings, fetched into a folder of ours.
+"""Fetching shared libraries that no Python package contains into an environment's own folder.
 
-Neither root nor a change of the system is needed: packages are unpacked, never installed.
-Standard library only.
+Packages are unpacked, never installed: this needs no root access and changes nothing in the system. Standard
+library only.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 DEBIAN_LLVM = ("libllvm19", "libllvm20", "libllvm21", "libllvm18", "libllvm17t64", "libllvm17")
-# What bpy and Dr.Jit link to on Linux, with the packages which those need in turn.
+# Packages with the libraries that bpy and Dr.Jit link to on Linux, and the packages that those need.
 DEBIAN_LIBRARIES = (
     *("libx11-6", "libxrender1", "libxfixes3", "libxi6", "libxkbcommon0", "libsm6", "libice6", "libgl1"),
     *("libegl1", "libglx0", "libglvnd0", "libxcb1", "libxau6", "libxdmcp6", "libxext6", "libuuid1"),
@@ -46,10 +46,12 @@ def wheel_libraries(wheel: Path, folder: Path, names: Sequence[str]) -> list[Pat
 
 
 class DebianPackages:
-    """Debian's (or a derivative's) packages without root: private lists, private cache, unpacked files.
+    """Packages of Debian or a derivative without root access: private lists, private cache, unpacked files.
 
-    Use as a context manager; the lists are fetched once. `available` is False elsewhere than on such a
-    system.
+    A context manager; the lists are fetched once.
+
+    Attributes:
+        available: whether this is such a system.
     """
 
     def __enter__(self) -> DebianPackages:
@@ -59,7 +61,7 @@ class DebianPackages:
         if self.available:
             for name in ("lists/partial", "cache/archives/partial", "packages"):
                 (self._root / name).mkdir(parents=True)
-            self._apt("update")  # some source may fail; what counts is whether the packages are found
+            self._apt("update")  # a source may fail, as long as the packages are found
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -91,17 +93,17 @@ class DebianPackages:
         return [name for name in names if name not in installed]
 
     def needed(self, name: str) -> list[str]:
-        """A package with all that it depends on and that is not installed; empty where unknown."""
+        """A package and its dependencies that are not installed; empty if the package is unknown."""
         result = self._apt("install", "--simulate", "--no-install-recommends", name)
         if result.returncode != 0:
             return []
-        # "Inst name (version ...": new; "Inst name [old] (new ...": an upgrade, which is left alone
+        # "Inst name (version ...": new; "Inst name [old] (new ...": an upgrade, which is not needed
         return re.findall(r"^Inst (\S+) \(", result.stdout, re.MULTILINE)
 
     def unpack(self, names: Sequence[str]) -> Path | None:
-        """Download packages and unpack them into a folder that lives as long as this object.
+        """Download packages and unpack them into a temporary folder, which is deleted with this object.
 
-        Packages which the release does not have are passed over. None where none came.
+        Packages that the release does not have are skipped. Returns None if no package was downloaded.
         """
         downloads = self._root / "packages"
         for name in names:
@@ -115,7 +117,11 @@ class DebianPackages:
 
 
 def copy_libraries(root: Path, folder: Path) -> list[Path]:
-    """Copy every shared library below `root` flat into `folder`, under each name that it has there."""
+    """Copy all shared libraries below `root` into `folder`, without subfolders, under all of their names.
+
+    Returns:
+        The files written into `folder`.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     copies: dict[Path, Path] = {}
     written = []
@@ -123,7 +129,7 @@ def copy_libraries(root: Path, folder: Path) -> list[Path]:
         source = path
         if path.is_symlink():
             target = path.readlink()
-            # absolute links mean the unpacked tree, not the system
+            # absolute links refer to the unpacked tree, not to the system
             source = root / target.relative_to("/") if target.is_absolute() else path.parent / target
         copy = folder / path.name
         if not source.is_file() or copy.exists():

@@ -1,9 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A job as a sequence of steps, each an engine command or a function on Blender's data.
+"""A job: a sequence of steps, each an engine command or a function on Blender's data.
 
-One definition serves the window (a timer calls `advance`) and background runs (`run`). Standard library
-only.
+In a window a timer calls `advance`; background runs call `run`. Standard library only.
 """
 
 from __future__ import annotations
@@ -15,20 +14,21 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from pathlib import Path
 from typing import Any
 
-from ..core.job.errors import FiptError
-from ..core.job.runfolder import explained_write_errors
+from ..core.run.errors import FiptError
+from ..core.run.runfolder import explained_write_errors
+from .job_progress import JobProgress
 from .process import Engine, Message
-from .step import Slices, Step, StepRecord, chain_keys
+from .step import Step, StepRecord, StepSlices, chain_keys
 
-SLICE_SECONDS = 0.05
-_PRIOR_SECONDS = 30.0
+SLICE_SECONDS = 0.05  # time for which a function on Blender's data works in one call of `advance`
 
 
 def own_job(steps: Sequence[Step], record: Path, log: Path) -> Job:
-    """A job, from its beginning, of steps that start their own processes or are functions.
+    """A job whose steps start their own processes or are functions; it always starts from the beginning.
 
     Args:
-        record: the steps file, begun anew.
+        steps: none of which has an engine command.
+        record: file for the record of the steps, which is overwritten.
         log: file for tracebacks of functions.
 
     Raises:
@@ -44,22 +44,22 @@ def own_job(steps: Sequence[Step], record: Path, log: Path) -> Job:
 
 
 class Job:
-    """Runs steps one after another and turns their messages into the job's own.
+    """Runs steps one after another and turns their messages into messages of the job.
 
     Args:
-        steps: what to do, in order.
-        record: what an earlier run finished.
-        start_engine: starts an engine command; raises FiptError where it can't.
+        steps: in order.
+        record: the steps that an earlier run has finished.
+        start_engine: starts an engine command; raises FiptError if that fails.
         log: file for tracebacks of functions.
-        result: called at the end, gives the `done` message's files and data.
+        result: called at the end; returns files and data for the message `done`.
         resume: whether finished steps are skipped.
-        keys: of the steps where they are known, instead of the hashes of `chain_keys`.
+        keys: of the steps, if they are known; None: those of `chain_keys`.
 
     Attributes:
-        error: the `error` message that ended the job, or None.
+        error: the message `error` that ended the job, or None.
         cancelled: whether `cancel` ended it.
-        around: makes the context in which functions on Blender's data run, a new one for each slice; it may
-            raise FiptError where they can't run now.
+        around: makes the context in which functions on Blender's data run, a new one for each slice; it
+            raises FiptError if they can't run now.
     """
 
     def __init__(
@@ -85,22 +85,19 @@ class Job:
         self._position = -1
         self._announced = False
         self._process: Engine | None = None
-        self._slices: Slices | None = None
+        self._slices: StepSlices | None = None
         self._ended = False
-        self._memory = 0.0
         self._warnings: list[Message] = []
-        self._weight_skipped = sum(
-            step.weight for step, mode in zip(self._steps, self._modes, strict=True) if mode != "run"
+        self._progress = JobProgress(
+            [step.weight for step in self._steps], [mode != "run" for mode in self._modes]
         )
-        self._weight_total = sum(step.weight for step in self._steps) or 1.0
-        self._weight_done = self._weight_skipped
-        self._started = time.monotonic()
-        self._step_started = self._started
+        self._step_started = time.monotonic()
 
     def _plan(self) -> list[str]:
-        """What to do with each step: "run", "skip" or "restore".
+        """The mode of each step: "run", "skip" or "restore".
 
-        Finished steps are skipped up to the first unfinished one, save those whose result is in memory alone.
+        Finished steps before the first unfinished one are skipped, except for steps whose result exists only
+        in Blender's memory.
         """
         modes: list[str] = []
         needed = intact = True
@@ -121,20 +118,20 @@ class Job:
 
     @property
     def waits(self) -> bool:
-        """Whether an engine command runs, so that there is no hurry to call `advance`."""
+        """Whether an engine command is running, so that `advance` may be called less often."""
         return self._process is not None
 
     @property
     def step(self) -> Step | None:
-        """The step that runs now or is announced."""
+        """The step that is running or announced."""
         return self._steps[self._position] if 0 <= self._position < len(self._steps) else None
 
     def advance(self) -> list[Message]:
-        """Do what can be done now and return the messages since the last call.
+        """Do what can be done now, and return the new messages since the last call.
 
-        Engine commands never make it wait. A function on Blender's data begins in the call after the one that
-        announced it, so that a window can show its text first, and runs as a whole or, as a generator, for
-        `SLICE_SECONDS` a call.
+        This never waits for engine commands. A function on Blender's data starts in the call after the one
+        that announces it, so that a window can show its text first. It runs to its end or, if it is a
+        generator, for `SLICE_SECONDS` per call.
         """
         if self._ended:
             return []
@@ -147,9 +144,9 @@ class Job:
             )
 
     def run(self, on_message: Callable[[Message], None], interval: float = 0.05) -> bool:
-        """Work until the end, handing over each message; True when all went well.
+        """Work until the end and pass on each message; returns whether the job succeeded.
 
-        An exception in between, Ctrl-C among them, cancels the job first.
+        Any exception, also one by Ctrl-C, first cancels the job.
         """
         try:
             while not self._ended:
@@ -163,7 +160,7 @@ class Job:
         return self.error is None and not self.cancelled
 
     def cancel(self) -> None:
-        """End the job, and the engine with it; finished steps stay."""
+        """End the job and its engine; finished steps are kept."""
         if not self._ended:
             self._ended = True
             self.cancelled = True
@@ -173,9 +170,19 @@ class Job:
             self._process = None
 
     def request_cancel(self) -> None:
-        """The same without waiting: `advance` sees to it that the engine ends, within two seconds."""
+        """End the job without waiting; `advance` makes sure that the engine ends within two seconds.
+
+        Raises:
+            FiptError: ``engine-elsewhere`` for an engine that this process can't end; the job goes on.
+        """
         if self._ended:
             return
+        if self._process is not None and self._process.elsewhere:
+            raise FiptError(
+                "engine-elsewhere",
+                f"The engine can't be stopped from here. It runs {self._process.elsewhere}.",
+                "Stop it there.",
+            )
         self.cancelled = True
         self._close_slices()
         if self._process is None:
@@ -184,7 +191,7 @@ class Job:
             self._process.request_cancel()
 
     def leave(self) -> None:
-        """End the job, but let the engine go on by itself."""
+        """End the job, but let its engine continue."""
         self._ended = self.cancelled = True
         self._close_slices()
         if self._process is not None:
@@ -212,8 +219,8 @@ class Job:
             return []
         return self._end_function(result)
 
-    def _slice(self, slices: Slices) -> list[Message]:
-        """Let a function go on for a moment."""
+    def _slice(self, slices: StepSlices) -> list[Message]:
+        """Let a generator work for `SLICE_SECONDS`."""
         fraction, ended, warnings = None, False, None
         until = time.monotonic() + SLICE_SECONDS
         with self._explained(self._steps[self._position]):
@@ -225,7 +232,7 @@ class Job:
         if ended:
             self._slices = None
             return self._end_function(warnings)
-        return [] if fraction is None else [self._progress(fraction, None)]
+        return [] if fraction is None else [self._progress_message(fraction)]
 
     def _end_function(self, warnings: Sequence[Message] | None) -> list[Message]:
         if self._modes[self._position] == "restore":
@@ -240,16 +247,22 @@ class Job:
 
     def _announce_next(self) -> list[Message]:
         self._position += 1
+        repeated: list[Message] = []  # what finished steps have warned of, for this session's user
+        if self._position == 0 and self._record.problem:
+            text = f"{self._record.problem} All steps are done again."
+            remedy = "There is nothing to do."
+            repeated.append({"type": "warning", "code": "steps-damaged", "text": text, "remedy": remedy})
         while self._position < len(self._steps) and self._modes[self._position] == "skip":
+            repeated += self._record.warnings(self._steps[self._position].name)
             self._position += 1
         if self._position >= len(self._steps):
             self._ended = True
             files, data = self._result()
-            return [{"type": "done", "files": files, "data": data}]
+            return [*repeated, {"type": "done", "files": files, "data": data}]
         step, key = self._steps[self._position], self._keys[self._position]
         if self._modes[self._position] == "restore":
             self._announced = True
-            return []
+            return [*repeated, *self._record.warnings(step.name)]
         if step.reset is not None and self._record.key(step.name) != key:
             step.reset()
         if not (step.repeat and self._record.finished(step, key)):
@@ -258,17 +271,17 @@ class Job:
         self._step_started = time.monotonic()
         self._warnings = []
         stage = {"type": "stage", "name": step.name, "index": self._position, "count": len(self._steps)}
-        return [{**stage, "text": step.text}, self._progress(0.0, None)]
+        return [*repeated, {**stage, "text": step.text}, self._progress_message(0.0)]
 
     def _watch(self, process: Engine) -> list[Message]:
         step = self._steps[self._position]
         messages = []
         for message in process.poll():
             if message["type"] == "progress":
-                self._memory = max(self._memory, float(message.get("memory_gb") or 0.0))
+                self._progress.note_memory(float(message.get("memory_gb") or 0.0))
                 fraction, remaining = message.get("fraction", 0.0), message.get("remaining_seconds")
                 pictures = {"files": message["files"]} if "files" in message else {}
-                messages.append({**self._progress(fraction, remaining), **pictures})
+                messages.append({**self._progress_message(fraction, remaining), **pictures})
             elif message["type"] == "stage":
                 place = {"index": self._position, "count": len(self._steps)}
                 messages.append({**message, "name": f"{step.name}/{message['name']}", **place})
@@ -289,43 +302,30 @@ class Job:
 
     @contextmanager
     def _explained(self, step: Step) -> Iterator[None]:
-        """Run a function on Blender's data in its context; whatever goes wrong there gets words."""
+        """Run a function on Blender's data in its context; any exception becomes a FiptError."""
         try:
             with self.around():
                 yield
         except FiptError:
             raise
-        except Exception as error:  # the last net: any failure must end with a message
+        except Exception as error:  # every failure must reach the user
             with suppress(OSError), open(self._log, "a", encoding="utf-8") as log:
                 log.write(traceback.format_exc())
             raise FiptError(
                 "blender-step-failed",
                 f"The step '{step.text}' failed: {type(error).__name__}: {error}",
-                f"{self._log} tells more; please report it.",
+                f"See {self._log}, and please report the problem.",
             ) from error
 
     def _complete(self, step: Step) -> list[Message]:
         seconds = time.monotonic() - self._step_started
         self._record.store(step.name, self._keys[self._position], True, seconds, self._warnings)
-        message = self._progress(1.0, None)
-        self._weight_done += step.weight
+        message = self._progress_message(1.0)
+        self._progress.complete(step.weight)
         return [message]
 
-    def _progress(self, step_fraction: float, step_remaining: float | None) -> Message:
-        weight = self._steps[self._position].weight
-        done = self._weight_done + weight * min(max(step_fraction, 0.0), 1.0)
-        elapsed = time.monotonic() - self._started
-        # Weights are seconds on a small machine; the first steps alone say little about this one.
-        pace = (elapsed + _PRIOR_SECONDS) / (done - self._weight_skipped + _PRIOR_SECONDS)
-        after = self._weight_total - self._weight_done - weight
-        here = weight * (1.0 - step_fraction) * pace if step_remaining is None else step_remaining
-        return {
-            "type": "progress",
-            "fraction": round(done / self._weight_total, 4),
-            "stage_fraction": round(step_fraction, 4),
-            "remaining_seconds": round(here + after * pace, 1),
-            "memory_gb": self._memory,
-        }
+    def _progress_message(self, step_fraction: float, step_remaining: float | None = None) -> Message:
+        return self._progress.message(self._steps[self._position].weight, step_fraction, step_remaining)
 
     def _fail(self, message: Message) -> list[Message]:
         self.error = message

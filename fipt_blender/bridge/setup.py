@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The add-on's set-up as a child process of its own: makes the engine's environment, telling in messages.
+"""The add-on's set-up as a child process, which makes the engine's environment and reports in messages.
 
-It runs in Blender's Python, so that the window stays free and a cancelled one takes pip with it.
-Standard library only.
+It runs in Blender's Python but in its own process: the window stays responsive, and cancelling it ends pip
+too. Standard library only.
 """
 
 from __future__ import annotations
@@ -15,20 +15,22 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..core.device.cuda import cuda_devices, cuda_driver_version
-from ..core.job.errors import FiptError
-from ..core.job.lock import hold
-from ..core.job.messages import Reporter, claim_stdout
-from ..core.job.runfolder import RunFolder, explained_write_errors
+from ..core.run.errors import FiptError
+from ..core.run.lock import hold
+from ..core.run.messages import Reporter, claim_stdout
+from ..core.run.runfolder import RunFolder, explained_write_errors
 from . import pins
-from .environment import Plan, other_pythons, plan_key, python_version, set_up
+from .environment import set_up
+from .pip_bootstrap import other_pythons, python_version
 from .places import environment_python
+from .plan import Plan, plan_key
 from .torch_build import choose_torch_build
 
-_WEIGHTS = (5.0, 120.0, 10.0, 15.0)  # seconds of the stages of `set_up`
+_WEIGHTS = (5.0, 120.0, 10.0, 15.0)  # expected seconds of the stages of `set_up`
 
 
-class _Teller(Reporter):
-    """A reporter whose running stage can change its text."""
+class SetupReporter(Reporter):
+    """A reporter that can change the text of the current stage."""
 
     def stage(self, name: str, text: str) -> None:
         """Begin the next planned stage."""
@@ -36,20 +38,26 @@ class _Teller(Reporter):
         super().stage(name, text)
 
     def detail(self, text: str) -> None:
-        """Say what the running stage does now."""
+        """Describe what the current stage is doing."""
         place = {"index": self._stage, "count": len(self._weights)}
         self._write({"type": "stage", "name": self._name, **place, "text": text})
 
     def log(self, line: str) -> None:
-        """Keep a line of pip's output."""
+        """Write a line of pip's output to the log."""
         print(line, file=sys.stderr, flush=True)
 
 
-def make_plans(data: Path, device: str, wheels: Path | None) -> list[Plan]:
-    """The environments that would do, best first: this Python's, then those of other Pythons found.
+def make_plans(data: Path, device: str, wheels: Path | None, allow_large: bool = False) -> list[Plan]:
+    """The environments that can be used, best first: those that exist, this Python's, those of other Pythons.
+
+    Args:
+        data: the data folder.
+        device: the preference: "auto", "cuda" or "llvm".
+        wheels: folder from which packages are installed; None: from the network.
+        allow_large: see `Plan`.
 
     Raises:
-        FiptError: ``python-unfit`` or ``wheels-missing`` where no Python fits.
+        FiptError: ``python-unfit`` or ``wheels-missing`` if no Python is suitable.
     """
     groups = pins.read_pins()
     torch = "" if wheels else choose_torch_build(device, cuda_driver_version(), cuda_devices())
@@ -59,13 +67,13 @@ def make_plans(data: Path, device: str, wheels: Path | None) -> list[Plan]:
         if not versions:
             raise FiptError(
                 "wheels-missing",
-                f"The folder {wheels} does not hold the wheels that this version needs.",
-                "Fill it with the command that Copy Download Command gives, on a machine with network.",
+                f"The folder {wheels} does not contain the wheels that this version needs.",
+                "Fill it with the command from Copy Download Command, on a machine with network access.",
             )
-    key = plan_key(groups["engine"], torch)
-    # One that another Blender's Python has made serves as well as one of this Python.
-    made = pins.managed_environments(data)
-    bases = [environment_python(folder) for folder in made if pins.is_set_up(folder, key)]
+    key = plan_key(groups["engine"], groups.get("lock", []), torch)
+    # An environment that another Blender's Python has made is as good as one of this Python.
+    existing = pins.managed_environments(data)
+    bases = [environment_python(folder) for folder in existing if pins.is_set_up(folder, key)]
     plans: dict[str, Plan] = {}
     for base in (*bases, Path(sys.executable), *other_pythons()):
         version = python_version(base)
@@ -77,9 +85,11 @@ def make_plans(data: Path, device: str, wheels: Path | None) -> list[Plan]:
                 requirements=groups["engine"],
                 llvm=groups["llvm"],
                 pip=groups["pip"],
+                lock=groups.get("lock", []),
                 key=key,
                 wheels=wheels,
                 torch=torch,
+                allow_large=allow_large,
             )
             plans.setdefault(folder.name, plan)
     if not plans:
@@ -87,16 +97,16 @@ def make_plans(data: Path, device: str, wheels: Path | None) -> list[Plan]:
         source = "The wheels are" if wheels else "The engine's packages exist"
         raise FiptError(
             "python-unfit",
-            f"{source} for Python {listed}, and this machine has none of them.",
+            f"{source} for Python {listed}, which this machine does not have.",
             f"Install Python {listed} from your system or from the Python project, and set up again.",
         )
     return list(plans.values())
 
 
-def run(arguments: argparse.Namespace, reporter: _Teller) -> None:
-    """Make the best environment that can be made, or leave one that stands.
+def run(arguments: argparse.Namespace, reporter: SetupReporter) -> None:
+    """Make the best environment that can be made, unless there is one already.
 
-    ``data`` of the closing message: ``folder``, ``python`` and ``torch``, PyTorch's build.
+    ``data`` of the message ``done``: ``folder``, ``python`` and ``torch``, PyTorch's build.
 
     Raises:
         FiptError: what is wrong and what to do.
@@ -104,11 +114,12 @@ def run(arguments: argparse.Namespace, reporter: _Teller) -> None:
     with explained_write_errors(arguments.data):
         arguments.data.mkdir(parents=True, exist_ok=True)
     with hold(RunFolder(arguments.data), ["set-up"]):
-        make_first(make_plans(arguments.data, arguments.device, arguments.wheels), reporter)
+        plans = make_plans(arguments.data, arguments.device, arguments.wheels, arguments.allow_large)
+        make_first(plans, reporter)
 
 
-def make_first(plans: Sequence[Plan], reporter: _Teller) -> None:
-    """Make the first of these environments whose Python is fit for it.
+def make_first(plans: Sequence[Plan], reporter: SetupReporter) -> None:
+    """Make the first of these environments whose Python is suitable.
 
     Raises:
         FiptError: what is wrong and what to do.
@@ -120,7 +131,7 @@ def make_first(plans: Sequence[Plan], reporter: _Teller) -> None:
         except FiptError as error:
             if error.code != "python-unfit" or last == 0:
                 raise
-            reporter.warning(error.code, error.text, "Another Python is tried.")
+            reporter.warning(error.code, error.text, "Another Python will be tried.")
             continue
         data = {"folder": str(plan.folder), "python": str(plan.python), "torch": plan.torch}
         reporter.done([str(environment_python(plan.folder))], data)
@@ -128,23 +139,24 @@ def make_first(plans: Sequence[Plan], reporter: _Teller) -> None:
 
 
 def main() -> int:
-    """Run set-up; 0, or 1 after an error message."""
+    """Run set-up; returns 0, or 1 after an error message."""
     parser = argparse.ArgumentParser(prog="fipt_blender.bridge.setup", description=__doc__)
     parser.add_argument("data", type=Path)
     parser.add_argument("--device", choices=("auto", "cuda", "llvm"), default="auto")
     parser.add_argument("--wheels", type=Path)
+    parser.add_argument("--allow-large", action="store_true")
     arguments = parser.parse_args()
-    reporter = _Teller(claim_stdout())
+    reporter = SetupReporter(claim_stdout())
     try:
         run(arguments, reporter)
     except FiptError as error:
         traceback.print_exc()
         reporter.error(error.code, error.text, error.remedy)
         return 1
-    except Exception as error:  # the last net: the window must learn of any failure
+    except Exception as error:  # every failure must reach the user
         traceback.print_exc()
         text = f"Set-up failed: {type(error).__name__}: {error}"
-        reporter.error("setup-failed", text, "The log tells more; please report it.")
+        reporter.error("setup-failed", text, "See the log, and please report the problem.")
         return 1
     return 0
 

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Runs a module of this package in any Python, by the path of this file: start.py MODULE ARGUMENTS.
+"""Run a module of this package in any Python, by the path of this file: start.py MODULE ARGUMENTS.
 
-The package is loaded from its folder: as an extension it is no top-level module, and its parent folder holds
-other people's extensions, which must not become importable in the engine. Standard library only.
+The package is loaded from its folder, because the folder of an extension is beside those of other extensions,
+which must not become importable in the engine. Standard library only.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 
 
 def main() -> None:
-    """Run the module that is named first, as the main program."""
+    """Run the module named by the first argument as the main program."""
     folder, module = Path(__file__).resolve().parent.parent, sys.argv.pop(1)
     spec = importlib.util.spec_from_file_location(
         "fipt_blender", folder / "__init__.py", submodule_search_locations=[str(folder)]

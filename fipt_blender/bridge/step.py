@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One step of a job, and the file that remembers which steps are finished, with which inputs.
+"""One step of a job, and the file that records which steps are finished and with which inputs.
 
 Standard library only.
 """
@@ -12,17 +12,22 @@ import json
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from ..core.job.runfolder import read_json, write_json
+from ..core.run.documents import read_json
+from ..core.run.errors import FiptError
+from ..core.run.runfolder import write_json
+from ..core.run.shapes import STEPS
 from .process import Engine, Message
 
 STEPS_VERSION = 1
 
-# What a step does to Blender's data: at once, returning warnings if any; or as a generator that yields the
-# share that is done (0 to 1) or None between slices of work, and returns the warnings.
-Slices = Generator[float | None, None, Sequence[Message] | None]
-StepFunction = Callable[[], Slices | Sequence[Message] | None]
+Result = TypeVar("Result")
+# Work in slices: a generator that yields the share that is done (0 to 1), or None, between two slices.
+Slices = Generator[float | None, None, Result]
+# A function on Blender's data, which works at once or in slices and returns its warnings, if any.
+StepSlices = Slices[Sequence[Message] | None]
+StepFunction = Callable[[], StepSlices | Sequence[Message] | None]
 
 
 @dataclass
@@ -31,17 +36,17 @@ class Step:
 
     Attributes:
         name: stable identifier, the key in steps.json.
-        text: what the user reads while it runs.
-        weight: its expected time in seconds, on a small machine.
-        inputs: JSON-serialisable values on which its result depends, besides the steps before it.
-        command: arguments of an engine command, or None for a function.
-        process: starts another process that writes the engine's messages, instead of an engine command.
-        function: what to call on Blender's data, or None for a command; see `StepFunction`.
-        outputs: files that must exist for the step to count as finished.
-        repeat: whether to do it again when finished, because its result lives in Blender's memory.
-        reset: called when inputs changed since a result was written, to remove what is stale.
-        restore: brings the work of this step and of all before it back into Blender's memory; called instead
-            of them when all are finished and a later step is not.
+        text: shown to the user while the step runs.
+        weight: expected time in seconds, on a small machine.
+        inputs: JSON-serialisable values on which the result depends besides the steps before.
+        command: arguments of an engine command, or None.
+        process: instead of `command`, starts another process that writes messages like the engine's.
+        function: instead of `command`, is called on Blender's data; see `StepFunction`.
+        outputs: files that must exist if the step counts as finished.
+        repeat: whether a finished step is done again because its result exists only in Blender's memory.
+        reset: called to remove stale results if the inputs have changed.
+        restore: restores the result of this step and of all before it in Blender's memory; called instead of
+            these steps if all of them are finished and a later step is not.
     """
 
     name: str
@@ -58,28 +63,41 @@ class Step:
 
 
 class StepRecord:
-    """steps.json: name → {key, finished, seconds, warnings}."""
+    """The file steps.json: key, finished, seconds and warnings by the name of a step.
+
+    A damaged file counts as none.
+
+    Attributes:
+        problem: why the file could not be read, "" without a problem.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._steps: dict[str, dict[str, Any]] = {}
-        if path.exists():
-            data = read_json(path)
-            if data.get("version") == STEPS_VERSION and isinstance(data.get("steps"), dict):
-                self._steps = data["steps"]
+        self.problem = ""
+        try:
+            if path.exists():
+                data = read_json(path, STEPS)
+                if data["version"] == STEPS_VERSION:
+                    self._steps = data["steps"]
+        except FiptError as error:
+            self.problem = error.text
 
     def key(self, name: str) -> str | None:
-        """The key with which a step was last started."""
-        entry = self._steps.get(name)
-        return entry.get("key") if isinstance(entry, dict) else None
+        """The key with which a step was last started, or None."""
+        return self._steps[name]["key"] if name in self._steps else None
+
+    def warnings(self, name: str) -> list[Message]:
+        """The warnings with which a step has finished."""
+        return self._steps.get(name, {}).get("warnings", [])
 
     def forget(self, names: Iterable[str]) -> None:
-        """Take some steps for never started; written with the next `store`."""
+        """Forget the entries of some steps; the file is written with the next `store`."""
         for name in names:
             self._steps.pop(name, None)
 
     def finished(self, step: Step, key: str) -> bool:
-        """Whether a step's result for these inputs is there."""
+        """Whether a step is finished with this key and its outputs exist."""
         return (
             self.key(step.name) == key
             and self._steps[step.name].get("finished") is True
@@ -94,7 +112,7 @@ class StepRecord:
         seconds: float = 0.0,
         warnings: Sequence[Message] = (),
     ) -> None:
-        """Note that a step was started or finished, and what it warned of.
+        """Record that a step was started or finished, with its warnings.
 
         Raises:
             FiptError: ``disk-full`` or ``run-unwritable``.
@@ -109,7 +127,7 @@ class StepRecord:
 
 
 def chain_keys(steps: Sequence[Step]) -> list[str]:
-    """One key a step: the hash of its inputs and of the key before it."""
+    """The key of each step: a hash of its name, its inputs and the key before it."""
     keys, previous = [], ""
     for step in steps:
         text = json.dumps([previous, step.name, step.inputs], sort_keys=True, default=str)

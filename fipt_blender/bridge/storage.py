@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What lies in the data folder, how large it is, and how it is cleared without taking what is not ours.
+"""The content of the data folder: listing, measuring and deleting runs and environments, and nothing else.
 
-Standard library only. Sizes and deletions are generators that yield between files, so that no window waits.
+Standard library only. Measuring and deleting are generators that yield between files, so that windows stay
+responsive.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import time
@@ -15,25 +15,27 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..core.job.errors import FiptError
-from ..core.job.lock import holder
-from ..core.job.runfolder import RUN_FORMAT, RunFolder
+from ..core.run.documents import load_document
+from ..core.run.errors import FiptError
+from ..core.run.lock import holder
+from ..core.run.runfolder import RUN_FORMAT, RunFolder
 from .pins import environments, managed_environments
 from .places import runs_folder
 
 RUN, ENVIRONMENT = "run", "environment"
-_RECENT_SECONDS = 120.0  # a job between two engine commands holds no lock
+# A run that was changed so recently may belong to a job, which holds no lock between engine commands.
+_RECENT_SECONDS = 120.0
 
 
 @dataclass(frozen=True)
 class Item:
-    """One folder of ours.
+    """A folder that the add-on has made.
 
     Attributes:
         kind: `RUN` or `ENVIRONMENT`.
-        folder: where it lies.
-        modified: when something last changed at its top (seconds since 1970).
-        current: an environment that this version of the add-on uses.
+        folder: its path.
+        modified: time of the last change at its top level (seconds since 1970).
+        current: whether it is an environment that this version of the add-on uses.
     """
 
     kind: str
@@ -43,7 +45,7 @@ class Item:
 
 
 def list_items(data: Path) -> list[Item]:
-    """Runs, newest first, then environments; folders that are neither are passed over."""
+    """Runs, newest first, then environments; other folders are not listed."""
     runs = [path for path in _children(runs_folder(data)) if is_run(path)]
     items = [Item(RUN, path, _modified(path)) for path in runs]
     items.sort(key=lambda item: -item.modified)
@@ -54,61 +56,62 @@ def list_items(data: Path) -> list[Item]:
 
 
 def is_run(folder: Path) -> bool:
-    """Whether a folder is a run's: one with our run.json, or one made for a run and still empty."""
+    """Whether a folder is a run: it contains our run.json or, if it was made for a run, is still empty."""
     if folder.is_symlink() or not folder.is_dir():
         return False
     try:
-        data = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+        data = load_document(folder / "run.json")
     except FileNotFoundError:
         return not any(folder.iterdir())
     except (OSError, ValueError):
         return False
-    return isinstance(data, dict) and data.get("format") == RUN_FORMAT
+    return bool(data.get("format") == RUN_FORMAT)
 
 
 def why_in_use(item: Item, used: Sequence[Path]) -> str:
-    """Why a folder must stay, "" where it may go.
+    """Why a folder must be kept; "" if it may be deleted.
 
     Args:
         item: the folder.
-        used: folders and files that the open .blend or a job of this Blender needs.
+        used: folders and files that the open .blend file or a job of this Blender needs.
     """
     if any(path == item.folder or path.is_relative_to(item.folder) for path in used):
         return "used by the open file"
     if item.kind == RUN and holder(RunFolder(item.folder)) is not None:
-        return "an engine works in it"
+        return "an engine is working in it"
     if item.kind == RUN and time.time() - item.modified < _RECENT_SECONDS:
         return "changed just now"
     return ""
 
 
 def measure(folder: Path) -> Iterator[int]:
-    """The bytes that a folder takes, as far as they are counted, after each folder in it."""
+    """Yield the size of a folder counted so far, in bytes, after each of its subfolders."""
     total = 0
     for parent, _, names in os.walk(folder):
         for name in names:
             try:
                 total += os.lstat(os.path.join(parent, name)).st_size
-            except OSError:  # it may go while we look
+            except OSError:  # the file may be deleted meanwhile
                 pass
         yield total
 
 
 def delete(item: Item, data: Path, used: Sequence[Path]) -> Iterator[None]:
-    """Delete a run or an environment, yielding now and then; its run.json goes last.
+    """Delete a run or an environment; a generator that yields between folders.
 
-    So a deletion that is broken off leaves something that is still known as ours.
+    The file by which the folder is recognised (run.json or setup.json) is deleted last, so that an
+    interrupted deletion can be continued.
 
     Raises:
-        FiptError: ``run-foreign`` where the folder is not ours or lies elsewhere, ``run-busy`` where it is in
-            use, ``run-unwritable`` where something can't be deleted.
+        FiptError: ``run-foreign`` if the folder was not made by the add-on or is elsewhere, ``run-busy`` if
+            it is in use, ``run-unwritable`` if something can't be deleted.
     """
-    known = {each.folder: each for each in list_items(data)}
+    known = {existing.folder: existing for existing in list_items(data)}
     if item.folder not in known:
         raise FiptError(
             "run-foreign",
-            f"{item.folder} is no run and no environment of this add-on.",
-            "Delete it yourself if you want it gone.",
+            f"{item.folder} is neither a run nor an environment of this add-on.",
+            "Delete it yourself if you do not need it.",
         )
     if reason := why_in_use(known[item.folder], used):
         raise FiptError("run-busy", f"{item.folder} is kept: {reason}.", "Try again later.")
@@ -145,7 +148,7 @@ def _undeletable(path: Path, error: OSError) -> FiptError:
     return FiptError(
         "run-unwritable",
         f"{path} can't be deleted ({error.strerror}).",
-        "Close what uses it, or delete it yourself.",
+        "Close programs that use it, or delete it yourself.",
     )
 
 

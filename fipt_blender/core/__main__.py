@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Engine commands: `python -m fipt_blender.core COMMAND ...`; messages on stdout, the rest to stderr.
+"""Engine commands: `python -m fipt_blender.core COMMAND ...`. Messages go to stdout, all else to stderr.
 
-Each command lives in the room it belongs to; this file only picks it. Rooms are imported when their
-command runs, so that `check` can tell that a heavy package is missing.
+Each command is implemented in its own room and imported when it runs, so that `check` can report a missing
+package.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ import sys
 import traceback
 from contextlib import nullcontext
 
-from .job.errors import FiptError
-from .job.lock import hold
-from .job.messages import Reporter, claim_stdout, says_out_of_memory
-from .job.parent import end_with_parent
-from .job.runfolder import RunFolder
+from .run.errors import FiptError
+from .run.lock import hold
+from .run.messages import Reporter, claim_stdout, says_out_of_memory
+from .run.parent import end_with_parent
+from .run.runfolder import RunFolder
 
-# name -> (module, help). Each module has add_arguments(parser) and run(arguments, reporter).
+# Name: (module, help). Each module has add_arguments(parser) and run(arguments, reporter).
 COMMANDS = {
-    "check": (".device.check", "say which device, LLVM and package versions the engine has"),
+    "check": (".device.check", "print the device, LLVM and package versions of the engine"),
     "ingest": (".capture.ingest", "read a capture into a run folder"),
-    "survey": (".scene.survey", "say what each view sees of the room, and which parts there are"),
-    "estimate": (".job.estimate", "estimate materials and lights of the room in a run folder"),
+    "survey": (".scene.survey", "find out what each view sees of the room, and which parts there are"),
+    "estimate": (".estimate.command", "estimate materials and lights of the room of a run folder"),
     "textures": (".textures.bake", "bake the estimated fields onto the UVs of atlas.npz"),
     "report": (".report.page", "write the HTML report of a run folder"),
 }
@@ -37,10 +37,12 @@ def main(argv: list[str] | None = None) -> int:
     """Run one engine command.
 
     Returns:
-        0; 1 after an error message; ENOSPC where a full disk did not take that message.
+        The exit status: 0; 1 after an error message; 2 for wrong usage; ENOSPC if the disk was too full for
+        the error message.
     """
     argv = sys.argv[1:] if argv is None else argv
-    # Torch's threads spin while they wait: beside a busy Blender that makes training ten times slower.
+    # Torch's threads otherwise spin while they wait, which makes training ten times slower beside a busy
+    # Blender.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     end_with_parent()
     reporter = Reporter(claim_stdout())
@@ -54,7 +56,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(argv: list[str], reporter: Reporter) -> int:
-    """One command, while no other engine may work in its run folder; any failure becomes a message."""
+    """Run one command, which locks its run folder for other engines; any failure becomes a message."""
     name = argv[0]
     module_name, text = COMMANDS[name]
     try:
@@ -73,22 +75,22 @@ def _run(argv: list[str], reporter: Reporter) -> int:
         reporter.error(
             "package-missing",
             f"The engine's Python lacks a package ({error}).",
-            "Create the engine's environment again.",
+            "Set up the engine again.",
         )
         return 1
-    except Exception as error:  # the last net: the window must learn of any failure
+    except Exception as error:  # every failure must reach the user
         traceback.print_exc()
         if isinstance(error, MemoryError) or says_out_of_memory(str(error)):
             reporter.error(
                 "out-of-memory",
                 "The engine ran out of memory.",
-                "Use a smaller preset, fewer or smaller views, or close other programs; then resume.",
+                "Use a smaller preset or fewer or smaller views, or close other programs; then resume.",
             )
             return 1
         reporter.error(
             "engine-failed",
             f"The engine failed: {type(error).__name__}: {error}",
-            "The log in the run folder tells more; please report it.",
+            "See the log in the run folder, and please report the problem.",
         )
         return 1
     return 0

@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every axis, unit and scale conversion of the product; nothing else in it converts.
+"""All conversions of axes, units and scale; no other module converts them.
 
-Ours: world = Blender's (right-handed, Z up, metres); camera = camera-to-world with OpenCV axes (X right,
-Y down, Z forward); pixel (0, 0) top left, its centre at (0.5, 0.5). numpy only: both processes import it.
+Internal conventions: the world is Blender's (right-handed, Z up, metres); poses are camera-to-world with
+OpenCV axes (X right, Y down, Z forward); pixel (0, 0) is top left, with its centre at (0.5, 0.5). Both
+processes import this module, so that it needs only numpy.
 """
 
 from __future__ import annotations
@@ -18,13 +19,13 @@ FloatArray = NDArray[np.floating]
 
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
 
-# Camera axes of others, expressed in OpenCV's; each is its own inverse.
+# Other camera axes, expressed in OpenCV's; each matrix is its own inverse.
 _OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])  # X right, Y up, Z backward: Blender, OpenGL, NeRF
 _FIPT_AXES = np.diag([-1.0, -1.0, 1.0, 1.0])  # X left, Y up, Z forward: the FIPT authors' synthetic data
 
 
 class PinholeView(Protocol):
-    """What a view needs for rays and projection; `core.capture.views.View` is one."""
+    """A pinhole camera, as rays and projection need it; `core.capture.views.View` is one."""
 
     @property
     def width(self) -> int: ...
@@ -51,7 +52,7 @@ def opencv_to_blender_camera(camera_to_world: ArrayLike) -> FloatArray:
 
 
 def blender_to_opencv_camera(matrix_world: ArrayLike) -> FloatArray:
-    """A Blender camera's `matrix_world` (..., 4, 4), free of scale, to camera-to-world with OpenCV axes."""
+    """A Blender camera's `matrix_world` (..., 4, 4) without scale to camera-to-world with OpenCV axes."""
     return np.asarray(matrix_world, np.float64) @ _OPENGL_AXES
 
 
@@ -79,18 +80,18 @@ def opencv_to_fipt_camera(camera_to_world: ArrayLike) -> FloatArray:
 
 
 def world_from_source(up_axis: str = "z", metres_per_unit: float = 1.0) -> FloatArray:
-    """Similarity (4, 4) from source coordinates to Blender's world: a turn that brings up to Z, then scale.
+    """Similarity (4, 4) from source coordinates to Blender's world: up is rotated to Z, then scaled.
 
     Args:
-        up_axis: the source axis that points up, one of `UP_AXES`. For "y", Z up is (x, -z, y), as in
-            Blender's importers.
+        up_axis: the source axis that points up, one of `UP_AXES`. For "y", (x, y, z) becomes (x, -z, y), as
+            in Blender's importers.
         metres_per_unit: length of one source unit in metres.
 
     Raises:
-        ValueError: for an unknown axis or a scale that is not positive.
+        ValueError: for an unknown axis, or a scale that is not positive and finite.
     """
     if up_axis not in UP_AXES:
-        raise ValueError(f"up axis '{up_axis}' is none of {', '.join(UP_AXES)}")
+        raise ValueError(f"up axis '{up_axis}' is not one of {', '.join(UP_AXES)}")
     if not (np.isfinite(metres_per_unit) and metres_per_unit > 0.0):
         raise ValueError(f"metres per unit is {metres_per_unit}, not a positive number")
     rotations = {
@@ -114,7 +115,7 @@ def split_similarity(similarity: ArrayLike) -> tuple[float, FloatArray, FloatArr
 
 
 def transform_poses(similarity: ArrayLike, camera_to_world: ArrayLike) -> FloatArray:
-    """Move poses (..., 4, 4) by a similarity (4, 4): positions are scaled, rotations stay orthonormal."""
+    """Transform poses (..., 4, 4) by a similarity (4, 4); rotations stay orthonormal."""
     poses = np.array(camera_to_world, np.float64)
     _, rotation, _ = split_similarity(similarity)
     poses[..., :3, 3] = transform_points(similarity, poses[..., :3, 3])
@@ -123,13 +124,13 @@ def transform_poses(similarity: ArrayLike, camera_to_world: ArrayLike) -> FloatA
 
 
 def transform_points(similarity: ArrayLike, points: ArrayLike) -> FloatArray:
-    """Move points (..., 3) by a similarity (4, 4)."""
+    """Transform points (..., 3) by a similarity (4, 4)."""
     matrix = np.asarray(similarity, np.float64)
     return np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def transform_normals(similarity: ArrayLike, normals: ArrayLike) -> FloatArray:
-    """Turn directions (..., 3) by a similarity (4, 4); their length does not change."""
+    """Rotate directions (..., 3) by a similarity (4, 4); their length does not change."""
     _, rotation, _ = split_similarity(similarity)
     return np.asarray(normals, np.float64) @ rotation.T
 
@@ -143,8 +144,8 @@ def rays_at(view: PinholeView, pixels: ArrayLike, z_depth: bool = False) -> tupl
     Args:
         view: a pinhole view.
         pixels: (N, 2) image positions x, y in pixels; the centre of the first pixel is (0.5, 0.5).
-        z_depth: make each direction 1 long along the camera's Z, so that a ray's parameter is the depth;
-            otherwise directions have unit length and the parameter is the distance.
+        z_depth: scale each direction to length 1 along the camera's Z, so that a ray's parameter is the
+            depth; otherwise directions are unit vectors and the parameter is the distance.
 
     Returns:
         origins (N, 3) and directions (N, 3), float32, Blender world.
@@ -180,8 +181,8 @@ def project(points: ArrayLike, view: PinholeView) -> tuple[FloatArray, FloatArra
         view: a pinhole view.
 
     Returns:
-        pixels (N, 2), NaN for points not in front of the camera, and depth (N,) along the camera's Z
-        in metres, both float64. Points outside the image get positions outside it.
+        pixels (N, 2), NaN for points not in front of the camera, and depth (N,) along the camera's Z in
+        metres, both float64. Points outside the field of view have positions outside the image.
     """
     pose = np.asarray(view.camera_to_world, np.float64)
     camera = (np.asarray(points, np.float64) - pose[:3, 3]) @ pose[:3, :3]
@@ -197,7 +198,7 @@ def project(points: ArrayLike, view: PinholeView) -> tuple[FloatArray, FloatArra
 
 @dataclass(frozen=True)
 class BlenderCamera:
-    """What Blender needs for a pinhole: camera data (lens and sensor in mm, shifts) and render settings.
+    """Blender's parameters of a pinhole camera: camera data (lens and sensor in mm, shifts), render settings.
 
     `pixel_aspect_x` and `pixel_aspect_y` belong to the scene's render settings, the rest to the camera.
     """
@@ -215,10 +216,10 @@ class BlenderCamera:
 def intrinsics_to_blender(
     width: int, height: int, fx: float, fy: float, cx: float, cy: float, sensor_width: float = 36.0
 ) -> BlenderCamera:
-    """Blender's camera parameters of a pinhole with intrinsics in pixels.
+    """Blender's camera parameters of a pinhole camera with intrinsics in pixels.
 
-    The sensor always fits horizontally, so that landscape and portrait need no cases. fx != fy becomes a
-    pixel aspect (each of Blender's two is at least 1), the principal point becomes the shift.
+    The sensor fit is always horizontal, so that landscape and portrait are not distinguished. fx != fy
+    becomes the pixel aspect (both of Blender's values are at least 1), the principal point the shift.
     """
     aspect = fx / fy  # height of a pixel over its width
     return BlenderCamera(
@@ -241,8 +242,8 @@ def blender_to_intrinsics(
     fit = camera.sensor_fit
     if fit == "AUTO":
         fit = "HORIZONTAL" if width >= aspect * height else "VERTICAL"
-    # Blender measures lens and shift against the fitted side, in pixel widths; AUTO uses the sensor's
-    # width on whichever side is longer.
+    # Lens and shift are relative to the fitted side, in pixel widths; AUTO uses the sensor's width for the
+    # longer side.
     side = float(width) if fit == "HORIZONTAL" else aspect * height
     sensor = camera.sensor_height if camera.sensor_fit == "VERTICAL" else camera.sensor_width
     fx = camera.lens * side / sensor
@@ -258,14 +259,14 @@ def blender_to_intrinsics(
 
 
 def direction_to_equirect(directions: ArrayLike) -> FloatArray:
-    """Where Blender's world texture (equirectangular, Z up) is looked up for directions.
+    """Texture coordinates of directions in Blender's equirectangular world texture (Z up).
 
     Args:
-        directions: (..., 3) Blender world, pointing away from the scene, of any length above zero.
+        directions: (..., 3) Blender world, away from the scene, of any length above zero.
 
     Returns:
         (..., 2) u to the right and v upward, both in [0, 1]; u = 0.5 - atan2(y, x)/(2 pi),
-        v = 0.5 + asin(z)/pi: -Y is at a quarter past the middle, the middle looks along +X.
+        v = 0.5 + asin(z)/pi: the centre is +X, and -Y is at u = 0.75.
     """
     vectors = np.asarray(directions, np.float64)
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The operators: gather, call, report. One file a section of the panel, each with its CLASSES.
+"""The operators: gather options, call the work, report. One file per section of the panel, with its CLASSES.
 
-They are imported while Blender starts, so they import at their top only what declaring them needs. Jobs
-(`runjob`, `mainjob`, `datajob`, `bridge`), work on Blender's data (`blend`) and the heavier modules of the
-standard library are imported where they are used.
+They are imported while Blender starts, so a module imports at its top only what declaring its classes needs.
+Jobs (`jobs`, `bridge`), work on Blender's data (`blend`) and the heavier modules of the standard library are
+imported inside functions.
 """
 
 from __future__ import annotations
@@ -17,5 +17,5 @@ _MODULES = (environment, storage, capture, views, parts, estimate, materials, li
 
 
 register, unregister = bpy.utils.register_classes_factory(
-    [each for module in _MODULES for each in module.CLASSES]
+    [operator for module in _MODULES for operator in module.CLASSES]
 )

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the section Capture: cameras, photographs and the room's mesh."""
+"""Operators of the section Capture: import cameras, photographs and the room's mesh."""
 
 from __future__ import annotations
 
@@ -10,22 +10,25 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from .. import preferences
-from ..core.job.errors import FiptError
-from ..core.job.runfolder import RunFolder
+from .. import machine
+from ..core.run.errors import FiptError
+from ..core.run.runfolder import RunFolder
 from .job_operator import JobOperator
 from .polls import in_object_mode
+from .reporting import reports_errors
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
     from ..bridge.sequence import Job
     from ..bridge.step import Slices, StepFunction
+    from ..jobs.options import CaptureOptions
+    from ..properties.capture import FIPT_CaptureSettings
 
 _MESH_FILES = "*.obj;*.ply;*.stl;*.gltf;*.glb;*.fbx;*.usd;*.usdc;*.usda;*.usdz"
 
 
 class _ImportJob(JobOperator):
-    """What both ways to a capture share: a run folder for it, given back where the import fails."""
+    """Base of both imports: a run folder for the capture, given back if the import fails."""
 
     kind = "capture"
     bl_options = {"REGISTER", "UNDO"}
@@ -36,24 +39,30 @@ class _ImportJob(JobOperator):
 
     @staticmethod
     def failed(scene: bpy.types.Scene, run: RunFolder) -> None:
-        """The run that the scene had before is its run again."""
+        """Give the scene its previous run folder back and delete the new one."""
         import shutil
 
-        before = scene.fipt.capture.previous_run
-        if before and before != scene.fipt.run_folder:
-            scene.fipt.run_folder = before
+        previous = scene.fipt.capture.previous_run
+        if previous and previous != scene.fipt.run_folder:
+            scene.fipt.run_folder = previous
             shutil.rmtree(run.root, ignore_errors=True)
 
     @staticmethod
     def _open_run(scene: bpy.types.Scene, source: str, name: str) -> RunFolder:
-        """The scene's run folder, or a new one where that holds another capture."""
-        from ..core.job.settings import make_settings
+        """The scene's run folder, or a new one if it has none or that holds another capture or none."""
+        import shutil
 
-        settings, before = scene.fipt.capture, scene.fipt.run_folder
-        settings.previous_run = before
-        run = RunFolder(bpy.path.abspath(before)) if before else None
+        from ..core.run.settings import make_settings
+
+        settings, previous = scene.fipt.capture, scene.fipt.run_folder
+        settings.previous_run = previous
+        run = RunFolder(bpy.path.abspath(previous)) if previous else None
+        if run is not None and machine.is_unused_run(run.root):
+            # Of a first import that failed, with the name of what it tried to import.
+            shutil.rmtree(run.root, ignore_errors=True)
+            settings.previous_run, run = "", None
         if run is None or (run.capture_json.exists() and settings.imported_path != source):
-            run = RunFolder(preferences.new_run_folder(name))
+            run = RunFolder(machine.new_run_folder(name))
         if not run.run_json.exists():
             run.create(make_settings())
         scene.fipt.run_folder = str(run.root)
@@ -61,11 +70,11 @@ class _ImportJob(JobOperator):
 
     @staticmethod
     def _import_job(
-        run: RunFolder, path: Path, arguments: list[str], text: str, bring_in: StepFunction
+        run: RunFolder, path: Path, arguments: list[str], text: str, add_to_scene: StepFunction
     ) -> Job:
-        """Let the engine read a capture, then bring it into the scene."""
+        """The engine reads and checks a capture; then it is added to the scene."""
         from ..bridge.step import Step
-        from ..runjob import open_job
+        from ..jobs.run_job import open_job
 
         steps = [
             Step(
@@ -75,100 +84,106 @@ class _ImportJob(JobOperator):
                 command=["ingest", str(path), str(run.root), *arguments],
                 outputs=[run.ingest_json],
             ),
-            Step("import", text, 5.0, function=bring_in, repeat=True),
+            Step("import", text, 5.0, function=add_to_scene, repeat=True),
         ]
         return open_job(run, steps, record="import.json")
 
 
 class FIPT_OT_import_capture(_ImportJob, bpy.types.Operator):
-    """Read photographs and their cameras, check them, and add the cameras and the room's mesh to the scene"""
+    """Read and check the photographs and cameras, and add the cameras and the room's mesh to the scene"""
 
     bl_idname = "fipt.import_capture"
     bl_label = "Import Capture"
-    title = "Importing the capture"
+    title = "Import Capture"
 
     filepath: bpy.props.StringProperty(
         name="Capture",
-        description="The capture's folder or camera file; empty takes the one of the panel",
+        description="Folder or camera file of the capture. If empty, the path in the panel is used",
         subtype="FILE_PATH",
         options={"SKIP_SAVE"},
     )
 
     def make_job(self, context: bpy.types.Context) -> Job:
+        from ..jobs.options import capture_source, ingest_arguments
+
         scene = context.scene
         if self.filepath:
             scene.fipt.capture.path = self.filepath
         settings = scene.fipt.capture
         if not settings.path:
             raise FiptError(
-                "capture-missing", "No capture is named.", "Choose its folder or camera file in the panel."
+                "capture-missing",
+                "No capture is selected.",
+                "Select its folder or camera file in the section Capture.",
             )
         path = Path(bpy.path.abspath(settings.path)).absolute()
         if not path.exists():
             raise FiptError(
                 "capture-missing",
                 f"The capture {path} does not exist.",
-                "Choose the folder that holds the cameras, or the camera file itself.",
+                "Select the folder that contains the cameras, or the camera file itself, as Capture.",
             )
-        # A model's own file stands for its folder; only transforms.json is a capture by itself.
-        if path.is_file() and path.suffix.lower() != ".json":
-            path = path.parent
-        arguments = _ingest_arguments(settings)
-        preferences.engine_python()  # before anything is made
+        path = capture_source(path)
+        arguments = ingest_arguments(_capture_options(settings))
+        machine.engine_python()  # raises before anything is created
         run = self._open_run(scene, str(path), path.stem if path.is_file() else path.name)
 
-        def bring_in() -> Slices:
-            from ..blend.capture_import import import_capture
+        def add_to_scene() -> Slices[list[Message]]:
+            from ..blend.capture.importing import import_capture
 
             return import_capture(run, str(path))
 
-        return self._import_job(run, path, arguments, "Adding cameras and mesh", bring_in)
+        return self._import_job(run, path, arguments, "Adding cameras and mesh", add_to_scene)
 
 
 class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
-    """Take the scene's own cameras, each with its HDR photograph as background image, as the capture"""
+    """Use the scene's own cameras as the capture. Each camera needs its HDR photograph as background image"""
 
     bl_idname = "fipt.use_scene_cameras"
     bl_label = "Use Scene Cameras"
-    title = "Reading the scene's cameras"
+    title = "Use Scene Cameras"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not any(item.type == "CAMERA" for item in context.scene.objects):
+        if not any(scene_object.type == "CAMERA" for scene_object in context.scene.objects):
             cls.poll_message_set("The scene has no cameras")
             return False
         return super().poll(context)
 
     def make_job(self, context: bpy.types.Context) -> Job:
-        from ..blend.scene_cameras import SCENE_SOURCE, adopt_cameras, write_scene_cameras
+        from ..blend.capture.scene_cameras import SCENE_SOURCE, adopt_cameras, write_scene_cameras
+        from ..jobs.options import CaptureOptions, ingest_arguments
 
         scene = context.scene
         settings = scene.fipt.capture
-        preferences.engine_python()
+        machine.engine_python()
         name = bpy.path.display_name_from_filepath(bpy.data.filepath) or scene.name
         run = self._open_run(scene, SCENE_SOURCE, name)
         try:
-            path, left_out = write_scene_cameras(scene, run)
+            path, skipped = write_scene_cameras(scene, run)
         except FiptError:
             self.failed(scene, run)
             raise
-        arguments = ["--format=transforms", "--up-axis=z", f"--hold-back={settings.hold_back}"]
-        if settings.clamp_negative:
-            arguments.append("--clamp-negative")
+        options = CaptureOptions(
+            format="transforms",
+            up_axis="z",
+            hold_back=settings.hold_back,
+            clamp_negative=settings.clamp_negative,
+        )
 
         def adopt() -> list[Message]:
             adopt_cameras(run)
-            if not left_out:
+            if not skipped:
                 return []
-            text = f"{len(left_out)} cameras without a photograph were left out: {', '.join(left_out[:5])}."
-            remedy = "Give them a background image to use them too."
+            text = f"{len(skipped)} cameras without a photograph were skipped: {', '.join(skipped[:5])}."
+            remedy = "To use them as well, give each its photograph as background image."
             return [{"type": "warning", "code": "cameras-left-out", "text": text, "remedy": remedy}]
 
-        return self._import_job(run, path, arguments, "Listing the cameras", adopt)
+        return self._import_job(run, path, ingest_arguments(options), "Listing the cameras", adopt)
 
 
 class FIPT_OT_import_mesh(bpy.types.Operator):
-    """Import a mesh file as the room, in the coordinates of the capture; an earlier one is set aside"""
+    """Import a mesh file as the room, in the coordinates of the capture. The previous room is set aside"""
 
     bl_idname = "fipt.import_mesh"
     bl_label = "Import Mesh"
@@ -187,24 +202,21 @@ class FIPT_OT_import_mesh(bpy.types.Operator):
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend import capture_import
+        from ..blend.capture import importing
 
         scene = context.scene
         run = RunFolder(bpy.path.abspath(scene.fipt.run_folder)) if scene.fipt.run_folder else None
         path = self.filepath or scene.fipt.capture.mesh
-        try:
-            matrix = capture_import.source_matrix(scene, run)
-            names = capture_import.import_mesh(scene, Path(bpy.path.abspath(path)), matrix)
-        except FiptError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self.report({"INFO"}, iface_("{} meshes form the room").format(len(names)))
+        matrix = importing.source_matrix(scene, run)
+        names = importing.import_mesh(scene, Path(bpy.path.abspath(path)), matrix)
+        self.report({"INFO"}, iface_("The room consists of {} meshes").format(len(names)))
         return {"FINISHED"}
 
 
 class FIPT_OT_set_room(bpy.types.Operator):
-    """Make the selected meshes the room; they stay where they are, also in their collections"""
+    """Use the selected meshes as the room. They keep their places and their collections"""
 
     bl_idname = "fipt.set_room"
     bl_label = "Set Room from Selection"
@@ -212,60 +224,70 @@ class FIPT_OT_set_room(bpy.types.Operator):
 
     collection: bpy.props.StringProperty(
         name="Collection",
-        description="A collection whose meshes are the room; empty takes the selected objects",
+        description="Collection whose meshes are the room. If empty, the selected objects are used",
         options={"SKIP_SAVE"},
     )
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.capture_import import set_room
+        from ..blend.capture.importing import not_in_room, set_room
 
         scene = context.scene
+        left_out = not_in_room(context.view_layer.objects.selected)
         if self.collection:
             room = bpy.data.collections.get(self.collection)
-            if room is None or not any(item.type == "MESH" for item in room.all_objects):
-                self.report({"ERROR"}, f"'{self.collection}' is no collection with meshes. Choose another.")
+            if room is None or not any(member.type == "MESH" for member in room.all_objects):
+                self.report({"ERROR"}, f"There is no collection '{self.collection}' with meshes.")
                 return {"CANCELLED"}
             scene.fipt.capture.room = room
+            left_out = not_in_room(room.all_objects)
         else:
-            meshes = [item for item in context.view_layer.objects.selected if item.type == "MESH"]
+            selected = context.view_layer.objects.selected
+            meshes = [selected_object for selected_object in selected if selected_object.type == "MESH"]
             if not meshes:
-                self.report({"ERROR"}, "No meshes are selected. Select the objects that form the room.")
+                advice = [f"{warning['text']} {warning['remedy']}" for warning in left_out]
+                advice = advice or ["Select the objects that form the room."]
+                self.report({"ERROR"}, " ".join(["No mesh objects are selected.", *advice]))
                 return {"CANCELLED"}
             set_room(scene, meshes)
         count = len(scene.fipt.capture.room_objects(scene))
-        self.report({"INFO"}, iface_("{} meshes form the room").format(count))
+        self.report({"INFO"}, iface_("The room consists of {} meshes").format(count))
+        for warning in left_out:
+            self.report({"WARNING"}, f"{warning['text']} {warning['remedy']}")
         return {"FINISHED"}
 
 
-def _ingest_arguments(settings: bpy.types.PropertyGroup) -> list[str]:
-    """The panel's choices as arguments, one word each: "-y" alone would be taken for an option.
+def _capture_options(settings: FIPT_CaptureSettings) -> CaptureOptions:
+    """The import settings of the panel.
 
     Raises:
         FiptError: ``mesh-missing`` or ``images-missing``.
     """
-    arguments = [
-        f"--format={settings.format}",
-        f"--up-axis={settings.up_axis}",
-        f"--scale={float(settings.scale)!r}",
-        f"--hold-back={0 if settings.hold_back < 2 else settings.hold_back}",
-    ]
-    if settings.mesh:
-        mesh = Path(bpy.path.abspath(settings.mesh)).absolute()
-        if not mesh.is_file():
-            raise FiptError("mesh-missing", f"The mesh {mesh} does not exist.", "Choose another, or none.")
-        arguments.append(f"--mesh={mesh}")
-    if settings.images:
-        images = Path(bpy.path.abspath(settings.images)).absolute()
-        if not images.is_dir():
-            raise FiptError(
-                "images-missing", f"The folder {images} does not exist.", "Choose another, or leave it empty."
-            )
-        arguments.append(f"--images={images}")
-    if settings.clamp_negative:
-        arguments.append("--clamp-negative")
-    if settings.undo_applied_transform:
-        arguments.append("--undo-applied-transform")
-    return arguments
+    from ..jobs.options import CaptureOptions
+
+    mesh = Path(bpy.path.abspath(settings.mesh)).absolute() if settings.mesh else None
+    if mesh is not None and not mesh.is_file():
+        raise FiptError(
+            "mesh-missing",
+            f"The mesh {mesh} does not exist.",
+            "Select another file as Mesh in Import Settings, or clear the field.",
+        )
+    images = Path(bpy.path.abspath(settings.images)).absolute() if settings.images else None
+    if images is not None and not images.is_dir():
+        raise FiptError(
+            "images-missing",
+            f"The folder {images} does not exist.",
+            "Select another folder as Photographs in Import Settings, or clear the field.",
+        )
+    return CaptureOptions(
+        mesh=mesh,
+        format=settings.format,
+        up_axis=settings.up_axis,
+        scale=float(settings.scale),
+        hold_back=0 if settings.hold_back < 2 else settings.hold_back,
+        images=images,
+        clamp_negative=settings.clamp_negative,
+        undo_applied_transform=settings.undo_applied_transform,
+    )
 
 
 CLASSES = (FIPT_OT_import_capture, FIPT_OT_use_scene_cameras, FIPT_OT_import_mesh, FIPT_OT_set_room)

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import bpy
 
-from ..core.job.errors import FiptError
-from ..core.job.runfolder import RunFolder
+from ..blend.marks import VIEW
+from ..core.run.errors import FiptError
+from ..core.run.runfolder import RunFolder
 from ..properties.check import PICTURES, VIEWS
 from .job_operator import JobOperator
 from .polls import has_run
@@ -18,17 +19,15 @@ from .polls import has_run
 if TYPE_CHECKING:
     from ..bridge.sequence import Job
 
-VIEW_KEY = "fipt_view"
-
 
 class RenderJob(JobOperator):
-    """Mix-in of an operator that renders views of the room while that shows its estimated materials."""
+    """Mix-in of an operator that renders views of the room; the room must show its estimated materials."""
 
     bl_options = {"REGISTER", "UNDO"}
 
     samples: bpy.props.IntProperty(
         name="Samples",
-        description="Cycles' samples a pixel; 0 takes the panel's number",
+        description="Cycles samples per pixel. If 0, the value in the panel is used",
         min=0,
         options={"SKIP_SAVE"},
     )
@@ -38,57 +37,61 @@ class RenderJob(JobOperator):
         if not super().poll(context) or not has_run(cls, context):
             return False
         if context.scene.fipt.materials.shown != "ESTIMATED":
-            cls.poll_message_set("Show the estimated materials first, in the section Materials")  # type: ignore[attr-defined]
+            cls.poll_message_set("Set Show to Estimated first, in the section Materials")  # type: ignore[attr-defined]
             return False
         return True
 
 
 def current_view(scene: bpy.types.Scene) -> str:
-    """Name of the view through whose camera the scene looks.
+    """Name of the view whose camera is the scene's active camera.
 
     Raises:
         FiptError: ``view-missing``.
     """
     camera = scene.camera
-    if camera is None or not camera.get(VIEW_KEY):
+    if camera is None or not camera.get(VIEW):
         raise FiptError(
             "view-missing",
-            "The scene looks through no camera of the capture.",
-            "Click a view in the section Capture.",
+            "The scene's active camera is no camera of the capture.",
+            "Click a view in the section Capture to look through its camera.",
         )
-    return str(camera[VIEW_KEY])
+    return str(camera[VIEW])
 
 
 class FIPT_OT_render_views(RenderJob, bpy.types.Operator):
-    """Render views of the estimated room in Cycles and compare them with their photographs; inserted objects
-    and changed lights are left out"""
+    """Render views of the estimated room in Cycles and compare them with their photographs"""
 
     bl_idname = "fipt.render_views"
     bl_label = "Render Views"
-    title = "Check"
+    bl_description = (
+        "Render views of the estimated room in Cycles and compare them with their photographs. Inserted"
+        " objects and changes to the lights are ignored"
+    )
+    title = "Render Views"
     kind = "check"
 
     which: bpy.props.EnumProperty(
-        name="Views", description="Which views; the panel's choice if not given", items=VIEWS,
+        name="Views", description="Views to render. If not set, the choice in the panel is used", items=VIEWS,
         options={"SKIP_SAVE"},
     )  # fmt: skip
     view: bpy.props.StringProperty(
-        name="View", description="One view by its name instead", options={"SKIP_SAVE"}
+        name="View", description="Name of a single view to render instead", options={"SKIP_SAVE"}
     )
 
     def make_job(self, context: bpy.types.Context) -> Job:
-        from ..blend import render_job
+        from ..blend.pictures.orders import CHECK, make_order
+        from ..blend.pictures.render_job import make_job
 
         scene = context.scene
         run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
         which = self.which if self.properties.is_property_set("which") else scene.fipt.check.which
         views = [self.view] if self.view else _chosen_views(scene, which)
         samples = self.samples or scene.fipt.check.samples
-        return render_job.make_job(render_job.make_order(scene, run, render_job.CHECK, views, samples))
+        return make_job(make_order(scene, run, CHECK, views, samples))
 
     @staticmethod
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
-        from ..blend.check_pictures import show_active, take_checks
+        from ..blend.pictures.check_pictures import show_active, take_checks
 
         take_checks(scene, run)
         if not bpy.app.background and 0 <= scene.fipt.check.active < len(scene.fipt.check.views):
@@ -107,50 +110,56 @@ def _chosen_views(scene: bpy.types.Scene, which: str) -> list[str]:
     names = [view.name for view in views if which == "TICKED" or view.split == "held_back"]
     if not names:
         text = "No view is ticked." if which == "TICKED" else "No ticked view is held back."
-        raise FiptError("view-missing", text, "Tick views in the section Capture, or choose others here.")
+        raise FiptError(
+            "view-missing",
+            text,
+            "Tick views in the section Capture, or choose other Views in the section Check.",
+        )
     return names
 
 
 class FIPT_OT_show_check(bpy.types.Operator):
-    """Look through a checked view's camera at its photograph, its render or its error"""
+    """Look through the camera of a rendered view at its photograph, render or error image"""
 
     bl_idname = "fipt.show_check"
-    bl_label = "Show Checked View"
+    bl_label = "Show Rendered View"
     bl_options = {"REGISTER", "UNDO"}
 
     view: bpy.props.StringProperty(
-        name="View", description="Name of the view; empty for the list's active one", options={"SKIP_SAVE"}
+        name="View",
+        description="Name of the view. If empty, the active view of the list is used",
+        options={"SKIP_SAVE"},
     )
     picture: bpy.props.EnumProperty(
-        name="Picture", description="What to look at", items=PICTURES, options={"SKIP_SAVE"}
+        name="Picture", description="Image to show", items=PICTURES, options={"SKIP_SAVE"}
     )
     window: bpy.props.BoolProperty(
         name="Image Editor",
-        description="Show it in an Image Editor too, in a window of its own if none is open",
+        description="Show the picture in an Image Editor as well; opens a new window if there is none",
         options={"SKIP_SAVE"},
     )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if not context.scene.fipt.check.views:
-            cls.poll_message_set("Render views first")
+            cls.poll_message_set("Use Render Views first")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.check_pictures import open_editor, show_active
+        from ..blend.pictures.check_pictures import open_editor, show_active
 
         settings = context.scene.fipt.check
         index = settings.views.find(self.view) if self.view else settings.active
         if not 0 <= index < len(settings.views):
-            self.report({"ERROR"}, f"The view '{self.view}' has not been rendered. Render it first.")
+            self.report({"ERROR"}, f"The view '{self.view}' has not been rendered. Use Render Views first.")
             return {"CANCELLED"}
         if self.properties.is_property_set("picture"):
             settings.picture = self.picture
         settings.active = index
         image = show_active(context.scene, context)
         if image is None:
-            self.report({"ERROR"}, "The picture's file is missing. Render the view again.")
+            self.report({"ERROR"}, "The image file is missing. Render the view again.")
             return {"CANCELLED"}
         if self.window:
             open_editor(context, image)
@@ -158,11 +167,11 @@ class FIPT_OT_show_check(bpy.types.Operator):
 
 
 class FIPT_OT_write_report(JobOperator, bpy.types.Operator):
-    """Write a page that shows what was estimated: renders, maps, lights, warnings and settings"""
+    """Write an HTML page that shows the results: renders, maps, lights, warnings and settings"""
 
     bl_idname = "fipt.write_report"
     bl_label = "Write Report"
-    title = "Report"
+    title = "Write Report"
     kind = "report"
 
     @classmethod
@@ -171,10 +180,10 @@ class FIPT_OT_write_report(JobOperator, bpy.types.Operator):
 
     def make_job(self, context: bpy.types.Context) -> Job:
         from ..bridge.step import Step
-        from ..runjob import open_job
+        from ..jobs.run_job import open_job
 
         run = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
-        run.read()  # explains a folder that is gone or holds something else
+        run.read()  # raises if the folder is missing or no run folder
         step = Step("report", "Writing the report", 5.0, command=["report", str(run.root)])
         return open_job(run, [step], record="report/steps.json")
 
@@ -192,14 +201,14 @@ class FIPT_OT_open_report(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if not context.scene.fipt.check.report:
-            cls.poll_message_set("Write the report first")
+            cls.poll_message_set("Use Write Report first")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         page = Path(bpy.path.abspath(context.scene.fipt.check.report))
         if not page.is_file():
-            self.report({"ERROR"}, f"{page} does not exist any more. Write the report again.")
+            self.report({"ERROR"}, f"{page} no longer exists. Write the report again.")
             return {"CANCELLED"}
         bpy.ops.wm.url_open(url=page.as_uri())
         return {"FINISHED"}

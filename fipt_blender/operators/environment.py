@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the preferences: the engine's set-up, its check and its log."""
+"""Operators of the preferences: set up the engine, check it, show its log."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from .. import preferences, running
-from ..core.job.errors import FiptError
-from .job_operator import DATA_KIND, DataJobOperator
+from .. import machine
+from ..core.run.errors import FiptError
+from ..jobs import running
+from .job_operator import DataJobOperator
+from .reporting import reports_errors
 
 if TYPE_CHECKING:
     from ..bridge.sequence import Job
@@ -23,67 +25,100 @@ _LOG_LINES = 30
 
 
 class FIPT_OT_set_up_engine(DataJobOperator, bpy.types.Operator):
-    """Make the engine's own Python environment and install its packages there. Blender's own Python stays
-    as it is. Cancelled, it continues with what was downloaded"""
+    """Create a Python environment for the engine and install its packages there"""
 
     bl_idname = "fipt.set_up_engine"
     bl_label = "Set Up Engine"
+    bl_description = (
+        "Create a Python environment for the engine and install its packages there. Blender's own"
+        " Python is not changed. If you cancel, the finished downloads are kept"
+    )
     title = "Set Up Engine"
+
+    allow_large: bpy.props.BoolProperty(
+        name="Allow Large Download",
+        description="Download PyTorch's build with CUDA if the one for the CPU can't be reached",
+        options={"SKIP_SAVE"},
+    )
+    confirmed: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})  # in a window, which must not wait
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """State the size of the download before anything is downloaded."""
+        from ..bridge.torch_build import SIZES, choose_torch_build
+        from ..core.device.cuda import cuda_devices, cuda_driver_version
+
+        values = machine.get_preferences()
+        if bpy.app.background or values.wheel_folder:
+            return super().invoke(context, event)
+        build = choose_torch_build(values.device, cuda_driver_version(), cuda_devices())
+        refused = (machine.status().get("error") or {}).get("code") == "torch-large"
+        self.allow_large, self.confirmed = self.allow_large or refused, True
+        size = SIZES["" if refused else build]
+        message = iface_("Downloads about {:.1f} GB and needs {:.0f} GB on the disk").format(
+            size.download_gb, size.disk_gb
+        )
+        return context.window_manager.invoke_confirm(
+            self, event, title=iface_(self.title), message=message, confirm_text=iface_("Set Up")
+        )
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return self._start(context, wait=not self.confirmed)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if not super().poll(context):
             return False
-        values = preferences.get_preferences()
+        values = machine.get_preferences()
         if values.engine_python:
-            cls.poll_message_set("An interpreter of your own is named; empty that field to set one up here")
+            cls.poll_message_set("Clear Own Interpreter first; set-up is not needed while that is used")
             return False
         if not values.wheel_folder and not bpy.app.online_access:
             cls.poll_message_set(
-                "Blender may not go online: allow it in Preferences > System > Network, or name a folder of"
-                " wheels to install from"
+                "Enable Allow Online Access in Preferences > System > Network, or select a Folder of Wheels"
             )
             return False
         return True
 
     def make_job(self) -> tuple[Job, Callable[[running.RunningJob], None]]:
-        from ..datajob import EngineStatus, data_job, set_up_step
+        from ..jobs.data_job import EngineStatus, data_job, set_up_step
 
-        values, data = preferences.get_preferences(), preferences.data_folder()
+        values, data = machine.get_preferences(), machine.data_folder()
         wheels = Path(bpy.path.abspath(values.wheel_folder)) if values.wheel_folder else None
         if wheels is not None and not wheels.is_dir():
             raise FiptError(
-                "wheels-missing", f"The folder of wheels {wheels} does not exist.", "Choose another folder."
+                "wheels-missing",
+                f"The folder {wheels} does not exist.",
+                "Select another folder as Folder of Wheels.",
             )
-        status = EngineStatus()
-        step = set_up_step(Path(sys.executable), data, values.device, wheels)
+        status = EngineStatus(set_up=True)
+        step = set_up_step(Path(sys.executable), data, values.device, wheels, self.allow_large)
         return data_job([step, status.check_step()]), status.store
 
 
 class FIPT_OT_check_engine(DataJobOperator, bpy.types.Operator):
-    """Try the engine on this machine and say what is missing and how to mend it"""
+    """Test the engine on this machine, and show what is missing and how to fix it"""
 
     bl_idname = "fipt.check_engine"
     bl_label = "Check"
     title = "Check Engine"
 
     def make_job(self) -> tuple[Job, Callable[[running.RunningJob], None]]:
-        from ..datajob import EngineStatus, data_job
+        from ..jobs.data_job import EngineStatus, data_job
 
         status = EngineStatus()
         return data_job([status.check_step()]), status.store
 
 
 class FIPT_OT_cancel_set_up(bpy.types.Operator):
-    """Stop; what was downloaded is kept for the next time"""
+    """Cancel the set-up. Finished downloads are kept for the next time"""
 
     bl_idname = "fipt.cancel_set_up"
     bl_label = "Cancel"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        busy = running.current()
-        if busy is None or busy.kind != DATA_KIND:
+        job = running.current()
+        if job is None or job.kind != running.DATA_KIND:
             cls.poll_message_set("No set-up is running")
             return False
         return True
@@ -94,7 +129,7 @@ class FIPT_OT_cancel_set_up(bpy.types.Operator):
 
 
 class FIPT_OT_show_log(bpy.types.Operator):
-    """Show the end of the log of set-up and check"""
+    """Show the last lines of the log of Set Up Engine and Check"""
 
     bl_idname = "fipt.show_log"
     bl_label = "Set-Up Log"
@@ -103,9 +138,8 @@ class FIPT_OT_show_log(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        known = preferences.get_preferences().status or running.current() or running.last(DATA_KIND)
-        if not known:
-            cls.poll_message_set("Nothing was set up or checked yet")
+        if not (machine.get_preferences().status or running.current() or running.last(running.DATA_KIND)):
+            cls.poll_message_set("Use Set Up Engine or Check first")
             return False
         return True
 
@@ -118,12 +152,12 @@ class FIPT_OT_show_log(bpy.types.Operator):
         return {"FINISHED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        from ..datajob import log_file
+        from ..jobs.data_job import log_file
 
         layout = self.layout
         row = layout.row()
         row.label(text=str(log_file()), translate=False, icon="TEXT")
-        row.operator("wm.path_open", text="Open Whole Log").filepath = str(log_file())
+        row.operator("wm.path_open", text="Open Log File").filepath = str(log_file())
         column = layout.box().column(align=True)
         column.scale_y = 0.7
         for line in self._lines:
@@ -134,7 +168,7 @@ def read_log() -> list[str]:
     """The last lines of the log."""
     from collections import deque
 
-    from ..datajob import log_file
+    from ..jobs.data_job import log_file
 
     try:
         with open(log_file(), encoding="utf-8", errors="replace") as file:
@@ -144,22 +178,22 @@ def read_log() -> list[str]:
 
 
 class FIPT_OT_copy_wheel_command(bpy.types.Operator):
-    """Copy the command that downloads all packages into a folder, to be run on a machine with network that
-    has the same system; name that folder here afterwards"""
+    """Copy a command that downloads all packages into a folder"""
 
     bl_idname = "fipt.copy_wheel_command"
     bl_label = "Copy Download Command"
+    bl_description = (
+        "Copy a command that downloads all packages into a folder. Run it on a machine that is online"
+        " and has the same operating system, then select that folder here"
+    )
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..bridge.pins import read_pins, wheel_command
 
-        try:
-            command = wheel_command(read_pins(), sys.version_info[:2])
-        except FiptError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        command = wheel_command(read_pins(), sys.version_info[:2])
         context.window_manager.clipboard = command
-        self.report({"INFO"}, iface_("Copied: {}").format(command))
+        self.report({"INFO"}, iface_("Copied to the clipboard: {}").format(command))
         return {"FINISHED"}
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the section Estimate: start, resume and cancel the engine on the scene as it is."""
+"""Operators of the section Estimate: start, resume and cancel the estimation of the current scene."""
 
 from __future__ import annotations
 
@@ -8,29 +8,35 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 
-from .. import preferences, running, runstate
-from ..core.job.runfolder import RunFolder
+from .. import machine
+from ..core.run.runfolder import RunFolder
+from ..jobs import running, runstate
+from ..jobs.window import push_undo
 from ..properties.estimate import PRESETS
 from .job_operator import JobOperator
+from .reporting import reports_errors
 
 if TYPE_CHECKING:
+    from ..bridge.process import Message
     from ..bridge.sequence import Job
     from ..bridge.step import Slices, Step
-    from ..core.job.settings import Settings
+    from ..core.run.settings import Settings
 
-# Seconds on a small capture; they only shape the progress bar.
+_ASK_SECONDS = 60.0  # after so much work, Esc asks before it cancels
+# Seconds on a small capture, for the progress bar only.
 _CAMERAS_SECONDS, _ROOM_SECONDS = 1.0, 2.0
 
 
 class _Estimation(JobOperator):
-    """What Estimate and Resume share: the steps from the scene to the results."""
+    """Base of Estimate and Resume: the steps from the scene to the results."""
 
     title = "Estimate"
     kind = "estimate"
 
     def keeps_stages(self) -> bool:
-        """Whether finished stages are kept that room, views and settings leave as they are."""
+        """Whether finished stages are kept where room, views and settings have not changed for them."""
         raise NotImplementedError
 
     @classmethod
@@ -38,28 +44,28 @@ class _Estimation(JobOperator):
         if not super().poll(context):
             return False
         if context.mode.startswith("EDIT"):
-            cls.poll_message_set("Leave edit mode first")  # type: ignore[attr-defined]
+            cls.poll_message_set("Leave Edit Mode first")  # type: ignore[attr-defined]
             return False
         state = context.scene.fipt
         if not len(state.capture.views) and not state.run_folder:
-            cls.poll_message_set("Import cameras with photographs first, in the section Capture")  # type: ignore[attr-defined]
+            cls.poll_message_set("Import a capture first, in the section Capture")  # type: ignore[attr-defined]
             return False
         return True
 
     def make_job(self, context: bpy.types.Context) -> Job:
-        from .. import runjob
+        from ..jobs import run_job
 
         scene = context.scene
-        launch = runjob.find_launch()
+        launch = run_job.find_launch()
         settings = scene_settings(scene)
         if not scene.fipt.run_folder:
             name = Path(bpy.data.filepath).stem or scene.name
-            scene.fipt.run_folder = str(preferences.new_run_folder(name))
-            running.push_undo(self.title)
+            scene.fipt.run_folder = str(machine.new_run_folder(name))
+            push_undo(self.title)
         run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
-        runjob.refuse_busy(run)
+        run_job.refuse_busy(run)
         run.create(settings)
-        return runjob.open_job(
+        return run_job.open_job(
             run,
             make_steps(run, settings, self.keeps_stages()),
             resume=self.keeps_stages(),
@@ -74,13 +80,13 @@ class FIPT_OT_estimate(_Estimation, bpy.types.Operator):
     bl_idname = "fipt.estimate"
     bl_label = "Estimate"
     bl_description = (
-        "Estimate the materials and lights of the room from its photographs. You can go on with your work"
-        " meanwhile; Escape stops it. Results of an earlier estimate are replaced"
+        "Estimate the materials and lights of the room from its photographs. You can continue to work"
+        " meanwhile; Esc stops it. The results of an earlier estimate are replaced"
     )
 
     keep: bpy.props.BoolProperty(
         name="Keep Stages",
-        description="Keep finished stages of the last run that room, views and settings leave as they are",
+        description="Keep finished stages of the last run that no change of room, views or settings affects",
         options={"SKIP_SAVE"},
     )
 
@@ -89,13 +95,13 @@ class FIPT_OT_estimate(_Estimation, bpy.types.Operator):
 
 
 class FIPT_OT_resume(_Estimation, bpy.types.Operator):
-    """Go on where the last run was stopped"""
+    """Continue the last run where it was stopped"""
 
     bl_idname = "fipt.resume"
     bl_label = "Resume"
     bl_description = (
-        "Go on where the last run was stopped. Finished stages are kept up to the first one that a change of"
-        " the room, the views or the settings concerns"
+        "Continue the last run where it was stopped. If room, views or settings have changed since, it starts"
+        " again at the first stage that depends on the change"
     )
 
     def keeps_stages(self) -> bool:
@@ -110,52 +116,85 @@ class FIPT_OT_resume(_Estimation, bpy.types.Operator):
             cls.poll_message_set("There is no stopped run to resume")
             return False
         if state.finished and not state.engine:
-            cls.poll_message_set("The last run is finished; Estimate starts a new one")
+            cls.poll_message_set("The last run is finished. Use Estimate to start a new one")
             return False
         return True
 
     def make_job(self, context: bpy.types.Context) -> Job:
-        from ..mainjob import estimate_step
-        from ..runjob import attach_job
+        from ..jobs.main_job import estimate_step
+        from ..jobs.run_job import attach_job
 
         run = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
-        # An engine that still works, without a Blender or with another one, is watched to its end.
+        # An engine that is still at work, started from here or elsewhere, is watched to its end.
         attached = attach_job(run, [estimate_step(run, run.read())])
         return attached or super().make_job(context)
 
 
 class FIPT_OT_cancel(bpy.types.Operator):
-    """Stop the running job within two seconds. What it has finished is kept, and Resume goes on from there"""
+    """Stop the running job within two seconds. Finished stages are kept, and Resume continues from there"""
 
     bl_idname = "fipt.cancel"
     bl_label = "Cancel"
     bl_options = {"INTERNAL"}
 
+    by_key: bpy.props.BoolProperty(
+        name="By Key",
+        description="Pressed as a shortcut, which may have been meant for something else",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         job = running.current()
         if job is None or job.stopping:
-            cls.poll_message_set("Nothing runs" if job is None else "It is stopping")
+            cls.poll_message_set("No job is running" if job is None else "The job is stopping already")
             return False
         return True
 
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Cancel at once, but ask first where the Esc key would end a long run."""
+        from ..jobs import session
+        from ..panels.job import time_text
+
+        job = running.current()
+        if not self.by_key or job is None:
+            return self.execute(context)
+        if session.stops_playback(context.screen):
+            return {"PASS_THROUGH"}
+        if job.worked_seconds < _ASK_SECONDS:
+            return self.execute(context)
+        message = iface_("It has been running for {}. Finished stages are kept for Resume.").format(
+            time_text(job.worked_seconds)
+        )
+        return context.window_manager.invoke_confirm(
+            self,
+            event,
+            title=iface_("Stop '{}'?").format(iface_(job.title)),
+            message=message,
+            confirm_text=iface_("Stop"),
+        )
+
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         running.cancel()
         return {"FINISHED"}
 
 
 class FIPT_OT_smaller_preset(bpy.types.Operator):
-    """Choose the next smaller preset, drop what was changed of it, and estimate again. Stages that both share
-    are kept"""
+    """Select the next smaller preset, reset changed settings, and estimate again"""
 
     bl_idname = "fipt.smaller_preset"
     bl_label = "Use a Smaller Preset"
+    bl_description = (
+        "Select the next smaller preset, reset changed settings, and estimate again. Stages that are"
+        " the same in both presets are kept"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if smaller_preset(context.scene.fipt.estimate.preset) is None:
-            cls.poll_message_set("Draft is the smallest: use fewer or smaller photographs")
+            cls.poll_message_set("Draft is the smallest preset. Use fewer or smaller photographs")
             return False
         return bpy.ops.fipt.estimate.poll()
 
@@ -175,13 +214,15 @@ class FIPT_OT_smaller_preset(bpy.types.Operator):
 
 
 class FIPT_OT_reset_setting(bpy.types.Operator):
-    """Let this setting follow the preset again"""
+    """Reset this setting to the value of the preset"""
 
     bl_idname = "fipt.reset_setting"
     bl_label = "Reset to Preset"
     bl_options = {"REGISTER", "UNDO", "INTERNAL"}
 
-    setting: bpy.props.StringProperty(name="Setting", description="Name of the setting; empty for all")
+    setting: bpy.props.StringProperty(
+        name="Setting", description="Name of the setting. If empty, all settings are reset"
+    )
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         context.scene.fipt.estimate.reset(*([self.setting] if self.setting else []))
@@ -196,39 +237,38 @@ def smaller_preset(preset: str) -> str | None:
 
 
 def scene_settings(scene: bpy.types.Scene) -> Settings:
-    """The settings that the section Estimate shows; those of textures stay as the run folder has them.
+    """The settings in the section Estimate; the texture settings are those of the run folder, if it has any.
 
     Raises:
         FiptError: ``setting-invalid``; those of `RunFolder.read`.
     """
-    from ..core.job.settings import make_settings
-    from ..mainjob import TEXTURE_SETTINGS
+    from ..core.run.settings import make_settings
+    from ..jobs.options import TEXTURE_SETTINGS
 
     state = scene.fipt.estimate
-    device = preferences.device_setting() if state.device == "preferences" else state.device
+    device = machine.device_setting() if state.device == "preferences" else state.device
     changes = {**state.values(), "device": device}
     run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
     if scene.fipt.run_folder and run.run_json.exists():
-        before = run.read()
-        changes |= {name: getattr(before, name) for name in TEXTURE_SETTINGS}
+        stored = run.read()
+        changes |= {name: getattr(stored, name) for name in TEXTURE_SETTINGS}
     return make_settings(state.preset, changes)
 
 
 def make_steps(run: RunFolder, settings: Settings, resume: bool) -> list[Step]:
-    """From the scene as it is to the results; see `estimate_step`."""
+    """The steps from the current scene to the results; see `estimate_step`."""
     from ..bridge.step import Step
-    from ..mainjob import EXPORT_TEXT, estimate_step
+    from ..jobs.main_job import EXPORT_TEXT, estimate_step
 
     def cameras() -> None:
-        from ..blend.steps import export_scene_cameras
+        from ..jobs.room_steps import export_scene_cameras
 
         export_scene_cameras(run)
 
-    def room() -> Slices:
-        from ..blend.steps import export_scene_room
+    def room() -> Slices[list[Message]]:
+        from ..jobs.room_steps import export_scene_room
 
-        yield from export_scene_room(run)
-        return None
+        return export_scene_room(run)
 
     return [
         Step("cameras", "Reading the cameras", _CAMERAS_SECONDS, function=cameras, repeat=True),
@@ -238,9 +278,9 @@ def make_steps(run: RunFolder, settings: Settings, resume: bool) -> list[Step]:
 
 
 def result_files(run: RunFolder) -> list[str]:
-    """Paths of what an estimation leaves for the other sections."""
-    wanted = [run.fields_npz, run.emitters_json, run.environment_exr, run.statistics_json]
-    return [str(path) for path in wanted if path.exists()]
+    """Paths of the files that an estimation writes for the other sections."""
+    paths = [run.fields_npz, run.emitters_json, run.environment_exr, run.statistics_json]
+    return [str(path) for path in paths if path.exists()]
 
 
 CLASSES = (

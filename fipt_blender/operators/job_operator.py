@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What operators that start a job share: beside the user's work in a window, to its end for scripts."""
+"""Base of the operators that start a job: beside the user's work in a window, waiting for it in scripts."""
 
 from __future__ import annotations
 
@@ -11,45 +11,46 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from .. import preferences, running
-from ..core.job.errors import FiptError
-from ..core.job.runfolder import RunFolder, explained_write_errors
+from .. import machine
+from ..core.run.errors import FiptError
+from ..core.run.runfolder import RunFolder, explained_write_errors
+from ..jobs import running
+from ..jobs.job_scene import find_scene
+from ..jobs.window import push_undo
 
 if TYPE_CHECKING:
     from ..bridge.sequence import Job
 
-DATA_KIND = "environment"
-
 
 class _StartsJob:
-    """What both mix-ins below share: one job at a time, and how its end is told."""
+    """Base of both mix-ins below: allows one job at a time and reports its end."""
 
     title = ""
     bl_options = {"REGISTER"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        busy = running.current()
-        if busy is not None:
-            cls.poll_message_set(iface_("{} is running").format(iface_(busy.title)))  # type: ignore[attr-defined]
+        job = running.current()
+        if job is not None:
+            cls.poll_message_set(iface_("{} is running").format(iface_(job.title)))  # type: ignore[attr-defined]
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        return self._start(context, beside=False)
+        return self._start(context, wait=True)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        return self._start(context, beside=not bpy.app.background)
+        return self._start(context, wait=bpy.app.background)
 
-    def _start(self, context: bpy.types.Context, beside: bool) -> set[str]:
-        """Start the job, beside the user's work or to its end, and report."""
+    def _start(self, context: bpy.types.Context, wait: bool) -> set[str]:
+        """Start the job; where `wait` is set, run it to its end and report its messages."""
         try:
-            info = self._begin(context, beside)
+            info = self._begin(context, wait)
         except FiptError as error:
             self.report({"ERROR"}, str(error))  # type: ignore[attr-defined]
             return {"CANCELLED"}
-        if beside:
-            # Nothing is done yet that could be undone or repeated.
+        if not wait:
+            # Nothing has been done yet that could be undone or repeated.
             return {"INTERFACE"}
         for message in info.warnings:
             self.report({"WARNING"}, f"{message['text']} {message['remedy']}")  # type: ignore[attr-defined]
@@ -57,15 +58,15 @@ class _StartsJob:
             self.report({"ERROR"}, f"{info.error['text']} {info.error['remedy']}")  # type: ignore[attr-defined]
         return {"FINISHED"} if info.state == "finished" else {"CANCELLED"}
 
-    def _begin(self, context: bpy.types.Context, beside: bool) -> running.RunningJob:
+    def _begin(self, context: bpy.types.Context, wait: bool) -> running.RunningJob:
         raise NotImplementedError
 
 
 class JobOperator(_StartsJob):
     """Mix-in of an operator that starts a job on a scene; put it before `bpy.types.Operator`.
 
-    A subclass sets `title` and `kind`, implements `make_job`, and may implement `finished`. With "UNDO" in
-    its `bl_options` the job's end becomes an undo step. Extend `poll` with `super().poll(context)`.
+    A subclass sets `title` and `kind`, implements `make_job`, and may implement `finished` and `failed`. With
+    "UNDO" in `bl_options`, the job's end adds an undo step. Extend `poll` with `super().poll(context)`.
     """
 
     kind = ""
@@ -74,56 +75,55 @@ class JobOperator(_StartsJob):
         """The job, ready to run, on `context.scene`.
 
         Raises:
-            FiptError: what the user has to mend first.
+            FiptError: the job can't start.
         """
         raise NotImplementedError
 
-    # What to do with the scene, looked up afresh, when all went well; may raise FiptError.
+    # Called with the scene after a success; may raise FiptError.
     finished: Callable[[bpy.types.Scene, RunFolder], None] | None = None
-    # The same where it failed or was cancelled.
+    # Called with the scene after a failure or a cancellation.
     failed: Callable[[bpy.types.Scene, RunFolder], None] | None = None
 
-    def _begin(self, context: bpy.types.Context, beside: bool) -> running.RunningJob:
-        scene, kind = context.scene, type(self)
-        begin = running.start if beside else running.run
-        names = {"title": self.title, "kind": self.kind, "scene_name": scene.name}
+    def _begin(self, context: bpy.types.Context, wait: bool) -> running.RunningJob:
+        scene, operator = context.scene, type(self)
+        begin = running.run if wait else running.start
         try:
             job = self.make_job(context)
-            folder = Path(bpy.path.abspath(scene.fipt.run_folder))
-            return begin(job, **names, run_folder=folder, on_end=lambda info: _end(info, kind, beside))
+            return begin(job, self._info(scene), lambda info: _end(info, operator, wait))
         except FiptError as error:
-            running.refuse(error, **names, run_folder=Path(bpy.path.abspath(scene.fipt.run_folder)))
+            running.refuse(self._info(scene), error)
             raise
+
+    def _info(self, scene: bpy.types.Scene) -> running.RunningJob:
+        folder = Path(bpy.path.abspath(scene.fipt.run_folder))
+        return running.RunningJob(self.title, self.kind, scene.name, folder)
 
 
 class DataJobOperator(_StartsJob):
-    """Mix-in of an operator that starts a job without a run folder and without a scene.
+    """Mix-in of an operator that starts a job on the data folder; a subclass sets `title` and `make_job`."""
 
-    A subclass sets `title` and implements `make_job`; `ended` is called at the end, whatever it is.
-    """
-
-    def make_job(self) -> tuple[Job, Callable[[running.RunningJob], None]]:
-        """The job, ready to run, and what to call at its end."""
+    def make_job(self) -> tuple[Job, Callable[[running.RunningJob], None] | None]:
+        """The job, ready to run, and what to call at its end, however it ends."""
         raise NotImplementedError
 
-    def _begin(self, context: bpy.types.Context, beside: bool) -> running.RunningJob:
-        data = preferences.data_folder()
+    def _begin(self, context: bpy.types.Context, wait: bool) -> running.RunningJob:
+        data = machine.data_folder()
         with explained_write_errors(data):
             data.mkdir(parents=True, exist_ok=True)
-        job, ended = self.make_job()
-        begin = running.start if beside else running.run
-        return begin(job, title=self.title, kind=DATA_KIND, scene_name="", run_folder=data, on_end=ended)
+        job, on_end = self.make_job()
+        begin = running.run if wait else running.start
+        return begin(job, running.RunningJob(self.title, running.DATA_KIND, "", data), on_end)
 
 
-def _end(info: running.RunningJob, kind: type[JobOperator], beside: bool) -> None:
-    scene = running.find_scene(info.scene_name, info.run_folder)
+def _end(info: running.RunningJob, operator: type[JobOperator], waited: bool) -> None:
+    scene = find_scene(info.scene_name, info.run_folder)
     if scene is None:
         return
     if info.state != "finished":
-        if kind.failed is not None:
-            kind.failed(scene, RunFolder(info.run_folder))
+        if operator.failed is not None:
+            operator.failed(scene, RunFolder(info.run_folder))
         return
-    if kind.finished is not None:
-        kind.finished(scene, RunFolder(info.run_folder))
-    if beside and "UNDO" in kind.bl_options:
-        running.push_undo(kind.title)
+    if operator.finished is not None:
+        operator.finished(scene, RunFolder(info.run_folder))
+    if not waited and "UNDO" in operator.bl_options:
+        push_undo(operator.title)

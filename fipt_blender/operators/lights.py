@@ -7,20 +7,24 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..core.job.errors import FiptError
-from ..properties.lights import FIXTURE, FIPT_Light
+from ..blend.marks import FIXTURE, has_light_groups
+from ..core.run.errors import FiptError
+from ..properties.lights import FIPT_Light
 from .new_light import FIPT_OT_add_light
-from .polls import has_results
+from .polls import has_results, in_object_mode
+from .reporting import reports_errors
 
 
 def _name_property(what: str) -> object:
     return bpy.props.StringProperty(
-        name="Light", description=f"Name of the {what}; the list's chosen one if empty", options={"SKIP_SAVE"}
+        name="Light",
+        description=f"Name of the {what}. If empty, the active light of the list is used",
+        options={"SKIP_SAVE"},
     )
 
 
-def _chosen(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
-    """The light of that name, or the list's chosen one.
+def _find_light(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
+    """The light of that name, or the list's active one for "".
 
     Raises:
         FiptError: ``fixture-missing``.
@@ -28,11 +32,11 @@ def _chosen(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
     lights = scene.fipt.lights
     row: FIPT_Light | None = lights.active_light()
     if name:
-        rows = [each for each in lights.lights if each.is_here()]
-        row = next((each for each in rows if name in (each.object.name, each.object.get(FIXTURE))), None)
+        rows = [light for light in lights.lights if light.is_here()]
+        row = next((light for light in rows if name in (light.object.name, light.object.get(FIXTURE))), None)
     if row is None or not row.is_here():
-        text = f"There is no light '{name}' in the list." if name else "No light is chosen."
-        raise FiptError("fixture-missing", text, "Choose a light of the list.")
+        text = f"There is no light '{name}' in the list." if name else "No light is selected."
+        raise FiptError("fixture-missing", text, "Select a light in the list of the section Lights.")
     return row.object
 
 
@@ -42,47 +46,47 @@ class _NeedsLights:
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if not len(context.scene.fipt.lights.lights):
-            cls.poll_message_set("There are no lights yet: apply results, or add a light")  # type: ignore[attr-defined]
+            cls.poll_message_set("There are no lights yet. Use Apply Results, or add a light")  # type: ignore[attr-defined]
             return False
         return True
 
 
 class FIPT_OT_switch_lights(bpy.types.Operator):
-    """Switch all estimated lights, the environment too. Lights that you added stay as they are"""
+    """Switch all estimated lights and the environment on or off. Lights that you added are not changed"""
 
     bl_idname = "fipt.switch_lights"
     bl_label = "Switch Estimated Lights"
     bl_options = {"REGISTER", "UNDO"}
 
-    on: bpy.props.BoolProperty(name="On", description="Switch them on or off", default=True)
+    on: bpy.props.BoolProperty(name="On", description="Switch the lights on or off", default=True)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         return has_results(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.lights import set_estimated_lights
+        from ..blend.lights.light_state import set_estimated_lights
 
         set_estimated_lights(self.on, context.scene)
         return {"FINISHED"}
 
 
 class FIPT_OT_list_lights(bpy.types.Operator):
-    """List the scene's fixtures and added lights anew, also those that were appended or duplicated"""
+    """Update the list of fixtures and added lights, including appended and duplicated ones"""
 
     bl_idname = "fipt.list_lights"
     bl_label = "Update List"
     bl_options = {"REGISTER", "UNDO"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.light_state import list_lights
+        from ..blend.lights.light_state import list_lights
 
         list_lights(context.scene)
         return {"FINISHED"}
 
 
 class FIPT_OT_reset_light(_NeedsLights, bpy.types.Operator):
-    """Bring a light back to its estimated power and colour"""
+    """Reset the light to its estimated power and color"""
 
     bl_idname = "fipt.reset_light"
     bl_label = "Reset Light"
@@ -90,50 +94,39 @@ class FIPT_OT_reset_light(_NeedsLights, bpy.types.Operator):
 
     light: _name_property("light")
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.light_state import reset
+        from ..blend.lights.light_state import reset
 
-        try:
-            reset(context.scene, _chosen(context.scene, self.light))
-        except FiptError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        reset(context.scene, _find_light(context.scene, self.light))
         return {"FINISHED"}
 
 
 class FIPT_OT_select_light(_NeedsLights, bpy.types.Operator):
-    """Select the light, and bring it into view"""
+    """Select the object of the light and bring it into view"""
 
     bl_idname = "fipt.select_light"
     bl_label = "Select Light"
     bl_options = {"REGISTER", "UNDO"}
 
     light: _name_property("light")
-    frame: bpy.props.BoolProperty(name="Frame", description="Bring it into view", default=True)
+    frame: bpy.props.BoolProperty(name="Frame", description="Bring the light into view", default=True)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not super().poll(context):
-            return False
-        if context.mode != "OBJECT":
-            cls.poll_message_set("Switch to object mode first")
-            return False
-        return True
+        return super().poll(context) and in_object_mode(cls, context)
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.outliner import select_only
 
         layer = context.view_layer
-        try:
-            item = _chosen(context.scene, self.light)
-            if not item.visible_get(view_layer=layer):
-                raise FiptError("light-hidden", f"'{item.name}' is hidden.", "Show it in the Outliner.")
-        except FiptError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        select_only(layer, item)
+        light = _find_light(context.scene, self.light)
+        if not light.visible_get(view_layer=layer):
+            raise FiptError("light-hidden", f"'{light.name}' is hidden.", "Show it in the Outliner.")
+        select_only(layer, light)
         if self.frame and not bpy.app.background and context.area and context.area.type == "VIEW_3D":
-            region = next(each for each in context.area.regions if each.type == "WINDOW")
+            region = next(region for region in context.area.regions if region.type == "WINDOW")
             with context.temp_override(region=region):
                 bpy.ops.view3d.view_selected()
         return {"FINISHED"}
@@ -142,47 +135,53 @@ class FIPT_OT_select_light(_NeedsLights, bpy.types.Operator):
 class _OnFixture(_NeedsLights):
     """Mix-in of operators on one fixture."""
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
-        try:
-            item = _chosen(context.scene, self.fixture)  # type: ignore[attr-defined]
-            if FIXTURE not in item:
-                raise FiptError(
-                    "fixture-missing", f"'{item.name}' is no fixture.", "Choose a fixture of the list."
-                )
-            self.work(context, item)
-        except FiptError as error:
-            self.report({"ERROR"}, str(error))  # type: ignore[attr-defined]
-            return {"CANCELLED"}
+        fixture = _find_light(context.scene, self.fixture)  # type: ignore[attr-defined]
+        if FIXTURE not in fixture:
+            raise FiptError(
+                "fixture-missing",
+                f"'{fixture.name}' is not an estimated fixture.",
+                "Select a fixture in the list of the section Lights.",
+            )
+        self.convert(context, fixture)
         return {"FINISHED"}
 
-    def work(self, context: bpy.types.Context, item: bpy.types.Object) -> None:
-        """What the operator does with a fixture."""
+    def convert(self, context: bpy.types.Context, fixture: bpy.types.Object) -> None:
+        """Convert the fixture.
+
+        Raises:
+            FiptError: it can't be converted.
+        """
         raise NotImplementedError
 
 
 class FIPT_OT_fixture_to_area_light(_OnFixture, bpy.types.Operator):
-    """Let Blender lights of the same shape and radiance give the fixture's light. They can be aimed and
-    shaped, and light the room in EEVEE too; the fixture itself stays visible"""
+    """Replace the light of the fixture by Blender lights"""
 
     bl_idname = "fipt.fixture_to_area_light"
     bl_label = "Convert to Blender Light"
+    bl_description = (
+        "Replace the light of the fixture by Blender lights of the same shape and radiance, which can"
+        " be edited and also work in EEVEE. The fixture itself stays visible"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
     fixture: _name_property("fixture")
 
-    def work(self, context: bpy.types.Context, item: bpy.types.Object) -> None:
-        from ..blend.convert import fixture_to_lights
+    def convert(self, context: bpy.types.Context, fixture: bpy.types.Object) -> None:
+        from ..blend.lights.convert import fixture_to_lights
 
-        lights, exact = fixture_to_lights(context.scene, item)
-        if not exact:
-            text = iface_("'{}' is neither flat and plain nor a ball: power is the same, its shape nearly")
-            self.report({"WARNING"}, text.format(item.name))
+        lights, exact = fixture_to_lights(context.scene, fixture)
+        if exact:
+            self.report({"INFO"}, iface_("Converted to {} Blender lights").format(len(lights)))
         else:
-            self.report({"INFO"}, iface_("{} lights give the same light").format(len(lights)))
+            text = iface_("The shape of '{}' is approximated by Blender lights; its total power is the same")
+            self.report({"WARNING"}, text.format(fixture.name))
 
 
 class FIPT_OT_area_light_to_fixture(_OnFixture, bpy.types.Operator):
-    """Let the fixture's own surface give its light again, and remove the Blender lights made of it"""
+    """Let the surface of the fixture emit light again, and remove the Blender lights that replaced it"""
 
     bl_idname = "fipt.area_light_to_fixture"
     bl_label = "Convert Back"
@@ -190,35 +189,47 @@ class FIPT_OT_area_light_to_fixture(_OnFixture, bpy.types.Operator):
 
     fixture: _name_property("fixture")
 
-    def work(self, context: bpy.types.Context, item: bpy.types.Object) -> None:
-        from ..blend.convert import lights_to_fixture
+    def convert(self, context: bpy.types.Context, fixture: bpy.types.Object) -> None:
+        from ..blend.lights.convert import lights_to_fixture
 
-        lights_to_fixture(context.scene, item)
+        lights_to_fixture(context.scene, fixture)
 
 
 class FIPT_OT_make_light_groups(_NeedsLights, bpy.types.Operator):
-    """Let Cycles render each fixture, the environment and your own lights into passes of their own, so that
-    they can be mixed after rendering: Combined_Fixture_001 and so on"""
+    """Create light groups for the estimated lights, the environment and your own lights"""
 
     bl_idname = "fipt.make_light_groups"
     bl_label = "Make Light Groups"
+    bl_description = (
+        "Create light groups, so that Cycles renders each fixture, the environment and your own lights"
+        " into separate passes that you can mix after rendering: Combined_Fixture_001 and so on"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not super().poll(context):
+            return False
+        if context.scene.render.engine != "CYCLES":
+            cls.poll_message_set("Only Cycles renders light groups: press Switch to Cycles first")
+            return False
+        return True
+
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.applied import shining_outside_groups
-        from ..blend.light_groups import make_light_groups
+        from ..blend.lights.light_groups import make_light_groups
+        from ..blend.results.scene_state import lights_outside_groups
 
         names = make_light_groups(context.scene, context.view_layer)
         self.report({"INFO"}, iface_("Light groups: {}").format(", ".join(names)))
-        others = shining_outside_groups(context.scene)
-        if others:
-            text = iface_("In no group, and so missing in the sum of the passes: {}")
-            self.report({"WARNING"}, text.format(", ".join(others)))
+        ungrouped = lights_outside_groups(context.scene)
+        if ungrouped:
+            text = iface_("Not in any light group, so missing from the sum of the passes: {}")
+            self.report({"WARNING"}, text.format(", ".join(ungrouped)))
         return {"FINISHED"}
 
 
 class FIPT_OT_remove_light_groups(bpy.types.Operator):
-    """Remove the light groups that Make Light Groups has made; your own ones stay"""
+    """Remove the light groups that Make Light Groups has created. Your own light groups are kept"""
 
     bl_idname = "fipt.remove_light_groups"
     bl_label = "Remove Light Groups"
@@ -226,20 +237,20 @@ class FIPT_OT_remove_light_groups(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if "fipt_light_groups" not in context.view_layer:
-            cls.poll_message_set("There are no light groups of ours in this view layer")
+        if not has_light_groups(context.view_layer):
+            cls.poll_message_set("This view layer has no groups created by Make Light Groups")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.light_groups import remove_light_groups
+        from ..blend.lights.light_groups import remove_light_groups
 
         remove_light_groups(context.scene, context.view_layer)
         return {"FINISHED"}
 
 
 class FIPT_OT_match_exposure(bpy.types.Operator):
-    """Set the scene's exposure so that the photographs' median is middle grey"""
+    """Set the scene's exposure so that the median of the photographs is middle gray"""
 
     bl_idname = "fipt.match_exposure"
     bl_label = "Exposure from Photographs"
@@ -248,12 +259,12 @@ class FIPT_OT_match_exposure(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if context.scene.fipt.lights.median_radiance <= 0.0:
-            cls.poll_message_set("Apply results first")
+            cls.poll_message_set("Use Apply Results first")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.applied import match_exposure
+        from ..blend.results.scene_state import match_exposure
 
         stops = match_exposure(context.scene)
         self.report({"INFO"}, iface_("Exposure is {:+.2f} stops").format(stops))
@@ -261,16 +272,20 @@ class FIPT_OT_match_exposure(bpy.types.Operator):
 
 
 class FIPT_OT_hide_other_lights(bpy.types.Operator):
-    """Hide the scene's lights that are neither estimated nor added here, or show them as they were before"""
+    """Hide the scene's other lights, or show them again"""
 
     bl_idname = "fipt.hide_other_lights"
     bl_label = "Hide Other Lights"
+    bl_description = (
+        "Hide the scene's lights that were neither estimated nor added in the section Lights, or show"
+        " them again"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
-    hide: bpy.props.BoolProperty(name="Hide", description="Hide them, or show them again", default=True)
+    hide: bpy.props.BoolProperty(name="Hide", description="Hide the lights or show them again", default=True)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.applied import mute_other_lights
+        from ..blend.results.scene_state import mute_other_lights
 
         count = mute_other_lights(context.scene, self.hide)
         self.report({"INFO"}, iface_("{} lights changed").format(count))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operator of the section Lights that adds a light: at the 3D cursor, or pointing at a click."""
+"""Operator of the section Lights that adds an area light: at the 3D cursor, or aimed with the mouse."""
 
 from __future__ import annotations
 
@@ -8,19 +8,23 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from mathutils import Vector
 
-from ..core.job.errors import FiptError
+from .pointer import NAVIGATION, surface_under_pointer, view_under_pointer
+from .polls import in_object_mode
+from .reporting import reports_errors
 
-_PICK_TEXT = "Click what the new light shall point at; Escape gives up"
-_NAVIGATION = ("MIDDLEMOUSE", "TRACKPADPAN", "TRACKPADZOOM", "MOUSEROTATE", "MOUSESMARTZOOM", "NDOF_MOTION",
-               "WHEELUPMOUSE", "WHEELDOWNMOUSE", "WHEELINMOUSE", "WHEELOUTMOUSE")  # fmt: skip
+_PICK_TEXT = "Click: Point the new light at this surface   Esc, Right Click: Cancel"
+_PASSED_ON = (*NAVIGATION, "WHEELUPMOUSE", "WHEELDOWNMOUSE", "WHEELINMOUSE", "WHEELOUTMOUSE")
 
 
 class FIPT_OT_add_light(bpy.types.Operator):
-    """Add an area light whose size and power suit the room: at the 3D cursor shining down, or so that it
-    points at what you click"""
+    """Add an area light with a size and power that suit the room"""
 
     bl_idname = "fipt.add_light"
     bl_label = "Add Light"
+    bl_description = (
+        "Add an area light with a size and power that suit the room: at the 3D cursor shining down, or"
+        " pointing at the surface that you click"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
     place: bpy.props.EnumProperty(
@@ -34,27 +38,27 @@ class FIPT_OT_add_light(bpy.types.Operator):
     )
     location: bpy.props.FloatVectorProperty(
         name="Location",
-        description="Centre of the light, in the world; the 3D cursor's if not given",
+        description="Center of the light, in world space. If not set, the 3D cursor is used",
         subtype="TRANSLATION",
         options={"SKIP_SAVE"},
     )
     direction: bpy.props.FloatVectorProperty(
         name="Direction",
-        description="Where the light shines, in the world",
+        description="Direction in which the light shines, in world space",
         subtype="XYZ",
         default=(0.0, 0.0, -1.0),
         options={"SKIP_SAVE"},
     )
     size: bpy.props.FloatProperty(
         name="Size",
-        description="Side of the square light; 0 for what suits the room",
+        description="Side of the square light. If 0, it is chosen to suit the room",
         subtype="DISTANCE",
         min=0.0,
         options={"SKIP_SAVE"},
     )
     power: bpy.props.FloatProperty(
         name="Power",
-        description="Power in watts; 0 for what makes the room as bright as its photographs",
+        description="Power in watts. If 0, the room becomes about as bright as in its photographs",
         subtype="POWER",
         min=0.0,
         options={"SKIP_SAVE"},
@@ -62,33 +66,27 @@ class FIPT_OT_add_light(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if context.mode != "OBJECT":
-            cls.poll_message_set("Switch to object mode first")
-            return False
-        return True
+        return in_object_mode(cls, context)
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.new_lights import add_light, suggest
+        from ..blend.lights.new_lights import add_light, suggest
         from ..blend.outliner import select_only
 
         scene = context.scene
-        hint = suggest(scene)
+        suggestion = suggest(scene)
         if not self.properties.is_property_set("location"):
             self.location = scene.cursor.location
-        self.size, self.power = self.size or hint.size, self.power or hint.watts
-        try:
-            item = add_light(scene, Vector(self.location), Vector(self.direction), self.size, self.power)
-        except FiptError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        select_only(context.view_layer, item)
+        self.size, self.power = self.size or suggestion.size, self.power or suggestion.watts
+        light = add_light(scene, Vector(self.location), Vector(self.direction), self.size, self.power)
+        select_only(context.view_layer, light)
         return {"FINISHED"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self.place == "CURSOR" or self.properties.is_property_set("location"):
             return self.execute(context)
         if context.area is None or context.area.type != "VIEW_3D":
-            self.report({"ERROR"}, "Start this in a 3D view.")
+            self.report({"ERROR"}, "Run this operator in a 3D Viewport.")
             return {"CANCELLED"}
         context.window.cursor_modal_set("EYEDROPPER")
         context.workspace.status_text_set(iface_(_PICK_TEXT))
@@ -100,59 +98,31 @@ class FIPT_OT_add_light(bpy.types.Operator):
         if event.type in {"ESC", "RIGHTMOUSE"}:
             self.cancel(context)
             return {"CANCELLED"}
-        if event.type in _NAVIGATION:
+        if event.type in _PASSED_ON:
             return {"PASS_THROUGH"}
         if event.type != "LEFTMOUSE" or event.value != "PRESS":
             return {"RUNNING_MODAL"}
-        found = _view_under_mouse(context, event)
-        if found is None:  # over the sidebar, or outside
+        if view_under_pointer(context, event) is None:  # over the sidebar, or outside
             return {"RUNNING_MODAL"}
-        from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_3d
+        from ..blend.lights.new_lights import aim, suggest
 
-        from ..blend.new_lights import aim, suggest
-        from ..blend.standing import find_surface
-
-        region, space = found
-        # Each quarter of a view split into four has a matrix of its own; the space's is the last one's.
-        data = getattr(region, "data", None) or space.region_3d
-        place = (event.mouse_x - region.x, event.mouse_y - region.y)
-        depsgraph = context.evaluated_depsgraph_get()
-        surface = find_surface(
-            context.scene,
-            depsgraph,
-            region_2d_to_origin_3d(region, data, place),
-            region_2d_to_vector_3d(region, data, place),
-            skip_backs=space.shading.type == "SOLID" and space.shading.show_backface_culling,
-        )
+        surface = surface_under_pointer(context, event)
         if surface is None:
-            self.report({"WARNING"}, "There is no surface under the mouse.")
+            self.report({"WARNING"}, "There is no surface under the mouse pointer")
             return {"RUNNING_MODAL"}
-        distance = suggest(context.scene).distance
-        self.location, self.direction = aim(context.scene, depsgraph, *surface, distance)
+        self.location, self.direction = aim(
+            context.scene,
+            context.evaluated_depsgraph_get(),
+            surface.position,
+            surface.normal,
+            suggest(context.scene).distance,
+        )
         self.cancel(context)
         return self.execute(context)
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """Called by Blender too, when the window closes."""
+        """Blender calls this too, when the window closes."""
         context.window.cursor_modal_restore()
         context.workspace.status_text_set(None)
         if context.area is not None:
             context.area.header_text_set(None)
-
-
-def _view_under_mouse(
-    context: bpy.types.Context, event: bpy.types.Event
-) -> tuple[bpy.types.Region, bpy.types.SpaceView3D] | None:
-    """The 3D view under the mouse, if neither its sidebar nor its tools lie above it there."""
-    for area in context.window.screen.areas:
-        if area.type != "VIEW_3D":
-            continue
-        inside = [
-            region
-            for region in area.regions
-            if region.x <= event.mouse_x < region.x + region.width
-            and region.y <= event.mouse_y < region.y + region.height
-        ]
-        if inside and all(region.type == "WINDOW" for region in inside):
-            return inside[0], area.spaces.active
-    return None

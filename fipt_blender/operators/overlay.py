@@ -1,39 +1,38 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the operators share that draw colours over the room."""
+"""Base of the operators that draw colours over the room."""
 
 from __future__ import annotations
 
 import bpy
 
-from ..core.job.errors import FiptError
+from .reporting import reports_errors
 
 
 class ShowsColors:
-    """Mix-in of an operator that colours the room, or takes the colours away; implement `color`."""
+    """Mix-in of an operator that draws colours over the room or hides them; implement `color`."""
 
     bl_options = {"REGISTER"}
 
-    show: bpy.props.BoolProperty(name="Show", default=True, options={"SKIP_SAVE"})
+    show: bpy.props.BoolProperty(
+        name="Show", description="Show or hide the colors", default=True, options={"SKIP_SAVE"}
+    )
 
     @staticmethod
     def color(scene: bpy.types.Scene) -> None:
         """Draw the colours over the scene's room.
 
         Raises:
-            FiptError: what the colours need is not there.
+            FiptError: the data for the colours is missing.
         """
         raise NotImplementedError
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend import overlay
+        from ..blend.capture import overlay
 
-        if not self.show:
-            overlay.hide()
-            return {"FINISHED"}
-        try:
+        if self.show:
             self.color(context.scene)
-        except FiptError as error:
-            self.report({"ERROR"}, str(error))  # type: ignore[attr-defined]
-            return {"CANCELLED"}
+        else:
+            overlay.hide()
         return {"FINISHED"}

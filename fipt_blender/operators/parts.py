@@ -10,7 +10,7 @@ from .overlay import ShowsColors
 
 
 class FIPT_OT_show_parts(ShowsColors, bpy.types.Operator):
-    """Colour the room by its parts, one colour a part"""
+    """Display the parts of the room, each in its own color"""
 
     bl_idname = "fipt.show_parts"
     bl_label = "Show Parts"
@@ -18,13 +18,13 @@ class FIPT_OT_show_parts(ShowsColors, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if not context.scene.fipt.parts.counts:
-            cls.poll_message_set("Check the views first: that finds the parts too")
+            cls.poll_message_set("Use Check Views first, in the section Capture; it finds the parts as well")
             return False
         return True
 
     @staticmethod
     def color(scene: bpy.types.Scene) -> None:
-        from ..blend.survey import show_parts
+        from ..blend.capture.survey import show_parts
 
         show_parts(scene)
 

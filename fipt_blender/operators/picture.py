@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the section Insert that make pictures: what is behind what was inserted, and the render."""
+"""Operators of the section Insert that make pictures: the backdrop of inserted objects, and the render."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import bpy
 
-from ..core.job.runfolder import RunFolder
+from ..core.run.runfolder import RunFolder
 from ..properties.insert import BACKDROPS
 from .check import RenderJob, current_view
 
@@ -18,13 +18,15 @@ if TYPE_CHECKING:
 
 
 class FIPT_OT_set_backdrop(bpy.types.Operator):
-    """Choose what is seen behind inserted objects: the room rendered anew, or the original photograph"""
+    """Select the backdrop of inserted objects: the rendered room, or the original photograph"""
 
     bl_idname = "fipt.set_backdrop"
     bl_label = "Set Backdrop"
     bl_options = {"REGISTER", "UNDO"}
 
-    mode: bpy.props.EnumProperty(name="Backdrop", description="What is seen behind", items=BACKDROPS)
+    mode: bpy.props.EnumProperty(
+        name="Backdrop", description="What is behind the inserted objects", items=BACKDROPS
+    )
 
     @classmethod
     def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
@@ -36,12 +38,12 @@ class FIPT_OT_set_backdrop(bpy.types.Operator):
 
         scene = context.scene
         if scene.fipt.capture.room is None and find_collection(scene, ROOM) is None:
-            cls.poll_message_set("Import the room first")
+            cls.poll_message_set("Import a capture or set the room first, in the section Capture")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.backdrop import set_backdrop
+        from ..blend.capture.backdrop import set_backdrop
 
         scene = context.scene
         set_backdrop(scene, self.mode, scene.fipt.capture.room_objects(scene))
@@ -49,39 +51,45 @@ class FIPT_OT_set_backdrop(bpy.types.Operator):
 
 
 class FIPT_OT_render_composite(RenderJob, bpy.types.Operator):
-    """Render the current view with what was inserted in Cycles: in the room, or put into the original
-    photograph with its shadows and reflections"""
+    """Render the current view with the inserted objects in Cycles"""
 
     bl_idname = "fipt.render_composite"
     bl_label = "Render View"
-    title = "Insert"
+    bl_description = (
+        "Render the current view with the inserted objects in Cycles: with the rendered room, or over"
+        " the original photograph with their shadows and reflections"
+    )
+    title = "Render View"
     kind = "insert"
 
     backdrop: bpy.props.EnumProperty(
         name="Backdrop",
-        description="What is behind what was inserted; the panel's choice if not given",
+        description="What is behind the inserted objects. If not set, the choice in the panel is used",
         items=BACKDROPS,
         options={"SKIP_SAVE"},
     )
     view: bpy.props.StringProperty(
-        name="View", description="Name of the view; empty for the scene's camera", options={"SKIP_SAVE"}
+        name="View",
+        description="Name of the view. If empty, the scene's active camera is used",
+        options={"SKIP_SAVE"},
     )
 
     def make_job(self, context: bpy.types.Context) -> Job:
-        from ..blend import render_job
+        from ..blend.pictures.orders import COMPOSITE, INSERT, make_order
+        from ..blend.pictures.render_job import make_job
 
         scene, settings = context.scene, context.scene.fipt.insert
         backdrop = self.backdrop if self.properties.is_property_set("backdrop") else settings.backdrop
-        kind = render_job.COMPOSITE if backdrop == "PHOTOGRAPH" else render_job.INSERT
+        kind = COMPOSITE if backdrop == "PHOTOGRAPH" else INSERT
         run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
         views = [self.view or current_view(scene)]
         samples = self.samples or settings.samples
-        return render_job.make_job(render_job.make_order(scene, run, kind, views, samples))
+        return make_job(make_order(scene, run, kind, views, samples))
 
     @staticmethod
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
-        from ..blend.check_pictures import load_picture, show_in_editors
-        from ..blend.render_job import last_picture
+        from ..blend.pictures.check_pictures import load_picture, show_in_editors
+        from ..blend.pictures.orders import last_picture
 
         picture = last_picture(run)
         scene.fipt.insert.picture = str(picture)
@@ -91,7 +99,7 @@ class FIPT_OT_render_composite(RenderJob, bpy.types.Operator):
 
 
 class FIPT_OT_open_picture(bpy.types.Operator):
-    """Show the picture that was rendered last in an Image Editor"""
+    """Show the last rendered picture in an Image Editor"""
 
     bl_idname = "fipt.open_picture"
     bl_label = "Show Picture"
@@ -100,17 +108,17 @@ class FIPT_OT_open_picture(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if not context.scene.fipt.insert.picture:
-            cls.poll_message_set("Render the view first")
+            cls.poll_message_set("Use Render View first")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.check_pictures import load_picture, open_editor
+        from ..blend.pictures.check_pictures import load_picture, open_editor
 
         path = Path(context.scene.fipt.insert.picture)
         image = load_picture(path)
         if image is None:
-            self.report({"ERROR"}, f"{path} does not exist any more. Render the view again.")
+            self.report({"ERROR"}, f"{path} no longer exists. Render the view again.")
             return {"CANCELLED"}
         open_editor(context, image)
         return {"FINISHED"}

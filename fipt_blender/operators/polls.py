@@ -1,39 +1,39 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Conditions of several operators; each says why not."""
+"""Conditions that several operators poll; each sets the message that explains a disabled button."""
 
 from __future__ import annotations
 
 import bpy
 
 
-def in_object_mode(cls: type, context: bpy.types.Context) -> bool:
-    """Nothing is in edit mode, or in any other that Blender's operators on objects refuse."""
+def in_object_mode(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Blender is in Object Mode."""
     if context.mode != "OBJECT":
-        cls.poll_message_set("Leave edit mode first")  # type: ignore[attr-defined]
+        cls.poll_message_set("Switch to Object Mode first")
         return False
     return True
 
 
-def has_run(cls: type, context: bpy.types.Context) -> bool:
-    """The scene has a run folder; what is there is looked at when the operator runs."""
+def has_run(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """The scene has a run folder; its contents are checked when the operator runs."""
     if not context.scene.fipt.run_folder:
-        cls.poll_message_set("Import a capture and estimate first")  # type: ignore[attr-defined]
+        cls.poll_message_set("Import a capture and run Estimate first")
         return False
     return True
 
 
-def has_views(cls: type, context: bpy.types.Context) -> bool:
+def has_views(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
     """The scene has a capture."""
     if not context.scene.fipt.capture.views:
-        cls.poll_message_set("Import a capture first")  # type: ignore[attr-defined]
+        cls.poll_message_set("Import a capture first")
         return False
     return True
 
 
-def has_results(cls: type, context: bpy.types.Context) -> bool:
+def has_results(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
     """Results are applied to the scene."""
     if not context.scene.fipt.materials.object_count:
-        cls.poll_message_set("Apply results first")  # type: ignore[attr-defined]
+        cls.poll_message_set("Use Apply Results first")
         return False
     return True

@@ -1,80 +1,78 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the preferences: how large runs and environments are, and clearing them."""
+"""Operators of the preferences that measure and delete runs and environments in the data folder."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from .. import preferences, running
-from ..core.job.errors import FiptError
+from .. import machine
+from ..core.run.errors import FiptError
+from ..jobs import running
 from .job_operator import DataJobOperator
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
     from ..bridge.sequence import Job
-    from ..bridge.step import Slices
+    from ..bridge.step import Slices, Step
     from ..bridge.storage import Item
 
 
 def used_paths() -> list[Path]:
-    """What the open .blend and the running job need: run folders, and files that are not packed."""
+    """Paths that the open .blend file and the running job use: run folders and unpacked external files."""
     paths = [scene.fipt.run_folder for scene in bpy.data.scenes]
     blocks = [*bpy.data.images, *bpy.data.movieclips, *bpy.data.cache_files, *bpy.data.libraries]
     paths += [block.filepath for block in blocks if not getattr(block, "packed_file", None)]
-    found = [Path(bpy.path.abspath(path)).absolute() for path in paths if path]
-    busy = running.current()
-    if busy is not None and busy.run_folder != preferences.data_folder():
-        found.append(Path(busy.run_folder).absolute())
-    return found
+    used = [Path(bpy.path.abspath(path)).absolute() for path in paths if path]
+    job = running.current()
+    if job is not None and job.run_folder != machine.data_folder():
+        used.append(job.run_folder.absolute())
+    return used
 
 
-def measure() -> Slices:
-    """Measure every run and environment and keep the sizes with the preferences."""
+def measure() -> Slices[None]:
+    """Measure every run and environment and store the sizes in the preferences."""
     from ..bridge import storage
 
-    items = storage.list_items(preferences.data_folder())
+    items = storage.list_items(machine.data_folder())
     sizes = {}
     for index, item in enumerate(items):
         for size in storage.measure(item.folder):
             sizes[item.folder.name] = size
             yield index / len(items)
     runs = [item.folder.name for item in items if item.kind == storage.RUN]
-    preferences.store_usage({"time": time.time(), "sizes": sizes, "runs": runs})
+    machine.store_usage({"time": time.time(), "sizes": sizes, "runs": runs})
     return None
 
 
 class FIPT_OT_measure_data(DataJobOperator, bpy.types.Operator):
-    """Measure how much the cached runs and the engine's environments take on the disk"""
+    """Measure the disk space that cached runs and the engine's environments use"""
 
     bl_idname = "fipt.measure_data"
     bl_label = "Measure"
-    title = "Measure"
+    title = "Measure Data Folder"
 
-    def make_job(self) -> tuple[Job, Callable[[running.RunningJob], None]]:
-        from ..bridge.step import Step
-        from ..datajob import data_job
+    def make_job(self) -> tuple[Job, None]:
+        from ..jobs.data_job import data_job
 
-        step = Step("measure", "Measuring the data folder", 3.0, function=measure)
-        return data_job([step]), lambda info: None
+        return data_job([_measure_step()]), None
 
 
 class FIPT_PG_data_item(bpy.types.PropertyGroup):
-    """One folder in the data folder, to be cleared or kept; `name` is the folder's."""
+    """A folder in the data folder, to delete or keep; `name` is the folder's."""
 
     ticked: bpy.props.BoolProperty(name="Clear", description="Delete this folder", default=True)
     note: bpy.props.StringProperty()
-    kept: bpy.props.StringProperty(description="Why it has to stay")
+    kept: bpy.props.StringProperty(description="Why the folder can't be deleted; empty if it can")
 
 
 class FIPT_OT_clear_data(DataJobOperator, bpy.types.Operator):
-    """Choose cached runs and engine environments to delete. Runs that the open file uses stay"""
+    """Select cached runs and engine environments to delete. Runs that the open file uses are kept"""
 
     bl_idname = "fipt.clear_data"
     bl_label = "Clear Cached Data"
@@ -82,8 +80,8 @@ class FIPT_OT_clear_data(DataJobOperator, bpy.types.Operator):
 
     names: bpy.props.StringProperty(
         name="Names",
-        description="For scripts: names of the folders to delete, separated by semicolons; empty takes every"
-        " run that is not in use",
+        description="Names of the folders to delete, separated by semicolons, for scripts. If empty, all runs"
+        " that are not in use are deleted",
         options={"SKIP_SAVE"},
     )
     items: bpy.props.CollectionProperty(type=FIPT_PG_data_item, options={"SKIP_SAVE", "HIDDEN"})
@@ -94,21 +92,21 @@ class FIPT_OT_clear_data(DataJobOperator, bpy.types.Operator):
         if bpy.app.background:
             return self.execute(context)
         self.items.clear()
-        used, sizes = used_paths(), preferences.usage().get("sizes", {})
-        for found in storage.list_items(preferences.data_folder()):
+        used, sizes = used_paths(), machine.usage().get("sizes", {})
+        for stored in storage.list_items(machine.data_folder()):
             item = self.items.add()
-            item.name = found.folder.name
-            item.kept = storage.why_in_use(found, used)
-            item.ticked = not item.kept and not found.current
-            item.note = _describe(found, sizes.get(item.name))
+            item.name = stored.folder.name
+            item.kept = storage.why_in_use(stored, used)
+            item.ticked = not item.kept and not stored.current
+            item.note = _describe(stored, sizes.get(item.name))
         return context.window_manager.invoke_props_dialog(self, width=640, confirm_text=iface_("Delete"))
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
         if not self.items:
-            layout.label(text="There is nothing to clear", icon="INFO")
+            layout.label(text="There is nothing to delete", icon="INFO")
             return
-        layout.label(text="Delete the ticked folders for good?", icon="TRASH")
+        layout.label(text="Delete the ticked folders permanently?", icon="TRASH")
         column = layout.box().column(align=True)
         for item in self.items:
             row = column.split(factor=0.45)
@@ -118,21 +116,22 @@ class FIPT_OT_clear_data(DataJobOperator, bpy.types.Operator):
         if any("engine-" not in item.name for item in self.items):
             column = layout.column(align=True)
             column.scale_y = 0.8
-            column.label(text="Other .blend files that use textures from a run lose them,", icon="ERROR")
-            column.label(text="unless the textures are packed into the file", icon="BLANK1")
+            column.label(
+                text="Other .blend files lose the textures that they use from these runs,", icon="ERROR"
+            )
+            column.label(text="unless the textures are packed into the files", icon="BLANK1")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        # From a dialog it runs beside the user's work, as any job does.
-        in_window = bool(self.items) and not bpy.app.background and context.window is not None
-        return self._start(context, beside=in_window)
+        from_dialog = bool(self.items) and not bpy.app.background and context.window is not None
+        return self._start(context, wait=not from_dialog)
 
-    def make_job(self) -> tuple[Job, Callable[[running.RunningJob], None]]:
+    def make_job(self) -> tuple[Job, None]:
         from ..bridge import storage
         from ..bridge.step import Step
-        from ..datajob import data_job
+        from ..jobs.data_job import data_job
 
-        data, used = preferences.data_folder(), used_paths()
-        known = {item.folder.name: item for item in storage.list_items(data)}
+        data, used = machine.data_folder(), used_paths()
+        stored = {item.folder.name: item for item in storage.list_items(data)}
         if self.names:
             names = [name.strip() for name in self.names.split(";") if name.strip()]
         elif self.items:
@@ -140,51 +139,55 @@ class FIPT_OT_clear_data(DataJobOperator, bpy.types.Operator):
         else:
             names = [
                 name
-                for name, item in known.items()
+                for name, item in stored.items()
                 if item.kind == storage.RUN and not storage.why_in_use(item, used)
             ]
-        foreign = [name for name in names if name not in known]
-        if foreign:
+        unknown = [name for name in names if name not in stored]
+        if unknown:
             raise FiptError(
                 "run-foreign",
-                f"There is no run and no environment named {', '.join(foreign)} in {data}.",
-                "Choose among those that the dialog lists.",
+                f"There is no run and no environment named {', '.join(unknown)} in {data}.",
+                "Use names that the dialog Clear Cached Data lists.",
             )
-        chosen = [known[name] for name in names]
+        chosen = [stored[name] for name in names]
         if any(item.current for item in chosen):
-            preferences.store_status({})
+            machine.store_status({})
 
-        def clear() -> Slices:
+        def clear() -> Slices[list[Message]]:
             warnings: list[Message] = []
             for index, item in enumerate(chosen):
                 try:
                     for _ in storage.delete(item, data, used):
                         yield index / len(chosen)
                 except FiptError as error:
-                    about = {"code": error.code, "text": error.text, "remedy": error.remedy}
-                    warnings.append({"type": "warning", **about})
+                    message = {"code": error.code, "text": error.text, "remedy": error.remedy}
+                    warnings.append({"type": "warning", **message})
             return warnings
 
-        steps = [Step("clear", "Deleting cached data", 5.0, function=clear)]
-        steps.append(Step("measure", "Measuring the data folder", 3.0, function=measure))
-        return data_job(steps), lambda info: None
+        return data_job([Step("clear", "Deleting cached data", 5.0, function=clear), _measure_step()]), None
+
+
+def _measure_step() -> Step:
+    from ..bridge.step import Step
+
+    return Step("measure", "Measuring the data folder", 3.0, function=measure)
 
 
 def _describe(item: Item, size: int | None) -> str:
-    """A line on a folder, e.g. "3.2 GB, 2026-11-20 10:15, the engine's environment"."""
+    """Size, date and use of a folder, e.g. "3.2 GB, 2026-11-20 10:15, the engine's environment"."""
     from ..bridge.storage import ENVIRONMENT
 
-    words = [] if size is None else [format_size(size)]
-    words.append(time.strftime("%Y-%m-%d %H:%M", time.localtime(item.modified)))
+    facts = [] if size is None else [format_size(size)]
+    facts.append(time.strftime("%Y-%m-%d %H:%M", time.localtime(item.modified)))
     if item.current:
-        words.append(iface_("the engine's environment"))
+        facts.append(iface_("the engine's environment"))
     elif item.kind == ENVIRONMENT:
-        words.append(iface_("an environment not in use"))
-    return ", ".join(words)
+        facts.append(iface_("an unused environment"))
+    return ", ".join(facts)
 
 
 def format_size(size: float) -> str:
-    """A size for people, in powers of 1000."""
+    """A size in MB or GB (powers of 1000)."""
     return f"{size / 1e9:.1f} GB" if size >= 1e8 else f"{size / 1e6:.1f} MB"
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the section Capture: its list of views, what they see, and colours over the room."""
+"""Operators of the section Capture for its list of views: look through, tick, check, show coverage."""
 
 from __future__ import annotations
 
@@ -8,19 +8,21 @@ from typing import TYPE_CHECKING
 
 import bpy
 
-from .. import preferences
-from ..core.job.runfolder import RunFolder
+from .. import machine
+from ..core.run.runfolder import RunFolder
 from .job_operator import JobOperator
 from .overlay import ShowsColors
 from .polls import has_views
+from .reporting import reports_errors
 
 if TYPE_CHECKING:
+    from ..bridge.process import Message
     from ..bridge.sequence import Job
     from ..bridge.step import Slices
 
 
 class FIPT_OT_look_through(bpy.types.Operator):
-    """Look through a view's camera with its photograph over the room"""
+    """Look through the camera of a view, with its photograph over the room"""
 
     bl_idname = "fipt.look_through"
     bl_label = "Look Through View"
@@ -28,12 +30,12 @@ class FIPT_OT_look_through(bpy.types.Operator):
 
     view: bpy.props.StringProperty(
         name="View",
-        description="Name of the view; empty takes the active one of the list",
+        description="Name of the view. If empty, the active view of the list is used",
         options={"SKIP_SAVE"},
     )
     step: bpy.props.IntProperty(
         name="Step",
-        description="1 for the next view of the list, -1 for the one before",
+        description="1 for the next view in the list, -1 for the previous one",
         options={"SKIP_SAVE"},
     )
 
@@ -41,27 +43,26 @@ class FIPT_OT_look_through(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         return has_views(cls, context)
 
+    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.look import camera_missing, look_through
+        from ..blend.capture.look import camera_missing, look_through
 
         settings = context.scene.fipt.capture
         index = settings.active_view
         if self.view:
             index = settings.views.find(self.view)
             if index < 0:
-                self.report({"ERROR"}, f"There is no view '{self.view}'. Name one of the list.")
+                self.report({"ERROR"}, f"There is no view '{self.view}'. Use the name of a view in the list.")
                 return {"CANCELLED"}
         index = (index + self.step) % len(settings.views)
         if look_through(context.scene, settings.views[index], context) is None:
-            error = camera_missing(settings.views[index])
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+            raise camera_missing(settings.views[index])
         settings.active_view = index
         return {"FINISHED"}
 
 
 class FIPT_OT_tick_views(bpy.types.Operator):
-    """Tick all views of the list, none of them, the others, or those without a warning"""
+    """Tick all views in the list, none, the other ones, or those without warnings"""
 
     bl_idname = "fipt.tick_views"
     bl_label = "Tick Views"
@@ -69,11 +70,12 @@ class FIPT_OT_tick_views(bpy.types.Operator):
 
     action: bpy.props.EnumProperty(
         name="Action",
+        description="Views to tick",
         items=[
             ("ALL", "All", "Use every view"),
             ("NONE", "None", "Use no view"),
-            ("INVERT", "Invert", "Use the views that are not used now"),
-            ("GOOD", "Without Warnings", "Use the views for which the check has no warning"),
+            ("INVERT", "Invert", "Use the views that are not used now, and only these"),
+            ("GOOD", "Without Warnings", "Use the views for which Check Views gave no warning"),
         ],
     )
 
@@ -96,12 +98,12 @@ class FIPT_OT_tick_views(bpy.types.Operator):
 
 
 class FIPT_OT_check_views(JobOperator, bpy.types.Operator):
-    """Find out what each view sees of the room, if its photograph is usable, and which parts there are"""
+    """Check what each view sees of the room and whether its photograph is usable, and find the parts"""
 
     bl_idname = "fipt.check_views"
     bl_label = "Check Views"
     bl_options = {"REGISTER"}
-    title = "Checking the views"
+    title = "Check Views"
     kind = "survey"
 
     @classmethod
@@ -109,17 +111,17 @@ class FIPT_OT_check_views(JobOperator, bpy.types.Operator):
         return has_views(cls, context) and super().poll(context)
 
     def make_job(self, context: bpy.types.Context) -> Job:
-        from ..blend.capture_import import room_missing
+        from ..blend.capture.importing import room_missing
         from ..bridge.step import Step
-        from ..runjob import open_job
+        from ..jobs.run_job import open_job
 
         scene = context.scene
         if not scene.fipt.capture.room_objects(scene):
             raise room_missing()
         run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
 
-        def write_input() -> Slices:
-            from ..blend.survey import write_survey_input
+        def write_input() -> Slices[list[Message]]:
+            from ..blend.capture.survey import write_survey_input
 
             return write_survey_input(run)
 
@@ -127,9 +129,9 @@ class FIPT_OT_check_views(JobOperator, bpy.types.Operator):
             Step("survey-input", "Preparing the room", 3.0, function=write_input, repeat=True),
             Step(
                 "survey",
-                "Looking through every camera",
+                "Finding what each camera sees",
                 10.0,
-                command=["survey", str(run.survey), f"--device={preferences.device_setting()}"],
+                command=["survey", str(run.survey), f"--device={machine.device_setting()}"],
                 outputs=[run.survey_json, run.survey_npz],
             ),
         ]
@@ -137,13 +139,13 @@ class FIPT_OT_check_views(JobOperator, bpy.types.Operator):
 
     @staticmethod
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
-        from ..blend.survey import take_survey
+        from ..blend.capture.survey import take_survey
 
         take_survey(scene, run)
 
 
 class FIPT_OT_show_coverage(ShowsColors, bpy.types.Operator):
-    """Colour the room by how many ticked views see it: red none, orange one, yellow two, green many"""
+    """Color the room by the number of ticked views that see each surface"""
 
     bl_idname = "fipt.show_coverage"
     bl_label = "Show Coverage"
@@ -151,13 +153,13 @@ class FIPT_OT_show_coverage(ShowsColors, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if context.scene.fipt.capture.unseen_share < 0.0:
-            cls.poll_message_set("Check the views first")
+            cls.poll_message_set("Use Check Views first")
             return False
         return True
 
     @staticmethod
     def color(scene: bpy.types.Scene) -> None:
-        from ..blend.survey import show_coverage
+        from ..blend.capture.survey import show_coverage
 
         show_coverage(scene)
 

@@ -1,15 +1,21 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The side panel: draws state, holds no logic. One file a section, each with its CLASSES."""
+"""The side panel: draws the state, holds no logic. One file per section, with its CLASSES."""
 
 from __future__ import annotations
 
 import bpy
 
-from . import capture, check, estimate, insert, lights, materials, parts
+from . import capture, check, estimate, insert, lights, materials, parts, swatches
 
 _MODULES = (capture, parts, estimate, materials, lights, insert, check)
 
-register, unregister = bpy.utils.register_classes_factory(
-    [each for module in _MODULES for each in module.CLASSES]
+register, _unregister = bpy.utils.register_classes_factory(
+    [panel for module in _MODULES for panel in module.CLASSES]
 )
+
+
+def unregister() -> None:
+    """Unregister the panels and free their icons."""
+    _unregister()
+    swatches.clear()

@@ -9,13 +9,15 @@ import sys
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from .. import running
+from ..jobs import running
+from ..jobs.job_scene import uses_run_folder
+from . import swatches
 from .job import draw_job
 from .sidebar import Section, SubSection, draw_text
 
 
 class FIPT_UL_views(bpy.types.UIList):
-    """The views: a tick, what they are for, and whether something is wrong"""
+    """The views: whether and for what they are used, and the outcome of their check"""
 
     def draw_item(
         self,
@@ -44,7 +46,7 @@ class FIPT_UL_views(bpy.types.UIList):
 
 
 class FIPT_MT_tick_views(bpy.types.Menu):
-    """Tick many views at once"""
+    """Tick several views at once"""
 
     bl_label = "Tick Views"
 
@@ -73,13 +75,13 @@ class FIPT_PT_capture(Section, bpy.types.Panel):
         if not settings.views:
             layout.operator("fipt.use_scene_cameras", icon="CAMERA_DATA")
             if not settings.path:
-                text = "Choose the folder with your HDR photographs and the cameras solved from them."
+                text = "Select the folder that contains your HDR photographs and their solved cameras."
                 draw_text(layout, context, text, icon="INFO")
         _draw_import(layout, context)
 
 
 class FIPT_PT_capture_import(SubSection, bpy.types.Panel):
-    """How the capture is read"""
+    """Options for reading the capture"""
 
     bl_label = "Import Settings"
     bl_parent_id = "FIPT_PT_capture"
@@ -106,7 +108,7 @@ class FIPT_PT_capture_import(SubSection, bpy.types.Panel):
 
 
 class FIPT_PT_capture_room(SubSection, bpy.types.Panel):
-    """The meshes that form the room, and where they lie"""
+    """The meshes that form the room"""
 
     bl_label = "Room"
     bl_parent_id = "FIPT_PT_capture"
@@ -123,7 +125,7 @@ class FIPT_PT_capture_room(SubSection, bpy.types.Panel):
 
 
 class FIPT_PT_capture_alignment(SubSection, bpy.types.Panel):
-    """Cameras and imported mesh together: move, turn and scale them to fit the scene"""
+    """Move, rotate and scale the cameras and the imported mesh together, to match the scene"""
 
     bl_label = "Alignment"
     bl_parent_id = "FIPT_PT_capture"
@@ -137,14 +139,14 @@ class FIPT_PT_capture_alignment(SubSection, bpy.types.Panel):
         layout = self.fields()
         settings = context.scene.fipt.capture
         column = layout.column(align=True)
-        column.prop(settings.alignment, "location", text="Move")
+        column.prop(settings.alignment, "location", text="Location")
         column = layout.column(align=True)
-        column.prop(settings.alignment, "rotation_euler", text="Turn")
+        column.prop(settings.alignment, "rotation_euler", text="Rotation")
         layout.prop(settings, "alignment_scale")
 
 
 class FIPT_PT_capture_views(SubSection, bpy.types.Panel):
-    """The photographs that the estimate uses"""
+    """The photographs with their cameras, and how each is used"""
 
     bl_label = "Views"
     bl_parent_id = "FIPT_PT_capture"
@@ -169,7 +171,7 @@ class FIPT_PT_capture_views(SubSection, bpy.types.Panel):
         column.menu("FIPT_MT_tick_views", text="", icon="DOWNARROW_HLT")
         layout.prop(settings, "photograph_opacity", slider=True)
         _draw_active(layout, context, settings)
-        counts = iface_("{} to estimate from, {} to judge by").format(
+        counts = iface_("{} for estimation, {} held back").format(
             settings.train_count, settings.held_back_count
         )
         layout.label(text=counts, icon="IMAGE_DATA", translate=False)
@@ -182,16 +184,21 @@ class FIPT_PT_capture_views(SubSection, bpy.types.Panel):
 def _draw_active(
     layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup
 ) -> None:
-    """What the check says of the active view."""
+    """The result of the check for the active view."""
     if not 0 <= settings.active_view < len(settings.views):
         return
     view = settings.views[settings.active_view]
     if view.camera not in bpy.data.objects:
-        draw_text(layout, context, iface_("Its camera was deleted: the view is left out."), icon="CANCEL")
+        draw_text(
+            layout,
+            context,
+            iface_("The camera of this view was deleted, so the view is not used."),
+            icon="CANCEL",
+        )
     elif view.warning:
         draw_text(layout, context, f"{view.name}: {view.warning}", icon="ERROR")
     elif view.checked:
-        text = iface_("{}: {:.0f} % of its pixels see the room, {:.1f} % look over-exposed")
+        text = iface_("{}: {:.0f}% of the pixels show the room, {:.1f}% look overexposed")
         text = text.format(view.name, 100.0 * view.room_share, 100.0 * view.clipped_share)
         draw_text(layout, context, text, icon="CHECKMARK")
 
@@ -199,12 +206,14 @@ def _draw_active(
 def _draw_survey(
     layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup
 ) -> None:
-    """What the check says of all views together."""
+    """The result of the check for all views together."""
     if settings.warning_count:
         text = iface_("{} ticked views have warnings").format(settings.warning_count)
         layout.label(text=text, icon="ERROR", translate=False)
     shown = shown_colors(context.scene) == "coverage"
-    text = iface_("No ticked view sees {:.0f} % of the room's surface").format(100.0 * settings.unseen_share)
+    text = iface_("{:.0f}% of the room's surface is not seen by any ticked view").format(
+        100.0 * settings.unseen_share
+    )
     draw_text(layout, context, text, icon="INFO")
     layout.operator(
         "fipt.show_coverage",
@@ -213,24 +222,35 @@ def _draw_survey(
         depress=shown,
     ).show = not shown
     if shown:
-        draw_text(layout, context, iface_("Seen by: red no view, orange one, yellow two, green many"))
+        draw_legend(layout)
+
+
+def draw_legend(layout: bpy.types.UILayout) -> None:
+    """The colours of the coverage; to be drawn where they are shown, so that their module is loaded."""
+    from ..blend.capture.survey import COVERAGE
+
+    column = layout.column(align=True)
+    column.label(text="Number of Views")
+    row = column.row(align=True)
+    for level in COVERAGE:
+        row.label(text=level.label, icon_value=swatches.icon(level.color), translate=False)
 
 
 def _draw_import(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Progress of an import, or why the last one failed; a failed one has given its run folder back."""
+    """Progress of the import, or why the last one failed; a failed import no longer has a run folder."""
     draw_job(layout, context, "capture")
-    ended = running.last("capture")
-    if running.current() is not None or ended is None or ended.error is None:
+    job = running.last("capture")
+    if running.current() is not None or job is None or job.error is None:
         return
-    if ended.scene_name == context.scene.name and not running.names_folder(context.scene, ended.run_folder):
-        column = layout.box()
-        draw_text(column, context, ended.error["text"], icon="ERROR", alert=True)
-        draw_text(column, context, ended.error["remedy"], icon="INFO")
+    if job.scene_name == context.scene.name and not uses_run_folder(context.scene, job.run_folder):
+        box = layout.box()
+        draw_text(box, context, job.error["text"], icon="ERROR", alert=True)
+        draw_text(box, context, job.error["remedy"], icon="INFO")
 
 
 def shown_colors(scene: bpy.types.Scene) -> str:
-    """What is drawn over the room: "coverage", "parts" or ""; asks without importing what draws it."""
-    overlay = sys.modules.get(__package__.rpartition(".")[0] + ".blend.overlay")
+    """What is drawn over the room: "coverage", "parts" or "". Does not import the drawing module."""
+    overlay = sys.modules.get(__package__.rpartition(".")[0] + ".blend.capture.overlay")
     return overlay.shown(scene) if overlay is not None else ""
 
 

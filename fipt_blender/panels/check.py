@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The section Check: renders beside photographs."""
+"""The section Check: compares renders with photographs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .sidebar import Section
 
 
 class FIPT_UL_checked_views(bpy.types.UIList):
-    """Rendered views with their agreement in dB: tone-mapped, linear"""
+    """Rendered views with their PSNR in dB: display values, linear values"""
 
     def draw_item(
         self,
@@ -27,10 +27,10 @@ class FIPT_UL_checked_views(bpy.types.UIList):
         flt_flag: int = 0,
     ) -> None:
         icon_name = "HIDE_OFF" if item.held_back else "IMAGE_DATA"
-        _three(layout, item.name, f"{item.psnr:.1f}", f"{item.psnr_linear:.1f}", icon_name)
+        _draw_row(layout, item.name, f"{item.psnr:.1f}", f"{item.psnr_linear:.1f}", icon_name)
 
 
-def _three(layout: bpy.types.UILayout, name: str, first: str, second: str, icon: str) -> None:
+def _draw_row(layout: bpy.types.UILayout, name: str, first: str, second: str, icon: str) -> None:
     split = layout.split(factor=0.5)
     split.label(text=name, icon=icon, translate=False)
     row = split.row()
@@ -39,7 +39,7 @@ def _three(layout: bpy.types.UILayout, name: str, first: str, second: str, icon:
 
 
 class FIPT_PT_check(Section, bpy.types.Panel):
-    """Renders beside photographs"""
+    """Compare renders with photographs"""
 
     bl_label = "Check"
     bl_order = 7
@@ -62,11 +62,11 @@ class FIPT_PT_check(Section, bpy.types.Panel):
     def _draw_views(self, context: bpy.types.Context, settings: bpy.types.PropertyGroup) -> None:
         layout = self.layout
         column = layout.column(align=True)
-        _three(column, iface_("PSNR in dB"), iface_("Display"), iface_("Linear"), "NONE")
+        _draw_row(column, iface_("PSNR in dB"), iface_("Display"), iface_("Linear"), "NONE")
         column.template_list("FIPT_UL_checked_views", "", settings, "views", settings, "active", rows=4)
         mean = (f"{settings.mean_psnr:.1f}", f"{settings.mean_psnr_linear:.1f}")
         if len(settings.views) > 1:
-            _three(column, iface_("Mean of {} views").format(len(settings.views)), *mean, "BLANK1")
+            _draw_row(column, iface_("Mean of {} views").format(len(settings.views)), *mean, "BLANK1")
         row = layout.row(align=True)
         row.use_property_split = False
         row.prop(settings, "picture", expand=True)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The section Estimate: the engine's run, what it has found so far, and its settings."""
+"""The section Estimate: starts the engine's run, shows its state and its settings."""
 
 from __future__ import annotations
 
@@ -9,22 +9,23 @@ from pathlib import Path
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from .. import previews, running, runstate
-from ..core.job.runfolder import RunFolder
+from ..core.run.runfolder import RunFolder
+from ..jobs import previews, running, runstate
 from .job import draw_error, draw_job, draw_messages
 from .sidebar import Section, SubSection
 
-# Blocks of settings that belong together.
+# Settings in one column belong together.
 _ADVANCED = (
     ("diffuse_samples", "specular_samples", "light_samples", "denoise"),
     ("training_steps", "later_training_steps"),
     ("voxel_resolution", "roughness_levels"),
+    ("reject_views", "correct_exposure"),
     ("seed",),
 )
 
 
 class FIPT_PT_estimate(Section, bpy.types.Panel):
-    """The engine's run"""
+    """Estimate the materials and lights of the room"""
 
     bl_label = "Estimate"
     bl_order = 3
@@ -45,15 +46,15 @@ class FIPT_PT_estimate(Section, bpy.types.Panel):
             column.operator("fipt.estimate", icon="PLAY")
             if state.stages and not state.finished:
                 column.operator("fipt.resume", icon="FILE_REFRESH")
-        runs = draw_job(layout, context, "estimate")
-        if not runs:
+        is_running = draw_job(layout, context, "estimate")
+        if not is_running:
             _draw_state(layout, context, state)
-        job = running.current() if runs else None
+        job = running.current() if is_running else None
         _draw_pictures(layout, tuple(job.pictures) if job else state.pictures)
 
 
 class FIPT_PT_estimate_advanced(SubSection, bpy.types.Panel):
-    """Single settings of the preset"""
+    """Change single settings of the preset"""
 
     bl_label = "Advanced"
     bl_parent_id = "FIPT_PT_estimate"
@@ -69,7 +70,7 @@ class FIPT_PT_estimate_advanced(SubSection, bpy.types.Panel):
 
 
 def draw_setting(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup, name: str) -> None:
-    """A setting, and where it is changed a button that lets it follow the preset again."""
+    """A setting, with a button that resets it to the preset where it was changed."""
     row = layout.row(align=True)
     row.prop(settings, name)
     if settings.is_changed(name):
@@ -77,11 +78,11 @@ def draw_setting(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup, 
 
 
 def _draw_state(layout: bpy.types.UILayout, context: bpy.types.Context, state: runstate.RunState) -> None:
-    """What the run folder tells: finished, or how far it came; more where this Blender did not watch."""
+    """The state of the run folder; also its messages where this Blender has run no estimation."""
     if state.finished:
-        layout.label(text="Finished: apply the results below", icon="CHECKMARK")
+        layout.label(text="Finished. Apply the results below", icon="CHECKMARK")
     elif state.stages:
-        text = iface_("Stopped; finished stages: {}").format(state.stages)
+        text = iface_("Stopped. Finished stages: {}").format(state.stages)
         layout.label(text=text, icon="PAUSE", translate=False)
     if running.last("estimate") is None:
         if state.error is not None:
@@ -91,7 +92,7 @@ def _draw_state(layout: bpy.types.UILayout, context: bpy.types.Context, state: r
 
 
 def _draw_pictures(layout: bpy.types.UILayout, paths: tuple[Path, ...]) -> None:
-    """Base colour and emission as they are estimated so far."""
+    """The current estimate of base colour and emission."""
     shown = [path for path in paths if previews.icon(path)]
     if not shown:
         return
@@ -99,7 +100,7 @@ def _draw_pictures(layout: bpy.types.UILayout, paths: tuple[Path, ...]) -> None:
     for path in shown:
         column = row.column(align=True)
         column.template_icon(icon_value=previews.icon(path), scale=7.0)
-        column.label(text="Emission" if "emission" in path.name else "Base Colour")
+        column.label(text="Emission" if "emission" in path.name else "Base Color")
 
 
 CLASSES = (FIPT_PT_estimate, FIPT_PT_estimate_advanced)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The section Insert: objects that stand in the room, and pictures with them."""
+"""The section Insert: places objects in the room and renders pictures of them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .sidebar import Section, SubSection, draw_text
 
 
 class FIPT_PT_insert(Section, bpy.types.Panel):
-    """Objects that stand in the room"""
+    """Place objects in the room"""
 
     bl_label = "Insert"
     bl_order = 6
@@ -41,7 +41,7 @@ class FIPT_PT_insert(Section, bpy.types.Panel):
 
 
 class FIPT_PT_insert_picture(SubSection, bpy.types.Panel):
-    """The view with what was inserted"""
+    """Render the current view with the inserted objects"""
 
     bl_label = "Picture"
     bl_parent_id = "FIPT_PT_insert"
@@ -63,8 +63,8 @@ class FIPT_PT_insert_picture(SubSection, bpy.types.Panel):
             if shading.type != "RENDERED":
                 row = layout.row()
                 row.use_property_split = False
-                row.prop_enum(shading, "type", "RENDERED", text="Preview Shadows in the View")
-            text = "The view previews shadows. Reflections of the object in the room come with the picture."
+                row.prop_enum(shading, "type", "RENDERED", text="Preview Shadows")
+            text = "The viewport previews shadows. Reflections in the room appear only in the picture."
             draw_text(layout, context, text, icon="INFO")
         layout.prop(settings, "samples")
         row = layout.row(align=True)

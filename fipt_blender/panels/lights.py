@@ -1,17 +1,17 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The section Lights: fixtures, new lights and the environment."""
+"""The section Lights: edits fixtures, new lights and the environment."""
 
 from __future__ import annotations
 
 import bpy
 
-from ..properties.lights import FIXTURE, VISIBILITY
+from ..blend.marks import FIXTURE, VISIBILITY
 from .sidebar import Section, SubSection, draw_text
 
 
 class FIPT_UL_lights(bpy.types.UIList):
-    """Fixtures and added lights: on, solo, name, colour, power in stops"""
+    """Fixtures and added lights: on/off, solo, name, color, power in stops"""
 
     def draw_item(
         self,
@@ -43,12 +43,12 @@ class FIPT_UL_lights(bpy.types.UIList):
     ) -> tuple[list[int], list[int]]:
         items = getattr(data, propname)
         search = self.filter_name.lower()
-        shown = [item.is_alive() and search in item.object.name.lower() for item in items]
-        return [self.bitflag_filter_item if each else 0 for each in shown], []
+        matches = (item.is_alive() and search in item.object.name.lower() for item in items)
+        return [self.bitflag_filter_item if match else 0 for match in matches], []
 
 
 class FIPT_PT_lights(Section, bpy.types.Panel):
-    """Fixtures, new lights and the environment"""
+    """Edit the estimated lights and the environment, and add lights"""
 
     bl_label = "Lights"
     bl_order = 5
@@ -73,11 +73,11 @@ class FIPT_PT_lights(Section, bpy.types.Panel):
             layout.operator("fipt.list_lights", text="List Lights", icon="FILE_REFRESH")
         column = layout.column(align=True)
         column.operator("fipt.add_light", text="Add Light at Cursor", icon="ADD").place = "CURSOR"
-        column.operator("fipt.add_light", text="Add Light, Pointing ...", icon="EYEDROPPER").place = "PICK"
+        column.operator("fipt.add_light", text="Add Light by Pointing", icon="EYEDROPPER").place = "PICK"
 
 
 def _draw_light(layout: bpy.types.UILayout, light: bpy.types.PropertyGroup | None) -> None:
-    """The chosen light's settings."""
+    """The settings of the active light."""
     if light is None:
         return
     column = layout.column(align=True)
@@ -104,7 +104,7 @@ class FIPT_PT_environment(SubSection, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return context.scene.fipt.lights.own_world() is not None
+        return context.scene.fipt.lights.result_world() is not None
 
     def draw_header(self, context: bpy.types.Context) -> None:
         settings = context.scene.fipt.lights
@@ -124,7 +124,7 @@ class FIPT_PT_environment(SubSection, bpy.types.Panel):
 
 
 class FIPT_PT_light_output(SubSection, bpy.types.Panel):
-    """Exposure, other lights, and passes to mix lights after rendering"""
+    """Exposure, the scene's other lights, and render passes for each light"""
 
     bl_label = "Scene and Passes"
     bl_parent_id = "FIPT_PT_lights"
@@ -132,9 +132,12 @@ class FIPT_PT_light_output(SubSection, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
         layout.operator("fipt.match_exposure", icon="CAMERA_DATA")
+        layout.label(text="Other Lights")
         row = layout.row(align=True)
-        row.operator("fipt.hide_other_lights", text="Hide Other Lights", icon="HIDE_ON").hide = True
+        row.operator("fipt.hide_other_lights", text="Hide", icon="HIDE_ON").hide = True
         row.operator("fipt.hide_other_lights", text="Show", icon="HIDE_OFF").hide = False
+        if context.scene.render.engine != "CYCLES":
+            layout.operator("fipt.use_cycles", icon="SHADING_RENDERED")
         row = layout.row(align=True)
         row.operator("fipt.make_light_groups", icon="RENDERLAYERS")
         row.operator("fipt.remove_light_groups", text="", icon="X")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The section Parts: which surfaces share a material."""
+"""The section Parts: selects how surfaces of the same material are recognised."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _TEXTS = {identifier: text for identifier, _, text, _ in SOURCES}
 
 
 class FIPT_PT_parts(Section, bpy.types.Panel):
-    """Which surfaces share a material"""
+    """Select which surfaces are made of the same material"""
 
     bl_label = "Parts"
     bl_order = 2
@@ -30,14 +30,13 @@ class FIPT_PT_parts(Section, bpy.types.Panel):
         if parts.source == "folder":
             layout.prop(parts, "folder")
         draw_text(layout, context, iface_(_TEXTS[parts.source]))
-        used = parts.engine_source
+        source = parts.engine_source
         if parts.source == "auto" and parts.auto_source:
-            used = parts.auto_source
-            draw_text(
-                layout, context, iface_("Automatic takes: {}").format(iface_(_NAMES[used])), icon="SHADERFX"
-            )
+            source = parts.auto_source
+            text = iface_("Automatic uses: {}").format(iface_(_NAMES[source]))
+            draw_text(layout, context, text, icon="SHADERFX")
         if parts.counts:
-            count = json.loads(parts.counts).get(used)
+            count = json.loads(parts.counts).get(source)
             if count is not None:
                 layout.label(text=iface_("{} parts").format(count), icon="MOD_EXPLODE", translate=False)
         shown = shown_colors(context.scene) == "parts"

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What all sections of the side panel share: their place, and how a line of text is drawn."""
+"""Base of all sections of the side panel: their place, and text that wraps."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _CHARACTER_PIXELS = 7.0  # mean width of the default font at scale 1
 
 
 class Section:
-    """Mix-in of a section's panel: the tab "FIPT" of the 3D view's sidebar."""
+    """Mix-in of a section's panel: the tab "FIPT" in the sidebar of the 3D Viewport."""
 
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = CATEGORY
 
     def fields(self) -> bpy.types.UILayout:
-        """The panel's layout for properties: names left, values right, nothing to animate."""
+        """The panel's layout for properties: names on the left, values on the right, no animation buttons."""
         layout = self.layout  # type: ignore[attr-defined]
         layout.use_property_split = True
         layout.use_property_decorate = False
@@ -28,7 +28,7 @@ class Section:
 
 
 class SubSection(Section):
-    """Mix-in of a folded part of a section; name the section in `bl_parent_id`."""
+    """Mix-in of a closed subpanel of a section; a subclass names the section in `bl_parent_id`."""
 
     bl_options = {"DEFAULT_CLOSED"}
 
@@ -36,7 +36,7 @@ class SubSection(Section):
 def draw_text(
     layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE", alert: bool = False
 ) -> None:
-    """A text of any length, broken into lines that fit the region; Blender cuts labels off."""
+    """Draw a text of any length, wrapped to the region's width; Blender would truncate a label."""
     width = context.region.width / context.preferences.system.ui_scale if context.region else 240.0
     column = layout.column(align=True)
     column.alert = alert

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panel's state, kept with the scene: `scene.fipt`, one group a section.
+"""The panel's state, stored in the scene: `scene.fipt`, one group per section.
 
-Each module lists its classes in CLASSES, members before their groups. bpy and light modules only:
-this is imported while Blender starts.
+Each module lists its classes in CLASSES, members before their groups. They import bpy and light modules only,
+since they are imported while Blender starts.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ _MODULES = (capture, parts, estimate, materials, lights, insert, check)
 
 
 class FIPT_SceneSettings(bpy.types.PropertyGroup):
-    """Everything that the side panel remembers of a scene."""
+    """The side panel's state for a scene."""
 
     run_folder: bpy.props.StringProperty(
         name="Run Folder",
-        description="Where the engine's work on this scene lies: checkpoints, results, textures and renders",
+        description="Folder of the engine's files for this scene: checkpoints, results, textures, renders",
         subtype="DIR_PATH",
     )
     capture: bpy.props.PointerProperty(type=capture.FIPT_CaptureSettings)
@@ -33,7 +33,7 @@ class FIPT_SceneSettings(bpy.types.PropertyGroup):
 
 
 _register_classes, _unregister_classes = bpy.utils.register_classes_factory(
-    [*(each for module in _MODULES for each in module.CLASSES), FIPT_SceneSettings]
+    [*(group for module in _MODULES for group in module.CLASSES), FIPT_SceneSettings]
 )
 
 
@@ -44,6 +44,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take them back; what scenes hold stays in their files."""
+    """Unregister them; the values stay in the .blend files."""
     del bpy.types.Scene.fipt
     _unregister_classes()

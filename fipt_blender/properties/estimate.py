@@ -1,94 +1,114 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""State of the section Estimate: the preset, and what the artist changed of it.
+"""State of the section Estimate: the preset, and the settings that differ from it.
 
-Only changed values are kept, so that all others follow the preset.
+Only changed values are stored, so that all others follow the preset.
 """
 
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import bpy
 
 if TYPE_CHECKING:
-    from ..core.job.settings import Settings
+    from ..core.run.settings import Settings
 
 PRESETS = (
-    ("draft", "Draft", "A first look, with noise and soft textures: a few minutes for 40 small photographs"),
-    ("medium", "Medium", "Good materials and lights: about three times a draft. A GPU is much faster"),
+    (
+        "draft",
+        "Draft",
+        "A quick preview with noise and soft textures: a few minutes for 40 small photographs",
+    ),
+    (
+        "medium",
+        "Medium",
+        "Good materials and lights: takes about three times as long as Draft. A GPU is much faster",
+    ),
     ("high", "High", "Many more samples and training steps: an hour on a GPU, a night without one"),
 )
 DEVICES = (
-    ("preferences", "As in Preferences", "Where the preferences say that the engine computes"),
-    ("auto", "Automatic", "The graphics card where a usable one is found, else the processor"),
-    ("cuda", "GPU (CUDA)", "An NVIDIA graphics card"),
-    ("llvm", "CPU", "The processor; slower, but works everywhere"),
+    ("auto", "Automatic", "Use the GPU if a usable one is found, otherwise the CPU"),
+    ("cuda", "GPU (CUDA)", "Use an NVIDIA GPU"),
+    ("llvm", "CPU", "Use the CPU: slower, but works on every machine"),
 )
+_RUN_DEVICES = (("preferences", "As in Preferences", "Use the device selected in the preferences"), *DEVICES)
 
 
 class Choice(NamedTuple):
-    """A setting that the panel offers: the fields of `Settings` that it stands for, and its words."""
+    """A setting in the panel: the fields of `Settings` that it sets, its label and its tooltip."""
 
     fields: tuple[str, ...]
     name: str
     description: str
     least: int = 1
     most: int = 1_000_000
-    switch: bool = False  # on or off, no number
+    switch: bool = False  # a checkbox instead of a number
 
 
 CHOICES = {
     "rounds": Choice(
-        ("rounds",), "Rounds", "How often light and materials are refined; 0 keeps the first guess", 0, 20
+        ("rounds",), "Rounds", "Number of refinements of light and materials; 0 for none", 0, 20
     ),
     "diffuse_samples": Choice(
         ("diffuse_spp", "refine_diffuse_spp"),
         "Diffuse Samples",
-        "Rays a pixel for the light that falls on it: fewer are faster, and noisier",
+        "Rays per pixel for diffuse light: fewer rays are faster and noisier",
     ),
     "specular_samples": Choice(
         ("specular_spp", "refine_specular_spp"),
-        "Specular Samples",
-        "Rays a pixel and roughness level for reflections: fewer are faster, and noisier",
+        "Glossy Samples",
+        "Rays per pixel and roughness level for reflections: fewer rays are faster and noisier",
     ),
     "light_samples": Choice(
         ("light_spp", "refine_light_spp"),
         "Light Samples",
-        "Rays a pixel aimed at lamps: against noise in shadows",
+        "Rays per pixel toward lamps: more rays reduce noise in shadows",
     ),
     "training_steps": Choice(
-        ("training_steps",), "Training Steps", "Steps of the first training: more give sharper textures"
+        ("training_steps",), "Training Steps", "Steps of the first training: more steps give sharper textures"
     ),
     "later_training_steps": Choice(
-        ("later_training_steps",), "Later Steps", "Training steps of each later round"
+        ("later_training_steps",), "Later Steps", "Training steps in each later round"
     ),
     "voxel_resolution": Choice(
         ("voxel_resolution",),
         "Light Resolution",
-        "Cells along the room's longest side in which light is remembered: more for large rooms",
+        "Cells of the radiance cache along the room's longest side: use more for large rooms",
         8,
         1024,
     ),
     "roughness_levels": Choice(
-        ("roughness_levels",), "Roughness Levels", "Roughnesses at which reflections are computed", 3, 32
+        ("roughness_levels",), "Gloss Levels", "Number of roughness levels of computed reflections", 3, 32
     ),
     "denoise": Choice(
-        ("denoise",), "Denoise", "Smooth the computed light, so that fewer samples do", switch=True
+        ("denoise",), "Denoise", "Denoise the computed light, so that fewer samples are needed", switch=True
     ),
-    "seed": Choice(("seed",), "Seed", "Start of all random numbers: the same seed gives the same result", 0),
+    "reject_views": Choice(
+        ("reject_views",),
+        "Reject Views",
+        "Leave out photographs that do not agree with their camera poses",
+        switch=True,
+    ),
+    "correct_exposure": Choice(
+        ("correct_exposure",),
+        "Correct Exposure",
+        "Correct photographs whose exposure differs from that of the others",
+        switch=True,
+    ),
+    "seed": Choice(("seed",), "Seed", "Seed of all random numbers: the same seed gives the same result", 0),
 }  # fmt: skip
 
 
 @functools.cache
 def _preset(name: str) -> Settings:
-    from ..core.job.settings import make_settings
+    from ..core.run.settings import make_settings
 
     return make_settings(name)
 
 
-def _changes(settings: FIPT_EstimateSettings) -> dict[str, Any]:
+def _changes(settings: FIPT_EstimateSettings) -> dict[str, int]:
     import json
 
     try:
@@ -98,44 +118,49 @@ def _changes(settings: FIPT_EstimateSettings) -> dict[str, Any]:
     return changes if isinstance(changes, dict) else {}
 
 
-def _property(name: str, choice: Choice) -> Any:
-    """A property that shows the preset's value until it is changed."""
+def _property(name: str, choice: Choice) -> object:
+    """A property with the preset's value until it is changed."""
 
-    def get(self: FIPT_EstimateSettings) -> Any:
+    def get(self: FIPT_EstimateSettings) -> int:
         changes = _changes(self)
         return changes[name] if name in changes else getattr(_preset(self.preset), choice.fields[0])
 
-    def set_(self: FIPT_EstimateSettings, value: Any) -> None:
+    def set_(self: FIPT_EstimateSettings, value: int) -> None:
         import json
 
         self.changes = json.dumps({**_changes(self), name: value})
 
-    words = {"name": choice.name, "description": choice.description, "get": get, "set": set_}
+    options = {"name": choice.name, "description": choice.description, "get": get, "set": set_}
     if choice.switch:
-        return bpy.props.BoolProperty(**words)
-    return bpy.props.IntProperty(**words, min=choice.least, max=choice.most)
+        return bpy.props.BoolProperty(**options)
+    return bpy.props.IntProperty(**options, min=choice.least, max=choice.most)
 
 
 class FIPT_EstimateSettings(bpy.types.PropertyGroup):
     """The section Estimate."""
 
     preset: bpy.props.EnumProperty(
-        name="Preset", description="Quality against time", items=PRESETS, default="medium"
+        name="Preset", description="Quality and duration of the estimation", items=PRESETS, default="medium"
     )
     device: bpy.props.EnumProperty(
-        name="Compute On", description="Where the engine computes", items=DEVICES, default="preferences"
+        name="Compute On",
+        description="Device on which the engine computes",
+        items=_RUN_DEVICES,
+        default="preferences",
     )
     changes: bpy.props.StringProperty(
-        name="Changed Settings", description="What was changed of the preset, as JSON", options={"HIDDEN"}
+        name="Changed Settings",
+        description="Settings that differ from the preset, as JSON",
+        options={"HIDDEN"},
     )
     __annotations__.update({name: _property(name, choice) for name, choice in CHOICES.items()})
 
     def is_changed(self, name: str) -> bool:
-        """Whether one of CHOICES differs from the preset by the artist's wish."""
+        """Whether the artist has set one of CHOICES."""
         return name in _changes(self)
 
     def reset(self, *names: str) -> None:
-        """Let some of CHOICES follow the preset again; all of them where none is named."""
+        """Let the named CHOICES follow the preset again; without a name, all of them."""
         import json
 
         changes = (
@@ -143,8 +168,8 @@ class FIPT_EstimateSettings(bpy.types.PropertyGroup):
         )
         self.changes = json.dumps(changes) if changes else ""
 
-    def values(self) -> dict[str, Any]:
-        """The changed fields of `Settings`, for `make_settings`; the device is left to the caller."""
+    def values(self) -> dict[str, int]:
+        """The changed fields of `Settings`, for `make_settings`, without the device."""
         return {
             field: value
             for name, value in _changes(self).items()

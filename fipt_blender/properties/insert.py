@@ -1,17 +1,35 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""State of the section Insert: what is placed and how, and what is seen behind it."""
+"""State of the section Insert: what is placed and how, and its backdrop."""
 
 from __future__ import annotations
 
 import bpy
 
 KINDS = (
-    ("OBJECT", "Object", "An object, with its children; one that is only linked is copied", "OBJECT_DATA", 0),
+    (
+        "OBJECT",
+        "Object",
+        "An object with its children. It is copied if it is in a library or another scene",
+        "OBJECT_DATA",
+        0,
+    ),
     ("COLLECTION", "Collection", "An instance of a collection", "OUTLINER_COLLECTION", 1),
-    ("GREY_BALL", "Grey Ball", "A matt ball of 18 % grey: shows where the light comes from", "SPHERE", 2),
-    ("MIRROR_BALL", "Mirror Ball", "A chrome ball: shows what surrounds it", "SHADING_RENDERED", 3),
-    ("BALLS", "Both Balls", "A grey and a mirror ball side by side, as on a film set", "SNAP_PEEL_OBJECT", 4),
+    (
+        "GREY_BALL",
+        "Gray Ball",
+        "A matte ball of 18% gray, which shows where the light comes from",
+        "SPHERE",
+        2,
+    ),
+    ("MIRROR_BALL", "Mirror Ball", "A chrome ball, which reflects its surroundings", "SHADING_RENDERED", 3),
+    (
+        "BALLS",
+        "Both Balls",
+        "A gray ball and a mirror ball side by side, as on a film set",
+        "SNAP_PEEL_OBJECT",
+        4,
+    ),
 )
 BALLS = {
     "GREY_BALL": ("grey_ball",),
@@ -19,15 +37,15 @@ BALLS = {
     "BALLS": ("grey_ball", "mirror_ball"),
 }
 ALIGNMENTS = (
-    ("NORMAL", "Surface", "Its own up points away from the surface", "SNAP_NORMAL", 0),
-    ("UPRIGHT", "Upright", "It stays as upright as it is, whatever the surface", "EMPTY_SINGLE_ARROW", 1),
+    ("NORMAL", "Surface", "Align the object's up axis with the surface normal", "SNAP_NORMAL", 0),
+    ("UPRIGHT", "Upright", "Keep the object upright on any surface", "EMPTY_SINGLE_ARROW", 1),
 )
 BACKDROPS = (
-    ("ROOM", "Rendered Room", "The whole picture is rendered: the room may be relit and changed", "HOME", 0),
+    ("ROOM", "Rendered Room", "Render the whole picture, with changed lights and materials", "HOME", 0),
     (
         "PHOTOGRAPH",
         "Photograph",
-        "The original photograph, onto which inserted objects cast shadows and reflections",
+        "Render the inserted objects with their shadows and reflections over the original photograph",
         "IMAGE_DATA",
         1,
     ),
@@ -44,34 +62,46 @@ class FIPT_InsertSettings(bpy.types.PropertyGroup):
     )
     copy: bpy.props.BoolProperty(
         name="Place a Copy",
-        description="Leave the object where it is and place a copy that shares its data",
+        description="Leave the object where it is, and place a copy that shares its data",
     )
     align: bpy.props.EnumProperty(
-        name="Align", description="How it stands on the surface", items=ALIGNMENTS, default="NORMAL"
+        name="Align",
+        description="Orientation of the object on the surface",
+        items=ALIGNMENTS,
+        default="NORMAL",
     )
     turn: bpy.props.FloatProperty(
-        name="Turn", description="Angle about its own up", subtype="ANGLE", soft_min=-3.1416, soft_max=3.1416
+        name="Rotation",
+        description="Rotation about the object's up axis",
+        subtype="ANGLE",
+        soft_min=-3.1416,
+        soft_max=3.1416,
     )
     scale: bpy.props.FloatProperty(
-        name="Scale", description="Factor on its own size", default=1.0, min=1e-4, soft_max=10.0, precision=3
+        name="Scale",
+        description="Scale factor of the object",
+        default=1.0,
+        min=1e-4,
+        soft_max=10.0,
+        precision=3,
     )
     drop: bpy.props.BoolProperty(
         name="Drop to Surface",
-        description="Its lowest point touches the surface; otherwise its origin lies on it",
+        description="Place the object's lowest point on the surface instead of its origin",
         default=True,
     )
-    # Written by the operator Set Backdrop alone, which changes the scene accordingly.
+    # Set only by the operator Set Backdrop, which also changes the scene.
     backdrop: bpy.props.EnumProperty(
-        name="Backdrop", description="What is seen behind inserted objects", items=BACKDROPS, default="ROOM"
+        name="Backdrop", description="What is behind the inserted objects", items=BACKDROPS, default="ROOM"
     )
     samples: bpy.props.IntProperty(
         name="Samples",
-        description="Cycles' samples a pixel: more take longer and leave less noise",
+        description="Cycles samples per pixel: more samples reduce noise and take longer",
         default=128,
         min=1,
         soft_max=4096,
     )
-    picture: bpy.props.StringProperty(description="File of the picture that was rendered last")
+    picture: bpy.props.StringProperty(description="Image file of the last rendered picture")
 
 
 CLASSES = (FIPT_InsertSettings,)

@@ -2,56 +2,61 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """State of the section Lights: fixtures, new lights and the environment.
 
-What belongs to a light is kept with it, in custom properties of its object, so that it moves with the
-object into other scenes and files; the list only shows it. Their names are here for `blend` as well.
+The settings of a light are custom properties of its object, so that they move with the object into other
+scenes and files; the list only shows them.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeVar
 
 import bpy
 
-FIXTURE = "fipt_fixture"  # the fixture's name in emitters.json
-NEW_LIGHT = "fipt_light"  # a light that the artist added
-FIXTURE_LIGHT = "fipt_fixture_light"  # a Blender light that stands for a fixture, its child
-BASE = "fipt_base"  # rgb as estimated or added: radiance of a fixture's front, watts of a light
-BACK = "fipt_back"  # rgb radiance of a fixture's back
-ON, SOLO, STOPS = "fipt_on", "fipt_solo", "fipt_stops"
-TINT, COLOR, KELVIN = "fipt_tint", "fipt_color", "fipt_kelvin"
-WRITTEN = "fipt_written"  # the strength that we wrote last; another one is the artist's
-VISIBILITY = "fipt_visibility"  # of a fixture that Blender lights stand for: which rays saw it before (JSON)
-WORLD_ON, WORLD_FACTOR = "fipt_on", "fipt_factor"
-WORLD = "fipt_world"  # marks a world as ours; 1 where the run has an environment
-OWN_WORLD = "fipt_own_world"  # of a scene: ours, while the original one is shown
-MAPPING = "FIPT Mapping"
+from ..blend.marks import (
+    COLOR,
+    FIXTURE,
+    KELVIN,
+    MAPPING,
+    ON,
+    SOLO,
+    STOPS,
+    TINT,
+    VISIBILITY,
+    WORLD,
+    WORLD_FACTOR,
+    WORLD_ON,
+    result_world,
+)
 
 TINTS = (
-    ("ESTIMATED", "As Estimated", "The colour that the photographs show", "EYEDROPPER", 0),
-    ("COLOR", "Colour", "A colour of your choice, as bright as before", "COLOR", 1),
-    ("TEMPERATURE", "Temperature", "The colour of a glowing body, as bright as before", "LIGHT_SUN", 2),
+    ("ESTIMATED", "As Estimated", "The estimated color", "EYEDROPPER", 0),
+    ("COLOR", "Color", "A custom color with unchanged brightness", "COLOR", 1),
+    ("TEMPERATURE", "Temperature", "A blackbody color with unchanged brightness", "LIGHT_SUN", 2),
 )
 _MAX_STOPS = 20.0
 
+Value = TypeVar("Value", bool, int, float)
 
-def _get(key: str, default: Any) -> Any:
-    def get(self: FIPT_Light) -> Any:
+
+def _get(key: str, default: Value) -> Callable[[FIPT_Light], Value]:
+    def get(self: FIPT_Light) -> Value:
         return default if self.object is None else self.object.get(key, default)
 
     return get
 
 
-def _set(key: str) -> Any:
-    def set_value(self: FIPT_Light, value: Any) -> None:
+def _set(key: str) -> Callable[[FIPT_Light, float], None]:
+    def set_value(self: FIPT_Light, value: float) -> None:
         _change(self, {key: value})
 
     return set_value
 
 
-def _change(self: FIPT_Light, values: dict[str, Any]) -> None:
+def _change(self: FIPT_Light, values: Mapping[str, float | Sequence[float]]) -> None:
     if self.object is not None:
-        from ..blend.light_state import change
+        from ..blend.lights.light_state import change
 
         change(self.id_data, self.object, values)
 
@@ -67,19 +72,19 @@ def _set_factor(self: FIPT_Light, value: float) -> None:
 def _get_color(self: FIPT_Light) -> tuple[float, float, float]:
     if self.object is None:
         return (1.0, 1.0, 1.0)
-    from ..blend import tint
+    from ..blend.lights import tint
 
     return tint.shown_color(self.object)
 
 
-def _set_color(self: FIPT_Light, value: Any) -> None:
+def _set_color(self: FIPT_Light, value: Sequence[float]) -> None:
     _change(self, {COLOR: tuple(value), TINT: 1})
 
 
 def _get_kelvin(self: FIPT_Light) -> float:
     if self.object is None:
         return 6504.0
-    from ..blend import tint
+    from ..blend.lights import tint
 
     return tint.shown_temperature(self.object)
 
@@ -89,24 +94,24 @@ def _set_kelvin(self: FIPT_Light, value: float) -> None:
 
 
 class FIPT_Light(bpy.types.PropertyGroup):
-    """One row of the list: a fixture or a light that was added."""
+    """One row of the list: a fixture or an added light."""
 
     object: bpy.props.PointerProperty(type=bpy.types.Object)
     on: bpy.props.BoolProperty(
         name="On",
-        description="Switch the light; a fixture that is off is black and still blocks light",
+        description="Switch the light on or off. A fixture that is off is black and still blocks light",
         get=_get(ON, True),
         set=_set(ON),
     )
     solo: bpy.props.BoolProperty(
         name="Solo",
-        description="Only lights with a star shine; the others and the environment rest",
+        description="Switch off the environment and all lights that are not solo",
         get=_get(SOLO, False),
         set=_set(SOLO),
     )
     stops: bpy.props.FloatProperty(
         name="Stops",
-        description="Power in stops: +1 is twice as bright, -1 half as bright, 0 as estimated",
+        description="Power in stops: 0 is as estimated, +1 is twice as bright, -1 is half as bright",
         min=-_MAX_STOPS,
         max=_MAX_STOPS,
         soft_min=-5.0,
@@ -128,15 +133,15 @@ class FIPT_Light(bpy.types.PropertyGroup):
         set=_set_factor,
     )
     tint: bpy.props.EnumProperty(
-        name="Colour From",
-        description="What gives the light its colour; its brightness stays",
+        name="Color From",
+        description="Source of the light's color. The brightness does not change",
         items=TINTS,
         get=_get(TINT, 0),
         set=_set(TINT),
     )
     color: bpy.props.FloatVectorProperty(
-        name="Colour",
-        description="Colour of the light; its brightness stays",
+        name="Color",
+        description="Color of the light. The brightness does not change",
         subtype="COLOR",
         size=3,
         min=0.0,
@@ -146,7 +151,8 @@ class FIPT_Light(bpy.types.PropertyGroup):
     )
     kelvin: bpy.props.FloatProperty(
         name="Temperature (K)",
-        description="Colour temperature in kelvin: 2,700 is a warm lamp, 6,500 daylight; brightness stays",
+        description="Color temperature in kelvin: 2,700 is a warm lamp, 6,500 is daylight. The brightness"
+        " does not change",
         min=1000.0,
         max=20000.0,
         soft_min=1800.0,
@@ -162,31 +168,23 @@ class FIPT_Light(bpy.types.PropertyGroup):
         return self.object is not None and self.id_data in self.object.users_scene
 
     def is_alive(self) -> bool:
-        """The same, but quick enough for drawing: whether anything besides this row uses the object."""
+        """As `is_here`, but quick enough for drawing: whether anything besides this row uses the object."""
         return self.object is not None and self.object.users > 1
 
 
-def _own_world(scene: bpy.types.Scene) -> bpy.types.World | None:
-    """Our world of a scene, shown or not."""
-    for world in (scene.world, scene.get(OWN_WORLD)):
-        if world is not None and WORLD in world:
-            return world
-    return None
-
-
-def _world_value(key: str, default: Any) -> Any:
-    def get(self: FIPT_LightsSettings) -> Any:
-        world = _own_world(self.id_data)
+def _world_value(key: str, default: Value) -> Callable[[FIPT_LightsSettings], Value]:
+    def get(self: FIPT_LightsSettings) -> Value:
+        world = result_world(self.id_data)
         return default if world is None else world.get(key, default)
 
     return get
 
 
-def _set_world_value(key: str) -> Any:
-    def set_value(self: FIPT_LightsSettings, value: Any) -> None:
-        world = _own_world(self.id_data)
+def _set_world_value(key: str) -> Callable[[FIPT_LightsSettings, float], None]:
+    def set_value(self: FIPT_LightsSettings, value: float) -> None:
+        world = result_world(self.id_data)
         if world is not None:
-            from ..blend.light_state import refresh_world
+            from ..blend.lights.light_state import refresh_world
 
             world[key] = value
             refresh_world(self.id_data)
@@ -209,10 +207,12 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
     """The section Lights."""
 
     lights: bpy.props.CollectionProperty(type=FIPT_Light)
-    active: bpy.props.IntProperty(name="Light", description="Fixtures and lights of the room", options=set())
+    active: bpy.props.IntProperty(
+        name="Light", description="Fixtures and added lights of the room", options=set()
+    )
     environment_on: bpy.props.BoolProperty(
         name="Environment",
-        description="Switch the light that comes from outside the room",
+        description="Switch the light from outside the room on or off",
         get=_world_value(WORLD_ON, True),
         set=_set_world_value(WORLD_ON),
     )
@@ -227,7 +227,7 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
     )
     environment_rotation: bpy.props.FloatProperty(
         name="Rotation",
-        description="Turns the environment around the vertical axis",
+        description="Rotation of the environment about the vertical axis",
         subtype="ANGLE",
         soft_min=-math.pi,
         soft_max=math.pi,
@@ -235,25 +235,32 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
         set=_set_rotation,
     )
     median_radiance: bpy.props.FloatProperty(
-        description="Median radiance of the photographs, in their unit; 0 while unknown", min=0.0
+        description="Median radiance of the photographs, in their unit; 0 if unknown", min=0.0
     )
 
-    def own_world(self) -> bpy.types.World | None:
-        """Our world of the scene, shown or not."""
-        return _own_world(self.id_data)
+    def result_world(self) -> bpy.types.World | None:
+        """The world that applying results created for the scene, whether it is shown or not."""
+        return result_world(self.id_data)
+
+    def needs_cycles(self) -> bool:
+        """Whether the engine is EEVEE and a fixture's surface emits, which lights nothing there."""
+        return "EEVEE" in self.id_data.render.engine and any(
+            row.is_alive() and row.on and FIXTURE in row.object and VISIBILITY not in row.object
+            for row in self.lights
+        )
 
     def has_environment(self) -> bool:
-        """Whether the run estimated light from outside."""
-        world = _own_world(self.id_data)
+        """Whether light from outside the room was estimated."""
+        world = result_world(self.id_data)
         return world is not None and bool(world[WORLD])
 
     def mapping_node(self) -> bpy.types.Node | None:
-        """The node that turns the environment."""
-        world = _own_world(self.id_data)
+        """The node that rotates the environment."""
+        world = result_world(self.id_data)
         return None if world is None else world.node_tree.nodes.get(MAPPING)
 
     def active_light(self) -> FIPT_Light | None:
-        """The row that is chosen, if its light is still there."""
+        """The active row, if its light still exists."""
         if 0 <= self.active < len(self.lights):
             light = self.lights[self.active]
             return light if light.is_alive() else None

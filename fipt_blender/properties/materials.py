@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""State of the section Materials: how results are applied, and which map the room shows."""
+"""State of the section Materials: how results are applied, and which map is shown on the room."""
 
 from __future__ import annotations
 
@@ -8,16 +8,22 @@ import bpy
 
 SHOWN = (
     ("ESTIMATED", "Estimated", "The estimated materials and lights", "SHADING_RENDERED", 0),
-    ("ORIGINAL", "Original", "The room as it was: its own meshes, materials and world", "LOOP_BACK", 1),
-    ("BASE_COLOR", "Base Colour", "What the surfaces reflect, without any light", "COLOR", 2),
-    ("ROUGHNESS", "Roughness", "Black is a mirror, white is rough", "NODE_TEXTURE", 3),
-    ("METALLIC", "Metallic", "White is metal", "NODE_MATERIAL", 4),
-    ("EMISSION", "Emission", "Which surfaces shine, in the colour of their light", "LIGHT", 5),
+    ("ORIGINAL", "Original", "Your own meshes, materials and world", "LOOP_BACK", 1),
+    ("BASE_COLOR", "Base Color", "The base color of the surfaces, without lighting", "COLOR", 2),
+    (
+        "ROUGHNESS",
+        "Roughness",
+        "The roughness of the surfaces: black is a mirror, white is rough",
+        "NODE_TEXTURE",
+        3,
+    ),
+    ("METALLIC", "Metallic", "Which surfaces are metal: white is metal", "NODE_MATERIAL", 4),
+    ("EMISSION", "Emission", "The light that surfaces emit, in its color", "LIGHT", 5),
     (
         "CONFIDENCE",
         "Confidence",
-        "How well base colour (red), roughness (green) and metallic (blue) are known: 1 is certain, "
-        "each 0.1 less is a standard error 0.03 larger; black was not seen and is filled in",
+        "Confidence of base color (red), roughness (green) and metallic (blue): 1 is certain, each 0.1 less"
+        " is a standard error larger by 0.03. Black surfaces were not seen; their values are filled in",
         "HIDE_OFF",
         6,
     ),
@@ -25,7 +31,7 @@ SHOWN = (
 
 
 def _shown_changed(self: FIPT_MaterialsSettings, context: bpy.types.Context) -> None:
-    from ..blend.maps import show
+    from ..blend.results.maps import show
 
     show(self.id_data, self.shown)
 
@@ -35,20 +41,20 @@ class FIPT_MaterialsSettings(bpy.types.PropertyGroup):
 
     shown: bpy.props.EnumProperty(
         name="Show",
-        description="What the whole room shows in viewports and renders",
+        description="What is shown on the room in viewports and renders",
         items=SHOWN,
         default="ESTIMATED",
         update=_shown_changed,
     )
     atlas_mode: bpy.props.EnumProperty(
         name="Store In",
-        description="Where the estimated values lie",
+        description="Where the estimated values are stored",
         items=[
-            ("uv", "Image Textures", "Images on a UV layer of their own", "IMAGE_DATA", 0),
+            ("uv", "Image Textures", "Images on a separate UV map", "IMAGE_DATA", 0),
             (
                 "color_attribute",
-                "Colour Attributes",
-                "Values at the mesh's corners: for dense scans that can't be unwrapped",
+                "Color Attributes",
+                "Values at the face corners of the mesh, for dense scans that can't be unwrapped",
                 "GROUP_VCOL",
                 1,
             ),
@@ -57,46 +63,83 @@ class FIPT_MaterialsSettings(bpy.types.PropertyGroup):
     )
     texture_size: bpy.props.EnumProperty(
         name="Texture Size",
-        description="Largest width and height of one image; a room gets as many as it needs, up to 16",
+        description="Maximum width and height of an image. A room uses up to 16 images",
         items=[(str(size), f"{size:,}", "") for size in (512, 1024, 2048, 4096, 8192)],
         default="2048",
     )
     texel_density: bpy.props.FloatProperty(
         name="Texel Density",
-        description="How fine the textures are, in texels a metre; photographs rarely show more than 500",
+        description="Resolution of the textures in texels per meter. Photographs rarely show more than 500",
         default=128.0,
         min=1.0,
         soft_min=16.0,
         soft_max=1024.0,
         precision=0,
     )
+    texture_files: bpy.props.EnumProperty(
+        name="Textures",
+        description="Where the .blend file finds its textures and the image of the environment",
+        items=[
+            (
+                "BESIDE",
+                "Beside the File",
+                "Copied to the folder NAME_textures beside the .blend file; packed into it while it is not"
+                " saved yet",
+                "FILE_FOLDER",
+                0,
+            ),
+            ("PACKED", "In the File", "Packed into the .blend file", "PACKAGE", 1),
+            (
+                "IN_RUN",
+                "In the Run Folder",
+                "Left in the run folder: other machines show the room in pink",
+                "FILE_CACHE",
+                2,
+            ),
+        ],
+        default="BESIDE",
+    )
     write_back: bpy.props.EnumProperty(
         name="Surface",
-        description="What stands between the estimated textures and the render",
+        description="Shader that renders the estimated textures",
         items=[
-            ("cycles", "For Cycles", "A node group makes Cycles reflect what the photographs show"),
-            ("paper", "Plain", "Principled alone; several per cent off, more where seen at a slant"),
+            (
+                "cycles",
+                "For Cycles",
+                "Use a node group that makes Cycles match the reflection model of the estimation",
+            ),
+            ("paper", "Plain", "Use the Principled BSDF alone. Several percent off, more at grazing angles"),
         ],
         default="cycles",
     )
     match_exposure: bpy.props.BoolProperty(
         name="Match Exposure",
-        description="Set the scene's exposure so that the photographs' middle is middle grey",
+        description="Set the scene's exposure so that the median of the photographs is middle gray",
         default=True,
     )
     mute_lights: bpy.props.BoolProperty(
-        name="Hide Other Lights",
-        description="Hide the scene's own lights, which the photographs did not see; Revert shows them again",
+        name="Hide Lights",
+        description="Hide the scene's own lights, which are not in the photographs. Revert shows them again",
         default=True,
     )
-    object_count: bpy.props.IntProperty(description="Objects that carry results; 0 for none")
-    image_count: bpy.props.IntProperty(description="Images or attribute materials of the applied results")
-    applied_mode: bpy.props.StringProperty(description="atlas_mode of the applied results")
-    kept_view: bpy.props.StringProperty(description="The scene's view settings, while a map is shown (JSON)")
-    kept_solid: bpy.props.StringProperty(
-        description="How viewports in solid shading were coloured before they drew maps (JSON)"
+    use_cycles: bpy.props.BoolProperty(
+        name="Switch to Cycles",
+        description="Make Cycles the scene's render engine. In EEVEE, the surfaces of lamps emit no light"
+        " onto the room. Revert restores the engine",
+        default=True,
     )
-    kept_before: bpy.props.StringProperty(description="What Revert brings back of the scene (JSON)")
+    object_count: bpy.props.IntProperty(description="Number of objects with applied results")
+    image_count: bpy.props.IntProperty(
+        description="Number of images or attribute materials of the applied results"
+    )
+    applied_mode: bpy.props.StringProperty(description="atlas_mode of the applied results")
+    kept_view: bpy.props.StringProperty(
+        description="The scene's view settings from before a map was shown, as JSON"
+    )
+    kept_solid: bpy.props.StringProperty(
+        description="Color settings of viewports in Solid mode from before a map was shown, as JSON"
+    )
+    kept_before: bpy.props.StringProperty(description="State of the scene that Revert restores, as JSON")
 
 
 CLASSES = (FIPT_MaterialsSettings,)

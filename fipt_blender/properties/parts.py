@@ -6,46 +6,51 @@ from __future__ import annotations
 
 import bpy
 
-# identifier, name, what it is good for; "folder" is "masks" to the engine, with images of the artist's own
+# Identifier, label, tooltip, icon. The engine knows "folder" as "masks", with the artist's own images.
 SOURCES = (
     (
         "auto",
         "Automatic",
-        "The finest that the capture or the room has: masks, else material slots, else objects",
+        "Use masks if the capture has them, otherwise material slots, otherwise objects",
         "SHADERFX",
     ),
     (
         "masks",
         "Part Masks",
-        "Id images beside the photographs: one id a material. The best there is",
+        "ID images beside the photographs, with one ID per material. Gives the best results",
         "IMAGE",
     ),
     (
         "folder",
         "Mask Folder",
-        "Id images of your own, named like the photographs, e.g. painted or from a segmentation tool",
+        "Your own ID images, named like the photographs, e.g. painted or made by a segmentation tool",
         "FILE_FOLDER",
     ),
     (
         "semantics",
         "Semantic Masks",
-        "Id images of classes (wall, chair, ...), each of several materials: guides, but binds less",
+        "ID images of classes (wall, chair, ...), which may have several materials. Less precise than parts",
         "IMAGE_RGB",
     ),
     (
         "materials",
         "Material Slots",
-        "One part a material slot: for rooms that were modelled, or painted with materials",
+        "One part per material slot, for rooms that were modeled or have assigned materials",
         "MATERIAL",
     ),
-    ("objects", "Objects", "One part an object: where each thing is of one material", "OBJECT_DATA"),
+    (
+        "objects",
+        "Objects",
+        "One part per object, for rooms where each object has one material",
+        "OBJECT_DATA",
+    ),
     (
         "loose",
         "Loose Pieces",
-        "One part a connected piece of mesh, also within one object: for models joined into one mesh",
+        "One part per connected piece of mesh, for models that are joined into one object",
         "MESH_DATA",
     ),
-    ("none", "None", "Each point is estimated by itself: for one closed scan without masks", "X"),
+    ("none", "None", "Each point is estimated separately, for a single scan without masks", "X"),
 )
 ENGINE_SOURCES = {"folder": "masks"}
 
@@ -55,22 +60,22 @@ class FIPT_PartsSettings(bpy.types.PropertyGroup):
 
     source: bpy.props.EnumProperty(
         name="Parts From",
-        description="What tells which surfaces are of one material, and so share roughness and metallic",
+        description="How surfaces of the same material are recognized. They share roughness and metallic",
         items=[(*entry, index) for index, entry in enumerate(SOURCES)],
         default="auto",
     )
     folder: bpy.props.StringProperty(
         name="Masks",
-        description="Folder with an id image (PNG or EXR) a photograph, named like it and of its size",
+        description="Folder with an ID image (PNG or EXR) for each photograph, with the same name and size",
         subtype="DIR_PATH",
     )
-    surveyed_folder: bpy.props.StringProperty(description="The folder of masks that the check looked at")
-    auto_source: bpy.props.StringProperty(description="What Automatic chose; empty before a check")
-    counts: bpy.props.StringProperty(description="Number of parts of each source, as JSON")
+    surveyed_folder: bpy.props.StringProperty(description="The mask folder at the last check")
+    auto_source: bpy.props.StringProperty(description="The source that Automatic uses; empty before a check")
+    counts: bpy.props.StringProperty(description="Number of parts from each source, as JSON")
 
     @property
     def engine_source(self) -> str:
-        """The source as room.json names it, one of `mainjob.PARTS`."""
+        """The source as room.json names it, one of `jobs.options.PARTS`."""
         return ENGINE_SOURCES.get(self.source, self.source)
 
 

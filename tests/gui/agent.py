@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The eye inside Blender: answers the driver's questions from a timer; it never presses a button itself.
+"""Runs inside Blender and answers the driver's questions from a timer; it only observes.
 
 Started by `blender --python`. Questions are names of functions of this module, or `module.function` of the
 modules named in $FIPT_GUI_INSIDE, with JSON arguments; they come over the socket named in $FIPT_GUI_SOCKET.
@@ -25,7 +25,7 @@ _TICK_SECONDS = 0.005
 
 
 class _Watch:
-    """What Blender drew: times of the panels' draw functions, and how often the sidebar was drawn."""
+    """What Blender drew: durations of the panels' draw functions, and how often the sidebar was drawn."""
 
     def __init__(self) -> None:
         self.times: dict[str, list[float]] = {}
@@ -34,7 +34,7 @@ class _Watch:
         self.wrapped: set[type] = set()
 
     def wrap(self, prefix: str) -> None:
-        """Measure the draw functions of the panels whose name begins so."""
+        """Measure the draw functions of the panels whose class name has this prefix."""
         for panel in _panels(prefix):
             if panel not in self.wrapped:
                 self.wrapped.add(panel)
@@ -56,7 +56,7 @@ _watch = _Watch()
 
 
 def _panels(prefix: str) -> list[type[bpy.types.Panel]]:
-    """The registered panels whose name begins so."""
+    """The registered panels whose class name has this prefix."""
     found = []
     classes = list(bpy.types.Panel.__subclasses__())
     while classes:
@@ -75,7 +75,7 @@ def _spaces() -> Iterator[tuple[bpy.types.Window, bpy.types.Area, bpy.types.Regi
 
 
 def _find(area: str, region: str) -> dict[str, Any]:
-    """Context of the largest area of a type and of its region of a type; the newest window goes first."""
+    """Context of the largest area of a type and its region of a type, in the newest window that has one."""
     found = [s for s in _spaces() if s[1].type == area and s[2].type == region and s[2].width > 1]
     if not found:
         raise LookupError(f"no {region} of a {area} is open")
@@ -85,7 +85,7 @@ def _find(area: str, region: str) -> dict[str, Any]:
 
 
 def place(area: str, region: str) -> dict[str, int]:
-    """Where a region lies: pixels of the screen with y up; and Blender's interface scale."""
+    """A region's rectangle in screen pixels (y up), and Blender's interface scale."""
     found = _find(area, region)
     window, its_region = found["window"], found["region"]
     return {
@@ -103,7 +103,7 @@ def tab(area: str = "VIEW_3D") -> str:
 
 
 def is_open(area: str, region: str) -> bool:
-    """Whether such a region is on the screen."""
+    """Whether a region of this type is on the screen."""
     return any(s[1].type == area and s[2].type == region and s[2].width > 1 for s in _spaces())
 
 
@@ -114,7 +114,7 @@ def button(area: str, region: str) -> dict[str, str]:
     with bpy.context.temp_override(**_find(area, region)):
         manager.clipboard = ""
         if (found := bpy.context.property) is not None:
-            owner, path, index = found  # of a nested group only the last name
+            owner, path, index = found  # for nested groups this is the last name only
             if bpy.ops.ui.copy_data_path_button.poll():
                 bpy.ops.ui.copy_data_path_button(full_path=True)
             place = f"[{index}]" if index >= 0 else ""
@@ -126,7 +126,7 @@ def button(area: str, region: str) -> dict[str, str]:
 
 
 def _owner_path(owner: Any) -> str:
-    """How Python reaches a part of the preferences, which have no path of their own."""
+    """Python path of a part of the preferences, for which Blender gives none."""
     if isinstance(owner, bpy.types.AddonPreferences):
         for name, addon in bpy.context.preferences.addons.items():
             if addon.preferences == owner:
@@ -135,7 +135,7 @@ def _owner_path(owner: Any) -> str:
 
 
 def value(path: str) -> Any:
-    """The value at a path as `button` gives it; an ID's name stands for it."""
+    """The value at a path that `button` gave; for an ID its name."""
     for prefix, start in (("bpy.data.", bpy.data), ("bpy.context.", bpy.context)):
         if path.startswith(prefix):
             found = _resolve(start, path.removeprefix(prefix))
@@ -144,7 +144,7 @@ def value(path: str) -> Any:
 
 
 def items(path: str) -> list[str]:
-    """Identifiers of an enumeration's items, in their order."""
+    """Identifiers of an enumeration's items, in order."""
     owner, _, name = path.rpartition(".")
     start = bpy.data if owner.startswith("bpy.data.") else bpy.context
     found = _resolve(start, owner.split(".", 2)[2])
@@ -152,7 +152,7 @@ def items(path: str) -> list[str]:
 
 
 def _resolve(start: Any, path: str) -> Any:
-    if start is bpy.context:  # no Blender data: attributes of Python
+    if start is bpy.context:  # no Blender data: plain Python attributes
         name, _, path = path.partition(".")
         start = getattr(start, name)
     return start.path_resolve(path) if path else start
@@ -163,18 +163,18 @@ def _plain(found: Any) -> Any:
 
 
 def redraws() -> int:
-    """How often a sidebar was drawn."""
+    """How often the sidebar was drawn."""
     return _watch.redraws
 
 
 def scroll(area: str, region: str) -> float:
-    """How far a region is scrolled, in pixels from its upper end; less is further down."""
+    """Scroll position of a region in pixels from its upper end; it decreases downwards."""
     found = _find(area, region)["region"]
     return found.view2d.region_to_view(0.0, float(found.height))[1]
 
 
 def project(point: list[float]) -> list[float] | None:
-    """Pixel of the 3D view, from its lower left, that shows a point of the world; None behind the eye."""
+    """Pixel of the 3D viewport, from its lower left, that shows a world position; None behind the viewer."""
     from bpy_extras.view3d_utils import location_3d_to_region_2d
 
     found = _find("VIEW_3D", "WINDOW")
@@ -183,7 +183,7 @@ def project(point: list[float]) -> list[float] | None:
 
 
 def forget_drawn(prefix: str = "FIPT_PT_") -> None:
-    """Start a new list of drawn panels and have the sidebar drawn."""
+    """Clear the list of drawn panels and redraw the sidebar."""
     _watch.wrap(prefix)
     _watch.drawn.clear()
     _watch.forgotten = _watch.redraws
@@ -203,7 +203,7 @@ def drawn() -> list[str]:
 
 
 def panels(prefix: str = "FIPT_PT_") -> list[dict[str, Any]]:
-    """The registered panels of ours, in the order in which they stand."""
+    """The add-on's registered panels, in the order in which they are drawn."""
     found = [
         {
             "name": panel.__name__,
@@ -218,25 +218,25 @@ def panels(prefix: str = "FIPT_PT_") -> list[dict[str, Any]]:
 
 
 def draw_times() -> dict[str, list[float]]:
-    """Seconds that each drawing of each panel took, and a new start of the measurement."""
+    """Seconds of each draw call by panel; clears the measurement."""
     times, _watch.times = _watch.times, {}
     return times
 
 
 def settings(values: dict[str, Any]) -> None:
-    """Set preferences of Blender's view, for instance `show_splash`."""
+    """Set preferences of Blender's interface, for instance `show_splash`."""
     for name, value in values.items():
         setattr(bpy.context.preferences.view, name, value)
 
 
 def close_window(area: str) -> None:
-    """Close the window of an editor, as the button of a window manager does, of which there is none."""
+    """Close an editor's window, as a window manager's button would: the screen has no window manager."""
     with bpy.context.temp_override(window=_find(area, "WINDOW")["window"]):
         bpy.ops.wm.window_close()
 
 
 def save_copy(path: str) -> None:
-    """Keep the scene as it is beside the pictures; the open file stays what it was."""
+    """Save a copy of the scene beside the screenshots; the open file stays the same."""
     bpy.ops.wm.save_as_mainfile(filepath=path, copy=True, compress=True)
 
 
@@ -300,7 +300,7 @@ def _count_redraw() -> None:
 
 
 def main() -> None:
-    """Connect to the driver, and keep out of its pictures what is not the window itself."""
+    """Connect to the driver, and hide whatever would cover the window in screenshots."""
     bpy.context.preferences.use_preferences_save = False
     settings({"show_splash": False, "show_tooltips": False})
     bpy.types.SpaceView3D.draw_handler_add(_count_redraw, (), "UI", "POST_PIXEL")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A real Blender in a window on a screen of its own, that answers questions through the agent."""
+"""A real Blender in a window on a separate screen; it answers questions through the agent."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LEAVE_SECONDS = 30.0
 
 
 class Lost(AssertionError):
-    """Something that should be on the screen or come true is not or does not."""
+    """An expected button, window or condition did not appear."""
 
 
 class Blender:
@@ -99,7 +99,7 @@ class Blender:
         except OSError as error:
             raise Lost(f"Blender does not answer {call}: {error}") from None
         if not line:
-            raise Lost(f"Blender ended while asked {call}; see {self.shots / 'blender.log'}")
+            raise Lost(f"Blender ended while answering {call}; see {self.shots / 'blender.log'}")
         answer = json.loads(line)
         if "error" in answer:
             raise Lost(answer["error"])
@@ -113,7 +113,7 @@ class Blender:
         until: Callable[[Any], bool] = bool,
         every: float = 0.05,
     ) -> Any:
-        """Ask until the answer is true (or what `until` wants); the answer.
+        """Ask until the answer is true (or satisfies `until`); returns the answer.
 
         Raises:
             Lost: it did not come true in time.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The hand on a Blender's mouse and keyboard, and the eye that finds what it reaches for.
+"""Moves Blender's pointer, clicks and types, and finds the buttons to click.
 
 Buttons are found by moving the pointer over them and asking Blender which operator or property lies under it.
 """
@@ -20,14 +20,14 @@ PREFERENCES = ("PREFERENCES", "WINDOW")
 UNIT = 20.0  # height of a button at scale 1
 TABS = 20.0  # width of the strip of tabs
 _DOUBLE_CLICK_SECONDS = 0.4  # Blender's own is 0.35
-_CALM_SECONDS = 0.12  # without a redraw, the sidebar's animations are over
+_CALM_SECONDS = 0.12  # this long without a redraw, and the sidebar's animations are over
 _GAP = 16  # pixels between groups of one property's buttons
 
 Where = tuple[str, str]  # types of an area and of its region
 
 
 class Hand(Blender):
-    """A Blender that is looked at and acted upon; see `Blender` for the arguments."""
+    """A Blender driven by pointer and keyboard; see `Blender` for the arguments."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
@@ -35,7 +35,7 @@ class Hand(Blender):
         self._last_press = (0, 0, 0.0)
 
     def settle(self, seconds: float = 2.0) -> None:
-        """Let pass what an action set off: until the sidebar is no longer being drawn anew."""
+        """Wait until an action's effects are over: the sidebar is no longer redrawn."""
         end = time.monotonic() + seconds
         count, since = self.ask("redraws", ticks=2), time.monotonic()
         while time.monotonic() < end and time.monotonic() - since < _CALM_SECONDS:
@@ -43,7 +43,7 @@ class Hand(Blender):
                 count, since = now, time.monotonic()
 
     def shot(self, name: str, where: Where | None = None) -> Path:
-        """Write a picture of the screen, or of a region, as NAME.png; its path."""
+        """Write a screenshot of the screen, or of a region, as NAME.png; returns its path."""
         file = self.shots / f"{name}.png"
         if where is None:
             self.display.save(file)
@@ -53,28 +53,28 @@ class Hand(Blender):
         return file
 
     def under(self, where: Where = SIDEBAR) -> dict[str, str]:
-        """What lies under the pointer: `operator` as Python, `property` as full path; empty where nothing."""
+        """The button under the pointer: `operator` as Python, `property` as full path; or empty."""
         return self.ask("button", *where, ticks=2)
 
     def point(self, where: Where, x: float, y: float) -> None:
-        """Move to a pixel of a region, counted from its lower left as Blender does."""
+        """Move to a pixel of a region, from its lower left as in Blender."""
         left, top, _, height = self.box(where)
         self.display.move(round(left + x), round(top + height - 1 - y))
 
     def point_at(self, location: Iterable[float]) -> None:
-        """Move to where the 3D view shows a point of the world."""
+        """Move to where the 3D viewport shows a world position."""
         pixel = self.ask("project", list(location))
         if pixel is None:
             raise Lost(f"the view does not show {list(location)}")
         self.point(VIEW, *pixel)
 
     def point_in_view(self, right: float = 0.35, up: float = 0.35) -> None:
-        """Move into the 3D view, to shares of its width and height from the lower left."""
+        """Move into the 3D viewport, to fractions of its width and height from the lower left."""
         _, _, width, height = self.box(VIEW)
         self.point(VIEW, right * width, up * height)
 
     def press(self, button: int = 1) -> None:
-        """Press a mouse button where the pointer is; never as the second half of a double click."""
+        """Press a mouse button where the pointer is; never as the second click of a double click."""
         x, y, at = self._last_press
         if (x, y) == self.display.pointer:
             time.sleep(max(0.0, at + _DOUBLE_CLICK_SECONDS - time.monotonic()))
@@ -86,14 +86,14 @@ class Hand(Blender):
         self.settle()
 
     def key(self, *chords: str) -> None:
-        """Press keys by X names (`Return`, `ctrl+z`, `F3`); the region under the pointer gets them."""
+        """Press keys by X names (`Return`, `ctrl+z`, `F3`); the region under the pointer receives them."""
         for chord in chords:
             self._let_pass()
             self.display.key(chord)
         self._let_pass()
 
     def _let_pass(self) -> None:
-        """Wait until Blender has dealt with the events so far: a press counts where it knows the pointer."""
+        """Wait until Blender has handled all events: a click acts where Blender last saw the pointer."""
         self.ask("redraws", ticks=3)
 
     def type(self, text: str) -> None:
@@ -121,7 +121,7 @@ class Hand(Blender):
         raise Lost(f"no button {target} {values or ''} in {where}")
 
     def extent(self, path: str, where: Where, axis: int) -> tuple[int, int]:
-        """How far a property's buttons reach from the pointer along an axis; the pointer comes back."""
+        """Extent of a property's buttons from the pointer along an axis; restores the pointer."""
         home = self.display.pointer
         ends = []
         for step in (-4, 4):
@@ -172,7 +172,7 @@ class Hand(Blender):
             last = now
 
     def _pages(self, where: Where) -> Iterable[int]:
-        """Scroll to the top, then down by half the region until it moves no more."""
+        """Scroll to the top, then down by half the region until the end is reached."""
         self.to_top(where)
         page = 0
         while True:
@@ -195,7 +195,7 @@ class Hand(Blender):
         self.settle()
 
     def box(self, where: Where) -> tuple[int, int, int, int]:
-        """Left, top, width and height of a region in pixels of the screen."""
+        """Left, top, width and height of a region in screen pixels."""
         place = self.ask("place", *where)
         top = self.display.height - place["y"] - place["height"]
         return place["x"], top, place["width"], place["height"]
@@ -205,7 +205,7 @@ class Hand(Blender):
 
 
 def _matches(report: dict[str, str], target: str, values: dict[str, Any]) -> str:
-    """The report's operator or property where it is the target; else nothing."""
+    """The report's operator or property if it is the target, else an empty string."""
     operator, path = report["operator"], report["property"]
     if operator.startswith(f"bpy.ops.{target}("):
         words = [f"{name}={_python(value)}" for name, value in values.items()]

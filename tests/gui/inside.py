@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The story's questions, asked inside Blender about the scene, its job, its lights. Nothing is changed."""
+"""The story's questions about the scene, its job and its lights; run inside Blender, change nothing."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ def _ours(name: str) -> Any:
 
 def module_name() -> str:
     """The extension's name in Blender's list of add-ons."""
-    return _ours("preferences").__package__
+    return _ours("machine").ADDON
 
 
 def counts() -> dict[str, int]:
-    """How much there is of what the story makes."""
+    """Counts of what the story creates."""
     scene = bpy.context.scene
     capture = scene.fipt.capture
     return {
@@ -39,15 +39,16 @@ def counts() -> dict[str, int]:
 
 
 def job(kind: str) -> dict[str, Any]:
-    """State of the running job of a kind, or of the last one; an empty state where there was none."""
-    running = _ours("running")
+    """State of the running job of a kind, or of the last one; an empty state if there was none."""
+    running = _ours("jobs.running")
     info = running.current()
     if info is None or info.kind != kind:
         info = running.last(kind)
     if info is None:
-        return {"state": "", "fraction": 0.0, "error": None, "stage": ""}
+        return {"state": "", "stopping": False, "fraction": 0.0, "error": None, "stage": ""}
     return {
         "state": info.state,
+        "stopping": info.stopping,
         "fraction": info.fraction,
         "error": info.error,
         "stage": info.stage_text,
@@ -58,12 +59,12 @@ def job(kind: str) -> dict[str, Any]:
 
 def busy() -> bool:
     """Whether any job runs."""
-    return _ours("running").current() is not None
+    return _ours("jobs.running").current() is not None
 
 
 def engine_status() -> dict[str, Any]:
-    """What the preferences say of the engine: whether it is ready, and the error if not."""
-    status = _ours("preferences").status()
+    """What the preferences show about the engine: whether it is ready, and the error if not."""
+    status = _ours("machine").status()
     return {"ready": bool((status.get("engine") or {}).get("ready")), "error": status.get("error")}
 
 
@@ -84,11 +85,11 @@ def view_cameras() -> list[str]:
 def run_stages() -> int:
     """How many stages of the estimate are finished on disk."""
     folder = bpy.context.scene.fipt.run_folder
-    return _ours("runstate").known(folder).stages
+    return _ours("jobs.runstate").known(folder).stages
 
 
 def textured() -> dict[str, int]:
-    """Room objects, and those of them whose every material takes its base colour from an image."""
+    """Room objects, and those whose materials all take their base colour from an image."""
     room = bpy.context.scene.fipt.capture.room_objects(bpy.context.scene)
     return {"objects": len(room), "textured": sum(_is_textured(item) for item in room)}
 
@@ -117,7 +118,7 @@ def light_rows() -> list[dict[str, Any]]:
 
 
 def emission_strengths(name: str) -> list[float]:
-    """What a fixture's materials shine with now, one number a material."""
+    """Current emission strength of a fixture, one number per material."""
     strengths = []
     for slot in bpy.data.objects[name].material_slots:
         for node in slot.material.node_tree.nodes:
@@ -129,7 +130,7 @@ def emission_strengths(name: str) -> list[float]:
 
 
 def inserted() -> list[dict[str, Any]]:
-    """Selected objects with their places: what was placed last."""
+    """Selected objects with their locations: what was placed last."""
     return [
         {"name": item.name, "location": list(item.matrix_world.translation)}
         for item in bpy.context.view_layer.objects.selected
@@ -142,7 +143,7 @@ def names() -> list[str]:
 
 
 def checks() -> list[dict[str, Any]]:
-    """The views that were rendered again."""
+    """The views that were re-rendered."""
     return [
         {"name": view.name, "psnr": view.psnr, "render": view.render}
         for view in bpy.context.scene.fipt.check.views
@@ -156,7 +157,7 @@ def fit_texts() -> dict[str, str]:
 
 
 def change(before: str, after: str) -> float:
-    """How much two pictures of one view differ: the median, over blocks of pixels, of |ln(after/before)|."""
+    """Difference of two pictures of one view: median over blocks of pixels of |ln(after/before)|."""
     import numpy as np
 
     first, second = (_blocks(path) for path in (before, after))
@@ -164,7 +165,7 @@ def change(before: str, after: str) -> float:
 
 
 def _blocks(path: str, size: int = 8) -> Any:
-    """Medians of luminance over blocks: fireflies don't count."""
+    """Medians of luminance over blocks, so that fireflies do not count."""
     import numpy as np
 
     image = bpy.data.images.load(path)

@@ -24,14 +24,14 @@ import dev  # noqa: E402
 
 
 def look(window: Window, sections: list[str]) -> None:
-    """Open sections one by one and picture each."""
+    """Open sections one by one and take a screenshot of each."""
     for label in sections or window.sections():
         window.open_section(label)
         window.shot(f"section_{label.lower()}", SIDEBAR)
 
 
 def main(argv: list[str]) -> int:
-    """Run the test, or only look; 0 where all is well."""
+    """Run the test, or only take screenshots; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--blender", default="blender", help="Blender's executable")
     parser.add_argument("--shots", type=Path, required=True, help="folder of the pictures")
@@ -53,7 +53,7 @@ def main(argv: list[str]) -> int:
         return 2
     arguments = [str(options.open.resolve())] if options.open else []
     arguments += ["--python", str(options.before.resolve())] if options.before else []
-    data = options.shots.resolve() / "data"  # the run, the preferences that are kept
+    data = options.shots.resolve() / "data"  # the run and the saved preferences
     if options.look is None and not options.first:
         shutil.rmtree(data, ignore_errors=True)
     with tempfile.TemporaryDirectory() as folder:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A Blender window under a script's hands: buttons, fields, menus, lists, the sections of the side panel."""
+"""A Blender window driven by a script: buttons, fields, menus, lists and the sidebar's sections."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _TRIES = 6
 
 
 class Window(Hand):
-    """What a script does with a window; see `Blender` for the arguments."""
+    """A script's actions on a window; see `Blender` for the arguments."""
 
     def click(self, target: str, where: Where = SIDEBAR, **values: Any) -> None:
         """Click a button by its operator (`fipt.estimate`) or property (`estimate.preset`).
@@ -27,13 +27,13 @@ class Window(Hand):
         self.press()
 
     def set_text(self, target: str, text: str, where: Where = SIDEBAR) -> None:
-        """Type a text or a number into a field, and see that the property has it."""
+        """Type a text or a number into a field, and check the property."""
         path = self.hover(target, where)
         before = self.ask("value", path)
         if isinstance(before, str):
             self.press()
         else:
-            self.key("Return")  # a click would begin to drag the number
+            self.key("Return")  # a click would start dragging the number
         self.key("ctrl+a")
         self.type(text)
         self.key("Return")
@@ -43,14 +43,14 @@ class Window(Hand):
         self.settle()
 
     def tick(self, target: str, value: bool = True, where: Where = SIDEBAR) -> None:
-        """Set a tick box, and see that it is set."""
+        """Set a checkbox, and check the property."""
         path = self.hover(target, where)
         if self.ask("value", path) != value:
             self.press()
         self.wait("value", path, until=value.__eq__, seconds=5)
 
     def choose(self, target: str, item: str, where: Where = SIDEBAR) -> None:
-        """Open a menu property and take an item by its identifier, with the arrow keys."""
+        """Open a menu property and choose an item by its identifier, with the arrow keys."""
         path = self.hover(target, where)
         index = self.ask("items", path).index(item)
         if self.ask("value", path) != item:
@@ -60,7 +60,7 @@ class Window(Hand):
         self.settle()
 
     def pick(self, target: str, item: str, where: Where = SIDEBAR) -> None:
-        """Click an item, by its identifier, of an enumeration that shows all: side by side or in a column."""
+        """Click an item, by its identifier, of an enumeration that shows all items in a row or column."""
         path = self.hover(target, where)
         names = self.ask("items", path)
         x, y = self.display.pointer
@@ -82,7 +82,7 @@ class Window(Hand):
         raise Lost(f"{path} is not {item}")
 
     def click_row(self, target: str, index: int, where: Where = SIDEBAR) -> None:
-        """Click a row of a list that is in sight, by the property that holds the number of the active row."""
+        """Click a visible row of a list, named by the property that holds the index of the active row."""
         path = self.hover(target, where)
         x, _ = self.display.pointer
         row = UNIT * self.scale()
@@ -97,7 +97,7 @@ class Window(Hand):
         raise Lost(f"{path} is {got} and not {index}")
 
     def search(self, text: str) -> None:
-        """Run an operator from the menu search (F3) over the 3D view."""
+        """Run an operator from the menu search (F3) over the 3D viewport."""
         self.point_in_view()
         self.key("F3")
         self.settle()
@@ -107,7 +107,7 @@ class Window(Hand):
         self.settle()
 
     def open_tab(self, tab: str = TAB) -> None:
-        """Open the sidebar with its key and one of its tabs with the mouse."""
+        """Open the sidebar with its shortcut and one of its tabs with the mouse."""
         if not self.ask("is_open", *SIDEBAR):
             self.point_in_view()
             self.key("n")
@@ -125,7 +125,7 @@ class Window(Hand):
         raise Lost(f"the sidebar has no tab {tab}")
 
     def open_section(self, label: str, *parts: str) -> None:
-        """Open a section of the side panel, alone, and folded parts of it by their labels."""
+        """Open a section of the sidebar, close the others, and open its subpanels by their labels."""
         self.open_tab()
         panels = self.ask("panels")
         sections = [panel for panel in panels if not panel["parent"]]
@@ -151,11 +151,11 @@ class Window(Hand):
         self.settle()
 
     def sections(self) -> list[str]:
-        """Labels of the sections, from the top."""
+        """Labels of the sections, from top to bottom."""
         return [panel["label"] for panel in self.ask("panels") if not panel["parent"]]
 
     def redraw(self) -> None:
-        """Have the sidebar drawn once."""
+        """Have the sidebar redrawn once."""
         self.ask("forget_drawn")
         self.wait("drawn_anew", every=0.01)
 
@@ -168,7 +168,7 @@ class Window(Hand):
         return self._drawn() & {section["name"] for section in sections}
 
     def _close_sections(self, sections: list[dict[str, Any]]) -> None:
-        """From the top down: where a header is, is known when all above are closed."""
+        """Close from the top down: a header's place is known when all above it are closed."""
         for index, section in enumerate(sections):
             left = self._open_sections(sections)
             if section["name"] in left:
@@ -189,7 +189,7 @@ class Window(Hand):
         self.press()
 
     def _open_part(self, name: str, below: int) -> int:
-        """Press what is no button, downwards from a section's header, until the part opens."""
+        """Click downwards from a section's header, where there is no button, until the subpanel opens."""
         left, top, _, height = self.box(SIDEBAR)
         x, step = left + round(60 * self.scale()), round(UNIT * self.scale() * 0.6)
         before = self._drawn()
@@ -201,6 +201,6 @@ class Window(Hand):
             now = self._drawn()
             if name in now:
                 return y
-            if now != before:  # another one's header
+            if now != before:  # the header of another subpanel
                 self.press()
         raise Lost(f"the part {name} has no header below")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The hand on mouse and keyboard: X's test extension, pictures of the screen, a screen of its own.
+"""Pointer, keyboard and screenshots through X's test extension, and a separate screen.
 
 Needs libX11, libXtst and, where there is no display, Xvfb. Standard library only.
 """
@@ -17,7 +17,7 @@ import time
 import zlib
 from pathlib import Path
 
-_MOTION_STEPS = 6  # Blender looks at the pointer between redraws; a leap would be seen as no motion
+_MOTION_STEPS = 6  # Blender reads the pointer between redraws; a jump would not count as motion
 _STEP_SECONDS = 0.008
 _PRESS_SECONDS = 0.05
 _MODIFIERS = {"ctrl": "Control_L", "shift": "Shift_L", "alt": "Alt_L"}
@@ -25,11 +25,11 @@ _Z_PIXMAP, _ALL_PLANES = 2, ctypes.c_ulong(-1).value
 
 
 class DisplayError(Exception):
-    """No display can be had, or it cannot do what is asked; the text says why."""
+    """There is no display, or it lacks a function; the text says why."""
 
 
 class _XImage(ctypes.Structure):
-    """The public head of Xlib's XImage."""
+    """The public first fields of Xlib's XImage."""
 
     _fields_ = [
         *((name, ctypes.c_int) for name in ("width", "height", "xoffset", "format")),
@@ -40,7 +40,7 @@ class _XImage(ctypes.Structure):
 
 
 def missing() -> str:
-    """What this machine lacks for a display of its own; empty where nothing is."""
+    """What this machine lacks for a separate display; empty if nothing."""
     lacking = [name for name in ("X11", "Xtst") if ctypes.util.find_library(name) is None]
     if lacking:
         return f"the libraries {', '.join('lib' + name for name in lacking)}"
@@ -69,7 +69,7 @@ class Screen:
             raise DisplayError(f"Xvfb can't be started: {error}") from None
         finally:
             os.close(write)
-        with os.fdopen(read) as answer:  # ends without a number where the server dies
+        with os.fdopen(read) as answer:  # ends without a number if the server dies
             number = answer.readline().strip()
         if not number:
             raise DisplayError("Xvfb ended at once")
@@ -83,7 +83,7 @@ class Screen:
 
 
 class Display:
-    """Pointer, keys and pixels of a display; places are pixels from its top left."""
+    """Pointer, keys and pixels of a display; positions are pixels from its top left."""
 
     def __init__(self, name: str) -> None:
         self._x = ctypes.CDLL(ctypes.util.find_library("X11") or "libX11.so.6")
@@ -131,11 +131,11 @@ class Display:
         self._move(*self.pointer)
 
     def close(self) -> None:
-        """Leave the display."""
+        """Close the connection to the display."""
         self._x.XCloseDisplay(ctypes.c_void_p(self._display))
 
     def move(self, x: int, y: int, steps: int = _MOTION_STEPS) -> None:
-        """Travel to a pixel in small steps."""
+        """Move to a pixel in small steps."""
         from_x, from_y = self.pointer
         for step in range(1, steps + 1):
             self._move(from_x + (x - from_x) * step // steps, from_y + (y - from_y) * step // steps)
@@ -177,7 +177,7 @@ class Display:
                 self.hold("Shift_L", False)
 
     def arrange(self) -> None:
-        """Move windows into sight that reach beyond the screen, as a window manager does."""
+        """Move windows that extend beyond the screen into view, as a window manager does."""
         ids = [ctypes.c_ulong() for _ in range(2)]
         children, count = ctypes.POINTER(ctypes.c_ulong)(), ctypes.c_uint()
         display, root = ctypes.c_void_p(self._display), ctypes.c_ulong(self._root)

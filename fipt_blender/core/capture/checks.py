@@ -1,25 +1,25 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What makes a capture unusable, and what the user should know: poses, intrinsics, pixels.
+"""Checks of a capture: errors and warnings about poses, intrinsics and pixels.
 
-Nothing here writes; `ingest` runs all of it before it writes anything.
+Nothing here writes files; `ingest` runs all checks before it writes anything.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ..job.errors import FiptError
-from .rig import Note
+from ..run.errors import FiptError
+from .rig import Note, Pinhole
 
 ROTATION_TOLERANCE = 1e-3
 NEGATIVE_TOLERANCE = 1e-3  # of the capture's median radiance
 CLIPPED_SHARE = 5e-4
-CLIPPED_TOLERANCE = 4e-3  # a few steps of half floats, by which an even lamp's pixels differ
+CLIPPED_TOLERANCE = 4e-3  # a few steps of half floats: the pixels of a uniform lamp differ by as much
 SAMPLED_PIXELS = 65536
 
 
@@ -27,13 +27,13 @@ def nearest_rotation(name: str, pose: np.ndarray) -> np.ndarray:
     """The pose (4, 4) with its rotation made exactly orthonormal.
 
     Raises:
-        FiptError: ``pose-not-rotation`` where it is not finite, scaled, sheared or mirrored by more than
-            1e-3.
+        FiptError: ``pose-not-rotation`` where it is not finite, or is mirrored, or scaled or sheared by more
+            than 1e-3.
     """
     if not np.isfinite(pose).all():
-        reason = "holds NaN or infinity"
+        reason = "contains NaN or infinity"
     elif np.linalg.det(pose[:3, :3]) < 0.0:
-        reason = "mirrors (its determinant is negative)"
+        reason = "is mirrored (its determinant is negative)"
     elif (error := float(np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max())) > ROTATION_TOLERANCE:
         reason = f"is scaled or sheared (off by {error:.2g})"
     else:
@@ -44,17 +44,21 @@ def nearest_rotation(name: str, pose: np.ndarray) -> np.ndarray:
         return result
     raise FiptError(
         "pose-not-rotation",
-        f"The pose of view {name} {reason}: it is no rotation.",
-        "Export the camera poses without scale, as rotation and position.",
+        f"The pose of view {name} {reason}; it must consist of a rotation and a position.",
+        "Export the camera poses without scale.",
     )
 
 
-def check_intrinsics(name: str, width: int, height: int, fx: float, fy: float, cx: float, cy: float) -> None:
-    """Refuse intrinsics (pixels) that no photograph has.
+def check_intrinsics(name: str, pinhole: Pinhole) -> None:
+    """Refuse intrinsics that no photograph has.
+
+    Args:
+        name: of the view, for the error.
 
     Raises:
         FiptError: ``intrinsics-invalid``.
     """
+    width, height, fx, fy, cx, cy = astuple(pinhole)
     finite = np.isfinite([fx, fy, cx, cy]).all()
     near = -0.5 * width <= cx <= 1.5 * width and -0.5 * height <= cy <= 1.5 * height
     if width < 1 or height < 1 or not finite or fx <= 0.0 or fy <= 0.0 or not near:
@@ -68,13 +72,13 @@ def check_intrinsics(name: str, width: int, height: int, fx: float, fy: float, c
 
 @dataclass(frozen=True)
 class PixelStatistics:
-    """What one photograph's values tell.
+    """Statistics of one photograph's values.
 
     Attributes:
         minimum: lowest value.
         median: median of the positive values, 0 where there are none.
         looks_ldr: all values are 8-bit steps between 0 and 1, linear or sRGB-encoded.
-        clipped: share of pixels at the highest value, where that looks like a sensor's limit.
+        clipped: share of pixels at the highest value, 0 unless that looks like a sensor's limit.
     """
 
     minimum: float
@@ -96,8 +100,8 @@ def pixel_statistics(path: Path, pixels: np.ndarray) -> PixelStatistics:
         y, x = (int(index[0]) for index in np.nonzero(bad))
         raise FiptError(
             "image-not-finite",
-            f"{path} holds NaN or infinity in {int(bad.sum())} pixels, the first at column {x}, row {y}.",
-            "Repair the HDR merge or render, or paint over the pixels.",
+            f"{path} contains NaN or infinity in {int(bad.sum())} pixels, the first at column {x}, row {y}.",
+            "Repair the HDR merge or the render, or paint over these pixels.",
         )
     flat = pixels.reshape(-1, 3)
     sample = np.ascontiguousarray(flat[:: -(-len(flat) // SAMPLED_PIXELS)])
@@ -116,25 +120,25 @@ def _is_8bit(values: np.ndarray) -> bool:
         return False
     encoded = np.where(values <= 0.0031308, 12.92 * values, 1.055 * values ** (1.0 / 2.4) - 0.055)
     for steps in (255.0 * values, 255.0 * encoded):
-        # half floats lie up to 2^-11 of their value beside a step
+        # Half floats deviate from a step by up to 2^-11 of their value.
         if (np.abs(steps - np.round(steps)) <= 1e-3 + steps * 2.0**-11).all():
             return True
     return False
 
 
 def _clipped_share(sample: np.ndarray) -> float:
-    """Share of pixels (N, 3) at the sensor's limit, 0 where the highest values are no such limit.
+    """Share of pixels (N, 3) at the sensor's limit, 0 where the highest values are not such a limit.
 
-    Where a sensor clips, channels reach their limit one after the other towards a highlight. Where a lamp
-    of even radiance is seen directly, all channels have their highest values in the same pixels.
+    Where a sensor clips, the channels reach their limit one after the other towards a highlight. Where a lamp
+    of uniform radiance is seen directly, all channels have their highest values in the same pixels.
     """
     highest = sample.max(axis=0)
     at_limit = (sample == highest).any(axis=1).sum()
     if at_limit < max(16, CLIPPED_SHARE * len(sample)):
         return 0.0
     near = sample >= highest * (1.0 - CLIPPED_TOLERANCE)
-    some, every = int(near.any(axis=1).sum()), int(near.all(axis=1).sum())
-    return float(at_limit) / len(sample) if some - every >= 0.05 * some else 0.0
+    any_near, all_near = int(near.any(axis=1).sum()), int(near.all(axis=1).sum())
+    return float(at_limit) / len(sample) if any_near - all_near >= 0.05 * any_near else 0.0
 
 
 def judge_pixels(
@@ -144,17 +148,17 @@ def judge_pixels(
 
     Args:
         names: of the views, for the texts.
-        statistics: one a view.
+        statistics: of each view.
         clamp_negative: accept negative values of any size.
 
     Raises:
-        FiptError: ``image-black`` where all are, ``image-negative`` where values lie below 1e-3 of the
-            capture's median radiance under zero.
+        FiptError: ``image-black`` where all photographs are black, ``image-negative`` where a value is lower
+            than -1e-3 times the capture's median radiance.
     """
     medians = [item.median for item in statistics if item.median > 0.0]
     if not medians:
         raise FiptError(
-            "image-black", "All photographs are black.", "Check the export; the values must be radiance."
+            "image-black", "All photographs are black.", "Check the export: the values must be radiance."
         )
     limit = -NEGATIVE_TOLERANCE * float(np.median(medians))
     pairs = list(zip(names, statistics, strict=True))
@@ -165,17 +169,17 @@ def judge_pixels(
         if worst.minimum < limit and not clamp_negative:
             raise FiptError(
                 "image-negative",
-                f"{len(negative)} photographs hold negative values, the lowest {worst.minimum:g} in {name}: "
-                "radiance can't be negative.",
-                "Export them without sharpening or colour grading, or set negative values to zero "
+                f"{len(negative)} photographs contain negative values (the lowest is {worst.minimum:g}, in "
+                f"{name}), but radiance can't be negative.",
+                "Export them without sharpening or color grading, or set negative values to zero "
                 "(Clamp Negative in the import settings, --clamp-negative).",
             )
         notes.append(
             Note(
                 "image-negative",
-                f"{len(negative)} photographs hold negative values (the lowest is {worst.minimum:.3g}, in "
-                f"{name}); they are taken as zero.",
-                "Resampling filters make such values; nothing needs to be done.",
+                f"{len(negative)} photographs contain negative values (the lowest is {worst.minimum:.3g}, in "
+                f"{name}), which are set to zero.",
+                "Resampling filters produce such values; nothing needs to be done.",
             )
         )
     ldr = [name for name, item in pairs if item.looks_ldr]
@@ -183,9 +187,9 @@ def judge_pixels(
         notes.append(
             Note(
                 "image-maybe-ldr",
-                f"{len(ldr)} photographs, {ldr[0]} first, hold only 8-bit values between 0 and 1: they look "
-                "like LDR photographs saved as EXR.",
-                "Lamps and windows need their true radiance: merge exposures into HDR.",
+                f"{len(ldr)} photographs (the first is {ldr[0]}) contain only 8-bit values between 0 and 1: "
+                "they look like LDR photographs saved as EXR.",
+                "Merge several exposures into HDR: the radiance of lamps and windows must not be clipped.",
             )
         )
     clipped = [(name, item.clipped) for name, item in pairs if item.clipped > 0.0]
@@ -196,7 +200,7 @@ def judge_pixels(
                 "image-clipped",
                 f"{len(clipped)} photographs look over-exposed, {name} most ({100.0 * share:.1f} % of its "
                 "pixels).",
-                "Add shorter exposures to the HDR merge: clipped lamps come out too dark.",
+                "Add shorter exposures to the HDR merge: clipped lamps are estimated too dark.",
             )
         )
     return notes

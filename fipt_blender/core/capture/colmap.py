@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
+from .colmap_sizes import check_model
 from .rig import (
     PARTS_FOLDER,
     SEMANTICS_FOLDER,
@@ -41,17 +42,18 @@ def detect(path: Path) -> bool:
 def read(path: Path, options: ReadOptions) -> Rig:
     """Read all registered images of the model, in the order of their names.
 
-    Photographs are looked for in ``options.images`` and the usual folders beside the model, EXR files
-    first (models are often solved on tone-mapped copies). COLMAP's world has no declared up axis. Of several
-    unconnected models below the folder, the one with most images is read.
+    Photographs are searched in ``options.images`` and the usual folders beside the model, EXR files first
+    (models are often solved on tone-mapped copies). COLMAP does not define an up axis. Of several unconnected
+    models below the folder, the one with most images is read.
 
     Raises:
         FiptError: ``rig-damaged``.
     """
     folder = _model_folder(path)
     if folder is None:
-        raise damaged(path, "there is no COLMAP model")
+        raise damaged(path, "it contains no COLMAP model")
     try:
+        check_model(folder)
         model = pycolmap.Reconstruction(str(folder))
         images = sorted((model.images[i] for i in model.reg_image_ids()), key=lambda image: image.name)
         entries = [(image.name, model.cameras[image.camera_id], _camera_to_world(image)) for image in images]
@@ -88,20 +90,25 @@ def _is_model(folder: Path) -> bool:
 
 
 def _model_folder(path: Path) -> Path | None:
-    found = next((path / name for name in MODEL_FOLDERS if _is_model(path / name)), None)
-    if found is None or found == path or not found.name.isdigit():
-        return found
-    # ties go to the model that COLMAP numbered first
-    return max(sorted(_siblings(found), key=lambda folder: int(folder.name)), key=_image_count)
+    folder = next((path / name for name in MODEL_FOLDERS if _is_model(path / name)), None)
+    if folder is None or folder == path or not _is_number(folder.name):
+        return folder
+    # Of equally large models, the one with the lowest number.
+    return max(sorted(_siblings(folder), key=lambda sibling: int(sibling.name)), key=_image_count)
+
+
+def _is_number(name: str) -> bool:
+    """Whether a folder is named like COLMAP's models; "²" is a digit, too, but not a number."""
+    return name.isascii() and name.isdigit()
 
 
 def _siblings(folder: Path) -> list[Path]:
-    """The numbered models of one reconstruction, which COLMAP could not connect."""
-    return [other for other in folder.parent.iterdir() if other.name.isdigit() and _is_model(other)]
+    """The numbered models of one reconstruction that COLMAP could not connect."""
+    return [other for other in folder.parent.iterdir() if _is_number(other.name) and _is_model(other)]
 
 
 def _image_count(folder: Path) -> int:
-    """Number of images of a model, without reading all of it; 0 where that fails."""
+    """Number of images of a model, without reading all of it; 0 where it can't be read."""
     try:
         if (folder / "images.bin").is_file():
             with (folder / "images.bin").open("rb") as file:
@@ -109,15 +116,15 @@ def _image_count(folder: Path) -> int:
         lines = (folder / "images.txt").read_text(encoding="utf-8", errors="replace").splitlines()
     except (OSError, struct.error):
         return 0
-    # two lines an image: its pose, and its points, which may be an empty line
-    return sum(bool(line.strip()) for line in [each for each in lines if not each.startswith("#")][::2])
+    # Two lines per image: its pose, and its points, which may be an empty line.
+    return sum(bool(line.strip()) for line in [line for line in lines if not line.startswith("#")][::2])
 
 
 def _roots(path: Path, folder: Path) -> list[Path]:
-    """Folders to look for images and meshes in: the capture's own, and those above sparse/0."""
+    """Folders in which images and meshes are searched: the capture's folder, and the one above sparse/0."""
     roots = [path]
     folder = folder.resolve()
-    if folder.name.isdigit():
+    if _is_number(folder.name):
         folder = folder.parent
     if folder.name == "sparse":
         folder = folder.parent
@@ -133,16 +140,13 @@ def _camera_to_world(image: pycolmap.Image) -> np.ndarray:
 
 
 def _ids(roots: list[Path], folder: str, stem: str) -> Path | None:
-    for root in roots:
-        found = find_ids(root / folder, stem)
-        if found is not None:
-            return found
-    return None
+    paths = (find_ids(root / folder, stem) for root in roots)
+    return next((path for path in paths if path is not None), None)
 
 
 def _notes(folder: Path) -> tuple[Note, ...]:
     """A warning where the solver left several unconnected models."""
-    if not folder.name.isdigit():
+    if not _is_number(folder.name):
         return ()
     others = [other for other in _siblings(folder) if other != folder]
     if not others:
@@ -151,8 +155,8 @@ def _notes(folder: Path) -> tuple[Note, ...]:
     return (
         Note(
             "several-models",
-            f"COLMAP left {len(others) + 1} unconnected models; only '{folder.name}' with its "
-            f"{_image_count(folder)} images is used. The others (images): {sizes}.",
-            "To use another, name its folder as the capture; to join them, solve the photographs again.",
+            f"COLMAP found {len(others) + 1} unconnected models; only '{folder.name}' with its "
+            f"{_image_count(folder)} images is used. The others (and their images): {sizes}.",
+            "To use another one, choose its folder as the capture; to connect them, run COLMAP again.",
         ),
     )

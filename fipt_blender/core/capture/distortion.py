@@ -1,40 +1,27 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Undoing lens distortion in image and intrinsics together; COLMAP's camera models, through pycolmap.
+"""Undoing lens distortion in images and intrinsics, with COLMAP's camera models from pycolmap.
 
-pycolmap's own image undistortion quantises to 8 bit, so that only its camera models are used and float
-images are resampled here.
+pycolmap's image undistortion quantises to 8 bit, so that only its camera models are used, and float images
+are resampled here.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import pycolmap
 
-from ..job.errors import FiptError
-from .rig import Lens
-
-
-@dataclass(frozen=True)
-class Pinhole:
-    """Size and intrinsics in pixels of an image without distortion."""
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
+from ..run.errors import FiptError
+from .rig import Lens, Pinhole
 
 
 def lens_camera(lens: Lens, width: int, height: int) -> pycolmap.Camera:
     """The pycolmap camera of a lens.
 
     Raises:
-        FiptError: ``camera-model`` for a model or parameters that no perspective camera has.
+        FiptError: ``camera-model`` for a model or parameters that a perspective camera can't have.
     """
     try:
         camera = pycolmap.Camera(
@@ -53,7 +40,7 @@ def lens_camera(lens: Lens, width: int, height: int) -> pycolmap.Camera:
 
 
 def lens_pinhole(lens: Lens, width: int, height: int) -> Pinhole:
-    """The lens without its distortion, on the original image.
+    """The intrinsics of a lens without its distortion, for the original image.
 
     Raises:
         FiptError: ``camera-model``.
@@ -62,7 +49,7 @@ def lens_pinhole(lens: Lens, width: int, height: int) -> Pinhole:
 
 
 def is_distorted(lens: Lens, width: int, height: int) -> bool:
-    """Whether straight lines bend: fisheyes do even where all their coefficients are zero.
+    """Whether a lens maps straight lines to curves; a fisheye does even if all its coefficients are zero.
 
     Raises:
         FiptError: ``camera-model``.
@@ -72,7 +59,7 @@ def is_distorted(lens: Lens, width: int, height: int) -> bool:
 
 
 def undistorted_pinhole(lens: Lens, width: int, height: int) -> Pinhole:
-    """The pinhole that a distorted image is resampled to: it shows nothing from outside the image.
+    """The pinhole that a distorted image is resampled to; all its pixels lie inside the distorted image.
 
     Raises:
         FiptError: ``camera-model`` where the distortion can't be undone.
@@ -86,13 +73,13 @@ def undistorted_pinhole(lens: Lens, width: int, height: int) -> Pinhole:
         raise FiptError(
             "camera-model",
             f"The lens distortion {lens.model} {lens.parameters} can't be undone over the whole image.",
-            "Check the distortion coefficients, or undistort the photographs before.",
+            "Check the distortion coefficients, or undistort the photographs before the import.",
         )
     return pinhole
 
 
 class Undistortion:
-    """The resampling from a distorted image to its `undistorted_pinhole`.
+    """Resampling of a distorted image to its `undistorted_pinhole`.
 
     Raises:
         FiptError: ``camera-model``.
@@ -140,9 +127,9 @@ class Undistortion:
         return pixels
 
 
-@lru_cache(maxsize=2)  # one camera held upright and across is the usual mixture; each entry is large
+@lru_cache(maxsize=2)  # usually one camera, in landscape and portrait; each entry is large
 def undistortion(lens: Lens, width: int, height: int) -> Undistortion:
-    """The resampling of a lens; the last two are kept.
+    """The resampling of a lens; the last two are cached.
 
     Raises:
         FiptError: ``camera-model``.
@@ -164,7 +151,11 @@ def _pinhole(camera: pycolmap.Camera) -> Pinhole:
 def _source_positions(
     camera: pycolmap.Camera, pinhole: Pinhole, columns: np.ndarray, rows: np.ndarray
 ) -> np.ndarray:
-    """Positions (rows * columns, 2) in the distorted image of positions in the undistorted one."""
+    """(rows * columns, 2) positions x, y in the distorted image, in pixels.
+
+    Args:
+        columns, rows: positions in the undistorted image, in pixels.
+    """
     x, y = np.meshgrid((columns - pinhole.cx) / pinhole.fx, (rows - pinhole.cy) / pinhole.fy)
     points = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
     return np.asarray(camera.img_from_cam(points))

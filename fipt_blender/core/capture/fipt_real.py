@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reader for the FIPT authors' real captures: cam.txt and K_list.txt beside Image/ and segmentation/.
 
-Both text files start with the number of views; then each view has three lines of three numbers: origin,
-look-at point and up vector in cam.txt, the camera matrix in K_list.txt.
+Both text files begin with the number of views, followed by three lines of three numbers for each view:
+origin, look-at point and up vector in cam.txt, the camera matrix in K_list.txt.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..job.errors import FiptError
+from ..run.errors import FiptError
 from .images import read_size
 from .rig import Lens, ReadOptions, Rig, RigView, damaged, find_mesh
 
 NAME = "fipt-real"
 LOOKS_FOR = "cam.txt and K_list.txt"
-# cam.txt is written with few digits, so that up and viewing direction are only nearly perpendicular
+# Cosine; cam.txt has few digits, so that the up vector is only nearly perpendicular to the viewing direction.
 PERPENDICULAR_TOLERANCE = 1e-2
 
 
@@ -28,11 +28,11 @@ def detect(path: Path) -> bool:
 
 
 def read(path: Path, options: ReadOptions) -> Rig:
-    """Read all views; the layout has no splits and does not say which axis is up.
+    """Read all views; the layout defines neither splits nor an up axis.
 
     Raises:
-        FiptError: ``rig-damaged``, ``pose-not-rotation``, ``image-size`` where an image is not the one that
-            its camera matrix was calibrated for, ``image-missing`` or ``image-unreadable``.
+        FiptError: ``rig-damaged``, ``pose-not-rotation``, ``image-size`` where an image does not fit its
+            camera matrix, ``image-missing`` or ``image-unreadable``.
     """
     poses = _read_blocks(path / "cam.txt")
     matrices = _read_blocks(path / "K_list.txt")
@@ -62,7 +62,7 @@ def read(path: Path, options: ReadOptions) -> Rig:
 
 
 def _read_blocks(path: Path) -> np.ndarray:
-    """The (N, 3, 3) numbers of a file with a count and 3 N lines."""
+    """(N, 3, 3) numbers of a file that contains N and 3 N lines."""
     try:
         words = path.read_text(encoding="utf-8").split()
         count = int(words[0])
@@ -70,7 +70,7 @@ def _read_blocks(path: Path) -> np.ndarray:
     except (OSError, ValueError, IndexError) as error:
         raise damaged(path, error) from None
     if values.size != count * 9:
-        raise damaged(path, f"{values.size} numbers for {count} views, 9 each")
+        raise damaged(path, f"{values.size} numbers instead of 9 for each of {count} views")
     return values.reshape(count, 3, 3)
 
 
@@ -100,7 +100,7 @@ def _lens(path: Path, index: int, matrix: np.ndarray, width: int, height: int) -
     if not np.isfinite(matrix).all() or abs(matrix[0, 1]) > 1e-6 * abs(matrix[0, 0]):
         raise damaged(path, f"the camera matrix of view {index} has skew or is not finite")
     fx, fy, cx, cy = (float(v) for v in (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]))
-    # The format states no image size; a principal point far from the centre tells of another one.
+    # The format has no image size; a principal point far from the centre indicates another size.
     if abs(cx / width - 0.5) > 0.25 or abs(cy / height - 0.5) > 0.25:
         raise FiptError(
             "image-size",

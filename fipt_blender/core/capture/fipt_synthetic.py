@@ -9,12 +9,21 @@ from pathlib import Path
 from typing import Any
 
 from ..conventions import fipt_to_opencv_camera
+from ..run.documents import Fields, Items, Maybe, Number
+from ..run.shapes import MOST_SIDE
 from .images import read_size
 from .rig import Lens, ReadOptions, Rig, RigView, damaged, find_mesh, read_json_rig, read_pose
 
 NAME = "fipt-synthetic"
 LOOKS_FOR = "train/transforms.json beside train/Image/"
 SPLITS = {"train": "train", "val": "held_back"}
+RIG = Fields(
+    {
+        "camera_angle_x": Number(),
+        "frames": Items(Fields({"transform_matrix": list}, {"file_path": Maybe(str)})),
+    },
+    {"width": Number(1, MOST_SIDE), "height": Number(1, MOST_SIDE), "up_axis": str},
+)
 
 
 def detect(path: Path) -> bool:
@@ -26,9 +35,9 @@ def detect(path: Path) -> bool:
 def read(path: Path, options: ReadOptions) -> Rig:
     """Read the splits train and, where present, val (held back).
 
-    Cameras have X left, Y up, Z forward, one horizontal field of view and a centred principal point;
-    the world is Y up unless the JSON says otherwise under "up_axis". IndexMA are part ids, segmentation
-    semantic ids.
+    Camera axes are X left, Y up, Z forward; the views of a split share one horizontal field of view, and the
+    principal point is centred. The world is Y up unless the JSON has another "up_axis". IndexMA/ contains
+    part ids, segmentation/ semantic ids.
 
     Raises:
         FiptError: ``rig-damaged``, ``image-missing`` or ``image-unreadable``.
@@ -40,17 +49,15 @@ def read(path: Path, options: ReadOptions) -> Rig:
         json_path = path / folder / "transforms.json"
         if not json_path.is_file():
             continue
-        data = read_json_rig(json_path)
-        up_axis = str(data.get("up_axis", up_axis))
+        data = read_json_rig(json_path, RIG)
+        up_axis = data.get("up_axis", up_axis)
         for index, frame in enumerate(data["frames"]):
-            if not isinstance(frame, dict):
-                raise damaged(json_path, f"frame {index} is no object")
             views.append(_view(json_path, split, index, frame, data))
     return Rig(NAME, tuple(views), up_axis, find_mesh([path], ["scene", "mesh"]))
 
 
 def _root(path: Path) -> Path:
-    """The capture that a split's folder or camera file belongs to; other readers would turn its cameras."""
+    """The capture that a split's folder or camera file belongs to; other readers assume other camera axes."""
     split = path.parent if path.name == "transforms.json" else path
     return split.parent if split.name in SPLITS and (split / "Image").is_dir() else path
 
@@ -65,8 +72,7 @@ def _view(json_path: Path, split: str, index: int, frame: dict[str, Any], data: 
         else:
             width, height = read_size(image)
         focal = 0.5 * width / math.tan(0.5 * float(data["camera_angle_x"]))
-        matrix = frame["transform_matrix"]
-    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
+    except (ValueError, ZeroDivisionError) as error:
         raise damaged(json_path, error) from None
     parts = root / "IndexMA" / image.name
     semantics = root / "segmentation" / f"{number}.exr"
@@ -77,15 +83,15 @@ def _view(json_path: Path, split: str, index: int, frame: dict[str, Any], data: 
         width=width,
         height=height,
         lens=Lens("PINHOLE", (focal, focal, 0.5 * width, 0.5 * height)),
-        camera_to_world=fipt_to_opencv_camera(read_pose(json_path, matrix)),
+        camera_to_world=fipt_to_opencv_camera(read_pose(json_path, frame["transform_matrix"])),
         parts=parts if parts.is_file() else None,
         semantics=semantics if semantics.is_file() else None,
     )
 
 
 def _image(root: Path, index: int, frame: dict[str, Any]) -> Path:
-    """The frame's own path where it names an EXR, else the authors' numbering by position in the list."""
-    named = frame.get("file_path")
-    if isinstance(named, str) and named.lower().endswith(".exr"):
-        return root / named
+    """The frame's file_path where it is an EXR, else the authors' name, numbered by position in the list."""
+    file_path = frame.get("file_path")
+    if isinstance(file_path, str) and file_path.lower().endswith(".exr"):
+        return root / file_path
     return root / "Image" / f"{index:03d}_0001.exr"

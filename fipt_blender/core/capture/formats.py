@@ -1,24 +1,24 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The registry of capture formats: a format is one module with NAME, LOOKS_FOR, detect and read."""
+"""The registry of capture formats; each is a module with NAME, LOOKS_FOR, detect and read."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from types import ModuleType
 
-from ..job.errors import FiptError
+from ..run.errors import FiptError
 from . import colmap, fipt_real, fipt_synthetic, transforms
 from .rig import ReadOptions, Rig
 
-# Order decides where a folder fits several: nerfstudio keeps a COLMAP model beside its transforms.json.
+# The first match is used: nerfstudio, for example, keeps a COLMAP model beside its transforms.json.
 FORMATS: dict[str, ModuleType] = {
     module.NAME: module for module in (fipt_synthetic, fipt_real, transforms, colmap)
 }
 
 
 def detect_format(path: Path) -> str:
-    """The name of the first format that fits a capture.
+    """The name of the first format that matches a capture.
 
     Raises:
         FiptError: ``capture-missing`` or ``format-unknown``.
@@ -28,20 +28,32 @@ def detect_format(path: Path) -> str:
     for name, module in FORMATS.items():
         if module.detect(path):
             return name
-    sought = "; ".join(f"{name}: {module.LOOKS_FOR}" for name, module in FORMATS.items())
+    layouts = "; ".join(f"{name}: {module.LOOKS_FOR}" for name, module in FORMATS.items())
     raise FiptError(
         "format-unknown",
-        f"{path} is no capture that can be read. Looked for {sought}.",
-        "Point to the folder that holds these files, or export the capture in one of these formats.",
+        f"{path} is not a capture in a known format. Known formats are {layouts}.",
+        "Choose the folder that contains these files, or export the capture in one of these formats.",
     )
 
 
 def read_rig(path: Path, name: str, options: ReadOptions) -> Rig:
-    """Read a capture in a format of `FORMATS`, or "auto".
+    """Read a capture; `name` is one of `FORMATS` or "auto".
 
     Raises:
-        FiptError: ``capture-missing``, ``format-unknown``, or one of the reader's.
+        FiptError: ``capture-missing``, ``format-unknown``, ``capture-unreadable`` where the system refuses
+            access, or one of the reader's.
     """
+    try:
+        return _read_rig(path, name, options)
+    except OSError as error:
+        raise FiptError(
+            "capture-unreadable",
+            f"{error.filename or path} can't be read ({error.strerror}).",
+            "Allow your user to read the capture's files and folders, or copy them to your own disk.",
+        ) from None
+
+
+def _read_rig(path: Path, name: str, options: ReadOptions) -> Rig:
     detected = detect_format(path) if name == "auto" else name
     module = FORMATS[detected]
     if name != "auto":
@@ -50,7 +62,7 @@ def read_rig(path: Path, name: str, options: ReadOptions) -> Rig:
         if not module.detect(path):
             raise FiptError(
                 "format-unknown",
-                f"{path} is no capture of the format {name}: there is no {module.LOOKS_FOR}.",
-                "Leave the format to be found, or point to another folder.",
+                f"{path} is not a capture in the format {name}, which needs {module.LOOKS_FOR}.",
+                "Set the format to auto, or choose another folder.",
             )
     return module.read(path, options)

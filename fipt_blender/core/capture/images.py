@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Image files in and out: linear radiance (EXR), id images (EXR or PNG). First row is the top.
+"""Reading and writing image files: linear radiance (EXR), id images (EXR or PNG). The first row is the top.
 
 OpenEXR reads and writes EXR; Pillow reads PNG masks.
 """
@@ -8,67 +8,73 @@ OpenEXR reads and writes EXR; Pillow reads PNG masks.
 from __future__ import annotations
 
 import io
+import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import OpenEXR
-from PIL import Image, UnidentifiedImageError
+from PIL import Image, PngImagePlugin, UnidentifiedImageError
 
-from ..job.errors import FiptError
-from ..job.runfolder import atomic_path
+from ..run.errors import FiptError
+from ..run.runfolder import atomic_path
+from ..run.shapes import MOST_SIDE
 
 EXR_SUFFIX = ".exr"
 MASK_SUFFIXES = (".exr", ".png")
+PILLOW_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF"}
 HALF_MAX = 65504.0
 REC709 = np.array([0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290])
 BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
-MAX_ID = 2**24 - 1  # colour masks end here, and 32-bit floats hold all of them exactly
+# A float image of three channels takes 2 GB; the largest cameras have 151 megapixels.
+MOST_PIXELS = 160_000_000
+# A display window above the first size must hold data in this share of its pixels.
+_LARGE_PIXELS, _LEAST_DATA = 16_000_000, 1.0 / 16.0
+MAX_ID = 2**24 - 1  # highest id of a colour mask; 32-bit floats represent all of them exactly
 
 
 def read_size(path: Path) -> tuple[int, int]:
-    """Width and height of an EXR or PNG image in pixels, from its header only.
+    """Width and height in pixels of an EXR or PNG image, from its header only.
 
     Raises:
         FiptError: ``image-missing`` or ``image-unreadable``.
     """
     if path.suffix.lower() != EXR_SUFFIX:
-        return _open_with_pillow(path).size
-    header = _open_exr(path, header_only=True).header()
-    low, high = header["displayWindow"]
-    return int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1
+        return _pillow_size(path)
+    return _window_size(_open_exr(path, header_only=True).header()["displayWindow"])
 
 
 def is_rec709(path: Path) -> bool:
-    """Whether an EXR's values are Rec.709 as stored, so that any program reads them as `read_radiance` does.
+    """Whether an EXR's values are stored in Rec.709, so that `read_radiance` does not convert them.
 
     Raises:
         FiptError: ``image-missing`` or ``image-unreadable``.
     """
-    return _other_primaries(_open_exr(path, header_only=True).header()) is None
+    return _other_primaries(path, _open_exr(path, header_only=True).header()) is None
 
 
 def read_radiance(path: Path) -> np.ndarray:
     """Scene-linear radiance of an EXR image.
 
-    Reads R, G, B, or one channel Y, of the first layer that has them, half or float; an image whose data
-    window differs from its display window is cut or padded with black to the display window. Other
-    primaries that the header declares are converted to Rec.709.
+    Reads R, G, B, or one channel Y, of the first layer that has them, half or float. An image whose data
+    window differs from its display window is cropped or padded with black to the display window. If the
+    header declares other primaries, values are converted to Rec.709.
 
     Returns:
         (height, width, 3) float32, units as stored.
 
     Raises:
-        FiptError: ``image-missing``, ``image-unreadable``, ``image-ldr`` for other formats than EXR,
-            ``image-channels`` where it has no colour.
+        FiptError: ``image-missing``, ``image-unreadable``, ``image-ldr`` for formats other than EXR,
+            ``image-channels`` where it has none of these channels.
     """
     if path.suffix.lower() != EXR_SUFFIX:
         if not path.is_file():
             raise _missing(path)
         raise FiptError(
             "image-ldr",
-            f"{path} is a {path.suffix or 'nameless'} file; scene-linear HDR radiance is needed.",
-            "Merge the exposures and save OpenEXR (.exr); 8-bit photographs and .hdr files can't be used.",
+            f"{path} is not an OpenEXR file; photographs must contain scene-linear HDR radiance.",
+            "Merge exposures and save OpenEXR (.exr) files; 8-bit photographs and .hdr files can't be used.",
         )
     file = _open_exr(path)
     for index in range(len(file.parts)):
@@ -81,7 +87,7 @@ def read_radiance(path: Path) -> np.ndarray:
         if len(planes) == 1:
             return np.repeat(planes[0].astype(np.float32)[..., None], 3, axis=-1)
         pixels = np.stack(planes, axis=-1).astype(np.float32)
-        primaries = _other_primaries(header)
+        primaries = _other_primaries(path, header)
         return pixels if primaries is None else _to_rec709(path, pixels, primaries)
     raise FiptError(
         "image-channels",
@@ -93,14 +99,14 @@ def read_radiance(path: Path) -> np.ndarray:
 def read_ids(path: Path) -> np.ndarray:
     """Ids of an id image.
 
-    EXR: the channel R, Y or else the first, holding whole numbers. PNG: palette indices or grey values of
-    8 or 16 bit; colour masks give each colour the id ``red * 65536 + green * 256 + blue``.
+    EXR: integer values of the channel R, else Y, else the first. PNG: palette indices or grey values of
+    8 or 16 bit; in colour masks, each colour has the id ``red * 65536 + green * 256 + blue``.
 
     Returns:
         (height, width) int32.
 
     Raises:
-        FiptError: ``image-missing``, ``image-unreadable``, ``mask-not-ids`` where values are no ids.
+        FiptError: ``image-missing``, ``image-unreadable``, ``mask-not-ids`` where values are not ids.
     """
     if path.suffix.lower() != EXR_SUFFIX:
         return _png_ids(path)
@@ -112,21 +118,21 @@ def read_ids(path: Path) -> np.ndarray:
     if not np.isfinite(values).all() or np.abs(values - np.round(values)).max(initial=0.0) > 1e-3:
         raise FiptError(
             "mask-not-ids",
-            f"{path} holds fractions: it is no image of ids.",
-            "Save id images without antialiasing, one whole number a part.",
+            f"{path} contains fractions: it is not an id image.",
+            "Save id images without anti-aliasing, with one integer per part.",
         )
     if np.abs(values).max(initial=0.0) > MAX_ID:
-        raise FiptError("mask-not-ids", f"{path} holds ids above {MAX_ID}.", "Use smaller ids.")
+        raise FiptError("mask-not-ids", f"{path} contains ids above {MAX_ID}.", "Use smaller ids.")
     return np.round(values).astype(np.int32)
 
 
 def write_exr(path: Path, array: np.ndarray, half: bool = False) -> None:
-    """Write an image as EXR, whole or not at all.
+    """Write an image as EXR, completely or not at all.
 
     Args:
-        path: the file; its folder is made where missing.
+        path: the file; its folder is created if missing.
         array: (height, width, 3) as R, G, B, or (height, width) as Y; converted to float.
-        half: 16-bit values, at most 65504, instead of 32-bit.
+        half: 16-bit values, clamped to ±65504, instead of 32-bit.
 
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
@@ -138,7 +144,7 @@ def write_exr(path: Path, array: np.ndarray, half: bool = False) -> None:
         values = values.astype(np.float32)
     planes = {"Y": values} if values.ndim == 2 else dict(zip("RGB", np.moveaxis(values, -1, 0), strict=True))
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    # Through memory, because OpenEXR's own writing loses the system's reason for a failure.
+    # Written through memory, because OpenEXR does not report the system's reason for a failure.
     buffer = io.BytesIO()
     OpenEXR.File(header, {name: np.ascontiguousarray(plane) for name, plane in planes.items()}).write(buffer)
     with atomic_path(path) as temporary:
@@ -153,15 +159,61 @@ def _unreadable(path: Path, reason: object) -> FiptError:
     return FiptError("image-unreadable", f"{path} can't be read ({reason}).", "Export the image again.")
 
 
+def _window_size(window: Any) -> tuple[int, int]:
+    """Width and height of an EXR's data or display window."""
+    low, high = window
+    return int(high[0]) - int(low[0]) + 1, int(high[1]) - int(low[1]) + 1
+
+
+def _check_pixels(path: Path, width: int, height: int) -> None:
+    """Refuse images that would not fit into memory, whatever their header says.
+
+    Raises:
+        FiptError: ``image-too-large`` or ``image-unreadable``.
+    """
+    if width < 1 or height < 1:
+        raise _unreadable(path, f"its size is {width} x {height}")
+    if max(width, height) > MOST_SIDE or width * height > MOST_PIXELS:
+        raise FiptError(
+            "image-too-large",
+            f"{path} has {width} x {height} pixels; the limit is {MOST_PIXELS / 1e6:.0f} megapixels.",
+            "Scale the photographs and masks down; 1 to 2 megapixels per view are enough.",
+        )
+
+
+def _check_header(path: Path, header: dict[str, Any]) -> None:
+    """Check the sizes that an EXR's header announces, before any pixel is read."""
+    width, height = _window_size(header["displayWindow"])
+    _check_pixels(path, width, height)
+    data_width, data_height = _window_size(header["dataWindow"])
+    _check_pixels(path, data_width, data_height)
+    if width * height > _LARGE_PIXELS and data_width * data_height < _LEAST_DATA * width * height:
+        raise _unreadable(
+            path, f"{width} x {height} pixels, of which {data_width} x {data_height} are stored"
+        )
+
+
 def _open_exr(path: Path, header_only: bool = False) -> OpenEXR.File:
+    """Open an EXR after a look at its header.
+
+    Raises:
+        FiptError: ``image-missing``, ``image-unreadable`` or ``image-too-large``.
+    """
+    header = _exr_file(path, header_only=True)
+    for index in range(len(header.parts)):
+        _check_header(path, header.header(index))
+    return header if header_only else _exr_file(path, header_only=False)
+
+
+def _exr_file(path: Path, header_only: bool) -> OpenEXR.File:
     if not path.is_file():
         raise _missing(path)
     try:
         file = OpenEXR.File(str(path), separate_channels=True, header_only=header_only)
     except (RuntimeError, ValueError, TypeError) as error:
         raise _unreadable(path, error) from None
-    if not file.parts:  # OpenEXR only prints a warning where pixels are cut off
-        raise _unreadable(path, "the file is cut off or damaged")
+    if not file.parts:  # OpenEXR only prints a warning where pixels are missing
+        raise _unreadable(path, "the file is truncated or damaged")
     return file
 
 
@@ -172,36 +224,39 @@ def _colour_channels(names: list[str]) -> list[str] | None:
         layer, _, channel = name.rpartition(".")
         by_layer.setdefault(layer, {})[channel.upper()] = name
     for wanted in ("RGB", "Y"):
-        for layer in sorted(by_layer):  # the layer without a name sorts first
+        for layer in sorted(by_layer):  # the unnamed layer sorts first
             if all(channel in by_layer[layer] for channel in wanted):
                 return [by_layer[layer][channel] for channel in wanted]
     return None
 
 
-def _other_primaries(header: dict[str, Any]) -> np.ndarray | None:
-    """The header's chromaticities (8,) where it declares other ones than Rec.709."""
+def _other_primaries(path: Path, header: dict[str, Any]) -> np.ndarray | None:
+    """(8,) chromaticities that the header declares, None where they are Rec.709 or not declared."""
     if "chromaticities" not in header:
         return None
-    values = np.asarray(header["chromaticities"], np.float64)
-    return None if np.abs(values - REC709).max() < 1e-3 else values  # writers round them differently
+    try:
+        values = np.asarray(header["chromaticities"], np.float64).reshape(8)
+    except (TypeError, ValueError):
+        raise _unreadable(path, "its chromaticities are not eight numbers") from None
+    return None if np.abs(values - REC709).max() < 1e-3 else values  # programs round them differently
 
 
 def _xyz_from_rgb(chromaticities: np.ndarray) -> np.ndarray:
-    """(3, 3) to CIE XYZ from linear RGB; chromaticities are x, y of red, green, blue and white."""
+    """(3, 3) matrix from linear RGB to CIE XYZ; chromaticities are x, y of red, green, blue and white."""
     x, y = chromaticities.reshape(4, 2).T
     xyz = np.stack([x / y, np.ones(4), (1.0 - x - y) / y])  # one column each, at luminance 1
     return xyz[:, :3] * np.linalg.solve(xyz[:, :3], xyz[:, 3])
 
 
 def _to_rec709(path: Path, pixels: np.ndarray, chromaticities: np.ndarray) -> np.ndarray:
-    """Pixels (..., 3) float32 from the given primaries to Rec.709, white to white (Bradford)."""
+    """Convert pixels (..., 3) float32 from the given primaries to Rec.709 (Bradford white adaptation)."""
     try:
         source, target = _xyz_from_rgb(chromaticities), _xyz_from_rgb(REC709)
         adapted = (BRADFORD @ target.sum(axis=1)) / (BRADFORD @ source.sum(axis=1))
         adaptation = np.linalg.solve(BRADFORD, adapted[:, None] * BRADFORD)
         matrix = np.linalg.solve(target, adaptation @ source)
     except (np.linalg.LinAlgError, ValueError) as error:
-        raise _unreadable(path, f"its chromaticities are impossible: {error}") from None
+        raise _unreadable(path, f"its chromaticities are invalid: {error}") from None
     return pixels @ matrix.T.astype(np.float32)
 
 
@@ -224,27 +279,41 @@ def _display_plane(path: Path, header: dict[str, Any], channel: OpenEXR.Channel)
     return plane
 
 
-def _open_with_pillow(path: Path) -> Image.Image:
+def _pillow_size(path: Path) -> tuple[int, int]:
+    """Size of an image that is no EXR, from its header, if it is in the format that its suffix names."""
     if not path.is_file():
         raise _missing(path)
+    kind = PILLOW_FORMATS.get(path.suffix.lower())
+    if kind is None:
+        raise _unreadable(path, "its format is not known")
     try:
-        return Image.open(path)
-    except (UnidentifiedImageError, OSError, ValueError) as error:
+        with Image.open(path, formats=[kind]) as image:
+            size = image.size
+    except Image.DecompressionBombError:
+        size = (MOST_SIDE + 1, MOST_SIDE + 1)
+    except (UnidentifiedImageError, OSError, ValueError, SyntaxError) as error:
         raise _unreadable(path, error) from None
+    _check_pixels(path, *size)
+    return size
 
 
 def _png_ids(path: Path) -> np.ndarray:
-    image = _open_with_pillow(path)
-    try:
-        values = np.asarray(image)
-    except (OSError, ValueError, SyntaxError) as error:
-        raise _unreadable(path, error) from None
     if path.suffix.lower() != ".png":
         raise FiptError(
             "mask-not-ids",
-            f"{path} is no PNG or EXR: lossy formats change ids.",
+            f"{path} is not a PNG or EXR file: lossy formats change ids.",
             "Save id images as PNG or EXR.",
         )
+    if not path.is_file():
+        raise _missing(path)
+    try:
+        # As PNG whatever its content is: for some formats Pillow starts other programs. Not through
+        # Image.open, whose limit refuses legitimate masks.
+        image = PngImagePlugin.PngImageFile(path)
+        _check_pixels(path, *image.size)
+        values = np.asarray(image)
+    except (OSError, ValueError, SyntaxError, struct.error, zlib.error) as error:
+        raise _unreadable(path, error) from None
     values = values.astype(np.int32)
     if values.ndim == 2:
         return values

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Engine command `ingest`: a capture in any known format becomes capture.json of a run.
+"""Engine command `ingest`: converts a capture in any known format to the capture.json of a run.
 
-Everything is checked before anything is written, so that a refused capture leaves nothing behind.
+Everything is checked before anything is written, so that a rejected capture leaves no files.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from typing import Any
 import numpy as np
 
 from .. import conventions
-from ..job.errors import FiptError
-from ..job.messages import Reporter
-from ..job.runfolder import RunFolder, write_json
-from ..job.settings import make_settings
+from ..run.errors import FiptError
+from ..run.messages import Reporter
+from ..run.runfolder import RunFolder, write_json
+from ..run.settings import make_settings
 from . import checks
-from .distortion import Pinhole, is_distorted, lens_pinhole, undistorted_pinhole, undistortion
+from .distortion import is_distorted, lens_pinhole, undistorted_pinhole, undistortion
 from .formats import FORMATS, read_rig
 from .images import is_rec709, read_ids, read_radiance, read_size, write_exr
-from .rig import ReadOptions, Rig, RigView
+from .rig import Pinhole, ReadOptions, Rig, RigView
 from .views import CAPTURE_FORMAT, CAPTURE_VERSION
 
 DEFAULT_HOLD_BACK = 8
@@ -33,16 +33,16 @@ ID_IMAGES = ("parts", "semantics", "mask")
 
 @dataclass(frozen=True)
 class IngestOptions:
-    """What the user may choose about a capture.
+    """Options of the command.
 
     Attributes:
         format: a name of `FORMATS`, or "auto".
-        mesh: the room's mesh in the capture's coordinates; None takes the one found beside the rig.
-        up_axis: a name of `conventions.UP_AXES`, or "auto": what the format says, else the axis nearest
-            to the cameras' mean up direction.
+        mesh: the room's mesh in the capture's coordinates; None for the one found beside the camera file.
+        up_axis: a name of `conventions.UP_AXES`, or "auto": that of the format if defined, else the axis
+            closest to the cameras' mean up direction.
         scale: metres per unit of the capture.
-        hold_back: every Nth view is held back in formats that have no splits; 0 holds none back.
-        clamp_negative: take negative radiance of any size as zero.
+        hold_back: every Nth view is held back in captures that have no held-back views; 0 for none.
+        clamp_negative: set negative radiance of any size to zero.
         read: options of the readers.
     """
 
@@ -58,7 +58,7 @@ class IngestOptions:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("capture", type=Path, help="folder of the capture (or its transforms.json)")
-    parser.add_argument("run", type=Path, help="run folder; made with default settings where missing")
+    parser.add_argument("run", type=Path, help="run folder; created with default settings if missing")
     parser.add_argument("--format", choices=("auto", *FORMATS), default="auto", help="layout of the capture")
     parser.add_argument("--mesh", type=Path, help="the room's mesh, in the capture's coordinates")
     parser.add_argument(
@@ -75,21 +75,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=DEFAULT_HOLD_BACK,
         metavar="N",
-        help="hold back every Nth view where the capture has no held-back views of its own; 0: none",
+        help="hold back every Nth view if the capture defines no held-back views; 0 for none",
     )
     parser.add_argument(
-        "--images", type=Path, metavar="FOLDER", help="where the HDR images lie (not for fipt-synthetic)"
+        "--images", type=Path, metavar="FOLDER", help="folder of the HDR images (not for fipt-synthetic)"
     )
-    parser.add_argument("--clamp-negative", action="store_true", help="take negative radiance as zero")
+    parser.add_argument("--clamp-negative", action="store_true", help="set negative radiance to zero")
     parser.add_argument(
         "--undo-applied-transform",
         action="store_true",
-        help="transforms.json: the mesh has the coordinates from before nerfstudio's applied_transform",
+        help="transforms.json: the mesh has the coordinates before nerfstudio's applied_transform",
     )
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
-    """Read, check and write the capture; see `ingest`."""
+    """Run `ingest` with the command's arguments."""
     options = IngestOptions(
         format=arguments.format,
         mesh=arguments.mesh,
@@ -103,10 +103,10 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
 
 
 def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporter: Reporter) -> None:
-    """Read a capture, check all of it, then write capture.json and the images that had to change.
+    """Read a capture, check all of it, then write capture.json and the images that must be converted.
 
     Raises:
-        FiptError: with the codes that docs/capture_formats.md lists; capture.json is then not written.
+        FiptError: with a code that docs/capture_formats.md lists; capture.json is not written then.
     """
     if run_folder.run_json.exists():
         run_folder.read()
@@ -116,7 +116,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     rig = read_rig(capture.absolute(), options.format, options.read)
     for note in rig.notes:
         reporter.warning(note.code, note.text, note.remedy)
-    views = _assign_splits(_unique_names(rig.views), options.hold_back)
+    views = _assign_splits(unique_names(rig.views), options.hold_back)
     _check_files(views)
     mesh = _mesh(rig, options)
     up_axis = options.up_axis if options.up_axis != "auto" else rig.up_axis or guess_up_axis(views)
@@ -128,39 +128,24 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     pinholes = [_checked_pinhole(view) for view in views]
 
     reporter.stage("images", "Checking photographs")
-    statistics = []
-    for index, view in enumerate(views):
-        statistics.append(checks.pixel_statistics(view.image, read_radiance(view.image)))
-        for ids in (view.parts, view.semantics, view.mask):
-            if ids is not None:
-                read_ids(ids)
-        reporter.progress((index + 1) / len(views))
-    for note in checks.judge_pixels([view.name for view in views], statistics, options.clamp_negative):
-        reporter.warning(note.code, note.text, note.remedy)
+    statistics = _check_pixels(views, options.clamp_negative, reporter)
+    checked_views = [
+        _CheckedView(view, pinhole, item.minimum < 0.0)
+        for view, pinhole, item in zip(views, pinholes, statistics, strict=True)
+    ]
 
     reporter.stage("write", "Writing the capture")
     if not run_folder.run_json.exists():
         run_folder.create(make_settings())
-    written: list[Path] = []
-    try:
-        entries = []
-        for index, (view, pinhole) in enumerate(zip(views, pinholes, strict=True)):
-            files = _write_images(run_folder, view, statistics[index].minimum < 0.0, written)
-            entries.append(_entry(run_folder, view, pinhole, files, world_from_source))
-            reporter.progress((index + 1) / len(views))
-    except BaseException:
-        for path in written:
-            path.unlink(missing_ok=True)
-        raise
     data = {
         "format": CAPTURE_FORMAT,
         "version": CAPTURE_VERSION,
         "source": rig.source,
         "world_from_source": world_from_source.tolist(),
         "mesh": None if mesh is None else str(mesh),
-        "views": entries,
+        "views": _write_views(run_folder, checked_views, world_from_source, reporter),
     }
-    # The window writes capture.json anew from the views that the artist ticks; this one keeps them all.
+    # The add-on rewrites capture.json with the views that the artist selects; ingest.json keeps all of them.
     write_json(run_folder.ingest_json, data)
     write_json(run_folder.capture_json, data)
     counts = Counter(view.split for view in views)
@@ -178,7 +163,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
 
 
 def guess_up_axis(views: list[RigView]) -> str:
-    """The source axis nearest to the mean up direction of the cameras: photographs are held level."""
+    """The source axis closest to the mean up direction of the cameras, which are usually held level."""
     up = -np.mean([view.camera_to_world[:3, 1] for view in views], axis=0)
     axis = int(np.argmax(np.abs(up)))
     return ("-" if up[axis] < 0.0 else "") + "xyz"[axis]
@@ -188,8 +173,8 @@ def _check_options(options: IngestOptions) -> None:
     if options.hold_back < 0 or options.hold_back == 1:
         raise FiptError(
             "setting-invalid",
-            f"Holding back every {options.hold_back}th view leaves no capture.",
-            "Give 0 (none) or a number from 2 on.",
+            f"Every Nth view can't be held back with N = {options.hold_back}.",
+            "Set it to 0 (none) or to at least 2.",
         )
 
 
@@ -198,30 +183,33 @@ def _world_from_source(up_axis: str, scale: float) -> np.ndarray:
         return conventions.world_from_source(up_axis, scale)
     except ValueError as error:
         raise FiptError(
-            "setting-invalid", f"The {error}.", "Give a scale above zero and a known up axis."
+            "setting-invalid", f"The {error}.", "Set a scale above zero and a known up axis."
         ) from None
 
 
-def _unique_names(views: tuple[RigView, ...]) -> list[RigView]:
-    """The views with names told apart: a.jpg and a.png have the same stem."""
-    seen: Counter[str] = Counter()
-    result = []
+def unique_names(views: tuple[RigView, ...]) -> list[RigView]:
+    """The views with unique names: a.jpg and a.png, for example, have the same stem."""
+    taken: set[str] = set()
+    unique = []
     for view in views:
-        seen[view.name.lower()] += 1
-        count = seen[view.name.lower()]
-        result.append(view if count == 1 else replace(view, name=f"{view.name}~{count}"))
-    return result
+        name, count = view.name, 1
+        while name.casefold() in taken:  # file systems may not tell upper from lower case
+            count += 1
+            name = f"{view.name}~{count}"
+        taken.add(name.casefold())
+        unique.append(replace(view, name=name))
+    return unique
 
 
 def _assign_splits(views: list[RigView], hold_back: int) -> list[RigView]:
-    """Splits for all views; the format's own ones win over `hold_back`.
+    """Give all views a split; held-back views that the capture defines take precedence over `hold_back`.
 
     Raises:
-        FiptError: ``no-views`` where nothing is left to learn from.
+        FiptError: ``no-views`` where no view is left for training.
     """
     if hold_back and not any(view.split == "held_back" for view in views):
         ordered = sorted(range(len(views)), key=lambda index: views[index].name)
-        # from the middle of each N, so that the first and the last photograph stay
+        # From the middle of each N, so that the first and the last photograph are used for training.
         chosen = set(ordered[hold_back // 2 :: hold_back])
         views = [
             replace(view, split="held_back" if index in chosen else "train")
@@ -230,13 +218,15 @@ def _assign_splits(views: list[RigView], hold_back: int) -> list[RigView]:
     views = [replace(view, split=view.split or "train") for view in views]
     if not any(view.split == "train" for view in views):
         raise FiptError(
-            "no-views", "The capture has no photographs with a pose to learn from.", "Check the camera file."
+            "no-views",
+            "The capture has no training photograph with a pose.",
+            "Check the camera file.",
         )
     return views
 
 
 def _check_files(views: list[RigView]) -> None:
-    """Check that all files are there, of the right kind and size.
+    """Check that all files exist and have the right format and size.
 
     Raises:
         FiptError: ``image-missing``, ``image-ldr``, ``image-size``, ``mask-size`` or ``image-unreadable``.
@@ -247,11 +237,11 @@ def _check_files(views: list[RigView]) -> None:
         raise FiptError(
             "image-missing",
             f"{len(missing)} of {len(files)} images do not exist; the first is {missing[0]}.",
-            "Restore them, or name their folder (Photographs in the import settings, --images).",
+            "Restore them, or set their folder (Photographs in the import settings, --images).",
         )
     for view in views:
         if view.image.suffix.lower() != ".exr":
-            read_radiance(view.image)  # raises with the reason
+            read_radiance(view.image)  # raises the error
     for view in views:
         for path, code in (
             (view.image, "image-size"),
@@ -265,8 +255,8 @@ def _check_files(views: list[RigView]) -> None:
             if (width, height) != (view.width, view.height):
                 raise FiptError(
                     code,
-                    f"{path} is {width} x {height} pixels; its camera has {view.width} x {view.height}.",
-                    "Use images of the size that the cameras were calibrated for.",
+                    f"{path} has {width} x {height} pixels, but its camera {view.width} x {view.height}.",
+                    "Use images of the size for which the cameras were calibrated.",
                 )
 
 
@@ -279,24 +269,87 @@ def _mesh(rig: Rig, options: IngestOptions) -> Path | None:
 
 
 def _checked_pinhole(view: RigView) -> Pinhole:
-    """What the view's image becomes: its own pinhole, or that of the undistorted image."""
-    own = lens_pinhole(view.lens, view.width, view.height)
-    checks.check_intrinsics(view.name, own.width, own.height, own.fx, own.fy, own.cx, own.cy)
+    """The pinhole of the view's image, undistorted where necessary.
+
+    Raises:
+        FiptError: ``intrinsics-invalid`` or ``camera-model``.
+    """
+    pinhole = lens_pinhole(view.lens, view.width, view.height)
+    checks.check_intrinsics(view.name, pinhole)
     if not is_distorted(view.lens, view.width, view.height):
-        return own
+        return pinhole
     return undistorted_pinhole(view.lens, view.width, view.height)
 
 
-def _write_images(
-    run_folder: RunFolder, view: RigView, negative: bool, written: list[Path]
-) -> dict[str, Path | None]:
-    """Write the images of a view that must change; the paths of all that it has.
+def _check_pixels(
+    views: list[RigView], clamp_negative: bool, reporter: Reporter
+) -> list[checks.PixelStatistics]:
+    """Read all images, warn about the photographs, and return the statistics of each.
 
-    Bilinear weights are positive, so that clamping before the resampling leaves nothing negative.
+    Raises:
+        FiptError: those of `read_ids`, `pixel_statistics` and `judge_pixels`.
     """
+    statistics = []
+    for index, view in enumerate(views):
+        statistics.append(checks.pixel_statistics(view.image, read_radiance(view.image)))
+        for ids in (view.parts, view.semantics, view.mask):
+            if ids is not None:
+                read_ids(ids)
+        reporter.progress((index + 1) / len(views))
+    for note in checks.judge_pixels([view.name for view in views], statistics, clamp_negative):
+        reporter.warning(note.code, note.text, note.remedy)
+    return statistics
+
+
+@dataclass(frozen=True, eq=False)
+class _CheckedView:
+    """A view that is ready to be written.
+
+    Attributes:
+        pinhole: of its image, undistorted where necessary.
+        negative: whether the photograph contains negative values.
+    """
+
+    view: RigView
+    pinhole: Pinhole
+    negative: bool
+
+
+def _write_views(
+    run_folder: RunFolder, views: list[_CheckedView], world_from_source: np.ndarray, reporter: Reporter
+) -> list[dict[str, Any]]:
+    """Write the images that must be converted; return the views' entries in capture.json.
+
+    If an error occurs, the images that are already written are deleted.
+    """
+    written: list[Path] = []
+    entries = []
+    try:
+        for index, checked in enumerate(views):
+            files = _write_images(run_folder, checked, written)
+            entries.append(_entry(run_folder, checked, files, world_from_source))
+            reporter.progress((index + 1) / len(views))
+    except BaseException:
+        for path in written:
+            path.unlink(missing_ok=True)
+        raise
+    return entries
+
+
+def _write_images(
+    run_folder: RunFolder, checked: _CheckedView, written: list[Path]
+) -> dict[str, Path | None]:
+    """Write the images of a view that must be converted; return the paths of all its images.
+
+    Bilinear weights are positive, so that no value is negative if clamping precedes the resampling.
+
+    Args:
+        written: the files written are appended.
+    """
+    view = checked.view
     files: dict[str, Path | None] = {"image": view.image, **{kind: getattr(view, kind) for kind in ID_IMAGES}}
     distorted = is_distorted(view.lens, view.width, view.height)
-    if not distorted and not negative and is_rec709(view.image):
+    if not distorted and not checked.negative and is_rec709(view.image):
         return files
 
     def write(kind: str, pixels: np.ndarray) -> None:
@@ -320,23 +373,23 @@ def _write_images(
 
 def _entry(
     run_folder: RunFolder,
-    view: RigView,
-    pinhole: Pinhole,
+    checked: _CheckedView,
     files: dict[str, Path | None],
     world_from_source: np.ndarray,
 ) -> dict[str, Any]:
-    """The view as capture.json holds it."""
+    """The view's entry in capture.json."""
+    view = checked.view
     return {
         "name": view.name,
         "split": view.split,
-        **asdict(pinhole),
+        **asdict(checked.pinhole),
         "camera_to_world": conventions.transform_poses(world_from_source, view.camera_to_world).tolist(),
         **{kind: _stored_path(run_folder, path) for kind, path in files.items()},
     }
 
 
 def _stored_path(run_folder: RunFolder, path: Path | None) -> str | None:
-    """Relative inside the run folder, absolute elsewhere."""
+    """A path as capture.json stores it: relative to the run folder if inside it, else absolute."""
     if path is None:
         return None
     path = path.absolute()

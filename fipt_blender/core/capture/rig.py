@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What every capture reader returns: photographs, lenses and poses in the coordinates of their source.
 
-Poses already have OpenCV camera axes; the world is still the source's own. `ingest` does the rest.
+Poses have OpenCV camera axes; the world is still that of the source, which `ingest` converts.
 """
 
 from __future__ import annotations
 
-import json
+import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -15,13 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from ..job.errors import FiptError
+from ..run.documents import load_document
+from ..run.errors import FiptError
 from .images import MASK_SUFFIXES
 
 PHOTO_SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
 PARTS_FOLDER = "parts"
 SEMANTICS_FOLDER = "semantics"
+MOST_PART_BYTES = 120  # of one part of a view's name; file systems take 255 with suffix and number
+MOST_NAME_PARTS = 8
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,18 @@ class Lens:
     parameters: tuple[float, ...]
 
 
+@dataclass(frozen=True)
+class Pinhole:
+    """Size and intrinsics in pixels of an image without distortion."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
 @dataclass(frozen=True, eq=False)
 class RigView:
     """One photograph as its source describes it.
@@ -39,12 +54,12 @@ class RigView:
     Attributes:
         name: path-like name without suffix.
         split: ``"train"``, ``"held_back"`` or None where the format has no splits.
-        image: the photograph; the reader does not promise that it exists.
+        image: the photograph, which need not exist.
         width, height: size in pixels that the lens is calibrated for.
         lens: intrinsics and distortion.
         camera_to_world: (4, 4) float64, OpenCV axes, source world.
         parts, semantics: id images that exist, or None.
-        mask: image whose black pixels are left out, or None; the reader does not promise that it exists.
+        mask: image whose black pixels are left out, or None; it need not exist.
     """
 
     name: str
@@ -61,7 +76,7 @@ class RigView:
 
 @dataclass(frozen=True)
 class Note:
-    """Something the user should know about the source; becomes a warning."""
+    """A warning about the source."""
 
     code: str
     text: str
@@ -75,9 +90,9 @@ class Rig:
     Attributes:
         source: name of the format.
         views: all photographs with a pose.
-        up_axis: the source axis that points up (see `conventions.UP_AXES`), None where the format leaves
-            it open.
-        mesh: mesh file in the same coordinates as the poses, or None where none lies beside the rig.
+        up_axis: the source axis that points up (see `conventions.UP_AXES`), None where the format does not
+            define it.
+        mesh: mesh file in the same coordinates as the poses, or None where none was found.
         notes: warnings.
     """
 
@@ -90,12 +105,12 @@ class Rig:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What the user may tell a reader.
+    """Options of the readers.
 
     Attributes:
-        images: folder to look for photographs in before any other.
-        undo_applied_transform: transforms.json only: bring the poses back to the coordinates they had
-            before nerfstudio's ``applied_transform`` and ``applied_scale``.
+        images: folder in which photographs are searched first.
+        undo_applied_transform: transforms.json only: convert the poses to the coordinates from before
+            nerfstudio's ``applied_transform`` and ``applied_scale``.
     """
 
     images: Path | None = None
@@ -103,26 +118,28 @@ class ReadOptions:
 
 
 def damaged(path: Path, reason: object) -> FiptError:
-    """The error for a rig file that does not hold what its format promises."""
+    """The error for a rig file that does not conform to its format."""
     return FiptError(
         "rig-damaged",
-        f"{path} does not hold what its format promises ({reason}).",
+        f"{path} does not conform to its format ({reason}).",
         "Export the capture again.",
     )
 
 
-def read_json_rig(path: Path) -> dict[str, Any]:
+def read_json_rig(path: Path, shape: Any) -> dict[str, Any]:
     """Read a JSON object that describes cameras.
+
+    Args:
+        path: of the file.
+        shape: what it must hold; see `core.run.documents`.
 
     Raises:
         FiptError: ``rig-damaged``.
     """
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data: dict[str, Any] = load_document(path, shape, strict=False)
     except (OSError, ValueError) as error:
         raise damaged(path, error) from None
-    if not isinstance(data, dict) or not isinstance(data.get("frames"), list):
-        raise damaged(path, "there is no list 'frames'")
     return data
 
 
@@ -146,11 +163,11 @@ def read_pose(path: Path, matrix: Any) -> np.ndarray:
 def find_image(folders: Iterable[Path], name: str) -> Path:
     """The photograph of a name that a rig file gives: its EXR version first, then the file itself.
 
-    Rigs are often solved on tone-mapped copies, so that ``a.jpg`` may stand for ``a.exr``; names may
-    also lack a suffix. Where nothing exists, the path in the first folder is returned.
+    Camera poses are often solved on tone-mapped copies, so that ``a.jpg`` may stand for ``a.exr``; names may
+    also lack a suffix. Where no file exists, the path in the first folder is returned.
     """
     folders = list(folders)
-    # names end in a known suffix or in none; a dot in "frame.0001" is no suffix
+    # Only known suffixes are suffixes: "frame.0001" has none.
     known = PurePosixPath(name).suffix.lower() in PHOTO_SUFFIXES
     stem = name[: -len(PurePosixPath(name).suffix)] if known else name
     candidates = [stem + ".exr", *([name] if known else [stem + suffix for suffix in PHOTO_SUFFIXES])]
@@ -162,8 +179,8 @@ def find_image(folders: Iterable[Path], name: str) -> Path:
 
 
 def find_ids(folder: Path, name: str) -> Path | None:
-    """The id image of a view in a folder that mirrors that of the photographs, EXR or PNG, or None."""
-    _, _, below = name.partition("/")  # images/a may be parts/a as well as parts/images/a
+    """The id image of a view (EXR or PNG) in a folder with the same layout as the photographs', or None."""
+    _, _, below = name.partition("/")  # that of images/a may be parts/images/a or parts/a
     for stem in (name, below):
         for suffix in MASK_SUFFIXES:
             path = folder / (stem + suffix)
@@ -173,16 +190,30 @@ def find_ids(folder: Path, name: str) -> Path | None:
 
 
 def view_name(path: str) -> str:
-    """A view's name from a file path: no suffix, no way out of a folder."""
-    pure = PurePosixPath(path.replace("\\", "/"))
+    """A view's name from a file path: without suffix, relative, and without ".." parts.
+
+    Files are named after views, so what no file system takes (control characters, halves of surrogate pairs,
+    very long parts) is replaced.
+    """
+    text = path.encode("utf-8", errors="replace").decode("utf-8").replace("\\", "/")
+    pure = PurePosixPath("".join(letter if letter.isprintable() else "_" for letter in text))
     if pure.suffix.lower() in PHOTO_SUFFIXES:
         pure = pure.with_suffix("")
     parts = [part for part in pure.parts if part not in ("..", ".") and not part.endswith((":", "/"))]
-    return "/".join(parts) or "view"
+    return "/".join(_shortened(part) for part in parts[-MOST_NAME_PARTS:]) or "view"
+
+
+def _shortened(part: str) -> str:
+    """A part of a name that also fits into a file name with a suffix; other long parts stay different."""
+    data = part.encode("utf-8")
+    if len(data) <= MOST_PART_BYTES:
+        return part
+    digest = hashlib.sha256(data).hexdigest()[:8]
+    return f"{data[: MOST_PART_BYTES - 9].decode('utf-8', errors='ignore')}~{digest}"
 
 
 def find_mesh(folders: Sequence[Path], stems: Sequence[str]) -> Path | None:
-    """The first mesh with triangles among STEM.obj, .ply, .glb, .gltf; folders matter more than stems."""
+    """The first mesh with faces among STEM.obj, .ply, .glb, .gltf; folders are searched one after another."""
     for folder in folders:
         for stem in stems:
             for suffix in MESH_SUFFIXES:
@@ -193,7 +224,7 @@ def find_mesh(folders: Sequence[Path], stems: Sequence[str]) -> Path | None:
 
 
 def _ply_has_faces(path: Path) -> bool:
-    """Whether a PLY's header announces faces: COLMAP's fused.ply is a mere point cloud."""
+    """Whether a PLY's header declares faces: COLMAP's fused.ply is only a point cloud."""
     with path.open("rb") as file:
         for line in file.read(65536).split(b"\n"):
             words = line.split()

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 
 from ..conventions import opengl_to_opencv_camera, transform_poses
-from ..job.errors import FiptError
+from ..run.documents import Fields, Items, Maybe, Number
+from ..run.errors import FiptError
+from ..run.shapes import MOST_SIDE
 from .images import read_size
 from .rig import (
     PARTS_FOLDER,
@@ -31,7 +33,7 @@ from .rig import (
 
 NAME = "transforms"
 LOOKS_FOR = "transforms.json or transforms_train.json"
-# one file a split, as in NeRF's synthetic scenes
+# One file per split, as in NeRF's synthetic scenes.
 SPLIT_FILES = {
     "transforms_train.json": "train",
     "transforms_val.json": "held_back",
@@ -40,10 +42,31 @@ SPLIT_FILES = {
 SPLIT_LISTS = {"train_filenames": "train", "val_filenames": "held_back", "test_filenames": "held_back"}
 PINHOLES = ("", "PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 FISHEYES = ("OPENCV_FISHEYE", "FISHEYE")
+_NUMBER = Maybe(Number())
+# Values that stand in each frame, or once for all frames.
+_COMMON = {
+    "w": Number(1, MOST_SIDE),
+    "h": Number(1, MOST_SIDE),
+    **dict.fromkeys(("cx", "cy"), Number()),
+    **dict.fromkeys(("fl_x", "fl_y", "camera_angle_x", "camera_angle_y"), _NUMBER),
+    **dict.fromkeys(("k1", "k2", "k3", "k4", "p1", "p2"), _NUMBER),
+    **dict.fromkeys(("camera_model", "mask_path", "name"), Maybe(str)),
+}
+_FRAME = Fields({"file_path": str, "transform_matrix": list}, _COMMON)
+RIG = Fields(
+    {"frames": Items(_FRAME)},
+    {
+        **_COMMON,
+        **dict.fromkeys(SPLIT_LISTS, Maybe(Items(str))),
+        "up_axis": str,
+        "applied_transform": Maybe(list),
+        "applied_scale": Number(),
+    },
+)
 
 
 def detect(path: Path) -> bool:
-    """Whether a path is such a file or a folder with one."""
+    """Whether a path is a JSON file, or a folder that contains such camera files."""
     if path.is_file():
         return path.suffix.lower() == ".json"
     return (path / "transforms.json").is_file() or (path / "transforms_train.json").is_file()
@@ -52,11 +75,11 @@ def detect(path: Path) -> bool:
 def read(path: Path, options: ReadOptions) -> Rig:
     """Read the frames of transforms.json, or of transforms_train|val|test.json.
 
-    Cameras have OpenGL axes. The world is the one that the poses are written in (Z up unless "up_axis"
-    says otherwise), or with ``undo_applied_transform`` the one before nerfstudio's ``applied_transform``.
-    Intrinsics (fl_x, fl_y, cx, cy, w, h, k1 k2 p1 p2 k3, or k1 to k4 of a fisheye) stand in each frame or
-    once for all; ``camera_angle_x`` and ``camera_angle_y`` stand in for missing focal lengths. Black pixels
-    of a frame's ``mask_path`` are left out. A frame may have a ``name`` for its view (none but we write it).
+    Cameras have OpenGL axes. The world is that of the poses as stored (Z up unless the file has another
+    "up_axis"), or with ``undo_applied_transform`` the one before nerfstudio's ``applied_transform``.
+    Intrinsics (fl_x, fl_y, cx, cy, w, h, k1 k2 p1 p2 k3, or k1 to k4 of a fisheye) belong to each frame or to
+    the whole file; ``camera_angle_x`` and ``camera_angle_y`` replace missing focal lengths. Black pixels of a
+    frame's ``mask_path`` are left out. A frame may name its view with ``name``, our own extension.
 
     Raises:
         FiptError: ``rig-damaged``, ``camera-model``, ``intrinsics-missing``, ``image-missing`` or
@@ -72,29 +95,32 @@ def read(path: Path, options: ReadOptions) -> Rig:
     views: list[RigView] = []
     up_axis: str | None = None
     for json_path, split in files.items():
-        data = read_json_rig(json_path)
-        back = _applied_inverse(json_path, data) if options.undo_applied_transform else None
-        # which axis was up before the applied transform stands nowhere
-        up_axis = data.get("up_axis", "z" if back is None else None)
+        data = read_json_rig(json_path, RIG)
+        undo = _applied_inverse(json_path, data) if options.undo_applied_transform else None
+        # The up axis from before the applied transform is not stored.
+        up_axis = data.get("up_axis", "z" if undo is None else None)
         lists = {name: split for key, split in SPLIT_LISTS.items() for name in data.get(key) or ()}
         for frame in data["frames"]:
-            if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
-                raise damaged(json_path, "a frame has no file_path")
             split_of_frame = lists.get(frame["file_path"], split)
-            views.append(_view(json_path, {**data, **frame}, split_of_frame, back, options))
+            views.append(_view(json_path, {**data, **frame}, split_of_frame, undo, options))
     mesh = find_mesh([root], ["scene", "mesh", "meshed-poisson", "poisson_mesh"])
     return Rig(NAME, tuple(views), up_axis, mesh)
 
 
 def _view(
-    json_path: Path, frame: dict[str, Any], split: str | None, back: np.ndarray | None, options: ReadOptions
+    json_path: Path, frame: dict[str, Any], split: str | None, undo: np.ndarray | None, options: ReadOptions
 ) -> RigView:
-    """One view from the file's values overridden by the frame's."""
+    """One view.
+
+    Args:
+        frame: the file's values, overridden by those of the frame.
+        undo: (4, 4) similarity to apply to the pose, or None.
+    """
     root = json_path.parent
     image = find_image([folder for folder in (options.images, root) if folder], frame["file_path"])
-    pose = opengl_to_opencv_camera(read_pose(json_path, frame.get("transform_matrix")))
-    if back is not None:
-        pose = transform_poses(back, pose)
+    pose = opengl_to_opencv_camera(read_pose(json_path, frame["transform_matrix"]))
+    if undo is not None:
+        pose = transform_poses(undo, pose)
     try:
         if "w" in frame and "h" in frame:
             width, height = int(frame["w"]), int(frame["h"])
@@ -126,7 +152,7 @@ def _lens(json_path: Path, frame: dict[str, Any], width: int, height: int) -> Le
     model = str(frame.get("camera_model", "")).upper()
     if model in FISHEYES or frame.get("is_fisheye"):
         return Lens("OPENCV_FISHEYE", (fx, fy, *centre, k1, k2, k3, k4))
-    # COLMAP's FULL_OPENCV divides by its k4; nerfstudio multiplies, which no model here does
+    # COLMAP's FULL_OPENCV divides by a polynomial with k4; nerfstudio's k4 multiplies, as no model here does.
     if model not in PINHOLES or k4 != 0.0:
         raise FiptError(
             "camera-model",
@@ -141,7 +167,7 @@ def _lens(json_path: Path, frame: dict[str, Any], width: int, height: int) -> Le
 
 
 def _focal_lengths(json_path: Path, frame: dict[str, Any], width: int, height: int) -> tuple[float, float]:
-    """Focal lengths in pixels; what is missing is taken from the other axis (square pixels)."""
+    """Focal lengths fx, fy in pixels; a missing one is that of the other axis (square pixels)."""
     fx = fy = None
     if frame.get("camera_angle_x"):
         fx = 0.5 * width / math.tan(0.5 * float(frame["camera_angle_x"]))
@@ -154,7 +180,7 @@ def _focal_lengths(json_path: Path, frame: dict[str, Any], width: int, height: i
     if fx is None and fy is None:
         raise FiptError(
             "intrinsics-missing",
-            f"{json_path} gives no focal length for {frame['file_path']}.",
+            f"{json_path} has no focal length for {frame['file_path']}.",
             "Add fl_x (pixels) or camera_angle_x (radians).",
         )
     fx = fy if fx is None else fx

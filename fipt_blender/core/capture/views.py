@@ -1,13 +1,12 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The views of a run as the rest of the engine sees them: pinholes in Blender's world with linear images.
+"""The views of a run as the engine uses them: pinhole cameras in Blender's world, with linear images.
 
-Read from capture.json, which `ingest` wrote after checking everything.
+They are read from capture.json, which `ingest` writes after all its checks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,10 @@ from typing import Any
 import numpy as np
 
 from .. import conventions
-from ..job.errors import FiptError
-from ..job.runfolder import RunFolder, read_json
+from ..run.documents import check_shape, read_json
+from ..run.errors import FiptError
+from ..run.runfolder import RunFolder
+from ..run.shapes import CAPTURE
 from .images import read_ids, read_radiance
 
 CAPTURE_FORMAT = "fipt-capture"
@@ -25,7 +26,7 @@ CAPTURE_VERSION = 1
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One photograph: a pinhole camera and where its images lie.
+    """One photograph: a pinhole camera and the paths of its images.
 
     Attributes:
         name: unique in the capture, e.g. ``"train/000"``.
@@ -35,7 +36,7 @@ class View:
         fx, fy, cx, cy: pinhole intrinsics in pixels; the centre of the first pixel is (0.5, 0.5).
         camera_to_world: (4, 4) float64, OpenCV axes, Blender world in metres.
         parts, semantics: id images of the same size, or None.
-        mask: id image of the same size, 0 where the photograph is not to be used, or None.
+        mask: id image of the same size, 0 where the photograph must not be used, or None.
     """
 
     name: str
@@ -63,12 +64,25 @@ class View:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def rays(self, z_depth: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """Origins and directions (height*width, 3) f32 of all pixel centres; see `conventions.pixel_rays`."""
+        """Origins and directions of the rays through all pixel centres; see `conventions.pixel_rays`."""
         return conventions.pixel_rays(self, z_depth)
 
     def radiance(self) -> np.ndarray:
-        """The photograph, (height, width, 3) float32 scene-linear radiance."""
-        return read_radiance(self.image)
+        """The photograph, (height, width, 3) float32 scene-linear radiance.
+
+        Raises:
+            FiptError: ``image-size`` where the file has been replaced by one of another size, and those of
+                `read_radiance`.
+        """
+        pixels = read_radiance(self.image)
+        if pixels.shape[:2] != (self.height, self.width):
+            raise FiptError(
+                "image-size",
+                f"{self.image} has {pixels.shape[1]} x {pixels.shape[0]} pixels; it had {self.width} x"
+                f" {self.height} when the capture was imported.",
+                "Import the capture again, or restore the photograph.",
+            )
+        return pixels
 
     def part_ids(self) -> np.ndarray | None:
         """Part ids (height, width) int32, or None where the view has none."""
@@ -79,7 +93,7 @@ class View:
         return self._ids(self.semantics)
 
     def masked(self) -> np.ndarray | None:
-        """Whether each pixel (height, width) is to be left out, or None where all are used."""
+        """(height, width) bool, pixels that are left out, or None where all are used."""
         ids = self._ids(self.mask)
         return None if ids is None else ids == 0
 
@@ -97,15 +111,15 @@ class View:
                 "mask-size",
                 f"{path} is {ids.shape[1]} x {ids.shape[0]} pixels; the photograph of {self.name} has "
                 f"{self.width} x {self.height}.",
-                "Use masks of the photographs' size. Where lens distortion was undone, put them into the "
-                "folder 'parts' beside the photographs and import the capture again.",
+                "Use masks of the photographs' size. If lens distortion was undone, put the original masks "
+                "into the folder 'parts' beside the photographs and import the capture again.",
             )
         return ids
 
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """All views of a run, and the way from the source's coordinates to ours.
+    """All views of a run, and the conversion from the source's coordinates to Blender's world.
 
     Attributes:
         source: the format it was read from.
@@ -126,7 +140,7 @@ class Capture:
 
     @property
     def held_back(self) -> list[View]:
-        """The views kept aside to judge the result by."""
+        """The views that are held back to check the result."""
         return [view for view in self.views if view.split == "held_back"]
 
 
@@ -145,22 +159,21 @@ def load_capture(run: RunFolder, path: Path | None = None) -> Capture:
             "Start a new run in another folder.",
         )
     try:
-        return Capture(
-            source=str(data["source"]),
-            world_from_source=np.array(data["world_from_source"], np.float64).reshape(4, 4),
-            mesh=None if data["mesh"] is None else run.resolve(data["mesh"]),
-            views=tuple(_view(run, entry) for entry in data["views"]),
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise FiptError(
-            "file-damaged", f"{path} lacks or garbles an entry ({error}).", "Start a new run."
-        ) from None
+        check_shape(data, CAPTURE)
+    except ValueError as error:
+        raise FiptError("file-damaged", f"{path} can't be read ({error}).", "Start a new run.") from None
+    return Capture(
+        source=data["source"],
+        world_from_source=np.array(data["world_from_source"], np.float64),
+        mesh=None if data["mesh"] is None else run.resolve(data["mesh"]),
+        views=tuple(_view(run, entry) for entry in data["views"]),
+    )
 
 
 def _view(run: RunFolder, entry: dict[str, Any]) -> View:
     return View(
-        name=str(entry["name"]),
-        split=str(entry["split"]),
+        name=entry["name"],
+        split=entry["split"],
         image=run.resolve(entry["image"]),
         width=int(entry["width"]),
         height=int(entry["height"]),
@@ -168,13 +181,8 @@ def _view(run: RunFolder, entry: dict[str, Any]) -> View:
         fy=float(entry["fy"]),
         cx=float(entry["cx"]),
         cy=float(entry["cy"]),
-        camera_to_world=np.array(entry["camera_to_world"], np.float64).reshape(4, 4),
+        camera_to_world=np.array(entry["camera_to_world"], np.float64),
         parts=None if entry["parts"] is None else run.resolve(entry["parts"]),
         semantics=None if entry["semantics"] is None else run.resolve(entry["semantics"]),
         mask=run.resolve(entry["mask"]) if entry.get("mask") else None,
     )
-
-
-def load_images(views: Sequence[View]) -> list[np.ndarray]:
-    """The photographs of views, each (height, width, 3) float32; sizes may differ between views."""
-    return [view.radiance() for view in views]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Engine command `check`: what this machine and environment offer, and what to mend."""
+"""Engine command `check`: packages, devices and memory of this machine, and what is missing."""
 
 from __future__ import annotations
 
@@ -12,40 +12,40 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..job.errors import FiptError
-from ..job.messages import Reporter
-from ..job.runfolder import PRODUCT_VERSION
+from ..run.errors import FiptError
+from ..run.messages import Reporter
+from ..run.runfolder import PRODUCT_VERSION
 from .cuda import VISIBLE_VARIABLE, Gpu, cuda_devices
 from .llvm import find_llvm
 from .variant import cuda_verdict
 
 PACKAGES = (
     *("mitsuba", "drjit", "torch", "numpy", "OpenEXR"),
-    *("pycolmap", "pyoidn", "pillow", "jinja2", "psutil"),
+    *("pycolmap", "pyoidn", "pillow", "jinja2", "psutil", "scipy"),
 )
-LITTLE_MEMORY_GB = 4.0
-_SET_UP = "Set up the engine again, in the add-on's preferences."
+LOW_MEMORY_GB = 4.0  # less free memory gives a warning
+_SET_UP_AGAIN = "Set up the engine again in the add-on's preferences."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the preferences have chosen."""
+    """The command's arguments: the choices of the preferences."""
     parser.add_argument("--device", choices=("auto", "cuda", "llvm"), default="auto")
-    parser.add_argument("--gpu", default="", metavar="UUID", help="the GPU to try; default: the first")
+    parser.add_argument("--gpu", default="", metavar="UUID", help="the GPU to use (default: the first)")
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
-    """Report the engine's interpreter, packages and devices; what is missing becomes warnings.
+    """Report the engine's interpreter, packages and devices; warn of what is missing.
 
-    ``data`` of the closing message: ``product_version, python, interpreter, platform, packages`` (name to
-    version or null), ``llvm`` (path or null), ``cuda`` (name of the device that works, or null), ``gpus``
-    (name, uuid and memory_gb of each), ``device`` (what the chosen setting takes, or null), ``oidn``,
-    ``cores``, ``memory_gb``, ``memory_free_gb``, ``ready``.
+    ``data`` of the message ``done``: ``product_version, python, interpreter, platform, packages`` (version or
+    null by name), ``llvm`` (path or null), ``cuda`` (name of the GPU that works, or null), ``gpus`` (name,
+    uuid and memory_gb of each), ``device`` (which one the setting chooses, or null), ``oidn``, ``cores``,
+    ``memory_gb``, ``memory_free_gb``, ``ready``.
     """
     packages = package_versions()
     missing = [name for name, version in packages.items() if version is None]
     for name in missing:
-        reporter.warning("package-missing", f"The package {name} is missing.", _SET_UP)
-    gpus = cuda_devices()  # all of them: from now on only the chosen one is to be seen
+        reporter.warning("package-missing", f"The package {name} is missing.", _SET_UP_AGAIN)
+    gpus = cuda_devices()  # all of them; afterwards only the chosen one is visible to this process
     if arguments.gpu:
         os.environ[VISIBLE_VARIABLE] = arguments.gpu
     python = Path(sys.executable)
@@ -54,24 +54,20 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     if packages["mitsuba"] and packages["drjit"]:
         if arguments.device != "llvm":
             cuda = find_cuda(python, gpus, arguments, reporter)
-        try:
-            llvm = str(find_llvm(python))
-        except FiptError as error:
-            if cuda is None or error.code != "llvm-missing":
-                reporter.warning(error.code, error.text, error.remedy)
+        llvm = _find_llvm(python, cuda is not None, reporter)
     oidn = oidn_works()
     if not oidn:
         reporter.warning(
             "oidn-missing",
-            "Open Image Denoise does not work here.",
-            f"{_SET_UP} Or switch the setting 'denoise' off.",
+            "Open Image Denoise does not work on this machine.",
+            f"{_SET_UP_AGAIN} Or switch off the setting 'denoise'.",
         )
     total, free = memory_gb()
-    if free is not None and free < LITTLE_MEMORY_GB:
+    if free is not None and free < LOW_MEMORY_GB:
         reporter.warning(
             "memory-low",
-            f"Only {free:.1f} GB of memory are free.",
-            "Close other programs, or use fewer views.",
+            f"Only {free:.1f} GB of memory is free.",
+            "Close other programs or use fewer views.",
         )
     device = "cuda" if cuda else "llvm" if llvm and arguments.device != "cuda" else None
     reporter.done(
@@ -98,19 +94,19 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
 def find_cuda(
     python: Path, gpus: Sequence[Gpu], arguments: argparse.Namespace, reporter: Reporter
 ) -> str | None:
-    """Name of the GPU that works for the engine, or None; warns of what keeps one from working."""
+    """Name of the GPU that the engine can use, or None; warns if there is one that it can't use."""
     chosen = [gpu for gpu in gpus if arguments.gpu in ("", gpu.uuid)]
     if gpus and not chosen:
         reporter.warning(
             "gpu-missing",
-            "The graphics card that the preferences name is not in this machine.",
-            "Choose another one, or the automatic choice.",
+            "The GPU chosen in the preferences is not in this machine.",
+            "Choose another GPU or the automatic choice.",
         )
     elif not gpus and arguments.device == "cuda":
         reporter.warning(
             "cuda-missing",
-            "The preferences ask for a GPU, and this machine has no NVIDIA driver with a device.",
-            "Install NVIDIA's driver, or compute on the CPU.",
+            "The preferences demand a GPU, but no NVIDIA driver with a GPU was found on this machine.",
+            "Install NVIDIA's driver or compute on the CPU.",
         )
     if not chosen:
         return None
@@ -124,16 +120,26 @@ def find_cuda(
         reporter.warning(
             "cuda-missing",
             f"{name} can't be used: {verdict.reason}.",
-            "Update NVIDIA's driver; the CPU is used meanwhile.",
+            "Update NVIDIA's driver; until then, the CPU is used.",
         )
         return None
     if not torch_has_cuda():
         reporter.warning(
             "torch-cpu",
-            f"The installed PyTorch can't use {name}, so that training runs on the CPU.",
-            _SET_UP,
+            f"The installed PyTorch can't use {name}; training will run on the CPU.",
+            _SET_UP_AGAIN,
         )
     return name
+
+
+def _find_llvm(python: Path, has_gpu: bool, reporter: Reporter) -> str | None:
+    """Path of an LLVM that works, or None; warns, unless a GPU is used and LLVM is simply missing."""
+    try:
+        return str(find_llvm(python))
+    except FiptError as error:
+        if not has_gpu or error.code != "llvm-missing":
+            reporter.warning(error.code, error.text, error.remedy)
+        return None
 
 
 def torch_has_cuda() -> bool:
@@ -147,7 +153,7 @@ def torch_has_cuda() -> bool:
 
 
 def package_versions() -> dict[str, str | None]:
-    """Version of each package that the engine needs, None where it is missing."""
+    """Version of each package that the engine needs, None if it is missing."""
     versions: dict[str, str | None] = {}
     for name in PACKAGES:
         try:
@@ -158,14 +164,14 @@ def package_versions() -> dict[str, str | None]:
 
 
 def usable_cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def memory_gb() -> tuple[float | None, float | None]:
-    """Total and free memory in GB (1e9 bytes); None where psutil is missing."""
+    """Total and free memory in GB (1e9 bytes); None if psutil is missing."""
     try:
         import psutil
     except ImportError:
@@ -175,7 +181,7 @@ def memory_gb() -> tuple[float | None, float | None]:
 
 
 def oidn_works() -> bool:
-    """Whether an Open Image Denoise device can be made."""
+    """Whether a device of Open Image Denoise can be created."""
     try:
         import pyoidn
 

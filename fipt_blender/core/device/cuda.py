@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What NVIDIA's driver says of this machine, asked through its own library. Standard library only."""
+"""The GPUs of this machine according to NVIDIA's driver library. Standard library only."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import sys
 import uuid
 from dataclasses import dataclass
 
-# The variable by which one GPU is shown to a process as the only one; it takes a `Gpu.uuid`.
+# Environment variable that limits the GPUs visible to a process; its value is a `Gpu.uuid`.
 VISIBLE_VARIABLE = "CUDA_VISIBLE_DEVICES"
 _CAPABILITY_MAJOR, _CAPABILITY_MINOR = 75, 76  # CUdevice_attribute
 
@@ -19,9 +19,9 @@ class Gpu:
     """One CUDA device.
 
     Attributes:
-        name: as the driver calls it.
-        uuid: stable identifier, as `VISIBLE_VARIABLE` takes it: "GPU-...".
-        memory_gb: its whole memory in GB (1e9 bytes).
+        name: the driver's name of it.
+        uuid: stable identifier for `VISIBLE_VARIABLE`: "GPU-...".
+        memory_gb: its total memory in GB (1e9 bytes).
         capability: compute capability, e.g. (8, 6).
     """
 
@@ -32,7 +32,7 @@ class Gpu:
 
 
 def cuda_driver_version() -> int | None:
-    """The NVIDIA driver's CUDA version (e.g. 12040) where it has a device, else None."""
+    """The NVIDIA driver's CUDA version, e.g. 12040; None if there is no driver with a GPU."""
     driver = _driver()
     version = ctypes.c_int(0)
     if driver is None or _count(driver) == 0:
@@ -41,7 +41,7 @@ def cuda_driver_version() -> int | None:
 
 
 def cuda_devices() -> list[Gpu]:
-    """The CUDA devices that this process may see, in the driver's order."""
+    """The CUDA devices visible to this process, in the driver's order."""
     driver = _driver()
     if driver is None:
         return []

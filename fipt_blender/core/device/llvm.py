@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Finding an LLVM with which Mitsuba's CPU variants work, each candidate tried in a child process.
+"""Finding an LLVM with which Mitsuba's CPU variants work. Each candidate is tried in a child process.
 
-Dr.Jit takes the first libLLVM that the loader knows, and many of them abort the process (LLVM 14 to 16
-on CPUs with AVX-512). Verdicts are kept, so that only the first start on a machine pays for the trial.
+Dr.Jit takes the first libLLVM that the loader finds, and many of them abort the process (LLVM 14 to 16 on
+CPUs with AVX-512). Verdicts are cached, so that only the first start on a machine takes the time of a trial.
 Standard library only; Mitsuba is never imported in this process.
 """
 
@@ -23,18 +23,19 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from ..job.errors import FiptError
-from ..job.runfolder import write_json
+from ..run.documents import load_document
+from ..run.errors import FiptError
+from ..run.runfolder import write_json
 from . import probe
 
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 PROBE_SECONDS = 180.0
-GOOD_VERSIONS = range(17, 24)  # those older abort on common CPUs, those newer are untried: last resorts
+GOOD_VERSIONS = range(17, 24)  # older ones abort on common CPUs, newer ones are untested: last resorts
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Outcome of a trial: whether the variant works, the reason where not, and whether to remember it."""
+    """Outcome of a trial: whether the variant works, the reason if not, and whether to cache the verdict."""
 
     works: bool
     reason: str
@@ -42,10 +43,10 @@ class Verdict:
 
 
 def cache_folder() -> Path:
-    """The user's folder for what may be lost: $FIPT_CACHE, or the platform's cache folder."""
+    """The user's cache folder: $FIPT_CACHE, or the platform's."""
     if named := os.environ.get("FIPT_CACHE"):
         return Path(named)
-    home = Path(os.path.expanduser("~"))  # Path.home() raises where there is none
+    home = Path(os.path.expanduser("~"))  # Path.home() raises an error if there is none
     if sys.platform == "win32":
         base = Path(os.environ.get("LOCALAPPDATA", home / "AppData" / "Local"))
     elif sys.platform == "darwin":
@@ -56,17 +57,17 @@ def cache_folder() -> Path:
 
 
 def environment_folder(python: Path) -> Path:
-    """The folder of the environment that an interpreter belongs to (its ``sys.prefix`` for a venv)."""
+    """The folder of the environment of an interpreter (``sys.prefix`` in a virtual environment)."""
     return python.parent.parent if python.parent.name in ("bin", "Scripts") else python.parent
 
 
 def private_folder(python: Path) -> Path:
-    """Where an environment keeps an LLVM of its own, with the libraries that it needs beside it."""
+    """The folder of an environment's own LLVM and of the libraries that this LLVM needs."""
     return environment_folder(python) / "llvm"
 
 
-def _system_patterns() -> Iterator[tuple[Path, str]]:
-    """Places where LLVM is usually installed, as (folder, pattern)."""
+def system_patterns() -> Iterator[tuple[Path, str]]:
+    """Where LLVM is usually installed, as (folder, glob pattern)."""
     if sys.platform == "win32":
         for variable in ("ProgramFiles", "ProgramW6432", "LOCALAPPDATA"):
             if base := os.environ.get(variable):
@@ -86,17 +87,17 @@ def _system_patterns() -> Iterator[tuple[Path, str]]:
 
 
 def library_version(library: Path) -> int:
-    """Major version of an LLVM library by its name or folder; 0 where neither tells."""
+    """Major version of an LLVM library according to its name or its folder; 0 if neither contains it."""
     name = re.search(r"(?:libLLVM|LLVM-C)[-.](?:so\.)?(\d+)", library.name)
     folder = re.search(r"llvm(?:@|-)?(?:[/\\])?(\d+)", str(library.parent), re.IGNORECASE)
-    found = name or folder
-    return int(found.group(1)) if found else 0
+    match = name or folder
+    return int(match.group(1)) if match else 0
 
 
 def order_candidates(libraries: Sequence[Path]) -> list[Path]:
-    """Most promising first: good versions newest first, then newer and unknown ones, then older ones.
+    """Sort libraries: first good versions, newest first, then newer and unknown versions, then older ones.
 
-    Links to the same file count once.
+    Links to the same file are listed once.
     """
 
     def rank(library: Path) -> tuple[int, int]:
@@ -113,26 +114,27 @@ def order_candidates(libraries: Sequence[Path]) -> list[Path]:
 
 
 def llvm_candidates(python: Path) -> list[Path]:
-    """Every LLVM library worth a trial, best first.
+    """All LLVM libraries to try, best first.
 
-    The one that the user names in DRJIT_LIBLLVM_PATH leads, then the environment's own, then the system's.
+    The first is the one that the user names in DRJIT_LIBLLVM_PATH; then come those of the environment, then
+    those of the system.
     """
-    found: list[Path] = []
+    preferred: list[Path] = []
     if named := os.environ.get(LLVM_VARIABLE):
-        found += [path for path in [Path(named)] if path.is_file()]
+        preferred += [path for path in [Path(named)] if path.is_file()]
     names = {"win32": "LLVM-C*.dll", "darwin": "libLLVM*.dylib"}.get(sys.platform, "libLLVM*.so*")
-    own: list[Path] = []
+    in_environment: list[Path] = []
     for folder in (private_folder(python), environment_folder(python) / "lib"):
-        own += folder.glob(names)
-    found += order_candidates(own)
-    system = [path for base, pattern in _system_patterns() for path in base.glob(pattern)]
-    return list(dict.fromkeys([path.resolve() for path in found] + order_candidates(system)))
+        in_environment += folder.glob(names)
+    preferred += order_candidates(in_environment)
+    system = [path for base, pattern in system_patterns() for path in base.glob(pattern)]
+    return list(dict.fromkeys([path.resolve() for path in preferred] + order_candidates(system)))
 
 
 def companions(library: Path) -> list[str]:
-    """Libraries to load before an environment's own LLVM: those that lie beside it.
+    """Libraries to load before an environment's own LLVM: all others in its folder.
 
-    Only an environment's own folder holds such a set; beside a system's LLVM lies the whole system.
+    An LLVM of the system needs none, and its folder contains all libraries of the system.
     """
     if library.parent.name != "llvm":
         return []
@@ -140,7 +142,7 @@ def companions(library: Path) -> list[str]:
 
 
 def try_variant(python: Path, variant: str, library: Path | None = None) -> Verdict:
-    """Run the probe's workload in a child of the given interpreter.
+    """Run the workload of :mod:`.probe` in a child process of an interpreter.
 
     Args:
         python: interpreter with Mitsuba.
@@ -148,8 +150,8 @@ def try_variant(python: Path, variant: str, library: Path | None = None) -> Verd
         library: the LLVM to use.
 
     Raises:
-        FiptError: ``package-missing`` where Mitsuba itself can't be imported, ``engine-missing`` where
-            the interpreter can't be started.
+        FiptError: ``package-missing`` if Mitsuba can't be imported, ``engine-missing`` if the interpreter
+            can't be started.
     """
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     libraries: list[str] = []
@@ -176,7 +178,7 @@ def try_variant(python: Path, variant: str, library: Path | None = None) -> Verd
             raise FiptError(
                 "engine-missing",
                 f"The engine's Python {python} can't be started ({error}).",
-                "Name another interpreter, or create the engine's environment again.",
+                "Choose another interpreter, or set up the engine again.",
             ) from None
         log.seek(0)
         output = log.read().decode("utf-8", "replace")
@@ -184,26 +186,25 @@ def try_variant(python: Path, variant: str, library: Path | None = None) -> Verd
         raise FiptError(
             "package-missing",
             f"Mitsuba can't be imported by {python} ({_reason(output) or f'exit status {status}'}).",
-            "Create the engine's environment again.",
+            "Set up the engine again.",
         )
     if status == 0 and probe.PASSED in output:
         return Verdict(True, "")
     if status < 0:
-        # SIGKILL comes from outside (out of memory, an impatient user): no verdict on the library
-        return Verdict(False, f"the process died of signal {-status}", lasting=status != -9)
+        # SIGKILL comes from outside (out of memory, the user) and says nothing about the library.
+        return Verdict(False, f"the process was ended by signal {-status}", lasting=status != -9)
     return Verdict(False, _reason(output) or f"exit status {status}")
 
 
 def remembered(key: str, trial: Callable[[], Verdict], cache: Path | None = None) -> Verdict:
-    """The verdict kept under a key, or that of the trial, which is then kept.
+    """The cached verdict for a key, or else the verdict of the trial, which is then cached.
 
-    A cache that can't be read or written costs time, nothing else.
+    A cache that can't be read or written only costs time.
     """
     file = (cache or cache_folder()) / "devices.json"
     verdicts: dict[str, dict[str, object]] = {}
     try:
-        data = json.loads(file.read_text(encoding="utf-8"))
-        verdicts = data if isinstance(data, dict) else {}
+        verdicts = load_document(file)
     except (OSError, ValueError):
         pass
     kept = verdicts.get(key)
@@ -218,7 +219,7 @@ def remembered(key: str, trial: Callable[[], Verdict], cache: Path | None = None
 
 
 def package_key(python: Path) -> str:
-    """What a verdict depends on besides the library: machine, Mitsuba and Dr.Jit."""
+    """Key of what a verdict depends on besides the library: machine, Mitsuba and Dr.Jit."""
     if _is_this_interpreter(python):
         versions = [importlib.metadata.version(name) for name in ("mitsuba", "drjit")]
     else:
@@ -234,11 +235,11 @@ def find_llvm(python: Path, cache: Path | None = None) -> Path:
     """The best LLVM that works with an interpreter's Mitsuba.
 
     Args:
-        python: interpreter of the engine.
-        cache: folder where verdicts are kept; None: ``cache_folder()``.
+        python: the engine's interpreter.
+        cache: folder of the cached verdicts; None: ``cache_folder()``.
 
     Raises:
-        FiptError: ``llvm-missing`` naming what to install, ``package-missing``, ``engine-missing``.
+        FiptError: ``llvm-missing``, which says what to install, ``package-missing``, ``engine-missing``.
     """
     failures: list[str] = []
     machine = None
@@ -250,14 +251,15 @@ def find_llvm(python: Path, cache: Path | None = None) -> Path:
         if verdict.works:
             return library
         failures.append(f"{library} ({verdict.reason})")
-    text = "Mitsuba needs LLVM to compute on the CPU, and this machine has none."
+    text = "Mitsuba needs LLVM to compute on the CPU, but none was found on this machine."
     if failures:
-        text = f"Mitsuba needs LLVM to compute on the CPU, and none here works: {'; '.join(failures)}."
+        listed = "; ".join(failures)
+        text = f"Mitsuba needs LLVM to compute on the CPU, but none on this machine works: {listed}."
     raise FiptError("llvm-missing", text, install_remedy())
 
 
 def install_remedy() -> str:
-    """What to install on this platform, in one or two sentences."""
+    """Text on what to install on this platform."""
     if sys.platform == "win32":
         how = "Install LLVM 19 or newer from the LLVM project's releases (its LLVM-C.dll is used)."
     elif sys.platform == "darwin":
@@ -290,7 +292,7 @@ def _is_this_interpreter(python: Path) -> bool:
 
 
 def _reason(output: str) -> str:
-    """The line of a failed child's output that tells most: a missing library, else the last."""
+    """The most helpful line of a failed child's output: the one on a missing library, or else the last."""
     lines = [line.strip() for line in output.splitlines() if line.strip() and line.strip() != probe.IMPORTED]
     missing = [line for line in lines if "cannot open shared object file" in line]
     return (missing or lines or [""])[-1][:200]

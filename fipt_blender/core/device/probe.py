@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A small real workload for one Mitsuba variant, run as a script in a child process.
+"""A small workload that tests one Mitsuba variant; this file is run as a script in a child process.
 
-A wrong LLVM does not raise: it aborts the process. So this file is run by path in a child, and only its
-output and exit status are looked at. Standard library only at import.
+An unsuitable LLVM raises no exception but aborts the process. Therefore only the child's output and exit
+status are evaluated. At import this file needs only the standard library.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ PASSED = "fipt-probe-passed"
 
 
 def preload(libraries: Sequence[str]) -> None:
-    """Load shared libraries that depend on each other in any order.
+    """Load shared libraries that depend on one another, given in any order.
 
-    A library whose own dependencies are not there yet fails and is tried again; the loader then finds
-    the loaded ones by their names, wherever they lie. Those that never load are left out: whoever needs
-    them says so.
+    A library whose dependencies are not loaded yet fails and is tried again; the loader finds loaded
+    libraries by their names, in whichever folder they are. Libraries that can't be loaded at all are skipped:
+    if they are needed, a later error names them.
     """
     waiting = list(libraries)
     progress = True
@@ -38,10 +38,10 @@ def preload(libraries: Sequence[str]) -> None:
 
 
 def run_workload(variant: str) -> None:
-    """Trace paths through a small scene, run a loop, scatter; compare with known values.
+    """Trace paths through a small scene, run a loop and a scatter, and compare with known values.
 
     Raises:
-        RuntimeError: where a value is wrong.
+        RuntimeError: if a value is wrong.
     """
     import drjit as dr
     import mitsuba as mi
@@ -49,7 +49,7 @@ def run_workload(variant: str) -> None:
     print(IMPORTED, flush=True)
     mi.set_variant(variant)
 
-    # A closed white box whose inside emits 1: every path returns 1 / (1 - 0.5) (a furnace).
+    # A furnace test: inside a closed box of albedo 0.5 that emits 1, the radiance is 1 / (1 - 0.5).
     scene = mi.load_dict(
         {
             "type": "scene",
@@ -66,16 +66,16 @@ def run_workload(variant: str) -> None:
     image = mi.render(scene, spp=16, seed=1)
     mean = dr.mean(image, axis=None).array[0]
     if not abs(mean - 2.0) < 0.1:
-        raise RuntimeError(f"a furnace of radiance 2 rendered as {mean}")
+        raise RuntimeError(f"the furnace test gives {mean} instead of 2")
 
     index = dr.arange(mi.UInt32, 1000)
     count, total = dr.while_loop((index, mi.UInt32(0)), lambda i, t: i > 0, lambda i, t: (i - 1, t + 2))
     if dr.sum(total)[0] != 999000 or dr.sum(count)[0] != 0:
-        raise RuntimeError("a loop counted wrongly")
+        raise RuntimeError("the loop gives wrong results")
     bins = dr.zeros(mi.Float, 16)
     dr.scatter_add(bins, mi.Float(1.0), index % 16)
     if dr.sum(bins)[0] != 1000.0:
-        raise RuntimeError("a scatter lost values")
+        raise RuntimeError("the scatter lost values")
     print(PASSED, flush=True)
 
 

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one place that chooses Mitsuba's variant, and torch's device with it.
+"""The one place that chooses Mitsuba's variant and torch's device.
 
-Mitsuba and torch are imported when a function is called: LLVM's path must be known before.
+Mitsuba and torch are imported inside the functions, because the path of LLVM must be known before.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import os
 import sys
 from pathlib import Path
 
-from ..job.errors import FiptError
+from ..run.errors import FiptError
 from .cuda import VISIBLE_VARIABLE, cuda_driver_version
 from .llvm import LLVM_VARIABLE, Verdict, companions, find_llvm, package_key, remembered, try_variant
 from .probe import preload
@@ -20,12 +20,12 @@ VARIANTS = {"llvm": "llvm_ad_rgb", "cuda": "cuda_ad_rgb"}
 
 
 def set_variant(device: str = "auto", cache: Path | None = None) -> str:
-    """Set Mitsuba's variant for this process; calling it again changes nothing.
+    """Set Mitsuba's variant for this process; further calls change nothing.
 
     Args:
-        device: ``"cuda"``, ``"llvm"`` (CPU), or ``"auto"``: CUDA where it works, else LLVM. A process that
-            has a variant already keeps it under ``"auto"``.
-        cache: folder where verdicts on devices are kept; None: the user's cache folder.
+        device: ``"cuda"``, ``"llvm"`` (CPU), or ``"auto"``: the variant that is set already, or else CUDA if
+            it works, or else LLVM.
+        cache: folder of the cached verdicts on devices; None: the user's cache folder.
 
     Returns:
         The variant's name, ``"cuda_ad_rgb"`` or ``"llvm_ad_rgb"``.
@@ -34,7 +34,7 @@ def set_variant(device: str = "auto", cache: Path | None = None) -> str:
         FiptError: ``llvm-missing``, ``cuda-missing``, ``setting-invalid``.
     """
     if device not in ("auto", *VARIANTS):
-        raise FiptError("setting-invalid", f"'{device}' is no device.", "Use one of: auto, cuda, llvm.")
+        raise FiptError("setting-invalid", f"'{device}' is not a device.", "Use one of: auto, cuda, llvm.")
     current = _current_variant()
     if current is not None and (device == "auto" or current == VARIANTS[device]):
         return current
@@ -44,13 +44,13 @@ def set_variant(device: str = "auto", cache: Path | None = None) -> str:
     elif device == "cuda" and not (verdict := cuda_verdict(python, cache)).works:
         raise FiptError(
             "cuda-missing",
-            f"CUDA was asked for and does not work here: {verdict.reason}.",
+            f"CUDA was chosen but does not work on this machine: {verdict.reason}.",
             "Install NVIDIA's driver (with OptiX), or choose the device 'auto' or 'llvm'.",
         )
     if device == "llvm":
         library = find_llvm(python, cache)
         if "mitsuba" in sys.modules and os.environ.get(LLVM_VARIABLE) != str(library):
-            raise RuntimeError("Mitsuba was imported before set_variant: Dr.Jit took another LLVM by then")
+            raise RuntimeError("Mitsuba was imported before set_variant, so that Dr.Jit uses another LLVM")
         os.environ[LLVM_VARIABLE] = str(library)
         preload(companions(library))
     import mitsuba
@@ -60,7 +60,7 @@ def set_variant(device: str = "auto", cache: Path | None = None) -> str:
 
 
 def torch_device() -> str:
-    """Torch's device that belongs to the variant in force: ``"cuda"`` or ``"cpu"``."""
+    """Torch's device for the current variant: ``"cuda"`` or ``"cpu"``."""
     import torch
 
     cuda = (_current_variant() or "").startswith("cuda") and torch.cuda.is_available()
@@ -68,16 +68,16 @@ def torch_device() -> str:
 
 
 def cuda_verdict(python: Path, cache: Path | None = None) -> Verdict:
-    """Whether Mitsuba's CUDA variant traces rays here; tried in a child where there is a driver."""
+    """Whether Mitsuba's CUDA variant works here; if there is a driver, it is tried in a child process."""
     driver = cuda_driver_version()
     if driver is None:
-        return Verdict(False, "this machine has no NVIDIA driver with a device")
+        return Verdict(False, "this machine has no NVIDIA driver with a GPU")
     visible = os.environ.get(VISIBLE_VARIABLE, "")
     key = f"{package_key(python)}|cuda|{driver}|{visible}"
     return remembered(key, lambda: try_variant(python, VARIANTS["cuda"]), cache)
 
 
 def _current_variant() -> str | None:
-    """The variant in force, without importing Mitsuba for the question."""
+    """The current variant; None if Mitsuba is not imported or has none."""
     mitsuba = sys.modules.get("mitsuba")
     return None if mitsuba is None else mitsuba.variant()

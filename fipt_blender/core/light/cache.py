@@ -1,17 +1,16 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The radiance cache L': all photographs averaged on a sparse voxel grid over the surfaces (paper Sec. 4.2).
+"""The radiance cache L' of paper Eq. 9: all photographs averaged on a sparse voxel grid over the surfaces.
 
-A voxel keeps six values, one for each dominant direction of the surface's normal, so that the two sides of
-a lamp shade or a thin wall, or the two walls of a corner, do not mix. Voxels that no view saw take the mean
-of the smallest coarser voxel that has data, instead of black.
+A voxel has six entries, one for each dominant direction of the surface normal, so that the two sides of a
+lamp shade or a thin wall, and the walls of a corner, do not mix. Entries without pixels take the mean of the
+smallest coarser voxel with pixels, instead of black.
 """
 
 from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -20,22 +19,22 @@ import numpy as np
 from ..scene.room import Room, triangle_normals
 
 SIDES = 6
-# Points at a time: temporary arrays of all pixels of a large capture would take gigabytes.
+# Points per chunk: temporary arrays of all pixels of a large capture would take gigabytes.
 CHUNK = 1 << 20
-# Hits are moved off their surface by this share of a voxel, so that a wall on a voxel border stays in one.
+# Points are offset along their normal by this share of a voxel, so that a wall on a voxel border is in one.
 LIFT = 0.25
 
 
 @dataclass(frozen=True)
 class VoxelGrid:
-    """Voxels that hold surfaces, and where their rows are.
+    """A sparse grid of the voxels that contain surfaces.
 
     Attributes:
         low: (3,) float64 lowest corner, metres.
         size: (3,) float64 edge lengths of a voxel, metres.
         resolution: voxels along each axis.
-        rows: (resolution^3,) int32 row of each voxel; empty voxels near a surface point to a neighbour's
-            row, others to row 0.
+        rows: (resolution^3,) int32 row of each voxel; empty voxels next to a surface have a neighbour's row,
+            others row 0.
         voxels: (M,) int64 flat voxel index of each row.
     """
 
@@ -74,7 +73,7 @@ def side_index(normals: np.ndarray) -> np.ndarray:
 def make_grid(
     room: Room, positions: np.ndarray, normals: np.ndarray, resolution: int, rng: np.random.Generator
 ) -> VoxelGrid:
-    """Grid over the room's bounds with a row for each voxel that a surface passes through.
+    """Grid over the room's bounds with a row for each voxel that contains surface.
 
     Args:
         positions: (N, 3) seen surface points, metres.
@@ -94,7 +93,7 @@ def grid_frame(room: Room, resolution: int) -> VoxelGrid:
 
 
 def fill_grid(room: Room, frame: VoxelGrid, seen: np.ndarray, rng: np.random.Generator) -> VoxelGrid:
-    """The grid with a row for each voxel that was seen or that a surface passes through.
+    """The grid with a row for each voxel that was seen or that contains surface.
 
     Args:
         seen: (K,) int flat voxel indices.
@@ -112,7 +111,7 @@ def fill_grid(room: Room, frame: VoxelGrid, seen: np.ndarray, rng: np.random.Gen
 def sample_surface(room: Room, spacing: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Points (S, 3) all over the mesh, about `spacing` / 2 metres apart, and their triangles (S,)."""
     wanted = room.areas * 4.0 / spacing**2
-    # A room of odd scale must not ask for billions of points.
+    # Bounded, whatever the scale of the room.
     wanted *= min(1.0, 4e6 / max(wanted.sum(), 1.0))
     counts = np.maximum(np.ceil(wanted).astype(np.int64), 1)
     triangle = np.repeat(np.arange(len(counts)), counts)
@@ -127,7 +126,7 @@ def sample_surface(room: Room, spacing: float, rng: np.random.Generator) -> tupl
 def unseen_points(
     grid: VoxelGrid, room: Room, count: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A surface point in each entry that holds surface but that no pixel saw.
+    """A surface point in each entry that contains surface but that no pixel saw.
 
     Args:
         count: (M * 6,) pixels in each entry.
@@ -145,7 +144,7 @@ def unseen_points(
 
 
 def _point_to_neighbours(rows: np.ndarray) -> None:
-    """Let each empty voxel that touches a filled one refer to it, in place; rounding may query it."""
+    """Give empty voxels next to filled ones their neighbour's row, in place: rounding may query them."""
     filled = rows >= 0
     for axis in range(3):
         for step in (1, -1):
@@ -173,7 +172,7 @@ def pool(grid: VoxelGrid, entries: np.ndarray, values: np.ndarray) -> tuple[np.n
 
 
 class Pool:
-    """Sums of values on cache entries, gathered piece by piece: see :func:`pool`."""
+    """Sums of values on cache entries, accumulated in chunks: see :func:`pool`."""
 
     def __init__(self, grid: VoxelGrid, channels: int) -> None:
         total = len(grid.voxels) * SIDES
@@ -182,22 +181,22 @@ class Pool:
         self._sums = np.zeros((channels, total))
 
     def add(self, entries: np.ndarray, values: np.ndarray) -> None:
-        """Gather (N, C) values on (N,) entries; the pieces' sizes do not matter to the result."""
+        """Accumulate (N, C) values on (N,) entries; the result does not depend on the chunks' sizes."""
         np.add.at(self._count, entries, 1)
         for sums, column in zip(self._sums, values.T, strict=True):
             np.add.at(sums, entries, column.astype(np.float64))
 
     def mean(self) -> tuple[np.ndarray, np.ndarray]:
-        """(M * 6, C) float32 mean of each entry, 0 without any value, and (M * 6,) how many there are."""
+        """(M * 6, C) float32 mean of each entry, 0 without values, and (M * 6,) number of values."""
         return self._mean().T.astype(np.float32, order="C"), self._count
 
     def filled(self) -> tuple[np.ndarray, np.ndarray]:
-        """The same with the missing means filled; see :func:`pool`."""
+        """The same with missing means filled; see :func:`pool`."""
         grid, mean = self._grid, self._mean()
         observed = self._count > 0
         missing = np.flatnonzero(~observed)
         side = missing % SIDES
-        # Sums over the sides of ever coarser voxels, and which of these holds each row of the grid.
+        # Sums over the sides of ever coarser voxels, and the coarse voxel of each row of the grid.
         sums = mean.reshape(len(mean), -1, SIDES)
         number = observed.reshape(-1, SIDES).astype(np.int64)
         voxel, size = grid.voxels, grid.resolution
@@ -207,17 +206,17 @@ class Pool:
             size = (size + 1) // 2
             voxel, parent = np.unique(((x >> 1) * size + (y >> 1)) * size + (z >> 1), return_inverse=True)
             sums, number, holder = _added(sums, parent), _added(number, parent), parent[holder]
-            own = holder[missing // SIDES]
-            found = number[own, side] > 0
-            at = own[found], side[found]
-            mean[:, missing[found]] = sums[:, *at] / number[at]
-            missing, side = missing[~found], side[~found]
+            coarse = holder[missing // SIDES]
+            filled = number[coarse, side] > 0
+            source = coarse[filled], side[filled]
+            mean[:, missing[filled]] = sums[:, *source] / number[source]
+            missing, side = missing[~filled], side[~filled]
         if len(missing):
             mean[:, missing] = self._sums.sum(axis=1, keepdims=True) / max(int(self._count.sum()), 1)
         return mean.T.astype(np.float32, order="C"), self._count
 
     def _mean(self) -> np.ndarray:
-        """(C, M * 6) float64, 0 without any value."""
+        """(C, M * 6) float64, 0 without values."""
         return self._sums / np.maximum(self._count, 1)
 
 
@@ -231,7 +230,7 @@ def _added(values: np.ndarray, group: np.ndarray) -> np.ndarray:
 
 
 class SurfaceLookup:
-    """Values on the entries of a grid, to be gathered at ray hits inside Dr.Jit kernels.
+    """Values on the entries of a grid, for gathers at ray hits in Dr.Jit kernels.
 
     Args:
         grid: the voxels.
@@ -249,21 +248,23 @@ class SurfaceLookup:
         self._channels = values.shape[1]
         self._values = mi.Float(np.ascontiguousarray(values, np.float32).reshape(-1))
 
-    def beside(self, values: np.ndarray) -> SurfaceLookup:
-        """Other values ((M * 6, C)) on the same grid, whose rows are held once: 64 MB at 256 voxels."""
+    def with_values(self, values: np.ndarray) -> SurfaceLookup:
+        """A lookup of other values ((M * 6, C)) that shares the grid's rows: 64 MB at 256 voxels."""
         other = copy.copy(self)
         other._set(values)
         return other
 
-    def __call__(self, position: Any, side_normal: Any, active: Any = True) -> list[Any]:
+    def __call__(
+        self, position: mi.Point3f, side_normal: mi.Normal3f, active: mi.Bool = True
+    ) -> list[mi.Float]:
         """The C values at surface points; see :meth:`entry`."""
         return self.values(self.entry(position, side_normal, active), active)
 
-    def entry(self, position: Any, side_normal: Any, active: Any = True) -> Any:
-        """UInt32 entry of surface points, the same for all tables of a grid.
+    def entry(self, position: mi.Point3f, side_normal: mi.Normal3f, active: mi.Bool = True) -> mi.UInt32:
+        """Entry of surface points, the same for all tables of a grid.
 
         Args:
-            position: Point3f, metres.
+            position: metres.
             side_normal: geometric normal on the side of interest.
         """
         n = mi.Vector3f(side_normal)
@@ -278,7 +279,7 @@ class SurfaceLookup:
         component = dr.select(axis == 0, n.x, dr.select(axis == 1, n.y, n.z))
         return mi.UInt32(row * SIDES + axis * 2 + dr.select(component < 0.0, 1, 0))
 
-    def values(self, entry: Any, active: Any = True) -> list[Any]:
-        """The C values of entries (UInt32)."""
+    def values(self, entry: mi.UInt32, active: mi.Bool = True) -> list[mi.Float]:
+        """The C values of entries."""
         base = entry * self._channels
         return [dr.gather(mi.Float, self._values, base + i, active) for i in range(self._channels)]

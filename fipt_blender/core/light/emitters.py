@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Emitters from the emission mask (paper Sec. 4.4 "Emitter extraction"), grouped into fixtures.
 
-A triangle whose mean mask is above the threshold may emit; which ones do says :mod:`.evidence`. The radiance
-is the median of the pixels that see it, as an emitter is taken to reflect nothing. Connected triangles of
-like radiance make a fixture.
+Triangles whose mean mask is above the threshold are candidates; :mod:`.evidence` decides which of them emit.
+An emitter is assumed to reflect nothing, so its radiance is the median of the pixels that see it (closed form
+of paper Eq. 13). Connected triangles of similar radiance form a fixture.
 """
 
 from __future__ import annotations
@@ -14,21 +14,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..render.lights import LUMINANCE, EmitterTable
+from ..optics.lights import LUMINANCE, EmitterTable
+from ..scene.components import graph_components, mesh_components
+from ..scene.grouped import grouped_median
 from ..scene.labels import weld
+from ..scene.pixels import PixelStore
 from ..scene.room import Room
 
-# A side of a triangle emits if it is at least this bright against the brighter side.
+# A side of a fixture emits if its luminance is at least this share of the brighter side's.
 DIM_SIDE = 0.1
-# Neighbours belong to one fixture where their radiance differs by less than this factor.
+# Neighbouring triangles belong to one fixture if their luminance differs by less than this factor.
 ALIKE = 1.5
-# Pixels at a time: arrays of all pixels of a large capture would take gigabytes.
+# Pixels per chunk: arrays of all pixels of a large capture would take gigabytes.
 CHUNK = 1 << 20
 
 
 @dataclass(frozen=True)
 class Fixture:
-    """A lamp: connected triangles with one radiance a side.
+    """A lamp: connected triangles with one radiance per side.
 
     Attributes:
         triangles: (n,) int64 room triangle indices.
@@ -36,7 +39,7 @@ class Fixture:
         back_radiance: (3,) of the back side.
         area: square metres.
         centroid: (3,) area-weighted, metres.
-        beside: whether the surface also reflects as the room's materials say there.
+        reflective: whether the surface also reflects, with the room's material.
     """
 
     triangles: np.ndarray
@@ -44,7 +47,7 @@ class Fixture:
     back_radiance: np.ndarray
     area: float
     centroid: np.ndarray
-    beside: bool = False
+    reflective: bool = False
 
 
 def find_emitters(
@@ -53,22 +56,22 @@ def find_emitters(
     threshold: float,
     samples: int,
     rng: np.random.Generator,
-    among: np.ndarray | None = None,
+    candidates: np.ndarray | None = None,
 ) -> np.ndarray:
     """(T,) bool, triangles whose mean emission mask over random points exceeds the threshold.
 
     Args:
         mask: (N, 3) world positions to (N,) alpha.
-        samples: points a triangle.
-        among: (T,) bool, triangles that are asked; all where None.
+        samples: points per triangle.
+        candidates: (T,) bool, triangles to test; all if None.
     """
-    asked = np.arange(len(room.triangles)) if among is None else np.flatnonzero(among)
-    found = np.zeros(len(room.triangles), bool)
-    for start in range(0, len(asked), 4096):
-        part = asked[start : start + 4096]
-        mean = mask(random_points(room, part, samples, rng)).reshape(-1, samples).mean(axis=1)
-        found[part] = mean > threshold
-    return found
+    tested = np.arange(len(room.triangles)) if candidates is None else np.flatnonzero(candidates)
+    emits = np.zeros(len(room.triangles), bool)
+    for start in range(0, len(tested), 4096):
+        chunk = tested[start : start + 4096]
+        mean = mask(random_points(room, chunk, samples, rng)).reshape(-1, samples).mean(axis=1)
+        emits[chunk] = mean > threshold
+    return emits
 
 
 def random_points(room: Room, triangles: np.ndarray, samples: int, rng: np.random.Generator) -> np.ndarray:
@@ -80,89 +83,93 @@ def random_points(room: Room, triangles: np.ndarray, samples: int, rng: np.rando
     return np.einsum("tsc,tcd->tsd", weights, corners).reshape(-1, 3)
 
 
-def pixels_of(triangle: np.ndarray, marked: np.ndarray) -> np.ndarray:
+def pixels_on(triangle: np.ndarray, marked: np.ndarray) -> np.ndarray:
     """(R,) int64 pixels that see one of the triangles marked ((T,) bool).
 
     Args:
-        triangle: (N,) triangle of each pixel, negative where none; memory-mapped arrays will do.
+        triangle: (N,) triangle of each pixel, negative where none; may be memory-mapped.
     """
-    found = [np.zeros(0, np.int64)]
+    rows = [np.zeros(0, np.int64)]
     for start in range(0, len(triangle), CHUNK):
-        part = triangle[start : start + CHUNK]
-        found.append(np.flatnonzero((part >= 0) & marked[np.maximum(part, 0)]) + start)
-    return np.concatenate(found)
+        chunk = triangle[start : start + CHUNK]
+        rows.append(np.flatnonzero((chunk >= 0) & marked[np.maximum(chunk, 0)]) + start)
+    return np.concatenate(rows)
 
 
-def side_medians(
-    triangle: np.ndarray, front: np.ndarray, pure: np.ndarray, radiance: np.ndarray, group: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+@dataclass(frozen=True)
+class EmitterPixels:
+    """N pixels and the surfaces that they see; arrays may be memory-mapped.
+
+    Attributes:
+        triangle: (N,) int, negative where no surface is seen.
+        front: (N,) bool, whether the triangle's front is seen.
+        pure: (N,) bool, whether the pixel sees nothing else.
+        radiance: (N, 3).
+    """
+
+    triangle: np.ndarray
+    front: np.ndarray
+    pure: np.ndarray
+    radiance: np.ndarray
+
+    @classmethod
+    def of(cls, pixels: PixelStore) -> EmitterPixels:
+        """All pixels of a store."""
+        return cls(pixels.triangle, pixels.front, pixels.pure, pixels.radiance)
+
+    def rows(self, rows: np.ndarray) -> EmitterPixels:
+        """Some of the pixels, in memory."""
+        return EmitterPixels(self.triangle[rows], self.front[rows], self.pure[rows], self.radiance[rows])
+
+
+def side_medians(pixels: EmitterPixels, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Per-channel median radiance of each group's two sides.
 
-    Pixels that see more than the emitter are left out where a group has others.
+    Mixed pixels are left out where a side has pure ones.
 
     Args:
-        triangle: (N,) triangle of each pixel.
-        front: (N,) whether its front is seen.
-        pure: (N,) whether the pixel sees nothing else.
-        radiance: (N, 3).
+        pixels: in memory.
         group: (T,) int group of each triangle, negative without.
 
     Returns:
-        (groups, 2, 3) medians, front first, and (groups, 2) pixels behind them.
+        (groups, 2, 3) medians, front first, and (groups, 2) numbers of pixels.
     """
     groups = int(group.max(initial=-1)) + 1
-    medians = np.zeros((groups, 2, 3))
-    counts = np.zeros((groups, 2), np.int64)
-    pixel_group = np.where(triangle >= 0, group[np.maximum(triangle, 0)], -1)
+    pixel_group = np.where(pixels.triangle >= 0, group[np.maximum(pixels.triangle, 0)], -1)
     inside = np.flatnonzero(pixel_group >= 0)
-    key = pixel_group[inside] * 2 + ~front[inside]
-    order = np.argsort(key, kind="stable")
-    starts = np.flatnonzero(np.diff(key[order], prepend=-1))
-    for part in np.split(inside[order], starts[1:]) if len(inside) else []:
-        clean = part[pure[part]]
-        chosen = clean if len(clean) else part
-        where = pixel_group[part[0]], int(not front[part[0]])
-        medians[where] = np.median(radiance[chosen], axis=0)
-        counts[where] = len(chosen)
-    return medians, counts
+    side = pixel_group[inside] * 2 + ~pixels.front[inside]
+    has_pure = np.bincount(side, pixels.pure[inside], minlength=groups * 2) > 0
+    chosen = pixels.pure[inside] | ~has_pure[side]
+    inside, side = inside[chosen], side[chosen]
+    medians = grouped_median(pixels.radiance[inside], side, groups * 2).astype(np.float64)
+    counts = np.bincount(side, minlength=groups * 2)
+    return medians.reshape(groups, 2, 3), counts.reshape(groups, 2)
 
 
-def group_fixtures(
-    room: Room,
-    emitting: np.ndarray,
-    triangle: np.ndarray,
-    front: np.ndarray,
-    pure: np.ndarray,
-    radiance: np.ndarray,
-) -> list[Fixture]:
-    """Fixtures of the emitting triangles, brightest power first.
-
-    Args:
-        emitting: (T,) bool.
-        triangle, front, pure, radiance: of the pixels, as in :func:`side_medians`; memory-mapped arrays do.
-    """
+def group_fixtures(room: Room, emitting: np.ndarray, pixels: EmitterPixels) -> list[Fixture]:
+    """Fixtures of the emitting triangles ((T,) bool), in descending order of power."""
     corners = weld(room.vertices)[room.triangles]
     ids = np.flatnonzero(emitting)
     if not len(ids):
         return []
-    rows = pixels_of(triangle, emitting)  # few: all that follows may be in memory
-    triangle, front, pure, radiance = (array[rows] for array in (triangle, front, pure, radiance))
-    own = np.full(len(emitting), -1, np.int64)
-    own[ids] = np.arange(len(ids))
-    medians, counts = side_medians(triangle, front, pure, radiance, own)
-    brightness = (medians * (counts > 0)[..., None] @ LUMINANCE).max(axis=1)
-    seen = (counts.sum(axis=1) > 0) & ~_vague(corners[ids], own[triangle[pure]])
+    rows = pixels_on(pixels.triangle, emitting)  # few, so they fit into memory
+    pixels = pixels.rows(rows)
+    emitter = np.full(len(emitting), -1, np.int64)  # a group per triangle
+    emitter[ids] = np.arange(len(ids))
+    medians, counts = side_medians(pixels, emitter)
+    luminance = (medians * (counts > 0)[..., None] @ LUMINANCE).max(axis=1)
+    measured = (counts.sum(axis=1) > 0) & ~_mixed_only(corners[ids], emitter[pixels.triangle[pixels.pure]])
     group = np.full(len(emitting), -1, np.int64)
-    group[ids] = connected(corners[ids], brightness, seen)
-    medians, counts = side_medians(triangle, front, pure, radiance, group)
+    group[ids] = emitter_components(corners[ids], luminance, measured)
+    medians, counts = side_medians(pixels, group)
     fixtures = []
     for index in range(len(medians)):
         members = np.flatnonzero(group == index)
         sides = medians[index] * (counts[index] > 0)[:, None]
-        light = sides @ LUMINANCE
-        if not light.max() > 0.0:
+        luminance = sides @ LUMINANCE
+        if not luminance.max() > 0.0:
             continue
-        sides = np.where((light >= DIM_SIDE * light.max())[:, None], sides, 0.0)
+        sides = np.where((luminance >= DIM_SIDE * luminance.max())[:, None], sides, 0.0)
         area = room.areas[members]
         if not area.sum() > 0.0:
             continue
@@ -172,60 +179,44 @@ def group_fixtures(
     return sorted(fixtures, key=lambda f: -f.area * float((f.radiance + f.back_radiance) @ LUMINANCE))
 
 
-def _vague(corners: np.ndarray, clean: np.ndarray) -> np.ndarray:
-    """(n,) bool, emitting triangles that no pixel sees alone, though it does others of their piece.
+def _mixed_only(corners: np.ndarray, pure: np.ndarray) -> np.ndarray:
+    """(n,) bool, emitting triangles without pure pixels in components that have pure pixels elsewhere.
 
     Args:
         corners: (n, 3) welded vertices of the emitting triangles.
-        clean: numbers, among these, of triangles that some pixel sees without anything else.
+        pure: indices, among these, of triangles with pure pixels.
     """
-    alone = np.zeros(len(corners), bool)
-    alone[clean] = True
-    piece = _pieces(corners)
-    return ~alone & (np.bincount(piece, alone)[piece] > 0)
+    has_pure = np.zeros(len(corners), bool)
+    has_pure[pure] = True
+    component = mesh_components(corners)
+    return ~has_pure & (np.bincount(component, has_pure)[component] > 0)
 
 
-def _pieces(corners: np.ndarray) -> np.ndarray:
-    """(T,) int64 connected piece of each triangle, by shared (welded) vertices."""
-    label = np.arange(int(corners.max(initial=0)) + 1)
-    while True:
-        lowest = label[corners].min(axis=1)
-        update = label.copy()
-        np.minimum.at(update, corners.reshape(-1), np.repeat(lowest, 3))
-        update = update[update]  # pointer jumping
-        if (update == label).all():
-            return np.unique(label[corners[:, 0]], return_inverse=True)[1]
-        label = update
+def emitter_components(corners: np.ndarray, luminance: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """(n,) int64 component of each emitting triangle: neighbours (shared vertex) of similar luminance.
 
-
-def connected(corners: np.ndarray, brightness: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """(n,) int64 group of each emitting triangle: neighbours (shared vertex) of like brightness.
-
-    Triangles without pixels join any neighbour.
+    Args:
+        corners: (n, 3) welded vertices.
+        luminance: (n,) of the brighter side.
+        measured: (n,) bool, whether pixels measured it; other triangles join all their neighbours.
     """
-    label = np.arange(len(corners))
-    order = np.argsort(corners.reshape(-1), kind="stable")
+    # Around each vertex, unmeasured triangles first, which join all others there; then by luminance: if two
+    # are similar, all between them are too, so that links between neighbours in this order suffice.
+    of_corner = np.repeat(np.where(measured, luminance, -1.0), 3)
+    order = np.lexsort((of_corner, corners.reshape(-1)))
     vertex = corners.reshape(-1)[order]
     owner = order // 3
     first = np.concatenate([[True], vertex[1:] != vertex[:-1]])
     anchor = owner[np.maximum.accumulate(np.where(first, np.arange(len(owner)), 0))]
     chain = np.stack([owner[1:], owner[:-1]], axis=1)[vertex[1:] == vertex[:-1]]
     pairs = np.concatenate([chain, np.stack([owner, anchor], axis=1)])
-    low, high = np.sort(brightness[pairs], axis=1).T
-    like = ~(seen[pairs].all(axis=1)) | (high <= ALIKE * np.maximum(low, 1e-12))
-    pairs = pairs[like]
-    while True:
-        lowest = label[pairs].min(axis=1)
-        update = label.copy()
-        np.minimum.at(update, pairs.reshape(-1), np.repeat(lowest, 2))
-        update = update[update]
-        if (update == label).all():
-            return np.unique(label, return_inverse=True)[1]
-        label = update
+    low, high = np.sort(luminance[pairs], axis=1).T
+    similar = ~(measured[pairs].all(axis=1)) | (high <= ALIKE * np.maximum(low, 1e-12))
+    return graph_components(pairs[similar], len(corners))
 
 
 def emitter_table(fixtures: list[Fixture]) -> EmitterTable:
-    """The fixtures' triangles as light sources."""
+    """The fixtures' triangles as a table of emitters."""
     if not fixtures:
         return EmitterTable.empty()
     sizes = [len(fixture.triangles) for fixture in fixtures]
@@ -233,16 +224,16 @@ def emitter_table(fixtures: list[Fixture]) -> EmitterTable:
         np.concatenate([fixture.triangles for fixture in fixtures]).astype(np.int32),
         np.repeat([fixture.radiance for fixture in fixtures], sizes, axis=0).astype(np.float32),
         np.repeat([fixture.back_radiance for fixture in fixtures], sizes, axis=0).astype(np.float32),
-        beside=np.repeat([fixture.beside for fixture in fixtures], sizes),
+        reflective=np.repeat([fixture.reflective for fixture in fixtures], sizes),
     )
 
 
 def bright_triangles(
     room: Room, triangle: np.ndarray, front: np.ndarray, radiance: np.ndarray, factor: float = 8.0
 ) -> EmitterTable:
-    """Triangles worth aiming rays at before any emitter is known: much brighter than the room's mean.
+    """Triangles to sample before any emitter is known: those much brighter than the room's mean.
 
-    Only sampling depends on them, never the result's expectation.
+    They affect the variance only, never the expectation.
     """
     number = np.zeros((2, len(room.triangles)))
     sums = np.zeros((2, 3, len(room.triangles)))

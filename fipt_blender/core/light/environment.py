@@ -1,7 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light from outside: an environment map made of the pixels that see past the mesh (paper Sec. 5.4,
-"Complex emitters": each pixel of the map is estimated like the emission of a triangle).
+"""Environment map from the pixels that miss the mesh.
+
+Paper Sec. 5.4, "Complex emitters": each pixel of the map is estimated like the emission of a triangle.
 """
 
 from __future__ import annotations
@@ -12,12 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..conventions import direction_to_equirect
+from ..scene.grouped import grouped_median
 from ..scene.pixels import NO_TRIANGLE, PixelStore
 
-# Less of the sphere than this is no window but a hole in the mesh; spread over all directions, what it shows
-# would light the room through every other hole.
+# A smaller observed share of the sphere is a hole in the mesh, not a window; extrapolated to all directions,
+# it would light the room through all other holes.
 LEAST_SHARE = 1e-3
-# Pixels whose median a cell of the map is; more views shall not take more memory.
+# Most pixels, on average, for the median of a cell of the map; bounds memory for any number of views.
 MOST_PIXELS = 200
 
 
@@ -38,8 +40,7 @@ def outside_pixels(pixels: PixelStore) -> Iterator[tuple[np.ndarray, np.ndarray]
     """World directions (m, 3) and radiance (m, 3) of the pixels that miss the mesh, view by view."""
     for index, view in enumerate(pixels.views):
         rows = pixels.rows(index)
-        # The colour of a window's frame, in the pixels at its edge, is no light from outside; nor are cracks
-        # of the mesh, which no pixel sees alone.
+        # Mixed pixels contain the colour of the window's frame; cracks of the mesh have mixed pixels only.
         missed = np.flatnonzero((pixels.triangle[rows] == NO_TRIANGLE) & pixels.pure[rows])
         if len(missed):
             yield view.rays()[1][missed], np.asarray(pixels.radiance[missed + rows.start])
@@ -48,15 +49,15 @@ def outside_pixels(pixels: PixelStore) -> Iterator[tuple[np.ndarray, np.ndarray]
 def estimate_environment(
     outside: Callable[[], Iterable[tuple[np.ndarray, np.ndarray]]], width: int, rng: np.random.Generator
 ) -> Environment | None:
-    """Median of the pixels that look into each cell of the map; None where next to nothing looks outside.
+    """Median radiance of the pixels in each cell of the map; None if hardly any pixel looks outside.
 
-    Cells that no pixel saw take the radiance of the nearest observed ones (diffused outwards), so that a
-    window seen from a few places still lights the room from all angles that pass it. Of the pixels that look
-    into a cell at most about `MOST_PIXELS` count, chosen by chance.
+    Cells without pixels take the radiance of the nearest observed ones (diffused outwards), so that a window
+    seen from a few places lights the room from all angles. At most about `MOST_PIXELS` random pixels per cell
+    are used.
 
     Args:
-        outside: begins anew with each call: unit world directions (n, 3) of pixels that miss the mesh and
-            their radiance (n, 3), piece by piece.
+        outside: returns a new iterable at each call, of unit world directions (n, 3) of pixels that miss the
+            mesh and their radiance (n, 3), in chunks.
         width: of the map in pixels; the height is half of it.
     """
     height = width // 2
@@ -73,13 +74,8 @@ def estimate_environment(
         cells.append(cell[chosen])
         kept.append(radiance[chosen])
     cell, radiance = np.concatenate(cells), np.concatenate(kept)
-    order = np.argsort(cell, kind="stable")
-    starts = np.flatnonzero(np.diff(cell[order], prepend=-1))
-    image = np.zeros((height * width, 3), np.float32)
-    known = np.zeros(height * width, bool)
-    for part in np.split(order, starts[1:]):
-        image[cell[part[0]]] = np.median(radiance[part], axis=0)
-        known[cell[part[0]]] = True
+    image = grouped_median(radiance, cell, height * width).astype(np.float32)
+    known = np.bincount(cell, minlength=height * width) > 0
     latitude = np.pi * (0.5 - (np.arange(height) + 0.5) / height)
     weight = np.repeat(np.cos(latitude), width)
     share = float(weight[known].sum() / weight.sum())
@@ -89,7 +85,7 @@ def estimate_environment(
 
 
 def _cells(directions: np.ndarray, width: int) -> np.ndarray:
-    """(N,) int64 cell of the map, row by row, into which each direction (N, 3) points."""
+    """(N,) int64 row-major cell of the map for each direction (N, 3)."""
     height = width // 2
     uv = direction_to_equirect(directions)
     column = np.clip((uv[:, 0] * width).astype(np.int64), 0, width - 1)

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which triangles emit, by what single pixels testify (after the paper's Sec. 4.4 "Emitter extraction").
+"""Which triangles emit, from the evidence of single pixels (after the paper's Sec. 4.4 "Emitter extraction").
 
-A pixel speaks for emission where the surface at its centre must send more than reflection explains. A pixel
-sees more than that surface: its neighbours' light spills into it, and at edges it shows what lies behind. So
-light that may come from elsewhere is evidence of nothing.
+A pixel supports emission where its surface must emit because reflection can't explain its radiance. It also
+receives light that spills over from neighbouring pixels, and at edges light from the surface behind: light
+that may come from another surface is no evidence.
 """
 
 from __future__ import annotations
@@ -13,25 +13,27 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
-from ..render.lights import LUMINANCE
+from ..optics.factorised import DIELECTRIC_REFLECTANCE
+from ..optics.lights import LUMINANCE
 from ..scene.labels import room_pieces
 from ..scene.pixels import PixelStore
 from ..scene.room import Room
-from .views import ShadingStore
+from .baking import ShadingStore
 
-# Share of a surface's radiance that reflection must leave unexplained.
-LEAST_EXCESS = 0.3
-# Share of a pixel's light that neighbours may lend it though its corners see one surface: half where surfaces
-# in one plane meet at its centre, 16 to 30 % by a camera's blur (a Gaussian of half a pixel).
+# Least relative residual of a surface that emits: the share of its radiance that reflection can't explain.
+LEAST_RESIDUAL = 0.3
+# Share of a pure pixel's light that may spill over from its neighbours: half where coplanar surfaces meet at
+# its centre, 16 to 30 % by a camera's blur (a Gaussian of half a pixel).
 SPILL = 0.5
-# A mixed pixel within one step of a lamp that has this share of its radiance shows that lamp's light.
+# A mixed pixel next to a lamp pixel of at least this share of its radiance may show that lamp's light.
 LAMPLIGHT = 0.5
-# Highlights move with the view: without the mask's word, or with mixed pixels alone, so many views must agree
-# that a triangle emits.
+# Highlights move with the view: where the emission mask does not mark a triangle, or only mixed pixels see
+# it, at least this number of views must support emission.
 LEAST_VIEWS = 2
-# Triangles that no pixel judged emit where this share of the judged area of their piece of mesh does.
-MOSTLY = 0.5
+# Triangles without evidence emit if more than this share of their component's area with evidence does.
+MAJORITY = 0.5
 
 
 def find_emission(
@@ -42,79 +44,86 @@ def find_emission(
     constant: np.ndarray,
     estimate: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
-    """(T,) bool, triangles that emit: most pixels that judge them say so, or their piece of mesh does.
+    """(T,) bool, triangles that emit, by the majority of their pixels or of their connected component.
 
-    What the emission mask marks emits where the estimate leaves radiance unexplained. The mask's L1 term
-    (paper Eq. 13) keeps lamps dark that are little brighter than what they are lit by, so any triangle emits
-    that is brighter than a surface of any material would be (:func:`most_reflected`), in two views at least.
+    Triangles marked by the emission mask emit where the estimate can't explain their radiance. The mask's L1
+    regularisation (paper Eq. 16) suppresses lamps that are only a little brighter than lit surfaces, so other
+    triangles emit if at least two views show them brighter than any material (:func:`most_reflected`).
 
     Args:
         shadings: of all pixels.
         marked: (T,) bool, triangles where the emission mask is above its threshold.
-        constant: (T,) bool, triangles of parts that shine alike from everywhere: they emit in any case.
+        constant: (T,) bool, triangles of parts of view-independent radiance: they emit in any case.
         estimate: (R,) pixels to their (R, 3) reflected radiance L_r of the estimate.
     """
-    votes = Votes(*np.zeros((3, len(marked)), np.int64))
+    evidence = Evidence(*np.zeros((3, len(marked)), np.int64))
     mixed = []
     for index in range(len(pixels.views)):
         rows = pixels.rows(index)
         triangle, radiance = np.asarray(pixels.triangle[rows]), np.asarray(pixels.radiance[rows])
         reflected = _reflected(pixels, shadings, rows, triangle, radiance, marked, estimate)
-        excess = unexplained(radiance, reflected) >= LEAST_EXCESS
+        bright = relative_residual(radiance, reflected) >= LEAST_RESIDUAL
         hit = triangle >= 0
-        votes.add(triangle[hit & ~excess], against=True)
+        evidence.oppose(triangle[hit & ~bright])
         size = pixels.views[index].height, pixels.views[index].width
-        light = radiance @ LUMINANCE
+        luminance = radiance @ LUMINANCE
         pure = np.asarray(pixels.pure[rows])
-        own = own_share(light, brightest_beside(light, size))
-        sure = unexplained(radiance * own[:, None], reflected) >= LEAST_EXCESS
-        votes.add(triangle[hit & excess & pure & sure])
-        mixed.append(np.flatnonzero(hit & excess & ~pure) + rows.start)
-    emits = votes.emits & (marked | (votes.views >= LEAST_VIEWS))
-    _ask_mixed(pixels, votes, emits, mixed)
-    emits |= votes.emits & (votes.views >= LEAST_VIEWS)
-    judged = emits | (votes.judged & ~votes.emits)
-    return complete(room.areas, room_pieces(room), emits | constant, judged | constant)
+        fraction = spill_free_fraction(luminance, neighbourhood_maximum(luminance, size))
+        certain = relative_residual(radiance * fraction[:, None], reflected) >= LEAST_RESIDUAL
+        evidence.support(triangle[hit & bright & pure & certain])
+        mixed.append(np.flatnonzero(hit & bright & ~pure) + rows.start)
+    emits = evidence.majority & (marked | (evidence.views >= LEAST_VIEWS))
+    _support_by_mixed_pixels(pixels, evidence, emits, mixed)
+    emits |= evidence.majority & (evidence.views >= LEAST_VIEWS)
+    decided = emits | (evidence.exists & ~evidence.majority)
+    return extend_to_components(room.areas, room_pieces(room), emits | constant, decided | constant)
 
 
-def outshining(pixels: PixelStore, shadings: ShadingStore, triangles: int) -> np.ndarray:
-    """(triangles,) bool, those that are brighter in any pixel than a white surface: all that may emit."""
-    found = np.zeros(triangles, bool)
+def brighter_than_white(pixels: PixelStore, shadings: ShadingStore, triangles: int) -> np.ndarray:
+    """(triangles,) bool, those that any pixel shows brighter than white diffuse paint: all that may emit."""
+    brighter = np.zeros(triangles, bool)
     for index in range(len(pixels.views)):
         rows = pixels.rows(index)
         triangle = np.asarray(pixels.triangle[rows])
         white = np.asarray(shadings.diffuse[rows], np.float32)
-        bright = unexplained(np.asarray(pixels.radiance[rows]), white) >= LEAST_EXCESS
-        found[triangle[bright & (triangle >= 0)]] = True
-    return found
+        bright = relative_residual(np.asarray(pixels.radiance[rows]), white) >= LEAST_RESIDUAL
+        brighter[triangle[bright & (triangle >= 0)]] = True
+    return brighter
 
 
 @dataclass(frozen=True)
-class Votes:
-    """Pixels for and against emission, and views with pixels for it: (T,) int64 each."""
+class Evidence:
+    """Counts for each triangle, (T,) int64.
 
-    number_for: np.ndarray
-    number_against: np.ndarray
+    Attributes:
+        supporting: pixels that support emission.
+        opposing: pixels that reflection explains.
+        views: views with supporting pixels.
+    """
+
+    supporting: np.ndarray
+    opposing: np.ndarray
     views: np.ndarray
 
-    def add(self, triangle: np.ndarray, against: bool = False) -> None:
-        """Count pixels of one view that see the triangles given."""
-        number = np.bincount(triangle, minlength=len(self.views))
-        if against:
-            np.add(self.number_against, number, out=self.number_against)
-        else:
-            np.add(self.number_for, number, out=self.number_for)
-            np.add(self.views, number > 0, out=self.views)
+    def support(self, triangle: np.ndarray) -> None:
+        """Count supporting pixels of one view by the triangles that they see."""
+        count = np.bincount(triangle, minlength=len(self.views))
+        np.add(self.supporting, count, out=self.supporting)
+        np.add(self.views, count > 0, out=self.views)
+
+    def oppose(self, triangle: np.ndarray) -> None:
+        """Count opposing pixels by the triangles that they see."""
+        np.add(self.opposing, np.bincount(triangle, minlength=len(self.views)), out=self.opposing)
 
     @property
-    def emits(self) -> np.ndarray:
-        """(T,) bool."""
-        return self.number_for > self.number_against
+    def majority(self) -> np.ndarray:
+        """(T,) bool, most pixels support emission."""
+        return self.supporting > self.opposing
 
     @property
-    def judged(self) -> np.ndarray:
-        """(T,) bool, by any pixel."""
-        return self.number_for + self.number_against > 0
+    def exists(self) -> np.ndarray:
+        """(T,) bool, there is a pixel for or against emission."""
+        return self.supporting + self.opposing > 0
 
 
 def _reflected(
@@ -126,80 +135,92 @@ def _reflected(
     marked: np.ndarray,
     estimate: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
-    """(n, 3) what reflection explains of a view's pixels; of white surfaces where that is enough."""
+    """(n, 3) radiance of a view's pixels that reflection explains; of white surfaces where that suffices."""
     reflected = np.array(shadings.diffuse[rows], np.float32)  # a copy, to be written to
-    bright = (triangle >= 0) & (unexplained(radiance, reflected) >= LEAST_EXCESS)
+    bright = (triangle >= 0) & (relative_residual(radiance, reflected) >= LEAST_RESIDUAL)
     on_marked = (triangle >= 0) & marked[np.maximum(triangle, 0)]
-    asked = np.flatnonzero(bright & ~on_marked)
-    specular = np.asarray(shadings.specular[asked + rows.start], np.float32)
-    reflected[asked] = most_reflected(reflected[asked], specular)
-    asked = np.flatnonzero(on_marked)
-    reflected[asked] = estimate(asked + rows.start)
+    unmarked = np.flatnonzero(bright & ~on_marked)
+    specular = np.asarray(shadings.specular[unmarked + rows.start], np.float32)
+    reflected[unmarked] = most_reflected(reflected[unmarked], specular)
+    estimated = np.flatnonzero(on_marked)
+    reflected[estimated] = estimate(estimated + rows.start)
     return reflected
 
 
 def most_reflected(diffuse: np.ndarray, specular: np.ndarray) -> np.ndarray:
-    """(N, 3) the most that a surface of any base colour, roughness and metallic reflects (paper Eq. 5).
+    """(N, 3) upper bound of L_r over all base colours, roughness levels and metallic values (paper Eq. 5).
+
+    Eq. 5 is linear in a and in m, so its maximum is at a = 1 and m = 0 or 1.
 
     Args:
         diffuse: (N, 3) L_d. specular: (N, K, 2, 3) L_s0 and L_s1.
     """
     s0, s1 = specular[:, :, 0], specular[:, :, 1]
-    return (np.maximum(diffuse[:, None] + 0.04 * s0, s0) + s1).max(axis=1)
+    return (np.maximum(diffuse[:, None] + DIELECTRIC_REFLECTANCE * s0, s0) + s1).max(axis=1)
 
 
-def unexplained(radiance: np.ndarray, reflected: np.ndarray) -> np.ndarray:
-    """(N,) share of the luminance of (N, 3) radiances that reflection leaves, channel by channel."""
-    light = radiance @ LUMINANCE
-    return np.maximum(radiance - reflected, 0.0) @ LUMINANCE / np.maximum(light, 1e-12)
+def relative_residual(radiance: np.ndarray, reflected: np.ndarray) -> np.ndarray:
+    """(N,) share of the luminance of (N, 3) radiances that exceeds the reflected ones, channel by channel."""
+    luminance = radiance @ LUMINANCE
+    return np.maximum(radiance - reflected, 0.0) @ LUMINANCE / np.maximum(luminance, 1e-12)
 
 
-def brightest_beside(light: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """(n,) highest value among the 3 × 3 pixels around each of a view of `size` (height, width)."""
-    wide = np.pad(light.reshape(size), 1, mode="edge")
-    wide = np.maximum(np.maximum(wide[:-2], wide[1:-1]), wide[2:])
-    return np.maximum(np.maximum(wide[:, :-2], wide[:, 1:-1]), wide[:, 2:]).reshape(-1)
+def neighbourhood_maximum(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """(n,) maximum over the 3 x 3 pixels around each pixel of a view of `size` (height, width)."""
+    return maximum_filter(values.reshape(size), size=3, mode="nearest").reshape(-1)
 
 
-def own_share(light: np.ndarray, beside: np.ndarray) -> np.ndarray:
-    """(n,) least share of a pure pixel's light that is its own surface's, whatever spills in."""
-    own = (light - SPILL * beside) / (1.0 - SPILL)
-    return np.clip(own / np.maximum(light, 1e-12), 0.0, 1.0)
-
-
-def _ask_mixed(pixels: PixelStore, votes: Votes, emits: np.ndarray, mixed: list[np.ndarray]) -> None:
-    """Let mixed pixels judge what none else judged: lamps so small or thin that no pixel sees them alone.
-
-    Such a pixel must be the brightest around, and far from what is known to shine: the lamps found so far,
-    and whatever lies outside.
+def spill_free_fraction(luminance: np.ndarray, brightest: np.ndarray) -> np.ndarray:
+    """(n,) lower bound of the share of a pure pixel's light that comes from its surface.
 
     Args:
-        emits: (T,) bool, lamps found so far.
-        mixed: for each view its mixed pixels (indices among all) that reflection does not explain.
+        luminance: (n,) of the pixels.
+        brightest: (n,) maximum in the neighbourhood, from which light may spill over.
+    """
+    remaining = (luminance - SPILL * brightest) / (1.0 - SPILL)
+    return np.clip(remaining / np.maximum(luminance, 1e-12), 0.0, 1.0)
+
+
+def _support_by_mixed_pixels(
+    pixels: PixelStore, evidence: Evidence, emits: np.ndarray, mixed: list[np.ndarray]
+) -> None:
+    """Add mixed pixels as evidence for triangles without any: lamps too small or thin for pure pixels.
+
+    Such a pixel must be the brightest of its neighbourhood, and not next to known light: the emitters found
+    so far, and everything outside.
+
+    Args:
+        emits: (T,) bool, emitters found so far.
+        mixed: for each view its mixed pixels (indices among all) that reflection can't explain.
     """
     lamp = np.append(emits, True)  # at -1: outside
-    open_ = ~votes.judged
+    without_evidence = ~evidence.exists
     for index, rows in enumerate(mixed):
-        rows = rows[open_[pixels.triangle[rows]]]
+        rows = rows[without_evidence[pixels.triangle[rows]]]
         if not len(rows):
             continue
-        all_rows = pixels.rows(index)
+        view_rows = pixels.rows(index)
         size = pixels.views[index].height, pixels.views[index].width
-        light = np.asarray(pixels.radiance[all_rows]) @ LUMINANCE
-        known = light * lamp[np.maximum(pixels.triangle[all_rows], -1)]
-        near = rows - all_rows.start
-        most, lamplight = (brightest_beside(each, size)[near] for each in (light, known))
-        votes.add(pixels.triangle[rows[(light[near] >= most) & (lamplight < LAMPLIGHT * light[near])]])
+        luminance = np.asarray(pixels.radiance[view_rows]) @ LUMINANCE
+        known = luminance * lamp[np.maximum(pixels.triangle[view_rows], -1)]
+        local = rows - view_rows.start
+        brightest, lamplight = (neighbourhood_maximum(image, size)[local] for image in (luminance, known))
+        peak = (luminance[local] >= brightest) & (lamplight < LAMPLIGHT * luminance[local])
+        evidence.support(pixels.triangle[rows[peak]])
 
 
-def complete(areas: np.ndarray, piece: np.ndarray, emits: np.ndarray, judged: np.ndarray) -> np.ndarray:
-    """(T,) bool, what emits, and triangles that no pixel judged where most of their piece does.
+def extend_to_components(
+    areas: np.ndarray, component: np.ndarray, emits: np.ndarray, decided: np.ndarray
+) -> np.ndarray:
+    """(T,) bool, the emitters, and undecided triangles of components that mostly emit.
 
     Args:
         areas: (T,) square metres.
-        piece: (T,) int connected piece of the mesh, from 0.
-        emits, judged: (T,) bool.
+        component: (T,) int connected component of the mesh, from 0.
+        emits: (T,) bool, emitters.
+        decided: (T,) bool, triangles with evidence.
     """
-    judged_area = np.bincount(piece, areas * judged)
-    mostly = np.bincount(piece, areas * (judged & emits)) > MOSTLY * np.maximum(judged_area, 1e-30)
-    return emits | (~judged & mostly[piece])
+    decided_area = np.bincount(component, areas * decided)
+    emitting_area = np.bincount(component, areas * (decided & emits))
+    mostly = emitting_area > MAJORITY * np.maximum(decided_area, 1e-30)
+    return emits | (~decided & mostly[component])

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Emitters of an emission that was fitted jointly with the materials: the paper's ablation "Joint L_e opt."
-(Sec. 5.4), which the product itself never uses.
+"""Emitters from an emission that was optimised jointly with the materials: the paper's ablation "Joint L_e
+opt." (Sec. 5.4), which the product itself never uses.
 
-They are surfaces like others: what a photograph shows of them is L_r + L_e, and much of the room has some
-L_e. If they stood for what reflects there, as lamps of known radiance do, half of the room would be black.
+These emitters also reflect: photographs show L_r + L_e, and much of the room has some L_e. Black emitters
+would make half of the room black.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..render.lights import LUMINANCE
+from ..optics.lights import LUMINANCE
 from ..scene.labels import weld
 from ..scene.room import Room
-from .emitters import Fixture, connected, random_points
+from .emitters import Fixture, emitter_components, random_points
 
 
 def joint_fixtures(
@@ -26,12 +26,12 @@ def joint_fixtures(
     samples: int,
     rng: np.random.Generator,
 ) -> list[Fixture]:
-    """Fixtures of the triangles whose mean fitted emission exceeds the threshold, as bright as was fitted.
+    """Fixtures of the triangles whose mean optimised emission exceeds the threshold, with that emission.
 
     Args:
         emission: (N, 3) world positions to (N, 3) L_e in units of the capture's median.
         threshold: of the mean's luminance, in the same units.
-        samples: points a triangle.
+        samples: points per triangle.
     """
     count = len(room.triangles)
     mean = np.empty((count, 3))
@@ -44,7 +44,7 @@ def joint_fixtures(
     if not len(ids):
         return []
     corners = weld(room.vertices)[room.triangles[ids]]
-    group = connected(corners, brightness[ids], np.ones(len(ids), bool))
+    group = emitter_components(corners, brightness[ids], np.ones(len(ids), bool))
     order = np.argsort(group, kind="stable")
     starts = np.flatnonzero(np.diff(group[order], prepend=-1))
     fixtures = []
@@ -53,6 +53,6 @@ def joint_fixtures(
         radiance = np.average(mean[members], axis=0, weights=area)
         middle = room.vertices[room.triangles[members]].mean(axis=1)
         centroid = np.average(middle, axis=0, weights=area)
-        # A fitted emission knows no sides.
-        fixtures.append(Fixture(members, radiance, radiance, float(area.sum()), centroid, beside=True))
+        # The emission network does not distinguish the sides.
+        fixtures.append(Fixture(members, radiance, radiance, float(area.sum()), centroid, reflective=True))
     return fixtures

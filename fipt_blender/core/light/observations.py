@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the photographs say about the room before anything is estimated: which surface points they saw, in
-which voxels, of which parts, and what they saw outside.
+"""Observations of the photographs before any estimation: the surface points, voxels and parts of the pixels,
+and the environment.
 
-What is kept of each pixel lies in memory-mapped files, and work goes view by view: memory does not grow with
-the number of views.
+Data of the pixels is in memory-mapped files and processed view by view, so memory does not grow with the
+number of views.
 """
 
 from __future__ import annotations
@@ -15,23 +15,25 @@ from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
-from ..job.settings import Settings
+from ..run.settings import Settings
 from ..scene.labels import NO_PART, Parts
-from ..scene.pixels import PixelStore, find_donors, open_array
+from ..scene.mixed_pixels import find_donors
+from ..scene.pixels import PixelStore, open_array
 from ..scene.room import Room, triangle_normals
 from .cache import SIDES, Pool, VoxelGrid, fill_grid, grid_frame, unseen_points
 from .environment import Environment, estimate_environment, outside_pixels
 
-# Steps in the image within which a mixed pixel borrows from a pure one of its part.
+# Distance in pixels within which a pure pixel of the same part replaces a mixed one.
 DONOR_REACH = 4
-# About so many pixels give the median footprint.
+# Approximate number of pixels for the median footprint.
 FOOTPRINT_PIXELS = 200_000
 
 
 @dataclass(frozen=True)
 class Observations:
-    """The pixels of all training views and what follows from them.
+    """The pixels of all training views and data derived from them.
 
     Attributes:
         pixels: N of them.
@@ -60,8 +62,8 @@ class Observations:
         """(M * 6, 3) float32 radiance cache of all pixels, or of all but those lit by the emitters `without`
         ((T,) bool).
 
-        The rim pixels around a lamp hold some of its radiance. Beside emitters of known radiance and shape
-        they would count it twice and make the whole room's shadings a few per cent too bright.
+        Pixels around a lamp contain some of its radiance. With emitters of known radiance it would count
+        twice and make the shadings of the whole room a few per cent too bright.
         """
         pooled = Pool(self.grid, 3)
         for index, rows in enumerate(self.hits()):
@@ -75,17 +77,17 @@ class Observations:
         """(M * 6, C) float32 mean of per-pixel values in each cache entry; -1 in those that no pixel saw.
 
         Args:
-            values: (N, C); memory-mapped arrays will do.
+            values: (N, C); may be memory-mapped.
         """
         mean, count = self._pooled(values)
         return np.where(count[:, None] > 0, mean, np.float32(-1.0))
 
     def places(self, room: Room, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A point on the surface in each cache entry that holds any.
+        """A surface point in each cache entry that contains surface.
 
         Returns:
             (E,) int64 entries, (E, 3) float32 points, metres, and (E,) int64 triangles on which they lie; -1
-            in entries that pixels saw, where the point is the mean of what they saw.
+            in entries with pixels, where the point is the mean of the pixels' positions.
         """
         points, count = self._pooled(self.pixels.position)
         seen = np.flatnonzero(count)
@@ -107,16 +109,14 @@ class Observations:
         """(n,) bool, pixels of a view that see a marked triangle ((T,) bool), and their neighbours."""
         view = self.pixels.views[index]
         triangle = np.asarray(self.pixels.triangle[self.pixels.rows(index)])
-        seen = ((triangle >= 0) & marked[np.maximum(triangle, 0)]).reshape(view.height, view.width)
-        wide = np.pad(seen, 1)
-        wide = wide[:-2] | wide[1:-1] | wide[2:]
-        return (wide[:, :-2] | wide[:, 1:-1] | wide[:, 2:]).ravel()
+        on_marked = ((triangle >= 0) & marked[np.maximum(triangle, 0)]).reshape(view.height, view.width)
+        return binary_dilation(on_marked, np.ones((3, 3), bool)).ravel()
 
     @cached_property
     def part(self) -> np.ndarray:
         """(N,) int32 part of each pixel, NO_PART without one and where the mesh is missed; memory-mapped."""
         part = open_array(self.folder / "part.npy", (len(self.pixels),), np.int32, create=True)
-        # A row more for those that miss the mesh, at -1.
+        # One more row, at -1, for pixels that miss the mesh.
         of_triangle = np.append(self.parts.triangle_part, np.int32(NO_PART))
         for index in range(len(self.pixels.views)):
             rows = self.pixels.rows(index)
@@ -125,10 +125,10 @@ class Observations:
 
     @cached_property
     def donor(self) -> np.ndarray:
-        """(N,) int64 pixel that stands for each, -1 for none: see :func:`find_donors`; memory-mapped.
+        """(N,) int64 pixel that replaces each, -1 for none: see :func:`find_donors`; memory-mapped.
 
-        Without parts nothing says which neighbour shows the same surface. A mixed pixel without a donor
-        stands for itself where no pixel sees its surface alone.
+        Without parts it is unknown which neighbour shows the same surface. A mixed pixel without a donor
+        replaces itself where its surface has no pure pixel.
         """
         reach = DONOR_REACH if self.parts.kind == "part" else 0
         alone = np.zeros(len(self.grid.voxels) * SIDES, bool)
@@ -145,7 +145,7 @@ class Observations:
 
     @cached_property
     def pool(self) -> np.ndarray:
-        """(P,) int64 pixels for which some pixel stands, rising; memory-mapped."""
+        """(P,) int64 pixels that have a donor, ascending; memory-mapped."""
         views = range(len(self.pixels.views))
         known = [int((self.donor[self.pixels.rows(index)] >= 0).sum()) for index in views]
         pool = open_array(self.folder / "pool.npy", (sum(known),), np.int64, create=True)
@@ -164,10 +164,10 @@ def _hits(pixels: PixelStore, index: int) -> np.ndarray:
 
 
 def observe(room: Room, pixels: PixelStore, parts: Parts, settings: Settings, folder: Path) -> Observations:
-    """Sort the pixels into voxels and look outside; quick, so it is not kept between sessions.
+    """Assign the pixels to voxels and estimate the environment; quick, so the result is not stored.
 
     Args:
-        folder: for memory-mapped arrays, made anew.
+        folder: for memory-mapped arrays, which are overwritten.
     """
     normals = triangle_normals(room.vertices, room.triangles).astype(np.float32)
 
@@ -208,13 +208,13 @@ def median_footprint(pixels: PixelStore) -> float:
     views = range(len(pixels.views))
     total = sum(len(_hits(pixels, index)) for index in views)
     step = max(1, total // FOOTPRINT_PIXELS)
-    found = []
+    footprints = []
     before = 0
     for index, view in enumerate(pixels.views):
         hit = _hits(pixels, index)
-        some = hit[-before % step :: step]  # every step-th of all, over the views' borders
+        sample = hit[-before % step :: step]  # every step-th hit, counted across views
         before += len(hit)
         camera = np.asarray(view.camera_to_world)[:3, 3].astype(np.float32)
-        distance = np.linalg.norm(pixels.position[some] - camera, axis=1)
-        found.append(distance.astype(np.float64) / min(view.fx, view.fy))
-    return float(np.median(np.concatenate(found)))
+        distance = np.linalg.norm(pixels.position[sample] - camera, axis=1)
+        footprints.append(distance.astype(np.float64) / min(view.fx, view.fy))
+    return float(np.median(np.concatenate(footprints)))

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lamps that also reflect: what of their radiance is the room's light.
+"""Reflective lamps: the emitted and the reflected part of their radiance.
 
-The paper takes emitters as black (Sec. 4.4). A white shade or a screen is not: over its pixels radiance
-follows the light that falls there, L = L_e + a L_d + L_s, a line with slope a and intercept L_e. Only where
-the slope is beyond doubt does a fixture get a base colour. While shadings are baked nothing changes, since
-what a lamp sends is what the photographs show, whatever its origin.
+The paper assumes black emitters (Sec. 4.4). A white shade or a screen reflects: over its pixels the radiance
+depends linearly on the shading, L = L_e + a L_d + L_s, with slope a and intercept L_e. A fixture gets a base
+colour only if the slope is significant. Baking does not depend on it, as the radiance that leaves the lamp is
+the photographed one in either case.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..optics.factorised import DIELECTRIC_REFLECTANCE
 from .emitters import Fixture
 
 LEAST_PIXELS = 50
 LEAST_VIEWS = 3
-# Standard errors by which a slope must be above nothing.
+# Standard errors by which a slope must exceed zero.
 SURE = 4.0
-# Share of the spread of radiance that the line must explain: a shade that is bright in the middle is no line.
+# Least coefficient of determination (R squared): a shade that is bright in the middle does not fit a line.
 EXPLAINED = 0.7
-# Standard deviations (robust) from which pixels lose weight, and rounds in which that is found.
+# Robust standard deviations beyond which pixels lose weight (Huber), and iterations of the reweighting.
 OUTLIER = 2.0
 ROUNDS = 10
-DIELECTRIC = 0.04
 
 
 @dataclass(frozen=True)
 class LampPixels:
-    """N pixels that see emitting triangles alone.
+    """N pure pixels of emitting triangles.
 
     Attributes:
         triangle: (N,) int. front: (N,) bool. view: (N,) int.
@@ -48,29 +48,29 @@ class LampPixels:
 
 
 def separate(fixtures: Sequence[Fixture], pixels: LampPixels) -> tuple[list[Fixture], np.ndarray]:
-    """Fixtures with what they emit alone, and (F, 3) the base colour of each: black where it is uncertain."""
+    """Fixtures with their emitted radiance, and (F, 3) the base colour of each: black where uncertain."""
     separated, colors = [], np.zeros((len(fixtures), 3))
     for index, fixture in enumerate(fixtures):
-        mine = np.isin(pixels.triangle, fixture.triangles)
+        on_fixture = np.isin(pixels.triangle, fixture.triangles)
         sides = ((True, fixture.radiance), (False, fixture.back_radiance))
         shining = [side for side, total in sides if np.any(total > 0.0)]
-        lines = {side: _fit(pixels, np.flatnonzero(mine & (pixels.front == side))) for side in shining}
-        found = {side: line for side, line in lines.items() if line is not None}
-        # One material for both sides: where one of them may be black, the lamp is.
-        if found and len(found) == len(lines):
-            colors[index] = np.mean([color for color, _ in found.values()], axis=0)
-            front, back = (found[side][1] if side in found else total for side, total in sides)
+        lines = {side: _fit(pixels, np.flatnonzero(on_fixture & (pixels.front == side))) for side in shining}
+        fitted = {side: line for side, line in lines.items() if line is not None}
+        # Both sides have one material: if one of them may be black, the lamp is.
+        if fitted and len(fitted) == len(lines):
+            colors[index] = np.mean([color for color, _ in fitted.values()], axis=0)
+            front, back = (fitted[side][1] if side in fitted else total for side, total in sides)
             fixture = replace(fixture, radiance=front, back_radiance=back)
         separated.append(fixture)
     return separated, colors
 
 
 def _fit(pixels: LampPixels, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """(base colour (3,), L_e (3,)) of the pixels given, or None where they may be black."""
+    """(base colour (3,), L_e (3,)) fitted to the given pixels, or None if they may be black."""
     if len(rows) < LEAST_PIXELS or len(np.unique(pixels.view[rows])) < LEAST_VIEWS:
         return None
     view = np.unique(pixels.view[rows], return_inverse=True)[1]
-    gloss = DIELECTRIC * pixels.specular[rows, 0] + pixels.specular[rows, 1]
+    gloss = DIELECTRIC_REFLECTANCE * pixels.specular[rows, 0] + pixels.specular[rows, 1]
     grey = (pixels.radiance[rows] - gloss).mean(axis=1), pixels.diffuse[rows].mean(axis=1)
     weight, slope, error, explained = _robust_line(*grey, view)
     if not (slope > SURE * error and explained > EXPLAINED):
@@ -86,7 +86,11 @@ def _fit(pixels: LampPixels, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray] 
 
 
 def _robust_line(y: np.ndarray, x: np.ndarray, view: np.ndarray) -> tuple[np.ndarray, float, float, float]:
-    """Huber's line: (weights (N,), slope, its standard error by views, share of the spread explained)."""
+    """Line fit with Huber weights.
+
+    Returns:
+        Weights (N,), slope, its standard error (views as clusters) and the coefficient of determination.
+    """
     weight = np.ones(len(y))
     for _ in range(ROUNDS):
         middle_x, middle_y = np.average(x, weights=weight), np.average(y, weights=weight)

@@ -1,24 +1,24 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Baking of the diffuse and specular shadings (paper Sec. 4.1 to 4.3, Eq. 6, 8 and 9).
+"""Baking of the diffuse and specular shadings (paper Sec. 4.1 to 4.3, Eq. 6 and 9 to 11).
 
-One kernel serves stage 1 and stage 3; they differ in where the radiance along a ray comes from
-(:mod:`.radiance`). All rays of a pixel are one pool: cosine samples, visible-normal samples of every
-roughness level and samples aimed at lights are weighted by the balance heuristic and count for L_d and for
-L_s0 and L_s1 of every level at once.
+One kernel serves stage 1 and stage 3, which differ in the source of incident radiance (:mod:`.radiance`). All
+samples of a pixel are combined by multiple importance sampling: cosine-distributed directions, visible
+normals of every roughness level and directions to emitters are weighted by the balance heuristic, and each
+contributes to L_d and to L_s0 and L_s1 of every level.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..material import brdf
-from ..render.lights import AreaLights
+from ..optics import brdf
+from ..optics.lights import AreaLights
 from .radiance import RadianceSource, new_path
 
 # Low-discrepancy increments of the R2 sequence (M. Roberts, 2018).
@@ -27,7 +27,7 @@ _R2 = (0.7548776662466927, 0.5698402909980532)
 
 @dataclass(frozen=True)
 class SampleCounts:
-    """Samples a pixel: cosine-distributed, for each roughness level, and aimed at lights."""
+    """Samples per pixel: cosine-distributed, for each roughness level, and towards emitters."""
 
     diffuse: int
     specular: int
@@ -45,16 +45,19 @@ class ShadingPoints:
         view_direction: unit, towards the viewer.
     """
 
-    position: Any
-    normal: Any
-    geometric_normal: Any
-    view_direction: Any
+    position: np.ndarray | mi.Point3f
+    normal: np.ndarray | mi.Normal3f
+    geometric_normal: np.ndarray | mi.Normal3f
+    view_direction: np.ndarray | mi.Vector3f
 
     def on_device(self) -> ShadingPoints:
-        """The same as a Point3f, two Normal3f and a Vector3f."""
-        kinds = mi.Point3f, mi.Normal3f, mi.Normal3f, mi.Vector3f
-        arrays = self.position, self.normal, self.geometric_normal, self.view_direction
-        return ShadingPoints(*(_vector(kind, array) for kind, array in zip(kinds, arrays, strict=True)))
+        """The same points as Dr.Jit vectors."""
+        return ShadingPoints(
+            _vector(mi.Point3f, self.position),
+            _vector(mi.Normal3f, self.normal),
+            _vector(mi.Normal3f, self.geometric_normal),
+            _vector(mi.Vector3f, self.view_direction),
+        )
 
 
 @dataclass(frozen=True)
@@ -71,10 +74,10 @@ class Shadings:
 
 
 def roughness_levels(count: int, lowest: float, spacing: float) -> np.ndarray:
-    """(count,) float32 roughness levels from `lowest` to 1.
+    """(count,) float32 roughness levels from `lowest` to 1 (paper Eq. 8).
 
-    `spacing` 1 is the paper's linear spacing; above 1 the levels stand closer where lobes are sharp and
-    linear interpolation errs most.
+    `spacing` 1 is the paper's linear spacing; above 1 the levels are denser where lobes are sharp and the
+    linear interpolation has its largest error.
     """
     t = np.linspace(0.0, 1.0, count) ** spacing
     return (lowest + (1.0 - lowest) * t).astype(np.float32)
@@ -89,46 +92,38 @@ def bake(
     seed: int,
     starts: int = 1,
 ) -> Shadings:
-    """Estimate L_d, L_s0 and L_s1 of each point, or means over each `starts` points that follow each other.
+    """Estimate L_d, L_s0 and L_s1 (paper Eq. 6) of each point, or means over `starts` consecutive points.
 
-    Unbiased for the radiance that `source` returns: what a ray meets first is either one of `lights`, which
-    all techniques may sample, or not, which only the BRDF techniques sample; both parts have weights that
-    sum to one.
+    Unbiased for the radiance that `source` returns: the first surface along a ray is either one of `lights`,
+    which all techniques may sample, or not, and only the BRDF techniques sample it; the weights of either
+    case sum to one.
 
     Args:
-        lights: triangles to aim at; only their sampling is used, radiance always comes from `source`.
-        levels: (K,) roughness levels; with none L_d alone is estimated.
+        lights: triangles to sample; radiance always comes from `source`.
+        levels: (K,) roughness levels; with none, only L_d is estimated.
         counts: each may be zero, but not all.
         seed: of the random numbers; the same seed gives the same result.
-        starts: points of a result.
+        starts: points per result.
     """
     points = points.on_device()
     width = dr.width(points.position) // starts
     if not width:
         return Shadings(np.zeros((0, 3), np.float32), np.zeros((0, len(levels), 2, 3), np.float32))
-    accumulators = _bake_kernel(
-        points.position,
-        mi.Frame3f(points.normal),
-        points.geometric_normal,
-        points.view_direction,
-        source,
-        lights,
-        [float(level) for level in levels],
-        counts.diffuse,
-        counts.specular if len(levels) else 0,
-        counts.light if lights.count else 0,
-        seed,
-        starts,
+    counts = replace(
+        counts,
+        specular=counts.specular if len(levels) else 0,
+        light=counts.light if lights.count else 0,
     )
-    dr.eval(accumulators)
-    found = means(accumulators, starts)
-    return Shadings(found[:, :3].copy(), found[:, 3:].reshape(width, len(levels), 2, 3).copy())
+    integrals = _bake_kernel(points, source, lights, [float(level) for level in levels], counts, seed, starts)
+    dr.eval(integrals)
+    shadings = means(integrals, starts)
+    return Shadings(shadings[:, :3].copy(), shadings[:, 3:].reshape(width, len(levels), 2, 3).copy())
 
 
-def means(values: list[Any], group: int) -> np.ndarray:
-    """(N, 3 * len(values)) float32 means over each `group` lanes of evaluated vectors (width N * group).
+def means(values: Sequence[mi.Vector3f | mi.Color3f], group: int) -> np.ndarray:
+    """(N, 3 * len(values)) float32 means over each `group` lanes of evaluated vectors (N * group lanes).
 
-    Taken on the device, as only they are needed elsewhere.
+    Computed on the device, so that only the means are copied.
     """
     channels = [channel for value in values for channel in (value.x, value.y, value.z)]
     width = dr.width(channels) // group
@@ -142,48 +137,50 @@ def means(values: list[Any], group: int) -> np.ndarray:
     return np.array(packed).reshape(width, len(channels))
 
 
-def _vector(kind: Any, array: Any) -> Any:
+def _vector(kind: type, array: np.ndarray | mi.Vector3f) -> mi.Vector3f:
     if isinstance(array, np.ndarray):
         return kind(np.ascontiguousarray(np.asarray(array, np.float32).T))
     return kind(array)
 
 
-def _generator(lane: Any, seed: int) -> Any:
-    """A generator a lane; hashed, as the streams of neighbouring PCG sequences are alike."""
+def _generator(lane: mi.UInt32, seed: int) -> mi.PCG32:
+    """A generator per lane; hashed, as the streams of neighbouring PCG sequences are correlated."""
     words = mi.sample_tea_32(lane, dr.opaque(mi.UInt32, seed & 0xFFFFFFFF))
     return mi.PCG32(initstate=mi.UInt64(words[0]), initseq=mi.UInt64(words[1]))
 
 
 @dr.syntax
 def _bake_kernel(
-    position: Any,
-    frame: Any,
-    geometric: Any,
-    view: Any,
+    points: ShadingPoints,
     source: RadianceSource,
     lights: AreaLights,
     levels: list[float],
-    cosine_count: int,
-    level_count: int,
-    light_count: int,
+    counts: SampleCounts,
     seed: int,
-    starts_of_point: int,
-) -> list[Any]:
-    """One loop over the vertices of all paths of a pixel: each pass adds a vertex to the path of sample i,
-    and a path that ends makes room for the next sample."""
-    wo = frame.to_local(view)
+    starts_per_point: int,
+) -> list[mi.Color3f]:
+    """Sums of the estimators of L_d and of L_s0 and L_s1 of each level, per lane.
+
+    One loop over the vertices of all paths of a lane: each pass adds a vertex to the path of sample i; the
+    pass after a path's end starts the next sample.
+    """
+    # A loop can't carry frozen dataclasses.
+    position, geometric_normal = points.position, points.geometric_normal
+    cosine_count, level_count, light_count = counts.diffuse, counts.specular, counts.light
+    brdf_count = cosine_count + level_count * len(levels)
+    total = brdf_count + light_count
+    frame = mi.Frame3f(points.normal)
+    wo = frame.to_local(points.view_direction)
     wo.z = dr.maximum(wo.z, 1e-3)  # interpolated normals may tip just over the horizon
     wo = dr.normalize(wo)
     # All starts of a point share one low-discrepancy sequence.
     lane = dr.arange(mi.UInt32, dr.width(position))
-    point = lane // starts_of_point
+    point = lane // starts_per_point
     shift_rng, rng = _generator(point, 2 * seed), _generator(lane, 2 * seed + 1)
     shift = mi.Point2f(shift_rng.next_float32(), shift_rng.next_float32())
-    phase = lane - point * starts_of_point
-    accumulators = [mi.Color3f(0.0) for _ in range(1 + 2 * len(levels))]
-    roughness_of = mi.Float(levels or [1.0])  # a loop can't carry nothing
-    brdf_count = cosine_count + level_count * len(levels)
-    total = brdf_count + light_count
+    phase = lane - point * starts_per_point
+    integrals = [mi.Color3f(0.0) for _ in range(1 + 2 * len(levels))]
+    roughness_of = mi.Float(levels or [1.0])  # a loop can't carry an empty array
     i = mi.UInt32(0)
     starts = mi.Bool(True)
     wi = mi.Vector3f(0.0, 0.0, 1.0)
@@ -191,47 +188,58 @@ def _bake_kernel(
     density = mi.Float(1.0)
     path = new_path(dr.width(position))
     while i < total:
-        # A new path's direction, by one of the techniques.
-        number = i * starts_of_point + phase
-        u = mi.Point2f(shift.x + number * _R2[0], shift.y + number * _R2[1])
+        # --------------- First direction: cosine, visible normals or emitter sampling ---------------
+
+        index = i * starts_per_point + phase
+        u = mi.Point2f(shift.x + index * _R2[0], shift.y + index * _R2[1])
         u = u - dr.floor(u)
         first = mi.warp.square_to_cosine_hemisphere(u)
         if dr.hint(level_count > 0, mode="scalar"):
             level = dr.clip((mi.Int32(i) - cosine_count) // level_count, 0, len(levels) - 1)
             roughness = dr.gather(mi.Float, roughness_of, mi.UInt32(level))
             first = dr.select(i < cosine_count, first, brdf.sample_visible_normal(u, wo, roughness))
-        aimed = starts & (i >= brdf_count)
+        to_emitter = starts & (i >= brdf_count)
         if dr.hint(light_count > 0, mode="scalar"):
             target = lights.sample(rng.next_float32(), u.x, u.y)
-            first = dr.select(aimed, frame.to_local(dr.normalize(target.position - position)), first)
+            first = dr.select(to_emitter, frame.to_local(dr.normalize(target.position - position)), first)
         wi = dr.select(starts, first, wi)
-        path = dr.select(starts, new_path(), path)
         direction = dr.select(starts, frame.to_world(wi), direction)
-        path.origin = dr.select(starts, position + mi.Vector3f(geometric) * source.offset, path.origin)
-        alive = ~starts | ((wi.z > 0.0) & (dr.dot(direction, geometric) > 0.0))
+
+        # ------------------------------------ Ray intersection --------------------------------------
+
+        path = dr.select(starts, new_path(), path)
+        path.origin = dr.select(starts, position + mi.Vector3f(geometric_normal) * source.offset, path.origin)
+        alive = ~starts | ((wi.z > 0.0) & (dr.dot(direction, geometric_normal) > 0.0))
         hit = source.intersect(mi.Ray3f(path.origin, direction), alive)
+
+        # ------------ Multiple importance sampling: density of all techniques together --------------
 
         pdf = cosine_count * dr.maximum(wi.z, 0.0) * dr.inv_pi
         for roughness_level in levels:
             pdf += level_count * brdf.visible_normal_pdf(wi, wo, roughness_level)
         if dr.hint(light_count > 0, mode="scalar"):
-            emitter = lights.pdf_direction(
+            emitter_pdf = lights.pdf_direction(
                 hit.triangle, hit.distance, dr.dot(hit.geometric_normal, direction), hit.valid
             )
-            # An aimed ray that meets something else first belongs to the other techniques, and where that is
-            # another light, to the samples aimed at that one.
-            alive &= ~aimed | ((emitter > 0.0) & (hit.triangle == target.triangle))
-            pdf += light_count * emitter
+            # An emitter sample counts only if its ray hits the sampled emitter: other surfaces belong to
+            # the BRDF techniques, other emitters to the samples of those.
+            alive &= ~to_emitter | ((emitter_pdf > 0.0) & (hit.triangle == target.triangle))
+            pdf += light_count * emitter_pdf
         density = dr.select(starts, pdf, density)
         alive &= density > 1e-20
-        path, direction, goes_on = source.step(path, direction, hit, rng, alive)
-        starts = ~goes_on
+
+        # --------------------------- Incident radiance L_i (Eq. 9 to 11) ----------------------------
+
+        path, direction, continues = source.step(path, direction, hit, rng, alive)
+        starts = ~continues
+
+        # ------------------- Shading integrals L_d, L_s0 and L_s1 (Eq. 6) ---------------------------
 
         weighted = dr.select(starts, path.radiance / dr.maximum(density, 1e-20), 0.0)
-        accumulators[0] += weighted * (dr.maximum(wi.z, 0.0) * dr.inv_pi)
+        integrals[0] += weighted * (dr.maximum(wi.z, 0.0) * dr.inv_pi)
         for k in range(len(levels)):
             s0, s1 = brdf.specular_lobes(wi, wo, levels[k])
-            accumulators[1 + 2 * k] += weighted * s0
-            accumulators[2 + 2 * k] += weighted * s1
+            integrals[1 + 2 * k] += weighted * s0
+            integrals[2 + 2 * k] += weighted * s1
         i += dr.select(starts, mi.UInt32(1), mi.UInt32(0))
-    return accumulators
+    return integrals

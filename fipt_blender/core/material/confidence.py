@@ -1,47 +1,55 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How well the estimate is known: standard errors of base colour, roughness and metallic.
+"""Standard errors of the estimated base colour, roughness and metallic by least squares.
 
-The factorised rendering (paper Eq. 5) is linearised around the estimate, and its residuals against the
-photographs tell how far the values may be off: where little light falls, or where few views or none that
-differ see a surface, a small residual leaves much open. Errors of shadings are alike within a view, so that
-the views are the independent samples.
+The factorised rendering (paper Eq. 5) is linearised around the estimate. The spread of its residuals between
+views gives the variance of the values: it is large where little light falls, or where few views, or views
+that hardly differ, see a surface, even if the residuals are small. Errors of the shadings are correlated
+within a view, so the views are the independent samples.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from .projection import DARK
+from ..optics import factorised
+from ..scene.grouped import grouped_median
+from .pixel_samples import PixelSamples
+from .projection import residual_weight
 
 # Standard deviation of a value of which nothing is known but that it lies in [0, 1].
-UNKNOWN = 12.0**-0.5
-# Share of the error of base colour that all views have in common: what falls on a matt surface is the same
-# light for all of them. Calibrated on the example room.
+UNIFORM_DEVIATION = 12.0**-0.5
+# Share of the variance of base colour that all views have in common, because the same light falls on a matt
+# surface in all of them. Calibrated on the example room.
 COMMON = 0.5
-# Error of base colour that no residual shows: detail within a cell, the level of all light.
+# Error of base colour that no residual shows: detail within a cell, the overall brightness of the light.
 FLOOR = 0.02
-# Below this sum of weighted squared slopes pixels say nothing.
-NOTHING = 1e-9
-# Views' worth of evidence with which a cell's residuals are drawn to those of its part.
+# Pixels whose sum of weighted squared slopes (their Fisher information) is smaller determine nothing.
+LEAST_INFORMATION = 1e-9
+# Number of views to which the group's typical residual variance is equivalent, as a prior for its cells.
 PRIOR_VIEWS = 4.0
 
 
 def confidence(errors: np.ndarray) -> np.ndarray:
-    """1 - error / 0.29 of standard errors (any shape): 1 is certain, 0 as good as any value in [0, 1]."""
-    return np.clip(1.0 - errors / UNKNOWN, 0.0, 1.0).astype(np.float32)
+    """1 - error / 0.289 of standard errors (any shape), float32: 1 is certain, 0 means unknown."""
+    return np.clip(1.0 - errors / UNIFORM_DEVIATION, 0.0, 1.0).astype(np.float32)
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """N pixels against the estimate, each (N, 3) float32.
+class LinearisedPixels:
+    """The rendering of N pixels, linearised around the estimate.
 
     Attributes:
-        residual: photographed minus rendered radiance.
-        weight: of squared residuals.
-        by_color, by_roughness, by_metallic: derivatives of the rendered radiance.
+        residual: (N, 3) photographed minus rendered radiance.
+        weight: (N, 3) weight of the squared residual.
+        by_color, by_roughness, by_metallic: (N, 3) derivatives of the rendered radiance.
+        roughness, metallic: (N,) the estimate.
+        cell: (N,) int, from 0: surface cell, which has one base colour.
+        group: (N,) int, from 0: cells that share roughness and metallic; each cell lies in one group.
+        view: (N,) int.
     """
 
     residual: np.ndarray
@@ -49,24 +57,24 @@ class Evidence:
     by_color: np.ndarray
     by_roughness: np.ndarray
     by_metallic: np.ndarray
+    roughness: np.ndarray
+    metallic: np.ndarray
+    cell: np.ndarray
+    group: np.ndarray
+    view: np.ndarray
 
 
-def evidence(
-    radiance: np.ndarray,
-    color: np.ndarray,
-    roughness: np.ndarray,
-    metallic: np.ndarray,
-    diffuse: np.ndarray,
-    specular: np.ndarray,
-    levels: np.ndarray,
-) -> Evidence:
-    """What N pixels say.
+def concatenate(chunks: Sequence[LinearisedPixels]) -> LinearisedPixels:
+    """The pixels of all chunks, in order."""
+    names = [field.name for field in fields(LinearisedPixels)]
+    return LinearisedPixels(*(np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in names))
 
-    Args:
-        radiance: (N, 3) photographed, in units of the capture's median.
-        color: (N, 3), roughness and metallic: (N,), the estimate.
-        diffuse, specular: shadings (N, 3) and (N, K, 2, 3) at the roughness `levels` (K,).
-    """
+
+def linearise(
+    samples: PixelSamples, color: np.ndarray, roughness: np.ndarray, metallic: np.ndarray
+) -> LinearisedPixels:
+    """Eq. 5 linearised at the estimate: `color` (N, 3), `roughness` (N,) and `metallic` (N,)."""
+    levels, specular = samples.levels, samples.specular
     low = np.clip(np.searchsorted(levels, roughness, side="right") - 1, 0, len(levels) - 2)
     rows = np.arange(len(roughness))
     below, above = specular[rows, low].astype(np.float32), specular[rows, low + 1].astype(np.float32)
@@ -75,113 +83,109 @@ def evidence(
     slope = (above - below) / step[:, None, None]
     s0, s1 = np.moveaxis(below + share * (above - below), 1, 0)
     m = metallic[:, None]
-    gloss = 0.04 * (1.0 - m) + color * m
-    by_color = (1.0 - m) * diffuse + m * s0
-    rendered = (1.0 - m) * color * diffuse + gloss * s0 + s1
-    return Evidence(
-        radiance - rendered,
-        1.0 / (radiance + DARK) ** 2,
-        by_color,
-        gloss * slope[:, 0] + slope[:, 1],
-        (color - 0.04) * s0 - color * diffuse,
+    kd, ks = factorised.diffuse_reflectance(color, m), factorised.specular_reflectance(color, m)
+    by_color, _ = factorised.color_line(samples.diffuse, s0, s1, m)
+    rendered = factorised.reflected_radiance(kd, ks, samples.diffuse, s0, s1)
+    return LinearisedPixels(
+        residual=samples.radiance - rendered,
+        weight=residual_weight(samples.radiance),
+        by_color=by_color,
+        by_roughness=ks * slope[:, 0] + slope[:, 1],
+        by_metallic=factorised.metallic_slope(color, samples.diffuse, s0),
+        roughness=roughness,
+        metallic=metallic,
+        cell=samples.cell,
+        group=samples.group,
+        view=samples.view,
     )
 
 
-def standard_errors(
-    seen: Evidence,
-    roughness: np.ndarray,
-    metallic: np.ndarray,
-    cell: np.ndarray,
-    group: np.ndarray,
-    view: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Standard errors by least squares, never above `UNKNOWN`.
-
-    Args:
-        seen: N pixels.
-        roughness, metallic: (N,), the estimate.
-        cell: (N,) int from 0, surface cell of each; base colour is one of each cell.
-        group: (N,) int from 0, what shares roughness and metallic; each cell lies in one group.
-        view: (N,) int.
+def standard_errors(pixels: LinearisedPixels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Standard errors by least squares, never above `UNIFORM_DEVIATION`.
 
     Returns:
-        (cells,) of base colour, root mean square of the channels; (groups,) of roughness and of metallic.
+        (cells,) of base colour, root mean square over the channels; (groups,) of roughness and of metallic.
     """
+    cell, group = pixels.cell, pixels.group
     cells, groups = int(cell.max(initial=-1)) + 1, int(group.max(initial=-1)) + 1
-    weighted = seen.weight * seen.by_color
-    information = _sums(weighted * seen.by_color, cell, cells)
-    information = np.maximum(information, NOTHING)
-    remaining = _sums(weighted * seen.residual, cell, cells) / information
-    residual = seen.residual - seen.by_color * remaining[cell]
-    errors, trades = [], []
-    for value, slope in ((roughness, seen.by_roughness), (metallic, seen.by_metallic)):
-        # Base colour makes up for a part of each: only the rest tells.
-        trade = _sums(weighted * slope, cell, cells) / information
-        own = slope - seen.by_color * trade[cell]
+    weighted = pixels.weight * pixels.by_color
+    information = _sums(weighted * pixels.by_color, cell, cells)
+    information = np.maximum(information, LEAST_INFORMATION)
+    remaining = _sums(weighted * pixels.residual, cell, cells) / information
+    residual = pixels.residual - pixels.by_color * remaining[cell]
+    errors, compensations = [], []
+    for value, slope in (
+        (pixels.roughness, pixels.by_roughness),
+        (pixels.metallic, pixels.by_metallic),
+    ):
+        # Base colour compensates part of each change; only the rest shows in the residuals.
+        compensation = _sums(weighted * slope, cell, cells) / information
+        uncompensated = slope - pixels.by_color * compensation[cell]
         mean = np.bincount(group, value, minlength=groups) / np.maximum(
             np.bincount(group, minlength=groups), 1
         )
-        errors.append(_shared_error(own, residual, seen.weight, mean, group, view))
-        trades.append(trade)
-    of_cell = np.zeros(cells, np.int64)
-    of_cell[cell] = group
-    views, spread = _spread(seen, information, cell, of_cell, view)
+        errors.append(_group_error(pixels, uncompensated, residual, mean))
+        compensations.append(compensation)
+    group_of_cell = np.zeros(cells, np.int64)
+    group_of_cell[cell] = group
+    views, spread = _view_variance(pixels, information, group_of_cell)
     variance = spread * (views * COMMON + 1.0 - COMMON)[:, None] / information
-    variance[information <= NOTHING] = np.inf
+    variance[information <= LEAST_INFORMATION] = np.inf
     variance += FLOOR**2
-    for error, trade in zip(errors, trades, strict=True):
-        variance += (trade * error[of_cell][:, None]) ** 2
+    for error, compensation in zip(errors, compensations, strict=True):
+        variance += (compensation * error[group_of_cell][:, None]) ** 2
     return _bounded(variance.mean(axis=1)), errors[0], errors[1]
 
 
-def _spread(
-    seen: Evidence, information: np.ndarray, cell: np.ndarray, group: np.ndarray, view: np.ndarray
+def _view_variance(
+    pixels: LinearisedPixels, information: np.ndarray, group_of_cell: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Views of each cell (cells,), and (cells, 3) variance of a view's residual in units of its weight."""
-    pair, of_pair = np.unique(
-        cell.astype(np.int64) * (int(view.max(initial=0)) + 1) + view, return_inverse=True
-    )
-    owner = pair // (int(view.max(initial=0)) + 1)
-    weighted = seen.weight * seen.by_color
-    score = _sums(weighted * seen.residual, of_pair, len(pair))
-    known = np.maximum(_sums(weighted * seen.by_color, of_pair, len(pair)), 1e-12)
-    views = np.bincount(owner, minlength=len(information)).astype(float)
-    total = _sums(score**2 / known, owner, len(information))
-    single = total / np.maximum(views, 1.0)[:, None]
-    # A median a part: a few cells at edges are far off.
-    order = np.argsort(group, kind="stable")
-    starts = np.flatnonzero(np.diff(group[order], prepend=-1))
-    typical = np.zeros((int(group.max(initial=-1)) + 1, 3))
-    for part in np.split(order, starts[1:]) if len(order) else []:
-        typical[group[part[0]]] = np.median(single[part], axis=0)
-    return views, (total + PRIOR_VIEWS * typical[group]) / (views + PRIOR_VIEWS)[:, None]
+    """(cells,) number of views of each cell, and (cells, 3) variance of a view's weighted residual.
+
+    Args:
+        information: (cells, 3). group_of_cell: (cells,) int.
+    """
+    stride = int(pixels.view.max(initial=0)) + 1
+    pair, pair_of_pixel = np.unique(pixels.cell.astype(np.int64) * stride + pixels.view, return_inverse=True)
+    cell_of_pair = pair // stride
+    weighted = pixels.weight * pixels.by_color
+    score = _sums(weighted * pixels.residual, pair_of_pixel, len(pair))
+    pair_information = np.maximum(_sums(weighted * pixels.by_color, pair_of_pixel, len(pair)), 1e-12)
+    views = np.bincount(cell_of_pair, minlength=len(information)).astype(float)
+    total = _sums(score**2 / pair_information, cell_of_pair, len(information))
+    of_cell = total / np.maximum(views, 1.0)[:, None]
+    # The median of a group: a few cells at edges are far off.
+    typical = grouped_median(of_cell, group_of_cell, int(group_of_cell.max(initial=-1)) + 1)
+    return views, (total + PRIOR_VIEWS * typical[group_of_cell]) / (views + PRIOR_VIEWS)[:, None]
 
 
-def _shared_error(
-    slope: np.ndarray,
-    residual: np.ndarray,
-    weight: np.ndarray,
-    value: np.ndarray,
-    group: np.ndarray,
-    view: np.ndarray,
+def _group_error(
+    pixels: LinearisedPixels, slope: np.ndarray, residual: np.ndarray, value: np.ndarray
 ) -> np.ndarray:
-    """(groups,) standard error of a value in [0, 1] that each group shares (`value`, (groups,))."""
+    """(groups,) standard error of a value in [0, 1] that each group shares.
+
+    Args:
+        slope, residual: (N, 3) after base colour has been fitted. value: (groups,) the estimate.
+    """
+    weight, group, view = pixels.weight, pixels.group, pixels.view
     groups, views = len(value), int(view.max(initial=-1)) + 1
-    information = np.maximum(np.bincount(group, (weight * slope**2).sum(axis=1), minlength=groups), NOTHING)
+    information = np.bincount(group, (weight * slope**2).sum(axis=1), minlength=groups)
+    information = np.maximum(information, LEAST_INFORMATION)
     score = (weight * slope * residual).sum(axis=1)
     by_view = np.bincount(group * views + view, score, minlength=groups * views).reshape(groups, views)
-    looks = np.bincount(group * views + view, minlength=groups * views).reshape(groups, views) > 0
-    number = looks.sum(axis=1)
-    # What the residuals would still change, as far as the bounds allow, counts as error too.
+    observed = np.bincount(group * views + view, minlength=groups * views).reshape(groups, views) > 0
+    number = observed.sum(axis=1)
+    # The step that the residuals would still take, within the bounds, counts as an error too.
     change = np.clip(value + by_view.sum(axis=1) / information, 0.0, 1.0) - value
-    centred = by_view - looks * (by_view.sum(axis=1) / np.maximum(number, 1))[:, None]
+    centred = by_view - observed * (by_view.sum(axis=1) / np.maximum(number, 1))[:, None]
     variance = (centred**2).sum(axis=1) / information**2 * number / np.maximum(number - 1, 1) + change**2
-    return np.where((number > 1) & (information > NOTHING), _bounded(variance), UNKNOWN)
+    determined = (number > 1) & (information > LEAST_INFORMATION)
+    return np.where(determined, _bounded(variance), UNIFORM_DEVIATION)
 
 
 def _bounded(variance: np.ndarray) -> np.ndarray:
-    """Standard errors, together with what is known beforehand: that the value lies in [0, 1]."""
-    return np.sqrt(1.0 / (1.0 / np.maximum(variance, 1e-12) + UNKNOWN**-2))
+    """Standard errors of values whose prior is uniform in [0, 1]."""
+    return np.sqrt(1.0 / (1.0 / np.maximum(variance, 1e-12) + UNIFORM_DEVIATION**-2))
 
 
 def _sums(values: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:

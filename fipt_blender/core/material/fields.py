@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The estimated material fields of a finished run, to be queried at any surface point.
+"""The estimated material fields of a run, which can be queried at any surface point, seen or unseen.
 
-results/fields.npz holds the BRDF network's weights, the box it is normalised to and where the photographs
-saw the room, parts.npz the unit of each triangle and which units are of one material. Plain arrays, no
-pickles.
+results/fields.npz holds the weights of the BRDF network, the box to which positions are normalised and the
+cells that photographs saw; parts.npz holds the unit of each triangle and which units are of one material.
+Both are plain arrays without pickles.
 """
 
 from __future__ import annotations
@@ -13,73 +13,37 @@ import numpy as np
 import torch
 
 from ..device.variant import torch_device
-from ..job.errors import FiptError
-from ..job.runfolder import RunFolder, atomic_path
-from ..job.settings import Settings
+from ..optics.brdf import set_masking
+from ..run.arrays import read_arrays
+from ..run.errors import FiptError
+from ..run.runfolder import RunFolder, atomic_path
+from ..run.shapes import FIELDS_ARRAYS, PARTS_ARRAYS
 from ..scene.labels import NO_PART
-from .brdf import set_masking
-from .confidence import UNKNOWN, confidence
+from .confidence import UNIFORM_DEVIATION, confidence
 from .groups import Units
-from .losses import factorised_rendering
-from .networks import BrdfNetwork, EmissionNetwork, emission_mask
-from .part_prior import drawn_to_parts, part_priors
-from .seen import Box, SeenCells, seen_statistics, stand_ins
+from .inference import Fields
+from .networks import BrdfNetwork
+from .part_prior import part_priors, shrink_to_parts
+from .seen import Box, SeenCells, fallback_values, seen_statistics
 
-CHUNK = 1 << 17
-# Base colour, roughness and metallic among the values of a point.
+# Base colour, roughness and metallic among the five values of a point.
 COLUMNS = (slice(0, 3), slice(3, 4), slice(4, 5))
-# Least standard error of base colour, and what the network smooths away of roughness and metallic at borders.
+# Least standard error of base colour, and the error of roughness and metallic by which the network smooths
+# them at the borders of parts.
 LEAST_ERROR = 0.02
-SMOOTHING = 0.2
-
-
-class Fields:
-    """What the network says about positions, wherever they are.
-
-    Where no photograph looked that means nothing: :class:`RoomFields` knows where.
-    """
-
-    def __init__(self, network: BrdfNetwork, box: Box) -> None:
-        self.network, self.box = network, box
-        self._device = next(network.parameters()).device
-
-    @torch.no_grad()
-    def query(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Evaluate the network.
-
-        Args:
-            positions: (N, 3) world metres.
-
-        Returns:
-            (base_color (N, 3), roughness (N,), metallic (N,)), float32; roughness is the paper's sigma.
-        """
-        base_color = np.empty((len(positions), 3), np.float32)
-        roughness = np.empty(len(positions), np.float32)
-        metallic = np.empty(len(positions), np.float32)
-        for start in range(0, len(positions), CHUNK):
-            part = slice(start, start + CHUNK)
-            inputs = torch.from_numpy(self.box.normalise(positions[part]))
-            # One kernel for all chunks: pad the last one.
-            padded = torch.zeros((CHUNK, 3)) if len(positions) > CHUNK else inputs
-            padded[: len(inputs)] = inputs
-            found = self.network(padded.to(self._device))
-            count = len(inputs)
-            base_color[part] = found.base_color[:count].cpu().numpy()
-            roughness[part] = found.roughness[:count].cpu().numpy()
-            metallic[part] = found.metallic[:count].cpu().numpy()
-        return base_color, roughness, metallic
+SMOOTHING_ERROR = 0.2
 
 
 class RoomFields:
-    """Base colour, roughness and metallic of a room's surfaces, seen and unseen, and what was seen of them.
+    """Base colour, roughness and metallic on a room's surfaces, seen and unseen, and their confidence.
 
     Args:
-        fields: asked where photographs saw the surface.
-        units: of the mesh; values with known errors are drawn to those of their unit where that is of one
-            material (:mod:`.part_prior`).
-        cells: where that is.
-        errors: (K, 3) float32 standard errors of base colour, roughness and metallic in each of them;
-            unknown where not given.
+        fields: the values on seen surfaces.
+        units: of the mesh. If errors are given, values are shrunk towards those of their unit where that is
+            of one material (:mod:`.part_prior`).
+        cells: where the photographs saw surfaces.
+        errors: (C, 3) float32 standard errors of base colour, roughness and metallic in each cell
+            (:func:`.cell_errors.cell_errors`); None if they are not known.
     """
 
     def __init__(
@@ -90,53 +54,60 @@ class RoomFields:
         errors: np.ndarray | None = None,
     ) -> None:
         self.fields, self.units, self.cells = fields, units, cells
-        self.errors = np.full((len(cells.keys), 3), UNKNOWN, np.float32) if errors is None else errors
+        unknown = np.full((len(cells.keys), 3), UNIFORM_DEVIATION, np.float32)
+        self.errors = unknown if errors is None else errors
         values = _columns(fields.query(cells.points))
         self._statistics = seen_statistics(cells.points, cells.part, values)
         self._priors = []
         if errors is not None and units.single.any():
-            one = np.where(units.is_single(cells.part), cells.part, NO_PART)
-            own = zip(COLUMNS, _spreads(errors), strict=True)
-            self._priors = [part_priors(values[:, columns], spread, one) for columns, spread in own]
+            part = np.where(units.is_single(cells.part), cells.part, NO_PART)
+            self._priors = [
+                part_priors(values[:, columns], column_errors, part)
+                for columns, column_errors in zip(COLUMNS, _errors_within_part(errors), strict=True)
+            ]
 
     def query(
         self, positions: np.ndarray, triangles: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The estimate at surface points; unseen ones get what stands in for them (:mod:`.seen`).
+        """The estimate at surface points; unseen ones get fallback values (:mod:`.seen`).
 
         Args:
             positions: (N, 3) world metres.
-            triangles: (N,) int of the room, on which they lie.
+            triangles: (N,) int triangles of the room on which they lie.
 
         Returns:
             (base_color (N, 3), roughness (N,), metallic (N,)), float32; roughness is the paper's sigma.
         """
         part = self.units.triangle[triangles]
         place = self.cells.find(self.fields.box, positions, part)
-        # Where no surface was seen at all there is nothing else to ask.
+        # Where no surface was seen at all, only the network is left.
         seen = place >= 0 if len(self.cells.keys) else np.ones(len(positions), bool)
-        known = _columns(self.fields.query(positions[seen]))
+        seen_values = _columns(self.fields.query(positions[seen]))
         if self._priors:
-            own = zip(COLUMNS, _spreads(self.errors[place[seen]]), self._priors, strict=True)
-            for columns, spread, prior in own:
-                known[:, columns] = drawn_to_parts(known[:, columns], spread, part[seen], prior)
-        values = np.empty((len(positions), known.shape[1]), np.float32)
-        values[seen] = known
-        values[~seen] = stand_ins(positions[~seen], part[~seen], self._statistics)
+            errors = _errors_within_part(self.errors[place[seen]])
+            for columns, column_errors, prior in zip(COLUMNS, errors, self._priors, strict=True):
+                seen_values[:, columns] = shrink_to_parts(
+                    seen_values[:, columns], column_errors, part[seen], prior
+                )
+        values = np.empty((len(positions), seen_values.shape[1]), np.float32)
+        values[seen] = seen_values
+        values[~seen] = fallback_values(positions[~seen], part[~seen], self._statistics)
         return values[:, :3], values[:, 3], values[:, 4]
 
     def confidence(self, positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-        """(N, 3) float32, how well base colour, roughness and metallic are known there; 0 where unseen.
+        """(N, 3) float32 confidence of base colour, roughness and metallic at surface points; 0 where unseen.
 
-        See :func:`.confidence.confidence`.
+        See :func:`.confidence.confidence`; arguments as in :meth:`query`.
         """
         place = self.cells.find(self.fields.box, positions, self.units.triangle[triangles])
-        known = np.append(confidence(self.errors), np.zeros((1, 3), np.float32), axis=0)
-        return known[place]  # -1 is the last row
+        of_cell = np.append(confidence(self.errors), np.zeros((1, 3), np.float32), axis=0)
+        return of_cell[place]  # unseen points have -1, the last row
 
     @classmethod
     def load(cls, run: RunFolder) -> RoomFields:
-        """Read results/fields.npz and parts.npz and set the run's G; Mitsuba's variant is set already.
+        """Read results/fields.npz and parts.npz, and set the run's masking term G.
+
+        Mitsuba's variant must be set before.
 
         Raises:
             FiptError: ``results-missing`` or ``results-damaged``.
@@ -146,29 +117,32 @@ class RoomFields:
         for path in (run.fields_npz, run.parts_npz):
             if not path.exists():
                 raise FiptError(
-                    "results-missing", f"{path} does not exist.", "Let the estimation finish first."
+                    "results-missing",
+                    f"{path} does not exist.",
+                    "Run the estimation, and wait until it has finished.",
                 )
+        again = "Run the estimation again."
+        arrays = read_arrays(run.fields_npz, FIELDS_ARRAYS, "results-damaged", again)
+        parts = read_arrays(run.parts_npz, PARTS_ARRAYS, "results-damaged", again)
         try:
-            with np.load(run.fields_npz, allow_pickle=False) as data:
-                arrays = {name: data[name] for name in data.files}
-            with np.load(run.parts_npz, allow_pickle=False) as data:
-                units = Units(data["triangle_part"], data["single"])
-            network = BrdfNetwork(
-                settings, int(arrays["hash_levels"]), torch.Generator(), torch.device(torch_device())
-            )
+            hash_levels = int(arrays["hash_levels"])
+            if not 1 <= hash_levels <= settings.hash_levels:
+                raise ValueError(f"it has {hash_levels} levels, the settings {settings.hash_levels}")
+            if parts["triangle_part"].max(initial=NO_PART) >= len(parts["single"]):
+                raise ValueError(f"{run.parts_npz.name} names parts that it lacks")
+            network = BrdfNetwork(settings, hash_levels, torch.Generator(), torch.device(torch_device()))
             state = {
                 name[len("network/") :]: torch.from_numpy(array)
                 for name, array in arrays.items()
                 if name.startswith("network/")
             }
             network.load_state_dict(state)
-            box = Box(arrays["box_low"].astype(np.float64), float(arrays["box_extent"]))
-            cells = SeenCells(arrays["seen_keys"], arrays["seen_points"], arrays["seen_part"])
-            return cls(Fields(network, box), units, cells, arrays["seen_errors"])
-        except (KeyError, ValueError, OSError, RuntimeError) as error:
-            raise FiptError(
-                "results-damaged", f"{run.fields_npz} can't be read ({error}).", "Run the estimation again."
-            ) from None
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise FiptError("results-damaged", f"{run.fields_npz} can't be read ({error}).", again) from None
+        box = Box(arrays["box_low"].astype(np.float64), float(arrays["box_extent"]))
+        cells = SeenCells(arrays["seen_keys"], arrays["seen_points"], arrays["seen_part"])
+        units = Units(parts["triangle_part"], parts["single"])
+        return cls(Fields(network, box), units, cells, arrays["seen_errors"])
 
     def save(self, run: RunFolder) -> None:
         """Write results/fields.npz and parts.npz."""
@@ -190,63 +164,16 @@ class RoomFields:
             np.savez(temporary, triangle_part=self.units.triangle, single=self.units.single)
 
 
-def _spreads(errors: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Standard errors (N,) of the values in COLUMNS within their part, of errors (N, 3) of cells.
+def _errors_within_part(errors: np.ndarray) -> tuple[np.ndarray, ...]:
+    """(N,) error of a point's value relative to its part, for each of COLUMNS, from errors (N, 3) of cells.
 
-    Roughness and metallic have one value a part, so theirs are no errors of single points. What differs from
-    point to point is the network's doing, at borders above all.
+    A part has one roughness and one metallic, so their standard errors are not errors of single points:
+    differences between points come from the network, mostly at borders.
     """
-    smoothing = np.full(len(errors), SMOOTHING)
+    smoothing = np.full(len(errors), SMOOTHING_ERROR)
     return np.maximum(errors[:, 0].astype(float), LEAST_ERROR), smoothing, smoothing
 
 
-def _columns(found: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
+def _columns(materials: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
     """(N, 5) float32 of base colour, roughness and metallic."""
-    return np.column_stack(found).astype(np.float32)
-
-
-def new_networks_generator(settings: Settings) -> torch.Generator:
-    """The generator of initial weights: on the CPU, so that all devices start alike."""
-    return torch.Generator().manual_seed(settings.seed)
-
-
-@torch.no_grad()
-def mask_at(network: EmissionNetwork, box: Box, positions: np.ndarray) -> np.ndarray:
-    """Emission mask alpha (N,) float32 at (N, 3) world positions; fitted jointly, emission L_e (N, 3)."""
-    device = next(network.parameters()).device
-    found = []
-    for start in range(0, max(len(positions), 1), CHUNK):
-        inputs = torch.from_numpy(box.normalise(positions[start : start + CHUNK])).to(device)
-        raw = network(inputs)
-        value = emission_mask(raw) if network.outputs == 1 else torch.relu(raw)
-        found.append(value.cpu().numpy())
-    return np.concatenate(found)
-
-
-@torch.no_grad()
-def render_pixels(
-    network: BrdfNetwork,
-    box: Box,
-    position: np.ndarray,
-    diffuse: np.ndarray,
-    specular: np.ndarray,
-    levels: np.ndarray,
-    rows: np.ndarray,
-) -> np.ndarray:
-    """(len(rows), 3) float32 reflected radiance L_r (paper Eq. 5) of some pixels.
-
-    Args:
-        position: (N, 3) world positions of all pixels; memory-mapped arrays will do.
-        diffuse, specular: their shadings (N, 3) and (N, K, 2, 3), at the roughness `levels`.
-        rows: (R,) pixels wanted.
-    """
-    device = next(network.parameters()).device
-    level = torch.from_numpy(levels).to(device)
-    result = np.empty((len(rows), 3), np.float32)
-    for start in range(0, len(rows), CHUNK):
-        part = rows[start : start + CHUNK]
-        arrays = (box.normalise(np.asarray(position[part])), diffuse[part], specular[part])
-        inputs = [torch.from_numpy(np.asarray(array, np.float32)).to(device) for array in arrays]
-        value = factorised_rendering(network(inputs[0]), inputs[1], inputs[2], level)
-        result[start : start + len(part)] = value.cpu().numpy()
-    return result
+    return np.column_stack(materials).astype(np.float32)

@@ -1,7 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Groups that stand for parts where no mask tells them: surfaces of one class, one piece of the mesh and one
-colour are likely of one material. The paper's kernel for semantic masks (Eq. 17) rests on the same idea.
+"""Groups that take the place of parts where no part masks exist.
+
+Surfaces of one semantic class, one connected piece of the mesh and one colour are likely of one material. The
+paper's kernel for semantic masks (Eq. 20) rests on the same idea.
 """
 
 from __future__ import annotations
@@ -11,28 +13,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..scene.grouped import grouped_weighted_median
 from ..scene.labels import Parts
 
 NO_GROUP = -1
-# Pixels of a group: fewer say too little about a gloss.
+# Least number of pixels of a group: fewer hardly determine its gloss.
 LEAST_PIXELS = 1000
-# Errors of base colour are about as large in dark surfaces as in bright ones: colours are compared with so
-# much added to them.
+# Added to base colours before they are compared, because their errors are about as large on dark surfaces as
+# on bright ones.
 COLOR_LIFT = 0.05
 BRIGHTNESS_STEP = 1.0  # stops
 CHROMA_STEP = 0.1
-# Groups at most: what is kept of pairs of them must not grow with the capture.
+# Largest number of groups, so that arrays over pairs of groups do not grow with the capture.
 MOST_GROUPS = 2000
-# How far apart the base colours of kin lie, in stops.
-KIN_COLOR = 0.15
-# A piece of which so many pixels have the same roughness and metallic, within so much, is of one material.
+# Standard deviation of the base colours of similar groups, in stops.
+SIMILAR_COLOR = 0.15
+# A piece is of one material if the roughness and metallic of this share of its pixels is within SAME_MATERIAL
+# of their medians.
 SAME_SHARE = 0.9
 SAME_MATERIAL = 0.1
 
 
 @dataclass(frozen=True)
 class Units:
-    """The finest parts of the mesh that are known.
+    """The finest known division of the mesh into surfaces.
 
     Attributes:
         triangle: (T,) int32 unit of each triangle from 0, NO_PART without one.
@@ -72,25 +76,25 @@ def numbered(columns: Sequence[np.ndarray]) -> np.ndarray:
 def material_groups(
     label: np.ndarray, piece: np.ndarray, color: np.ndarray, pixels: np.ndarray, least: int
 ) -> np.ndarray:
-    """(N,) int32 group of each kind of pixel from 0, NO_GROUP for those that nothing large enough takes in.
+    """(N,) int32 group of each kind of pixel from 0, NO_GROUP for those that are in no group large enough.
 
     The finest group that is large enough counts: class, piece and colour; else class and piece; else class
     and colour.
 
     Args:
-        label: (N,) int semantic class, the same for all where there is none.
+        label: (N,) int semantic class; a constant where there is none.
         piece: (N,) int connected piece of the mesh.
         color: (N,) int :func:`color_class`.
-        pixels: (N,) int how many there are of each kind.
-        least: pixels that a group must have.
+        pixels: (N,) int number of pixels of each kind.
+        least: number of pixels that a group must have.
     """
     group = np.full(len(label), NO_GROUP, np.int64)
     used = 0
     for columns in ((label, piece, color), (label, piece), (label, color)):
         key = numbered(columns)
         count = np.bincount(key, pixels)
-        taken = (group < 0) & (count[key] >= least)
-        group[taken] = used + key[taken]
+        assigned = (group < 0) & (count[key] >= least)
+        group[assigned] = used + key[assigned]
         used += len(count)
     known = group >= 0
     result = np.full(len(label), NO_GROUP, np.int32)
@@ -107,25 +111,27 @@ def piece_units(
     roughness: np.ndarray,
     metallic: np.ndarray,
 ) -> Units:
-    """Units where no masks tell parts: pieces of the mesh that are of one material, or else classes.
+    """Units where no parts are known: connected pieces of the mesh that are of one material, else classes.
 
     Args:
         parts: semantic classes, or none.
         pieces: (T,) int connected piece of each triangle.
-        triangle: (K,) int, group: (K,) int, NO_GROUP without: what is seen, in so many pixels (K,).
+        triangle, group, pixels: (K,) int, the number of pixels that see a triangle and belong to a group
+            (NO_GROUP for none).
         roughness, metallic: (G,) of the groups.
     """
     label = parts.triangle_part
     classes = int(label.max(initial=-1)) + 1
     unit = numbered([label, pieces])
-    of = unit[triangle]
-    count = np.bincount(of, pixels, minlength=int(unit.max(initial=-1)) + 1)
-    # Pixels without a group agree with nobody.
+    unit_of = unit[triangle]
+    count = np.bincount(unit_of, pixels, minlength=int(unit.max(initial=-1)) + 1)
+    # Pixels without a group are like no others.
     alike = group >= 0
-    for values in (roughness, metallic):
-        own = np.append(values, 0.0)[group]
-        alike &= np.abs(own - _medians(own, pixels * (group >= 0), of, len(count))[of]) < SAME_MATERIAL
-    single = (np.bincount(of, pixels * alike, minlength=len(count)) >= SAME_SHARE * count) & (count > 0)
+    for of_group in (roughness, metallic):
+        values = np.append(of_group, 0.0)[group]
+        medians = grouped_weighted_median(values, pixels * (group >= 0), unit_of, len(count))
+        alike &= np.abs(values - medians[unit_of]) < SAME_MATERIAL
+    single = (np.bincount(unit_of, pixels * alike, minlength=len(count)) >= SAME_SHARE * count) & (count > 0)
     number = classes + np.cumsum(single) - 1
     return Units(
         np.where(single[unit], number[unit], label).astype(np.int32),
@@ -133,23 +139,13 @@ def piece_units(
     )
 
 
-def _medians(values: np.ndarray, weight: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:
-    """(count,) weighted medians of values (K,) by their index (K,); 0 for those without any weight."""
-    order = np.lexsort((values, index))
-    total = np.cumsum(weight[order])
-    own = np.bincount(index, weight, minlength=count)
-    half = np.cumsum(own) - 0.5 * own
-    place = np.minimum(np.searchsorted(total, half), max(len(values) - 1, 0))
-    return np.where(own > 0, values[order][place] if len(values) else 0.0, 0.0)
-
-
-def kinship(label: np.ndarray, color: np.ndarray) -> np.ndarray:
-    """(G, G) in [0, 1], how likely two groups are of one material beforehand: of one class and like colour.
+def similarity(label: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """(G, G) prior probability that two groups are of one material: of one class and similar colour.
 
     Args:
-        label: (G,) int semantic class, the same for all where there is none.
+        label: (G,) int semantic class; a constant where there is none.
         color: (G, 3) base colour.
     """
     stops = np.log2(color + COLOR_LIFT)
     squared = sum((column[:, None] - column) ** 2 for column in stops.T) / 3.0
-    return np.exp(-0.5 * squared / KIN_COLOR**2) * (label[:, None] == label)
+    return np.exp(-0.5 * squared / SIMILAR_COLOR**2) * (label[:, None] == label)

@@ -1,18 +1,19 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The factorised rendering and every term of the loss (paper Eq. 5, 7 and 12 to 17)."""
+"""The factorised rendering and all terms of the loss (paper Eq. 5, 8 and 15 to 20)."""
 
 from __future__ import annotations
 
 import torch
 
+from ..optics import factorised
 from .networks import Prediction
 
 
 def interpolate_specular(
     specular: torch.Tensor, roughness: torch.Tensor, levels: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """L_s0 and L_s1 at a roughness by linear interpolation between baked levels (paper Eq. 7).
+    """L_s0 and L_s1 at a roughness by linear interpolation between baked levels (paper Eq. 8).
 
     Args:
         specular: (N, K, 2, 3) baked at `levels`.
@@ -31,10 +32,9 @@ def interpolate_specular(
 
 
 def reflectances(prediction: Prediction) -> tuple[torch.Tensor, torch.Tensor]:
-    """kd = a (1 - m) and ks = 0.04 (1 - m) + a m, each (N, 3)."""
-    metallic = prediction.metallic[:, None]
-    color = prediction.base_color
-    return color * (1.0 - metallic), 0.04 * (1.0 - metallic) + color * metallic
+    """kd and ks, each (N, 3)."""
+    color, metallic = prediction.base_color, prediction.metallic[:, None]
+    return factorised.diffuse_reflectance(color, metallic), factorised.specular_reflectance(color, metallic)
 
 
 def factorised_rendering(
@@ -43,17 +43,17 @@ def factorised_rendering(
     """L_r = kd L_d + ks L_s0 + L_s1 (paper Eq. 5), (N, 3)."""
     kd, ks = reflectances(prediction)
     s0, s1 = interpolate_specular(specular, prediction.roughness, levels)
-    return kd * diffuse + ks * s0 + s1
+    return factorised.reflected_radiance(kd, ks, diffuse, s0, s1)
 
 
 def tone_map(radiance: torch.Tensor) -> torch.Tensor:
-    """Gamma of Munkberg et al. 2022: the sRGB curve of log(1 + x)."""
+    """The tone mapping of Munkberg et al. 2022: the sRGB transfer function of log(1 + x)."""
     x = torch.log1p(radiance.clamp_min(0.0))
     return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x.clamp_min(1e-7) ** (1.0 / 2.4) - 0.055)
 
 
 def rendering_loss(rendered: torch.Tensor, alpha: torch.Tensor, photographed: torch.Tensor) -> torch.Tensor:
-    """Tone-mapped L2 with the emission mask (paper Eq. 12), mean over pixels."""
+    """Tone-mapped L2 with the emission mask (paper Eq. 15), mean over pixels."""
     mixed = torch.lerp(rendered, photographed, alpha[:, None])
     return (tone_map(mixed) - tone_map(photographed)).square().sum(dim=1).mean()
 
@@ -61,31 +61,31 @@ def rendering_loss(rendered: torch.Tensor, alpha: torch.Tensor, photographed: to
 def joint_rendering_loss(
     rendered: torch.Tensor, emitted: torch.Tensor, photographed: torch.Tensor
 ) -> torch.Tensor:
-    """Tone-mapped L2 of L_r + L_e, both fitted at once (the paper's ablation "Joint L_e opt.", Sec. 5.4)."""
+    """Tone-mapped L2 of L_r + L_e, fitted together (the paper's ablation "Joint L_e opt.", Sec. 5.4)."""
     return (tone_map(rendered + emitted) - tone_map(photographed)).square().sum(dim=1).mean()
 
 
 def emission_loss(raw: torch.Tensor) -> torch.Tensor:
-    """l_e without its weight: mean |MLP_emit| (paper Eq. 13)."""
+    """l_e without its weight: mean |MLP_emit| (paper Eq. 16)."""
     return raw.abs().mean()
 
 
 def diffuse_loss(prediction: Prediction) -> torch.Tensor:
-    """l_d without its weight: mean |1 - sigma| + |m| (paper Eq. 14)."""
+    """l_d without its weight: mean |1 - sigma| + |m| (paper Eq. 17)."""
     return ((1.0 - prediction.roughness).abs() + prediction.metallic.abs()).mean()
 
 
 def part_loss(
     prediction: Prediction, roughness: torch.Tensor, metallic: torch.Tensor, known: torch.Tensor
 ) -> torch.Tensor:
-    """l_p without its weight: distance of roughness and metallic to those of the part (paper Eq. 15).
+    """l_p without its weight: L1 distance of roughness and metallic from those of the part (paper Eq. 18).
 
-    The paper's sigma' and m' are means over the part's pixels in the batch, weighted by highlights (Eq. 16).
-    Here they are the part's closed-form estimate, which all its pixels made together.
+    The paper's sigma' and m' are means over the part's pixels in the batch, weighted by highlights (Eq. 19).
+    Here they are the part's closed-form estimate, to which all its pixels contribute.
 
     Args:
         roughness, metallic: (N,) sigma' and m'.
-        known: (N,) bool, pixels that belong to a part.
+        known: (N,) bool, whether a pixel belongs to a part.
     """
     distance = (prediction.roughness - roughness).abs() + (prediction.metallic - metallic).abs()
     return (distance * known).mean()
@@ -99,12 +99,13 @@ def semantic_loss(
     sigma_albedo: float,
     sigma_position: float,
 ) -> torch.Tensor:
-    """l_p without its weight, with the kernel w(x', x) of semantic masks (paper Eq. 17).
+    """l_p without its weight, with the kernel w(x', x) of semantic masks (paper Eq. 20).
 
     Args:
-        positions: (N, 3) in the normalised cube.
-        part: (N,) int64 semantic ids; negative ids take no part.
+        positions: (N, 3) in the unit cube.
+        part: (N,) int64 semantic class; pixels with a negative one do not contribute.
         partners: (P,) int64 rows of the batch that serve as x'.
+        sigma_albedo, sigma_position: standard deviations of the kernel in base colour and in position.
     """
     values = torch.stack([prediction.roughness, prediction.metallic], dim=1)
     color = prediction.base_color.detach()

@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The two networks of stage 2 (paper Eq. 11, supplementary "Network architecture").
+"""The two networks of stage 2 (paper Eq. 14, supplementary "Network architecture").
 
-MLP_brdf: hash grid and two hidden layers of 64 to base colour, roughness and metallic. MLP_emit: positional
-encoding with 10 bands and six hidden layers of 128, one skip in the middle, to the emission mask.
+MLP_brdf maps a position to base colour, roughness and metallic: a hash grid and two hidden layers of 64.
+MLP_emit maps it to the emission mask: a positional encoding with 10 bands and six hidden layers of 128, with
+one skip connection in the middle.
 """
 
 from __future__ import annotations
@@ -13,13 +14,13 @@ from dataclasses import dataclass
 
 import torch
 
-from ..job.settings import Settings
+from ..run.settings import Settings
 from .hashgrid import HashGrid
 
 
 @dataclass
 class Prediction:
-    """What the networks say about N points.
+    """Output of MLP_brdf at N points.
 
     Attributes:
         base_color: (N, 3) in [0, 1].
@@ -63,9 +64,9 @@ class BrdfNetwork(torch.nn.Module):
 
 
 class EmissionNetwork(torch.nn.Module):
-    """Raw emission mask of positions in the unit cube; alpha = 1 - exp(-ReLU(raw)) (paper Eq. 11).
+    """Raw emission mask of positions in the unit cube; alpha = 1 - exp(-ReLU(raw)) (paper Eq. 14).
 
-    Where emission is fitted jointly, it has three raw values instead: L_e = ReLU(raw).
+    Where emission is fitted jointly, the network has three outputs instead: L_e = ReLU(raw).
     """
 
     def __init__(self, settings: Settings, generator: torch.Generator, device: torch.device) -> None:
@@ -95,22 +96,40 @@ class EmissionNetwork(torch.nn.Module):
         return raw if self.outputs == 3 else raw[:, 0]
 
 
+@dataclass(frozen=True)
+class Networks:
+    """The two networks of stage 2, on one device."""
+
+    brdf: BrdfNetwork
+    emission: EmissionNetwork
+
+    @property
+    def device(self) -> torch.device:
+        """Device of all parameters."""
+        return next(self.brdf.parameters()).device
+
+
+def networks_generator(settings: Settings) -> torch.Generator:
+    """The generator of the initial weights: on the CPU, so that they are the same on all devices."""
+    return torch.Generator().manual_seed(settings.seed)
+
+
 def emission_mask(raw: torch.Tensor) -> torch.Tensor:
-    """alpha = 1 - exp(-ReLU(raw)) (paper Eq. 11)."""
+    """alpha = 1 - exp(-ReLU(raw)) (paper Eq. 14)."""
     return 1.0 - torch.exp(-torch.relu(raw))
 
 
 def positional_encoding(positions: torch.Tensor, bands: int) -> torch.Tensor:
-    """(N, 3 + 6 bands): the positions in [-1, 1] and sines and cosines of pi 2^k times them (NeRF)."""
+    """(N, 3 + 6 bands): positions (N, 3) in [-1, 1], and sines and cosines of pi 2^k times them (NeRF)."""
     octaves = torch.pi * 2.0 ** torch.arange(bands, device=positions.device, dtype=positions.dtype)
     angles = (positions[:, :, None] * octaves).reshape(len(positions), -1)
     return torch.cat([positions, torch.sin(angles), torch.cos(angles)], dim=1)
 
 
 def useful_hash_levels(settings: Settings, extent: float, footprint: float) -> int:
-    """Levels of the hash grid whose cells are at least half a pixel wide, at most settings.hash_levels.
+    """Number of hash grid levels whose cells are at least half a pixel wide, at most settings.hash_levels.
 
-    Finer cells are seen by less than a pixel each and only learn noise.
+    Less than a pixel sees each finer cell, so finer levels only learn noise.
 
     Args:
         extent: edge of the normalised cube, metres.
@@ -131,7 +150,7 @@ def _mlp(widths: list[int], generator: torch.Generator, device: torch.device) ->
 
 
 def _linear(inputs: int, outputs: int, generator: torch.Generator, device: torch.device) -> torch.nn.Linear:
-    """A linear layer with He-uniform weights from `generator` and no bias at first."""
+    """A linear layer with He-uniform weights from `generator` and zero bias."""
     layer = torch.nn.Linear(inputs, outputs, device=device)
     bound = (6.0 / inputs) ** 0.5 if outputs > 1 else (1.0 / inputs) ** 0.5
     weight = (torch.rand((outputs, inputs), generator=generator) * 2.0 - 1.0) * bound

@@ -1,23 +1,33 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which surfaces photographs saw, and what stands in for the others: their part's median, else the nearest
-seen point. The one rule for textures, for refinement and for forward rendering.
+"""Which surfaces the photographs saw, and the values of the others.
+
+An unseen point takes the median of its part, or the value of the nearest seen point if no pixel saw the part.
+Textures, refinement and forward rendering share this rule.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
+
+from ..scene.grouped import grouped_median
+from ..scene.pixels import PixelStore
+from .groups import Units
 
 RESOLUTION = 128
-# Cells along an axis with one more at each end, so that neighbours of the outermost have numbers too.
+# Cells along an axis with one more at each end, so that neighbours of the outermost cells have keys too.
 SIDE = RESOLUTION + 2
-# Seen points kept for the nearest-neighbour search, and the cells along the room in which unseen ones share.
+# Number of seen points kept for the nearest-neighbour search, and of cells along the room's longest edge in
+# which unseen points share their nearest neighbour.
 SEEN_POINTS = 4096
-CELLS = 64
+SEARCH_CELLS = 64
+# Largest number of cells from the seen points to an unseen one, so that keys of cells fit into 64 bits.
+MOST_SEARCH_CELLS = 1 << 19
 CHUNK = 1 << 20
 
 
@@ -34,7 +44,7 @@ class Box:
 
 
 def room_box(bounds: tuple[np.ndarray, np.ndarray]) -> Box:
-    """The cube around a room's bounds, a little larger."""
+    """A cube slightly larger than a room of these bounds, metres."""
     low, high = bounds
     extent = float((high - low).max()) * 1.002
     return Box(low - 0.001 * extent, extent)
@@ -42,12 +52,12 @@ def room_box(bounds: tuple[np.ndarray, np.ndarray]) -> Box:
 
 @dataclass(frozen=True)
 class SeenCells:
-    """Pairs of a cell of the room's cube and a part of which some pixel saw a surface.
+    """Pairs of a cell of the normalised cube and a part of which some pixel saw a surface in that cell.
 
     Attributes:
-        keys: (K,) int64, rising; a pair's number (:func:`cell_keys`).
-        points: (K, 3) float32 world, a surface point of each that was seen.
-        part: (K,) int32, negative for none.
+        keys: (C,) int64, ascending: key of the pair (:func:`cell_keys`).
+        points: (C, 3) float32 a surface point of each that was seen, world metres.
+        part: (C,) int32, negative for none.
     """
 
     keys: np.ndarray
@@ -55,7 +65,7 @@ class SeenCells:
     part: np.ndarray
 
     def find(self, box: Box, positions: np.ndarray, part: np.ndarray) -> np.ndarray:
-        """(N,) int64 index of the pair in which each point lies, or of one beside it; -1 where none was seen.
+        """(N,) int64 index of the pair in which each point lies, or of a neighbouring one; -1 if unseen.
 
         Neighbours count because pixels may be wider than cells.
         """
@@ -66,39 +76,52 @@ class SeenCells:
         return result
 
     def _find(self, wanted: np.ndarray) -> np.ndarray:
-        found = np.full(len(wanted), -1, np.int64)
+        result = np.full(len(wanted), -1, np.int64)
         if not len(self.keys):
-            return found
-        # Own cell first, then faces, edges and corners; the number of a neighbour differs by a constant.
+            return result
+        # The cell itself first, then its neighbours over faces, edges and corners; keys of neighbours differ
+        # by a constant.
         steps = sorted(itertools.product((0, -1, 1), repeat=3), key=lambda step: sum(map(abs, step)))
-        lost = np.arange(len(wanted))
+        missing = np.arange(len(wanted))
         for step in _flat(np.array(steps)):
-            keys = wanted[lost] + step
+            keys = wanted[missing] + step
             place = np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)
             hit = self.keys[place] == keys
-            found[lost[hit]] = place[hit]
-            lost = lost[~hit]
-        return found
+            result[missing[hit]] = place[hit]
+            missing = missing[~hit]
+        return result
 
 
-def seen_cells(box: Box, pieces: Iterable[tuple[np.ndarray, np.ndarray]]) -> SeenCells:
-    """The pairs of cell and part in which pixels saw surface points.
+def find_seen_cells(pixels: PixelStore, units: Units, box: Box) -> SeenCells:
+    """The cells in which the pixels of a run saw the units of the mesh."""
+
+    def views() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        for first, last in itertools.pairwise(pixels.ranges):
+            triangle = np.asarray(pixels.triangle[first:last])
+            hit = triangle >= 0
+            yield np.asarray(pixels.position[first:last])[hit], units.triangle[triangle[hit]]
+
+    return seen_cells(box, views())
+
+
+def seen_cells(box: Box, views: Iterable[tuple[np.ndarray, np.ndarray]]) -> SeenCells:
+    """The pairs of cell and part in which surface points were seen.
 
     Args:
-        pieces: positions (n, 3), world, and part (n,) int of them, negative for none; view by view.
+        views: for each view positions (n, 3), world metres, and their parts (n,) int, negative for none.
     """
     keys, points = np.zeros(0, np.int64), np.zeros((0, 3), np.float32)
     parts = np.zeros(0, np.int32)
-    for positions, part in pieces:
+    for positions, part in views:
         new, place = np.unique(cell_keys(box, positions, part), return_index=True)
-        keys, chosen = np.unique(np.concatenate([keys, new]), return_index=True)
-        points = np.concatenate([points, positions[place].astype(np.float32)])[chosen]
-        parts = np.concatenate([parts, part[place].astype(np.int32)])[chosen]
+        keys, kept = np.unique(np.concatenate([keys, new]), return_index=True)
+        points = np.concatenate([points, positions[place].astype(np.float32)])[kept]
+        parts = np.concatenate([parts, part[place].astype(np.int32)])[kept]
     return SeenCells(keys, points, parts)
 
 
 def cell_keys(box: Box, positions: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """(N,) int64 number of the pair of cell and part of each point."""
+    """(N,) int64 key of the pair of cell and part of each point."""
     return (np.maximum(part.astype(np.int64), -1) + 1) * SIDE**3 + _flat(_cells(box, positions))
 
 
@@ -112,13 +135,13 @@ def _flat(cells: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class SeenStatistics:
-    """What is known of the seen points of a room.
+    """Values of the seen points of a room.
 
     Attributes:
-        parts: (P,) int64 parts with a seen point, rising.
-        medians: (P, C) of the values in each of them.
-        positions: (S, 3) a spread of seen points.
-        values: (S, C) there.
+        parts: (P,) int64 parts with a seen point, ascending.
+        medians: (P, C) of the values of each.
+        positions: (S, 3) a subset of the seen points, world metres.
+        values: (S, C) of this subset.
     """
 
     parts: np.ndarray
@@ -128,59 +151,51 @@ class SeenStatistics:
 
 
 def seen_statistics(positions: np.ndarray, part: np.ndarray, values: np.ndarray) -> SeenStatistics:
-    """Medians of parts and a spread of points; the points given should lie evenly on what was seen.
+    """Medians of the parts and a subset of the points, which should lie evenly on the seen surfaces.
 
     Args:
-        positions: (N, 3) world. part: (N,), negative for none. values: (N, C).
+        positions: (N, 3) world metres. part: (N,) int, negative for none. values: (N, C).
     """
-    order = np.argsort(part, kind="stable")
-    ids, starts = np.unique(part[order], return_index=True)
-    groups = np.split(order, starts[1:]) if len(order) else []
-    medians = [np.median(values[group], axis=0) for group in groups]
-    known = ids >= 0
+    parts, group = np.unique(part, return_inverse=True)
+    medians = grouped_median(values, group, len(parts))
+    known = parts >= 0
     stride = max(len(positions) // SEEN_POINTS, 1)
     return SeenStatistics(
-        ids[known].astype(np.int64),
-        np.array(medians, np.float32).reshape(len(ids), values.shape[1])[known],
+        parts[known].astype(np.int64),
+        medians.astype(np.float32)[known],
         positions[::stride],
         values[::stride],
     )
 
 
-def stand_ins(positions: np.ndarray, part: np.ndarray, statistics: SeenStatistics) -> np.ndarray:
-    """Values for points that no photograph saw.
+def fallback_values(positions: np.ndarray, part: np.ndarray, statistics: SeenStatistics) -> np.ndarray:
+    """(N, C) float32 values of unseen points.
 
     Args:
-        positions: (N, 3) world. part: (N,), negative for none.
+        positions: (N, 3) world metres. part: (N,) int, negative for none.
         statistics: of at least one seen point.
-
-    Returns:
-        (N, C) float32.
     """
     result = np.empty((len(positions), statistics.values.shape[1]), np.float32)
-    orphan = np.ones(len(positions), bool)
+    unseen_part = np.ones(len(positions), bool)
     if len(statistics.parts):
         place = np.minimum(np.searchsorted(statistics.parts, part), len(statistics.parts) - 1)
-        orphan = statistics.parts[place] != part
-        result[~orphan] = statistics.medians[place[~orphan]]
-    if orphan.any():
-        result[orphan] = statistics.values[_nearest(positions[orphan], statistics.positions)]
+        unseen_part = statistics.parts[place] != part
+        result[~unseen_part] = statistics.medians[place[~unseen_part]]
+    if unseen_part.any():
+        result[unseen_part] = statistics.values[_nearest(positions[unseen_part], statistics.positions)]
     return result
 
 
 def _nearest(positions: np.ndarray, candidates: np.ndarray) -> np.ndarray:
-    """Index of the candidate nearest to the middle of each position's cell."""
+    """(N,) int index of the candidate (S, 3) nearest to the centre of each position's search cell."""
     low = candidates.min(axis=0)
-    size = max(float((candidates.max(axis=0) - low).max()) / CELLS, 1e-9)
+    # Positions far from candidates that lie close together need larger cells, which can still be numbered.
+    reach = float(np.abs(positions - low).max())
+    size = max(float((candidates.max(axis=0) - low).max()) / SEARCH_CELLS, reach / MOST_SEARCH_CELLS, 1e-9)
     cell = np.floor((positions - low) / size).astype(np.int64)
     origin = cell.min(axis=0)
     shape = cell.max(axis=0) - origin + 1
-    # One number a cell: sorting rows would take many times as long.
+    # One key per cell: sorting rows of three would take many times as long.
     keys, inverse = np.unique(np.ravel_multi_index((cell - origin).T, shape), return_inverse=True)
     centres = low + (np.stack(np.unravel_index(keys, shape), axis=1) + origin + 0.5) * size
-    nearest = np.empty(len(centres), np.int64)
-    for first in range(0, len(centres), 1024):
-        block = centres[first : first + 1024]
-        distance = ((block[:, None] - candidates[None]) ** 2).sum(axis=2)
-        nearest[first : first + 1024] = distance.argmin(axis=1)
-    return nearest[inverse.ravel()]
+    return cKDTree(candidates).query(centres)[1][inverse.ravel()]

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How a render is compared with a photograph: tone mapping, PSNR and false colours, in one place.
+"""Comparison of a render with a photograph: tone mapping, PSNR and false colours.
 
-numpy alone: Blender's side, the report and the benchmarks all import it.
+Numpy only: Blender's side, the report and the benchmarks import it.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 GAMMA = 1.0 / 2.2
-ERROR_FULL = 0.25
-# Stops of a colour map whose lightness rises evenly, from black over purple and orange to pale yellow.
+ERROR_FULL = 0.25  # difference of display values that has the brightest colour
+# Stops of a perceptually uniform colour map from black through purple and orange to pale yellow.
 ERROR_STOPS = np.array(
     [[0, 0, 4], [66, 10, 104], [147, 38, 103], [221, 81, 58], [252, 165, 10], [252, 255, 164]], np.float32
 )
@@ -21,11 +21,11 @@ ERROR_STOPS = np.array(
 
 @dataclass(frozen=True)
 class Agreement:
-    """How well a render agrees with its photograph, in dB; infinite where they are equal.
+    """Agreement of a render with its photograph in dB; infinite if they are equal.
 
     Attributes:
-        psnr: of tone-mapped values (paper, Sec. 6.2: clipped to [0, 1], γ = 1/2.2).
-        psnr_linear: of scene-linear values clipped to [0, 1].
+        psnr: PSNR of tone-mapped values (paper, Sec. 6.2: clipped to [0, 1], γ = 1/2.2).
+        psnr_linear: PSNR of scene-linear values clipped to [0, 1].
     """
 
     psnr: float
@@ -33,10 +33,10 @@ class Agreement:
 
 
 def choose_exposure(median_radiance: float) -> float:
-    """Factor before display and PSNR: 1 unless photographs would come out near black or white.
+    """Factor on radiance before display and PSNR: 1 unless the photographs would be nearly black or white.
 
     Args:
-        median_radiance: of the photographs shown.
+        median_radiance: of the photographs that are shown.
     """
     if not median_radiance > 0.0 or 0.02 <= median_radiance <= 1.0:
         return 1.0
@@ -44,7 +44,7 @@ def choose_exposure(median_radiance: float) -> float:
 
 
 def clipped(radiance: np.ndarray, exposure: float = 1.0) -> np.ndarray:
-    """Scene-linear values in [0, 1], float64; what is no number counts as black."""
+    """Scene-linear values clipped to [0, 1], float64; NaN becomes 0."""
     scaled = np.asarray(radiance, np.float64) * exposure
     return np.clip(np.nan_to_num(scaled, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
 
@@ -60,7 +60,7 @@ def to_display(radiance: np.ndarray, exposure: float = 1.0) -> np.ndarray:
 
 
 def psnr_of(squared_error: float) -> float:
-    """PSNR in dB of a mean squared error of values in [0, 1]; infinite for none."""
+    """PSNR in dB for a mean squared error of values in [0, 1]; infinite for 0."""
     return float("inf") if squared_error == 0.0 else -10.0 * float(np.log10(squared_error))
 
 
@@ -76,7 +76,7 @@ def compare(estimate: np.ndarray, truth: np.ndarray, exposure: float = 1.0) -> A
 
 
 def error_colors(position: np.ndarray) -> np.ndarray:
-    """Display colours (…, 3) f32 of errors; 1 is ERROR_FULL and brightest."""
+    """False colours (…, 3) f32, display values, of positions (…) on the colour map from 0 to 1."""
     at = np.arange(len(ERROR_STOPS))
     place = np.clip(position, 0.0, 1.0) * (len(ERROR_STOPS) - 1)
     channels = [np.interp(place, at, ERROR_STOPS[:, channel]) for channel in range(3)]
@@ -84,20 +84,20 @@ def error_colors(position: np.ndarray) -> np.ndarray:
 
 
 def error_picture(estimate: np.ndarray, truth: np.ndarray, exposure: float = 1.0) -> np.ndarray:
-    """Mean absolute difference of display values as colours (H, W, 3) in [0, 1]; ERROR_FULL is brightest."""
+    """Mean absolute difference of display values in false colours (H, W, 3); ERROR_FULL is the brightest."""
     difference = np.abs(tone_mapped(estimate, exposure) - tone_mapped(truth, exposure)).mean(axis=-1)
     return error_colors(difference / ERROR_FULL)
 
 
 def resize_to(image: np.ndarray, width: int, height: int) -> np.ndarray:
-    """A scene-linear image (H, W, C) at another size, box filtered so that no energy is lost."""
+    """A scene-linear image (H, W, C) at another size; box filter, which preserves the mean."""
     if image.shape[:2] == (height, width):
         return image
     return _resized_rows(_resized_rows(image, height).swapaxes(0, 1), width).swapaxes(0, 1)
 
 
 def _resized_rows(image: np.ndarray, count: int) -> np.ndarray:
-    """Rows averaged over `count` equal stretches of the image, shares of rows counted."""
+    """Means of the rows over `count` equal intervals of the image's height, with fractions of rows."""
     total = np.concatenate([np.zeros_like(image[:1], np.float64), np.cumsum(image, axis=0, dtype=np.float64)])
     edges = np.linspace(0.0, len(image), count + 1)
     low = np.minimum(edges.astype(int), len(image) - 1)

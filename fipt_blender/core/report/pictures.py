@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Display values to PNG files for the report."""
+"""Writing pictures as PNG files."""
 
 from __future__ import annotations
 
@@ -9,11 +9,15 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ..job.runfolder import atomic_path
+from ..run.runfolder import atomic_path
 
 
 def write_png(path: Path, display: np.ndarray) -> None:
-    """Write display values in [0, 1], (H, W, 3) or (H, W), as an 8-bit PNG, whole or not at all."""
+    """Write display values in [0, 1], (H, W, 3) or (H, W), as an 8-bit PNG, completely or not at all.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
     values = np.round(np.clip(display, 0.0, 1.0) * 255.0).astype(np.uint8)
     with atomic_path(path) as temporary:
         Image.fromarray(values).save(temporary, format="PNG", optimize=True)

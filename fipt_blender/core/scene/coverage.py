@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which triangles of the room a view sees, with few rays: a coarse grid of pixels, and one to the middle of
-each triangle that fell between them.
+"""Which triangles of the room a view sees, from few rays: one through each pixel of a coarse image, and one
+to the centroid of each triangle, because small triangles fall between the pixels.
 """
 
 from __future__ import annotations
@@ -14,36 +14,37 @@ import mitsuba as mi
 import numpy as np
 
 from ..capture.views import View
-from .pixels import NO_TRIANGLE, opaque_vector, trace_pixels
+from .camera_rays import opaque_vector, trace_pixels
+from .pixels import NO_TRIANGLE
 from .room import Room
 
 GRID = 256  # pixels along the longer side
-_NEAR = 2e-5  # of the distance: faces that lie in one another are both seen
+_COINCIDENT = 2e-5  # of the distance: coincident faces do not hide each other
 
 
 @dataclass(frozen=True)
-class Sight:
+class Coverage:
     """What a view sees.
 
     Attributes:
         seen: (T,) bool, whether any of each triangle is seen.
-        around: (T,) bool, whether it would be seen if the camera looked there: its middle, or more than that.
+        in_sight: (T,) bool, whether it is seen, or its centroid would be if the camera turned to it.
         room_share: 0..1, share of the pixels that see the mesh.
     """
 
     seen: np.ndarray
-    around: np.ndarray
+    in_sight: np.ndarray
     room_share: float
 
 
-def trace_view(room: Room, view: View) -> Sight:
+def view_coverage(room: Room, view: View) -> Coverage:
     """Which triangles a view sees, whatever their size."""
     triangle = coarse_triangles(room, coarse_view(view))
     seen = np.zeros(len(room.triangles), bool)
     seen[triangle[triangle >= 0]] = True
-    middles, around = _middles_seen(room, view)
-    seen |= middles
-    return Sight(seen, seen | around, float((triangle >= 0).mean()))
+    centroid_seen, centroid_in_sight = _centroids_seen(room, view)
+    seen |= centroid_seen
+    return Coverage(seen, seen | centroid_in_sight, float((triangle >= 0).mean()))
 
 
 def coarse_view(view: View, grid: int = GRID) -> View:
@@ -57,7 +58,7 @@ def coarse_view(view: View, grid: int = GRID) -> View:
 
 
 def coarse_triangles(room: Room, view: View) -> np.ndarray:
-    """(H * W,) int32 triangle seen by each pixel, NO_TRIANGLE where none."""
+    """(H * W,) int32 triangle that each pixel sees, NO_TRIANGLE where none."""
     surface = trace_pixels(room, view)
     return np.where(np.array(surface.valid), np.array(surface.triangle).astype(np.int32), NO_TRIANGLE)
 
@@ -65,7 +66,14 @@ def coarse_triangles(room: Room, view: View) -> np.ndarray:
 def fuse_inputs(
     room: Room, views: Sequence[View], source: str
 ) -> tuple[list[np.ndarray | None], list[np.ndarray]]:
-    """Id images and triangles seen, both on the coarse grid; nothing for sources that are no images."""
+    """Inputs of `label_parts` on the coarse pixel grid; empty for sources other than id images.
+
+    Returns:
+        for each view that has an id image of the source, the (H, W) ids and the (H * W,) triangles seen.
+
+    Raises:
+        FiptError: those of reading the id images.
+    """
     if source not in ("masks", "semantics"):
         return [], []
     images: list[np.ndarray | None] = []
@@ -74,32 +82,32 @@ def fuse_inputs(
         ids = view.part_ids() if source == "masks" else view.semantic_ids()
         if ids is None:
             continue
-        small = coarse_view(view)
-        rows = ((np.arange(small.height) + 0.5) * view.height / small.height).astype(np.int64)
-        columns = ((np.arange(small.width) + 0.5) * view.width / small.width).astype(np.int64)
+        coarse = coarse_view(view)
+        rows = ((np.arange(coarse.height) + 0.5) * view.height / coarse.height).astype(np.int64)
+        columns = ((np.arange(coarse.width) + 0.5) * view.width / coarse.width).astype(np.int64)
         images.append(ids[rows[:, None], columns])
-        triangles.append(coarse_triangles(room, small))
+        triangles.append(coarse_triangles(room, coarse))
     return images, triangles
 
 
-def _middles_seen(room: Room, view: View) -> tuple[np.ndarray, np.ndarray]:
-    """(T,) bool each: whether the middle of each triangle lies in the image with nothing before it, and
-    whether nothing lies before it, in the image or not.
+def _centroids_seen(room: Room, view: View) -> tuple[np.ndarray, np.ndarray]:
+    """(T,) bool each: whether each triangle's centroid is in the image and nothing hides it, and whether
+    nothing hides it, in the image or not.
     """
     corners = [mi.Int32(np.ascontiguousarray(room.triangles[:, axis], np.int32)) for axis in range(3)]
     table = mi.Float(np.ascontiguousarray(room.vertices, np.float32).reshape(-1))
-    middle = sum(dr.gather(mi.Point3f, table, corner) for corner in corners) / 3.0
+    centroid = sum(dr.gather(mi.Point3f, table, corner) for corner in corners) / 3.0
     pose = np.asarray(view.camera_to_world, np.float64)
     origin = opaque_vector(mi.Point3f, pose[:3, 3])
-    away = mi.Vector3f(middle - origin)
-    x, y, z = (dr.dot(away, opaque_vector(mi.Vector3f, pose[:3, axis])) for axis in range(3))
-    numbers = (view.fx, view.fy, view.cx, view.cy, view.width, view.height)
-    fx, fy, cx, cy, width, height = (dr.opaque(mi.Float, float(number)) for number in numbers)
+    toward = mi.Vector3f(centroid - origin)
+    x, y, z = (dr.dot(toward, opaque_vector(mi.Vector3f, pose[:3, axis])) for axis in range(3))
+    parameters = (view.fx, view.fy, view.cx, view.cy, view.width, view.height)
+    fx, fy, cx, cy, width, height = (dr.opaque(mi.Float, float(value)) for value in parameters)
     column, row = fx * x / z + cx, fy * y / z + cy
     inside = (z > 0.0) & (column >= 0.0) & (column <= width) & (row >= 0.0) & (row <= height)
-    distance = dr.norm(away)
-    ray = mi.Ray3f(origin, away / dr.maximum(distance, 1e-20))
+    distance = dr.norm(toward)
+    ray = mi.Ray3f(origin, toward / dr.maximum(distance, 1e-20))
     hit = room.scene.ray_intersect_preliminary(ray, coherent=False)
-    same = hit.prim_index == dr.arange(mi.UInt32, len(room.triangles))
-    free = hit.is_valid() & (same | (hit.t > distance * (1.0 - _NEAR)))
-    return np.array(inside & free), np.array(free)
+    reached = hit.prim_index == dr.arange(mi.UInt32, len(room.triangles))
+    unhidden = hit.is_valid() & (reached | (hit.t > distance * (1.0 - _COINCIDENT)))
+    return np.array(inside & unhidden), np.array(unhidden)

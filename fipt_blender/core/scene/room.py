@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The room's mesh as arrays and as a Mitsuba scene for ray queries.
 
-Blender writes room.npz (docs/architecture.md); nothing here reads mesh files. All surfaces are double-sided:
-normals are flipped to the side that is looked at, so inverted ones do no harm.
+Blender writes room.npz (docs/architecture.md); mesh files are not read here. All surfaces are double-sided:
+normals are flipped towards the viewer, so that inverted normals have no effect.
 """
 
 from __future__ import annotations
@@ -16,31 +16,41 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..job.errors import FiptError
-from ..job.runfolder import RunFolder, read_json
+from ..run.errors import FiptError
+from ..run.run_files import read_room_files
+from ..run.runfolder import RunFolder
 
 
-@dataclass  # not frozen: Dr.Jit's loops write their state back into it
+@dataclass  # not frozen: Dr.Jit's loops write their state back to it
 class Surface:
     """Where rays met the room, as Dr.Jit arrays of one width.
 
     Attributes:
-        valid: Bool, whether anything was hit.
-        position: Point3f, metres, world space.
-        distance: Float, metres along the (unit) ray direction.
-        triangle: UInt32, room triangle index.
-        geometric_normal: Normal3f, unit, as the triangle is wound.
-        normal: Normal3f, unit shading normal on the side that the ray came from.
-        front: Bool, whether the ray came from the side the geometric normal points to.
+        valid: whether anything was hit.
+        position: metres, world space.
+        distance: metres along the (unit) ray direction.
+        triangle: room triangle index.
+        geometric_normal: unit, by the triangle's winding.
+        normal: unit shading normal on the side that the ray came from.
+        front: whether the ray came from the side that the geometric normal points to.
     """
 
-    valid: Any
-    position: Any
-    distance: Any
-    triangle: Any
-    geometric_normal: Any
-    normal: Any
-    front: Any
+    valid: mi.Bool
+    position: mi.Point3f
+    distance: mi.Float
+    triangle: mi.UInt32
+    geometric_normal: mi.Normal3f
+    normal: mi.Normal3f
+    front: mi.Bool
+
+
+_ARRAYS = {
+    "vertices": np.float32,
+    "triangles": np.int32,
+    "corner_normals": np.float32,
+    "triangle_object": np.int32,
+    "triangle_material": np.int32,
+}
 
 
 @dataclass(frozen=True)
@@ -55,7 +65,7 @@ class Room:
         triangle_material: (T,) int32 index into `materials`, -1 without.
         objects: object names.
         materials: material names.
-        parts: where part ids come from: objects, materials, masks or none.
+        parts: source of part ids: auto, masks, semantics, materials, objects, loose or none.
     """
 
     vertices: np.ndarray
@@ -68,25 +78,23 @@ class Room:
     parts: str = "masks"
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without what is made of it here: Mitsuba's objects belong to one process."""
+        """Without the cached Mitsuba objects, which belong to one process."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest corner of the box around all used vertices, each (3,) float64."""
+        """Lowest and highest corner of the bounding box of all used vertices, each (3,) float64, metres."""
         used = self.vertices[self.triangles.reshape(-1)].astype(np.float64)
         return used.min(axis=0), used.max(axis=0)
 
     @cached_property
     def areas(self) -> np.ndarray:
         """(T,) float64 triangle areas in square metres."""
-        corners = self.vertices.astype(np.float64)[self.triangles]
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        return 0.5 * np.linalg.norm(cross, axis=1)
+        return 0.5 * np.linalg.norm(_edge_cross(self.vertices, self.triangles), axis=1)
 
     @cached_property
-    def scene(self) -> Any:
-        """A Mitsuba scene with the mesh alone; needs the variant to be set."""
+    def scene(self) -> mi.Scene:
+        """A Mitsuba scene of the mesh alone; the variant must be set."""
         mesh = mi.Mesh("room", len(self.vertices), len(self.triangles))
         parameters = mi.traverse(mesh)
         parameters["vertex_positions"] = mi.Float(np.ascontiguousarray(self.vertices, np.float32).reshape(-1))
@@ -95,17 +103,18 @@ class Room:
         return mi.load_dict({"type": "scene", "room": mesh})
 
     @cached_property
-    def _shading(self) -> tuple[Any, Any]:
+    def _shading(self) -> tuple[mi.Float, mi.Float]:
+        """Geometric normal of each triangle and shading normal of each corner, as flat Dr.Jit arrays."""
         geometric = triangle_normals(self.vertices, self.triangles).astype(np.float32)
         corner = np.ascontiguousarray(self.corner_normals, np.float32).reshape(-1)
         return mi.Float(geometric.reshape(-1)), mi.Float(corner)
 
-    def intersect(self, ray: Any, active: Any = True) -> Surface:
-        """First surface along each ray (one traversal of the scene).
+    def intersect(self, ray: mi.Ray3f, active: mi.Bool | bool = True) -> Surface:
+        """First surface along each ray, with one traversal of the scene.
 
         Args:
-            ray: Ray3f with unit directions.
-            active: Bool lanes to trace.
+            ray: with unit directions.
+            active: which rays to trace.
         """
         hit = self.scene.ray_intersect_preliminary(ray, coherent=False, active=mi.Bool(active))
         valid = hit.is_valid() & mi.Bool(active)
@@ -121,7 +130,7 @@ class Room:
         front = dr.dot(geometric, toward) > 0.0
         side = dr.select(front, geometric, -geometric)
         smooth = dr.select(dr.dot(smooth, side) < 0.0, -smooth, smooth)
-        # Interpolated normals may turn away from the viewer at silhouettes; the flat one can't.
+        # At silhouettes interpolated normals may point away from the viewer; the geometric normal can't.
         usable = dr.isfinite(smooth.x) & (dr.dot(smooth, toward) > 1e-3)
         normal = dr.select(usable, smooth, side)
         return Surface(
@@ -140,65 +149,62 @@ class Room:
         low, high = self.bounds
         return float(5e-5 * np.linalg.norm(high - low))
 
-    def leave(self, surface_position: Any, geometric_normal: Any, direction: Any) -> Any:
-        """Ray3f that leaves a surface in `direction` without meeting the same surface again."""
-        side = dr.mulsign(mi.Vector3f(geometric_normal), dr.dot(geometric_normal, direction))
-        return mi.Ray3f(surface_position + side * self.offset, direction)
-
 
 def triangle_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """(T, 3) float64 unit geometric normals; (0, 0, 1) for triangles without area."""
-    corners = np.asarray(vertices, np.float64)[np.asarray(triangles)]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = _edge_cross(vertices, triangles)
     length = np.linalg.norm(cross, axis=1, keepdims=True)
     return np.where(length > 1e-30, cross / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
+
+
+def _edge_cross(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(T, 3) float64 cross product of two edges of each triangle: its normal, twice its area long."""
+    corners = np.asarray(vertices, np.float64)[np.asarray(triangles)]
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def load_room(run: RunFolder) -> Room:
     """Read room.npz and room.json.
 
     Raises:
-        FiptError: ``mesh-missing``, ``mesh-damaged`` or ``mesh-empty``.
+        FiptError: ``mesh-missing``, ``mesh-damaged``, ``mesh-empty``, ``file-missing`` or ``file-damaged``.
     """
     if not run.room_npz.exists():
         raise FiptError("mesh-missing", f"{run.room_npz} does not exist.", "Export the room's mesh first.")
-    try:
-        with np.load(run.room_npz, allow_pickle=False) as data:
-            arrays = {name: data[name] for name in data.files}
-        room = Room(
-            vertices=np.asarray(arrays["vertices"], np.float32),
-            triangles=np.asarray(arrays["triangles"], np.int32),
-            corner_normals=np.asarray(arrays["corner_normals"], np.float32),
-            triangle_object=np.asarray(arrays["triangle_object"], np.int32),
-            triangle_material=np.asarray(arrays["triangle_material"], np.int32),
-            **_names(run),
-        )
-    except (KeyError, ValueError, OSError) as error:
-        raise FiptError(
-            "mesh-damaged", f"{run.room_npz} can't be read ({error}).", "Export it again."
-        ) from None
+    arrays, names = read_room_files(run, "mesh-damaged")
+    room = Room(
+        **{name: np.asarray(arrays[name], kind) for name, kind in _ARRAYS.items()},
+        objects=tuple(names["objects"]),
+        materials=tuple(names["materials"]),
+        parts=names.get("parts", "masks"),
+    )
     check_room(room)
     return room
 
 
-def _names(run: RunFolder) -> dict[str, Any]:
-    data = read_json(run.room_json)
-    return {
-        "objects": tuple(data.get("objects", ())),
-        "materials": tuple(data.get("materials", ())),
-        "parts": str(data.get("parts", "masks")),
-    }
-
-
 def check_room(room: Room) -> None:
-    """Raise FiptError ``mesh-empty`` or ``mesh-damaged`` where no ray could be traced."""
-    if not len(room.triangles) or not room.areas.max(initial=0.0) > 0.0:
-        raise FiptError("mesh-empty", "The room's mesh has no surface.", "Choose a mesh with faces.")
-    if room.triangles.min() < 0 or room.triangles.max() >= len(room.vertices):
+    """Refuse a mesh on which no ray can be traced.
+
+    Raises:
+        FiptError: ``mesh-empty`` or ``mesh-damaged``.
+    """
+    count = len(room.triangles)
+    shapes = (
+        (room.vertices.shape[1:], (3,)),
+        (room.triangles.shape[1:], (3,)),
+        (room.corner_normals.shape, (count, 3, 3)),
+        (room.triangle_object.shape, (count,)),
+        (room.triangle_material.shape, (count,)),
+    )
+    if any(shape != needed for shape, needed in shapes):
+        raise FiptError("mesh-damaged", "The arrays of the room's mesh disagree.", "Export it again.")
+    if count and (room.triangles.min() < 0 or room.triangles.max() >= len(room.vertices)):
         raise FiptError("mesh-damaged", "The room's mesh refers to missing vertices.", "Export it again.")
     if not np.isfinite(room.vertices).all():
         raise FiptError(
             "mesh-damaged",
-            "The room's mesh has vertices at infinity.",
+            "The room's mesh has vertices at infinity or NaN.",
             "Remove them (Mesh > Clean Up) and export it again.",
         )
+    if not room.areas.max(initial=0.0) > 0.0:
+        raise FiptError("mesh-empty", "The room's mesh has no surface.", "Choose a mesh with faces.")

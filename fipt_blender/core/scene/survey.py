@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Engine command `survey`: what each view sees of the room, what is wrong with its photograph, which parts
-there are. Quick, for the artist to look at before an estimation; the estimation does not read it.
+"""Engine command `survey`: what each view sees of the room, problems of its photograph, and the available
+parts. A quick check for the artist before an estimation, which does not read it.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from ..capture.checks import pixel_statistics
 from ..capture.images import read_radiance
 from ..capture.views import View, load_capture
 from ..device.variant import set_variant
-from ..job.errors import FiptError
-from ..job.messages import Reporter
-from ..job.runfolder import RunFolder, atomic_path, write_json
+from ..run.errors import FiptError
+from ..run.messages import Reporter
+from ..run.runfolder import RunFolder, atomic_path, write_json
 
 SURVEY_FORMAT = "fipt-survey"
 SURVEY_VERSION = 1
-LITTLE_SEEN = 0.5  # share of a photograph's pixels; what looks past the room tells nothing of it
-MUCH_CLIPPED = 0.002
+LITTLE_SEEN = 0.5  # share of a photograph's pixels that see the room
+MUCH_CLIPPED = 0.002  # share of a photograph's pixels
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,34 +34,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
-    """Look at all views of FOLDER/capture.json and write FOLDER/survey.json and survey.npz beside it.
+    """Examine all views of FOLDER/capture.json and write FOLDER/survey.json and FOLDER/survey.npz.
 
     Raises:
-        FiptError: where capture or mesh can't be read, or a mask can't be used.
+        FiptError: where the capture or the mesh can't be read, or a mask can't be used.
     """
     reporter.plan([0.1, 0.7, 0.2])
     reporter.stage("device", "Starting the engine")
     set_variant(arguments.device)
-    # Mitsuba's names exist once the variant is set.
-    from .coverage import fuse_inputs, trace_view
+    # Mitsuba's types exist only after the variant is set.
+    from .coverage import fuse_inputs, view_coverage
     from .labels import choose_source, label_parts, usable_sources
     from .room import load_room
 
     folder = RunFolder(arguments.folder)
     capture, room = load_capture(folder), load_room(folder)
-    reporter.stage("views", "Looking through every camera")
+    reporter.stage("views", "Finding what each camera sees")
     entries: list[dict[str, Any]] = []
     seen = np.zeros((len(capture.views), len(room.triangles)), bool)
-    around = np.zeros(len(room.triangles), bool)
+    in_sight = np.zeros(len(room.triangles), bool)
     for index, view in enumerate(capture.views):
-        sight = trace_view(room, view)
-        seen[index] = sight.seen
-        around |= sight.around
-        entries.append({"name": view.name, "room_share": sight.room_share, **look_at_photograph(view)})
-        entries[-1]["warning"] = judge_view(entries[-1])
+        coverage = view_coverage(room, view)
+        seen[index] = coverage.seen
+        in_sight |= coverage.in_sight
+        facts = {"name": view.name, "room_share": coverage.room_share, **photograph_facts(view)}
+        entries.append({**facts, "warning": view_warning(facts)})
         reporter.progress((index + 1) / len(capture.views))
 
-    reporter.stage("parts", "Telling parts apart")
+    reporter.stage("parts", "Finding the parts")
     train = [view for view in capture.train if view.image.is_file()]
     labels = {}
     sources = [*usable_sources(room, train), "loose"]
@@ -74,8 +74,8 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         np.savez_compressed(
             temporary,
             seen=np.packbits(seen, axis=1),
-            # What is hidden from wherever the cameras stood, such as the walls' outer sides, is no gap.
-            areas=np.where(around, room.areas, 0.0).astype(np.float32),
+            # Surfaces hidden from all camera positions, such as the outer sides of walls, are not gaps.
+            areas=np.where(in_sight, room.areas, 0.0).astype(np.float32),
             **{f"parts_{source}": part for source, part in labels.items()},
         )
     write_json(
@@ -93,23 +93,27 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     reporter.done([str(folder.root / name) for name in ("survey.json", "survey.npz")])
 
 
-def look_at_photograph(view: View) -> dict[str, Any]:
-    """What its file tells: whether it is missing or unusable, its over-exposed share, whether it is 8-bit."""
-    result = {"image_missing": False, "image_problem": "", "clipped_share": 0.0, "looks_ldr": False}
+def photograph_facts(view: View) -> dict[str, Any]:
+    """Whether the photograph is missing or unusable, its over-exposed share, and whether it looks 8-bit."""
+    facts = {"image_missing": False, "image_problem": "", "clipped_share": 0.0, "looks_ldr": False}
     try:
         pixels = read_radiance(view.image)
         if pixels.shape[:2] != (view.height, view.width):
             size = f"{pixels.shape[1]} x {pixels.shape[0]}"
-            return result | {"image_problem": f"is {size} pixels, not {view.width} x {view.height}"}
+            return facts | {"image_problem": f"is {size} pixels, not {view.width} x {view.height}"}
         statistics = pixel_statistics(view.image, pixels)
     except FiptError as error:
         missing = error.code == "image-missing"
-        return result | {"image_missing": missing, "image_problem": "" if missing else error.text}
-    return result | {"clipped_share": statistics.clipped, "looks_ldr": statistics.looks_ldr}
+        return facts | {"image_missing": missing, "image_problem": "" if missing else error.text}
+    return facts | {"clipped_share": statistics.clipped, "looks_ldr": statistics.looks_ldr}
 
 
-def judge_view(facts: dict[str, Any]) -> str:
-    """The worst that can be said about a view in few words, "" where there is nothing."""
+def view_warning(facts: dict[str, Any]) -> str:
+    """The most serious problem of a view in a few words, "" where there is none.
+
+    Args:
+        facts: its entry of survey.json.
+    """
     if facts["image_missing"]:
         return "the photograph is missing"
     if facts["image_problem"]:

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The texture room: fields onto UVs, and the table that makes Cycles agree."""
+"""Baking the estimate to textures, and the table with which Cycles shows the fitted BRDF."""

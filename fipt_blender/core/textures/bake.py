@@ -1,9 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Engine command `textures`: the estimated fields sampled at every texel of the atlas.
+"""Engine command `textures`: sample the estimate at every texel of the atlas.
 
-Each texel's centre is a point on the room; the fields are queried there, and the space between islands is
-padded.
+The estimate is queried at the surface point of each texel's centre; the texels between UV islands are padded.
 """
 
 from __future__ import annotations
@@ -19,19 +18,19 @@ import numpy as np
 
 from ..capture.views import load_capture
 from ..device.variant import set_variant
-from ..job.errors import FiptError
-from ..job.messages import Reporter
-from ..job.runfolder import RunFolder, atomic_path, read_json, write_json
+from ..run.messages import Reporter
+from ..run.run_files import read_atlas, read_room_files
+from ..run.runfolder import RunFolder, atomic_path, write_json
 from .padding import pad
 from .raster import nearest_triangle_map
 
-QUERY_POINTS = 1 << 18
-PAD_TEXELS = 8
+QUERY_POINTS = 1 << 18  # points per query
+PAD_TEXELS = 8  # by which islands are grown
 MAPS = ("base_color", "roughness", "metallic", "confidence")
 
 
 class FieldSource(Protocol):
-    """What baking asks of the estimate; `core.material.fields.RoomFields` is one."""
+    """What baking needs of an estimate; `core.material.fields.RoomFields` implements it."""
 
     def query(
         self, positions: np.ndarray, triangles: np.ndarray
@@ -41,28 +40,29 @@ class FieldSource(Protocol):
 
 @dataclass
 class Samples:
-    """The fields at points of the room."""
+    """The estimate at surface points; float32."""
 
     base_color: np.ndarray  # (N,3)
     roughness: np.ndarray  # (N,)
     metallic: np.ndarray  # (N,)
-    confidence: np.ndarray  # (N,3) of the others, 0 where no photograph saw the point
+    confidence: np.ndarray  # (N,3) of the three above, 0 where no photograph saw the point
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument("run", type=Path, help="run folder with estimated fields and an atlas")
+    parser.add_argument("run", type=Path, help="run folder with an estimate and an atlas")
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
-    """Bake the textures of a run, and the maps of a few of its views.
+    """Bake the textures of a run, and maps of a few of its views.
 
     Raises:
-        FiptError: ``file-missing`` or ``file-damaged`` where an earlier step did not finish.
+        FiptError: ``file-missing`` or ``file-damaged`` if an earlier step has not finished; ``disk-full`` or
+            ``run-unwritable``.
     """
     folder = RunFolder(arguments.run)
     set_variant(folder.read().device)
-    # These import Mitsuba, which finds an LLVM of its own where the variant was not chosen before.
+    # Imported here because these modules import Mitsuba, for which the variant must be chosen first.
     from ..material.fields import RoomFields
     from .view_maps import write_view_maps
 
@@ -79,25 +79,24 @@ def bake(
     fields: FieldSource,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[Path]:
-    """Write textures/ and textures.json, or corner_fields.npz in colour-attribute mode.
+    """Write textures/ with textures.json, or corner_fields.npz in colour-attribute mode.
 
     Args:
-        folder: with room and atlas.
-        fields: what to bake.
-        progress: called with 0 to 1.
+        folder: the run, with room and atlas.
+        fields: the estimate.
+        progress: called with the share that is done.
 
     Returns:
         The files written.
     """
-    atlas = read_json(folder.atlas_json)
-    arrays = _load(folder.atlas_npz, ("corner_uv", "triangle_image"))
-    room = _load(folder.room_npz, ("vertices", "triangles"))
+    room, _ = read_room_files(folder)
+    atlas, arrays = read_atlas(folder, len(room["triangles"]))
     corners = room["vertices"][room["triangles"]]
     if atlas["mode"] == "color_attribute":
         return [_bake_corners(folder, fields, corners, progress)]
     entries = atlas["images"]
     listed: list[dict[str, str]] = []
-    # One image is padded and written while the next is sampled: never more than two in memory.
+    # One image is padded and written while the next is sampled, hence at most two are in memory.
     with ThreadPoolExecutor(1) as writer:
         writing: Future[dict[str, str]] | None = None
         for index, entry in enumerate(entries):
@@ -110,34 +109,37 @@ def bake(
             listed.append(writing.result())
     progress(1.0)
     write_json(folder.textures_json, {"images": listed})
-    written = [folder.root / each[name] for each in listed for name in MAPS]
+    written = [folder.root / entry[name] for entry in listed for name in MAPS]
     return [*written, folder.textures_json]
 
 
 def _sample_image(
     fields: FieldSource, entry: dict, index: int, arrays: dict[str, np.ndarray], corners: np.ndarray
 ) -> tuple[np.ndarray, Samples]:
-    """Flat indices (M,) of the texels that triangles of image number `index` cover, and the fields there.
+    """Flat indices (M,) of the texels that the triangles of an image cover, and the estimate there.
 
     Args:
-        entry: of the image in atlas.json.
-        arrays: of atlas.npz. corners: (T,3,3) f32 world.
+        fields: the estimate.
+        entry: the image's entry in atlas.json.
+        index: of the image.
+        arrays: content of atlas.npz.
+        corners: (T,3,3) f32 world.
     """
-    mine = np.flatnonzero(arrays["triangle_image"] == index)
+    of_image = np.flatnonzero(arrays["triangle_image"] == index)
     width, height = int(entry["width"]), int(entry["height"])
-    uv = arrays["corner_uv"][mine] * np.array([width, height], np.float64)
+    uv = arrays["corner_uv"][of_image] * np.array([width, height], np.float64)
     texel, triangle, weights = nearest_triangle_map(uv, width, height)
-    positions = np.einsum("nk,nkc->nc", weights, corners[mine[triangle]]).astype(np.float32)
-    return texel, sample_fields(fields, positions, mine[triangle])
+    positions = np.einsum("nk,nkc->nc", weights, corners[of_image[triangle]]).astype(np.float32)
+    return texel, sample_fields(fields, positions, of_image[triangle])
 
 
 def sample_fields(fields: FieldSource, positions: np.ndarray, triangles: np.ndarray) -> Samples:
-    """Query the fields in chunks; values are clipped to what a texture may hold.
+    """Query the estimate in chunks; values are clipped to [0, 1].
 
     Args:
         fields: the estimate.
         positions: (N,3) f32 world.
-        triangles: (N,) int, on which they lie.
+        triangles: (N,) int triangle of each position.
     """
     count = len(positions)
     result = Samples(
@@ -156,18 +158,8 @@ def sample_fields(fields: FieldSource, positions: np.ndarray, triangles: np.ndar
     return result
 
 
-def _load(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            return {name: data[name] for name in names}
-    except FileNotFoundError:
-        raise FiptError("file-missing", f"{path} does not exist.", "Run the step that writes it.") from None
-    except (OSError, KeyError, ValueError) as error:
-        raise FiptError("file-damaged", f"{path} can't be read ({error}).", "Write it again.") from None
-
-
 def _write_image(folder: RunFolder, entry: dict, texel: np.ndarray, samples: Samples) -> dict[str, str]:
-    """Write the maps of one image; returns its entry in textures.json."""
+    """Pad and write the maps of one image; returns its entry in textures.json."""
     from ..capture.images import write_exr
 
     width, height = int(entry["width"]), int(entry["height"])
@@ -177,7 +169,7 @@ def _write_image(folder: RunFolder, entry: dict, texel: np.ndarray, samples: Sam
     image[texel] = np.column_stack(
         [samples.base_color, samples.roughness, samples.metallic, samples.confidence]
     )
-    # Row 0 is v = 0 here and the top in files.
+    # Row 0 is v = 0 here, but the top row in image files.
     padded = pad(image.reshape(height, width, 8), filled.reshape(height, width), PAD_TEXELS)[::-1]
     planes = padded[..., :3], padded[..., 3], padded[..., 4], padded[..., 5:]
     listed = {"name": str(entry["name"])}
@@ -194,7 +186,7 @@ def _bake_corners(
     progress: Callable[[float], None],
 ) -> Path:
     count = len(corners)
-    # A thousandth inwards: at a corner itself the neighbouring surface could answer.
+    # Sampled a thousandth inwards: a corner itself may lie on the neighbouring surface too.
     inwards = corners + 1e-3 * (corners.mean(axis=1, keepdims=True) - corners)
     positions = inwards.reshape(-1, 3).astype(np.float32)
     samples = sample_fields(fields, positions, np.repeat(np.arange(count), 3))

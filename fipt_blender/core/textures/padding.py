@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Filling the texels between UV islands, so that filtering and mipmaps never read an empty one.
+"""Filling the texels between UV islands, so that filtering and mipmaps never read an empty texel.
 
-Near the islands the border grows outwards texel by texel; what is left is filled by push-pull.
+Islands are first grown texel by texel; the remaining texels are filled by push-pull.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ def pad(image: np.ndarray, filled: np.ndarray, texels: int = 8) -> np.ndarray:
         texels: how far islands grow before push-pull fills the rest.
 
     Returns:
-        (H,W,C) f32, equal to `image` where `filled`; all zeros where nothing is filled at all.
+        (H,W,C) f32, equal to `image` where `filled`; all zero if no texel is filled.
     """
     if not filled.any():
         return np.zeros_like(image)
@@ -27,7 +27,7 @@ def pad(image: np.ndarray, filled: np.ndarray, texels: int = 8) -> np.ndarray:
 
 
 def _grow(image: np.ndarray, filled: np.ndarray, texels: int) -> tuple[np.ndarray, np.ndarray]:
-    # A border of one texel spares the tests at the image's edges.
+    # With a border of one texel, no tests are needed at the image's edges.
     height, width, channels = image.shape
     stride = width + 2
     valid = np.zeros((height + 2, stride), bool)
@@ -58,7 +58,7 @@ def _grow(image: np.ndarray, filled: np.ndarray, texels: int) -> tuple[np.ndarra
 
 
 def _push_pull(image: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Averages of ever larger blocks, each empty texel taking the finest block that holds anything."""
+    """Push-pull: each empty texel takes the average of the smallest block around it that is not empty."""
     height, width, channels = image.shape
     if valid.all() or (height <= 1 and width <= 1):
         return image

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Triangles in the plane of an image to the texels they cover, with barycentric coordinates.
+"""Rasterisation of triangles in the plane of an image, with barycentric coordinates.
 
-Numpy only: the Blender side uses it to judge UVs, the engine to bake. Texel (column i, row j) has its
-centre at (i + 0.5, j + 0.5); row 0 lies at v = 0, so rows run upwards as V does.
+Numpy only: Blender's side uses it to judge UVs, the engine to bake. Texel (column i, row j) has its centre at
+(i + 0.5, j + 0.5); row 0 is at v = 0, so that rows run upwards like V.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-# Candidate texels handled at once: bounds the memory of one chunk to about 0.5 GB.
+# Candidate texels per chunk, which limits the memory of a chunk to about 0.5 GB.
 CHUNK_TEXELS = 2_000_000
 
 
@@ -24,18 +24,18 @@ def covered_texels(
     Args:
         corners: (T,3,2) positions in texels.
         width, height: of the image in texels.
-        reach: distance in texels up to which texels outside a triangle count; 0.75 makes the result
+        reach: distance in texels up to which texels outside a triangle count; with 0.75 the result is
             conservative (a triangle thinner than a texel is never lost).
 
     Yields:
         Chunks of (texel (M,) i64 flat index row * width + column, triangle (M,) i64,
         barycentric (M,3) f32 of the nearest point of the triangle, distance (M,) f32 in texels).
-        A texel comes once for each triangle that covers it.
+        A texel is listed once for each triangle that covers it.
     """
     corners = np.asarray(corners, np.float64)
     low = np.floor(corners.min(axis=1) - 0.5 - reach).astype(np.int64) + 1
     high = np.ceil(corners.max(axis=1) - 0.5 + reach).astype(np.int64)
-    # Centres exactly on the border of a triangle count as inside, hence one texel more on each side.
+    # Centres exactly on the border of a triangle count as inside, hence one more texel on each side.
     low = np.clip(low - 1, 0, (width, height))
     high = np.clip(high + 1, 0, (width, height))
     extent = np.maximum(high - low, 0)
@@ -62,7 +62,7 @@ def _cover(
         return
 
     def spread(values: np.ndarray) -> np.ndarray:
-        """From triangles to the texels of their boxes; far quicker than by index."""
+        """Repeat values per triangle for the texels of its box; much faster than indexing."""
         return np.repeat(values, count)
 
     within = np.arange(count.sum()) - spread(np.cumsum(count) - count)
@@ -76,7 +76,7 @@ def _cover(
     lengths = np.linalg.norm(edges, axis=2)
     doubled_area = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
     sign = np.where(doubled_area < 0.0, -1.0, 1.0)
-    # Signed distance of the texel to each edge's line, positive inside.
+    # Signed distance of the texel from each edge's line times the edge's length, positive inside.
     keep = np.ones(len(within), bool)
     inside = spread(np.abs(doubled_area) > 1e-12)
     for corner in range(3):
@@ -166,9 +166,9 @@ def nearest_triangle_map(
 
 
 def cover_count(corners: np.ndarray, width: int, height: int) -> np.ndarray:
-    """How many triangles cover each texel centre, (height, width) i32.
+    """Number of triangles that cover each texel's centre, (height, width) i32.
 
-    Neighbours that share an edge don't count twice: triangles are shrunk by a thousandth of a texel.
+    Triangles are shrunk by a thousandth of a texel, so that a centre on a shared edge does not count twice.
     """
     corners = np.asarray(corners, np.float64)
     centre = corners.mean(axis=1, keepdims=True)

@@ -1,9 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the estimate says about the pixels of some views: base colour, roughness, metallic, emitted
-radiance, and how well the first three are known.
+"""Maps of the estimate in the pixels of some views: base colour, roughness, metallic, emission, confidence.
 
-Written below results/maps for the report and for anyone who wants images instead of textures.
+They are written to results/maps, for the report and for users who want images instead of textures.
 """
 
 from __future__ import annotations
@@ -17,10 +16,11 @@ import numpy as np
 
 from ..capture.images import write_exr
 from ..capture.views import View
-from ..job.runfolder import RunFolder, read_json, write_json
 from ..material.fields import RoomFields
-from ..render.lights import AreaLights, EmitterTable
-from ..scene.pixels import trace_pixels
+from ..optics.lights import AreaLights, EmitterTable
+from ..run.run_files import read_emitters
+from ..run.runfolder import RunFolder, write_json
+from ..scene.camera_rays import trace_pixels
 from ..scene.room import Room, load_room
 
 MAX_VIEWS = 3
@@ -28,13 +28,13 @@ MAX_WIDTH = 640
 
 
 def write_view_maps(run: RunFolder, fields: RoomFields, views: Sequence[View]) -> list[Path]:
-    """Write the maps of a few views, held-back ones first, and maps.json; returns the files.
+    """Write the maps of up to `MAX_VIEWS` views, preferably held-back ones, and maps.json; returns the files.
 
     Raises:
-        FiptError: where the run's room or emitters can't be read, or ``disk-full``, ``run-unwritable``.
+        FiptError: the run's room or emitters can't be read; ``disk-full`` or ``run-unwritable``.
     """
     room = load_room(run)
-    table = EmitterTable.from_fixtures(read_json(run.emitters_json))
+    table = EmitterTable.from_fixtures(read_emitters(run, len(room.triangles)))
     lights = AreaLights(room.vertices, room.triangles, table)
     folder = run.results / "maps"
     listed, files = [], []
@@ -52,34 +52,40 @@ def write_view_maps(run: RunFolder, fields: RoomFields, views: Sequence[View]) -
 
 
 def view_maps(room: Room, lights: AreaLights, fields: RoomFields, view: View) -> dict[str, np.ndarray]:
-    """The maps of one view at its pixels' centres.
+    """The maps of one view, sampled at the centres of its pixels.
 
     Returns:
-        base_color (H,W,3), roughness (H,W), metallic (H,W), emission (H,W,3) radiance in the photographs'
-        units; zero where the view misses the room, and materials zero on emitters.
+        Arrays by name: base_color (H,W,3), roughness (H,W), metallic (H,W), emission (H,W,3) radiance in the
+        photographs' units, confidence (H,W,3). All are zero where the view does not see the room; all but
+        emission are zero on emitters.
     """
     surface = trace_pixels(room, view)
-    emitter = lights.is_emitter(surface.triangle, surface.valid)
+    emitter = np.array(lights.is_emitter(surface.triangle, surface.valid))
     facing = dr.select(surface.front, 1.0, -1.0)
     emission = np.array(lights.radiance(surface.triangle, facing, surface.valid)).T
-    reflects = np.array(surface.valid & ~emitter)
-    points = np.array(surface.position).T.astype(np.float32), np.array(surface.triangle)
+    # Rays that miss the room have no surface point of which the fields could be asked.
+    valid = np.array(surface.valid)
+    points = np.array(surface.position).T.astype(np.float32)[valid], np.array(surface.triangle)[valid]
     base_color, roughness, metallic = fields.query(*points)
     confidence = fields.confidence(*points)
-    for values in (base_color, roughness, metallic, confidence):
-        values[~reflects] = 0.0
-    size = (view.height, view.width)
+
+    def on_surfaces(values: np.ndarray) -> np.ndarray:
+        pixels = np.zeros((len(valid), *values.shape[1:]), np.float32)
+        pixels[valid] = values
+        pixels[emitter] = 0.0
+        return pixels.reshape(view.height, view.width, *values.shape[1:])
+
     return {
-        "base_color": base_color.reshape(*size, 3),
-        "roughness": roughness.reshape(size),
-        "metallic": metallic.reshape(size),
-        "emission": emission.reshape(*size, 3),
-        "confidence": confidence.reshape(*size, 3),
+        "base_color": on_surfaces(base_color),
+        "roughness": on_surfaces(roughness),
+        "metallic": on_surfaces(metallic),
+        "emission": emission.reshape(view.height, view.width, 3),
+        "confidence": on_surfaces(confidence),
     }
 
 
 def shrunk(view: View, width: int) -> View:
-    """The same view with fewer pixels, if it has more than `width` columns."""
+    """The same view with a lower resolution if it has more than `width` columns."""
     if view.width <= width:
         return view
     height = max(round(view.height * width / view.width), 1)

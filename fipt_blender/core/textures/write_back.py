@@ -1,17 +1,18 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How Cycles' Principled BSDF differs from the paper's BRDF, and what makes it agree at every angle of view.
+"""How Cycles' Principled BSDF differs from the paper's BRDF, and a correction for every viewing angle.
 
-Lit from everywhere alike (white), seen at cosine n.v, with base colour a, roughness sigma and metallic m,
+Under uniform white light, seen at cosine n.v, with base colour a, roughness sigma and metallic m, the albedo
+is
 
     paper:      a (1-m) + (0.04 (1-m) + a m) s0 + s1
     Principled: a (1-m) t + (1-m) e + m (a f0 + f1)
 
-with functions s0, s1, t, e, f0, f1 of n.v and sigma. Principled has another G, so it shines more at grazing
-angles, and its gloss dims its diffuse lobe (t < 1). Scaled by the share r that makes the gloss agree, and
-with a diffuse lobe of colour a (1-m) (1 - r t) added, it reflects what the paper's BRDF does. All factors are
-between 0 and 1: the textures keep the fitted values, and shader nodes do the rest
-(blend/write_back_nodes.py). The functions are tabulated by benchmarks/fit_write_back.py.
+with functions s0, s1, t, e, f0, f1 of n.v and sigma. Principled has another G, with more gloss at grazing
+angles, and its gloss dims its diffuse lobe (t < 1). If Principled is scaled by the factor r that makes the
+gloss agree, and a diffuse lobe of colour a (1-m) (1 - r t) is added, both albedos are equal. All factors are
+between 0 and 1, so that textures can hold the fitted values and shader nodes the correction
+(blend/results/write_back_nodes.py). The functions are tabulated by benchmarks/fit_write_back.py.
 """
 
 from __future__ import annotations
@@ -23,15 +24,16 @@ from pathlib import Path
 
 import numpy as np
 
+from ..optics.factorised import DIELECTRIC_REFLECTANCE, specular_reflectance
+
 TABLE = Path(__file__).with_name("write_back.json")
 FUNCTIONS = ("s0", "s1", "t", "f0", "f1", "e")
-MASKINGS = ("schlick", "smith")  # G of the fitted model; the first two functions depend on it
-DIELECTRIC = 0.04  # the paper's F0 of what is no metal
+MASKINGS = ("schlick", "smith")  # G of the fitted model, on which s0 and s1 depend
 
 
 @dataclass(frozen=True)
 class Table:
-    """The functions on a regular grid: n.v in columns, sigma in rows, both from 0 to 1 inclusive.
+    """The functions on a regular grid: n.v along columns and sigma along rows, both from 0 to 1 inclusive.
 
     Attributes:
         values: (rows, columns, 6), in the order of FUNCTIONS.
@@ -40,7 +42,7 @@ class Table:
     values: np.ndarray
 
     def at(self, cosine: np.ndarray, roughness: np.ndarray) -> dict[str, np.ndarray]:
-        """The functions at points (N,), interpolated linearly."""
+        """The functions, each (N,), at points (N,); bilinear interpolation."""
         rows, columns, _ = self.values.shape
         x, across = _cell(cosine, columns)
         y, up = _cell(roughness, rows)
@@ -57,7 +59,7 @@ def _cell(value: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def table(masking: str = MASKINGS[0]) -> Table:
-    """The package's table for a model with this G."""
+    """The tabulated functions for a model with this G; one of `MASKINGS`."""
     data = json.loads(TABLE.read_text(encoding="utf-8"))
     functions = {**data["principled"], **data[masking]}
     return Table(np.stack([np.array(functions[name], np.float64) for name in FUNCTIONS], axis=-1))
@@ -70,13 +72,13 @@ def paper_albedo(
     cosine: np.ndarray,
     masking: str = MASKINGS[0],
 ) -> np.ndarray:
-    """Albedo (N,3) of the paper's BRDF (Eq. 1) seen at n.v = `cosine`.
+    """Albedo (N,3) of the paper's BRDF (Eq. 1) under uniform light, seen at n.v = `cosine`.
 
     Args:
         base_color: (N,3). roughness, metallic, cosine: (N,).
     """
     f, m = table(masking).at(cosine, roughness), np.asarray(metallic, np.float64)
-    specular = DIELECTRIC * (1.0 - m)[:, None] + base_color * m[:, None]
+    specular = specular_reflectance(base_color, m[:, None])
     return base_color * (1.0 - m)[:, None] + specular * f["s0"][:, None] + f["s1"][:, None]
 
 
@@ -97,18 +99,18 @@ def correction(
     cosine: np.ndarray,
     masking: str = MASKINGS[0],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What makes Principled agree with the paper's BRDF; blend/write_back_nodes.py does the same in nodes.
+    """The correction of Principled towards the paper's BRDF; `write_back_nodes` builds it of nodes.
 
     Args:
         base_color: (N,3). roughness, metallic, cosine: (N,).
 
     Returns:
-        share (N,), by which Principled counts, and colour (N,3) of the diffuse lobe to add.
+        (N,) factor by which Principled is scaled, and (N,3) colour of the diffuse lobe to add.
     """
     f, m = table(masking).at(cosine, roughness), np.asarray(metallic, np.float64)
     mean = np.asarray(base_color, np.float64).mean(axis=1)
-    wanted = (DIELECTRIC + m * (mean - DIELECTRIC)) * f["s0"] + f["s1"]
+    wanted = (DIELECTRIC_REFLECTANCE + m * (mean - DIELECTRIC_REFLECTANCE)) * f["s0"] + f["s1"]
     there = f["e"] + m * (mean * f["f0"] + f["f1"] - f["e"])
-    # A black metal seen straight reflects nothing in either model.
+    # A black metal seen head-on reflects nothing in either model.
     share = np.minimum(np.divide(wanted, there, out=np.zeros_like(there), where=there > 0.0), 1.0)
     return share, base_color * ((1.0 - m) * (1.0 - share * f["t"]))[:, None]

@@ -1,0 +1,196 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Small valid samples for every reader, for fuzz.py and the tests of damaged inputs."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.capture.rig import Lens
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.run_files import read_atlas, read_emitters, read_room_files
+from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.settings import make_settings
+from fipt_blender.core.run.shapes import ROOM_ARRAYS, STAGES
+
+
+@dataclass(frozen=True)
+class Target:
+    """One reader.
+
+    Attributes:
+        name: of the reader.
+        write: makes a valid sample in an empty folder.
+        read: reads it; gets the folder of the sample and an empty folder for what it writes.
+    """
+
+    name: str
+    write: Callable[[Path], None]
+    read: Callable[[Path, Path], None]
+
+
+def _ingest(sample: Path, out: Path) -> None:
+    from fipt_blender.core.capture import ingest
+    from fipt_blender.core.run.messages import Reporter
+
+    run = RunFolder(out / "run")
+    run.create(make_settings("draft"))
+    parser = argparse.ArgumentParser()
+    ingest.add_arguments(parser)
+    with (out / "messages").open("w") as stream:
+        ingest.run(parser.parse_args([str(sample), str(run.root)]), Reporter(stream))
+
+
+def _load_capture(sample: Path, out: Path) -> None:
+    from fipt_blender.core.capture.views import load_capture
+
+    load_capture(RunFolder(sample))
+
+
+def _poses(count: int) -> list[np.ndarray]:
+    poses = []
+    for index in range(count):
+        pose = np.eye(4)
+        pose[:3, 3] = (0.3 * index, 0.1, 1.0)
+        poses.append(pose)
+    return poses
+
+
+def _write_images(folder: Path, count: int) -> None:
+    rng = np.random.default_rng(0)
+    for index in range(count):
+        write_exr(folder / f"{index:03d}.exr", rng.random((8, 12, 3), np.float32), half=True)
+
+
+def _write_mesh(folder: Path) -> None:
+    (folder / "scene.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+
+
+def write_colmap(folder: Path, text: bool) -> None:
+    """A COLMAP model of three cameras with points, its images and a mesh."""
+    import pycolmap
+
+    model = pycolmap.Reconstruction()
+    for index, pose in enumerate(_poses(3), start=1):
+        camera = pycolmap.Camera(
+            camera_id=index, model="OPENCV", width=12, height=8, params=[9, 9, 6, 4, 0, 0, 0, 0]
+        )
+        model.add_camera_with_trivial_rig(camera)
+        points = pycolmap.Point2DList([pycolmap.Point2D(np.array([1.0, 2.0]))] * 2)
+        image = pycolmap.Image(name=f"{index - 1:03d}.jpg", camera_id=index, image_id=index, points2D=points)
+        inverse = np.linalg.inv(pose)
+        rigid = pycolmap.Rigid3d(pycolmap.Rotation3d(inverse[:3, :3].copy()), inverse[:3, 3])
+        model.add_image_with_trivial_frame(image, rigid)
+    track = pycolmap.Track([pycolmap.TrackElement(1, 0), pycolmap.TrackElement(2, 1)])
+    model.add_point3D(np.array([0.5, 0.5, 3.0]), track)
+    (folder / "sparse" / "0").mkdir(parents=True)
+    (model.write_text if text else model.write_binary)(str(folder / "sparse" / "0"))
+    _write_images(folder / "images", 3)
+    _write_mesh(folder)
+
+
+def write_transforms(folder: Path) -> None:
+    """transforms.json with id images."""
+    frames = [
+        {"file_path": f"images/{index:03d}.exr", "transform_matrix": pose.tolist()}
+        for index, pose in enumerate(_poses(3))
+    ]
+    data = {"w": 12, "h": 8, "fl_x": 9.0, "fl_y": 9.0, "cx": 6.0, "cy": 4.0, "frames": frames}
+    (folder / "transforms.json").write_text(json.dumps({**data, "train_filenames": ["images/000.exr"]}))
+    _write_images(folder / "images", 3)
+    _write_ids(folder / "parts", 3)
+    _write_mesh(folder)
+
+
+def _write_ids(folder: Path, count: int) -> None:
+    from PIL import Image
+
+    folder.mkdir(parents=True)
+    for index in range(count):
+        Image.fromarray(np.full((8, 12), index + 1, np.uint8)).save(folder / f"{index:03d}.png")
+
+
+def write_fipt_real(folder: Path) -> None:
+    """cam.txt and K_list.txt."""
+    cameras, matrices = ["3"], ["3"]
+    for pose in _poses(3):
+        origin, forward, up = pose[:3, 3], pose[:3, 2], -pose[:3, 1]
+        cameras += [" ".join(f"{value:.6f}" for value in row) for row in (origin, origin + forward, up)]
+        matrices += ["9 0 6", "0 9 4", "0 0 1"]
+    (folder / "cam.txt").write_text("\n".join(cameras))
+    (folder / "K_list.txt").write_text("\n".join(matrices))
+    _write_images(folder / "Image", 3)
+    _write_mesh(folder)
+
+
+def write_fipt_synthetic(folder: Path) -> None:
+    """train and val folders."""
+    for split in ("train", "val"):
+        frames = [{"transform_matrix": pose.tolist()} for pose in _poses(2)]
+        for index in range(2):
+            write_exr(folder / split / "Image" / f"{index:03d}_0001.exr", np.ones((8, 12, 3), np.float32))
+            write_exr(folder / split / "IndexMA" / f"{index:03d}_0001.exr", np.ones((8, 12, 3), np.float32))
+            write_exr(folder / split / "segmentation" / f"{index:03d}.exr", np.ones((8, 12, 3), np.float32))
+        (folder / split / "transforms.json").write_text(json.dumps({"camera_angle_x": 1.2, "frames": frames}))
+    _write_mesh(folder)
+
+
+def write_capture(folder: Path) -> None:
+    """capture.json as `ingest` writes it, with its images."""
+    with tempfile.TemporaryDirectory() as temporary:
+        source = Path(temporary) / "source"
+        source.mkdir()
+        write_transforms(source)
+        _ingest(source, Path(temporary))
+        capture = json.loads((Path(temporary) / "run" / "capture.json").read_text())
+    _write_images(folder / "images", 3)
+    for index, view in enumerate(capture["views"]):
+        view.update(image=f"images/{index:03d}.exr", parts=None)
+    (folder / "capture.json").write_text(json.dumps({**capture, "mesh": None}))
+
+
+def write_run_files(folder: Path) -> None:
+    """The room, the atlas, the emitters and the records of a run folder."""
+    run = RunFolder(folder)
+    run.create(make_settings("draft"))
+    room = {name: np.zeros([2 if n == "T" else 4 if n == "V" else n for n in sizes], kind)
+            for name, (kind, sizes) in ROOM_ARRAYS.items()}  # fmt: skip
+    np.savez(run.room_npz, **room)
+    write_json(run.room_json, {"objects": ["a"], "materials": ["b"], "parts": "auto"})
+    np.savez(run.atlas_npz, corner_uv=np.zeros((2, 3, 2), np.float32), triangle_image=np.zeros(2, np.int32))
+    write_json(run.atlas_json, {"mode": "uv", "images": [{"name": "Room.001", "width": 8, "height": 8}]})
+    fixture = {"name": "a", "triangles": [0, 1], "radiance": [1, 1, 1], "back_radiance": [0, 0, 0]}
+    write_json(run.emitters_json, {"fixtures": [fixture], "environment": None})
+    write_json(run.stage / "stages.json", {"keys": {"a": "b"}, "stages": {}, "warnings": {}, "values": {}})
+
+
+def _read_run_files(sample: Path, out: Path) -> None:
+    run = RunFolder(sample)
+    room, _ = read_room_files(run)
+    read_atlas(run, len(room["triangles"]))
+    read_emitters(run, len(room["triangles"]))
+    read_json(run.stage / "stages.json", STAGES)
+    run.read()
+
+
+PINHOLE = Lens("PINHOLE", (9.0, 9.0, 6.0, 4.0))
+TARGETS = (
+    Target("colmap-binary", lambda folder: write_colmap(folder, text=False), _ingest),
+    Target("colmap-text", lambda folder: write_colmap(folder, text=True), _ingest),
+    Target("transforms", write_transforms, _ingest),
+    Target("fipt-real", write_fipt_real, _ingest),
+    Target("fipt-synthetic", write_fipt_synthetic, _ingest),
+    Target("capture", write_capture, _load_capture),
+    Target("run-files", write_run_files, _read_run_files),
+)

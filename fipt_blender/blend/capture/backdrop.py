@@ -1,0 +1,99 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is behind inserted objects, the rendered room or the photograph with the room as shadow catcher; and
+the image that a view's camera shows as its background.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import bpy
+
+from ..marks import (
+    CATCHER,
+    COVERED,
+    KEPT_FILM,
+    KEPT_PHOTOGRAPH,
+    all_view_cameras,
+    estimated_objects,
+    remove_marks,
+    shadow_catchers,
+)
+
+
+def set_backdrop(scene: bpy.types.Scene, mode: str, room: Iterable[bpy.types.Object]) -> None:
+    """Choose what is seen behind inserted objects in viewport and renders.
+
+    Args:
+        scene: whose render and object settings change.
+        mode: "ROOM", or "PHOTOGRAPH": the photograph is then seen in place of the room, darkened by shadows.
+            Cycles' viewport shows no reflections there; `composite` does.
+        room: the room's objects; its fixtures become shadow catchers too.
+    """
+    scene.fipt.insert.backdrop = mode
+    for item in shadow_catchers(scene):
+        item.is_shadow_catcher = False
+        remove_marks(item, CATCHER)
+    if mode == "PHOTOGRAPH":
+        for item in estimated_objects(scene, {item.name for item in room}):
+            if not item.is_shadow_catcher:
+                # Cycles would treat a fixture that is not a shadow catcher, and its light, as inserted.
+                item.is_shadow_catcher = True
+                item[CATCHER] = True
+        if KEPT_FILM not in scene:
+            scene[KEPT_FILM] = scene.render.film_transparent
+        scene.render.film_transparent = True
+    elif KEPT_FILM in scene:
+        scene.render.film_transparent = bool(scene[KEPT_FILM])
+        remove_marks(scene, KEPT_FILM)
+    for camera in all_view_cameras(scene):
+        show_photograph(scene, camera)
+    results = scene.fipt.materials
+    if results.object_count and results.shown != "ORIGINAL":
+        clear_view(scene, True)
+
+
+def show_photograph(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
+    """Show a view's photograph in front of the room or, as the backdrop, behind it."""
+    data = camera.data
+    data.pop(COVERED, None)
+    kept = data.get(KEPT_PHOTOGRAPH)
+    if kept is not None:
+        if data.background_images:
+            data.background_images[0].image = kept
+        remove_marks(data, KEPT_PHOTOGRAPH)
+    behind = scene.fipt.insert.backdrop == "PHOTOGRAPH"
+    opacity = 1.0 if behind else scene.fipt.capture.photograph_opacity
+    data.show_background_images = opacity > 0.0
+    for background in data.background_images:
+        # Behind a closed room it would be hidden, except where the room is transparent.
+        background.display_depth = "BACK" if behind else "FRONT"
+        background.alpha = opacity
+
+
+def show_picture(camera: bpy.types.Object, image: bpy.types.Image) -> None:
+    """Show another image over the view, opaque, until `show_photograph`."""
+    data = camera.data
+    data.pop(COVERED, None)
+    if not data.background_images:
+        data.background_images.new().frame_method = "STRETCH"
+    background = data.background_images[0]
+    if KEPT_PHOTOGRAPH not in data and background.image is not None:
+        data[KEPT_PHOTOGRAPH] = background.image
+    background.image, background.display_depth, background.alpha = image, "FRONT", 1.0
+    data.show_background_images = True
+
+
+def clear_view(scene: bpy.types.Scene, clear: bool) -> None:
+    """Hide the images that lie over the room, so that its materials or maps are seen; or show them again.
+
+    Looking through a view, or changing the photograph's opacity, shows that view's image again as well.
+    """
+    behind = scene.fipt.insert.backdrop == "PHOTOGRAPH"
+    for data in {camera.data for camera in all_view_cameras(scene)}:
+        if clear and data.show_background_images and not behind:
+            data.show_background_images = False
+            data[COVERED] = True
+        elif not clear and data.pop(COVERED, None) is not None:
+            data.show_background_images = True

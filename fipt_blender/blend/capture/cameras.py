@@ -1,0 +1,180 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The capture's views as Blender cameras, each with its photograph as background image.
+
+In Blender, resolution and pixel aspect belong to the scene: they are stored as custom properties of the
+camera, and `use_view` sets them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ...core import conventions
+from ...core.run.errors import FiptError
+from ...core.run.run_files import read_capture
+from ...core.run.runfolder import RunFolder
+from ..image_datablocks import load_radiance
+from ..marks import PIXEL_ASPECT, RESOLUTION, SPLIT, VIEW, view_cameras
+from ..outliner import CAMERAS, collection
+from .view_geometry import ViewGeometry
+
+
+def add_cameras(run: RunFolder, scene: bpy.types.Scene | None = None, photographs: bool = True) -> list[str]:
+    """Add a camera for every view of the run's capture to the collection "FIPT Cameras".
+
+    An existing camera of a view is updated instead of duplicated.
+
+    Args:
+        run: the run folder; capture.json is read.
+        scene: the context's scene by default.
+        photographs: show the photographs as camera background images.
+
+    Returns:
+        Names of the camera objects in the order of the views. Blender may shorten or number them; use
+        `find_camera` to look up a view.
+
+    Raises:
+        FiptError: ``file-missing`` or ``file-damaged``.
+    """
+    scene = scene or bpy.context.scene
+    return [
+        add_camera(scene, run, view, photographs).name for view in read_capture(run.capture_json)["views"]
+    ]
+
+
+def add_camera(
+    scene: bpy.types.Scene,
+    run: RunFolder,
+    view: dict[str, Any],
+    photograph: bool = True,
+    parent: bpy.types.Object | None = None,
+) -> bpy.types.Object:
+    """The camera of one view, added to "FIPT Cameras" or updated; the artist's own camera is not changed.
+
+    Args:
+        scene: the scene to add it to.
+        run: the run folder, for the photograph's path.
+        view: an entry of capture.json's views.
+        photograph: show the photograph as the camera's background image.
+        parent: parent of the camera; the view's pose is then in the parent's space.
+    """
+    target = collection(scene, CAMERAS)
+    item = next((camera for camera in target.objects if camera.get(VIEW) == view["name"]), None)
+    if item is None:
+        camera_of_artist = view_cameras(scene).get(view["name"])
+        if camera_of_artist is not None:
+            return camera_of_artist
+        item = bpy.data.objects.new(view["name"], bpy.data.cameras.new(view["name"]))
+        target.objects.link(item)
+    if parent is not None:
+        item.parent = parent
+        item.matrix_parent_inverse = Matrix.Identity(4)
+    set_camera(item, view, local=parent is not None)
+    if photograph:
+        _set_background(item.data, load_radiance(run.resolve(view["image"])))
+    return item
+
+
+def set_camera(item: bpy.types.Object, view: dict[str, Any], local: bool = False) -> None:
+    """Give a camera object the exact projection of a view.
+
+    Args:
+        item: a camera object.
+        view: an entry of capture.json's views.
+        local: whether the pose is in the space of the camera's parent.
+    """
+    parameters = conventions.intrinsics_to_blender(
+        view["width"], view["height"], view["fx"], view["fy"], view["cx"], view["cy"]
+    )
+    camera = item.data
+    camera.type = "PERSP"
+    for name in ("sensor_fit", "sensor_width", "sensor_height", "lens", "shift_x", "shift_y"):
+        setattr(camera, name, getattr(parameters, name))
+    camera.clip_start, camera.clip_end = 0.001, 10000.0
+    camera.dof.use_dof = False
+    matrix = conventions.opencv_to_blender_camera(np.array(view["camera_to_world"], np.float64))
+    if local:
+        item.matrix_basis = Matrix(matrix.tolist())
+    else:
+        item.matrix_world = Matrix(matrix.tolist())
+    mark_camera(item, view, parameters)
+
+
+def mark_camera(item: bpy.types.Object, view: dict[str, Any], parameters: conventions.BlenderCamera) -> None:
+    """Store with a camera object which view it shows, and its render size."""
+    item[VIEW] = view["name"]
+    item[SPLIT] = view.get("split", "train")
+    item[RESOLUTION] = [int(view["width"]), int(view["height"])]
+    item[PIXEL_ASPECT] = [parameters.pixel_aspect_x, parameters.pixel_aspect_y]
+
+
+def _set_background(camera: bpy.types.Camera, image: bpy.types.Image | None) -> None:
+    camera.background_images.clear()
+    if image is None:
+        return
+    background = camera.background_images.new()
+    background.image = image
+    background.frame_method = "STRETCH"
+    background.display_depth = "FRONT"
+    background.alpha = 0.5
+    camera.show_background_images = True
+
+
+def find_camera(view_name: str, scene: bpy.types.Scene) -> bpy.types.Object:
+    """The camera of a view in a scene.
+
+    Raises:
+        FiptError: ``view-missing``.
+    """
+    camera = view_cameras(scene).get(view_name)
+    if camera is None:
+        raise FiptError(
+            "view-missing",
+            f"The scene has no camera for the view '{view_name}'.",
+            "Import the capture's cameras again, or name one of its views.",
+        )
+    return camera
+
+
+def lens_of(camera: bpy.types.Camera, pixel_aspect: Sequence[float]) -> conventions.BlenderCamera:
+    """A camera's lens parameters, with the pixel aspect (x, y) of what it renders."""
+    names = ("lens", "sensor_width", "sensor_height", "sensor_fit", "shift_x", "shift_y")
+    return conventions.BlenderCamera(*(getattr(camera, name) for name in names), *pixel_aspect)
+
+
+def camera_geometry(scene: bpy.types.Scene, camera: bpy.types.Object) -> ViewGeometry:
+    """A camera's pinhole model at its photograph's resolution, or at the scene's where it has none.
+
+    Raises:
+        FiptError: ``camera-kind`` for a camera that is not perspective.
+    """
+    data, render = camera.data, scene.render
+    if data.type != "PERSP":
+        raise FiptError(
+            "camera-kind", f"'{camera.name}' is not a perspective camera.", "Look through one that is."
+        )
+    share = render.resolution_percentage / 100.0
+    scene_size = [int(render.resolution_x * share), int(render.resolution_y * share)]
+    width, height = (int(value) for value in camera.get(RESOLUTION, scene_size))
+    aspect = camera.get(PIXEL_ASPECT, (render.pixel_aspect_x, render.pixel_aspect_y))
+    parameters = lens_of(data, aspect)
+    pose = conventions.blender_to_opencv_camera(np.array(camera.matrix_world, np.float64))
+    lens = conventions.blender_to_intrinsics(width, height, parameters)
+    return ViewGeometry(pose, width, height, *lens)
+
+
+def use_view(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
+    """Make a camera the scene's, with its photograph's resolution and pixel aspect."""
+    scene.camera = camera
+    render = scene.render
+    if RESOLUTION in camera:
+        render.resolution_x, render.resolution_y = (int(value) for value in camera[RESOLUTION])
+        render.pixel_aspect_x, render.pixel_aspect_y = (float(value) for value in camera[PIXEL_ASPECT])
+    render.resolution_percentage = 100
+    render.use_border = False

@@ -1,0 +1,174 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The scene's ticked views to capture.json, with the present poses of their cameras."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ...core import conventions
+from ...core.run.errors import FiptError
+from ...core.run.run_files import read_capture
+from ...core.run.runfolder import RunFolder, write_json
+from ..marks import view_cameras
+
+MIN_VIEWS = 2
+ID_SUFFIXES = (".exr", ".png")
+_UNEVEN = 1e-3  # tolerance for the axes of a camera: equal lengths and right angles
+# A camera that was not moved keeps its pose as read, which is more precise than Blender's single floats.
+_UNMOVED = 2e-6
+
+
+def export_capture(scene: bpy.types.Scene, run: RunFolder) -> int:
+    """Write capture.json from the ticked views, with the cameras' present poses and the chosen splits.
+
+    Everything else stays as `ingest` read it. Views that are not ticked, or whose cameras were deleted, are
+    left out. The file is written only if something changed, so that a run can resume.
+
+    Returns:
+        The number of views.
+
+    Raises:
+        FiptError: ``capture-missing`` where nothing was imported, ``views-few``, ``alignment-uneven``,
+            ``parts-folder``; the run folder's errors.
+    """
+    source = read_source(run)
+    entries = view_entries(scene, run, source, ticked=True)
+    train = sum(entry["split"] == "train" for entry in entries)
+    if train < MIN_VIEWS:
+        raise FiptError(
+            "views-few",
+            f"Only {train} of {len(scene.fipt.capture.views)} views are ticked for estimating; at least"
+            f" {MIN_VIEWS} are needed.",
+            "Tick more views in the list, or change some from Held Back to Estimation.",
+        )
+    data = {**source, "views": entries}
+    if not run.capture_json.exists() or read_capture(run.capture_json) != data:
+        write_json(run.capture_json, data)
+    return len(entries)
+
+
+def read_source(run: RunFolder) -> dict[str, Any]:
+    """ingest.json: all views as they were read; a run of the command line gets it at its first export.
+
+    Raises:
+        FiptError: ``capture-missing`` or ``file-damaged``.
+    """
+    if not run.ingest_json.exists():
+        if not run.capture_json.exists():
+            raise FiptError(
+                "capture-missing",
+                "No capture is imported into this scene.",
+                "Import photographs and cameras in the section Capture.",
+            )
+        write_json(run.ingest_json, read_capture(run.capture_json))
+    return read_capture(run.ingest_json)
+
+
+def view_entries(
+    scene: bpy.types.Scene, run: RunFolder, source: dict[str, Any], ticked: bool
+) -> list[dict[str, Any]]:
+    """Entries of capture.json for the views that have a camera.
+
+    Args:
+        scene: with the list of views.
+        run: the run folder.
+        source: result of `read_source`.
+        ticked: leave out views that are not ticked; otherwise their split is "unused".
+
+    Raises:
+        FiptError: ``alignment-uneven`` or ``parts-folder``.
+    """
+    known = {entry["name"]: entry for entry in source["views"]}
+    masks, cameras = part_folder(scene), view_cameras(scene)
+    entries = []
+    for view in scene.fipt.capture.views:
+        camera = cameras.get(view.name)
+        if camera is None or view.name not in known or (ticked and not view.enabled):
+            continue
+        entry = dict(known[view.name])
+        pose, before = camera_pose(camera), np.array(entry["camera_to_world"], np.float64)
+        if np.abs(pose - before).max() > _UNMOVED * (1.0 + np.abs(before[:3, 3]).max()):
+            entry["camera_to_world"] = pose.tolist()
+        entry["split"] = view.split if view.enabled else "unused"
+        if masks is not None:
+            mask = find_mask(masks, view.name, Path(entry["image"]).stem)
+            entry["parts"] = None if mask is None else str(mask)
+        entries.append(entry)
+    if masks is not None and entries and not any(entry["parts"] for entry in entries):
+        stem = Path(entries[0]["image"]).stem
+        raise FiptError(
+            "parts-folder",
+            f"{masks} holds no mask for any of the {len(entries)} views.",
+            f"Name the masks like the photographs: {stem}.png or {stem}.exr.",
+        )
+    return entries
+
+
+def part_folder(scene: bpy.types.Scene) -> Path | None:
+    """The artist's folder of part masks; None where the parts have another source.
+
+    Raises:
+        FiptError: ``parts-folder``.
+    """
+    settings = scene.fipt.parts
+    if settings.source != "folder":
+        return None
+    folder = Path(bpy.path.abspath(settings.folder)) if settings.folder else None
+    if folder is None or not folder.is_dir():
+        raise FiptError(
+            "parts-folder",
+            f"The folder of masks {folder} does not exist." if folder else "No folder of masks is chosen.",
+            "Choose the folder in the section Parts, or another source of parts.",
+        )
+    return folder
+
+
+def find_mask(folder: Path, view: str, stem: str) -> Path | None:
+    """The mask with the name of a view ("train/000") or of its photograph's file, EXR or PNG."""
+    for name in dict.fromkeys((view, stem, view.rpartition("/")[2])):
+        for suffix in ID_SUFFIXES:
+            path = folder / (name + suffix)
+            if path.is_file():
+                return path
+    return None
+
+
+def camera_pose(camera: bpy.types.Object) -> np.ndarray:
+    """Camera-to-world (4, 4) float64, OpenCV axes, without the scale of its parents.
+
+    Raises:
+        FiptError: ``alignment-uneven`` where parents stretch or mirror, which a camera can't represent.
+    """
+    matrix = world_matrix(camera)
+    axes = matrix[:3, :3]
+    lengths = np.linalg.norm(axes, axis=0)
+    unit = axes / np.maximum(lengths, 1e-30)
+    uneven = np.ptp(lengths) > _UNEVEN * lengths.mean() or np.abs(unit.T @ unit - np.eye(3)).max() > _UNEVEN
+    if uneven or np.linalg.det(unit) < 0.0 or lengths.min() < 1e-20:
+        raise FiptError(
+            "alignment-uneven",
+            f"The camera '{camera.name}' is stretched or mirrored by its parent.",
+            "Scale the alignment by the same positive factor along all axes.",
+        )
+    u, _, vt = np.linalg.svd(unit)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = u @ vt, matrix[:3, 3]
+    return conventions.blender_to_opencv_camera(pose)
+
+
+def world_matrix(item: bpy.types.Object) -> np.ndarray:
+    """An object's 4x4 world matrix, also where Blender has not evaluated it since it was moved.
+
+    Blender does not update `matrix_world` of hidden objects.
+    """
+    if item.constraints or item.animation_data or (item.parent and item.parent_type != "OBJECT"):
+        return np.array(item.matrix_world, np.float64)
+    basis = np.array(item.matrix_basis, np.float64)
+    if item.parent is None:
+        return basis
+    return world_matrix(item.parent) @ np.array(item.matrix_parent_inverse, np.float64) @ basis

@@ -1,0 +1,232 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Imports a capture that `ingest` has read into the artist's scene: cameras, the mesh, the list of views.
+
+Cameras and the imported mesh are children of the empty "FIPT Alignment", in the coordinates of ingest.json.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ...bridge.process import Message
+from ...bridge.step import Slices
+from ...core import conventions
+from ...core.run.errors import FiptError
+from ...core.run.run_files import read_capture
+from ...core.run.runfolder import RunFolder
+from ..marks import IMPORTED, VIEW, is_imported, is_view, view_cameras
+from ..outliner import CAMERAS, EARLIER_ROOMS, ROOM, collection, move_to, remove_object
+from ..room.result_meshes import list_names
+from . import cameras, mesh_import
+
+ALIGNMENT = "FIPT Alignment"
+# Types of objects with surfaces besides meshes.
+_SHAPES = ("CURVE", "SURFACE", "META", "FONT", "CURVES")
+_CAMERA_SIZE = 0.03  # display size of cameras, as a share of the extent of their positions
+
+
+def import_capture(run: RunFolder, path: str) -> Slices[list[Message]]:
+    """Cameras, mesh and list of views of the capture in ingest.json, into the context's scene.
+
+    Cameras of the same views are updated. Meshes that the artist chose as the room stay the room.
+
+    Args:
+        run: with ingest.json.
+        path: where the capture was imported from; the same path again keeps ticks and splits.
+
+    Returns:
+        Warnings.
+    """
+    capture = read_capture(run.ingest_json)
+    is_reimport = bpy.context.scene.fipt.capture.imported_path == path
+    if not is_reimport:
+        _remove_cameras(bpy.context.scene, {view["name"] for view in capture["views"]})
+    size = _camera_size(capture)
+    for index, view in enumerate(capture["views"]):
+        scene = bpy.context.scene
+        item = cameras.add_camera(scene, run, view, parent=find_alignment(scene))
+        item.data.display_size = size
+        yield 0.5 * index / len(capture["views"])
+    warnings = _import_room(bpy.context.scene, run, capture)
+    yield 0.9
+    fill_views(bpy.context.scene, run, keep=is_reimport)
+    bpy.context.scene.fipt.capture.imported_path = path
+    return warnings
+
+
+def fill_views(scene: bpy.types.Scene, run: RunFolder, keep: bool = False) -> None:
+    """Fill the list of views from the run's capture and the scene's cameras.
+
+    Args:
+        scene: with a camera for each view.
+        run: with ingest.json, or with capture.json alone.
+        keep: keep ticks and splits of views that the list has already.
+    """
+    settings = scene.fipt.capture
+    kept = {view.name: (view.enabled, view.split) for view in settings.views} if keep else {}
+    path = run.ingest_json if run.ingest_json.exists() else run.capture_json
+    settings.views.clear()
+    present = view_cameras(scene)
+    with settings.counting_later():
+        for entry in read_capture(path)["views"]:
+            view = settings.views.add()
+            view.name = entry["name"]
+            view.camera = present[view.name].name
+            view.image = str(run.resolve(entry["image"]))
+            view.enabled, view.split = kept.get(view.name, (True, entry["split"]))
+    settings.unseen_share = -1.0
+    settings.count_views()
+
+
+def find_alignment(scene: bpy.types.Scene) -> bpy.types.Object:
+    """The empty that is the parent of the capture; made if it is missing."""
+    settings = scene.fipt.capture
+    item = settings.alignment
+    if item is None or item.name not in scene.objects:
+        item = bpy.data.objects.new(ALIGNMENT, None)
+        item.empty_display_type = "ARROWS"
+        scene.collection.objects.link(item)
+        settings.alignment = item
+    return item
+
+
+def source_matrix(scene: bpy.types.Scene, run: RunFolder | None) -> np.ndarray:
+    """4x4 from the coordinates of the capture's mesh to those of the alignment empty.
+
+    Args:
+        scene: whose import settings count where nothing was imported yet.
+        run: with ingest.json after an import.
+    """
+    if run is not None and run.ingest_json.exists():
+        return np.array(read_capture(run.ingest_json)["world_from_source"], np.float64)
+    settings = scene.fipt.capture
+    up_axis = "z" if settings.up_axis == "auto" else settings.up_axis
+    return conventions.world_from_source(up_axis, settings.scale)
+
+
+def import_mesh(scene: bpy.types.Scene, path: Path, matrix: np.ndarray) -> list[str]:
+    """Import a mesh file as the room, below the alignment; earlier imports go to a hidden collection.
+
+    Args:
+        scene: the scene to import into.
+        path: see `mesh_import.import_room`.
+        matrix: 4x4 from the file's coordinates to the alignment's.
+
+    Returns:
+        Names of the objects.
+
+    Raises:
+        FiptError: those of `mesh_import.import_room`; nothing has changed then.
+    """
+    earlier = [item for item in scene.fipt.capture.room_objects(scene) if is_imported(item)]
+    names = mesh_import.import_room(path, matrix, scene)
+    if earlier:
+        hidden = collection(scene, EARLIER_ROOMS)
+        hidden.hide_viewport = hidden.hide_render = True
+        for item in earlier:
+            move_to(item, hidden)
+    parent = find_alignment(scene)
+    for name in names:
+        item = scene.objects[name]
+        item.parent, item.matrix_parent_inverse = parent, Matrix.Identity(4)
+        item.matrix_basis = Matrix.Identity(4)
+        item[IMPORTED] = _origin(path, matrix)
+    scene.fipt.capture.room = None  # the default, FIPT Room, where the import put it
+    return names
+
+
+def set_room(scene: bpy.types.Scene, objects: list[bpy.types.Object]) -> None:
+    """Make exactly these objects the room: they are also linked to "FIPT Room", and not changed otherwise."""
+    room = collection(scene, ROOM)
+    for item in list(room.objects):
+        if item not in objects:
+            if len(item.users_collection) == 1:
+                scene.collection.objects.link(item)
+            room.objects.unlink(item)
+    for item in objects:
+        if item.name not in room.objects:
+            room.objects.link(item)
+    scene.fipt.capture.room = None
+
+
+def _import_room(scene: bpy.types.Scene, run: RunFolder, capture: dict[str, Any]) -> list[Message]:
+    """Import the capture's mesh, unless it is there already or the artist chose other objects."""
+    present = scene.fipt.capture.room_objects(scene)
+    if not capture["mesh"]:
+        if present:
+            return []
+        text = "The capture has no mesh of the room."
+        return [_warning("mesh-missing", text, "Import one, or select the room's meshes and choose them.")]
+    path, matrix = run.resolve(capture["mesh"]), np.array(capture["world_from_source"], np.float64)
+    imported = [item for item in present if is_imported(item)]
+    if any(item[IMPORTED] == _origin(path, matrix) for item in imported):
+        return []
+    if len(imported) < len(present):
+        text = f"The room is still the {len(present)} meshes chosen before; {path.name} was not imported."
+        return [_warning("mesh-kept", text, "Use Import Mesh to import it.")]
+    import_mesh(scene, path, matrix)
+    return []
+
+
+def _origin(path: Path, matrix: np.ndarray) -> str:
+    """Value of the mark `IMPORTED`."""
+    return json.dumps([str(path), np.asarray(matrix).round(9).tolist()])
+
+
+def _remove_cameras(scene: bpy.types.Scene, keep: set[str]) -> None:
+    """Remove the cameras that an earlier import made, except those of some views."""
+    for item in list(collection(scene, CAMERAS).objects):
+        if is_view(item) and item[VIEW] not in keep:
+            remove_object(item)
+
+
+def _camera_size(capture: dict[str, Any]) -> float:
+    """Display size in metres, small enough for cameras in a small room."""
+    positions = np.array([np.array(view["camera_to_world"])[:3, 3] for view in capture["views"]])
+    return float(np.clip(_CAMERA_SIZE * np.linalg.norm(np.ptp(positions, axis=0)), 1e-3, 1.0)) or 0.1
+
+
+def _warning(code: str, text: str, remedy: str) -> Message:
+    return {"type": "warning", "code": code, "text": text, "remedy": remedy}
+
+
+def not_in_room(objects: Iterable[bpy.types.Object]) -> list[Message]:
+    """Warnings about objects that render surfaces, but are no part of a room that consists of meshes."""
+    instances, shapes = [], []
+    for item in objects:
+        if item.instance_type == "COLLECTION" and item.instance_collection is not None:
+            instances.append(item.name)
+        elif item.type in _SHAPES:
+            shapes.append(item.name)
+    warnings = []
+    if instances:
+        text = f"Left out of the room: {_plural(instances, 'collection instance')} ({list_names(instances)})."
+        remedy = "Turn them into meshes with Object > Apply > Make Instances Real, and set the room again."
+        warnings.append(_warning("instances-left-out", text, remedy))
+    if shapes:
+        objects_text = _plural(shapes, "curve, text or metaball object")
+        text = f"Left out of the room: {objects_text} ({list_names(shapes)})."
+        remedy = "Turn them into meshes with Object > Convert > Mesh, and set the room again."
+        warnings.append(_warning("shapes-left-out", text, remedy))
+    return warnings
+
+
+def _plural(names: Sequence[str], noun: str) -> str:
+    return f"{len(names)} {noun}{'s' if len(names) > 1 else ''}"
+
+
+def room_missing() -> FiptError:
+    """The error for a scene without a room."""
+    return FiptError(
+        "room-missing",
+        "No meshes are chosen as the room.",
+        "Import the room's mesh, or select its objects and press Set from Selection.",
+    )

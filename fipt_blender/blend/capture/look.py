@@ -1,0 +1,61 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Looking through a view's camera, with its photograph, in the open 3D views."""
+
+from __future__ import annotations
+
+import bpy
+
+from ...core.run.errors import FiptError
+from .backdrop import show_photograph
+from .cameras import use_view
+from .other_cameras import watch
+
+
+def look_through(
+    scene: bpy.types.Scene, view: bpy.types.PropertyGroup, context: bpy.types.Context
+) -> bpy.types.Object | None:
+    """Make a view's camera the scene's and look through it in 3D views; None where the camera was deleted."""
+    camera = view.camera_object()
+    if camera is None:
+        return None
+    use_view(scene, camera)
+    show_photograph(scene, camera)
+    enter_camera(context, scene)
+    return camera
+
+
+def enter_camera(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
+    """Let 3D views look through the scene's camera, without the cameras of other views in the picture."""
+    for space in view_spaces(context, scene):
+        space.region_3d.view_perspective = "CAMERA"
+    watch(scene)
+
+
+def camera_missing(view: bpy.types.PropertyGroup) -> FiptError:
+    """The error for a view whose camera was deleted."""
+    return FiptError(
+        "camera-missing",
+        f"The camera of the view '{view.name}' was deleted.",
+        "Undo that, or import the capture again: existing cameras are kept.",
+    )
+
+
+def view_spaces(context: bpy.types.Context, scene: bpy.types.Scene) -> list[bpy.types.SpaceView3D]:
+    """The context's 3D view, else the first one of each window that shows the scene."""
+    area = getattr(context, "area", None)
+    if area is not None and area.type == "VIEW_3D":
+        return [area.spaces.active]
+    spaces = []
+    for window in context.window_manager.windows:
+        if window.scene == scene:
+            views = [area for area in window.screen.areas if area.type == "VIEW_3D"]
+            spaces += [area.spaces.active for area in views[:1]]
+    return spaces
+
+
+def refresh_photograph(scene: bpy.types.Scene) -> None:
+    """Show the photograph with the panel's opacity, if the scene's camera belongs to a view."""
+    camera = scene.camera
+    if camera is not None and any(view.camera == camera.name for view in scene.fipt.capture.views):
+        show_photograph(scene, camera)

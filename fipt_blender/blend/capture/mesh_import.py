@@ -1,0 +1,181 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Imports the room's mesh file into the scene, in the capture's world coordinates.
+
+Blender's importers read the file. None of them may convert the axes, since the capture's `world_from_source`
+does that for cameras and mesh alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ...core import conventions
+from ...core.run.errors import FiptError
+from ..outliner import ROOM, collection, move_to
+from ..room.mesh_arrays import corner_normals, corner_vertices
+from .mesh_files import check_mesh_file
+
+_AS_STORED = {"forward_axis": "Y", "up_axis": "Z"}
+# suffix -> (operator module, operator, arguments); the first operator that exists is used.
+IMPORTERS: dict[str, list[tuple[str, str, dict[str, Any]]]] = {
+    ".obj": [("wm", "obj_import", {**_AS_STORED, "validate_meshes": True})],
+    ".ply": [("wm", "ply_import", _AS_STORED)],
+    ".stl": [("wm", "stl_import", _AS_STORED)],
+    ".gltf": [("import_scene", "gltf", {})],
+    ".glb": [("import_scene", "gltf", {})],
+    ".fbx": [("wm", "fbx_import", {}), ("import_scene", "fbx", {})],
+    ".usd": [("wm", "usd_import", {})],
+    ".usdc": [("wm", "usd_import", {})],
+    ".usda": [("wm", "usd_import", {})],
+    ".usdz": [("wm", "usd_import", {})],
+}
+# glTF is Y up by definition, and its importer always converts to Z up: this undoes that.
+_UNDO = {suffix: np.linalg.inv(conventions.world_from_source("y")) for suffix in (".gltf", ".glb")}
+
+
+def import_room(
+    path: str | Path, world_from_source: np.ndarray, scene: bpy.types.Scene | None = None
+) -> list[str]:
+    """Import a mesh file into the collection "FIPT Room".
+
+    Transforms are applied to the mesh data, so that every object's matrix is the identity. FBX and USD files
+    state their own axes and units: Blender's importer converts them before `world_from_source` is applied.
+
+    Args:
+        path: OBJ, PLY, STL, glTF, FBX or USD file.
+        world_from_source: 4x4, the file's coordinates to Blender's world.
+        scene: the collection's scene; the context's by default.
+
+    Returns:
+        Names of the mesh objects, in the order of the file.
+
+    Raises:
+        FiptError: ``mesh-missing``, ``mesh-format``, ``mesh-unreadable`` or ``mesh-empty``.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FiptError("mesh-missing", f"The mesh {path} does not exist.", "Restore it, or choose another.")
+    check_mesh_file(path)
+    existing = {item.as_pointer() for item in bpy.data.objects}
+    with _selection_kept():
+        _run_importer(path)
+    new = [item for item in bpy.data.objects if item.as_pointer() not in existing]
+    bpy.context.view_layer.update()
+    matrices = {item.name: np.array(item.matrix_world, np.float64) for item in new}
+    target = collection(scene or bpy.context.scene, ROOM)
+    similarity = np.asarray(world_from_source, np.float64) @ _UNDO.get(path.suffix.lower(), np.eye(4))
+    meshes = [item for item in new if item.type == "MESH" and len(item.data.polygons)]
+    for item in meshes:
+        if item.data.users > 1:
+            item.data = item.data.copy()
+        item.parent = None
+        transform_mesh(item.data, similarity @ matrices[item.name])
+        mark_turned_edges(item.data)
+        item.matrix_world = Matrix.Identity(4)
+        move_to(item, target)
+    names = [item.name for item in meshes]
+    for item in [other for other in new if other not in meshes]:
+        bpy.data.objects.remove(item)
+    if not names:
+        raise FiptError("mesh-empty", f"{path} holds no faces.", "Choose a file with a triangle mesh.")
+    return names
+
+
+@contextmanager
+def _selection_kept() -> Iterator[None]:
+    """Restore the artist's selection afterwards: importers select what they import."""
+    layer = bpy.context.view_layer
+    active = layer.objects.active.name if layer.objects.active else ""
+    selected = {item.name for item in layer.objects.selected}
+    try:
+        yield
+    finally:
+        for item in layer.objects:
+            item.select_set(item.name in selected)
+        layer.objects.active = layer.objects.get(active)
+
+
+def _run_importer(path: Path) -> None:
+    suffix = path.suffix.lower()
+    for module, name, arguments in IMPORTERS.get(suffix, []):
+        operator = getattr(getattr(bpy.ops, module), name)
+        try:
+            operator.get_rna_type()
+        except KeyError:
+            continue
+        try:
+            result = operator(filepath=str(path), **arguments)
+        except RuntimeError as error:
+            raise _unreadable(path, str(error).strip()) from None
+        if "FINISHED" not in result:
+            raise _unreadable(path, "Blender's importer failed")
+        return
+    raise FiptError(
+        "mesh-format",
+        f"This Blender can't import {suffix or 'nameless'} files ({path}).",
+        "Export the mesh as OBJ, PLY or glTF.",
+    )
+
+
+def _unreadable(path: Path, reason: str) -> FiptError:
+    return FiptError("mesh-unreadable", f"{path} can't be read ({reason}).", "Export the mesh again.")
+
+
+def mark_turned_edges(mesh: bpy.types.Mesh) -> None:
+    """Mark the edges between faces of opposite winding as sharp.
+
+    Blender shades them as sharp in any case, so no normal changes. Cycles splits a mesh at marked edges only:
+    without the mark one of the two faces would get the other's normals and render black.
+    """
+    edge_of, vertex_of = np.empty(len(mesh.loops), np.int32), corner_vertices(mesh)
+    mesh.loops.foreach_get("edge_index", edge_of)
+    ends = np.empty(2 * len(mesh.edges), np.int32)
+    mesh.edges.foreach_get("vertices", ends)
+    forward = ends[2 * edge_of] == vertex_of
+    uses = np.bincount(edge_of, minlength=len(mesh.edges))
+    forwards = np.bincount(edge_of, forward, minlength=len(mesh.edges))
+    turned = (forwards > 1) | (uses - forwards > 1)
+    if not turned.any():
+        return
+    attribute = mesh.attributes.get("sharp_edge") or mesh.attributes.new("sharp_edge", "BOOLEAN", "EDGE")
+    sharp = np.empty(len(mesh.edges), bool)
+    attribute.data.foreach_get("value", sharp)
+    attribute.data.foreach_set("value", sharp | turned)
+    mesh.update()
+
+
+def transform_mesh(mesh: bpy.types.Mesh, matrix: np.ndarray) -> None:
+    """Apply a 4x4 matrix to a mesh with its shading normals; mirrored faces still face outwards."""
+    linear = matrix[:3, :3]
+    mirrored = float(np.linalg.det(linear)) < 0.0
+    custom = mesh.has_custom_normals
+    if custom:
+        order, normals = _ordered_normals(mesh)
+        normals = normals @ np.linalg.inv(linear)
+        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    mesh.transform(Matrix(matrix.tolist()))
+    if mirrored:
+        mesh.flip_normals()
+    if custom:
+        order, _ = _ordered_normals(mesh)
+        restored = np.empty_like(normals)
+        restored[order] = normals
+        mesh.normals_split_custom_set(restored.astype(np.float32).tolist())
+    mesh.update()
+
+
+def _ordered_normals(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Face corners sorted by polygon and vertex, an order that flipping keeps, and their normals (f64)."""
+    total = np.empty(len(mesh.polygons), np.int32)
+    mesh.polygons.foreach_get("loop_total", total)
+    polygon = np.repeat(np.arange(len(total)), total)
+    order = np.lexsort((corner_vertices(mesh), polygon))
+    return order, corner_normals(mesh).astype(np.float64)[order]

@@ -1,0 +1,251 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The engine's survey of the views: its input, and its result for the list of views and the overlay."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import bpy
+import numpy as np
+
+from ...bridge.process import Message
+from ...bridge.step import Slices
+from ...core.run.arrays import check_layouts, read_arrays
+from ...core.run.documents import read_json
+from ...core.run.errors import FiptError
+from ...core.run.runfolder import RunFolder, write_json
+from ...core.run.shapes import MATRICES, SURVEY, SURVEY_ARRAYS
+from ..room.arrays import read_room
+from ..room.exporting import export_slices
+from . import overlay
+from .exporting import read_source, view_entries, world_matrix
+from .importing import not_in_room, room_missing
+
+
+class CoverageLevel(NamedTuple):
+    """A colour of the coverage.
+
+    Attributes:
+        least: the least number of views that see a triangle of this colour.
+        label: the number of views as text, of two characters at most: the panel is narrow.
+        color: display RGB, 0 to 1.
+    """
+
+    least: int
+    label: str
+    color: tuple[float, float, float]
+
+
+# From dark blue to yellow by rising lightness, and magenta: colour-blind people can tell all of them apart.
+COVERAGE = (
+    CoverageLevel(0, "0", (1.0, 0.0, 0.8)),
+    CoverageLevel(1, "1", (0.16, 0.14, 0.42)),
+    CoverageLevel(2, "2", (0.13, 0.42, 0.60)),
+    CoverageLevel(3, "3+", (0.15, 0.70, 0.58)),
+    CoverageLevel(5, "5+", (0.99, 0.91, 0.15)),
+)
+_NO_PART = np.array([0.25, 0.25, 0.25])
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What the survey found about each triangle of the room.
+
+    Attributes:
+        views: names, in the order of `seen`.
+        seen: (V, ceil(T / 8)) u8, one bit per triangle: whether the view sees it.
+        areas: (T,) f32 square metres, 0 for triangles hidden from everywhere the cameras stood.
+        labels: by source, the part of each triangle (T,) i32, -1 without a part.
+    """
+
+    views: list[str]
+    seen: np.ndarray
+    areas: np.ndarray
+    labels: dict[str, np.ndarray]
+
+    def counts(self, names: set[str]) -> np.ndarray:
+        """How many of the named views see each triangle, (T,) u16."""
+        total = np.zeros(len(self.areas), np.uint16)
+        for name, bits in zip(self.views, self.seen, strict=True):
+            if name in names:
+                total += np.unpackbits(bits, count=len(total))
+        return total
+
+
+_cached: tuple[str, float, Survey] | None = None  # path and modification time of its file
+
+
+def write_survey_input(run: RunFolder) -> Slices[list[Message]]:
+    """Write all views and the room of the context's scene to RUN/survey.
+
+    Returns:
+        Warnings about objects in the room's collection that are not meshes.
+
+    Raises:
+        FiptError: ``room-missing``, ``mesh-empty`` and those of `view_entries`.
+    """
+    scene = bpy.context.scene
+    objects = scene.fipt.capture.room_objects(scene)
+    if not objects:
+        raise room_missing()
+    target = RunFolder(run.survey)
+    for stale in (run.survey_json, run.survey_npz):  # of a room that may have changed
+        stale.unlink(missing_ok=True)
+    source = read_source(run)
+    entries = view_entries(scene, run, source, ticked=False)
+    for entry in entries:
+        for kind in ("image", "parts", "semantics", "mask"):
+            if entry.get(kind):
+                entry[kind] = str(run.resolve(entry[kind]))
+    mesh = None if source["mesh"] is None else str(run.resolve(source["mesh"]))
+    write_json(target.capture_json, {**source, "mesh": mesh, "views": entries})
+    warnings = not_in_room(scene.fipt.capture.room_members(scene))
+    matrices = {item.name: world_matrix(item).tolist() for item in objects}
+    yield from export_slices(objects, target, scene.fipt.parts.engine_source)
+    scene = bpy.context.scene
+    write_json(run.survey / "matrices.json", matrices)
+    scene.fipt.parts.surveyed_folder = scene.fipt.parts.folder if scene.fipt.parts.source == "folder" else ""
+    return warnings
+
+
+def take_survey(scene: bpy.types.Scene, run: RunFolder) -> None:
+    """Show the engine's result in the list of views and in the section Parts."""
+    data = read_json(run.survey_json, SURVEY, "Check the views again.")
+    entries = {entry["name"]: entry for entry in data["views"]}
+    settings = scene.fipt.capture
+    for view in settings.views:
+        entry = entries.get(view.name)
+        view.checked = entry is not None
+        view.warning = entry["warning"] if entry else "its camera was deleted"
+        view.image_missing = bool(entry and entry["image_missing"])
+        view.room_share = entry["room_share"] if entry else 0.0
+        view.clipped_share = entry["clipped_share"] if entry else 0.0
+    settings.unseen_share = 0.0
+    settings.count_views()
+    parts = scene.fipt.parts
+    parts.auto_source = data["parts"]["auto"]
+    parts.counts = json.dumps(data["parts"]["counts"])
+
+
+def coverage_changed(scene: bpy.types.Scene) -> None:
+    """Recompute what the ticked views see, and the overlay if it is shown."""
+    survey = read_survey(RunFolder(bpy.path.abspath(scene.fipt.run_folder)))
+    if survey is None:
+        scene.fipt.capture.unseen_share = -1.0
+        return
+    counts = survey.counts(used_views(scene))
+    total = float(survey.areas.sum())
+    scene.fipt.capture.unseen_share = float(survey.areas[counts == 0].sum()) / total if total else 0.0
+    if overlay.shown(scene) == "coverage":
+        show_coverage(scene)
+
+
+def used_views(scene: bpy.types.Scene) -> set[str]:
+    """Names of the views that an estimation uses."""
+    return {view.name for view in scene.fipt.capture.views if view.enabled and view.split == "train"}
+
+
+def show_coverage(scene: bpy.types.Scene) -> None:
+    """Colour the room by how many of the ticked views see each triangle.
+
+    Raises:
+        FiptError: ``survey-missing``.
+    """
+    run, survey = _survey_of(scene)
+    counts = survey.counts(used_views(scene))
+    _show(scene, run, "coverage", coverage_colors(counts))
+
+
+def show_parts(scene: bpy.types.Scene) -> None:
+    """Colour the room by its parts from the chosen source.
+
+    Raises:
+        FiptError: ``survey-missing``, ``parts-missing``.
+    """
+    run, survey = _survey_of(scene)
+    source = resolved_source(scene)
+    if source == "none":
+        _show(scene, run, "parts", np.tile(_NO_PART, (len(survey.areas), 1)))
+        return
+    if source not in survey.labels or not surveyed_folder_fits(scene):
+        raise FiptError(
+            "parts-missing",
+            f"The check found no such parts: {_WHY_NONE.get(source, 'the capture has none')}.",
+            "Check the views again, or choose another source of parts.",
+        )
+    _show(scene, run, "parts", part_colors(survey.labels[source]))
+
+
+_WHY_NONE = {
+    "masks": "the views had no part masks when they were checked",
+    "semantics": "the capture has no semantic masks",
+    "materials": "the room has fewer than two materials",
+    "objects": "the room is a single object",
+}
+
+
+def resolved_source(scene: bpy.types.Scene) -> str:
+    """The source that the engine would use: for Automatic its choice, for a folder of masks "masks"."""
+    parts = scene.fipt.parts
+    return parts.auto_source if parts.source == "auto" else parts.engine_source
+
+
+def surveyed_folder_fits(scene: bpy.types.Scene) -> bool:
+    """Whether the check used the masks that are chosen now: the artist's folder, or the capture's."""
+    parts = scene.fipt.parts
+    if parts.source == "folder":
+        return bool(parts.folder) and parts.surveyed_folder == parts.folder
+    return not (parts.source == "masks" and parts.surveyed_folder)
+
+
+def coverage_colors(counts: np.ndarray) -> np.ndarray:
+    """(T, 3) rgb of `COVERAGE`."""
+    steps = [level.least for level in COVERAGE]
+    colors = np.array([level.color for level in COVERAGE])
+    return colors[np.searchsorted(steps, counts, side="right") - 1]
+
+
+def part_colors(labels: np.ndarray) -> np.ndarray:
+    """(T, 3) rgb, one colour per part, very different for neighbouring ids; grey without a part."""
+    ids = np.maximum(labels, 0).astype(np.float64)
+    hue, value = np.modf(ids * 0.61803398875)[0], 0.55 + 0.4 * np.modf(ids * 0.7548776662)[0]
+    saturation = 0.5 + 0.4 * np.modf(ids * 0.5698402910)[0]
+    wheel = np.abs(np.modf(hue[:, None] + np.array([0.0, 2.0 / 3.0, 1.0 / 3.0]))[0] * 6.0 - 3.0) - 1.0
+    colors = value[:, None] * (1.0 - saturation[:, None] * (1.0 - np.clip(wheel, 0.0, 1.0)))
+    return np.where(labels[:, None] >= 0, colors, _NO_PART)
+
+
+def read_survey(run: RunFolder) -> Survey | None:
+    """The run's survey, cached until its file changes; None where there is none."""
+    global _cached
+    try:
+        time = run.survey_npz.stat().st_mtime
+        if _cached is None or _cached[:2] != (str(run.survey_npz), time):
+            arrays = read_arrays(run.survey_npz, SURVEY_ARRAYS)
+            labels = {name[6:]: array for name, array in arrays.items() if name.startswith("parts_")}
+            seen, areas = arrays["seen"], arrays["areas"]
+            check_layouts(labels, dict.fromkeys(labels, ("i", (len(areas),))))
+            names = [view["name"] for view in read_json(run.survey_json, SURVEY)["views"]]
+            if seen.dtype != np.uint8 or seen.shape != (len(names), -(-len(areas) // 8)):
+                raise ValueError(f"{run.survey_npz} does not fit {run.survey_json}")
+            _cached = str(run.survey_npz), time, Survey(names, seen, areas, labels)
+    except (OSError, ValueError, FiptError):
+        return None
+    return _cached[2]
+
+
+def _survey_of(scene: bpy.types.Scene) -> tuple[RunFolder, Survey]:
+    run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
+    survey = read_survey(run)
+    if survey is None:
+        raise FiptError("survey-missing", "The views have not been checked yet.", "Press Check Views first.")
+    return run, survey
+
+
+def _show(scene: bpy.types.Scene, run: RunFolder, kind: str, colors: np.ndarray) -> None:
+    room = read_room(RunFolder(run.survey))
+    matrices = read_json(run.survey / "matrices.json", MATRICES, "Check the views again.")
+    overlay.show(scene, kind, overlay.object_parts(room, colors, matrices))

@@ -1,0 +1,36 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The pinhole camera of a view, independent of Blender's data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class ViewGeometry:
+    """A pinhole camera: camera-to-world (4,4) with OpenCV axes, intrinsics in pixels."""
+
+    camera_to_world: np.ndarray
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def ray(self, u: float, v: float) -> tuple[np.ndarray, np.ndarray]:
+        """Origin and unit direction through the pixel position (u, v)."""
+        pixel = np.array([(u - self.cx) / self.fx, (v - self.cy) / self.fy, 1.0])
+        direction = self.camera_to_world[:3, :3] @ pixel
+        return self.camera_to_world[:3, 3], direction / np.linalg.norm(direction)
+
+
+def view_geometry(view: dict[str, Any]) -> ViewGeometry:
+    """The camera of an entry of capture.json."""
+    pose = np.array(view["camera_to_world"], np.float64)
+    lens = [float(view[name]) for name in ("fx", "fy", "cx", "cy")]
+    return ViewGeometry(pose, int(view["width"]), int(view["height"]), *lens)

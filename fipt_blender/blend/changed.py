@@ -1,0 +1,31 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Temporary values of attributes of Blender's data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+
+@contextmanager
+def changed(target: object, values: Mapping[str, Any]) -> Iterator[None]:
+    """Set attributes of an object for the length of the block, and restore them."""
+    kept = {name: getattr(target, name) for name in values}
+    try:
+        for name, value in values.items():
+            setattr(target, name, value)
+        yield
+    finally:
+        for name, value in kept.items():
+            setattr(target, name, value)
+
+
+@contextmanager
+def all_changed(targets: Iterable[object], values: Mapping[str, Any]) -> Iterator[None]:
+    """`changed` for several objects."""
+    with ExitStack() as stack:
+        for target in targets:
+            stack.enter_context(changed(target, values))
+        yield

@@ -1,0 +1,48 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Loads image files as Blender images, with the colour space of their content."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import bpy
+
+LINEAR = "Linear Rec.709"
+
+
+def load_radiance(path: Path) -> bpy.types.Image | None:
+    """A scene-linear image, displayed as renders are; None where the file is missing."""
+    if not path.is_file():
+        return None
+    image = bpy.data.images.load(str(path), check_existing=True)
+    image.colorspace_settings.name = LINEAR
+    image.use_view_as_render = True  # the scene's view transform and exposure
+    return image
+
+
+def load_data(path: Path) -> bpy.types.Image:
+    """An image whose values are not colours (roughness, metallic, confidence)."""
+    image = bpy.data.images.load(str(path), check_existing=True)
+    image.colorspace_settings.is_data = True
+    return image
+
+
+def load_texture(path: Path, is_data: bool) -> bpy.types.Image:
+    """A texture of a run; reloaded, since an earlier bake may have had the same name."""
+    image = load_data(path) if is_data else bpy.data.images.load(str(path), check_existing=True)
+    if image.packed_file is not None:  # reloading would take the packed content
+        image.unpack(method="REMOVE")
+    image.reload()
+    # Reloading resets the colour space in some versions.
+    if is_data:
+        image.colorspace_settings.is_data = True
+    else:
+        image.colorspace_settings.name = LINEAR
+    return image
+
+
+def remove_unused_images(images: Iterable[bpy.types.Image]) -> None:
+    """Remove those images that nothing uses any more."""
+    bpy.data.batch_remove([image for image in images if image.users == 0])

@@ -1,0 +1,122 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Colours of light: luminance, the colour of a black body and the temperature of a colour.
+
+Linear Rec.709 throughout. Standard library only, since the panel uses it while drawing.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Sequence
+from functools import lru_cache
+
+Rgb = tuple[float, float, float]
+LUMINANCE = (0.2126, 0.7152, 0.0722)  # of Rec.709's primaries (ITU-R BT.709)
+KELVIN_MIN, KELVIN_MAX = 1000.0, 20000.0
+_SECOND_RADIATION = 1.438776877e7  # hc/k in nm K
+_RGB_FROM_XYZ = (
+    (3.2404542, -1.5371385, -0.4985314),
+    (-0.9692660, 1.8760108, 0.0415560),
+    (0.0556434, -0.2040259, 1.0572252),
+)
+_XYZ_FROM_RGB = (
+    (0.4124564, 0.3575761, 0.1804375),
+    (0.2126729, 0.7151522, 0.0721750),
+    (0.0193339, 0.1191920, 0.9503041),
+)
+
+
+def luminance(rgb: Sequence[float]) -> float:
+    """Luminance of a linear Rec.709 colour, in the colour's unit."""
+    return sum(weight * value for weight, value in zip(LUMINANCE, rgb, strict=True))
+
+
+def with_luminance(rgb: Sequence[float], target: float) -> Rgb:
+    """A colour scaled to a luminance; black becomes white."""
+    present = luminance(rgb)
+    if present <= 1e-9:
+        return (target, target, target)
+    red, green, blue = (value * target / present for value in rgb)
+    return (red, green, blue)
+
+
+@lru_cache(maxsize=64)
+def blackbody(kelvin: float) -> Rgb:
+    """Colour of a black body, of luminance 1, without negative values.
+
+    Planck's law with the CIE 1931 observer in the closed form of Wyman, Sloan and Shirley (2013).
+
+    Args:
+        kelvin: temperature; clamped to 1,000 to 20,000.
+    """
+    xyz = _blackbody_xyz(min(max(kelvin, KELVIN_MIN), KELVIN_MAX))
+    red, green, blue = (max(sum(map(operator.mul, row, xyz)), 0.0) for row in _RGB_FROM_XYZ)
+    return with_luminance((red, green, blue), 1.0)
+
+
+@lru_cache(maxsize=256)
+def temperature_of(rgb: Rgb) -> float:
+    """Correlated colour temperature in kelvin: the nearest black body in the CIE 1960 diagram.
+
+    Colours far from the black bodies get the nearer end of the scale, 1,000 or 20,000.
+    """
+    xyz = [sum(map(operator.mul, row, rgb)) for row in _XYZ_FROM_RGB]
+    if xyz[1] <= 0.0 or not all(map(math.isfinite, xyz)):
+        return 6504.0
+    uv = _uv(xyz)
+    points = _locus()
+    distances = [math.dist(uv, point) for _, point in points]
+    nearest = min(range(len(points)), key=distances.__getitem__)
+    # Interpolate between the neighbours of the nearest point of the locus.
+    low, high = max(nearest - 1, 0), min(nearest + 1, len(points) - 1)
+    (mired, start), (mired_end, end) = points[low], points[high]
+    segment = (end[0] - start[0], end[1] - start[1])
+    along = (uv[0] - start[0]) * segment[0] + (uv[1] - start[1]) * segment[1]
+    share = min(max(along / (segment[0] ** 2 + segment[1] ** 2), 0.0), 1.0)
+    return 1.0e6 / (mired + share * (mired_end - mired))
+
+
+@lru_cache(maxsize=1)
+def _locus() -> list[tuple[float, tuple[float, float]]]:
+    """The black bodies' locus: reciprocal temperature in mired, and CIE 1960 uv."""
+    count = 80
+    first, last = 1.0e6 / KELVIN_MAX, 1.0e6 / KELVIN_MIN
+    mireds = [first + (last - first) * index / (count - 1) for index in range(count)]
+    return [(mired, _uv(_blackbody_xyz(1.0e6 / mired))) for mired in mireds]
+
+
+def _uv(xyz: Sequence[float]) -> tuple[float, float]:
+    """CIE 1960 chromaticity."""
+    x, y, z = xyz
+    total = x + 15.0 * y + 3.0 * z
+    return 4.0 * x / total, 6.0 * y / total
+
+
+def _blackbody_xyz(kelvin: float) -> tuple[float, float, float]:
+    x = y = z = 0.0
+    for wavelength, (red, green, blue) in _observers():
+        radiance = (560.0 / wavelength) ** 5 / math.expm1(_SECOND_RADIATION / (wavelength * kelvin))
+        x, y, z = x + radiance * red, y + radiance * green, z + radiance * blue
+    return x / y, 1.0, z / y
+
+
+@lru_cache(maxsize=1)
+def _observers() -> list[tuple[float, Rgb]]:
+    """Wavelengths in nm, and the observer's response to each."""
+    return [(380.0 + 5.0 * step, _observer(380.0 + 5.0 * step)) for step in range(81)]
+
+
+def _observer(wavelength: float) -> Rgb:
+    def lobe(height: float, centre: float, left: float, right: float) -> float:
+        width = left if wavelength < centre else right
+        return height * math.exp(-0.5 * ((wavelength - centre) * width) ** 2)
+
+    return (
+        lobe(0.362, 442.0, 0.0624, 0.0374)
+        + lobe(1.056, 599.8, 0.0264, 0.0323)
+        + lobe(-0.065, 501.1, 0.0490, 0.0382),
+        lobe(0.821, 568.8, 0.0213, 0.0247) + lobe(0.286, 530.9, 0.0613, 0.0322),
+        lobe(1.217, 437.0, 0.0845, 0.0278) + lobe(0.681, 459.0, 0.0385, 0.0725),
+    )

@@ -1,0 +1,118 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The material of an emissive surface: a radiance for each side, and optionally a diffuse reflection."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import bpy
+
+from ..marks import BACKSIDE, FRONT, OUTPUT
+from ..node_trees import node_tree
+from ..shown import UNCHANGED, write_surface
+from .tint import split
+
+_REFLECTION, _MIX = "FIPT Reflection", "FIPT Sides"
+_SIDES = ((FRONT, "Front: strength is radiance"), (BACKSIDE, "Back: strength is radiance"))
+
+
+def emission_material(
+    name: str,
+    radiance: Sequence[float],
+    back_radiance: Sequence[float],
+    base_color: Sequence[float] = (0.0, 0.0, 0.0),
+) -> bpy.types.Material:
+    """A new material that emits.
+
+    Args:
+        name: name of the material.
+        radiance, back_radiance: rgb emitted from the front (where normals point) and the back, W/(m² sr).
+        base_color: rgb of the rough surface; black reflects nothing.
+    """
+    material = bpy.data.materials.new(name)
+    tree = node_tree(material)
+    nodes, links = tree.nodes, tree.links
+    nodes.clear()
+    output = nodes.new("ShaderNodeOutputMaterial")
+    output.name, output.location = OUTPUT, (400, 0)
+    mix = nodes.new("ShaderNodeMixShader")
+    mix.name, mix.location = _MIX, (200, 0)
+    geometry = nodes.new("ShaderNodeNewGeometry")
+    geometry.location = (-40, 260)
+    links.new(geometry.outputs["Backfacing"], mix.inputs[0])
+    links.new(mix.outputs["Shader"], output.inputs["Surface"])
+    sides = list(enumerate(_SIDES, start=1))
+    if max(back_radiance) > max(radiance):
+        sides.reverse()  # exporters such as glTF's take the first emission node for the material's emission
+    for slot, (node_name, label) in sides:
+        node = nodes.new("ShaderNodeEmission")
+        node.name, node.label, node.location = node_name, label, (-40, 60 - 140 * (slot - 1))
+        links.new(node.outputs["Emission"], mix.inputs[slot])
+    if max(base_color) > 0.0:
+        _add_reflection(material, base_color)
+    write_radiance(material, radiance, back_radiance)
+    return material
+
+
+def _add_reflection(material: bpy.types.Material, base_color: Sequence[float]) -> None:
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    principled = nodes.new("ShaderNodeBsdfPrincipled")
+    principled.name, principled.location = _REFLECTION, (100, -220)
+    principled.inputs["Base Color"].default_value = (*base_color, 1.0)
+    principled.inputs["Roughness"].default_value = 1.0
+    add = nodes.new("ShaderNodeAddShader")
+    add.location = (300, 0)
+    links.new(nodes[_MIX].outputs["Shader"], add.inputs[0])
+    links.new(principled.outputs["BSDF"], add.inputs[1])
+    links.new(add.outputs["Shader"], nodes[OUTPUT].inputs["Surface"])
+
+
+def write_radiance(
+    material: bpy.types.Material, front: Sequence[float], back: Sequence[float], sampled: bool = True
+) -> None:
+    """Set the radiance of both sides.
+
+    Args:
+        material: made by `emission_material`; nodes that the artist has removed are skipped.
+        front, back: rgb radiance, W/(m² sr).
+        sampled: whether Cycles samples the surface as a light; false where Blender lights stand for it.
+    """
+    for (name, _), rgb in zip(_SIDES, (front, back), strict=True):
+        node = material.node_tree.nodes.get(name)
+        if node is not None:
+            color, strength = split(rgb)
+            node.inputs["Color"].default_value = (*color, 1.0)
+            node.inputs["Strength"].default_value = strength
+    if hasattr(material, "cycles"):  # not where the Cycles add-on is disabled
+        material.cycles.emission_sampling = emitting_sides(front, back) if sampled else "NONE"
+
+
+def emitting_sides(front: Sequence[float], back: Sequence[float]) -> str:
+    """Cycles' `emission_sampling` of a surface whose sides have these radiances."""
+    return "FRONT" if max(back) <= 0.0 else "BACK" if max(front) <= 0.0 else "FRONT_BACK"
+
+
+def node_strength(material: bpy.types.Material, back: bool) -> float | None:
+    """Strength of a side's emission node; None where the artist has removed it."""
+    node = material.node_tree.nodes.get(_SIDES[int(back)][0])
+    return None if node is None else float(node.inputs["Strength"].default_value)
+
+
+def write_shown(material: bpy.types.Material, shown: str) -> None:
+    """Show the surface itself, or its value in the map that the room shows.
+
+    Args:
+        material: made by `emission_material`. A lamp without reflection has a black base colour.
+        shown: see `shown.write_surface`.
+    """
+    sides = [material.node_tree.nodes.get(name) for name, _ in _SIDES]
+    emitting = (node for node in sides if node is not None and node.inputs["Strength"].default_value > 0.0)
+    emission = next(emitting, None)
+    black, white = (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0, 1.0)
+    color = black if emission is None else tuple(emission.inputs["Color"].default_value)
+    reflection = material.node_tree.nodes.get(_REFLECTION)
+    base_color = black if reflection is None else tuple(reflection.inputs["Base Color"].default_value)
+    constant = {"CONFIDENCE": white, "EMISSION": color, "BASE_COLOR": base_color}.get(shown, black)
+    write_surface(material, shown, None, constant)
+    material.diffuse_color = color if shown in UNCHANGED else constant

@@ -1,0 +1,195 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Applies the settings of a scene's lights (custom properties of their objects) to their strengths.
+
+No strength is saved to be restored: it is computed from the settings each time it is written.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+import bpy
+
+from ..marks import (
+    BACK,
+    BACKGROUND,
+    BASE,
+    COLOR,
+    KELVIN,
+    ON,
+    SOLO,
+    STOPS,
+    TINT,
+    WORLD,
+    WORLD_FACTOR,
+    WORLD_ON,
+    WRITTEN,
+    fixture_lights,
+    fixtures_of,
+    lights_of,
+    remove_marks,
+    result_world,
+)
+from .fixture_nodes import node_strength, write_radiance, write_shown
+from .tint import base_of, powered, shown_color, shown_temperature, split, tinted
+
+SETTINGS = (ON, SOLO, STOPS, TINT, COLOR, KELVIN)
+Setting = bool | int | float | Sequence[float]
+
+
+def list_lights(scene: bpy.types.Scene) -> None:
+    """Update the panel's list; nothing happens where the add-on is not enabled (batch jobs)."""
+    if not hasattr(scene, "fipt"):
+        return
+    settings = scene.fipt.lights
+    chosen = settings.active_light()
+    chosen = None if chosen is None else chosen.object
+    settings.lights.clear()
+    for index, item in enumerate(lights_of(scene)):
+        row = settings.lights.add()
+        row.name, row.object = item.name, item
+        if item == chosen:
+            settings.active = index
+    settings.active = min(max(settings.active, 0), max(len(settings.lights) - 1, 0))
+
+
+def change(scene: bpy.types.Scene, item: bpy.types.Object, values: Mapping[str, Setting]) -> None:
+    """Change settings of one light and update its strength."""
+    adopt(item)
+    if TINT in values:  # a new choice starts from the light's present colour
+        item[COLOR], item[KELVIN] = (
+            item.get(COLOR, shown_color(item)),
+            item.get(KELVIN, shown_temperature(item)),
+        )
+    for key, value in values.items():
+        item[key] = value
+    if SOLO in values:
+        refresh(scene)
+    else:
+        _write(item, shines(item, _any_solo(scene)), _shown(scene))
+
+
+def change_all(
+    scene: bpy.types.Scene, items: Iterable[bpy.types.Object], values: Mapping[str, Setting]
+) -> None:
+    """Change settings of several lights and update all strengths of the scene."""
+    for item in items:
+        adopt(item)
+        for key, value in values.items():
+            item[key] = value
+    refresh(scene)
+
+
+def set_estimated_lights(on: bool, scene: bpy.types.Scene | None = None) -> None:
+    """Switch all fixtures and the estimated environment of a scene (the context's by default) on or off.
+
+    A fixture that is off is black. Lights that were added stay as they are, but no light is soloed any more.
+    """
+    scene = scene or bpy.context.scene
+    world = result_world(scene)
+    if world is not None:
+        world[WORLD_ON] = on
+    change_all(scene, lights_of(scene), {SOLO: False})
+    change_all(scene, fixtures_of(scene), {ON: on})
+
+
+def reset(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
+    """Reset a light to its estimated power and colour, switched on."""
+    remove_marks(item, *SETTINGS)
+    item[WRITTEN] = _strength(item)
+    refresh(scene)
+
+
+def refresh(scene: bpy.types.Scene) -> None:
+    """Update the strengths of all lights and of the environment of a scene from their settings."""
+    items = lights_of(scene)
+    solo, shown = any(item.get(SOLO, False) for item in items), _shown(scene)
+    for item in items:
+        adopt(item)
+        _write(item, shines(item, solo), shown)
+    refresh_world(scene)
+
+
+def shines(item: bpy.types.Object, any_solo: bool) -> bool:
+    """Whether a light is on, given whether any light of its scene is soloed."""
+    return bool(item.get(SOLO, False) if any_solo else item.get(ON, True))
+
+
+def adopt(item: bpy.types.Object) -> None:
+    """Turn a strength that the artist entered in a node or a light's properties into settings."""
+    written, strength = item.get(WRITTEN), _strength(item)
+    if written is None or strength is None or math.isclose(strength, written, rel_tol=1e-4, abs_tol=1e-9):
+        return
+    base_strength = split(tinted(item, base_of(item)))[1]
+    item[ON] = strength > 0.0
+    if strength > 0.0 and base_strength > 0.0:
+        item[STOPS] = math.log2(strength / base_strength)
+    item[WRITTEN] = strength
+
+
+def has_set_power(scene: bpy.types.Scene, item: bpy.types.Object, light: bpy.types.Object) -> bool:
+    """Whether a Blender light of a fixture has the power and colour that the fixture's settings give it."""
+    color, watts = _color_and_watts(light, item, shines(item, _any_solo(scene)))
+    values = zip((*light.data.color, light.data.energy), (*color, watts), strict=True)
+    return all(math.isclose(value, target, rel_tol=1e-4, abs_tol=1e-6) for value, target in values)
+
+
+def refresh_world(scene: bpy.types.Scene) -> None:
+    """Update the environment's strength from its settings; nothing happens without a world of ours."""
+    world = result_world(scene)
+    if world is None:
+        return
+    background = world.node_tree.nodes.get(BACKGROUND)
+    if background is None:  # removed by the artist
+        return
+    on = bool(world[WORLD]) and world.get(WORLD_ON, True) and not _any_solo(scene)
+    visible = _shown(scene) in ("ESTIMATED", "ORIGINAL", "EMISSION")
+    background.inputs["Strength"].default_value = world.get(WORLD_FACTOR, 1.0) if on and visible else 0.0
+
+
+def _any_solo(scene: bpy.types.Scene) -> bool:
+    return any(item.get(SOLO, False) for item in lights_of(scene))
+
+
+def _shown(scene: bpy.types.Scene) -> str:
+    return scene.fipt.materials.shown if hasattr(scene, "fipt") else "ESTIMATED"
+
+
+def _strength(item: bpy.types.Object) -> float | None:
+    """Watts of a light; strength of the side of a fixture that `base_of` names; None where unknown."""
+    if item.type == "LIGHT":
+        return float(item.data.energy)
+    if item.type != "MESH" or not item.data.materials or item.data.materials[0] is None:
+        return None
+    return node_strength(item.data.materials[0], back=max(item.get(BASE, (1.0,))) <= 0.0)
+
+
+def _write(item: bpy.types.Object, on: bool, shown: str) -> None:
+    off = (0.0, 0.0, 0.0)
+    if item.type == "LIGHT":
+        _write_light(item, item, on)
+    elif item.type == "MESH" and item.data.materials and item.data.materials[0] is not None:
+        material = item.data.materials[0]
+        front = powered(item, item[BASE]) if on else off
+        back = powered(item, item.get(BACK, off)) if on else off
+        write_radiance(material, front, back, sampled=not fixture_lights(item))
+        write_shown(material, shown)
+        for light in fixture_lights(item):
+            _write_light(light, item, on)
+    strength = _strength(item)
+    if strength is not None:
+        item[WRITTEN] = strength
+
+
+def _write_light(item: bpy.types.Object, settings: bpy.types.Object, on: bool) -> None:
+    item.data.color, item.data.energy = _color_and_watts(item, settings, on)
+
+
+def _color_and_watts(
+    item: bpy.types.Object, settings: bpy.types.Object, on: bool
+) -> tuple[tuple[float, float, float], float]:
+    """Colour and power of a Blender light, of which `settings` carries the settings."""
+    color, energy = split(powered(settings, item[BASE]))
+    return color, energy if on else 0.0

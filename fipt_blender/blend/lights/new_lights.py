@@ -1,0 +1,104 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Area lights that the artist adds to the room, with size, power and place derived from it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+
+from ...core.run.errors import FiptError
+from ..marks import BASE, NEW_LIGHT
+from ..outliner import LIGHTS, collection
+from ..room.mesh_arrays import world_bounds
+from . import light_state
+from .placement import room_light_power
+
+_SIZE_SHARE = 0.2  # of the room's shorter side
+_DISTANCE_SHARE = 0.35  # of the room's diagonal: distance to the lit surface
+_PLAIN_SIZE, _PLAIN_WATTS = 1.0, 100.0  # without a room
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """A square light that suits a room."""
+
+    size: float  # its side, metres
+    watts: float
+    distance: float  # from the surface that it lights, metres
+
+
+def suggest(scene: bpy.types.Scene) -> Suggestion:
+    """A light that alone makes the room about as bright as its photographs."""
+    bounds = world_bounds(scene.fipt.capture.room_objects(scene))
+    if bounds is None:
+        return Suggestion(_PLAIN_SIZE, _PLAIN_WATTS, 2.0 * _PLAIN_SIZE)
+    low, high = bounds
+    extent = high - low
+    median = scene.fipt.lights.median_radiance
+    size = _SIZE_SHARE * float(min(extent[0], extent[1])) or _PLAIN_SIZE
+    watts = room_light_power(median, low, high) if median > 0.0 else _PLAIN_WATTS * size**2
+    return Suggestion(size, watts, _DISTANCE_SHARE * float(np.linalg.norm(extent)))
+
+
+def add_light(
+    scene: bpy.types.Scene, location: Vector, direction: Vector, size: float, watts: float
+) -> bpy.types.Object:
+    """A square area light.
+
+    Args:
+        scene: the scene to add it to.
+        location: its centre, world.
+        direction: the direction in which it shines, of any length.
+        size: its side, metres.
+        watts: its power.
+
+    Raises:
+        FiptError: ``direction-missing``.
+    """
+    if direction.length <= 0.0:
+        raise FiptError(
+            "direction-missing", "The light has no direction.", "Give a direction other than zero."
+        )
+    data = bpy.data.lights.new("FIPT Light", "AREA")
+    data.shape, data.size = "SQUARE", size
+    item = bpy.data.objects.new(data.name, data)
+    item[NEW_LIGHT] = 1
+    item[BASE] = [watts] * 3
+    collection(scene, LIGHTS).objects.link(item)
+    rotation = direction.to_track_quat("-Z", "Y").to_matrix().to_4x4()
+    item.matrix_world = Matrix.Translation(location) @ rotation
+    light_state.refresh(scene)
+    light_state.list_lights(scene)
+    for index, row in enumerate(scene.fipt.lights.lights):
+        if row.object == item:
+            scene.fipt.lights.active = index
+    return item
+
+
+def aim(
+    scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, point: Vector, normal: Vector, distance: float
+) -> tuple[Vector, Vector]:
+    """Location of a light that is aimed at a point of the room, and the unit direction to that point.
+
+    It lies in front of the surface, raised where possible, and closer where something is in between.
+
+    Args:
+        scene: the scene, whose visible objects block the light.
+        depsgraph: its dependency graph.
+        point: position on the surface, world.
+        normal: unit normal there, on the side to light.
+        distance: metres from the point where nothing is in between.
+    """
+    outwards = normal.copy()
+    if normal.z > -0.7:  # not for a ceiling
+        outwards = (normal + Vector((0.0, 0.0, 0.7))).normalized()
+    start = point + 1e-3 * distance * normal
+    hit, position, *_ = scene.ray_cast(depsgraph, start, outwards)
+    free = (position - start).length if hit else math.inf
+    location = start + outwards * min(distance, 0.8 * free)
+    return location, (point - location).normalized()

@@ -1,0 +1,59 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A light's colour and power from its settings. Quick to import, since panels use it while drawing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import bpy
+
+from ..marks import BACK, BASE, COLOR, KELVIN, STOPS, TINT
+from .color import Rgb, blackbody, luminance, temperature_of, with_luminance
+
+_ESTIMATED, _COLOR, _TEMPERATURE = 0, 1, 2
+
+
+def tinted(item: bpy.types.Object, base: Sequence[float]) -> Rgb:
+    """A base rgb (radiance or watts) in the light's colour, with its luminance unchanged."""
+    kind = item.get(TINT, _ESTIMATED)
+    if kind == _COLOR:
+        return with_luminance(item.get(COLOR, (1.0, 1.0, 1.0)), luminance(base))
+    if kind == _TEMPERATURE:
+        return with_luminance(blackbody(item.get(KELVIN, 6504.0)), luminance(base))
+    red, green, blue = base
+    return (red, green, blue)
+
+
+def powered(item: bpy.types.Object, base: Sequence[float]) -> Rgb:
+    """A base rgb in the light's colour and at its power."""
+    factor = 2.0 ** item.get(STOPS, 0.0)
+    red, green, blue = (value * factor for value in tinted(item, base))
+    return (red, green, blue)
+
+
+def base_of(item: bpy.types.Object) -> Sequence[float]:
+    """A light's base rgb: the front's, or the back's where the front is black."""
+    base: Sequence[float] = item.get(BASE, (1.0, 1.0, 1.0))
+    return item.get(BACK, base) if max(base) <= 0.0 else base
+
+
+def shown_color(item: bpy.types.Object) -> Rgb:
+    """The light's colour, its strongest channel 1."""
+    return split(tinted(item, base_of(item)))[0]
+
+
+def shown_temperature(item: bpy.types.Object) -> float:
+    """The light's colour temperature in kelvin: the chosen one, or the nearest to its colour."""
+    if item.get(TINT, _ESTIMATED) == _TEMPERATURE:
+        return float(item.get(KELVIN, 6504.0))
+    return temperature_of(shown_color(item))
+
+
+def split(rgb: Sequence[float]) -> tuple[Rgb, float]:
+    """A colour whose strongest channel is 1, and its strength; white at strength 0."""
+    strength = float(max(rgb))
+    if strength <= 0.0:
+        return (1.0, 1.0, 1.0), 0.0
+    red, green, blue = (float(value) / strength for value in rgb)
+    return (red, green, blue), strength

@@ -1,0 +1,182 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Cycles renders that can be compared with photographs: scene-linear EXR, nothing clamped, box filter."""
+
+from __future__ import annotations
+
+import tempfile
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypedDict
+
+import bpy
+import numpy as np
+
+from ...core.run.errors import FiptError
+from ...core.run.runfolder import atomic_path
+from ..changed import changed
+from ..save import check_space, write_error
+from .image_files import IMAGE_MEDIA, read_pixels
+
+CYCLES = {
+    "use_adaptive_sampling": False,
+    "sample_clamp_direct": 0.0,
+    "sample_clamp_indirect": 0.0,
+    "blur_glossy": 0.0,
+    "light_sampling_threshold": 0.0,
+    "caustics_reflective": True,
+    "caustics_refractive": True,
+    # With Blender's 12 bounces a bright living room lacks 0.4 % of its light. More cost little, since Russian
+    # roulette ends most paths earlier.
+    "max_bounces": 32,
+    "diffuse_bounces": 32,
+    "glossy_bounces": 32,
+    # Photographs average the radiance over a pixel; wider filters would blur.
+    "pixel_filter_type": "BOX",
+}
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """How to render an image in Cycles.
+
+    Attributes:
+        spp: samples per pixel.
+        seed: seed of the sampling pattern.
+        denoise: None denoises where Open Image Denoise is available.
+        transparent: write the objects' coverage as alpha, with premultiplied colours; the world is not drawn.
+        device: Cycles' device, "CPU" or "GPU".
+    """
+
+    spp: int
+    seed: int = 0
+    denoise: bool | None = None
+    transparent: bool = False
+    device: str = "CPU"
+
+
+class Devices(TypedDict):
+    """Cycles devices as in the user's preferences."""
+
+    type: str
+    ids: list[str]
+
+
+def can_denoise() -> bool:
+    """Whether this Blender was built with Open Image Denoise; some builds offer it but lack it."""
+    try:
+        import _cycles
+    except ImportError:
+        return False
+    return bool(getattr(_cycles, "with_openimagedenoise", False))
+
+
+def user_devices() -> Devices | None:
+    """The devices that the user's preferences enable; None for the processor, as in factory settings."""
+    addon = bpy.context.preferences.addons.get("cycles")
+    preferences = getattr(addon, "preferences", None)
+    kind = getattr(preferences, "compute_device_type", "NONE")
+    if preferences is None or kind == "NONE":
+        return None
+    return Devices(type=kind, ids=[device.id for device in preferences.devices if device.use])
+
+
+def enable_devices(devices: Devices | None) -> None:
+    """Enable devices in the preferences of this Blender."""
+    addon = bpy.context.preferences.addons.get("cycles")
+    if addon is None or devices is None:
+        return
+    addon.preferences.compute_device_type = devices["type"]
+    addon.preferences.refresh_devices()
+    for device in addon.preferences.devices:
+        device.use = device.id in devices["ids"]
+
+
+def set_up_scene(scene: bpy.types.Scene, exposure: float = 0.0) -> None:
+    """Make the scene's settings those of a re-render that can be compared with photographs by eye.
+
+    Args:
+        scene: the scene; its view transform becomes Standard (sRGB), without a look.
+        exposure: stops, e.g. from `exposure_of`.
+    """
+    scene.render.engine = "CYCLES"
+    for name, value in CYCLES.items():
+        setattr(scene.cycles, name, value)
+    scene.view_settings.view_transform = "Standard"
+    scene.view_settings.look = "None"
+    scene.view_settings.exposure = exposure
+    scene.view_settings.gamma = 1.0
+
+
+def exposure_of(radiance: np.ndarray) -> float:
+    """Stops that map the median of the positive radiances to middle grey (0.18); 0 if there are none."""
+    positive = radiance[radiance > 0.0]
+    return float(np.log2(0.18 / np.median(positive))) if positive.size else 0.0
+
+
+def render_exr(scene: bpy.types.Scene, path: Path, options: RenderOptions) -> None:
+    """Render the scene's camera in Cycles to a float EXR with scene-linear values.
+
+    The scene's render settings are restored afterwards.
+
+    Args:
+        scene: the scene.
+        path: ends in .exr.
+        options: see there.
+
+    Raises:
+        FiptError: ``render-failed``, or the write errors of the run folder.
+    """
+    render = scene.render
+    cycles = {
+        **CYCLES,
+        "device": options.device,
+        "samples": options.spp,
+        "seed": options.seed,
+        "use_denoising": can_denoise() if options.denoise is None else options.denoise,
+    }
+    exr = {
+        "file_format": "OPEN_EXR",
+        "color_mode": "RGBA" if options.transparent else "RGB",
+        "color_depth": "32",
+        "exr_codec": "ZIP",
+    }
+    with ExitStack() as stack, atomic_path(path) as temporary:
+        output = {
+            "engine": "CYCLES",
+            "filepath": str(temporary),
+            "use_file_extension": False,
+            "use_compositing": False,
+            "use_sequencer": False,
+            "use_motion_blur": False,
+            "film_transparent": options.transparent,
+        }
+        stack.enter_context(changed(render, output))
+        stack.enter_context(changed(scene.cycles, cycles))
+        settings = render.image_settings
+        stack.enter_context(changed(settings, IMAGE_MEDIA))
+        stack.enter_context(changed(settings, exr))
+        try:
+            bpy.ops.render.render(write_still=True, scene=scene.name)
+        except RuntimeError as error:
+            if temporary.exists() or "save" in str(error):
+                raise write_error(path, error, "render-failed") from None
+            raise _render_failed(str(error).strip()) from None
+        if not temporary.exists():
+            raise _render_failed("no image was written")
+        check_space(path)  # on a full disk Blender writes a part of the image and reports nothing
+
+
+def _render_failed(reason: str) -> FiptError:
+    return FiptError(
+        "render-failed", f"Cycles could not render ({reason}).", "Look at Blender's console output."
+    )
+
+
+def render_pixels(scene: bpy.types.Scene, options: RenderOptions) -> np.ndarray:
+    """Like `render_exr`, but return the image: (H,W,3) f32, first row at the top."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "render.exr"
+        render_exr(scene, path, options)
+        return read_pixels(path)

@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reads and writes image files as arrays with Blender's own image code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ...core.run.errors import FiptError
+from ...core.run.runfolder import RunFolder, atomic_path
+from ..changed import changed
+from ..image_datablocks import LINEAR
+from ..save import write_error
+
+# Selects still images in image settings, where that is a setting (from Blender 5.0): it decides on formats.
+IMAGE_MEDIA = (
+    {"media_type": "IMAGE"} if "media_type" in bpy.types.ImageFormatSettings.bl_rna.properties else {}
+)
+
+
+def view_entry(capture: dict[str, Any], name: str) -> dict[str, Any]:
+    """A view's entry of capture.json.
+
+    Raises:
+        FiptError: ``view-missing``.
+    """
+    for view in capture["views"]:
+        if view["name"] == name:
+            return view
+    raise FiptError(
+        "view-missing", f"The capture of this run has no view '{name}'.", "Choose one of its views."
+    )
+
+
+def photograph(run: RunFolder, view: dict[str, Any]) -> np.ndarray:
+    """A view's photograph, (H, W, 3) f32 scene-linear, first row at the top.
+
+    Raises:
+        FiptError: ``image-missing`` or ``path-outside``.
+    """
+    path = run.resolve(view["image"])
+    try:
+        pixels = read_pixels(path)
+        if not pixels.size:
+            raise ValueError("no pixels")
+        return pixels
+    except (RuntimeError, ValueError):
+        raise FiptError(
+            "image-missing",
+            f"The photograph {path} of the view '{view['name']}' can't be read.",
+            "Put the file back where it was, or import the capture again from where it is now.",
+        ) from None
+
+
+def read_pixels(path: Path, channels: int = 3) -> np.ndarray:
+    """Pixels of a scene-linear image file, (H,W,channels) f32, first row at the top."""
+    image = bpy.data.images.load(str(path))
+    try:
+        image.colorspace_settings.is_data = True
+        width, height = image.size
+        pixels = np.empty(width * height * image.channels, np.float32)
+        image.pixels.foreach_get(pixels)
+        return pixels.reshape(height, width, image.channels)[::-1, :, :channels].copy()
+    finally:
+        bpy.data.images.remove(image)
+
+
+def save_exr(path: Path, pixels: np.ndarray) -> None:
+    """Write scene-linear values (H, W, 3), first row at the top, as float EXR, atomically.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    _save(path, pixels, "OPEN_EXR", is_float=True)
+
+
+def save_png(path: Path, display: np.ndarray) -> None:
+    """Write display values in [0, 1] (H, W, 3), first row at the top, as 8-bit PNG, atomically.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    _save(path, display, "PNG", is_float=False)
+
+
+def _save(path: Path, pixels: np.ndarray, file_format: str, is_float: bool) -> None:
+    height, width = pixels.shape[:2]
+    image = bpy.data.images.new(path.stem, width, height, alpha=False, float_buffer=is_float)
+    try:
+        image.colorspace_settings.is_data = True  # otherwise saving converts float values to sRGB
+        values = np.ones((height, width, 4), np.float32)
+        values[..., :3] = pixels[::-1]
+        image.pixels.foreach_set(values.ravel())
+        with atomic_path(path) as temporary:
+            image.filepath_raw, image.file_format = str(temporary), file_format
+            write_image(path, temporary, image.save)
+    finally:
+        bpy.data.images.remove(image)
+
+
+def save_look(source: Path, path: Path, scene: bpy.types.Scene) -> None:
+    """Write a scene-linear image as the scene's view transform shows it, as PNG.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    image = bpy.data.images.load(str(source))
+    image.colorspace_settings.name = LINEAR
+    settings = scene.render.image_settings
+    try:
+        png = {"file_format": "PNG", "color_mode": "RGB", "color_depth": "8"}
+        with changed(settings, IMAGE_MEDIA), changed(settings, png), atomic_path(path) as temporary:
+            write_image(path, temporary, lambda: image.save_render(str(temporary), scene=scene))
+    finally:
+        bpy.data.images.remove(image)
+
+
+def write_image(path: Path, temporary: Path, write: Callable[[], object]) -> None:
+    """Write `temporary`, which becomes `path`."""
+    try:
+        write()
+        # On a full disk Blender writes a part of a PNG and reports nothing.
+        if path.suffix == ".png" and b"IEND" not in temporary.read_bytes()[-16:]:
+            raise RuntimeError("the file is incomplete")
+    except RuntimeError as error:
+        raise write_error(path, error, "run-unwritable") from None

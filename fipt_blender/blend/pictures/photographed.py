@@ -1,0 +1,114 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The lights as they were when the room was photographed, whatever the artist has changed since."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+
+import bpy
+
+from ..changed import all_changed, changed
+from ..lights.convert import RAYS, lights_as_converted
+from ..lights.fixture_nodes import emitting_sides
+from ..marks import (
+    BACK,
+    BACKGROUND,
+    BACKSIDE,
+    BASE,
+    FRONT,
+    MAPPING,
+    VISIBILITY,
+    WORLD,
+    fixture_lights,
+    fixtures_of,
+    result_world,
+)
+
+_BLACK = (0.0, 0.0, 0.0)
+
+
+@contextmanager
+def lights_as_photographed(scene: bpy.types.Scene) -> Iterator[None]:
+    """Set the estimated radiance of all fixtures and the estimated environment for the length of a block.
+
+    The fixtures' surfaces emit, not Blender lights that stand for them. Lights that are so already are not
+    touched, so that renders before and after agree sample by sample.
+    """
+    with ExitStack() as stack:
+        for item in fixtures_of(scene):
+            if BASE in item:
+                stack.enter_context(changed(item, {"hide_render": False, "visible_camera": True}))
+                _emit_by_surface(stack, item, dict.fromkeys(RAYS, True))
+                _emit_as_estimated(stack, item)
+        world = result_world(scene)
+        if world is not None:
+            stack.enter_context(changed(scene, {"world": world}))
+            nodes = world.node_tree.nodes
+            if BACKGROUND in nodes:
+                _set(stack, nodes[BACKGROUND].inputs["Strength"], 1.0 if world[WORLD] else 0.0)
+            if MAPPING in nodes:
+                _set(stack, nodes[MAPPING].inputs["Rotation"], (0.0, 0.0, 0.0))
+        yield
+
+
+@contextmanager
+def unchanged_lights_as_surfaces(scene: bpy.types.Scene) -> Iterator[None]:
+    """Let fixtures emit by their surfaces where their Blender lights give the same light, for a block.
+
+    Renders in the block then agree with those of `lights_as_photographed` sample by sample, except for what
+    the artist has changed.
+    """
+    with ExitStack() as stack:
+        for layer in scene.view_layers:
+            layer.update()  # the lights' matrices
+        for item in fixtures_of(scene):
+            if VISIBILITY in item and not item.hide_render and lights_as_converted(scene, item):
+                _emit_by_surface(stack, item, json.loads(item[VISIBILITY]))
+        yield
+
+
+def _emit_by_surface(stack: ExitStack, item: bpy.types.Object, visibility: Mapping[str, bool]) -> None:
+    """Let a fixture's surface emit in place of its Blender lights, visible to these rays."""
+    stack.enter_context(all_changed(fixture_lights(item), {"hide_render": True}))
+    stack.enter_context(changed(item, visibility))
+    material = _material(item)
+    if material is not None and hasattr(material, "cycles"):  # not where the Cycles add-on is disabled
+        sides = emitting_sides(*(item.get(key, _BLACK) for key in (BASE, BACK)))
+        stack.enter_context(changed(material.cycles, {"emission_sampling": sides}))
+
+
+def _emit_as_estimated(stack: ExitStack, item: bpy.types.Object) -> None:
+    material = _material(item)
+    if material is None:
+        return
+    for name, key in ((FRONT, BASE), (BACKSIDE, BACK)):
+        node = material.node_tree.nodes.get(name)
+        if node is not None:
+            _set_radiance(stack, node, [float(value) for value in item.get(key, _BLACK)])
+
+
+def _material(item: bpy.types.Object) -> bpy.types.Material | None:
+    """A fixture's material; None where the artist has removed it or its nodes."""
+    material = item.data.materials[0] if item.data.materials else None
+    return None if material is None or material.node_tree is None else material
+
+
+def _set_radiance(stack: ExitStack, node: bpy.types.Node, radiance: Sequence[float]) -> None:
+    color, strength = node.inputs["Color"], node.inputs["Strength"]
+    present = [color.default_value[channel] * strength.default_value for channel in range(3)]
+    if max(abs(a - b) for a, b in zip(present, radiance, strict=True)) <= 1e-5 * max(radiance):
+        return
+    _set(stack, strength, 1.0)
+    _set(stack, color, (*radiance, 1.0))
+
+
+def _set(stack: ExitStack, socket: bpy.types.NodeSocket, value: float | tuple[float, ...]) -> None:
+    kept = socket.default_value
+    kept = tuple(kept) if hasattr(kept, "__len__") else kept
+    if kept == value:
+        return
+    stack.callback(setattr, socket, "default_value", kept)
+    socket.default_value = value

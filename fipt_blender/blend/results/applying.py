@@ -1,0 +1,313 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Applies results to the room: result meshes and fixtures are prepared in slices, then swapped in.
+
+Until the last slice nothing visible has changed, so that a failure leaves the room as it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ...bridge.process import Message
+from ...core.run.arrays import read_arrays
+from ...core.run.errors import FiptError
+from ...core.run.run_files import read_atlas, read_emitters
+from ...core.run.runfolder import RunFolder
+from ...core.run.shapes import CORNER_FIELDS_ARRAYS
+from ..lights import fixtures
+from ..lights.kept_states import keep_states, states_of
+from ..marks import MAP, OBJECT_ID, has_results, object_id
+from ..room.arrays import Room, read_room
+from ..room.mesh_arrays import is_mirrored, triangle_loops
+from ..room.originals import (
+    original_polygons,
+    remove_fixtures,
+    restore_original,
+    result_meshes,
+    set_result_mesh,
+)
+from ..room.result_meshes import list_names, make_mesh, match_objects
+from ..room.uv_layer import write_layer
+from ..slices import Slices, find_object, run_through
+from ..texture_files import IN_RUN_FOLDER, TextureFiles
+from .materials import (
+    MAPS,
+    attribute_material,
+    image_material,
+    read_textures,
+    remove_unused,
+    result_materials,
+)
+from .write_back_nodes import agree_with_model
+
+_AGAIN = "Apply the results again."
+
+
+@dataclass(frozen=True)
+class Applied:
+    """What `apply_results` did.
+
+    Attributes:
+        materials, fixtures: names of those that it put into the file.
+        warnings: objects of the room that got no results.
+    """
+
+    materials: list[str] = field(default_factory=list)
+    fixtures: list[str] = field(default_factory=list)
+    warnings: list[Message] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _Target:
+    """An object of the room, by name, with the name of its new result mesh and its index in the room."""
+
+    index: int
+    name: str
+    mesh_name: str
+
+
+@dataclass(frozen=True)
+class _Results:
+    """The results of a run.
+
+    Attributes:
+        room: the exported room.
+        triangle_image: (T,) atlas image of each triangle, -1 for none.
+        corner_uv: (T,3,2) of the atlas.
+        entries: the entries of textures.json; empty for colour attributes.
+        corner_fields: values of colour attributes by map; empty for UVs.
+        emitters: the fixtures of emitters.json.
+    """
+
+    room: Room
+    triangle_image: np.ndarray
+    corner_uv: np.ndarray
+    entries: list[dict[str, str]]
+    corner_fields: dict[str, np.ndarray]
+    emitters: list[dict[str, Any]]
+
+
+def apply_results(
+    run: RunFolder, objects: Iterable[bpy.types.Object], scene: bpy.types.Scene | None = None
+) -> Applied:
+    """Put textures and emitters of a finished run onto the room.
+
+    Objects of the run that are missing, or whose faces have changed, are left out with a warning.
+
+    Args:
+        run: the run folder with atlas, textures and results/emitters.json.
+        objects: the room's objects; earlier results on them are replaced.
+        scene: the scene for the fixtures; the context's by default.
+
+    Raises:
+        FiptError: ``room-changed`` where all are left out, ``room-edited``, ``uv-layers-full``,
+            ``file-missing``, ``file-damaged``.
+    """
+    return run_through(apply_slices(run, objects, scene or bpy.context.scene))
+
+
+def apply_slices(
+    run: RunFolder,
+    objects: Iterable[bpy.types.Object],
+    scene: bpy.types.Scene,
+    files: TextureFiles = IN_RUN_FOLDER,
+) -> Slices[Applied]:
+    """`apply_results`, one object per slice; the scene changes in the last slice.
+
+    Args:
+        run, objects, scene: see `apply_results`.
+        files: where the textures are kept.
+
+    Raises:
+        FiptError: also ``textures-unwritable``.
+    """
+    scene_name = scene.name
+    results = _read(run)
+    objects = list(objects)
+    names = [item.name for item in objects]
+    matches = match_objects(results.room, objects)
+    targets: list[_Target] = []
+    changed: dict[str, FiptError] = {}
+    try:
+        for index, name in enumerate(matches):
+            if name is None:
+                continue
+            item = find_object(name)
+            try:
+                mesh = make_mesh(results.room, index, item)
+            except FiptError as error:
+                if error.code != "room-changed":
+                    raise
+                changed[name] = error
+                continue
+            targets.append(_Target(index, name, mesh.name))
+            _write_maps(mesh, is_mirrored(item), results, results.room.triangle_object == index)
+            yield None
+        if changed and not targets:
+            raise next(iter(changed.values()))
+        warnings = _left_out(results.room, matches, list(changed))
+        with_results = {target.name for target in targets}
+        others = [bpy.data.objects.get(name) for name in names if name not in with_results]
+        pairs = {
+            target.index: (find_object(target.name), _prepared_mesh(target.mesh_name)) for target in targets
+        }
+        for entry in results.entries:
+            for key in MAPS:
+                files.copy(run.resolve(entry[key]))
+        return _swap_in(run, results, pairs, others, bpy.data.scenes[scene_name], warnings, files)
+    except BaseException:  # including GeneratorExit: the job was cancelled
+        prepared = [bpy.data.meshes.get(target.mesh_name) for target in targets]
+        bpy.data.batch_remove([mesh for mesh in prepared if mesh is not None and mesh.users == 0])
+        raise
+
+
+def _left_out(room: Room, matches: Sequence[str | None], changed: Sequence[str]) -> list[Message]:
+    """Warnings that name the objects of the room that get no results."""
+    missing = [name for name, match in zip(room.objects, matches, strict=True) if match is None]
+    warnings: list[Message] = []
+    if missing:
+        text = f"These objects were estimated, but are not in the room any more: {list_names(missing)}."
+        remedy = "The others got their results. Undo the removal and apply again to give them theirs."
+        warnings.append({"type": "warning", "code": "objects-missing", "text": text, "remedy": remedy})
+    if changed:
+        text = f"The faces of these objects are not those that were estimated: {list_names(changed)}."
+        remedy = (
+            "They show their own materials. Undo the change to their meshes or modifiers and apply again, or"
+            " estimate again."
+        )
+        warnings.append({"type": "warning", "code": "objects-changed", "text": text, "remedy": remedy})
+    return warnings
+
+
+def _prepared_mesh(name: str) -> bpy.types.Mesh:
+    mesh = bpy.data.meshes.get(name)
+    if mesh is None:
+        raise FiptError(
+            "apply-interrupted",
+            "An undo or the loading of a file interrupted applying the results.",
+            "Apply them again; the textures are kept.",
+        )
+    return mesh
+
+
+def _read(run: RunFolder) -> _Results:
+    room = read_room(run)
+    count = len(room.triangles)
+    atlas, arrays = read_atlas(run, count)
+    corner_fields: dict[str, np.ndarray] = {}
+    entries: list[dict[str, str]] = []
+    image = arrays["triangle_image"]
+    if atlas["mode"] == "color_attribute":
+        image = np.zeros_like(image)
+        corner_fields = _read_corner_fields(run.textures / "corner_fields.npz", count)
+    else:
+        entries = read_textures(run)
+        if len(entries) != len(atlas["images"]):
+            raise FiptError("file-damaged", f"{run.textures_json} does not fit {run.atlas_json}.", _AGAIN)
+    return _Results(
+        room=room,
+        triangle_image=image,
+        corner_uv=arrays["corner_uv"],
+        entries=entries,
+        corner_fields=corner_fields,
+        emitters=read_emitters(run, count)["fixtures"],
+    )
+
+
+def _read_corner_fields(path: Path, count: int) -> dict[str, np.ndarray]:
+    """Values (T,3,...) of colour attributes by map; `count` is the room's number of triangles."""
+    arrays = read_arrays(path, CORNER_FIELDS_ARRAYS, remedy=_AGAIN)
+    if len(arrays["roughness"]) != count:
+        raise FiptError("file-damaged", f"{path} does not fit the room.", _AGAIN)
+    return arrays
+
+
+def _write_maps(mesh: bpy.types.Mesh, mirrored: bool, results: _Results, triangles: np.ndarray) -> None:
+    """Write the UV layer or the colour attributes of a result mesh; `triangles` (T,) marks its triangles."""
+    if not results.corner_fields:
+        write_layer(mesh, mirrored, results.corner_uv[triangles])
+        return
+    loops, _ = triangle_loops(mesh, mirrored)
+    for key, (label, _) in MAPS.items():
+        name = MAP.format(label)
+        old = mesh.attributes.get(name)
+        if old is not None:
+            mesh.attributes.remove(old)
+        mesh.attributes.new(name, "FLOAT_COLOR", "CORNER")
+        values = np.ones((len(mesh.loops), 4), np.float32)
+        # Data maps are grey colours, so that solid shading can draw them too.
+        values[loops.ravel(), :3] = results.corner_fields[key][triangles].reshape(loops.size, -1)
+        mesh.attributes[name].data.foreach_set("color", values.ravel())
+
+
+def _swap_in(
+    run: RunFolder,
+    results: _Results,
+    targets: Mapping[int, tuple[bpy.types.Object, bpy.types.Mesh]],
+    others: Sequence[bpy.types.Object | None],
+    scene: bpy.types.Scene,
+    warnings: list[Message],
+    files: TextureFiles,
+) -> Applied:
+    """Give the objects in `targets` their result meshes, and the `others` of the room their original ones."""
+    room = results.room
+    for index, (item, _) in targets.items():
+        if OBJECT_ID not in item and item.library is None:  # undone since, or a run of an earlier version
+            item[OBJECT_ID] = (room.object_ids or room.objects)[index]
+    earlier = result_materials(result_meshes(item for item, _ in targets.values()))
+    if results.entries:
+        materials = [
+            image_material(run, entry, earlier.get(entry["name"]), files) for entry in results.entries
+        ]
+    else:
+        materials = [attribute_material(earlier.get("Room"))]
+    settings = run.read()
+    if settings.write_back == "cycles":
+        for material in materials:
+            agree_with_model(material, settings.masking)
+    for index, (_, mesh) in targets.items():
+        _assign_materials(mesh, room, index, results.triangle_image, materials)
+    new_fixtures = fixtures.split_off(room, results.emitters, targets)
+    kept = states_of(scene)
+    remove_fixtures({object_id(item) for item, _ in targets.values()})
+    # Earlier results of theirs would show the new textures at the UVs of the old ones.
+    restore_original(item for item in others if item is not None and has_results(item))
+    for item, mesh in targets.values():
+        set_result_mesh(item, mesh)
+    remove_unused(earlier.values())
+    placed = fixtures.place(scene, new_fixtures)
+    keep_states(scene, placed, kept)
+    names = [item.name for item in placed]
+    return Applied([material.name for material in materials], names, warnings)
+
+
+def _assign_materials(
+    mesh: bpy.types.Mesh,
+    room: Room,
+    index: int,
+    triangle_image: np.ndarray,
+    materials: list[bpy.types.Material],
+) -> None:
+    """Give a result mesh one slot for each atlas image that it uses."""
+    of_object = room.triangle_object == index
+    polygon, image = room.triangle_polygon[of_object], triangle_image[of_object]
+    original = original_polygons(mesh)
+    polygon_image = np.full(max(int(polygon.max(initial=-1)), int(original.max(initial=-1))) + 1, -1)
+    # Triangles without area have no image (-1); the polygon takes that of its other triangles.
+    order = np.argsort(image, kind="stable")
+    polygon_image[polygon[order]] = image[order]
+    used = [int(number) for number in np.unique(polygon_image[original]) if number >= 0] or [0]
+    slot = np.zeros(len(materials) + 1, np.int32)
+    slot[used] = np.arange(len(used))
+    mesh.materials.clear()
+    for number in used:
+        mesh.materials.append(materials[number])
+    mesh.polygons.foreach_set("material_index", slot[polygon_image[original]])
+    mesh.update()

@@ -1,0 +1,57 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reverting a scene to what it was before results were applied."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..capture.backdrop import clear_view
+from ..lights import light_state
+from ..lights.light_groups import remove_light_groups
+from ..lights.world import restore_world
+from ..marks import added_lights, is_split_off, room_with_results
+from ..outliner import FIXTURES, find_collection, remove_object
+from ..room.originals import restore_original, result_meshes
+from .maps import restore_solid_views
+from .materials import remove_unused, result_materials
+from .scene_state import mute_other_lights, restore_scene
+
+
+def revert(scene: bpy.types.Scene, new_lights: bool = False) -> list[str]:
+    """Remove everything from a scene that results have brought.
+
+    Args:
+        scene: the scene with results.
+        new_lights: also remove the lights that the artist has added with our tools.
+
+    Returns:
+        Names of the objects that were restored.
+    """
+    settings = scene.fipt.materials
+    settings.shown = "ESTIMATED"  # restores view settings, world and collections
+    for layer in scene.view_layers:
+        remove_light_groups(scene, layer)
+    room = room_with_results(scene)
+    materials = result_materials(result_meshes(room))
+    restored = restore_original(room)
+    # Fixtures can be left over whose source objects were deleted or renamed.
+    for item in [item for item in scene.objects if is_split_off(item)]:
+        remove_object(item)
+    if new_lights:
+        for item in added_lights(scene):
+            remove_object(item)
+    remove_unused(materials.values())
+    restore_world(scene)
+    target = find_collection(scene, FIXTURES)
+    if target is not None and not target.all_objects:
+        bpy.data.collections.remove(target)
+    mute_other_lights(scene, False)
+    restore_scene(scene)
+    for name in ("object_count", "image_count", "applied_mode", "kept_before", "kept_view"):
+        settings.property_unset(name)
+    scene.fipt.lights.property_unset("median_radiance")
+    restore_solid_views(scene)
+    clear_view(scene, False)
+    light_state.list_lights(scene)
+    return restored

@@ -1,0 +1,136 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What results change of a scene besides its room: panel, exposure, engine, other lights."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import bpy
+
+from ...core.run.documents import read_json
+from ...core.run.errors import FiptError
+from ...core.run.runfolder import RunFolder
+from ...core.run.shapes import ATLAS, STATISTICS
+from ..capture.backdrop import set_backdrop
+from ..lights import light_state
+from ..marks import MUTED, other_lights, remove_marks, room_with_results
+from ..room.originals import result_meshes
+from .materials import result_materials
+
+
+def finish(scene: bpy.types.Scene, run: RunFolder) -> None:
+    """Bring the panel's state up to date after `apply_results` and `apply_environment`.
+
+    Args:
+        scene: the scene with results; its settings say what else to change.
+        run: the run whose results were applied.
+    """
+    settings = scene.fipt.materials
+    note_results(scene, run)
+    _keep_before(scene)
+    if settings.match_exposure and scene.fipt.lights.median_radiance > 0.0:
+        match_exposure(scene)
+    if settings.mute_lights:
+        mute_other_lights(scene, True)
+    if settings.use_cycles:
+        use_cycles(scene)
+    if scene.fipt.insert.backdrop == "PHOTOGRAPH":  # the new fixtures are part of it
+        set_backdrop(scene, "PHOTOGRAPH", scene.fipt.capture.room_objects(scene))
+
+
+def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:
+    """Fill the panel with what results of a run were applied, and list the scene's lights."""
+    settings = scene.fipt.materials
+    room = room_with_results(scene)
+    settings.object_count = len(room)
+    settings.image_count = len(result_materials(result_meshes(room)))
+    settings.applied_mode = str(read_json(run.atlas_json, ATLAS, "Apply the results again.")["mode"])
+    settings.shown = "ESTIMATED"  # its update function shows them
+    scene.fipt.lights.median_radiance = median_radiance(run)
+    light_state.list_lights(scene)
+
+
+def median_radiance(run: RunFolder) -> float:
+    """The photographs' median radiance; 0 where the run does not record it."""
+    try:
+        return float(read_json(run.statistics_json, STATISTICS).get("radiance_scale", 0.0))
+    except (FiptError, TypeError, ValueError):
+        return 0.0
+
+
+def match_exposure(scene: bpy.types.Scene) -> float:
+    """Set the scene's exposure so that the photographs' median is middle grey; returns the stops.
+
+    Raises:
+        FiptError: ``radiance-unknown``.
+    """
+    median = scene.fipt.lights.median_radiance
+    if median <= 0.0:
+        raise FiptError(
+            "radiance-unknown",
+            "The brightness of the photographs is not known.",
+            "Apply the results first.",
+        )
+    stops = math.log2(0.18 / median)
+    kept = scene.fipt.materials.kept_view
+    if kept:  # while a map is shown: the exposure is set when the scene's view settings come back
+        scene.fipt.materials.kept_view = json.dumps({**json.loads(kept), "exposure": stops})
+    else:
+        scene.view_settings.exposure = stops
+    return stops
+
+
+def use_cycles(scene: bpy.types.Scene) -> bool:
+    """Make Cycles the scene's engine, which `restore_scene` undoes; False where Cycles is not available."""
+    engine = scene.render.engine
+    if engine == "CYCLES":
+        return True
+    try:
+        scene.render.engine = "CYCLES"
+    except TypeError:  # the add-on Cycles is disabled
+        return False
+    settings = scene.fipt.materials
+    if settings.object_count:
+        _keep_before(scene)
+        settings.kept_before = json.dumps({**json.loads(settings.kept_before), "engine": engine})
+    return True
+
+
+def _keep_before(scene: bpy.types.Scene) -> None:
+    """Record what `restore_scene` restores, unless that was done already."""
+    if not scene.fipt.materials.kept_before:
+        scene.fipt.materials.kept_before = json.dumps({"exposure": scene.view_settings.exposure})
+
+
+def restore_scene(scene: bpy.types.Scene) -> None:
+    """Restore the exposure, and the engine unless the artist has chosen another one since."""
+    kept = json.loads(scene.fipt.materials.kept_before or "{}")
+    if "exposure" in kept:
+        scene.view_settings.exposure = kept["exposure"]
+    if "engine" in kept and scene.render.engine == "CYCLES":
+        try:
+            scene.render.engine = kept["engine"]
+        except TypeError:  # an add-on that was removed since
+            pass
+
+
+def mute_other_lights(scene: bpy.types.Scene, on: bool) -> int:
+    """Hide the scene's lights that are not ours, or show them as before; returns how many changed."""
+    changed = 0
+    for item in other_lights(scene):
+        if on and MUTED not in item and not (item.hide_viewport and item.hide_render):
+            item[MUTED] = [item.hide_viewport, item.hide_render]
+            item.hide_viewport = item.hide_render = True
+            changed += 1
+        elif not on and MUTED in item:
+            item.hide_viewport, item.hide_render = (bool(value) for value in item[MUTED])
+            remove_marks(item, MUTED)
+            changed += 1
+    return changed
+
+
+def lights_outside_groups(scene: bpy.types.Scene) -> list[str]:
+    """Names of visible lights that no light group holds."""
+    return [item.name for item in other_lights(scene) if not item.lightgroup and not item.hide_render]

@@ -1,0 +1,79 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The arrays of room.npz and the names of room.json: one triangle soup in world space with ids.
+
+docs/architecture.md describes the arrays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...core.run.errors import FiptError
+from ...core.run.run_files import read_room_files
+from ...core.run.runfolder import RunFolder, atomic_path, write_json
+from ...core.run.shapes import ROOM_ARRAYS
+
+
+@dataclass
+class Room:
+    """The triangles of all objects of the room, in world space.
+
+    Attributes:
+        vertices: (V,3) f32, metres.
+        triangles: (T,3) i32 vertex indices, wound counter-clockwise seen from outside.
+        corner_normals: (T,3,3) f32 unit shading normals.
+        triangle_object: (T,) i32 index into `objects`.
+        triangle_material: (T,) i32 index into `materials`, -1 without a material.
+        triangle_polygon: (T,) i32 index of the polygon in its object's evaluated mesh.
+        objects, materials: names.
+        object_ids: by which the objects are found when they have other names; empty for none.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    corner_normals: np.ndarray
+    triangle_object: np.ndarray
+    triangle_material: np.ndarray
+    triangle_polygon: np.ndarray
+    objects: list[str]
+    materials: list[str]
+    object_ids: list[str] = field(default_factory=list)
+
+
+def write_room(room: Room, run: RunFolder, parts: str) -> None:
+    """Write room.npz and room.json.
+
+    Args:
+        room: with at least one triangle.
+        run: the run folder.
+        parts: source of the part labels, one of `jobs.options.PARTS`.
+
+    Raises:
+        FiptError: ``mesh-empty`` for a room without triangles; the run folder's write errors.
+    """
+    if not len(room.triangles):
+        raise FiptError(
+            "mesh-empty", "The chosen objects have no faces.", "Choose the mesh objects that form the room."
+        )
+    with atomic_path(run.room_npz) as temporary:
+        np.savez(temporary, **{name: getattr(room, name) for name in ROOM_ARRAYS})
+    names = {"objects": room.objects, "object_ids": room.object_ids, "materials": room.materials}
+    write_json(run.room_json, {**names, "parts": parts})
+
+
+def read_room(run: RunFolder) -> Room:
+    """Read what `write_room` wrote.
+
+    Raises:
+        FiptError: ``file-missing`` or ``file-damaged``.
+    """
+    arrays, names = read_room_files(run)
+    return Room(
+        **{name: arrays[name] for name in ROOM_ARRAYS},
+        objects=names["objects"],
+        materials=names["materials"],
+        object_ids=names.get("object_ids", []),
+    )

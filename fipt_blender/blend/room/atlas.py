@@ -1,0 +1,228 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The atlas that the engine bakes onto: UVs of the whole room in few images, written to atlas.npz.
+
+UVs that the artist made are kept where they can hold a texture, other objects are unwrapped; all islands are
+then scaled to one texel density and packed into few images.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ...bridge.step import Slices
+from ...core.run.errors import FiptError
+from ...core.run.runfolder import RunFolder, atomic_path, write_json
+from ...core.run.settings import Settings
+from ..slices import find_object, run_through
+from .arrays import Room, read_room
+from .islands import island_bounds, rotate_islands, split_sparse_islands, triangle_areas, uv_islands
+from .packing import Packing, pack_islands, place
+from .result_meshes import match_objects
+from .unwrapping import UnwrapSource, exported_source, read_source, unwrap, uvs_in_range, uvs_usable
+
+MAX_IMAGES = 16
+# Face corners that are unwrapped in one slice: about 50 ms.
+BATCH_CORNERS = 20_000
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """What `make_atlas` did.
+
+    Attributes:
+        images: width and height of each image.
+        kept: names of the objects whose own UVs were usable.
+        unwrapped: names of the others.
+        texel_density: the lowest of all islands, texels per metre.
+    """
+
+    images: list[tuple[int, int]]
+    kept: list[str]
+    unwrapped: list[str]
+    texel_density: float
+
+
+@dataclass(frozen=True)
+class _UnwrapTask:
+    name: str  # of the object
+    triangles: np.ndarray  # its triangles in the room
+    source: UnwrapSource
+
+
+@dataclass(frozen=True)
+class _RoomIslands:
+    """The room's triangles on their way into the atlas.
+
+    Attributes:
+        uv: (T,3,2) f64 by triangle corner, each object in its own UV space.
+        island: (T,) i64, numbered within each object.
+        area: (T,) f64 in the world, m².
+    """
+
+    uv: np.ndarray
+    island: np.ndarray
+    area: np.ndarray
+
+
+def make_atlas(
+    objects: Iterable[bpy.types.Object], run: RunFolder, settings: Settings, max_images: int = MAX_IMAGES
+) -> Atlas:
+    """Lay the room out for baking: write atlas.npz and atlas.json. The objects are not changed.
+
+    Args:
+        objects: the objects that `export_room` wrote, in any order; of those that are missing or changed,
+            the exported triangles are unwrapped, so that the atlas always holds the whole room.
+        run: the run folder with its room.
+        settings: texel_density, texture_size and atlas_mode are used.
+        max_images: where more were needed, all islands are scaled down instead.
+
+    Raises:
+        FiptError: ``room-changed`` where no object is as it was exported; ``mesh-empty``.
+    """
+    return run_through(atlas_slices(objects, run, settings, max_images))
+
+
+def atlas_slices(
+    objects: Iterable[bpy.types.Object], run: RunFolder, settings: Settings, max_images: int = MAX_IMAGES
+) -> Slices[Atlas]:
+    """`make_atlas`, a few objects per slice."""
+    room = read_room(run)
+    count = len(room.triangles)
+    if settings.atlas_mode == "color_attribute":
+        _write(run, np.zeros((count, 3, 2)), np.full(count, -1), "color_attribute", [])
+        return Atlas([], [], [], 0.0)
+    matches = match_objects(room, objects)
+    yield None
+    areas = triangle_areas(room.vertices[room.triangles])
+    islands = _RoomIslands(np.zeros((count, 3, 2)), np.full(count, -1, np.int64), areas)
+    kept: list[str] = []
+    tasks: list[_UnwrapTask] = []
+    change: FiptError | None = None
+    for index, (name, match) in enumerate(zip(room.objects, matches, strict=True)):
+        triangles = np.flatnonzero(room.triangle_object == index)
+        source = None
+        if match is not None:
+            item = find_object(match)
+            try:
+                source = read_source(room, index, item)
+            except FiptError as error:
+                if error.code != "room-changed":
+                    raise
+                change, matches[index] = error, None
+        if source is None:
+            source = exported_source(room, index)
+        if source.uv is not None and uvs_in_range(source.uv):
+            object_island = uv_islands(room.triangles[triangles], source.uv)
+            if uvs_usable(source.uv, object_island, areas[triangles]):
+                kept.append(name)
+                islands.uv[triangles] = source.uv
+                islands.island[triangles] = object_island
+                yield None
+                continue
+        tasks.append(_UnwrapTask(name, triangles, source))
+        yield None
+    if change is not None and not any(matches):
+        raise change
+    for batch in _batches(tasks):
+        for task, uv in zip(batch, unwrap([task.source for task in batch]), strict=True):
+            islands.uv[task.triangles] = uv
+            islands.island[task.triangles] = uv_islands(room.triangles[task.triangles], uv)
+        yield None
+    packing = yield from _pack_room(room, islands, run, settings, max_images)
+    density = settings.texel_density * float(packing.scale.min(initial=1.0))
+    return Atlas(packing.sizes, kept, [task.name for task in tasks], density)
+
+
+def _batches(tasks: list[_UnwrapTask]) -> Iterator[list[_UnwrapTask]]:
+    """Objects that are unwrapped in one slice: many small ones, or a large one."""
+    batch: list[_UnwrapTask] = []
+    corners = 0
+    for task in tasks:
+        if batch and corners + len(task.source.loop_vertex) > BATCH_CORNERS:
+            yield batch
+            batch, corners = [], 0
+        batch.append(task)
+        corners += len(task.source.loop_vertex)
+    if batch:
+        yield batch
+
+
+def _pack_room(
+    room: Room, islands: _RoomIslands, run: RunFolder, settings: Settings, max_images: int
+) -> Slices[Packing]:
+    """Scale all islands to one density, pack them and write the atlas."""
+    # Number the islands over the whole room.
+    stride = int(islands.island.max(initial=0)) + 1
+    _, island = np.unique(
+        room.triangle_object.astype(np.int64) * stride + islands.island, return_inverse=True
+    )
+    island_count = int(island.max(initial=-1)) + 1
+
+    # Islands without area in space or in the plane can't hold texels.
+    world_area = np.bincount(island, islands.area, island_count)
+    flat_area = np.bincount(island, triangle_areas(islands.uv), island_count)
+    packed = ((world_area > 1e-12) & (flat_area > 1e-14))[island]  # (T,)
+    density = settings.texel_density * _island_scale(room.triangle_object, island, world_area, flat_area)
+    texels = islands.uv[packed] * density[island[packed]][:, None, None]
+    owner = room.triangle_object[packed].astype(np.int64)
+    polygon = room.triangle_polygon[packed]
+    packed_island = np.zeros(len(texels), np.int64)
+    count = 0
+    for index in np.unique(owner):
+        triangles = np.flatnonzero(owner == index)
+        object_island = np.unique(island[packed][triangles], return_inverse=True)[1]
+        rotated = rotate_islands(texels[triangles], object_island)
+        object_island = split_sparse_islands(rotated, object_island, polygon[triangles])
+        texels[triangles] = rotate_islands(rotated, object_island)
+        packed_island[triangles] = object_island + count
+        count += int(object_island.max()) + 1
+        yield None
+    low, extent = island_bounds(texels, packed_island)
+    group = np.zeros(len(low), np.int64)
+    group[packed_island] = owner
+    packing = pack_islands(extent, group, settings.texture_size, max_images=max_images)
+    placed = place(texels, packed_island, low, packing)
+
+    image = np.full(len(room.triangles), -1, np.int64)
+    image[packed] = packing.image[packed_island]
+    sizes = np.array(packing.sizes, np.float64).reshape(-1, 2)
+    corner_uv = np.zeros_like(islands.uv)
+    corner_uv[packed] = placed / sizes[image[packed]][:, None]
+    _write(run, corner_uv, image, "uv", packing.sizes)
+    if not len(packing.scale):
+        raise FiptError(
+            "mesh-empty", "The room's faces have no area.", "Choose the mesh objects that form the room."
+        )
+    yield None
+    return packing
+
+
+def _island_scale(
+    triangle_object: np.ndarray, island: np.ndarray, world_area: np.ndarray, flat_area: np.ndarray
+) -> np.ndarray:
+    """Metres per UV unit of each island, (N,) f64.
+
+    At most twice that of its object: an island seen edge-on in its map would otherwise fill an image.
+    """
+    owner = np.zeros(len(world_area), np.int64)
+    owner[island] = triangle_object
+    object_ratio = np.bincount(owner, world_area) / np.maximum(np.bincount(owner, flat_area), 1e-30)
+    island_ratio = world_area / np.maximum(flat_area, 1e-30)
+    return np.sqrt(np.minimum(island_ratio, 4.0 * object_ratio[owner]))
+
+
+def _write(
+    run: RunFolder, corner_uv: np.ndarray, image: np.ndarray, mode: str, sizes: list[tuple[int, int]]
+) -> None:
+    with atomic_path(run.atlas_npz) as temporary:
+        np.savez(temporary, corner_uv=corner_uv.astype(np.float32), triangle_image=image.astype(np.int32))
+    images = [
+        {"name": f"Room.{index:03d}", "width": width, "height": height}
+        for index, (width, height) in enumerate(sizes, start=1)
+    ]
+    write_json(run.atlas_json, {"mode": mode, "images": images})

@@ -1,0 +1,249 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender's objects to the arrays of room.npz, in slices. The meshes are evaluated, modifiers included."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+
+import bpy
+import numpy as np
+
+from ...bridge.step import Slices
+from ...core.run.errors import FiptError
+from ...core.run.runfolder import RunFolder
+from ..marks import OBJECT_ID, object_id
+from ..slices import find_object, run_through
+from .arrays import ROOM_ARRAYS, Room, write_room
+from .mesh_arrays import (
+    corner_normals,
+    corner_vertices,
+    is_mirrored,
+    polygon_slots,
+    transform_points,
+    triangle_loops,
+    vertex_positions,
+)
+from .originals import original_shown
+
+# Face corners up to which an object is read in one slice, and triangles whose normals one slice computes.
+_CHUNK = 1 << 15
+
+
+def export_room(objects: Iterable[bpy.types.Object], run: RunFolder, parts: str = "auto") -> Room:
+    """Write the objects' triangles to the run folder; of objects with results, the original mesh.
+
+    Args:
+        objects: objects other than meshes are skipped.
+        run: the run folder; room.npz and room.json are written.
+        parts: source of the part labels, one of `jobs.options.PARTS`; the engine resolves "auto".
+
+    Raises:
+        FiptError: ``mesh-empty`` where there is no triangle; the run folder's write errors.
+    """
+    return run_through(export_slices(objects, run, parts))
+
+
+def export_slices(objects: Iterable[bpy.types.Object], run: RunFolder, parts: str = "auto") -> Slices[Room]:
+    """`export_room` in slices.
+
+    Raises:
+        FiptError: also ``room-changed`` and ``room-edited`` where the artist changes the room meanwhile.
+    """
+    room = yield from collect_slices(objects)
+    room.object_ids = give_ids(room.objects)
+    write_room(room, run, parts)
+    return room
+
+
+def collect_room(objects: Iterable[bpy.types.Object]) -> Room:
+    """The triangles of mesh objects in world space, without writing anything."""
+    return run_through(collect_slices(objects))
+
+
+def collect_slices(objects: Iterable[bpy.types.Object]) -> Slices[Room]:
+    """`collect_room` in slices.
+
+    Raises:
+        FiptError: ``room-changed`` or ``room-edited`` where the artist changes the room meanwhile.
+    """
+    # Names, since an undo between two slices may replace every object.
+    names = [item.name for item in objects if item.type == "MESH"]
+    # All at once, since each change redraws the viewport.
+    fresh_depsgraph([bpy.data.objects[name] for name in names])
+    yield None
+    material_ids: dict[str, int] = {}
+    object_arrays: dict[str, list[np.ndarray]] = {name: [] for name in ROOM_ARRAYS}
+    vertex_count = 0
+    for index, name in enumerate(names):
+        arrays = yield from _object_slices(name, material_ids)
+        arrays["triangles"] += vertex_count
+        arrays["triangle_object"] = np.full(len(arrays["triangles"]), index, np.int32)
+        vertex_count += len(arrays["vertices"])
+        for key, values in arrays.items():
+            object_arrays[key].append(values)
+    empty = {
+        "vertices": np.zeros((0, 3), np.float32),
+        "triangles": np.zeros((0, 3), np.int32),
+        "corner_normals": np.zeros((0, 3, 3), np.float32),
+    }
+    joined = {
+        key: np.concatenate([empty.get(key, np.zeros(0, np.int32)), *object_arrays[key]])
+        for key in ROOM_ARRAYS
+    }
+    return Room(**joined, objects=names, materials=list(material_ids))
+
+
+def give_ids(names: Iterable[str]) -> list[str]:
+    """The ids of objects, given by name; objects without an id and copies of others get one.
+
+    An id is the name at the first export: the same room exported from two files has the same ids.
+    """
+    names = list(names)
+    taken = {object_id(item) for item in bpy.data.objects if OBJECT_ID in item}
+    ids: dict[str, str] = {}
+    used: set[str] = set()
+    # A copy has its original's id; the object that was named so first keeps it.
+    for name in sorted(names, key=lambda name: object_id(bpy.data.objects[name]) != name):
+        item = bpy.data.objects[name]
+        chosen = object_id(item)
+        if chosen in used or (OBJECT_ID not in item and chosen in taken):
+            numbered = itertools.chain([name], (f"{name} ({number})" for number in itertools.count(2)))
+            chosen = next(text for text in numbered if text not in used | taken)
+        ids[name] = chosen
+        used.add(chosen)
+        if item.library is None and item.get(OBJECT_ID) != chosen:
+            item[OBJECT_ID] = chosen
+    return [ids[name] for name in names]
+
+
+def _object_slices(name: str, material_ids: dict[str, int]) -> Slices[dict[str, np.ndarray]]:
+    """The arrays of one object except `triangle_object`; `triangles` index its own vertices.
+
+    Args:
+        name: name of the object.
+        material_ids: index of each material by name; new ones are added.
+    """
+    reader = _ObjectReader(material_ids)
+    with _evaluated(name) as (item, mesh):
+        counts = _counts(mesh)
+        reader.read_normals(item, mesh)
+        if small := len(mesh.loops) < _CHUNK:
+            reader.read_triangles(mesh)
+            reader.read_vertices(mesh)
+    if not small:
+        yield None
+        with _evaluated(name, counts) as (_, mesh):
+            reader.read_triangles(mesh)
+        yield None
+        with _evaluated(name, counts) as (_, mesh):
+            reader.read_vertices(mesh)
+    loops, polygons, vertices = reader.loops, reader.polygons, reader.vertices
+    triangles = reader.corner_vertices[loops]
+    slot_material = np.array(reader.slot_materials or [-1], np.int32)
+    normals = []
+    for start in range(0, len(loops), _CHUNK):
+        yield None
+        chunk = slice(start, start + _CHUNK)
+        positions = vertices[triangles[chunk]]
+        normals.append(_world_normals(reader.normals, reader.matrix, loops[chunk], positions))
+    return {
+        "vertices": vertices.astype(np.float32),
+        "triangles": triangles,
+        "corner_normals": np.concatenate([np.zeros((0, 3, 3), np.float32), *normals]),
+        "triangle_material": slot_material[np.clip(reader.slots[polygons], 0, len(slot_material) - 1)],
+        "triangle_polygon": polygons,
+    }
+
+
+class _ObjectReader:
+    """Reads one object in parts, each short enough not to delay a redraw."""
+
+    def __init__(self, material_ids: dict[str, int]) -> None:
+        self._material_ids = material_ids
+
+    def read_normals(self, item: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
+        self.matrix, self.mirrored = np.array(item.matrix_world, np.float64), is_mirrored(item)
+        names = [slot.material.name if slot.material else "" for slot in item.material_slots]
+        ids = self._material_ids
+        self.slot_materials = [ids.setdefault(name, len(ids)) if name else -1 for name in names]
+        self.normals = corner_normals(mesh)
+
+    def read_triangles(self, mesh: bpy.types.Mesh) -> None:
+        self.loops, self.polygons = triangle_loops(mesh, self.mirrored)
+
+    def read_vertices(self, mesh: bpy.types.Mesh) -> None:
+        self.vertices = transform_points(vertex_positions(mesh), self.matrix)
+        self.corner_vertices = corner_vertices(mesh)
+        self.slots = polygon_slots(mesh)
+
+
+@contextmanager
+def _evaluated(
+    name: str, counts: tuple[int, ...] | None = None
+) -> Iterator[tuple[bpy.types.Object, bpy.types.Mesh]]:
+    """An object with its original mesh, evaluated, and that mesh for the length of the block.
+
+    Args:
+        name: name of the object.
+        counts: counts of the mesh in an earlier slice.
+
+    Raises:
+        FiptError: ``room-changed`` where the counts differ from `counts`; ``room-edited``.
+    """
+    item = find_object(name)
+    with original_shown(item):
+        evaluated = item.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        mesh = evaluated.to_mesh()
+        if counts not in (None, _counts(mesh)):
+            raise FiptError(
+                "room-changed",
+                f"'{name}' was changed while it was being exported.",
+                "Start again, and leave the room unchanged for these seconds.",
+            )
+        yield evaluated, mesh
+        evaluated.to_mesh_clear()
+
+
+def _counts(mesh: bpy.types.Mesh) -> tuple[int, ...]:
+    return len(mesh.vertices), len(mesh.loops), len(mesh.polygons)
+
+
+def fresh_depsgraph(objects: Iterable[bpy.types.Object]) -> bpy.types.Depsgraph:
+    """The dependency graph with the objects' meshes evaluated again.
+
+    Blender misses some changes that scripts make to a mesh (removing a UV layer, for example).
+    """
+    for item in objects:
+        item.data.update_tag()
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    depsgraph.update()
+    return depsgraph
+
+
+def _world_normals(
+    normals: np.ndarray, matrix: np.ndarray, loops: np.ndarray, positions: np.ndarray
+) -> np.ndarray:
+    """Unit shading normals (T,3,3) in the world; where one is zero the face normal, else straight up.
+
+    Args:
+        normals: (L,3) of the mesh's face corners, in its own space.
+        matrix: its world matrix.
+        loops: (T,3) face corners of the triangles.
+        positions: (T,3,3) positions of these corners in the world.
+    """
+    linear = matrix[:3, :3]
+    # The cofactor matrix transforms normals like the inverse transpose, and exists for flat scales too.
+    cofactor = np.stack(
+        [np.cross(linear[1], linear[2]), np.cross(linear[2], linear[0]), np.cross(linear[0], linear[1])]
+    )
+    sign = -1.0 if np.linalg.det(linear) < 0.0 else 1.0
+    world = normals[loops].astype(np.float64) @ cofactor.T * sign
+    face = np.cross(positions[:, 1] - positions[:, 0], positions[:, 2] - positions[:, 0])
+    face_length = np.linalg.norm(face, axis=1, keepdims=True)
+    face = np.where(face_length > 0.0, face / np.maximum(face_length, 1e-300), [0.0, 0.0, 1.0])
+    length = np.linalg.norm(world, axis=2, keepdims=True)
+    usable = np.isfinite(length) & (length > 1e-20)
+    return np.where(usable, world / np.where(usable, length, 1.0), face[:, None]).astype(np.float32)

@@ -1,0 +1,142 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""UV islands as plain arrays: finding, measuring, rotating and cutting them. Numpy only."""
+
+from __future__ import annotations
+
+import numpy as np
+
+# Islands that fill less of their bounding box than this are cut, unless the box is small anyway.
+MIN_FILL = 0.4
+MIN_SPLIT_TEXELS = 4096
+
+
+def connected_triangles(corners: np.ndarray) -> np.ndarray:
+    """Connected components of triangles that share corner ids.
+
+    Args:
+        corners: (T,3) integer ids.
+
+    Returns:
+        (T,) i32 component of each triangle, numbered from 0 in the order of their first triangles.
+    """
+    if not len(corners):
+        return np.zeros(0, np.int32)
+    _, ids = np.unique(corners, return_inverse=True)
+    ids = ids.reshape(-1, 3)
+    label = np.arange(ids.max() + 1)
+    while True:
+        lowest = label[ids].min(axis=1)
+        lower = label.copy()
+        for corner in range(3):
+            np.minimum.at(lower, ids[:, corner], lowest)
+            # A label is the id of a corner of the same component: labelling that one too doubles the reach.
+            np.minimum.at(lower, label[ids[:, corner]], lowest)
+        lower = lower[lower]
+        if np.array_equal(lower, label):
+            break
+        label = lower
+    _, first, component = np.unique(label[ids[:, 0]], return_index=True, return_inverse=True)
+    rank = np.empty(len(first), np.int32)
+    rank[np.argsort(first)] = np.arange(len(first))
+    return rank[component]
+
+
+def uv_islands(vertex_ids: np.ndarray, corner_uv: np.ndarray) -> np.ndarray:
+    """Islands of triangles that share a vertex at the same UV position.
+
+    Args:
+        vertex_ids: (T,3) vertex indices.
+        corner_uv: (T,3,2).
+
+    Returns:
+        (T,) i32 island of each triangle.
+    """
+    keys = np.empty((corner_uv.shape[0] * 3, 3), np.int64)
+    keys[:, 0] = vertex_ids.ravel()
+    keys[:, 1:] = np.round(corner_uv.reshape(-1, 2).astype(np.float64) * 1e6)
+    order = np.lexsort(keys.T)
+    differs = np.any(np.diff(keys[order], axis=0) != 0, axis=1)
+    ids = np.empty(len(keys), np.int64)
+    ids[order] = np.concatenate([[0], np.cumsum(differs)]) if len(keys) else 0
+    return connected_triangles(ids.reshape(-1, 3))
+
+
+def island_bounds(corner_uv: np.ndarray, island: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lower left corners and extents of islands, each (N,2) f64."""
+    count = int(island.max()) + 1 if len(island) else 0
+    low = np.full((count, 2), np.inf)
+    high = np.full((count, 2), -np.inf)
+    for axis in range(2):
+        np.minimum.at(low[:, axis], island, corner_uv[..., axis].min(axis=1))
+        np.maximum.at(high[:, axis], island, corner_uv[..., axis].max(axis=1))
+    return low, high - low
+
+
+def rotate_islands(corner_uv: np.ndarray, island: np.ndarray, steps: int = 18) -> np.ndarray:
+    """Rotate each island so that its bounding box is small and wider than high, (T,3,2) f64.
+
+    Args:
+        corner_uv: (T,3,2).
+        island: (T,) of `uv_islands`.
+        steps: angles tried between 0 and 90 degrees.
+    """
+    best = island_bounds(corner_uv, island)[1].prod(axis=1) * 0.98  # rotate only where that gains something
+    angle = np.zeros(len(best))
+    for candidate in np.arange(1, steps) * (0.5 * np.pi / steps):
+        area = island_bounds(_rotate(corner_uv, np.full(len(corner_uv), candidate)), island)[1].prod(axis=1)
+        better = area < best
+        best, angle = np.where(better, area, best), np.where(better, candidate, angle)
+    rotated = _rotate(corner_uv, angle[island])
+    extent = island_bounds(rotated, island)[1]
+    upright = extent[:, 1] > extent[:, 0]
+    return _rotate(rotated, np.where(upright, 0.5 * np.pi, 0.0)[island])
+
+
+def _rotate(corner_uv: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    u, v = corner_uv[..., 0], corner_uv[..., 1]
+    return np.stack([cosine * u - sine * v, sine * u + cosine * v], axis=-1)
+
+
+def split_sparse_islands(corners: np.ndarray, island: np.ndarray, polygon: np.ndarray) -> np.ndarray:
+    """Cut islands that leave most of their bounding box empty (mouldings, rings, frames) into pieces.
+
+    Cuts run between polygons, halfway along the box's longer side. They are invisible, since the baked
+    fields are functions of space.
+
+    Args:
+        corners: (T,3,2) texels.
+        island: (T,).
+        polygon: (T,) ids; a polygon's triangles stay together.
+
+    Returns:
+        (T,) i64 islands, renumbered from 0.
+    """
+    area = triangle_areas(corners)
+    _, polygon = np.unique(polygon, return_inverse=True)
+    triangle_count = np.bincount(polygon)
+    centre = np.stack(
+        [np.bincount(polygon, corners[..., axis].mean(axis=1)) / triangle_count for axis in range(2)], axis=1
+    )[polygon]
+    island = island.astype(np.int64)
+    for _ in range(8):
+        low, extent = island_bounds(corners, island)
+        box = extent.prod(axis=1)
+        sparse = (box > MIN_SPLIT_TEXELS) & (np.bincount(island, area) < MIN_FILL * box)
+        if not sparse.any():
+            break
+        axis = extent.argmax(axis=1)[island]
+        centre_line = (low + 0.5 * extent)[island]
+        beyond = np.take_along_axis(centre > centre_line, axis[:, None], axis=1)[:, 0]
+        _, island = np.unique(island * 2 + (beyond & sparse[island]), return_inverse=True)
+    return island
+
+
+def triangle_areas(corners: np.ndarray) -> np.ndarray:
+    """Areas of triangles in the plane or in space, (T,) f64 from (T,3,2) or (T,3,3)."""
+    corners = corners.astype(np.float64)
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    if corners.shape[2] == 2:
+        return 0.5 * np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    return 0.5 * np.linalg.norm(np.cross(first, second), axis=1)

@@ -1,0 +1,87 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Result meshes: new meshes made from the room's objects as they are evaluated without results."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import bpy
+import numpy as np
+
+from ...core.run.errors import FiptError
+from ..marks import object_id
+from .arrays import Room
+from .exporting import fresh_depsgraph
+from .mesh_arrays import is_mirrored, triangle_loops
+from .originals import number_polygons, original_shown
+
+
+def match_objects(room: Room, objects: Iterable[bpy.types.Object]) -> list[str | None]:
+    """The present names of a run's objects, in the run's order; None for those that are missing.
+
+    An object is found by its id, which it keeps when it is renamed, else by its name.
+
+    Args:
+        room: the run's room.
+        objects: the scene's room.
+
+    Raises:
+        FiptError: ``room-changed`` where none is there.
+    """
+    ids = room.object_ids or room.objects  # runs of earlier versions have no ids
+    present = {item.name: object_id(item) for item in objects if item.type == "MESH"}
+    by_id: dict[str, list[str]] = {}
+    for name, identity in present.items():
+        by_id.setdefault(identity, []).append(name)
+    matches: list[str | None] = []
+    for name, identity in zip(room.objects, ids, strict=True):
+        names = by_id.get(identity, [])  # several where the artist has duplicated it
+        matches.append(name if name in names else names[0] if names else None)
+    for index, name in enumerate(room.objects):
+        if matches[index] is None and name in present and name not in matches and present[name] not in ids:
+            matches[index] = name
+    if room.objects and not any(matches):
+        raise FiptError(
+            "room-changed",
+            f"None of the estimated objects is in the room any more ({list_names(room.objects)}).",
+            "Undo their removal, choose the collection that holds them in the section Capture, or estimate"
+            " again.",
+        )
+    return matches
+
+
+def list_names(names: Sequence[str]) -> str:
+    """The first names of a list in quotes, and how many more there are."""
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return ", ".join(f"'{name}'" for name in names[:3]) + more
+
+
+def make_mesh(room: Room, index: int, item: bpy.types.Object) -> bpy.types.Mesh:
+    """A new result mesh for one object of the room, evaluated with its modifiers.
+
+    Args:
+        room: the run's room.
+        index: index of the object in the room.
+        item: the object; it is not changed.
+
+    Raises:
+        FiptError: ``room-changed`` where its faces are no longer those that were exported.
+    """
+    with original_shown(item):
+        depsgraph = fresh_depsgraph([item])
+        mesh = bpy.data.meshes.new_from_object(
+            item.evaluated_get(depsgraph), preserve_all_data_layers=True, depsgraph=depsgraph
+        )
+    _, polygons = triangle_loops(mesh, is_mirrored(item))
+    exported = room.triangle_polygon[room.triangle_object == index]
+    if not np.array_equal(polygons, exported):
+        bpy.data.meshes.remove(mesh)
+        raise FiptError(
+            "room-changed",
+            f"The faces of '{item.name}' are not those that were estimated"
+            f" ({len(polygons):,} triangles instead of {len(exported):,}).",
+            "Undo the change to its mesh or modifiers, or estimate again.",
+        )
+    number_polygons(mesh)
+    return mesh

@@ -1,0 +1,43 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The UV layer "FIPT" that carries the atlas on the result meshes. The artist's own layers stay untouched."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ...core.run.errors import FiptError
+from .mesh_arrays import triangle_loops
+
+UV_LAYER = "FIPT"
+
+
+def write_layer(mesh: bpy.types.Mesh, mirrored: bool, corner_uv: np.ndarray) -> None:
+    """Write the FIPT layer of a result mesh, and make it active, so that solid shading draws with it.
+
+    The layer that renders use by default stays the artist's.
+
+    Args:
+        mesh: a result mesh.
+        mirrored: whether its object is mirrored.
+        corner_uv: (T,3,2), the object's rows of atlas.npz.
+
+    Raises:
+        FiptError: ``uv-layers-full``.
+    """
+    active_render = [layer.active_render for layer in mesh.uv_layers]
+    layer = mesh.uv_layers.get(UV_LAYER) or mesh.uv_layers.new(name=UV_LAYER, do_init=False)
+    if layer is None:
+        raise FiptError(
+            "uv-layers-full",
+            f"The mesh of '{mesh.name}' already has 8 UV layers, the most that Blender allows.",
+            "Remove a UV map, or set Store In to Color Attributes.",
+        )
+    loops, _ = triangle_loops(mesh, mirrored)
+    uv = np.zeros((len(mesh.loops), 2), np.float32)
+    uv[loops.ravel()] = corner_uv.reshape(-1, 2)
+    mesh.uv_layers[UV_LAYER].uv.foreach_set("vector", uv.ravel())
+    mesh.uv_layers.active = mesh.uv_layers[UV_LAYER]
+    if True in active_render:
+        mesh.uv_layers[active_render.index(True)].active_render = True

@@ -1,0 +1,115 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Fetching the system libraries and the LLVM that an environment needs. Standard library only."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ..core.run.errors import FiptError
+from ..core.run.messages import parse_message
+from . import provision
+from .child import output_end, run_quietly
+from .interpreter import engine_command, system_folder
+from .pip import Teller
+from .plan import Plan
+
+LLVM_LIBRARIES = ("libLLVM", "libc++", "libunwind")  # how the names of the files that are kept begin
+
+
+def provide_system_libraries(plan: Plan, tell: Teller) -> None:
+    """Fetch libraries that packages need and a minimal Linux lacks (bpy: a desktop's; Dr.Jit: libatomic).
+
+    Raises:
+        FiptError: ``package-broken``.
+    """
+    if not (failure := import_failure(plan)):
+        return
+    names: list[str] = []
+    if sys.platform == "linux" and "cannot open shared object file" in failure and plan.wheels is None:
+        tell.detail("Fetching missing system libraries")
+        with provision.DebianPackages() as debian:
+            names = debian.missing(provision.DEBIAN_LIBRARIES) if debian.available else []
+            root = debian.unpack(names) if names else None
+            if root is not None:
+                provision.copy_libraries(root, system_folder(plan.python))
+        failure = import_failure(plan)
+    if failure:
+        how = f"As root: apt-get install {' '.join(names)}" if names else "Install the missing library."
+        raise FiptError("package-broken", f"An installed package can't be imported: {failure}", how)
+
+
+def import_failure(plan: Plan) -> str:
+    """Import each of the plan's modules in its own process; returns the first failure, or ""."""
+    for module in plan.modules:
+        result = run_quietly([str(plan.python), "-I", "-c", f"import {module}"], plan.python)
+        if result.returncode != 0:
+            return output_end(result)
+    return ""
+
+
+def provide_llvm(plan: Plan, tell: Teller) -> str | None:
+    """Find an LLVM that works, or else fetch the pinned package or Debian's.
+
+    Returns:
+        Its path; None if a GPU is used instead.
+
+    Raises:
+        FiptError: ``llvm-missing``, or the error of the engine's check.
+    """
+    folder = plan.folder / "llvm"
+    reason: FiptError | None = None
+    fetchers: list[Callable[[Plan, Path], bool] | None] = [None, _fetch_llvm_package]
+    if plan.wheels is None:
+        fetchers.append(_fetch_llvm_debian)
+    for fetch in fetchers:
+        if fetch is not None:
+            tell.detail("No working LLVM was found; fetching one")
+            shutil.rmtree(folder, ignore_errors=True)
+            if not fetch(plan, folder):
+                continue
+        data, problem = check_engine(plan.python)
+        if data.get("device"):
+            return data["llvm"]
+        reason = reason or problem
+    assert reason is not None
+    raise reason
+
+
+def check_engine(python: Path) -> tuple[dict[str, Any], FiptError]:
+    """The data of the engine's `check`, and its most important warning or error."""
+    result = run_quietly(engine_command(python, "check"), python)
+    messages = [message for line in result.stdout.splitlines() if (message := parse_message(line))]
+    problems = [message for message in messages if message["type"] in ("warning", "error")]
+    problems.sort(key=lambda message: message["code"] != "llvm-missing")
+    data: dict[str, Any] = next((message["data"] for message in messages if message["type"] == "done"), {})
+    if problems:
+        return data, FiptError(problems[0]["code"], problems[0]["text"], problems[0]["remedy"])
+    text = f"The engine's check failed: {output_end(result)}"
+    return data, FiptError("engine-failed", text, "Set up the engine again.")
+
+
+def _fetch_llvm_package(plan: Plan, folder: Path) -> bool:
+    """Take LLVM's libraries out of the pinned wheel; returns whether the platform has one."""
+    with tempfile.TemporaryDirectory() as temporary:
+        source = ["--no-index", "--find-links", str(plan.wheels)] if plan.wheels else []
+        options = ["--no-deps", "--no-input", "--only-binary", ":all:", "--disable-pip-version-check"]
+        pip = [str(plan.python), "-I", "-m", "pip", "download", "--quiet", "--dest", temporary]
+        run_quietly([*pip, *options, *source, *plan.llvm], plan.python)
+        wheels = list(Path(temporary).glob("*.whl"))
+        return any(provision.wheel_libraries(wheel, folder, LLVM_LIBRARIES) for wheel in wheels)
+
+
+def _fetch_llvm_debian(plan: Plan, folder: Path) -> bool:
+    """Take LLVM and the libraries that it needs out of Debian's packages; returns whether they were found."""
+    with provision.DebianPackages() as debian:
+        for name in provision.DEBIAN_LLVM if debian.available else ():
+            if needed := debian.needed(name):
+                root = debian.unpack(needed)
+                return root is not None and bool(provision.copy_libraries(root, folder))
+    return False

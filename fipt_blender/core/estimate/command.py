@@ -1,0 +1,42 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Engine command `estimate`: the method of the paper on a run folder, resumable stage by stage."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..device.cluster import workers_at
+from ..device.variant import set_variant
+from ..run.messages import Reporter
+from ..run.runfolder import RunFolder
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("run", type=Path, help="run folder with capture.json and room.npz")
+    parser.add_argument(
+        "--cluster", metavar="ADDRESS", help="Dask scheduler whose workers share the work on the views"
+    )
+
+
+def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
+    """Estimate materials and lights.
+
+    Raises:
+        FiptError: an input is missing, the capture can't be used, a file can't be written or the cluster
+            fails.
+    """
+    folder = RunFolder(arguments.run)
+    settings = folder.read()
+    set_variant(settings.device)
+    # Imported here because these modules need Mitsuba's variant when they are loaded.
+    from ..optics.brdf import set_masking
+    from .stages import Estimation
+
+    set_masking(settings.masking)
+    with workers_at(arguments.cluster) as workers:
+        estimation = Estimation(folder, settings, reporter, workers)
+        estimation.run()
+    reporter.done([str(path) for path in estimation.files()], estimation.summary())

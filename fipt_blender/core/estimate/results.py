@@ -1,0 +1,74 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Results of an estimation in open formats: fields, parts, fixtures and the environment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..capture.images import write_exr
+from ..light.emitters import Fixture
+from ..light.environment import Environment
+from ..material.fields import RoomFields
+from ..run.messages import Reporter
+from ..run.runfolder import RunFolder, write_json
+
+
+def write_results(
+    folder: RunFolder,
+    fields: RoomFields,
+    fixtures: Sequence[Fixture],
+    base_colors: np.ndarray,
+    environment: Environment | None,
+    scale: float,
+    reporter: Reporter,
+) -> None:
+    """Write the results folder except for the statistics.
+
+    Args:
+        fixtures, environment: radiance in units of the capture's median.
+        base_colors: (F, 3) base colours of the fixtures; black reflects nothing.
+        scale: the median itself, in the photographs' units.
+        reporter: gets the warning ``no-emitter`` if nothing lights the room.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    folder.results.mkdir(parents=True, exist_ok=True)
+    fields.save(folder)
+    described_environment = None
+    if environment is not None:
+        write_exr(folder.environment_exr, environment.image * scale)
+        described_environment = {
+            "image": folder.environment_exr.name,
+            "observed_share": environment.observed_share,
+        }
+    described = [
+        _describe(fixture, f"Fixture.{number:03d}", scale) | {"base_color": base_colors[number - 1].tolist()}
+        for number, fixture in enumerate(fixtures, start=1)
+    ]
+    if not described and environment is None:
+        reporter.warning(
+            "no-emitter",
+            "No surface was found to emit light, and no view looks outside.",
+            "Check that the photographs show the lamps and that the lamps are not over-exposed.",
+        )
+    write_json(folder.emitters_json, {"fixtures": described, "environment": described_environment})
+
+
+def _describe(fixture: Fixture, name: str, scale: float) -> dict[str, Any]:
+    """A fixture's entry in emitters.json, in the photographs' units; power: pi A L of both sides (watts)."""
+    front, back = fixture.radiance * scale, fixture.back_radiance * scale
+    entry = {
+        "name": name,
+        "triangles": fixture.triangles.tolist(),
+        "radiance": front.tolist(),
+        "back_radiance": back.tolist(),
+        "area": fixture.area,
+        "centroid": fixture.centroid.tolist(),
+        "power": (np.pi * fixture.area * (front + back)).tolist(),
+    }
+    return entry | {"beside": True} if fixture.reflective else entry

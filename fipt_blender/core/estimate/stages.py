@@ -1,0 +1,387 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The paper's algorithm (Sec. 4) as a sequence of stages, each with a checkpoint.
+
+    pixels          intersect the photographs' pixels with the mesh; check the views
+    shadings        stage 1: bake the shadings from the radiance cache (Sec. 4.2, Eq. 9)
+    training-0      stage 2: fit BRDF and emission mask, find the emitters (Sec. 4.4 and 4.5, Eq. 12 to 20)
+    refinement-i    stage 3: bake the shadings anew by path tracing (Sec. 4.3, Eq. 10 and 11)
+    training-i      stage 2 with the refined shadings
+
+Stages 3 and 2 are repeated `rounds` times. A run that is resumed loads the stages that it has finished. The
+computations are in `light/`, `views/` and `material/`, the data that stages share in :mod:`.state`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..light.baking import Baking, ShadingStore, TracedLight, bake_views
+from ..light.emitters import bright_triangles
+from ..light.lamps import find_lamps, make_fixtures
+from ..light.observations import observe
+from ..light.reflecting import separate
+from ..light.shadings import SampleCounts
+from ..material.cell_errors import cell_errors
+from ..material.inference import render_pixels
+from ..material.networks import (
+    BrdfNetwork,
+    EmissionNetwork,
+    Networks,
+    networks_generator,
+    useful_hash_levels,
+)
+from ..material.pixel_samples import lamp_pixels
+from ..material.projection import InitialEstimate
+from ..material.training import PRETRAINING_STEPS, Resume, TrainingData, pretrain, read_checkpoint, train
+from ..material.training_input import material_units, training_input
+from ..optics.lights import EmitterTable
+from ..run.checkpoints import DamagedStage, stage_names
+from ..run.errors import FiptError
+from ..run.finished_views import FinishedViews
+from ..run.runfolder import explained_write_errors, write_json
+from ..run.settings import Settings
+from ..scene.mixed_pixels import mark_pure
+from ..scene.pixels import fill_pixels, open_pixels
+from ..views.check import check_views
+from .previews import Preview
+from .results import write_results
+from .state import EstimationState
+
+Facts = dict[str, Any]  # what stages.json keeps of a stage; JSON-serialisable
+
+# Expected time of each kind of stage relative to stage 1, for the progress bar only.
+_WEIGHTS = {"pixels": 0.1, "shadings": 1.0, "training": 1.6, "refinement": 1.2}
+
+
+class Estimation(EstimationState):
+    """One estimation on a run folder; arguments as of :class:`EstimationState`."""
+
+    def run(self) -> None:
+        """Do all stages that are not finished yet, and write the results.
+
+        A finished stage whose files are damaged is discarded with a warning, and done again.
+        """
+        if self.checkpoints.problem:
+            self._warn_of_damage(self.checkpoints.problem)
+        finished = False
+        while not finished:
+            try:
+                self._do_stages()
+                finished = True
+            except DamagedStage as damage:
+                self._warn_of_damage(str(damage))
+                self.checkpoints.discard(damage.stage)
+
+    def _warn_of_damage(self, text: str) -> None:
+        self.reporter.warning(
+            "checkpoint-damaged", f"{text} The stages that need it are done again.", "There is nothing to do."
+        )
+
+    def _do_stages(self) -> None:
+        rounds = self.settings.rounds
+        self.reporter.plan(_stage_weights(self.settings))
+        with explained_write_errors(self.folder.stage):
+            self._stage("pixels", "Tracing the photographs' pixels", self._trace, self._load_pixels)
+            self._prepare()
+            self._stage(
+                "shadings",
+                "Stage 1: baking shadings from the photographs",
+                self._bake,
+                partial(self._load_shadings, "shadings"),
+            )
+            self._show("shadings")
+            for index in range(rounds + 1):
+                if index:
+                    self._stage(
+                        f"refinement-{index}",
+                        f"Stage 3: refining shadings (round {index + 1} of {rounds + 1})",
+                        partial(self._refine, index),
+                        partial(self._load_shadings, f"refinement-{index}"),
+                    )
+                self._stage(
+                    f"training-{index}",
+                    f"Stage 2: training materials (round {index + 1} of {rounds + 1})",
+                    partial(self._train, index, _training_steps(self.settings, index)),
+                    partial(self._resume_training, index),
+                )
+                self._show(f"training-{index}")
+            self._write_results()
+
+    def _stage(self, name: str, text: str, work: Callable[[], Facts], load: Callable[[], None]) -> None:
+        """Do one stage, or load the results of a finished one and repeat its warnings.
+
+        Raises:
+            DamagedStage: its results can't be loaded.
+        """
+        if self.checkpoints.done(name):
+            try:
+                load()
+            except FiptError as error:
+                if error.code != "file-damaged":
+                    raise
+                raise DamagedStage(name, error.text) from error
+            self.reporter.skip()
+            for warning in self.checkpoints.warnings(name):
+                if warning not in self.reporter.warnings:  # after damage all stages come by once more
+                    self.reporter.warning(**warning)
+            return
+        self.checkpoints.begin(name)
+        self.reporter.stage(name, text)
+        started, warned = time.monotonic(), len(self.reporter.warnings)
+        facts = work()
+        seconds = time.monotonic() - started
+        facts["seconds"] = round(seconds, 2)
+        if facts.get("rays") and seconds > 0.0:
+            facts["mrays_per_second"] = round(facts["rays"] / seconds / 1e6, 3)
+        self.checkpoints.mark(name, facts, self.reporter.warnings[warned:])
+
+    # ---- Pixels: first hits, parts, pure pixels (supplementary), and a check of the views ------------------
+
+    def _trace(self) -> Facts:
+        self.pixels = open_pixels(self.folder.stage / "pixels", self.views, create=True)
+        self.scale = fill_pixels(self.pixels, self.room, self._progress_within(0.0, 0.4), self.workers)
+        self._sort_pixels(0.4, 0.8)
+        self.view_check = check_views(
+            self.pixels, self.room, self.parts.triangle_part, self.settings, self.reporter
+        )
+        if self.view_check.left_out:  # their masks no longer count
+            self._sort_pixels(0.8, 1.0)
+        self.checkpoints.remember("scale", self.scale)
+        self.checkpoints.remember("view_check", self.view_check.facts())
+        return {"rays": 6 * len(self.pixels)}
+
+    def _sort_pixels(self, begin: float, end: float) -> None:
+        """Choose the parts of the triangles, and mark the pixels that see one surface of one part."""
+        self.parts = self._choose_parts()
+        progress = self._progress_within(begin, end)
+        mark_pure(self.pixels, self.room, self.parts.triangle_part, progress, self.workers)
+
+    def _prepare(self) -> None:
+        """Everything that follows from the pixels and is quick to make again, and new networks."""
+        self.observations = observe(
+            self.room, self.pixels, self.parts, self.settings, self.folder.stage / "observed"
+        )
+        generator = networks_generator(self.settings)
+        self.hash_levels = useful_hash_levels(self.settings, self.box.extent, self.observations.footprint)
+        self.brdf = BrdfNetwork(self.settings, self.hash_levels, generator, self.device)
+        self.emission = EmissionNetwork(self.settings, generator, self.device)
+
+    # ---- Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9) ---------------------------------------
+
+    def _bake(self) -> Facts:
+        settings = self.settings
+        pixels = self.pixels
+        guide = bright_triangles(self.room, pixels.triangle, pixels.front, pixels.radiance)
+        counts = SampleCounts(settings.diffuse_spp, settings.specular_spp, settings.light_spp)
+        return self._bake_views(self.observations.cache(), None, guide, counts, 0)
+
+    def _bake_views(
+        self,
+        cache: np.ndarray | None,
+        traced: TracedLight | None,
+        emitters: EmitterTable,
+        counts: SampleCounts,
+        index: int,
+    ) -> Facts:
+        """Bake the shadings of all views in round `index`; other arguments as of :class:`Baking`."""
+        environment, settings = self.observations.environment, self.settings
+        baking = Baking(
+            room=self.room,
+            labels=self.parts.triangle_part,
+            grid=self.observations.grid,
+            cache=cache,
+            traced=traced,
+            emitters=emitters,
+            environment=None if environment is None else environment.image,
+            levels=self.levels,
+            counts=counts,
+            denoise=settings.denoise,
+            denoise_specular=settings.denoise_specular,
+            masking=settings.masking,
+            seed=settings.seed * 31 + 1 + index,
+        )
+        finished = self.checkpoints.finished_views(f"refinement-{index}" if index else "shadings")
+        store = self._shadings_to_bake(finished)
+        progress = self.reporter.progress
+        return {"rays": bake_views(store, self.pixels, baking, progress, self.workers, finished)}
+
+    def _shadings_to_bake(self, finished: FinishedViews) -> ShadingStore:
+        """New shadings, or those of an interrupted run with the views that it has finished."""
+        store = None
+        if finished.views:
+            try:
+                store = self._open_shadings(create=True, keep=True)
+            except FiptError:
+                finished.forget()
+        store = store or self._open_shadings(create=True)
+        finished.flush = store.flush
+        return store
+
+    # ---- Stage 2: BRDF and emission mask (Sec. 4.5, Eq. 12, 14 to 20); emitters (Sec. 4.4, Eq. 13) ---------
+
+    def _train(self, index: int, steps: int) -> Facts:
+        shadings = self._open_shadings()
+        data, initial = training_input(
+            self.observations,
+            self._pieces,
+            shadings,
+            self.levels,
+            self.box.normalise,
+            self.settings,
+        )
+        checkpoint = self.folder.stage / f"training-{index}.pt"
+        self._fit(index, steps, data, initial, checkpoint)
+        self._find_cells(material_units(self.observations, self._pieces, data))
+        constant = self._constant_triangles(initial)
+        joint = self.settings.emission == "joint"
+        emitting = constant if joint else self._find_emitters(index, constant)
+        self._group_fixtures(emitting, index)
+        # Kept with the networks: stage 3 writes over the shadings from which these means are made.
+        self.diffuse = self.observations.means(shadings.diffuse).astype(np.float16)
+        self._save_training(index, emitting)
+        checkpoint.unlink(missing_ok=True)
+        return {"steps": steps, "hash_levels": self.hash_levels}
+
+    def _fit(
+        self,
+        index: int,
+        steps: int,
+        data: TrainingData,
+        initial: InitialEstimate,
+        checkpoint: Path,
+    ) -> None:
+        """Fit the networks to the closed-form estimate, then to the photographs."""
+        networks = Networks(self.brdf, self.emission)
+        state = None
+        if checkpoint.exists():
+            try:
+                state = read_checkpoint(checkpoint, networks, steps)
+            except FiptError as error:
+                self._warn_of_damage(error.text)
+                checkpoint.unlink()
+        fitted = PRETRAINING_STEPS / (PRETRAINING_STEPS + steps)
+        if state is None:
+            pretrain(
+                networks,
+                data,
+                initial,
+                self.settings,
+                index,
+                self._progress_within(0.0, fitted),
+            )
+        train(
+            networks,
+            data,
+            self.settings,
+            steps,
+            index,
+            Resume(checkpoint, state),
+            self._progress_within(fitted, 1.0),
+        )
+
+    def _constant_triangles(self, initial: InitialEstimate) -> np.ndarray:
+        """(T,) bool, triangles of parts whose radiance is constant although the light on them varies."""
+        part = self.parts.triangle_part
+        # Semantic classes, and parts that no pixel saw, have no estimate.
+        known = (part >= 0) & (part < len(initial.part_emits))
+        constant = np.zeros(len(part), bool)
+        constant[known] = initial.part_emits[part[known]]
+        return constant
+
+    def _find_emitters(self, index: int, constant: np.ndarray) -> np.ndarray:
+        """(T,) bool, triangles that emit; those of `constant` ((T,) bool) do in any case."""
+        shadings = self._open_shadings()
+        arguments = self.brdf, self.box, self.pixels.position
+        estimate = partial(render_pixels, *arguments, shadings.diffuse, shadings.specular, self.levels)
+        return find_lamps(
+            self.room, self.pixels, shadings, self._mask, estimate, constant, self.settings, index
+        )
+
+    def _group_fixtures(self, emitting: np.ndarray, index: int) -> None:
+        self.fixtures = make_fixtures(self.room, self.pixels, emitting, self._mask, self.settings, index)
+
+    def _resume_training(self, index: int) -> None:
+        # Emitters are read, not found anew: the shadings they were found with may have been refined since.
+        self._group_fixtures(self._load_training(index), index)
+
+    # ---- Stage 3: shadings by path tracing (Sec. 4.3, Eq. 10 and 11) ---------------------------------------
+
+    def _refine(self, index: int) -> Facts:
+        settings = self.settings
+        table, emitting = self._emitters()
+        # Emission that was fitted jointly is read from the cache: the rims of lamps then count only once.
+        lamps = emitting if settings.emission == "mask" else None
+        cache = self.observations.cache(without=lamps) if settings.refine_cache else None
+        diffuse = self.diffuse if settings.refine_cache else None
+        traced = TracedLight(
+            self._material_values(), diffuse, settings.cache_roughness, settings.refine_depth
+        )
+        counts = SampleCounts(
+            settings.refine_diffuse_spp, settings.refine_specular_spp, settings.refine_light_spp
+        )
+        return self._bake_views(cache, traced, table, counts, index)
+
+    # ---- Results -------------------------------------------------------------------------------------------
+
+    def _write_results(self) -> None:
+        _, emitting = self._emitters()
+        shadings = self._open_shadings()
+        errors = cell_errors(
+            self.pixels,
+            self.units,
+            shadings,
+            self.levels,
+            self._fields(),
+            self.cells,
+            emitting,
+            self.settings.seed,
+        )
+        fixtures = self.fixtures, np.zeros((len(self.fixtures), 3))
+        if self.settings.emission != "joint":
+            pixels = lamp_pixels(self.pixels, shadings, emitting, self.settings.seed)
+            fixtures = separate(self.fixtures, pixels)
+        environment = self.observations.environment
+        write_results(
+            self.folder, self._room_fields(errors), *fixtures, environment, self.scale, self.reporter
+        )
+        write_json(self.folder.statistics_json, self.summary())
+
+    # ---- Progress ------------------------------------------------------------------------------------------
+
+    def _progress_within(self, begin: float, end: float) -> Callable[[float], None]:
+        """Progress of a piece of work that takes the stage from the share `begin` to `end`."""
+        return lambda done: self.reporter.progress(begin + (end - begin) * done)
+
+    def _show(self, name: str) -> None:
+        """Send the window pictures of what a stage has found."""
+        preview = Preview(self.folder.stage / "previews", self.pixels, self.room.triangle_object)
+        paths = preview.existing(name)
+        if not paths and name == "shadings":
+            paths = preview.first_guess(name, self._open_shadings())
+        elif not paths:
+            paths = preview.estimate(name, self._fields(), self._emitters()[0])
+        relative = [path.relative_to(self.folder.root).as_posix() for path in paths]
+        self.reporter.progress(1.0, force=True, pictures=relative)
+
+
+def _training_steps(settings: Settings, index: int) -> int:
+    return settings.later_training_steps if index else settings.training_steps
+
+
+def _stage_weights(settings: Settings) -> list[float]:
+    """Expected share of time of each stage, in no unit; for the progress bar."""
+    weights = []
+    for name in stage_names(settings.rounds):
+        kind, _, number = name.partition("-")
+        weight = _WEIGHTS[kind]
+        if kind == "training":
+            weight *= _training_steps(settings, int(number)) / max(settings.training_steps, 1)
+        weights.append(weight)
+    return weights

@@ -1,0 +1,95 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Standard errors of the final estimate in each seen cell, from the pixels of a run and the last shadings."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..light.baking import ShadingStore
+from ..scene.pixels import PixelStore
+from .confidence import UNIFORM_DEVIATION, concatenate, linearise, standard_errors
+from .groups import Units
+from .inference import Fields
+from .pixel_samples import pure_rows, read_samples
+from .seen import RESOLUTION, SeenCells, cell_keys
+
+# About so many pixels are used; more change only the time.
+PIXELS = 1_500_000
+CHUNK = 1 << 16
+# Edge, in cells, of the blocks that share roughness and metallic outside units of one material.
+BLOCK = 8
+# Quantile of the errors of a group's cells that its cells without pure pixels take.
+UNSAMPLED_QUANTILE = 0.9
+
+
+def cell_errors(
+    pixels: PixelStore,
+    units: Units,
+    shadings: ShadingStore,
+    levels: np.ndarray,
+    fields: Fields,
+    cells: SeenCells,
+    emitting: np.ndarray,
+    seed: int,
+) -> np.ndarray:
+    """(C, 3) float32 standard errors of base colour, roughness and metallic of `fields` in the C cells.
+
+    Args:
+        shadings: of all pixels at the roughness `levels` (K,).
+        emitting: (T,) bool emitting triangles; their pixels are not used.
+    """
+    errors = np.full((len(cells.keys), 3), UNIFORM_DEVIATION, np.float32)
+    rng = np.random.default_rng([seed, 5])
+    probability = PIXELS / max(len(pixels), 1)
+    rows = np.concatenate(
+        [_sample_view(pixels, view, ~emitting, probability, rng) for view in range(len(pixels.views))]
+    )
+    if not len(rows):
+        return errors
+    position = np.asarray(pixels.position[rows])
+    place = np.searchsorted(
+        cells.keys, cell_keys(fields.box, position, units.triangle[pixels.triangle[rows]])
+    )
+    sampled, cell = np.unique(place, return_inverse=True)
+    group_of_cell = groups_of_cells(units, fields, cells)
+    group = group_of_cell[place]
+    color, roughness, metallic = fields.query(position)
+    chunks = []
+    for start in range(0, len(rows), CHUNK):
+        chunk = slice(start, start + CHUNK)
+        samples = read_samples(pixels, shadings, levels, rows[chunk], cell[chunk], group[chunk])
+        chunks.append(linearise(samples, color[chunk], roughness[chunk], metallic[chunk]))
+    color_error, *group_errors = standard_errors(concatenate(chunks))
+    errors[sampled, 0] = color_error
+    sampled_groups = np.unique(group)
+    for column, values in enumerate(group_errors, start=1):
+        error_of_group = np.full(group_of_cell.max() + 1, UNIFORM_DEVIATION)
+        error_of_group[sampled_groups] = values[sampled_groups]
+        errors[:, column] = error_of_group[group_of_cell]
+    unsampled = np.ones(len(errors), bool)
+    unsampled[sampled] = False
+    for index in np.unique(group_of_cell[unsampled]):
+        in_group = group_of_cell == index
+        if (in_group & ~unsampled).any():
+            errors[in_group & unsampled, 0] = np.quantile(
+                errors[in_group & ~unsampled, 0], UNSAMPLED_QUANTILE
+            )
+    return errors
+
+
+def groups_of_cells(units: Units, fields: Fields, cells: SeenCells) -> np.ndarray:
+    """(C,) int64 group of each cell: its unit if that is of one material, else its block of cells."""
+    blocks = (fields.box.normalise(cells.points) * (RESOLUTION // BLOCK)).astype(np.int64) @ (1, 64, 64**2)
+    blocks = np.where(units.is_single(cells.part), 0, blocks)
+    return np.unique((cells.part.astype(np.int64) + 1) * 64**3 + blocks, return_inverse=True)[1]
+
+
+def _sample_view(
+    pixels: PixelStore, view: int, marked: np.ndarray, probability: float, rng: np.random.Generator
+) -> np.ndarray:
+    """(n,) int64 pure pixels of a view that see marked triangles, each drawn with the given probability."""
+    bounds = pixels.rows(view)
+    drawn = rng.random(bounds.stop - bounds.start) < probability
+    candidates = pure_rows(pixels, view, marked)
+    return candidates[drawn[candidates - bounds.start]]

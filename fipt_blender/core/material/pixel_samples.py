@@ -1,0 +1,138 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pixels with their shadings, read from the memory-mapped arrays of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..light.baking import ShadingStore
+from ..light.reflecting import LampPixels
+from ..scene.pixels import PixelStore
+
+# Number of pixels that sample all lamps, and the least number for each emitting triangle.
+LAMP_PIXELS = 200_000
+LEAST_LAMP_PIXELS = 100
+
+
+@dataclass(frozen=True)
+class PixelSamples:
+    """N pixels with the shadings of the surfaces that they see.
+
+    Attributes:
+        rows: (N,) int64 indices among the pixels of the run.
+        radiance: (N, 3) float32 photographed radiance, in units of the capture's median.
+        diffuse: (N, 3) float32 diffuse shading L_d, in the same unit.
+        specular: (N, K, 2, 3) float32 specular shadings L_s0 and L_s1 at the roughness `levels`.
+        levels: (K,) float32 roughness levels, ascending.
+        cell: (N,) int, from 0: surface cell in which base colour is constant.
+        group: (N,) int part, or the group in its place (:mod:`.groups`), with one roughness and one metallic;
+            negative for pixels without one.
+        view: (N,) int index of the view.
+    """
+
+    rows: np.ndarray
+    radiance: np.ndarray
+    diffuse: np.ndarray
+    specular: np.ndarray
+    levels: np.ndarray
+    cell: np.ndarray
+    group: np.ndarray
+    view: np.ndarray
+
+
+def read_samples(
+    pixels: PixelStore,
+    shadings: ShadingStore,
+    levels: np.ndarray,
+    rows: np.ndarray,
+    cell: np.ndarray,
+    group: np.ndarray,
+) -> PixelSamples:
+    """The pixels `rows` (N,) as samples.
+
+    Args:
+        shadings: of all pixels at the roughness `levels` (K,).
+        cell, group: (N,), see :class:`PixelSamples`.
+    """
+    arrays = (pixels.radiance, shadings.diffuse, shadings.specular)
+    radiance, diffuse, specular = (np.asarray(array[rows], np.float32) for array in arrays)
+    return PixelSamples(rows, radiance, diffuse, specular, levels, cell, group, pixels.view_of(rows))
+
+
+def window_means(
+    arrays: Sequence[np.ndarray],
+    rows: np.ndarray,
+    pure: np.ndarray,
+    group: np.ndarray,
+    ranges: np.ndarray,
+    widths: np.ndarray,
+) -> list[np.ndarray]:
+    """Means over the pure pixels of the same group and view in the 3 × 3 window around each pixel.
+
+    The rendering is linear in the shadings, so the means of both sides of Eq. 5 agree where base colour is
+    constant. Averaging reduces the noise, and with it the errors that differ between roughness levels.
+
+    Args:
+        arrays: each (N, ...), values of all pixels, ordered by view and row-major; may be memory-mapped.
+        rows: (M,) int indices of the pixels whose means are wanted; these count in any case.
+        pure: (N,) bool, whether a pixel sees a single surface. group: (N,) int.
+        ranges: (views + 1,) int index of the first pixel of each view, and N.
+        widths: (views,) int image width of each view.
+
+    Returns:
+        (M, ...) float32 each.
+    """
+    sums = [np.zeros((len(rows), *array.shape[1:]), np.float32) for array in arrays]
+    count = np.zeros(len(rows), np.float32)
+    view = np.searchsorted(ranges, rows, side="right") - 1
+    first, end, width, row_group = ranges[view], ranges[view + 1], widths[view], group[rows]
+    column = (rows - first) % width
+    for down in (-1, 0, 1):
+        for right in (-1, 0, 1):
+            neighbour = rows + down * width + right
+            inside = (neighbour >= first) & (neighbour < end)
+            inside &= (column + right >= 0) & (column + right < width)
+            neighbour = np.where(inside, neighbour, rows)
+            counted = inside & (group[neighbour] == row_group) & pure[neighbour]
+            counted |= (down == 0) & (right == 0)
+            index = np.flatnonzero(counted)
+            for total, array in zip(sums, arrays, strict=True):
+                total[index] += array[neighbour[index]]
+            count[index] += 1.0
+    return [total / count.reshape(-1, *[1] * (total.ndim - 1)) for total in sums]
+
+
+def pure_rows(pixels: PixelStore, view: int, marked: np.ndarray) -> np.ndarray:
+    """(n,) int64 pure pixels of a view that see a marked triangle ((T,) bool)."""
+    rows = pixels.rows(view)
+    triangle = np.asarray(pixels.triangle[rows])
+    wanted = (triangle >= 0) & np.asarray(pixels.pure[rows]) & marked[np.maximum(triangle, 0)]
+    return np.flatnonzero(wanted) + rows.start
+
+
+def lamp_pixels(pixels: PixelStore, shadings: ShadingStore, emitting: np.ndarray, seed: int) -> LampPixels:
+    """A random sample of the pure pixels that see emitting triangles ((T,) bool)."""
+    views = range(len(pixels.views))
+    count = np.zeros(len(emitting), np.int64)
+    for view in views:
+        np.add.at(count, pixels.triangle[pure_rows(pixels, view, emitting)], 1)
+    most = max(LAMP_PIXELS // max(int(emitting.sum()), 1), LEAST_LAMP_PIXELS)
+    probability = most / np.maximum(count, 1)
+    rng = np.random.default_rng([seed, 7])
+    sampled = [np.zeros(0, np.int64)]
+    for view in views:
+        candidates = pure_rows(pixels, view, emitting)
+        sampled.append(candidates[rng.random(len(candidates)) < probability[pixels.triangle[candidates]]])
+    rows = np.concatenate(sampled)
+    return LampPixels(
+        triangle=np.asarray(pixels.triangle[rows]),
+        front=np.asarray(pixels.front[rows]),
+        view=pixels.view_of(rows),
+        radiance=np.asarray(pixels.radiance[rows], np.float64),
+        diffuse=np.asarray(shadings.diffuse[rows], np.float64),
+        specular=np.asarray(shadings.specular[rows, -1], np.float64),
+    )

@@ -1,0 +1,247 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The input of stage 2: the pixels to train on, and the closed-form estimate at a sample of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..light.baking import ShadingStore
+from ..light.cache import SIDES
+from ..light.observations import Observations
+from ..optics.factorised import color_line
+from ..run.settings import Settings
+from ..scene.pixels import PixelStore, open_array
+from .gloss import group_materials
+from .groups import (
+    LEAST_PIXELS,
+    MOST_GROUPS,
+    NO_GROUP,
+    Units,
+    color_class,
+    material_groups,
+    numbered,
+    part_units,
+    piece_units,
+    similarity,
+)
+from .pixel_samples import PixelSamples, read_samples, window_means
+from .projection import RADIANCE_FLOOR, InitialEstimate, project
+from .training import TrainingData
+
+# Pixels used for the closed-form estimate; more change only its time.
+PROJECTION_PIXELS = 600_000
+# Groups with fewer pure pixels use their mixed ones too.
+FEW_PIXELS = 30
+# About so many pixels of larger groups determine roughness and metallic.
+GROUP_PIXELS = 20_000
+# Width, in voxels of the radiance cache, of the cells of constant base colour from which roughness and
+# metallic are estimated: a voxel holds two or three pixels of the test rooms, too few to tell gloss from base
+# colour.
+WIDE_CELL = 2
+# Step of the normals by which the pixels of a voxel are divided: the same light falls on those within one.
+NORMAL_STEP = 0.2
+
+
+def training_input(
+    observations: Observations,
+    pieces: np.ndarray | None,
+    shadings: ShadingStore,
+    levels: np.ndarray,
+    normalise: Callable[[np.ndarray], np.ndarray],
+    settings: Settings,
+) -> tuple[TrainingData, InitialEstimate]:
+    """The data to train on, and the closed-form estimate at a sample of its pixels.
+
+    Args:
+        pieces: (T,) int connected piece of each triangle; None where parts are known.
+        shadings: of all pixels at the roughness `levels` (K,).
+        normalise: maps world positions to the unit cube.
+    """
+    pixels = observations.pixels
+    rows = _sample_rows(pixels, observations.donor, np.random.default_rng([settings.seed, 2]))
+    group, color = observations.part, np.zeros((0, 3))
+    if pieces is not None:
+        color = _diffuse_colors(observations, shadings)
+        group = _assign_groups(observations, pieces, color)
+    pure = np.asarray(pixels.pure)
+    wide_rows = rows[_pure_where_possible(pure[rows], group[rows])]
+    wide_cell = _wide_cells(observations, wide_rows)
+    kept = sample_groups(group[wide_rows], wide_cell, np.random.default_rng([settings.seed, 5]))
+    wide_rows, wide_cell = wide_rows[kept], wide_cell[kept]
+    arrays = (pixels.radiance, shadings.diffuse, shadings.specular)
+    widths = np.array([view.width for view in pixels.views])
+    radiance, diffuse, specular = window_means(arrays, wide_rows, pure, group, pixels.ranges, widths)
+    view = pixels.view_of(wide_rows)
+    wide = PixelSamples(wide_rows, radiance, diffuse, specular, levels, wide_cell, group[wide_rows], view)
+    prior = None
+    if pieces is not None:
+        prior = _similarity(wide.group, observations.part[wide_rows], color[observations.entry[wide_rows]])
+    roughness, metallic = group_materials(
+        wide, _light_cells(observations, wide_rows), settings.lambda_diffuse, prior
+    )
+    cell = np.asarray(observations.entry[rows], np.int64)
+    samples = read_samples(pixels, shadings, levels, rows, cell, group[rows])
+    estimate = project(samples, roughness, metallic, known_parts=pieces is None)
+    # Groups without a sampled pixel are diffuse.
+    missing = max(int(group.max(initial=-1)) + 1 - len(roughness), 0)
+    data = TrainingData(
+        pool=observations.pool,
+        donor=observations.donor,
+        position=pixels.position,
+        radiance=pixels.radiance,
+        label=observations.part,
+        group=group,
+        diffuse=shadings.diffuse,
+        specular=shadings.specular,
+        levels=levels,
+        semantic=observations.parts.kind == "semantic",
+        group_roughness=np.pad(roughness, (0, missing), constant_values=1.0),
+        group_metallic=np.pad(metallic, (0, missing)),
+        normalise=normalise,
+    )
+    return data, estimate
+
+
+def material_units(observations: Observations, pieces: np.ndarray | None, data: TrainingData) -> Units:
+    """Units of the mesh by the groups of :func:`training_input`; `pieces` as there."""
+    if pieces is None:
+        return part_units(observations.parts)
+    pixels, groups = observations.pixels, len(data.group_roughness)
+    keys, count = np.zeros(0, np.int64), np.zeros(0, np.int64)
+    for view in range(len(pixels.views)):
+        rows = _rows_with_donor(pixels, data.donor, view)
+        key = pixels.triangle[rows] * np.int64(groups + 1) + data.group[rows] + 1
+        keys, count = _add_counts(keys, count, key)
+    triangle, group = np.divmod(keys, groups + 1)
+    return piece_units(
+        observations.parts, pieces, triangle, group - 1, count, data.group_roughness, data.group_metallic
+    )
+
+
+def _add_counts(keys: np.ndarray, count: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(K,) ascending keys and their (K,) counts, after the values (n,) have been added to them."""
+    new_keys, new_count = np.unique(values, return_counts=True)
+    keys, place = np.unique(np.concatenate([keys, new_keys]), return_inverse=True)
+    return keys, np.bincount(place, np.concatenate([count, new_count])).astype(np.int64)
+
+
+def _sample_rows(pixels: PixelStore, donor: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(M,) int64 pixels that are their own donor: all, or a random sample of about PROJECTION_PIXELS."""
+
+    def own_donors(view: int) -> np.ndarray:
+        rows = pixels.rows(view)
+        return np.flatnonzero(donor[rows] == np.arange(rows.start, rows.stop)) + rows.start
+
+    views = range(len(pixels.views))
+    share = PROJECTION_PIXELS / max(sum(len(own_donors(view)) for view in views), 1)
+    return np.concatenate(
+        [rows if share >= 1.0 else rows[rng.random(len(rows)) < share] for rows in map(own_donors, views)]
+    )
+
+
+def _diffuse_colors(observations: Observations, shadings: ShadingStore) -> np.ndarray:
+    """(M * 6, 3) least-squares base colour of each cache entry from all its pixels, taken as diffuse."""
+    pixels, entries = observations.pixels, len(observations.grid.voxels) * SIDES
+    top, bottom = np.zeros((entries, 3)), np.zeros((entries, 3))
+    for view in range(len(pixels.views)):
+        rows = _rows_with_donor(pixels, observations.donor, view)
+        radiance, diffuse, roughest = (
+            np.asarray(array, np.float32)
+            for array in (pixels.radiance[rows], shadings.diffuse[rows], shadings.specular[rows, -1])
+        )
+        slope, offset = color_line(diffuse, roughest[:, 0], roughest[:, 1], 0.0)
+        weight = slope / (radiance + RADIANCE_FLOOR) ** 2
+        used, place = np.unique(observations.entry[rows], return_inverse=True)
+        for total, values in ((top, weight * (radiance - offset)), (bottom, weight * slope)):
+            total[used] += np.stack([np.bincount(place, column) for column in values.T], axis=1)
+    return np.clip(top / np.maximum(bottom, 1e-12), 0.0, 1.0)
+
+
+def _rows_with_donor(pixels: PixelStore, donor: np.ndarray, view: int) -> np.ndarray:
+    """(n,) int64 pixels of a view that have a donor."""
+    rows = pixels.rows(view)
+    return np.flatnonzero(donor[rows] >= 0) + rows.start
+
+
+def _assign_groups(observations: Observations, pieces: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """(N,) int32 group of each pixel with a donor, NO_GROUP for the others; memory-mapped.
+
+    Only the combinations of label, piece and colour are counted, which are few, not the pixels.
+
+    Args:
+        color: (M * 6, 3) base colour of each cache entry.
+    """
+    pixels = observations.pixels
+    classes, class_of_entry = np.unique(color_class(color), return_inverse=True)
+    shape = (
+        int(observations.parts.triangle_part.max(initial=-1)) + 2,
+        int(pieces.max(initial=0)) + 1,
+        len(classes),
+    )
+
+    def combinations(view: int) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels of a view with a donor, and a key for the label, piece and colour of each."""
+        rows = _rows_with_donor(pixels, observations.donor, view)
+        columns = (
+            observations.part[rows] + 1,
+            pieces[pixels.triangle[rows]],
+            class_of_entry[observations.entry[rows]],
+        )
+        return rows, np.ravel_multi_index(columns, shape)
+
+    keys, count = np.zeros(0, np.int64), np.zeros(0, np.int64)
+    for view in range(len(pixels.views)):
+        keys, count = _add_counts(keys, count, combinations(view)[1])
+    label_of_key, piece, color_of_key = np.unravel_index(keys, shape)
+    least = max(LEAST_PIXELS, int(count.sum()) // MOST_GROUPS)
+    group_of_key = material_groups(label_of_key, piece, color_of_key, count, least)
+    group = open_array(observations.folder / "group.npy", (len(pixels),), np.int32, create=True)
+    for view in range(len(pixels.views)):
+        of_view = np.full(pixels.views[view].height * pixels.views[view].width, NO_GROUP, np.int32)
+        rows, key = combinations(view)
+        of_view[rows - pixels.ranges[view]] = group_of_key[np.searchsorted(keys, key)]
+        group[pixels.rows(view)] = of_view
+    return group
+
+
+def _similarity(group: np.ndarray, label: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """(G, G) similarity of the groups of pixels (M,) with classes (M,) and base colours (M, 3)."""
+    count = np.maximum(np.bincount(group), 1)
+    label_of_group = np.zeros(len(count), np.int64)
+    label_of_group[group] = label
+    mean_color = np.stack([np.bincount(group, column) / count for column in color.T], axis=1)
+    return similarity(label_of_group, mean_color)
+
+
+def _wide_cells(observations: Observations, rows: np.ndarray) -> np.ndarray:
+    """(M,) int64 from 0, a cube of `WIDE_CELL` voxels and the side of it that each pixel sees."""
+    edge = WIDE_CELL * float(observations.grid.size.max())
+    cube = np.floor((observations.pixels.position[rows] - observations.grid.low) / edge).astype(np.int64)
+    return numbered([*cube.T, np.asarray(observations.entry[rows], np.int64) % SIDES])
+
+
+def _light_cells(observations: Observations, rows: np.ndarray) -> np.ndarray:
+    """(M,) int64 from 0, the cache entry and the slope that each pixel sees: the same light falls on one."""
+    slope = np.round(observations.pixels.normal[rows] / NORMAL_STEP).astype(np.int64)
+    return numbered([*slope.T, np.asarray(observations.entry[rows], np.int64)])
+
+
+def sample_groups(group: np.ndarray, cell: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(M,) bool, all pixels of groups of up to `GROUP_PIXELS`, and random complete cells of other groups."""
+    share = GROUP_PIXELS / np.maximum(np.bincount(group), 1)
+    drawn = rng.random(int(cell.max(initial=-1)) + 1)
+    return drawn[cell] < share[group]
+
+
+def _pure_where_possible(pure: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """(M,) bool, pure pixels with a group, and the mixed ones of groups with fewer than FEW_PIXELS pure ones.
+
+    Args:
+        pure: (M,) bool. group: (M,) int, negative for none.
+    """
+    known = group >= 0
+    count = np.bincount(group[known & pure], minlength=int(group.max(initial=0)) + 1)
+    return known & (pure | (count[np.maximum(group, 0)] < FEW_PIXELS))

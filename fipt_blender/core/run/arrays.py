@@ -1,0 +1,96 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Array files of a run (.npz): read without pickles, within limits, and with one error for all that can fail.
+
+A file may have been cut off by a full disk or come from somebody else. Needs numpy alone.
+"""
+
+from __future__ import annotations
+
+import struct
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from .errors import FiptError
+from .shapes import Layout
+
+# Unpacked bytes of an archive: more than any room needs, and compressed at most this much.
+MOST_BYTES = 32_000_000_000
+_MOST_RATIO = 2000
+_PLAIN_BYTES = 64_000_000  # below this a high ratio does no harm
+# What numpy and zipfile raise for damaged files.
+DAMAGE = (
+    *(OSError, ValueError, KeyError, EOFError, IndexError, TypeError, SyntaxError, NotImplementedError),
+    *(zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError, OverflowError, MemoryError),
+    RuntimeError,  # an archive that says that it is encrypted
+)
+
+
+# numpy's kinds of numbers by those of layouts.
+_KINDS = {"f": "f", "i": "iu", "b": "b"}
+_KIND_TEXTS = {"f": "numbers", "i": "whole numbers", "b": "truth values"}
+
+
+def read_arrays(
+    path: Path,
+    layouts: Mapping[str, Layout],
+    code: str = "file-damaged",
+    remedy: str = "Repeat the step that writes it.",
+) -> dict[str, np.ndarray]:
+    """All arrays of an .npz file by name.
+
+    Args:
+        path: of the file.
+        layouts: of the arrays that must be there.
+        code: of the error for a damaged file.
+        remedy: what the user can do then.
+
+    Raises:
+        FiptError: ``file-missing``, or `code`.
+    """
+    try:
+        _check_sizes(path)
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        check_layouts(arrays, layouts)
+    except FileNotFoundError:
+        raise FiptError("file-missing", f"{path} does not exist.", remedy) from None
+    except DAMAGE as error:
+        raise FiptError(code, f"{path} can't be read ({error}).", remedy) from None
+    return arrays
+
+
+def check_layouts(arrays: Mapping[str, np.ndarray], layouts: Mapping[str, Layout]) -> None:
+    """Check kinds and sizes of arrays.
+
+    Raises:
+        ValueError: names the array, what is needed and what is there.
+    """
+    sizes: dict[str, int] = {}
+    for name, (kind, needed) in layouts.items():
+        if name not in arrays:
+            raise ValueError(f"it lacks the array '{name}'")
+        array = arrays[name]
+        if array.dtype.kind not in _KINDS[kind]:
+            raise ValueError(f"the array '{name}' should hold {_KIND_TEXTS[kind]}, not {array.dtype}")
+        fits = len(array.shape) == len(needed) and all(
+            size == (sizes.setdefault(wanted, size) if isinstance(wanted, str) else wanted)
+            for size, wanted in zip(array.shape, needed, strict=True)
+        )
+        if not fits:
+            shape = tuple(sizes.get(size, size) if isinstance(size, str) else size for size in needed)
+            raise ValueError(f"the array '{name}' should have the sizes {shape}, not {array.shape}")
+
+
+def _check_sizes(path: Path) -> None:
+    """Refuse an archive that unpacks to far more than it holds."""
+    with zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+    total, packed = sum(member.file_size for member in members), path.stat().st_size
+    if total > MOST_BYTES or (total > _PLAIN_BYTES and total > _MOST_RATIO * packed):
+        raise ValueError(f"it unpacks to {total / 1e9:.1f} GB")

@@ -1,0 +1,171 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A lock that allows one engine per run folder; the system releases it however the process ends.
+
+Standard library only: the engine holds the lock, and Blender asks which engine holds it.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import stat
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+from .documents import Fields, Items, Number, check_shape, parse_document
+from .errors import FiptError
+from .process_identity import host_name, process_start
+from .runfolder import RunFolder, explained_write_errors
+
+_PATIENCE_SECONDS = 1.0  # `holder` itself takes the lock for a moment
+
+
+_CONTENT = Fields({"pid": Number(1, 2**31, whole=True), "command": Items(str)}, {"host": str, "started": str})
+
+
+@dataclass(frozen=True)
+class Holder:
+    """The engine that works in a run folder.
+
+    Attributes:
+        pid: its process id, on its machine.
+        command: its command with the arguments.
+        host: name of its machine, "" if unknown.
+        started: when its process started (`process_start`), "" if unknown.
+    """
+
+    pid: int
+    command: tuple[str, ...]
+    host: str = ""
+    started: str = ""
+
+    @property
+    def is_here(self) -> bool:
+        """Whether it is certain that the process of this id on this machine is the engine."""
+        return bool(self.started) and self.host == host_name() and process_start(self.pid) == self.started
+
+    @property
+    def place(self) -> str:
+        """Where it runs, for messages."""
+        return f"on the machine '{self.host or 'unknown'}' as process {self.pid}"
+
+
+@contextmanager
+def hold(run: RunFolder, command: Sequence[str]) -> Iterator[None]:
+    """Keep other engines out of a run folder while the block runs.
+
+    Args:
+        run: the folder; if it does not exist, nothing is locked.
+        command: the engine's command with its arguments, which `holder` returns.
+
+    Raises:
+        FiptError: ``run-busy`` if another engine holds the lock; ``run-linked``; ``disk-full`` or
+            ``run-unwritable``.
+    """
+    if not run.root.is_dir():
+        yield
+        return
+    run.refuse_links()
+    with open_lockable(run.engine_lock) as file:
+        deadline = time.monotonic() + _PATIENCE_SECONDS
+        while not try_lock(file):
+            if time.monotonic() > deadline:
+                raise busy(run)
+            time.sleep(0.05)
+        with explained_write_errors(run.engine_lock):
+            file.seek(0)
+            file.truncate()
+            started = process_start(os.getpid())
+            content = {"pid": os.getpid(), "command": list(command), "host": host_name(), "started": started}
+            file.write(json.dumps(content).encode())
+            file.flush()
+        yield
+
+
+def holder(run: RunFolder) -> Holder | None:
+    """The engine that works in a run folder now, or None."""
+    try:
+        file = open(run.engine_lock, "rb")
+    except OSError:
+        return None
+    with file:
+        if _lock(file, shared=True):
+            return None  # closing the file releases the lock
+        try:
+            data = parse_document(file.read().decode("utf-8"))
+            check_shape(data, _CONTENT)
+        except (OSError, ValueError):  # the file is just being written
+            return None
+        place = data.get("host", ""), data.get("started", "")
+        return Holder(data["pid"], tuple(data["command"]), *place)
+
+
+def busy(run: RunFolder) -> FiptError:
+    """The error ``run-busy``, which says where the engine runs that works in a run folder."""
+    engine = holder(run)
+    place = "" if engine is None else f" It runs {engine.place}."
+    return FiptError(
+        "run-busy",
+        f"Another engine is already working in {run.root}.{place}",
+        "Wait until it has finished, or stop it where it was started.",
+    )
+
+
+def open_lockable(path: Path) -> IO[bytes]:
+    """Open or create a file for locking and appending; links and other special files are not followed.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    flags = os.O_RDWR | os.O_APPEND | os.O_CREAT
+    for name in ("O_NOFOLLOW", "O_CLOEXEC", "O_NONBLOCK", "O_BINARY"):
+        flags |= getattr(os, name, 0)
+    with explained_write_errors(path):
+        file = os.fdopen(os.open(path, flags, 0o666), "ab+")
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            file.close()
+            raise OSError(errno.EINVAL, "it is not a regular file")
+    return file
+
+
+def try_lock(file: IO[bytes]) -> bool:
+    """Lock an open file for this process and those that inherit it; False if others hold the lock.
+
+    The system releases the lock when the file is closed or the processes end.
+    """
+    return _lock(file, shared=False)
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    _LOCKED_BYTE = 1 << 30  # far behind the text, because Windows does not let locked bytes be read
+
+    def _lock(file: IO[bytes], shared: bool) -> bool:
+        position = file.tell()
+        try:
+            file.seek(_LOCKED_BYTE)
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        finally:
+            file.seek(position)
+        return True
+else:
+    import fcntl
+
+    def _lock(file: IO[bytes], shared: bool) -> bool:
+        try:
+            fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:  # a network drive without locks: working without a lock is better than not working
+            pass
+        return True

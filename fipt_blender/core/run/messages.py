@@ -1,0 +1,180 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Messages from the engine to Blender: one JSON object per line on the engine's stdout.
+
+Standard library only: both processes import it. docs/architecture.md lists the types and their fields.
+"""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import os
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from typing import IO, Any
+
+from .documents import Choice, Fields, Items, Maybe, Number, check_shape, parse_document
+
+_PROBLEM = Fields(dict.fromkeys(("code", "text", "remedy"), str))
+# The fields of each type of message that its readers rely on.
+_FIELDS = {
+    "stage": Fields({"name": str, "text": str}, dict.fromkeys(("index", "count"), Number(whole=True))),
+    "progress": Fields(
+        {"fraction": Number()},
+        {
+            **dict.fromkeys(("stage_fraction", "memory_gb"), Number()),
+            "remaining_seconds": Maybe(Number()),
+            "files": Items(str),
+        },
+    ),
+    "warning": _PROBLEM,
+    "error": _PROBLEM,
+    "done": Fields({"files": Items(str), "data": dict}),
+}
+
+
+def parse_message(line: str) -> dict[str, Any] | None:
+    """The message in one line of the engine's stdout, or None if the line is not a message."""
+    if not line.startswith("{"):
+        return None
+    try:
+        message = parse_document(line)
+        check_shape(message, Fields({"type": Choice(*_FIELDS)}))
+        check_shape(message, _FIELDS[message["type"]])
+    except ValueError:
+        return None
+    return message
+
+
+def says_out_of_memory(text: str) -> bool:
+    """Whether the text of an error means that main memory or GPU memory ran out."""
+    signs = ("out of memory", "out_of_memory", "not enough memory", "bad_alloc", "can't allocate memory")
+    return any(sign in text.lower() for sign in signs)
+
+
+def claim_stdout() -> IO[str]:
+    """Reserve the process's stdout for messages and redirect everything else that is printed to stderr.
+
+    Native libraries write to file descriptor 1, therefore the descriptor itself is redirected.
+
+    Returns:
+        The stream for messages.
+    """
+    sys.stdout.flush()
+    # Unbuffered: a write that failed on a full disk must not be repeated when the process ends.
+    stream = io.TextIOWrapper(io.FileIO(os.dup(1), "w"), encoding="utf-8", write_through=True)
+    os.dup2(2, 1)
+    return stream
+
+
+class Reporter:
+    """Writes messages. Stages have weights, so that one fraction covers the whole command.
+
+    Args:
+        stream: for the lines; None writes nothing (library use and tests).
+
+    Attributes:
+        warnings: code, text and remedy of each warning so far.
+        lost: whether the last message could not be written because the disk was full.
+    """
+
+    def __init__(self, stream: IO[str] | None = None) -> None:
+        self.warnings: list[dict[str, str]] = []
+        self.lost = False
+        self._stream = stream
+        self._weights: list[float] = [1.0]
+        self._stage = 0
+        self._started = time.monotonic()
+        self._done_before_start = 0.0
+        self._last_progress = 0.0
+
+    def _write(self, message: Mapping[str, Any]) -> None:
+        if self._stream is None:
+            return
+        try:
+            # A message that did not fit may have been written in part.
+            self._stream.write(("\n" if self.lost else "") + json.dumps(message) + "\n")
+            self._stream.flush()
+            self.lost = False
+        except OSError as error:
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+                raise
+            self.lost = True
+
+    def plan(self, weights: Sequence[float]) -> None:
+        """Set the expected time of each of the following stages, in any unit."""
+        total = sum(weights) or 1.0
+        self._weights = [weight / total for weight in weights]
+        self._stage = -1
+        self._started = time.monotonic()
+        self._done_before_start = 0.0
+
+    def stage(self, name: str, text: str) -> None:
+        """Begin the next planned stage."""
+        self._stage = min(self._stage + 1, len(self._weights) - 1)
+        self._write(
+            {"type": "stage", "name": name, "index": self._stage, "count": len(self._weights), "text": text}
+        )
+        self.progress(0.0, force=True)
+
+    def skip(self, count: int = 1) -> None:
+        """Count stages as done that a resumed run already has; the remaining time does not include them."""
+        for _ in range(count):
+            self._stage = min(self._stage + 1, len(self._weights) - 1)
+        self._done_before_start = sum(self._weights[: self._stage + 1])
+
+    def progress(
+        self, stage_fraction: float, force: bool = False, pictures: Sequence[str] | None = None
+    ) -> None:
+        """Report which share of the current stage is done (0 to 1); at most four lines per second.
+
+        Args:
+            stage_fraction: share of the current stage that is done.
+            force: write even if the last line was written less than a quarter of a second ago.
+            pictures: paths, relative to the run folder, of new pictures of the estimate so far.
+        """
+        now = time.monotonic()
+        if not force and now - self._last_progress < 0.25:
+            return
+        self._last_progress = now
+        stage = max(self._stage, 0)
+        fraction = sum(self._weights[:stage]) + self._weights[stage] * min(max(stage_fraction, 0.0), 1.0)
+        done = fraction - self._done_before_start
+        elapsed = now - self._started
+        remaining = elapsed * (1.0 - fraction) / done if done > 0.02 else None
+        self._write(
+            {
+                "type": "progress",
+                "fraction": round(fraction, 4),
+                "stage_fraction": round(stage_fraction, 4),
+                "remaining_seconds": None if remaining is None else round(remaining, 1),
+                "memory_gb": round(peak_memory_gb(), 3),
+                **({"files": list(pictures)} if pictures else {}),
+            }
+        )
+
+    def warning(self, code: str, text: str, remedy: str) -> None:
+        """Report a problem that does not stop the command."""
+        self.warnings.append({"code": code, "text": text, "remedy": remedy})
+        self._write({"type": "warning", **self.warnings[-1]})
+
+    def error(self, code: str, text: str, remedy: str) -> None:
+        """Report the problem that stopped the command."""
+        self._write({"type": "error", "code": code, "text": text, "remedy": remedy})
+
+    def done(self, files: Sequence[str], data: Mapping[str, Any] | None = None) -> None:
+        """Report the end of the command, with the files it wrote and JSON-serialisable data."""
+        self._write({"type": "done", "files": list(files), "data": dict(data or {})})
+
+
+def peak_memory_gb() -> float:
+    """Peak resident memory of this process in GB (1e9 bytes); 0 on Windows."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return 0.0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak * (1.0 if sys.platform == "darwin" else 1024.0) / 1e9

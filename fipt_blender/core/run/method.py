@@ -1,0 +1,34 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A digest of the engine's source code, so that a run resumed after an update never mixes two methods.
+
+Settings hold what a user varies; many more constants are defined beside the code that uses them. Therefore
+stage keys, the main job's steps and the check of a cluster's workers contain this digest. Standard library
+only.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from pathlib import Path
+
+_CORE = Path(__file__).resolve().parent.parent
+# The rooms whose code determines the results of an estimation; the others only start, watch or show it.
+ROOMS = ("capture", "scene", "optics", "light", "views", "material", "estimate", "textures", "conventions.py")
+
+
+@cache
+def method_digest(core: Path = _CORE) -> str:
+    """Hexadecimal digest of the source files that determine the results of an estimation.
+
+    Args:
+        core: the engine's folder.
+    """
+    digest = hashlib.sha256()
+    for room in ROOMS:
+        path = core / room
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+            digest.update(f"{file.relative_to(core).as_posix()}\0".encode())
+            digest.update(file.read_bytes())
+    return digest.hexdigest()[:24]

@@ -1,0 +1,43 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Work that is done for each view independently, by this process or by a cluster (`core/device/cluster.py`).
+
+Results depend only on the work and the view, not on which process does it, how often or in which order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Protocol, TypeVar
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Item_contra = TypeVar("Item_contra", contravariant=True)
+Result_co = TypeVar("Result_co", covariant=True)
+
+
+class ViewWork(Protocol[Item_contra, Result_co]):
+    """What all views of a stage share: a dataclass of numpy arrays and numbers, which can be sent."""
+
+    def prepare(self) -> Callable[[Item_contra], Result_co]:
+        """The function of one view; called in the process that does the work (kernels, ray queries)."""
+
+
+class Workers(Protocol):
+    """Does the work of all views."""
+
+    def map(self, work: ViewWork[Item, Result], items: Iterable[Item]) -> Iterator[tuple[int, Result]]:
+        """Yield the index and the result of each item, in any order.
+
+        An item is read when a worker is free, so that only a few items are in memory at a time.
+        """
+
+
+class LocalWorkers:
+    """Does the work in this process, one view after another."""
+
+    def map(self, work: ViewWork[Item, Result], items: Iterable[Item]) -> Iterator[tuple[int, Result]]:
+        """See :class:`Workers`."""
+        do = work.prepare()
+        for index, item in enumerate(items):
+            yield index, do(item)

@@ -1,0 +1,239 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The run folder: the paths of its files, and writing files completely or not at all.
+
+Standard library only: both processes import it. Blender imports it while starting, therefore json and the
+settings are imported in the functions that use them. docs/architecture.md describes the formats.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .documents import read_json
+from .errors import FiptError
+from .shapes import RUN
+
+if TYPE_CHECKING:
+    from .settings import Settings
+
+PRODUCT_VERSION = "0.1.0"
+RUN_FORMAT = "fipt-run"
+RUN_VERSION = 1
+
+
+class RunFolder:
+    """Paths of the files of one run; docs/architecture.md lists them."""
+
+    def __init__(self, root: str | Path) -> None:
+        self.root = Path(root).absolute()
+        self.run_json = self.root / "run.json"
+        self.ingest_json = self.root / "ingest.json"
+        self.capture_json = self.root / "capture.json"
+        self.images = self.root / "images"
+        self.room_npz = self.root / "room.npz"
+        self.room_json = self.root / "room.json"
+        self.stage = self.root / "stage"
+        self.results = self.root / "results"
+        self.fields_npz = self.results / "fields.npz"
+        self.parts_npz = self.results / "parts.npz"
+        self.emitters_json = self.results / "emitters.json"
+        self.environment_exr = self.results / "environment.exr"
+        self.statistics_json = self.results / "statistics.json"
+        self.atlas_npz = self.root / "atlas.npz"
+        self.atlas_json = self.root / "atlas.json"
+        self.textures = self.root / "textures"
+        self.textures_json = self.textures / "textures.json"
+        self.renders = self.root / "renders"
+        self.renders_json = self.renders / "renders.json"
+        self.report = self.root / "report"
+        self.survey = self.root / "survey"
+        self.survey_json = self.survey / "survey.json"
+        self.survey_npz = self.survey / "survey.npz"
+        self.log = self.root / "log.txt"
+        self.engine_lock = self.root / "engine.lock"
+
+    def refuse_links(self) -> None:
+        """Refuse a folder in which a link leads out of it: its files may be written over or deleted.
+
+        Only the folder's own subfolders and files are examined.
+
+        Raises:
+            FiptError: ``run-linked``.
+        """
+        own = [self.images, self.stage, self.results, self.textures, self.renders, self.report, self.survey]
+        own += [self.root / "messages", self.root / "scene_cameras", self.log, self.engine_lock]
+        root = os.path.realpath(self.root)
+        for path in own:
+            if path.is_symlink() or path.is_dir():
+                self._refuse_link(path, root)
+        for top in own:
+            for folder, folders, files in os.walk(top):
+                for name in folders:
+                    self._refuse_link(Path(folder, name), root)
+                for name in files:
+                    if os.path.islink(os.path.join(folder, name)):
+                        self._refuse_link(Path(folder, name), root)
+
+    def _refuse_link(self, path: Path, root: str) -> None:
+        target = os.path.realpath(path)
+        if target != root and not target.startswith(os.path.join(root, "")):
+            raise FiptError(
+                "run-linked",
+                f"{path} is a link that leads out of the run folder, to {target}.",
+                "Replace the link by a folder, or choose another output folder (on any disk).",
+            )
+
+    def messages(self, command: str) -> Path:
+        """The file with the messages of the last start of an engine command."""
+        return self.root / "messages" / f"{command}.jsonl"
+
+    def create(self, settings: Settings) -> None:
+        """Make the folder and write run.json; an existing run of this version gets the new settings.
+
+        Raises:
+            FiptError: ``run-version`` or ``run-damaged`` for a run that can't be read, ``run-foreign`` if the
+                folder contains something else, ``run-linked``, ``disk-full`` or ``run-unwritable``.
+        """
+        from dataclasses import asdict
+
+        if self.run_json.exists():
+            self.read()
+        elif self.root.exists() and any(self.root.iterdir()):
+            raise FiptError(
+                "run-foreign",
+                f"The folder {self.root} is not empty, and it is not a run folder.",
+                "Choose a new or empty folder for the output.",
+            )
+        self.refuse_links()
+        with explained_write_errors(self.root):
+            for folder in (self.root, self.stage, self.results):
+                folder.mkdir(parents=True, exist_ok=True)
+        write_json(
+            self.run_json,
+            {
+                "format": RUN_FORMAT,
+                "version": RUN_VERSION,
+                "product_version": PRODUCT_VERSION,
+                "settings": asdict(settings),
+            },
+        )
+
+    def read(self) -> Settings:
+        """Read the settings of the run.
+
+        Raises:
+            FiptError: ``run-missing``, ``run-damaged`` or ``run-version``.
+        """
+        if not self.run_json.exists():
+            raise FiptError(
+                "run-missing", f"{self.root} is not a run folder: it has no run.json.", "Start a new run."
+            )
+        try:
+            data = read_json(self.run_json, RUN)
+        except FiptError as error:
+            raise FiptError("run-damaged", error.text, "Choose another folder, or start a new run.") from None
+        if data["format"] != RUN_FORMAT:
+            raise FiptError(
+                "run-damaged", f"{self.run_json} does not describe a run.", "Choose another folder."
+            )
+        if data.get("version") != RUN_VERSION:
+            raise FiptError(
+                "run-version",
+                f"The run folder {self.root} has the format version {data.get('version')}; "
+                f"this version of the add-on reads {RUN_VERSION}.",
+                "Start a new run in another folder, or open this one with the version that made it.",
+            )
+        from .settings import make_settings
+
+        values = dict(data.get("settings", {}))
+        return make_settings(values.pop("preset", "medium"), values)
+
+    def resolve(self, path: str) -> Path:
+        """The absolute path for a path from one of the run's JSON files.
+
+        Args:
+            path: absolute, or relative to the run folder.
+
+        Raises:
+            FiptError: ``path-outside`` for a relative path that leads out of the folder.
+        """
+        if os.path.isabs(path):
+            return Path(path)
+        full = Path(os.path.normpath(self.root / path))
+        if not full.is_relative_to(self.root):
+            raise FiptError(
+                "path-outside",
+                f"The path '{path}' leads out of the run folder {self.root}.",
+                "A file of the run folder was changed by hand. Start a new run.",
+            )
+        return full
+
+
+@contextmanager
+def explained_write_errors(path: Path) -> Iterator[None]:
+    """Turn the system's errors of writing `path` into FiptErrors.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise FiptError(
+                "disk-full",
+                f"The disk is full; {path} could not be written.",
+                "Free some space and resume the run; finished stages are kept.",
+            ) from error
+        raise FiptError(
+            "run-unwritable",
+            f"{path} could not be written ({error.strerror}).",
+            "Choose an output folder in which you may write.",
+        ) from error
+
+
+@contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """A temporary path beside `path` that replaces it if the block ends without an exception.
+
+    The suffix is the same, for writers that choose the format by the suffix.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    temporary = path.with_name(f".{os.getpid()}.{path.name}")
+    with explained_write_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            yield temporary
+            _sync(temporary)
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write a JSON file, completely or not at all.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    import json
+
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(data, indent=1), encoding="utf-8")
+
+
+def _sync(path: Path) -> None:
+    """Wait until a file is on the disk: a power failure after its renaming must not leave it empty."""
+    descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

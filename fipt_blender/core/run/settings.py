@@ -1,0 +1,306 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The settings of a run, what users and ablations vary, and the presets.
+
+Further tuned constants are module constants beside the code that uses them; a change of those changes the
+stage keys too (:mod:`.method`). A help text says where a default departs from the paper, or which code or
+paper it follows where the two differ. Standard library only: both processes import it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from .errors import FiptError
+
+# The first stage of an estimation that reads a setting: if the setting changes, the stages before it are
+# kept. None if no stage's result depends on it.
+PIXELS, SHADINGS, TRAINING = "pixels", "shadings", "training-0"
+REFINEMENT, LATER_TRAINING = "refinement-1", "training-1"
+
+Value = str | int | float | bool
+
+
+def _setting(default: Any, text: str, stage: str | None) -> Any:
+    return field(default=default, metadata={"help": text, "stage": stage})
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All settings of one run; JSON-serialisable. Runs with equal settings have equal results.
+
+    Help texts compare defaults with the paper (main text or supplementary) and with the authors' released
+    code. The metadata of each field holds its `help` and its `stage`, the first stage that reads it.
+    """
+
+    preset: str = _setting("medium", "draft, medium or high: the preset that other settings start from", None)
+    seed: int = _setting(0, "seed of all random numbers of the run", PIXELS)
+    device: str = _setting("auto", "auto, cuda or llvm (CPU)", PIXELS)
+    rounds: int = _setting(2, "number of times that stages 3 and 2 are repeated after stages 1 and 2", None)
+    view_share: float = _setting(1.0, "share of the training views that is used, spread evenly", PIXELS)
+    reject_views: bool = _setting(
+        True, "leave out photographs that contradict their camera poses (not in the paper)", PIXELS
+    )
+    correct_exposure: bool = _setting(
+        True, "correct photographs whose exposure differs from the others' (not in the paper)", PIXELS
+    )
+
+    masking: str = _setting(
+        "schlick", "G of the BRDF: schlick as in the authors' code, smith as in Cycles", SHADINGS
+    )
+    voxel_resolution: int = _setting(
+        256, "radiance cache: voxels along each axis of the room's bounds", SHADINGS
+    )
+    roughness_levels: int = _setting(
+        8, "number of roughness levels at which specular shading is baked (paper: 6)", SHADINGS
+    )
+    roughness_spacing: float = _setting(
+        1.5, "exponent of the spacing of the roughness levels (paper: 1, linear)", SHADINGS
+    )
+    roughness_min: float = _setting(
+        0.02, "lowest roughness level, as in the authors' code (paper: 0, where GGX is singular)", SHADINGS
+    )
+    diffuse_spp: int = _setting(
+        16, "stage 1: cosine samples per pixel (paper: 128; authors' code: 256)", SHADINGS
+    )
+    specular_spp: int = _setting(
+        4,
+        "stage 1: visible-normal samples per pixel and roughness level (paper: 64; authors' code: 64 for the"
+        " first level, 128 for each other)",
+        SHADINGS,
+    )
+    light_spp: int = _setting(
+        8, "stage 1: samples per pixel aimed at bright triangles (not in the paper)", SHADINGS
+    )
+    refine_diffuse_spp: int = _setting(32, "stage 3: cosine samples per pixel (paper: 128)", REFINEMENT)
+    refine_specular_spp: int = _setting(
+        8, "stage 3: visible-normal samples per pixel and roughness level (paper: 64)", REFINEMENT
+    )
+    refine_light_spp: int = _setting(
+        16, "stage 3: samples per pixel aimed at emitters (paper: part of its samples, by MIS)", REFINEMENT
+    )
+    refine_depth: int = _setting(
+        5,
+        "stage 3: largest number of surfaces on a path before it ends in the cache (authors' code)",
+        REFINEMENT,
+    )
+    cache_roughness: float = _setting(
+        0.6, "stage 3: paths end in the radiance cache at surfaces rougher than this", REFINEMENT
+    )
+    refine_cache: bool = _setting(
+        True,
+        "stage 3: end paths in the radiance cache; false traces them with the estimate alone (ablation)",
+        REFINEMENT,
+    )
+    denoise: bool = _setting(
+        True, "denoise diffuse shading with Open Image Denoise (paper: OptiX denoiser)", SHADINGS
+    )
+    denoise_specular: bool = _setting(
+        False,
+        "denoise specular shading too (paper: yes); this takes longer than the samples that it saves",
+        SHADINGS,
+    )
+
+    training_steps: int = _setting(
+        300,
+        "stage 2: optimiser steps of the first round, after a closed-form estimate (paper: 2 epochs)",
+        TRAINING,
+    )
+    later_training_steps: int = _setting(
+        300, "stage 2: optimiser steps of each later round (paper: 2 epochs)", LATER_TRAINING
+    )
+    batch_size: int = _setting(8192, "stage 2: pixels per step", TRAINING)
+    learning_rate: float = _setting(
+        1e-3, "stage 2: initial learning rate of Adam, which falls to a tenth", TRAINING
+    )
+    hash_learning_rate: float = _setting(
+        3e-3,
+        "stage 2: initial learning rate of the hash grid, of which few pixels reach each entry (paper: 1e-3)",
+        TRAINING,
+    )
+    lambda_emission: float = _setting(1.0, "weight of l_e, the L1 norm of the emission mask", TRAINING)
+    lambda_diffuse: float = _setting(5e-4, "weight of l_d, the preference for diffuse surfaces", TRAINING)
+    lambda_part: float = _setting(
+        5e-2,
+        "weight of l_p with part masks, towards the closed form (paper: 5e-3, towards the mean of a batch)",
+        TRAINING,
+    )
+    lambda_semantic: float = _setting(1e-3, "weight of l_p with semantic masks", TRAINING)
+    sigma_albedo: float = _setting(
+        0.05 / 3.0, "semantic kernel: sigma_a, in base colour (authors' code; paper: 1.6e-2)", TRAINING
+    )
+    sigma_position: float = _setting(
+        0.3 / 3.0,
+        "semantic kernel: sigma_x, in edges of the cube around the room (authors' code; paper: 1e-2)",
+        TRAINING,
+    )
+    hash_levels: int = _setting(32, "hash grid: levels; those finer than half a pixel are left out", TRAINING)
+    hash_features: int = _setting(2, "hash grid: features per level", TRAINING)
+    hash_log2_size: int = _setting(19, "hash grid: log2 of the entries per level", TRAINING)
+    hash_base_resolution: int = _setting(16, "hash grid: cells along an axis at the coarsest level", TRAINING)
+    hash_growth: float = _setting(
+        1.3, "hash grid: factor of resolution between levels (authors' code)", TRAINING
+    )
+    brdf_width: int = _setting(64, "BRDF network: width of the hidden layers", TRAINING)
+    brdf_depth: int = _setting(2, "BRDF network: number of hidden layers", TRAINING)
+    emission_bands: int = _setting(10, "emission network: bands of the positional encoding", TRAINING)
+    emission_width: int = _setting(128, "emission network: width of the hidden layers", TRAINING)
+    emission_depth: int = _setting(6, "emission network: number of hidden layers", TRAINING)
+    checkpoint_steps: int = _setting(500, "stage 2: steps between checkpoints of a training", None)
+
+    emission: str = _setting(
+        "mask",
+        "mask: find emitters by an emission mask; joint: fit emission together with the materials (ablation)",
+        TRAINING,
+    )
+    lambda_joint: float = _setting(
+        1e-2,
+        "joint emission: weight of its L1 norm, in units of the capture's median (the paper gives no value)",
+        TRAINING,
+    )
+    emitter_threshold: float = _setting(
+        0.01, "a triangle whose mean emission mask is above this may be an emitter", TRAINING
+    )
+    emitter_samples: int = _setting(
+        100, "positions per triangle at which the emission mask is sampled", TRAINING
+    )
+    environment_width: int = _setting(256, "width of the estimated environment map in pixels", SHADINGS)
+
+    texel_density: float = _setting(128.0, "texels per metre of the textures", None)
+    texture_size: int = _setting(2048, "largest width and height of one texture image in texels", None)
+    atlas_mode: str = _setting("uv", "uv, or color_attribute for meshes that can't have UVs", None)
+    write_back: str = _setting(
+        "cycles", "cycles: add nodes with which Cycles shows the fitted BRDF; paper: add none", None
+    )
+
+
+PRESETS: dict[str, dict[str, Value]] = {
+    "draft": {
+        "rounds": 1,
+        "training_steps": 250,
+        "later_training_steps": 250,
+        "batch_size": 4096,
+    },
+    "medium": {},
+    "high": {
+        "diffuse_spp": 64,
+        "specular_spp": 16,
+        "light_spp": 32,
+        "refine_diffuse_spp": 128,
+        "refine_specular_spp": 32,
+        "refine_light_spp": 64,
+        "training_steps": 2000,
+        "later_training_steps": 4000,
+        "roughness_levels": 12,
+        "denoise_specular": True,
+    },
+}
+
+
+def make_settings(preset: str = "medium", changes: Mapping[str, Value] | None = None) -> Settings:
+    """Settings of a preset with some values changed.
+
+    Args:
+        preset: a key of ``PRESETS``.
+        changes: field name to value; strings are converted to the field's type.
+
+    Raises:
+        FiptError: ``setting-unknown`` or ``setting-invalid``.
+    """
+    if not isinstance(preset, str) or preset not in PRESETS:
+        raise FiptError(
+            "setting-unknown", f"There is no preset '{preset}'.", f"Use one of: {', '.join(PRESETS)}."
+        )
+    values: dict[str, Any] = {"preset": preset, **PRESETS[preset]}
+    fields = {item.name: item for item in dataclasses.fields(Settings)}
+    for name, value in (changes or {}).items():
+        if name not in fields:
+            raise FiptError(
+                "setting-unknown", f"There is no setting '{name}'.", f"Use one of: {', '.join(fields)}."
+            )
+        values[name] = _convert(name, value, type(fields[name].default))
+    settings = Settings(**values)
+    _check(settings)
+    return settings
+
+
+_KIND_NAMES = {str: "a text", int: "a whole number", float: "a number", bool: "true or false"}
+
+
+def _convert(name: str, value: Value, kind: type) -> Value:
+    try:
+        if kind is bool:
+            return {"true": True, "1": True, "false": False, "0": False}[str(value).lower()]
+        if isinstance(value, bool) or (kind is str and not isinstance(value, str)):
+            raise ValueError
+        if kind is int and isinstance(value, float) and value != int(value):
+            raise ValueError
+        return kind(value)
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise FiptError(
+            "setting-invalid",
+            f"'{value}' is not a valid value of the setting '{name}'.",
+            f"Give {_KIND_NAMES[kind]}.",
+        ) from None
+
+
+def _check(settings: Settings) -> None:
+    choices = {
+        "device": ("auto", "cuda", "llvm"),
+        "atlas_mode": ("uv", "color_attribute"),
+        "write_back": ("cycles", "paper"),
+        "masking": ("schlick", "smith"),
+        "emission": ("mask", "joint"),
+    }
+    for name, allowed in choices.items():
+        if getattr(settings, name) not in allowed:
+            raise FiptError(
+                "setting-invalid",
+                f"'{getattr(settings, name)}' is not a valid value of the setting '{name}'.",
+                f"Use one of: {', '.join(allowed)}.",
+            )
+    for item in dataclasses.fields(Settings):
+        value = getattr(settings, item.name)
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        # NaN is not above zero either.
+        if number and not (value > 0 or (value == 0 and item.name in _MAY_BE_ZERO)):
+            raise FiptError(
+                "setting-invalid", f"The setting '{item.name}' is {value}.", "Give a number above zero."
+            )
+        if number and value > _MOST:
+            raise FiptError(
+                "setting-invalid",
+                f"The setting '{item.name}' is {value}.",
+                f"Give a number of at most {_MOST}.",
+            )
+        if item.name == "view_share" and value > 1.0:
+            raise FiptError(
+                "setting-invalid", f"The setting 'view_share' is {value}.", "Give a number of at most 1."
+            )
+        if number and value < _LEAST.get(item.name, value):
+            raise FiptError(
+                "setting-invalid",
+                f"The setting '{item.name}' is {value}.",
+                f"Give a number of at least {_LEAST[item.name]}.",
+            )
+
+
+# Largest value of any setting: counts and seeds must fit into the integers of all libraries.
+_MOST = 2**31 - 1
+# With smaller values there is nothing to interpolate between, or no room inside the grid's empty border.
+_LEAST = {"roughness_levels": 3, "voxel_resolution": 8, "environment_width": 4}
+_MAY_BE_ZERO = {
+    "seed",
+    "rounds",
+    "lambda_emission",
+    "lambda_joint",
+    "lambda_diffuse",
+    "lambda_part",
+    "lambda_semantic",
+    "emitter_threshold",
+    "emission_depth",
+    "brdf_depth",
+}

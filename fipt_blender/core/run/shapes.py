@@ -1,0 +1,162 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The shapes of the run folder's documents and array files, which both processes check before they use them.
+
+Documents are described with `documents`, array files as `arrays.read_arrays` takes them. Standard library
+only. docs/architecture.md describes what the values mean.
+"""
+
+from __future__ import annotations
+
+from .documents import Choice, Entries, Fields, FileName, Items, Maybe, Number, Numbers
+
+MOST_SIDE = 65_536  # pixels along an edge of an image
+_NOT_NEGATIVE = Number(low=0.0)
+
+RUN = Fields({"format": str}, {"version": Number(), "product_version": str, "settings": dict})
+
+_VIEW = Fields(
+    {
+        **dict.fromkeys(("name", "split", "image"), str),
+        **dict.fromkeys(("width", "height"), Number(1, MOST_SIDE, whole=True)),
+        **dict.fromkeys(("fx", "fy", "cx", "cy"), Number()),
+        "camera_to_world": Numbers(4, 4),
+        **dict.fromkeys(("parts", "semantics"), Maybe(str)),
+    },
+    {"mask": Maybe(str)},
+)
+CAPTURE = Fields(
+    {"source": str, "world_from_source": Numbers(4, 4), "mesh": Maybe(str), "views": Items(_VIEW)}
+)
+ROOM = Fields({"objects": Items(str), "materials": Items(str)}, {"object_ids": Items(str), "parts": str})
+MATRICES = Entries(Numbers(4, 4))
+
+STEPS = Fields(
+    {
+        "version": Number(whole=True),
+        "steps": Entries(
+            Fields(
+                {"key": str, "finished": bool},
+                {
+                    "seconds": _NOT_NEGATIVE,
+                    "warnings": Items(Fields(dict.fromkeys(("type", "code", "text", "remedy"), str))),
+                },
+            )
+        ),
+    }
+)
+STAGES = Fields(
+    {
+        "keys": Entries(str),
+        "stages": Entries(
+            Fields(optional=dict.fromkeys(("seconds", "rays", "mrays_per_second"), _NOT_NEGATIVE))
+        ),
+        "warnings": Entries(Items(Fields(dict.fromkeys(("code", "text", "remedy"), str)))),
+        "values": Fields(optional={"scale": _NOT_NEGATIVE, "view_check": dict, "shadings": str}),
+    }
+)
+
+EMITTERS = Fields(
+    {
+        "fixtures": Items(
+            Fields(
+                {
+                    "name": str,
+                    "triangles": Items(Number(low=0, whole=True)),
+                    **dict.fromkeys(("radiance", "back_radiance"), Numbers(3)),
+                },
+                {
+                    **dict.fromkeys(("base_color", "centroid", "power"), Numbers(3)),
+                    "area": _NOT_NEGATIVE,
+                    "beside": bool,
+                },
+            )
+        ),
+        "environment": Maybe(
+            Fields({"image": Choice("environment.exr")}, {"observed_share": Number(0.0, 1.0)})
+        ),
+    }
+)
+STATISTICS = Fields(
+    optional={
+        "stages": Items(Fields(optional={"name": str, "seconds": Maybe(Number()), "rays": Maybe(Number())})),
+        **dict.fromkeys(("peak_memory_gb", "radiance_scale"), Number()),
+    }
+)
+
+ATLAS = Fields(
+    {
+        "mode": Choice("uv", "color_attribute"),
+        "images": Items(
+            Fields(
+                {"name": FileName(), **dict.fromkeys(("width", "height"), Number(1, MOST_SIDE, whole=True))}
+            )
+        ),
+    }
+)
+TEXTURES = Fields(
+    {
+        "images": Items(
+            Fields(dict.fromkeys(("name", "base_color", "roughness", "metallic", "confidence"), str))
+        )
+    }
+)
+MAPS = Fields(
+    {"views": Items(Fields(dict.fromkeys(("view", "base_color", "roughness", "metallic", "emission"), str)))}
+)
+RENDERS = Fields({"renders": Items(Fields(dict.fromkeys(("kind", "view", "image"), str)))})
+CHECK = Fields(
+    optional={
+        "exposure": Number(),
+        "views": Items(
+            Fields(
+                dict.fromkeys(("view", "split", "render", "error"), str),
+                {"spp": Number(), "denoised": bool},
+            )
+        ),
+    }
+)
+SURVEY = Fields(
+    {
+        "views": Items(
+            Fields(
+                {
+                    **dict.fromkeys(("name", "warning"), str),
+                    "image_missing": bool,
+                    **dict.fromkeys(("room_share", "clipped_share"), Number()),
+                }
+            )
+        ),
+        "parts": Fields({"auto": str, "counts": Entries(Number(low=0, whole=True))}),
+    }
+)
+
+# Array files: the kind of an array's numbers ("f" float, "i" whole, "b" bool), and its sizes: a number, or a
+# letter for any size, which is the same for all arrays of a file that have this letter.
+Layout = tuple[str, tuple[int | str, ...]]
+ROOM_ARRAYS: dict[str, Layout] = {
+    "vertices": ("f", ("V", 3)),
+    "triangles": ("i", ("T", 3)),
+    "corner_normals": ("f", ("T", 3, 3)),
+    "triangle_object": ("i", ("T",)),
+    "triangle_material": ("i", ("T",)),
+    "triangle_polygon": ("i", ("T",)),
+}
+ATLAS_ARRAYS: dict[str, Layout] = {"corner_uv": ("f", ("T", 3, 2)), "triangle_image": ("i", ("T",))}
+CORNER_FIELDS_ARRAYS: dict[str, Layout] = {
+    "base_color": ("f", ("T", 3, 3)),
+    "roughness": ("f", ("T", 3)),
+    "metallic": ("f", ("T", 3)),
+    "confidence": ("f", ("T", 3, 3)),
+}
+SURVEY_ARRAYS: dict[str, Layout] = {"seen": ("i", ("V", "B")), "areas": ("f", ("T",))}
+FIELDS_ARRAYS: dict[str, Layout] = {
+    "hash_levels": ("i", ()),
+    "box_low": ("f", (3,)),
+    "box_extent": ("f", ()),
+    "seen_keys": ("i", ("C",)),
+    "seen_points": ("f", ("C", 3)),
+    "seen_part": ("i", ("C",)),
+    "seen_errors": ("f", ("C", 3)),
+}
+PARTS_ARRAYS: dict[str, Layout] = {"triangle_part": ("i", ("T",)), "single": ("b", ("U",))}

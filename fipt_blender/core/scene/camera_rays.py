@@ -1,0 +1,51 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Camera rays through the pixels of a view."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..capture.views import View
+from .room import Room, Surface
+
+
+def trace_pixels(
+    room: Room,
+    view: View,
+    shifts: Sequence[tuple[float, float]] = ((0.0, 0.0),),
+    pixels: mi.UInt32 | None = None,
+) -> Surface:
+    """First surface seen through each pixel, at its centre plus each of `shifts`.
+
+    Args:
+        shifts: (x, y) in pixels.
+        pixels: row-major pixel indices; all pixels of the view where None.
+
+    Returns:
+        the surfaces, those of one pixel's shifts next to each other.
+    """
+    count = len(shifts)
+    pixel_count = view.width * view.height if pixels is None else dr.width(pixels)
+    lane = dr.arange(mi.UInt32, pixel_count * count)
+    pixel = lane // count if pixels is None else dr.gather(mi.UInt32, pixels, lane // count)
+    # Opaque: with literals, Dr.Jit would compile a kernel for each view.
+    fx, fy = (dr.opaque(mi.Float, float(focal)) for focal in (view.fx, view.fy))
+    centres = [[view.cx - x - 0.5 for x, _ in shifts], [view.cy - y - 0.5 for _, y in shifts]]
+    cx, cy = (dr.gather(mi.Float, mi.Float(centre), lane % count) for centre in centres)
+    row = pixel // dr.opaque(mi.UInt32, view.width)
+    column = pixel - row * dr.opaque(mi.UInt32, view.width)
+    local = dr.normalize(mi.Vector3f((mi.Float(column) - cx) / fx, (mi.Float(row) - cy) / fy, 1.0))
+    pose = np.asarray(view.camera_to_world, np.float64)
+    x_axis, y_axis, z_axis = (opaque_vector(mi.Vector3f, pose[:3, axis]) for axis in range(3))
+    direction = x_axis * local.x + y_axis * local.y + z_axis * local.z
+    return room.intersect(mi.Ray3f(opaque_vector(mi.Point3f, pose[:3, 3]), direction))
+
+
+def opaque_vector(kind: type, values: np.ndarray) -> mi.Vector3f:
+    """A vector or point (3,) that Dr.Jit does not compile into kernels as a constant."""
+    return kind(*[dr.opaque(dr.value_t(kind), float(value)) for value in values])

@@ -1,0 +1,60 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Medians of groups of values, all groups at once."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+
+def grouped_median(
+    values: np.ndarray, group: np.ndarray, count: int, middle: Literal["mean", "low", "high"] = "mean"
+) -> np.ndarray:
+    """Median of each group's values, column by column; 0 for empty groups.
+
+    Args:
+        values: (N,) or (N, C) floats.
+        group: (N,) int in 0..count - 1.
+        count: number of groups G.
+        middle: which of the two middle values of an even number of them is the median: their mean (as
+            ``numpy.median``), the lower or the higher one (as ``statistics.median_low``, ``median_high``).
+
+    Returns:
+        (G,) or (G, C) of the values' type.
+    """
+    size = np.bincount(group, minlength=count)
+    known = size > 0
+    first = (np.cumsum(size) - size)[known]
+    low, high = first + (size[known] - 1) // 2, first + size[known] // 2
+    medians = np.zeros((count, *values.shape[1:]), values.dtype)
+    for column, median in zip(np.atleast_2d(values.T), np.atleast_2d(medians.T), strict=True):
+        ordered = column[np.lexsort((column, group))]
+        if middle == "mean":
+            median[known] = (ordered[low] + ordered[high]) / 2
+        else:
+            median[known] = ordered[low if middle == "low" else high]
+    return medians
+
+
+def grouped_weighted_median(
+    values: np.ndarray, weight: np.ndarray, group: np.ndarray, count: int
+) -> np.ndarray:
+    """(count,) the value of each group up to which half of its weight lies; 0 for groups without weight.
+
+    Args:
+        values, weight: (N,) numbers; the weights are summed in their own type.
+        group: (N,) int in 0..count - 1.
+        count: number of groups.
+    """
+    if not len(values):
+        return np.zeros(count, values.dtype)
+    order = np.lexsort((values, group))
+    size = np.bincount(group, minlength=count)
+    end = np.cumsum(size)
+    cumulative = np.concatenate([np.zeros(1, weight.dtype), np.cumsum(weight[order], dtype=weight.dtype)])
+    before = cumulative[end - size]
+    total = cumulative[end] - before
+    place = np.searchsorted(cumulative[1:], before + 0.5 * total)
+    return np.where(total > 0, values[order][np.minimum(place, len(values) - 1)], values.dtype.type(0))

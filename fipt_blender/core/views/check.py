@@ -1,0 +1,126 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Checks the photographs against each other: misaligned views are left out, exposures are corrected, and the
+user is told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..capture.views import View
+from ..light.observations import median_footprint
+from ..run.messages import Reporter
+from ..run.settings import Settings
+from ..scene.pixels import LEFT_OUT, PixelStore
+from ..scene.room import Room
+from .alignment import misaligned_views
+from .cells import SurfaceCells, surface_cells
+from .exposure import exposure_gains, unlike_exposures
+from .unmeshed import shown_by, unmeshed_lights
+
+
+@dataclass(frozen=True)
+class ViewCheck:
+    """What the check found and corrected.
+
+    Attributes:
+        left_out: name of each misaligned view, and by how many pixels it is off.
+        exposure: name of each view of another exposure, and the factor by which it was brighter.
+        lamps: positions in metres of lamps that the mesh lacks.
+    """
+
+    left_out: dict[str, float] = field(default_factory=dict)
+    exposure: dict[str, float] = field(default_factory=dict)
+    lamps: list[list[float]] = field(default_factory=list)
+
+    def facts(self) -> dict[str, Any]:
+        """For statistics.json."""
+        return asdict(self)
+
+
+def check_views(
+    pixels: PixelStore, room: Room, part: np.ndarray, settings: Settings, reporter: Reporter
+) -> ViewCheck:
+    """Leave misaligned views out of the pixels and bring the others to one exposure, as the settings allow.
+
+    Args:
+        pixels: changed in place: pixels of misaligned views become LEFT_OUT, radiance is divided by gains.
+        part: (T,) int part of each triangle, negative without.
+        reporter: gets the warnings ``view-misaligned``, ``view-exposure`` and ``lamp-without-mesh``.
+    """
+    check = ViewCheck()
+    views = pixels.views
+    if len(views) < 2:
+        return check
+    cells = surface_cells(pixels, room, part, median_footprint(pixels))
+    gains = exposure_gains(cells)
+    if settings.reject_views and (fits := misaligned_views(cells, gains)):
+        check.left_out.update({views[i].name: round(fit.shift, 1) for i, fit in fits.items()})
+        remarks = {index: f"about {fit.shift:.0f} pixels off" for index, fit in fits.items()}
+        reporter.warning(
+            "view-misaligned",
+            f"{len(fits)} of {len(views)} photographs do not agree with their camera poses and are left out: "
+            f"{_describe(views, remarks)}.",
+            "Correct their camera poses. To use them anyway, clear Reject Views in the section Estimate >"
+            " Advanced (--set reject_views=false).",
+        )
+        for index in fits:
+            _leave_out(pixels, pixels.rows(index))
+        gains = exposure_gains(cells)
+    if settings.correct_exposure and len(unlike := unlike_exposures(gains)):
+        check.exposure.update({views[i].name: round(float(gains[i]), 4) for i in unlike})
+        remarks = {int(i): f"× {gains[i]:.2f}" for i in unlike}
+        reporter.warning(
+            "view-exposure",
+            f"{len(unlike)} of {len(views)} photographs have another exposure than the rest, which is "
+            f"corrected: {_describe(views, remarks)}.",
+            "Nothing needs to be done. If the exposures are in fact equal, clear Correct Exposure in the"
+            " section Estimate > Advanced (--set correct_exposure=false).",
+        )
+        for index in unlike:
+            pixels.radiance[pixels.rows(index)] /= np.float32(gains[index])
+    check.lamps.extend(_leave_out_unmeshed(cells, settings, reporter))
+    return check
+
+
+def _leave_out(pixels: PixelStore, rows: np.ndarray | slice) -> None:
+    pixels.triangle[rows] = LEFT_OUT
+    pixels.pure[rows] = False
+
+
+def _leave_out_unmeshed(cells: SurfaceCells, settings: Settings, reporter: Reporter) -> list[list[float]]:
+    """Leave out the pixels that show a lamp which the mesh lacks; return the lamps' positions in metres.
+
+    Otherwise the lamp would appear on the walls behind it, as bright albedo or as emitters that do not exist.
+    """
+    pixels = cells.pixels
+    footprint = median_footprint(pixels)
+    lamps = unmeshed_lights(cells, footprint, np.random.default_rng([settings.seed, 4]))
+    for lamp in lamps:
+        _leave_out(pixels, shown_by(pixels, lamp, 1.5 * footprint))
+    positions = [[round(float(x), 3) for x in lamp.position] for lamp in lamps]
+    if lamps:
+        places = "; ".join(
+            f"({x:.2f}, {y:.2f}, {z:.2f}) m, in {lamp.views} photographs"
+            for (x, y, z), lamp in zip(positions, lamps, strict=True)
+        )
+        reporter.warning(
+            "lamp-without-mesh",
+            f"The photographs show {len(lamps)} lamps where the mesh has nothing: {places}. These pixels are "
+            "left out, but the light of these lamps is missing from the estimate.",
+            "Model each lamp there (a simple shape of its size is enough) and run again.",
+        )
+    return positions
+
+
+def _describe(views: Sequence[View], values: dict[int, str], most: int = 8) -> str:
+    """Names of views, each with a remark, for a message; long lists are shortened."""
+    listed = [f"{views[index].name} ({text})" for index, text in list(values.items())[:most]]
+    if len(values) > most:
+        listed.append(f"and {len(values) - most} more")
+    return ", ".join(listed)

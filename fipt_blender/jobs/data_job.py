@@ -1,0 +1,112 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Jobs on the data folder: set up and check the engine, measure and delete its contents."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from .. import machine
+from ..bridge.interpreter import engine_command, engine_environment, setup_command
+from ..bridge.pins import other_versions, read_pins
+from ..bridge.process import EngineProcess
+from ..bridge.sequence import Job, own_job
+from ..bridge.step import Step
+from ..core.run.errors import FiptError
+from ..core.run.runfolder import PRODUCT_VERSION
+from . import running
+
+_RECORD = "environment.json"
+
+
+def log_file() -> Path:
+    """The log of set-up and check."""
+    return machine.data_folder() / "environment.log"
+
+
+def data_job(steps: list[Step]) -> Job:
+    """A job on the data folder, of steps that are functions or start their own processes."""
+    return own_job(steps, machine.data_folder() / _RECORD, log_file())
+
+
+def set_up_step(
+    python: Path, data: Path, device: str, wheels: Path | None, allow_large: bool = False
+) -> Step:
+    """The step that creates the engine's environment; for the arguments see `setup_command`."""
+    command = setup_command(python, data, device, wheels, allow_large)
+    return Step(
+        "set-up",
+        "Setting up the engine",
+        180.0,
+        process=lambda: start_process(command, engine_environment()),
+    )
+
+
+class EngineStatus:
+    """Collects the results of set-up and check, and stores them in the preferences at the end.
+
+    Args:
+        set_up: whether the job sets up the engine before it checks it.
+    """
+
+    def __init__(self, set_up: bool = False) -> None:
+        self._set_up = set_up
+        self._check: EngineProcess | None = None
+
+    def check_step(self) -> Step:
+        """The step that checks the engine."""
+        return Step("check", "Checking the engine", 20.0, process=self._start_check)
+
+    def _start_check(self) -> EngineProcess:
+        python = machine.engine_python()
+        arguments = ["check", f"--device={machine.device_setting()}"]
+        gpu = machine.chosen_gpu()
+        if gpu:
+            arguments.append(f"--gpu={gpu}")
+        command = engine_command(python, *arguments)
+        self._check = start_process(command, engine_environment(python))
+        return self._check
+
+    def store(self, info: running.RunningJob) -> None:
+        """Store the outcome; of a cancelled set-up only that, of a cancelled check nothing."""
+        if info.state == "cancelled":
+            if self._set_up:
+                machine.store_status({**machine.status(), "cancelled": True})
+            return
+        done = self._check.done if self._check is not None else None
+        engine = {} if done is None else done["data"]
+        if engine and (others := other_versions(read_pins(), engine["packages"])):
+            info.warnings.append(
+                {
+                    "type": "warning",
+                    "code": "package-version",
+                    "text": f"Some packages have untested versions: {', '.join(others)}.",
+                    "remedy": "If the engine fails, install the tested versions (in parentheses).",
+                }
+            )
+        machine.store_status(
+            {
+                "time": time.time(),
+                "product_version": PRODUCT_VERSION,
+                "engine": engine,
+                "warnings": info.warnings,
+                "error": info.error,
+            }
+        )
+
+
+def start_process(command: list[str], environment: dict[str, str]) -> EngineProcess:
+    """Start a process that writes to the environment's log.
+
+    Raises:
+        FiptError: ``engine-missing`` where its interpreter can't be started.
+    """
+    try:
+        return EngineProcess(command, log_file(), environment)
+    except OSError as error:
+        raise FiptError(
+            "engine-missing",
+            f"{command[0]} can't be started ({error.strerror}).",
+            "Select another Own Interpreter in the preferences, or use Set Up Engine.",
+        ) from error

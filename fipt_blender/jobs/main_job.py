@@ -1,0 +1,202 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The main job: from a capture to a .blend with estimated materials and lights, renders and a report.
+
+The command line runs it, in Blender or in a Python with bpy. bpy is imported only by steps on Blender's data.
+"""
+
+from __future__ import annotations
+
+import functools
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..bridge.process import Message
+from ..bridge.sequence import Job
+from ..bridge.step import Step
+from ..core.run.method import method_digest
+from ..core.run.runfolder import PRODUCT_VERSION, RunFolder
+from ..core.run.settings import Settings
+from .fingerprints import folder_fingerprint, mesh_fingerprint
+from .options import BLEND_NAME, TEXTURE_SETTINGS, MainJobOptions, check_options, ingest_arguments
+from .run_job import find_launch, open_job, refuse_busy
+
+if TYPE_CHECKING:
+    from .room_steps import RoomSteps
+
+EXPORT_TEXT = "Preparing the room for the engine"
+_RENDER_TEXTS = {
+    "rerender": "Rendering held-back views with the estimated room",
+    "relight": "Rendering the view with the estimated lights off and a new area light",
+    "insert": "Rendering the view with an inserted object",
+}
+# Seconds on a small capture with two CPU cores, for the progress bar only.
+_ESTIMATE_SECONDS = {"draft": 120.0, "medium": 360.0, "high": 2400.0}
+
+
+def make_main_job(options: MainJobOptions) -> Job:
+    """Check the options, create the run folder and return the job, ready to run.
+
+    Raises:
+        FiptError: ``capture-missing``, ``mesh-missing``, ``output-inside-capture``, ``engine-missing``,
+            ``run-busy`` or those of ``RunFolder.create``.
+    """
+    check_options(options)
+    engine = find_launch(options.engine_python)
+    run = RunFolder(options.output)
+    refuse_busy(run)
+    run.create(options.settings)
+    return open_job(
+        run,
+        _steps(options, run),
+        resume=options.resume,
+        result=lambda: list_files(run),
+        launch=engine,
+    )
+
+
+def list_files(run: RunFolder) -> list[str]:
+    """Absolute paths of the results, the most important first."""
+    paths = [run.root / BLEND_NAME, run.report / "index.html"]
+    paths += sorted(run.renders.glob("*/*.exr")) + sorted(run.textures.glob("*.exr"))
+    paths += sorted(run.textures.glob("*.png"))
+    paths += [run.fields_npz, run.emitters_json, run.environment_exr, run.statistics_json, run.log]
+    return [str(path) for path in paths if path.exists()]
+
+
+def _remove(*paths: Path) -> None:
+    for path in paths:
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def _empty(*folders: Path) -> None:
+    _remove(*folders)
+    for folder in folders:
+        folder.mkdir()
+
+
+def estimate_step(
+    run: RunFolder, settings: Settings, resume: bool = False, cluster: str | None = None
+) -> Step:
+    """The engine's estimation from the capture.json and room.npz of a run folder.
+
+    Args:
+        resume: whether the engine may keep stages that do not depend on changed settings.
+        cluster: see `MainJobOptions`; not among the step's inputs, since the results do not depend on it.
+    """
+    values = {name: value for name, value in asdict(settings).items() if name not in TEXTURE_SETTINGS}
+    return Step(
+        "estimate",
+        "Estimating materials and lights",
+        _ESTIMATE_SECONDS.get(settings.preset, 360.0),
+        inputs={**values, "method": method_digest()},
+        command=["estimate", str(run.root), *([] if cluster is None else [f"--cluster={cluster}"])],
+        outputs=[run.fields_npz, run.emitters_json],
+        reset=lambda: _empty(*([] if resume else [run.stage]), run.results),
+    )
+
+
+def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
+    @functools.cache
+    def room() -> RoomSteps:
+        from .room_steps import RoomSteps
+
+        return RoomSteps(options, run)
+
+    texture_values = {name: getattr(options.settings, name) for name in TEXTURE_SETTINGS}
+    renders: dict[str, Callable[[], list[Message] | None]] = {
+        "rerender": lambda: room().rerender(),
+        "relight": lambda: room().relight(),
+        "insert": lambda: room().insert(),
+    }
+    capture, ingest = options.capture.absolute(), ingest_arguments(options)
+    mesh, images = (None if path is None else path.absolute() for path in (options.mesh, options.images))
+    steps = [
+        Step(
+            "ingest",
+            "Reading the capture",
+            5.0,
+            inputs={
+                "version": PRODUCT_VERSION,
+                "capture": folder_fingerprint(capture, exclude=run.root),
+                "mesh": None if mesh is None else mesh_fingerprint(mesh, exclude=run.root),
+                "images": None if images is None else folder_fingerprint(images, exclude=run.root),
+                "arguments": ingest,
+            },
+            command=["ingest", str(capture), str(run.root), *ingest],
+            outputs=[run.capture_json],
+            reset=lambda: _remove(run.capture_json, run.images),
+        ),
+        Step(
+            "import",
+            "Importing the room and its cameras",
+            5.0,
+            function=lambda: room().import_room(),
+            repeat=True,
+        ),
+        Step(
+            "export",
+            EXPORT_TEXT,
+            2.0,
+            inputs={"parts": options.parts},
+            function=lambda: room().export_room(),
+            outputs=[run.room_npz, run.room_json],
+            reset=lambda: _remove(run.room_npz, run.room_json),
+        ),
+        estimate_step(run, options.settings, options.resume, options.cluster),
+        Step(
+            "atlas",
+            "Creating texture coordinates",
+            5.0,
+            inputs=texture_values,
+            function=lambda: room().make_atlas(),
+            outputs=[run.atlas_npz, run.atlas_json],
+            repeat=True,
+        ),
+        Step(
+            "textures",
+            "Baking textures",
+            20.0,
+            command=["textures", str(run.root)],
+            outputs=[run.textures],
+            reset=lambda: _remove(run.textures),
+        ),
+        Step(
+            "save",
+            "Building materials and lights, and saving the .blend file",
+            5.0,
+            function=lambda: room().apply_and_save(),
+            outputs=[run.root / BLEND_NAME],
+            reset=lambda: _remove(run.root / BLEND_NAME, run.renders),
+            restore=lambda: room().open_blend(),
+        ),
+    ]
+    for kind in options.renders:
+        steps.append(
+            Step(
+                f"render-{kind}",
+                _RENDER_TEXTS[kind],
+                20.0,
+                inputs={"spp": options.render_spp, "view": options.render_view},
+                function=renders[kind],
+                outputs=[run.renders_json],
+                reset=(lambda: _remove(run.renders)) if kind == options.renders[0] else None,
+            )
+        )
+    steps.append(
+        Step(
+            "report",
+            "Writing the report",
+            5.0,
+            command=["report", str(run.root)],
+            outputs=[run.report / "index.html"],
+            reset=lambda: _remove(run.report),
+        )
+    )
+    return steps

@@ -1,0 +1,245 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The main job's steps on Blender's data, between the engine's commands.
+
+Objects are kept by name, since undo and loading a file invalidate every pointer.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from ..blend import outliner
+from ..blend.capture import cameras, mesh_import
+from ..blend.capture.exporting import export_capture
+from ..blend.capture.importing import not_in_room
+from ..blend.capture.view_geometry import view_geometry
+from ..blend.insert.sample_objects import insert_object
+from ..blend.insert.support import Support, choose_view
+from ..blend.lights.area_lights import Rectangle, add_area_light, area_light_watts
+from ..blend.lights.light_state import set_estimated_lights
+from ..blend.lights.placement import find_light_place, room_light_power
+from ..blend.lights.world import apply_environment
+from ..blend.pictures.cycles import RenderOptions, exposure_of, set_up_scene
+from ..blend.pictures.image_files import photograph
+from ..blend.pictures.renders import render_list
+from ..blend.results.applying import apply_results
+from ..blend.results.scene_state import median_radiance
+from ..blend.room.arrays import read_room
+from ..blend.room.atlas import make_atlas
+from ..blend.room.exporting import export_slices
+from ..blend.room.rays import make_cast
+from ..blend.save import save_blend
+from ..bridge.process import Message
+from ..bridge.step import Slices
+from ..core.run.errors import FiptError
+from ..core.run.run_files import read_capture
+from ..core.run.runfolder import RunFolder
+from .batch_state import panel_state, remember_run
+from .options import BLEND_NAME, MainJobOptions
+
+RERENDERS = 3
+NEW_LIGHT = "FIPT New Light"
+# A chrome ball shows a shadow, reflections and the light of the room at once.
+INSERTED_KIND = "mirror_ball"
+
+
+class RoomSteps:
+    """The steps of one run; after a resume, any of them may be the first in this Blender.
+
+    Args:
+        options: the main job's options.
+        run: its run folder.
+    """
+
+    def __init__(self, options: MainJobOptions, run: RunFolder) -> None:
+        self._options = options
+        self._run = run
+        self._choice: tuple[str, Support | None] | None = None
+
+    def import_room(self) -> None:
+        """Import the mesh and the cameras into an empty file.
+
+        Raises:
+            FiptError: ``mesh-missing``; those of the importers.
+        """
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True, load_ui=False)
+        capture = read_capture(self._run.capture_json)
+        if not capture["mesh"]:
+            raise FiptError(
+                "mesh-missing", "There is no mesh beside the cameras.", "Give the room's mesh file (--mesh)."
+            )
+        matrix = np.array(capture["world_from_source"], np.float64)
+        mesh_import.import_room(self._run.resolve(capture["mesh"]), matrix)
+        cameras.add_cameras(self._run)
+
+    def export_room(self) -> Slices[None]:
+        """Write room.npz and room.json for the engine."""
+        yield from export_slices(self._objects(), self._run, self._options.parts)
+
+    def make_atlas(self) -> None:
+        """Create the room's UVs and write atlas.npz for the engine."""
+        make_atlas(self._objects(), self._run, self._options.settings)
+
+    def apply_and_save(self) -> list[Message]:
+        """Apply materials, fixtures and world, and save room.blend.
+
+        Returns:
+            Warnings about objects without results and about a missing photograph.
+        """
+        applied = apply_results(self._run, self._objects())
+        apply_environment(self._run)
+        scene = bpy.context.scene
+        view, _ = self._view()
+        radiance, warnings = self.photographed_radiance(view)
+        set_up_scene(scene, exposure_of(radiance))
+        cameras.use_view(scene, cameras.find_camera(view, scene))
+        path = self._run.root / BLEND_NAME
+        with panel_state():
+            remember_run(scene, self._options, self._run)
+            save_blend(path)
+        path.with_suffix(".blend1").unlink(missing_ok=True)
+        return [*applied.warnings, *warnings]
+
+    def open_blend(self) -> None:
+        """Restore the state after `apply_and_save`."""
+        bpy.ops.wm.open_mainfile(filepath=str(self._run.root / BLEND_NAME), load_ui=False)
+
+    def rerender(self) -> None:
+        """Render the chosen view and further held-back views, as photographed."""
+        chosen, _ = self._view()
+        views = preferred_views(read_capture(self._run.capture_json), self._options.render_view)
+        others = [view["name"] for view in views if view["split"] == "held_back" and view["name"] != chosen]
+        self._render("rerender", [chosen, *others[: RERENDERS - 1]])
+
+    def relight(self) -> list[Message]:
+        """Render the view with the estimated lights off and a new area light below the ceiling.
+
+        Returns:
+            A warning if the view's photograph is missing.
+        """
+        room = read_room(self._run)
+        low, high = room.vertices.min(axis=0), room.vertices.max(axis=0)
+        capture = read_capture(self._run.capture_json)
+        eye_height = float(np.mean([view["camera_to_world"][2][3] for view in capture["views"]]))
+        place = find_light_place(make_cast(room), low, high, eye_height)
+        photographed, warnings = self.photographed_radiance(self._view()[0])
+        power = room_light_power(float(np.median(photographed)), low, high)
+        radiance = power / area_light_watts(1.0, place.size**2)
+        matrix = np.eye(4)
+        matrix[:3, 3] = place.center
+        set_estimated_lights(False)
+        light = add_area_light(NEW_LIGHT, [radiance] * 3, Rectangle((place.size, place.size), matrix))
+        try:
+            self._render("relight", [self._view()[0]])
+        finally:
+            bpy.data.objects.remove(light)
+            set_estimated_lights(True)
+        return warnings
+
+    def insert(self) -> list[Message]:
+        """Render the view with an inserted object; a warning if there is no place for one."""
+        view, support = self._view()
+        if support is None:
+            return [
+                {
+                    "type": "warning",
+                    "code": "surface-missing",
+                    "text": f"The view '{view}' shows no free horizontal surface for an inserted object.",
+                    "remedy": "Choose a view that sees the floor or a table (--render-view).",
+                }
+            ]
+        inserted = insert_object(
+            bpy.context.scene, Vector(support.point), kind=INSERTED_KIND, size=2.0 * support.radius
+        )
+        try:
+            self._render("insert", [view])
+        finally:
+            bpy.data.objects.remove(inserted)
+        return []
+
+    def _render(self, kind: str, views: list[str]) -> None:
+        options = RenderOptions(self._options.render_spp, self._options.settings.seed)
+        render_list(self._run, bpy.context.scene, kind, views, options)
+
+    def photographed_radiance(self, name: str) -> tuple[np.ndarray, list[Message]]:
+        """Radiances (...) of a view's photograph; if that is missing, the median of all, and a warning."""
+        view = preferred_views(read_capture(self._run.capture_json), name)[0]
+        try:
+            return photograph(self._run, view), []
+        except FiptError as error:
+            if error.code != "image-missing":
+                raise
+            text = f"{error.text} The median of all photographs sets exposure and new lights instead."
+            warning = {"type": "warning", "code": error.code, "text": text, "remedy": error.remedy}
+            return np.array([median_radiance(self._run)]), [warning]
+
+    def _objects(self) -> list[bpy.types.Object]:
+        room = bpy.context.scene.collection.children.get(outliner.ROOM)
+        return [] if room is None else [member for member in room.objects if member.type == "MESH"]
+
+    def _view(self) -> tuple[str, Support | None]:
+        """The view to render, and a place in it for an object, if there is one."""
+        if self._choice is None:
+            views = preferred_views(
+                read_capture(self._run.capture_json),
+                self._options.render_view,
+            )
+            geometry = [(view["name"], view_geometry(view)) for view in views]
+            self._choice = choose_view(make_cast(read_room(self._run)), geometry)
+        return self._choice
+
+
+def export_scene_cameras(run: RunFolder) -> None:
+    """Write capture.json from the scene's ticked views; a scene without views keeps the existing one.
+
+    Raises:
+        FiptError: see `export_capture`.
+    """
+    scene = bpy.context.scene
+    if len(scene.fipt.capture.views) or not run.capture_json.exists():
+        export_capture(scene, run)
+
+
+def export_scene_room(run: RunFolder) -> Slices[list[Message]]:
+    """Write room.npz and room.json from the objects of the scene's room.
+
+    Returns:
+        Warnings about objects in the room's collection that are not meshes.
+
+    Raises:
+        FiptError: ``room-missing``; see `export_slices`.
+    """
+    scene = bpy.context.scene
+    objects = scene.fipt.capture.room_objects(scene)
+    if not objects:
+        raise FiptError(
+            "room-missing",
+            "The scene has no room.",
+            "Import the room's mesh or select its collection in the section Capture.",
+        )
+    warnings = not_in_room(scene.fipt.capture.room_members(scene))
+    yield from export_slices(objects, run, scene.fipt.parts.engine_source)
+    return warnings
+
+
+def preferred_views(capture: dict[str, Any], name: str = "") -> list[dict[str, Any]]:
+    """The capture's views, held-back ones first; with a name, only that view.
+
+    Raises:
+        FiptError: ``view-missing``.
+    """
+    views = capture["views"]
+    if name:
+        views = [view for view in views if view["name"] == name]
+        if not views:
+            raise FiptError(
+                "view-missing",
+                f"The capture has no view '{name}'.",
+                "Use the name of a view in capture.json.",
+            )
+    return sorted(views, key=lambda view: view["split"] != "held_back")

@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Jobs on a run folder: steps with a new engine process, or watching an engine that is at work there.
+
+bpy is imported only to read the preferences, where it exists.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ..bridge.attached import AttachedEngine, find_engine
+from ..bridge.interpreter import engine_command, engine_environment, find_engine_python
+from ..bridge.process import EngineProcess
+from ..bridge.sequence import Job
+from ..bridge.step import Step, StepRecord
+from ..core.run.errors import FiptError
+from ..core.run.lock import busy
+from ..core.run.parent import PARENT_VARIABLE
+from ..core.run.runfolder import RunFolder
+
+STEPS_NAME = "steps.json"
+
+
+def open_job(
+    run: RunFolder,
+    steps: Sequence[Step],
+    record: str = STEPS_NAME,
+    resume: bool = False,
+    result: Callable[[], list[str]] | None = None,
+    launch: Launch | None = None,
+) -> Job:
+    """A job of any steps on an existing run folder.
+
+    Args:
+        run: the run folder, which also holds the log and the steps file.
+        steps: engine commands and functions on Blender's data.
+        record: name of the steps file, which records finished steps; jobs that share one need different step
+            names.
+        resume: whether finished steps with the same inputs are skipped.
+        result: called at the end; returns the paths of the results.
+        launch: the engine, if the caller has found it already; None finds it by the preferences.
+
+    Raises:
+        FiptError: ``engine-missing``, ``run-busy`` or ``run-linked``.
+    """
+    engine = launch or find_launch()
+    refuse_busy(run)
+    step_record = StepRecord(run.root / record)
+    if not resume:
+        step_record.forget(step.name for step in steps)  # so that each of them runs
+
+    def start(arguments: Sequence[str]) -> EngineProcess:
+        command = engine_command(engine.python, *arguments)
+        try:
+            return EngineProcess(command, run.log, engine.environment, run.messages(arguments[0]))
+        except OSError as error:
+            raise FiptError(
+                "engine-missing",
+                f"The engine's Python {engine.python} can't be started ({error.strerror}).",
+                "Choose another interpreter, or set up the engine again.",
+            ) from error
+
+    return Job(
+        steps=steps,
+        record=step_record,
+        start_engine=start,
+        log=run.log,
+        result=lambda: (result() if result else [], {"run": str(run.root)}),
+        resume=resume,
+    )
+
+
+def attach_job(run: RunFolder, steps: Sequence[Step], record: str = STEPS_NAME) -> Job | None:
+    """A job that watches the engine at work in a run folder, whoever started it; None if there is none.
+
+    Args:
+        run, record: see `open_job`.
+        steps: steps of the job that may have started it; the one with the engine's command is recorded as
+            finished at the end.
+    """
+    engine = find_engine(run)
+    if engine is None:
+        return None
+    name = engine.command[0]
+    step_record = StepRecord(run.root / record)
+    matching = [step for step in steps if step.command and step.command[0] == name]
+    step = (
+        replace(matching[0], reset=None) if matching else Step(name, name.capitalize(), 1.0, command=[name])
+    )
+    return Job(
+        steps=[step],
+        record=step_record,
+        start_engine=lambda arguments: AttachedEngine(run, engine),
+        log=run.log,
+        result=lambda: ([], {"run": str(run.root)}),
+        resume=False,
+        keys=[step_record.key(step.name) or ""],
+    )
+
+
+def refuse_busy(run: RunFolder) -> None:
+    """Let two engines never work in one run folder, nor any engine in one whose links lead out of it.
+
+    Raises:
+        FiptError: ``run-busy`` or ``run-linked``.
+    """
+    run.refuse_links()
+    if find_engine(run) is not None:
+        raise busy(run)
+
+
+@dataclass(frozen=True)
+class Launch:
+    """How to start the engine: its interpreter and environment variables."""
+
+    python: Path
+    environment: Mapping[str, str]
+
+
+def find_launch(explicit: str | None = None) -> Launch:
+    """The given engine, else that of the preferences (in Blender), else the one that is found.
+
+    Raises:
+        FiptError: ``engine-missing``.
+    """
+    variables: dict[str, str] = {}
+    window = False
+    if explicit or importlib.util.find_spec("bpy") is None:
+        python = find_engine_python(explicit)
+    else:
+        import bpy
+
+        from .. import machine
+
+        python, window = machine.engine_python(), not bpy.app.background
+        variables = dict(machine.engine_variables())
+    if not window:  # it ends with this process, since no window could attach it later
+        variables[PARENT_VARIABLE] = str(os.getpid())
+    return Launch(python, {**engine_environment(python), **variables})

@@ -1,0 +1,278 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The running job, at most one: advanced by a timer in a window, run to its end in background mode.
+
+It is kept by names, without references to Blender's objects, so it survives undo and the loading of files.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bpy
+
+from .. import machine
+from ..core.run.errors import FiptError
+from . import previews, runstate
+from .job_scene import find_scene, scene_context, uses_run_folder
+from .window import redraw
+
+if TYPE_CHECKING:
+    from ..bridge.process import Message
+    from ..bridge.sequence import Job
+
+DATA_KIND = "environment"  # kind of the jobs on the data folder
+_WORK_SECONDS = 0.01  # between slices of work on Blender's data
+_WATCH_SECONDS = 0.1  # between looks at the engine
+
+
+@dataclass
+class RunningJob:
+    """What panels show of a job, while it runs and after its end.
+
+    Attributes:
+        title: name for the user, e.g. "Estimate".
+        kind: section that started it, e.g. "estimate".
+        scene_name: scene whose data it works on; "" for none.
+        run_folder: where its engine works.
+        started: when its work began, in seconds of `time.monotonic`.
+        state: "running", "finished", "failed" or "cancelled".
+        stopping: whether it was asked to stop and still runs.
+        stage_text: text of the current stage.
+        fraction: finished share of the whole job, 0 to 1.
+        remaining_seconds: expected time to the end; None while unknown.
+        memory_gb: the engine's peak memory.
+        warnings: warning messages (code, text, remedy), oldest first.
+        error: the error message that ended it, or None.
+        pictures: newest preview images, base colour and emission of a view.
+    """
+
+    title: str
+    kind: str
+    scene_name: str
+    run_folder: Path
+    started: float = field(default_factory=time.monotonic)
+    state: str = "running"
+    stopping: bool = False
+    stage_text: str = ""
+    fraction: float = 0.0
+    remaining_seconds: float | None = None
+    memory_gb: float = 0.0
+    warnings: list[Message] = field(default_factory=list)
+    error: Message | None = None
+    pictures: list[Path] = field(default_factory=list)
+
+    @property
+    def worked_seconds(self) -> float:
+        """Time since its work began."""
+        return time.monotonic() - self.started
+
+
+@dataclass
+class _Active:
+    info: RunningJob
+    job: Job
+    on_end: Callable[[RunningJob], None] | None
+    blend_file: str
+    scene_uid: int
+
+
+_active: _Active | None = None
+_last: dict[str | None, RunningJob] = {}
+
+
+def current() -> RunningJob | None:
+    """The job that runs now."""
+    return None if _active is None else _active.info
+
+
+def last(kind: str | None = None) -> RunningJob | None:
+    """The job that ended last, of one kind or of any."""
+    return _last.get(kind)
+
+
+def start(job: Job, info: RunningJob, on_end: Callable[[RunningJob], None] | None = None) -> RunningJob:
+    """Run a job in the background of the window, advanced by a timer; without a window, call `tick`.
+
+    Args:
+        job: not begun yet.
+        info: its title, kind, scene and run folder; kept up to date from now on.
+        on_end: called once at the end, however it ends; a FiptError that it raises fails the job.
+
+    Returns:
+        `info`.
+
+    Raises:
+        FiptError: ``job-running`` where another one runs.
+    """
+    global _active
+    if _active is not None:
+        raise FiptError(
+            "job-running",
+            f"'{_active.info.title}' is still running.",
+            "Wait for its end, or cancel it first.",
+        )
+    job.around = lambda: scene_context(info.scene_name, info.run_folder)
+    scene = find_scene(info.scene_name, info.run_folder) if info.scene_name else None
+    _active = _Active(info, job, on_end, bpy.data.filepath, scene.session_uid if scene else 0)
+    runstate.forget(info.run_folder)
+    if not bpy.app.background and not bpy.app.timers.is_registered(tick):
+        bpy.app.timers.register(tick, persistent=True)
+    redraw()
+    return info
+
+
+def run(job: Job, info: RunningJob, on_end: Callable[[RunningJob], None] | None = None) -> RunningJob:
+    """As `start`, but wait for the end; an exception meanwhile, such as Ctrl-C, cancels the job."""
+    start(job, info, on_end)
+    try:
+        job.run(lambda message: _note(info, message))
+    finally:
+        _end()
+    return info
+
+
+def refuse(info: RunningJob, error: FiptError) -> None:
+    """Record a job that could not start as the last one of its kind, so that the panel shows why."""
+    info.state, info.error = "failed", _as_message(error)
+    _last[info.kind] = _last[None] = info
+    redraw()
+
+
+def cancel() -> None:
+    """Ask the running job to stop, which takes at most two seconds. Finished steps are kept.
+
+    Raises:
+        FiptError: ``engine-elsewhere``.
+    """
+    if _active is None:
+        return
+    _active.job.request_cancel()
+    _active.info.stopping = True
+    if _active.job.finished:
+        _end()
+    redraw()
+
+
+def shut_down() -> None:
+    """End the running job, or leave its engine at work if the preferences say so; forget earlier jobs."""
+    if _active is not None:
+        if machine.get_preferences().on_close == "KEEP":
+            _active.job.leave()
+        else:
+            _active.job.cancel()
+        _end()
+    if bpy.app.timers.is_registered(tick):
+        bpy.app.timers.unregister(tick)
+    _last.clear()
+
+
+def tick() -> float | None:
+    """Advance the job; returns the seconds until the next call, None when there is nothing to do."""
+    if _active is None:
+        return None
+    info, job = _active.info, _active.job
+    _keep_run_folder(_active)
+    try:
+        messages = job.advance()
+    except Exception as error:  # a timer has no caller that could report it
+        _print_traceback()
+        job.cancel()
+        job.error = _unexpected(error)
+        messages = []
+    shown = _shown(info)
+    for message in messages:
+        _note(info, message)
+    if job.finished:
+        _end()
+        return None
+    if _shown(info) != shown:
+        redraw()
+    return _WATCH_SECONDS if job.waits and not info.stopping else _WORK_SECONDS
+
+
+def belongs_to(info: RunningJob, scene: bpy.types.Scene) -> bool:
+    """Whether an ended job was this scene's: on its run folder, or refused before it had one."""
+    if scene.fipt.run_folder:
+        return uses_run_folder(scene, info.run_folder)
+    return info.error is not None and scene.name == info.scene_name
+
+
+def _shown(info: RunningJob) -> tuple[object, ...]:
+    """The values as precisely as panels show them: the engine reports progress several times a second."""
+    remaining = info.remaining_seconds
+    left = None if remaining is None else int(remaining) if remaining < 60.0 else int(remaining / 60.0) * 60
+    numbers = (round(info.fraction, 2), left, round(info.memory_gb, 1), len(info.warnings))
+    return (info.stage_text, info.stopping, *numbers, *info.pictures)
+
+
+def _keep_run_folder(active: _Active) -> None:
+    """Set the run folder again in the job's scene where undo or reloading the file took it back."""
+    if not active.scene_uid or find_scene(active.info.scene_name, active.info.run_folder) is not None:
+        return
+    for scene in bpy.data.scenes:
+        same_file = active.blend_file and bpy.data.filepath == active.blend_file
+        same = scene.session_uid == active.scene_uid or (same_file and scene.name == active.info.scene_name)
+        if same and not scene.fipt.run_folder:
+            scene.fipt.run_folder = str(active.info.run_folder)
+
+
+def _note(info: RunningJob, message: Message) -> None:
+    kind = message["type"]
+    if kind == "stage":
+        info.stage_text = message["text"]
+    elif kind == "progress":
+        info.fraction = message["fraction"]
+        info.remaining_seconds = message.get("remaining_seconds")
+        info.memory_gb = message.get("memory_gb") or 0.0
+        if message.get("files"):
+            info.pictures = [info.run_folder / name for name in message["files"]]
+            previews.load(info.pictures)
+    elif kind == "warning":
+        info.warnings.append(message)
+
+
+def _end() -> None:
+    global _active
+    assert _active is not None
+    active, _active = _active, None
+    info, job = active.info, active.job
+    info.stopping = False
+    info.error = job.error
+    info.state = "failed" if job.error else "cancelled" if job.cancelled else "finished"
+    _last[info.kind] = _last[None] = info
+    if active.on_end is not None:
+        try:
+            active.on_end(info)
+        except FiptError as error:
+            info.error = _as_message(error)
+            info.state = "failed"
+        except Exception as error:
+            _print_traceback()
+            info.error = _unexpected(error)
+            info.state = "failed"
+    runstate.forget(info.run_folder)
+    redraw()
+
+
+def _as_message(error: FiptError) -> Message:
+    return {"type": "error", "code": error.code, "text": error.text, "remedy": error.remedy}
+
+
+def _print_traceback() -> None:
+    import traceback
+
+    traceback.print_exc()
+
+
+def _unexpected(error: Exception) -> Message:
+    return {
+        "type": "error",
+        "code": "blender-step-failed",
+        "text": f"An unexpected error occurred: {type(error).__name__}: {error}",
+        "remedy": "Resume. If it happens again, report it with the console's output.",
+    }

@@ -1,0 +1,142 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The contents of a scene's run folder, for panels and polls, which must not read the disk themselves.
+
+While drawing, the answer comes from a cache, which a timer refreshes soon after.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bpy
+
+from ..core.run.runfolder import RunFolder
+
+if TYPE_CHECKING:
+    from ..bridge.process import Message
+
+_FRESH_SECONDS = 2.0
+
+
+@dataclass(frozen=True)
+class RunState:
+    """The estimation in a run folder.
+
+    Attributes:
+        stages: number of finished stages.
+        finished: whether the results exist.
+        engine: the command of the engine at work there, or "".
+        warnings, error: warnings of the last run, and the error that ended it.
+        pictures: the newest preview images.
+    """
+
+    stages: int = 0
+    finished: bool = False
+    engine: str = ""
+    warnings: tuple[Message, ...] = ()
+    error: Message | None = None
+    pictures: tuple[Path, ...] = ()
+
+
+# Time of the last look (monotonic seconds) and state, by folder.
+_known: dict[str, tuple[float, RunState]] = {}
+_wanted: set[str] = set()  # folders that the timer looks at next
+# Called after each look at the disk, with the folder, its state, and whether that has changed.
+_listeners: list[Callable[[Path, RunState, bool], None]] = []
+
+
+def register(on_look: Callable[[Path, RunState, bool], None]) -> None:
+    """Add a function that is called after each look at the disk."""
+    _listeners.append(on_look)
+
+
+def unregister() -> None:
+    """Clear the cache and the listeners, and stop the timer."""
+    _listeners.clear()
+    _known.clear()
+    _wanted.clear()
+    if bpy.app.timers.is_registered(_look_soon):
+        bpy.app.timers.unregister(_look_soon)
+
+
+def known(folder: str) -> RunState:
+    """The state of a run folder ("" for none), in a window from the cache, which may be seconds old."""
+    if not folder:
+        return RunState()
+    folder = os.path.abspath(bpy.path.abspath(folder))
+    if bpy.app.background:
+        return look(RunFolder(folder))
+    looked_at, state = _known.get(folder, (-_FRESH_SECONDS, RunState()))
+    if time.monotonic() - looked_at > _FRESH_SECONDS:
+        _wanted.add(folder)
+        if not bpy.app.timers.is_registered(_look_soon):
+            bpy.app.timers.register(_look_soon, first_interval=0.0)
+    return state
+
+
+def forget(folder: Path) -> None:
+    """Mark the cached state of a folder as outdated."""
+    _, state = _known.pop(os.path.abspath(folder), (0.0, None))
+    if state is not None:
+        _known[os.path.abspath(folder)] = (-_FRESH_SECONDS, state)
+
+
+def look(run: RunFolder) -> RunState:
+    """Read the state of a run folder from the disk."""
+    from ..bridge.attached import find_engine
+
+    engine = find_engine(run)
+    warnings, pictures, error = [], (), None
+    for message in _messages(run.messages("estimate")):
+        if message["type"] == "warning":
+            warnings.append(message)
+        elif message["type"] == "error":
+            error = message
+        elif message.get("files") and message["type"] == "progress":
+            pictures = tuple(run.root / name for name in message["files"])
+    return RunState(
+        stages=_stage_count(run.stage / "stages.json"),
+        finished=run.statistics_json.exists() and run.emitters_json.exists() and run.fields_npz.exists(),
+        engine=engine.command[0] if engine is not None else "",
+        warnings=tuple(warnings),
+        error=error,
+        pictures=pictures,
+    )
+
+
+def _look_soon() -> None:
+    while _wanted:
+        folder = _wanted.pop()
+        _, previous = _known.get(folder, (0.0, None))
+        state = look(RunFolder(folder))
+        _known[folder] = (time.monotonic(), state)
+        for listener in _listeners:
+            listener(Path(folder), state, state != previous)
+
+
+def _stage_count(path: Path) -> int:
+    from ..core.run.documents import load_document
+    from ..core.run.shapes import STAGES
+
+    try:
+        return len(load_document(path, STAGES)["stages"])
+    except (OSError, ValueError):
+        return 0
+
+
+def _messages(path: Path) -> list[Message]:
+    """The messages in a file, without progress messages that have no pictures."""
+    from ..core.run.messages import parse_message
+
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return []
+    lines = [line for line in text.splitlines() if '"type": "progress"' not in line or '"files"' in line]
+    return [message for line in lines if (message := parse_message(line)) is not None]

@@ -1,0 +1,216 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The settings of this machine: the engine's environment, the device, the data folder.
+
+Their values are those of the add-on's preferences, or `DEFAULTS` where the package is imported without being
+enabled as an add-on (scripts, tests).
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypedDict, cast
+
+import bpy
+
+from .bridge import places
+from .core.run.documents import read_json
+from .core.run.errors import FiptError
+from .core.run.runfolder import RunFolder, write_json
+
+if TYPE_CHECKING:
+    from .bridge.process import Message
+
+ADDON = __package__  # the preferences' bl_idname
+KEPT_NAME = "preferences.json"
+
+
+class Status(TypedDict, total=False):
+    """Last result of Set Up Engine or Check; empty before the first."""
+
+    time: float  # seconds since the epoch
+    product_version: str
+    engine: dict[str, Any]  # the data of the engine's `check`; empty where it failed
+    warnings: list[Message]
+    error: Message | None
+    cancelled: bool  # whether a later set-up was cancelled
+
+
+class Usage(TypedDict, total=False):
+    """Last measurement of the data folder; empty before the first."""
+
+    time: float  # seconds since the epoch
+    sizes: dict[str, int]  # bytes by folder name
+    runs: list[str]  # names of the folders that are runs
+
+
+class Preferences(Protocol):
+    """The values that the add-on's preferences and `Defaults` have in common."""
+
+    engine_python: str
+    wheel_folder: str
+    device: str
+    gpu_uuid: str
+    data_folder: str
+    on_close: str
+    status: str
+    usage: str
+
+
+@dataclass
+class Defaults:
+    """The default values of the preferences."""
+
+    engine_python: str = ""
+    wheel_folder: str = ""
+    device: str = "auto"
+    gpu_uuid: str = ""
+    data_folder: str = ""
+    on_close: str = "STOP"
+    status: str = ""
+    usage: str = ""
+
+
+DEFAULTS = Defaults()
+
+
+def get_preferences() -> Preferences:
+    """The preferences, or `DEFAULTS` where the package is not enabled as an add-on."""
+    addon = bpy.context.preferences.addons.get(ADDON)
+    return DEFAULTS if addon is None or addon.preferences is None else addon.preferences
+
+
+def data_folder() -> Path:
+    """The folder for runs and the engine's environments; it may not exist yet."""
+    chosen = get_preferences().data_folder
+    return Path(bpy.path.abspath(chosen)).absolute() if chosen else places.default_data_folder()
+
+
+def engine_python() -> Path:
+    """The interpreter that runs the engine. This starts a process, so never call it while drawing.
+
+    Raises:
+        FiptError: ``engine-missing``.
+    """
+    from .bridge.interpreter import find_engine_python
+    from .bridge.pins import managed_environments
+
+    chosen = get_preferences().engine_python
+    return find_engine_python(
+        bpy.path.abspath(chosen) if chosen else None, managed_environments(data_folder())
+    )
+
+
+def engine_variables() -> dict[str, str]:
+    """Additional environment variables for the engine's process: the chosen GPU."""
+    from .core.device.cuda import VISIBLE_VARIABLE
+
+    gpu = chosen_gpu()
+    return {VISIBLE_VARIABLE: gpu} if gpu else {}
+
+
+def chosen_gpu() -> str:
+    """The UUID of the GPU that the user chose, "" for automatic."""
+    return str(get_preferences().gpu_uuid)
+
+
+def device_setting() -> str:
+    """Where the engine computes: "auto", "cuda" or "llvm"."""
+    return str(get_preferences().device)
+
+
+def new_run_folder(name: str) -> Path:
+    """Create a new, empty run folder in the data folder's runs/.
+
+    Args:
+        name: readable part of the folder's name; characters that file names can't have are replaced.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    return places.new_run_folder(data_folder(), name)
+
+
+def is_unused_run(folder: Path) -> bool:
+    """Whether a folder of `new_run_folder` has neither capture nor room, and no engine works in it."""
+    from .bridge.attached import find_engine
+
+    run = RunFolder(folder)
+    files = run.ingest_json, run.capture_json, run.room_json
+    in_data_folder = run.root.parent == places.runs_folder(data_folder())
+    return in_data_folder and not any(path.exists() for path in files) and find_engine(run) is None
+
+
+def status() -> Status:
+    """The stored result of Set Up Engine or Check."""
+    return cast(Status, _parse(get_preferences().status))
+
+
+def store_status(data: Status) -> None:
+    """Store the result of Set Up Engine or Check; {} deletes it."""
+    _store("status", data)
+
+
+def usage() -> Usage:
+    """The stored sizes in the data folder."""
+    return cast(Usage, _parse(get_preferences().usage))
+
+
+def store_usage(data: Usage) -> None:
+    """Store the measured sizes."""
+    _store("usage", data)
+
+
+def keep() -> None:
+    """Write the preferences to the default data folder, where they survive removing the extension.
+
+    Blender deletes an add-on's preferences when it is disabled or removed.
+    """
+    preferences = get_preferences()
+    if preferences is DEFAULTS:
+        return
+    try:
+        kept = {name: getattr(preferences, name) for name in asdict(DEFAULTS) if name != "usage"}
+        write_json(places.default_data_folder() / KEPT_NAME, kept)
+    except FiptError as error:  # no value is lost yet, and no operator runs that could report it
+        print(f"fipt: {error.text}")
+
+
+def recall() -> None:
+    """Restore the written preferences where Blender has none, after a new installation."""
+    preferences: Any = get_preferences()
+    if preferences is DEFAULTS or any(preferences.is_property_set(name) for name in asdict(DEFAULTS)):
+        return
+    try:
+        kept = read_json(places.default_data_folder() / KEPT_NAME)
+    except FiptError:
+        return
+    for name, default in asdict(DEFAULTS).items():
+        value = kept.get(name)
+        if isinstance(value, str) and value != default:
+            try:
+                setattr(preferences, name, value)
+            except TypeError:  # an enum value of another version
+                pass
+
+
+def _store(name: str, data: Status | Usage) -> None:
+    import json
+
+    setattr(get_preferences(), name, json.dumps(data) if data else "")
+    if get_preferences() is not DEFAULTS:
+        bpy.context.preferences.is_dirty = True  # so that Blender auto-saves them
+
+
+@functools.lru_cache(maxsize=8)
+def _parse(text: str) -> dict[str, Any]:
+    """A JSON object, empty if the text is not one; cached, since every redraw reads it."""
+    import json
+
+    try:
+        data = json.loads(text)
+    except ValueError:
+        return {}
+    return data if isinstance(data, dict) else {}

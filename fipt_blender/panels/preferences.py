@@ -1,0 +1,326 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The add-on's preferences and their drawing: the engine, the device, the data folder."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from .. import machine
+from ..bridge import places
+from ..core.run.runfolder import PRODUCT_VERSION
+from ..jobs import running
+from ..properties.estimate import DEVICES
+from .job import time_text
+from .sidebar import draw_text
+
+if TYPE_CHECKING:
+    from ..bridge.process import Message
+
+_PACKAGES = (("mitsuba", "Mitsuba"), ("drjit", "Dr.Jit"), ("torch", "PyTorch"), ("numpy", "NumPy"))
+
+_ON_CLOSE = [
+    ("STOP", "Stop; Resume Later", "The run stops with Blender. Finished stages are kept for Resume"),
+    ("KEEP", "Keep Computing", "The engine continues without Blender. Resume takes over its results"),
+]
+
+# Blender holds no reference to the strings that a callback returns, so they are kept here.
+_gpu_items: list[tuple[str, str, str]] = []
+
+
+def _changed(preferences: machine.Preferences, context: bpy.types.Context) -> None:
+    machine.keep()
+
+
+def _engine_changed(preferences: machine.Preferences, context: bpy.types.Context) -> None:
+    preferences.status = ""  # of the previous engine; its update also stores the new value
+
+
+def _list_gpus(
+    preferences: machine.Preferences, context: bpy.types.Context | None
+) -> list[tuple[str, str, str]]:
+    gpus = [(gpu["uuid"], gpu["name"], f"{gpu['memory_gb']:.0f} GB") for gpu in _known_gpus()]
+    if preferences.gpu_uuid and preferences.gpu_uuid not in [uuid for uuid, _, _ in gpus]:
+        gpus.append((preferences.gpu_uuid, "Missing GPU", "This GPU is not in the machine"))
+    _gpu_items[:] = [("AUTO", "Automatic", "Use the first GPU that works"), *gpus]
+    return _gpu_items
+
+
+def _known_gpus() -> list[dict[str, Any]]:
+    return (machine.status().get("engine") or {}).get("gpus") or []
+
+
+def _get_gpu(preferences: machine.Preferences) -> int:
+    uuids = [uuid for uuid, _, _ in _list_gpus(preferences, None)]
+    return uuids.index(preferences.gpu_uuid) if preferences.gpu_uuid in uuids else 0
+
+
+def _set_gpu(preferences: machine.Preferences, value: int) -> None:
+    preferences.gpu_uuid = "" if value == 0 else _list_gpus(preferences, None)[value][0]
+
+
+class FIPT_Preferences(bpy.types.AddonPreferences):
+    """Settings of the machine, independent of scenes."""
+
+    bl_idname = machine.ADDON
+
+    engine_python: bpy.props.StringProperty(
+        name="Own Interpreter",
+        description="Python interpreter or virtual environment that has the engine's packages. If empty, the"
+        " environment that Set Up Engine creates is used",
+        subtype="FILE_PATH",
+        update=_engine_changed,
+    )
+    wheel_folder: bpy.props.StringProperty(
+        name="Folder of Wheels",
+        description="Install the Python packages from .whl files in this folder instead of downloading them",
+        subtype="DIR_PATH",
+        update=_changed,
+    )
+    device: bpy.props.EnumProperty(
+        name="Compute On",
+        description="Device on which the engine computes",
+        items=DEVICES,
+        default="auto",
+        update=_changed,
+    )
+    gpu: bpy.props.EnumProperty(
+        name="GPU",
+        description="GPU that the engine uses. Check finds the GPUs of this machine",
+        items=_list_gpus,
+        get=_get_gpu,
+        set=_set_gpu,
+    )
+    data_folder: bpy.props.StringProperty(
+        name="Data Folder",
+        description="Folder for runs and the engine's environment. If empty, a folder in your user data is"
+        " used. Updating or removing the extension does not change it",
+        subtype="DIR_PATH",
+        update=_engine_changed,
+    )
+    on_close: bpy.props.EnumProperty(
+        name="On Closing Blender",
+        description="What happens to a run when you close Blender",
+        items=_ON_CLOSE,
+        default="STOP",
+        update=_changed,
+    )
+    gpu_uuid: bpy.props.StringProperty(options={"HIDDEN"}, update=_changed)
+    status: bpy.props.StringProperty(
+        description="Last result of Set Up Engine or Check, as JSON", options={"HIDDEN"}, update=_changed
+    )
+    usage: bpy.props.StringProperty(
+        description="Sizes in the data folder at the last measurement, as JSON", options={"HIDDEN"}
+    )
+
+    def draw(self, context: bpy.types.Context) -> None:
+        draw(
+            self.layout,
+            context,
+            self,
+            Facts(machine.status(), machine.usage(), str(places.default_data_folder())),
+        )
+
+
+def draw(
+    layout: bpy.types.UILayout, context: bpy.types.Context, preferences: machine.Preferences, facts: Facts
+) -> None:
+    """Draw all of the preferences."""
+    layout.use_property_decorate = False
+    _draw_engine(layout.box(), context, preferences, facts)
+    _draw_device(layout.box(), preferences, facts)
+    _draw_data(layout.box(), context, preferences, facts)
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What is drawn besides the preferences' values; looked up before, never while drawing.
+
+    Attributes:
+        status: last result of set-up or check, see `data_job.EngineStatus`; empty before the first.
+        usage: sizes by folder name, and which folders are runs; empty before the first measurement.
+        data_folder: the default data folder, used where the preference is empty.
+    """
+
+    status: machine.Status
+    usage: machine.Usage
+    data_folder: str
+
+    @property
+    def engine(self) -> dict[str, Any]:
+        """What the check found on the engine; empty where it found none."""
+        return self.status.get("engine") or {}
+
+
+def _draw_engine(
+    layout: bpy.types.UILayout, context: bpy.types.Context, preferences: machine.Preferences, facts: Facts
+) -> None:
+    job = running.current()
+    if job is not None and job.kind == running.DATA_KIND:
+        _draw_running(layout, context, job)
+    else:
+        text, icon = headline(facts.status)
+        layout.label(text=text, icon=icon)
+        _draw_facts(layout, facts)
+        _draw_problems(layout, context, facts)
+    row = layout.row(align=True)
+    row.operator("fipt.set_up_engine", icon="IMPORT")
+    row.operator("fipt.check_engine", icon="VIEWZOOM")
+    row.operator("fipt.show_log", text="Show Log", icon="TEXT")
+    column = layout.column()
+    column.use_property_split = True
+    column.prop(preferences, "engine_python")
+    row = column.row(align=True)
+    row.prop(preferences, "wheel_folder")
+    row.operator("fipt.copy_wheel_command", text="", icon="COPYDOWN")
+    if not (bpy.app.online_access or preferences.wheel_folder or preferences.engine_python):
+        draw_text(
+            layout,
+            context,
+            iface_(
+                "Online access is disabled. To set up the engine, enable Allow Online Access in System >"
+                " Network, or select a Folder of Wheels. The button beside it copies a command that downloads"
+                " the wheels on another machine."
+            ),
+            icon="INTERNET_OFFLINE",
+        )
+
+
+def headline(status: machine.Status) -> tuple[str, str]:
+    """The engine's state as text and icon."""
+    engine = status.get("engine") or {}
+    if _set_up_cancelled(status):
+        return iface_("Engine: set-up cancelled, press Set Up Engine to continue"), "CANCEL"
+    if not status:
+        return iface_("Engine: not set up yet, or not checked"), "QUESTION"
+    if status.get("error") or not engine.get("ready"):
+        return iface_("Engine: does not work yet"), "ERROR"
+    if status.get("product_version") != PRODUCT_VERSION:
+        return iface_("Engine: the add-on was updated, press Check"), "QUESTION"
+    device = engine["cuda"] if engine["device"] == "cuda" else iface_("the CPU")
+    return iface_("Engine: ready, computes on {}").format(device), "CHECKMARK"
+
+
+def _set_up_cancelled(status: machine.Status) -> bool:
+    """Whether a set-up was cancelled where no engine works; an earlier error is out of date then."""
+    ready = (status.get("engine") or {}).get("ready") and not status.get("error")
+    return bool(status.get("cancelled")) and not ready
+
+
+def _draw_running(layout: bpy.types.UILayout, context: bpy.types.Context, job: running.RunningJob) -> None:
+    layout.label(text=job.title, icon="SORTTIME")
+    text = f"{100.0 * job.fraction:.0f}%"
+    if job.remaining_seconds is not None:
+        text = iface_("{}, about {} left").format(text, time_text(job.remaining_seconds))
+    row = layout.split(factor=0.85, align=True)
+    row.progress(factor=job.fraction, text=text)
+    cancel = row.row(align=True)
+    cancel.enabled = not job.stopping
+    cancel.operator("fipt.cancel_set_up", icon="X")
+    draw_text(layout, context, iface_("Stopping...") if job.stopping else iface_(job.stage_text))
+
+
+def fact_lines(engine: dict[str, Any]) -> list[tuple[str, str]]:
+    """The results of the check, as label and value."""
+    packages = engine["packages"]
+    named = [f"{label} {packages[name]}" for name, label in _PACKAGES if packages.get(name)]
+    lines = [
+        (iface_("Interpreter"), f"Python {engine['python']}, {engine['interpreter']}"),
+        (iface_("Packages"), ", ".join(named)),
+    ]
+    if engine["gpus"]:
+        cards = [f"{gpu['name']} ({gpu['memory_gb']:.0f} GB)" for gpu in engine["gpus"]]
+        lines.append((iface_("GPU"), ", ".join(cards)))
+    else:
+        lines.append((iface_("GPU"), iface_("none with CUDA")))
+    cpu = iface_("{} cores").format(engine["cores"])
+    lines.append((iface_("CPU"), f"{cpu}, {_llvm_text(engine['llvm'])}"))
+    if engine["memory_free_gb"] is not None:
+        memory = iface_("{:.0f} of {:.0f} GB free").format(engine["memory_free_gb"], engine["memory_gb"])
+        lines.append((iface_("Memory"), memory))
+    lines.append((iface_("Denoiser"), iface_("works") if engine["oidn"] else iface_("does not work")))
+    return lines
+
+
+def _llvm_text(path: str | None) -> str:
+    if path is None:
+        return iface_("no LLVM")
+    version = re.search(r"LLVM[^\d]*(\d+(?:\.\d+)?)", path.replace("\\", "/").rpartition("/")[2])
+    return f"LLVM {version.group(1)}" if version else f"LLVM ({path})"
+
+
+def _draw_facts(layout: bpy.types.UILayout, facts: Facts) -> None:
+    if not facts.engine:
+        return
+    lines = fact_lines(facts.engine)
+    checked = time.strftime("%Y-%m-%d %H:%M", time.localtime(facts.status["time"]))
+    _draw_table(layout, [*lines, (iface_("Checked"), checked)])
+
+
+def _draw_table(layout: bpy.types.UILayout, lines: Sequence[tuple[str, str]]) -> None:
+    split = layout.split(factor=0.2)
+    names, values = split.column(align=True), split.column(align=True)
+    for column in (names, values):
+        column.scale_y = 0.8
+    names.alignment = "RIGHT"
+    for name, value in lines:
+        names.label(text=name, translate=False)
+        values.label(text=value, translate=False)
+
+
+def _draw_problems(layout: bpy.types.UILayout, context: bpy.types.Context, facts: Facts) -> None:
+    if _set_up_cancelled(facts.status):
+        return
+    error = facts.status.get("error")
+    if error:
+        _draw_problem(layout, context, error, "ERROR")
+    for warning in facts.status.get("warnings", ()):
+        _draw_problem(layout, context, warning, "INFO")
+
+
+def _draw_problem(
+    layout: bpy.types.UILayout, context: bpy.types.Context, message: Message, icon: str
+) -> None:
+    text = f"{iface_(message['text'])} {iface_(message['remedy'])}"
+    draw_text(layout, context, text, icon=icon, alert=icon == "ERROR")
+
+
+def _draw_device(layout: bpy.types.UILayout, preferences: machine.Preferences, facts: Facts) -> None:
+    layout.use_property_split = True
+    layout.row().prop(preferences, "device", expand=True)
+    column = layout.column()
+    column.enabled = preferences.device != "llvm" and bool(facts.engine.get("gpus"))
+    column.prop(preferences, "gpu")
+
+
+def _draw_data(
+    layout: bpy.types.UILayout, context: bpy.types.Context, preferences: machine.Preferences, facts: Facts
+) -> None:
+    layout.use_property_split = True
+    layout.prop(preferences, "data_folder", placeholder=facts.data_folder)
+    row = layout.row(align=True)
+    row.label(text=usage_text(facts.usage), translate=False)
+    row.operator("fipt.measure_data", icon="FILE_REFRESH")
+    row.operator("fipt.clear_data", text="Clear...", icon="TRASH")
+    layout.prop(preferences, "on_close")
+
+
+def usage_text(usage: machine.Usage) -> str:
+    """The sizes in the data folder in one line."""
+    if not usage:
+        return iface_("Size of cached runs: not measured yet")
+    runs = [usage["sizes"][name] for name in usage["runs"]]
+    others = sum(usage["sizes"].values()) - sum(runs)
+    return iface_("{} cached runs: {:.1f} GB; engine: {:.1f} GB").format(
+        len(runs), sum(runs) / 1e9, others / 1e9
+    )
+
+
+CLASSES = (FIPT_Preferences,)

@@ -1,0 +1,199 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The paper's ablations: the effect of each option, the disturbed mesh, the table."""
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from benchmarks import ablations, accuracy, disturb, predict
+from fipt_blender.core.capture.views import load_capture
+from fipt_blender.core.estimate.state import spread_views
+from fipt_blender.core.light.joint import joint_fixtures
+from fipt_blender.core.material.fields import RoomFields
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.settings import make_settings
+from samples.small_captures import (
+    COLORS,
+    PANEL_RADIANCE,
+    PANEL_TRIANGLES,
+    SmallCapture,
+    panel_capture,
+    run_here,
+    write_run,
+)
+from samples.small_rooms import BOX, make_room, surface_points
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(scope="module")
+def capture() -> SmallCapture:
+    return panel_capture()
+
+
+def finished(root: Path, capture: SmallCapture, **changes) -> tuple[RunFolder, list[dict]]:
+    run = write_run(root / "run", capture, **changes)
+    run_here(run)
+    return run, json.loads(run.emitters_json.read_text())["fixtures"]
+
+
+def test_fitted_jointly_the_lamp_is_too_dim_and_walls_shine(capture: SmallCapture, tmp_path: Path) -> None:
+    """As in the paper's Table 3, emission has not converged when the materials have."""
+    _, fixtures = finished(tmp_path, capture, emission="joint", rounds=0)
+    (lamp,) = [fixture for fixture in fixtures if set(fixture["triangles"]) & set(PANEL_TRIANGLES)]
+    assert 0.0 < np.mean(lamp["radiance"]) < 0.8 * np.mean(PANEL_RADIANCE)
+    assert sum(len(fixture["triangles"]) for fixture in fixtures) > len(PANEL_TRIANGLES)
+
+
+def wall_error(run: RunFolder, capture: SmallCapture) -> float:
+    """Mean absolute error of kd over the box."""
+    points, _, triangle = surface_points(capture.room, 100, np.random.default_rng(0), np.arange(12))
+    color, _, metallic = RoomFields.load(run).query(points, triangle)
+    return float(np.abs(color * (1 - metallic[:, None]) - np.array(COLORS)[triangle // 2]).mean())
+
+
+def test_walls_that_shine_a_little_still_reflect_in_stage_3(capture: SmallCapture, tmp_path: Path) -> None:
+    """With joint fitting, noise of L_e must not blacken the walls: that would halve the light of stage 3."""
+    run, fixtures = finished(tmp_path, capture, emission="joint")
+    assert all(fixture["beside"] for fixture in fixtures)
+    walls = {triangle for fixture in fixtures for triangle in fixture["triangles"]} & set(range(12))
+    assert len(walls) >= 4
+    assert wall_error(run, capture) < 0.1
+    # A view's maps show their materials and their emission.
+    lit, _ = predict.load_result(run, spacing=0.1)
+    (view, *_) = load_capture(run).train
+    maps = predict.predict_maps(lit, view, filtered=False, spp=1)
+    assert (maps.emission.max(axis=2) > 0.0).mean() > 0.3
+    assert (maps.base_color.max(axis=2) > 0.0).mean() > 0.99
+
+
+def test_paths_without_a_cache_still_find_materials(capture: SmallCapture, tmp_path: Path) -> None:
+    run, (lamp,) = finished(tmp_path, capture, refine_cache=False)
+    assert lamp["triangles"] == PANEL_TRIANGLES
+    assert wall_error(run, capture) < 0.1
+
+
+def test_fewer_views_are_spread_over_the_capture() -> None:
+    views = list("abcdefghij")
+    assert spread_views(views, 1.0) == views
+    assert spread_views(views, 0.3) == ["a", "d", "g"]
+    assert spread_views(views, 1e-3) == ["a"]
+    with pytest.raises(FiptError, match="at most 1"):
+        make_settings("draft", {"view_share": 1.5})
+
+
+def test_joint_fixtures_are_as_bright_as_was_fitted() -> None:
+    room = make_room(BOX)
+
+    def emission(positions: np.ndarray) -> np.ndarray:  # the floor by 2, the ceiling by 6
+        low, high = positions[:, 2] < 1e-3, positions[:, 2] > 2.999
+        return (2.0 * low + 6.0 * high)[:, None] * np.array([1.0, 0.5, 0.25])
+
+    fixtures = joint_fixtures(room, emission, 0.5, 10, np.random.default_rng(0))
+    assert [fixture.triangles.tolist() for fixture in fixtures] == [[0, 1], [2, 3]]
+    assert fixtures[1].radiance == pytest.approx([6.0, 3.0, 1.5])
+    assert (fixtures[1].radiance == fixtures[1].back_radiance).all()
+    assert fixtures[0].area == pytest.approx(16.0)
+    assert fixtures[0].centroid == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    assert joint_fixtures(room, emission, 10.0, 10, np.random.default_rng(0)) == []
+
+
+def closed(triangles: np.ndarray) -> bool:
+    """Whether each edge has a triangle on both sides."""
+    edges = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
+    return sorted(map(tuple, edges)) == sorted(map(tuple, edges[:, ::-1]))
+
+
+def test_a_disturbed_box_stays_closed_and_moves_by_sigma(tmp_path: Path) -> None:
+    lines = [f"v {x} {y} {z}" for quad in BOX for x, y, z in quad]
+    lines += [f"f {i + 1}/1 {i + 2} {i + 3}//2 {i + 4}" for i in range(0, 24, 4)]
+    (tmp_path / "scene.obj").write_text("\n".join(lines))
+    vertices, triangles = disturb.read_obj(tmp_path / "scene.obj")
+    assert vertices.shape == (24, 3) and triangles.shape == (12, 3)
+    same, welded = disturb.disturb(vertices, triangles, 0.0, 0)
+    assert len(same) == 8 and closed(welded)
+    disturb.disturb_obj(tmp_path / "scene.obj", tmp_path / "noise.obj", 0.02)
+    moved, finer = disturb.read_obj(tmp_path / "noise.obj")
+    assert closed(finer) and len(finer) > 1000
+    corners = moved[finer]
+    edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    assert edges.max() < 1.5 * disturb.BUMP_WIDTH * 0.02
+    floor = moved[(np.abs(moved[:, 2]) < 0.2) & (np.abs(moved[:, :2]) < 1.8).all(axis=1), 2]
+    assert 0.015 < floor.std() < 0.025 and abs(floor.mean()) < 0.01
+    # Smooth normals follow the bumps: off by some degrees on the floor.
+    normals = disturb.smooth_normals(moved, finer)
+    inner = (np.abs(moved[:, 2]) < 0.2) & (np.abs(moved[:, :2]) < 1.5).all(axis=1)
+    assert 2.0 < np.degrees(np.arccos(np.abs(normals[inner, 2]))).mean() < 15.0
+
+
+def test_each_ablation_is_a_run_of_the_accuracy_command() -> None:
+    parser = ablations.make_parser()
+    arguments = parser.parse_args(["c", "o", "--preset", "draft", "--seeds", "3", "--set", "rounds=2"])
+    planned = dict(ablations.planned(arguments, list(ablations.ABLATIONS)))
+    assert list(planned)[-2:] == ["full-seed-1", "full-seed-2"]
+    assert planned["no-stage-3"][-1] == "training_steps=750"  # 250 + 2 x 250
+    for options in planned.values():
+        parsed = accuracy.make_parser().parse_args(["capture", *options])
+        command = accuracy.main_job_options(
+            argparse.Namespace(**{**vars(parsed), "mesh_noise": 0.0}), Path("o")
+        )
+        assert command[:2] == ["--parts", parsed.parts]
+        make_settings("draft", dict(change.split("=") for change in parsed.set))
+    assert ablations.main(["c", "o", "--only", "no-such"]) == 2
+
+
+def test_only_an_obj_can_be_disturbed(tmp_path: Path) -> None:
+    parsed = accuracy.make_parser().parse_args([str(tmp_path), "--mesh-noise", "0.01"])
+    with pytest.raises(FiptError, match=r"scene\.obj"):
+        accuracy.main_job_options(parsed, tmp_path / "run")
+    (tmp_path / "scene.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    options = accuracy.main_job_options(parsed, tmp_path / "run")
+    assert options[-2] == "--mesh" and Path(options[-1]).read_text().startswith("o disturbed")
+
+
+def test_finished_ablations_are_not_done_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    calls: list[list[str]] = []
+
+    def fake(argv: list[str]) -> int:
+        calls.append(argv)
+        target = Path(argv[argv.index("--json") + 1])
+        if "joint" in str(argv):
+            return 1
+        figures = dict.fromkeys(ablations.COLUMNS, 20.0 + len(calls))
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(json.dumps({"held_back": figures}))
+        return 0
+
+    monkeypatch.setattr(accuracy, "main", fake)
+    command = ["c", str(tmp_path / "out"), "--only", "full,joint-emission,semantics", "--seeds", "2"]
+    assert ablations.main(command) == 1 and len(calls) == 4
+    assert ablations.main([*command, "--table", str(tmp_path / "t.txt")]) == 1
+    assert len(calls) == 5 and "emission=joint" in calls[4]
+    text = capsys.readouterr().out
+    assert "29.24" in text and "21.00" in text and "noise floor: spread of 2 seeds" in text
+    assert "Joint" not in (tmp_path / "t.txt").read_text()  # failed runs have no row
+
+
+def test_semantic_masks_instead_of_parts(capture: SmallCapture, tmp_path: Path) -> None:
+    """Classes of several materials, here the two halves of each picture, have no closed-form guess."""
+    room = replace(capture.room, parts="semantics")
+    run = write_run(tmp_path / "run", replace(capture, room=room), rounds=0)
+    classes = np.repeat([[3] * 24 + [9] * 24], 32, axis=0).astype(np.uint8)
+    Image.fromarray(classes).save(run.images / "classes.png")
+    data = json.loads(run.capture_json.read_text())
+    for view in data["views"]:
+        view["semantics"] = "images/classes.png"
+    run.capture_json.write_text(json.dumps(data))
+    run_here(run)
+    (lamp,) = json.loads(run.emitters_json.read_text())["fixtures"]
+    assert lamp["triangles"] == PANEL_TRIANGLES
+    assert json.loads(run.statistics_json.read_text())["part_kind"] == "semantic"

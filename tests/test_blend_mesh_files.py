@@ -1,0 +1,179 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Damaged PLY and OBJ files are refused in words, before Blender's importers crash at them."""
+
+from __future__ import annotations
+
+import re
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fipt_blender.blend.capture.mesh_files import check_mesh_file
+from fipt_blender.core.run.errors import FiptError
+from samples.child_processes import posix
+
+POINTS = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)]
+TRIANGLES = [(0, 1, 2), (1, 2, 3), (2, 3, 4)]
+MIXED = [(0, 1, 2), (1, 2, 3, 4), (2, 3, 4)]
+OBJ = b"v 0 0 0\nv 1 0 0 # x\nv 0 1 0\nvt 0 0\nvn 0 0 1\nf 1/1/1 2/1/1 3/1/1\nf -3//1 -2//1 \\\n -1//1\n"
+
+# Imports the files of a folder in Blender, and says so on stderr if it has survived them: Blender's own lines on
+# stdout are buffered apart from Python's and may come after them.
+IMPORT = """
+import sys
+import numpy as np
+from pathlib import Path
+from fipt_blender.blend.capture.mesh_import import import_room
+from fipt_blender.core.run.errors import FiptError
+for path in sorted(Path(sys.argv[1]).iterdir()):
+    print(path, file=sys.stderr, flush=True)
+    try:
+        import_room(path, np.eye(4))
+    except FiptError:
+        pass
+print("survived", file=sys.stderr, flush=True)
+"""
+
+
+def ply(faces=TRIANGLES, order="<", edges=False, vertices=5, count=None) -> bytes:
+    """A PLY file with coordinates, colours and faces; ASCII if `order` is empty."""
+    name = {"<": "binary_little_endian", ">": "binary_big_endian", "": "ascii"}[order]
+    lines = ["ply", f"format {name} 1.0", "comment made by a test", f"element vertex {vertices}"]
+    lines += [f"property float {axis}" for axis in "xyz"]
+    lines += [f"property uchar {channel}" for channel in ("red", "green", "blue")]
+    lines += [f"element face {len(faces) if count is None else count}"]
+    lines += ["property list uchar int vertex_indices", "property float quality"]
+    if edges:
+        lines += ["element edge 2", "property int vertex1", "property int vertex2"]
+    text = "\n".join([*lines, "end_header\n"])
+    if not order:
+        text += "".join("{} {} {} 3 200 7\n".format(*point) for point in POINTS)
+        text += "".join(f"{len(face)} {' '.join(map(str, face))} 0.5\n" for face in faces)
+        return (text + ("0 1\n2 3\n" if edges else "")).encode()
+    data = b"".join(struct.pack(order + "3f3B", *point, 3, 200, 7) for point in POINTS)
+    data += b"".join(struct.pack(f"{order}B{len(face)}if", len(face), *face, 0.5) for face in faces)
+    return text.encode() + data + (struct.pack(order + "4i", 0, 1, 2, 3) if edges else b"")
+
+
+GOOD = {
+    "little.ply": ply(),
+    "big.ply": ply(MIXED, ">", edges=True),
+    "ascii.ply": ply(MIXED, ""),
+    "edges.ply": ply(TRIANGLES, "", edges=True),
+    "windows.ply": ply(MIXED, "").replace(b"\n", b"\r\n"),
+    "points.ply": ply([], "<"),
+    "more.ply": ply() + b"more than the header states",
+    "room.obj": OBJ,
+    "room.stl": b"of another format",
+}
+
+
+def problem(tmp_path: Path, name: str, content: bytes) -> str:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(FiptError) as error:
+        check_mesh_file(path)
+    assert error.value.code == "mesh-unreadable" and name in error.value.text and error.value.remedy
+    return error.value.text
+
+
+def damage(content: bytes, rng: np.random.Generator) -> bytes:
+    """A few damages: cut off, other bytes or integers, bytes removed or repeated, other numbers in text."""
+    result = bytearray(content)
+    for _ in range(rng.integers(1, 4)):
+        place, kind = int(rng.integers(len(result))), rng.integers(6)
+        if kind == 0:
+            del result[max(place, 1) :]
+        elif kind == 1:
+            result[place] = int(rng.integers(256))
+        elif kind == 2:
+            result[place : place + 4] = struct.pack("<i", int(rng.choice([-1, 2**31 - 1, -(2**31), 10**6])))
+        elif kind == 3:
+            del result[place : place + int(rng.integers(1, 20))]
+        elif kind == 4:
+            result[place:place] = result[place : place + int(rng.integers(1, 30))]
+        else:
+            numbers = list(re.finditer(rb"\d+", bytes(result)))
+            if numbers:
+                number = numbers[int(rng.integers(len(numbers)))]
+                other = [b"-1", b"0", b"9", b"255", b"99999999", b"4294967296", b"1e9", b"nan", b""]
+                result[number.start() : number.end()] = other[int(rng.integers(len(other)))]
+        result = result or bytearray(b"x")
+    return bytes(result)
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_good_files_pass(tmp_path, name):
+    (tmp_path / name).write_bytes(GOOD[name])
+    check_mesh_file(tmp_path / name)
+
+
+@pytest.mark.parametrize("order", ["<", ">", ""])
+@pytest.mark.parametrize("faces", [TRIANGLES, MIXED])
+def test_indices_and_counts_of_ply_are_checked(tmp_path, order, faces):
+    for index in (5, -1, 2**31 - 1):
+        wrong = [*faces[:-1], (0, 1, index)]
+        assert f"the vertex {index}, and there are 5" in problem(tmp_path, "a.ply", ply(wrong, order))
+    for content in (
+        ply(faces, order)[:-20],
+        ply(faces, order, count=4),
+        ply(faces, order, count=2**31 - 1),
+        ply(faces, order, vertices=10**9),
+        ply([*faces, ()], order),
+    ):
+        problem(tmp_path, "a.ply", content)
+
+
+@pytest.mark.parametrize(
+    "old, new",
+    [
+        ("element face", "element face\nelement vertex"),
+        ("ply\n", ""),
+        ("end_header", "end"),
+        ("format", "format ascii 1.0\nformat"),
+        ("property float x\n", ""),
+        ("property float y", "property float x"),
+        ("list uchar int", "list float int"),
+        ("list uchar int", "list uchar float"),
+        ("property list uchar int", "property int"),
+        ("element vertex 5", "element vertex"),
+        ("element vertex 5", "element vertex -5"),
+        ("element vertex 5", "element vertex 99999999999"),
+        ("comment made", "made"),
+    ],
+)
+def test_damaged_headers_of_ply_are_refused(tmp_path, old, new):
+    for order in ("<", ""):
+        content = ply(order=order)
+        assert old.encode() in content
+        problem(tmp_path, "a.ply", content.replace(old.encode(), new.encode(), 1))
+
+
+def test_indices_of_edges_and_of_obj_are_checked(tmp_path):
+    assert "the vertex 9" in problem(
+        tmp_path, "a.ply", ply(MIXED, "", edges=True).replace(b"\n2 3\n", b"\n2 9\n")
+    )
+    for old, new, words in (
+        (b"f 1/", b"f 7/", "the vertex 7, and there are 3"),
+        (b"f 1/", b"f 0/", "the vertex 0"),
+        (b"f -3/", b"f -4/", "the vertex 0"),
+        (b"f 1/", b"f x/", "'x' is no whole number"),
+    ):
+        assert words in problem(tmp_path, "a.obj", OBJ.replace(old, new))
+
+
+@posix
+def test_blender_survives_damaged_meshes(tmp_path, rng):
+    kinds = [name for name in GOOD if name != "room.stl"]
+    for number in range(160):
+        name = kinds[number % len(kinds)]
+        (tmp_path / f"{number:03d}-{name}").write_bytes(damage(GOOD[name], rng))
+    command = [sys.executable, "-c", IMPORT, str(tmp_path)]
+    root = Path(__file__).resolve().parent.parent
+    result = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=120)
+    assert "survived\n" in result.stderr, result.stderr[-500:]

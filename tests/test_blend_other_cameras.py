@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Other views' cameras are hidden while one is looked through, and are shown again as they were."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import pytest
+
+from fipt_blender.blend.capture import other_cameras
+from fipt_blender.blend.marks import LOOKED_PAST, VIEW
+from samples.rendered_rooms import make_scene
+
+OTHER, HELD_BACK = "train/000", "val/000"
+
+
+pytestmark = pytest.mark.usefixtures("registered")
+
+
+@pytest.fixture
+def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> bpy.types.Scene:
+    """A room with four views, of which the artist has hidden one and selected another."""
+    make_scene(tmp_path)
+    scene = bpy.context.scene
+    alignment = bpy.data.objects.new("alignment", None)
+    scene.collection.objects.link(alignment)
+    for name in ("selected", "hidden"):
+        camera = bpy.data.objects.new(name, bpy.data.cameras.new(name))
+        camera[VIEW], camera.parent = name, alignment
+        scene.collection.objects.link(camera)
+    bpy.data.objects["selected"].select_set(True)
+    bpy.data.objects["hidden"].hide_set(True)
+    # Without a window neither do timers run, nor does anything look through a camera unasked.
+    monkeypatch.setattr(
+        other_cameras, "watch", lambda scene: other_cameras.hidden_for.setdefault(scene.name, "")
+    )
+    yield scene
+    other_cameras.hidden_for.clear()
+
+
+def hidden() -> set[str]:
+    return {item.name for item in bpy.context.scene.objects if item.type == "CAMERA" and item.hide_get()}
+
+
+def orbit() -> None:
+    """Leave the camera in all 3D views, as the artist does with the middle mouse button."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.spaces.active.region_3d.view_perspective = "PERSP"
+
+
+def look(name: str) -> None:
+    from fipt_blender.blend.capture import look
+
+    scene = bpy.context.scene
+    scene.camera = bpy.data.objects[name]
+    look.enter_camera(bpy.context, scene)
+    other_cameras.watch(scene)
+    assert other_cameras.tick() is not None
+
+
+def test_other_cameras_are_hidden_while_one_looks_through_a_view(scene):
+    look(HELD_BACK)
+    assert hidden() == {OTHER, "selected", "hidden"}
+    look(OTHER)
+    assert hidden() == {HELD_BACK, "selected", "hidden"}
+    orbit()
+    assert other_cameras.tick() is None
+    assert hidden() == {"hidden"} and bpy.data.objects["selected"].select_get()
+    assert not any(LOOKED_PAST in item for item in scene.objects)
+
+
+def test_cameras_of_the_artist_are_not_hidden(scene):
+    own = bpy.data.objects.new("own", bpy.data.cameras.new("own"))
+    scene.collection.objects.link(own)
+    look(HELD_BACK)
+    assert "own" not in hidden()
+    scene.camera = own
+    other_cameras.tick()
+    assert hidden() == {"hidden"}
+
+
+def test_what_the_artist_shows_stays_shown(scene):
+    look(HELD_BACK)
+    bpy.data.objects[OTHER].hide_set(False)
+    other_cameras.tick()
+    assert OTHER not in hidden()
+    orbit()
+    other_cameras.tick()
+    assert hidden() == {"hidden"}
+
+
+def test_hidden_cameras_follow_the_alignment(scene):
+    look(HELD_BACK)
+    bpy.data.objects["alignment"].location.x = 5.0
+    bpy.context.view_layer.update()
+    assert bpy.data.objects["selected"].matrix_world.translation.x == 5.0
+
+
+def test_files_are_saved_with_all_cameras(scene, tmp_path):
+    look(HELD_BACK)
+    path = str(tmp_path / "saved.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    other_cameras.tick()
+    assert hidden() == {OTHER, "selected", "hidden"}
+    bpy.ops.wm.open_mainfile(filepath=path)
+    assert hidden() == {"hidden"} and not other_cameras.hidden_for
+
+
+def test_undo_brings_the_cameras_back(scene):
+    bpy.ops.ed.undo_push(message="before")
+    look(HELD_BACK)
+    bpy.ops.ed.undo_push(message="something else")
+    bpy.ops.ed.undo()
+    other_cameras.tick()
+    assert hidden() == {OTHER, "selected", "hidden"}
+    orbit()
+    other_cameras.tick()
+    bpy.ops.ed.redo()  # to the state with hidden cameras
+    other_cameras.tick()
+    assert hidden() == {"hidden"}
+
+
+def test_removing_the_add_on_shows_all_cameras(scene):
+    look(HELD_BACK)
+    other_cameras.unregister()
+    assert hidden() == {"hidden"}
+    other_cameras.register()

@@ -1,0 +1,98 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Exporting the room in slices: same result as at once, while the artist works; nothing is left behind."""
+
+from __future__ import annotations
+
+import time
+
+import bpy
+import numpy as np
+import pytest
+
+from fipt_blender.blend.room import exporting
+from fipt_blender.blend.room.originals import set_result_mesh, shows_original
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.shapes import ROOM_ARRAYS
+
+
+@pytest.fixture
+def objects():
+    """A large grid, and some cubes with modifiers and materials."""
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=150, y_subdivisions=150, size=4.0)
+    made = [bpy.context.object]
+    for index in range(5):
+        bpy.ops.mesh.primitive_cube_add(location=(index, 0, 1))
+        item = bpy.context.object
+        item.modifiers.new("Bevel", "BEVEL").width = 0.1
+        item.data.materials.append(bpy.data.materials.new(f"paint {index}"))
+        made.append(item)
+    return made
+
+
+def names() -> dict[str, list[str]]:
+    return {kind: sorted(getattr(bpy.data, kind).keys()) for kind in ("objects", "meshes", "materials")}
+
+
+def test_slices_are_short_and_give_the_same_room(objects):
+    before = names()
+    at_once = exporting.collect_room(objects)
+    slices, times = exporting.collect_slices(objects), []
+    while True:
+        began = time.thread_time()
+        try:
+            next(slices)
+        except StopIteration as end:
+            room = end.value
+            break
+        finally:
+            times.append(time.thread_time() - began)
+        bpy.data.objects.new("the artist's", None)  # may invalidate pointers, not names
+    assert len(times) > len(objects) + 3 and max(times) < 0.2
+    for name in ROOM_ARRAYS:
+        np.testing.assert_array_equal(getattr(room, name), getattr(at_once, name))
+    assert (room.objects, room.materials) == (at_once.objects, at_once.materials)
+    assert names()["meshes"] == before["meshes"]
+
+
+def interrupt(objects, change) -> str:
+    slices = exporting.collect_slices(objects)
+    for _ in range(2):
+        next(slices)
+    change()
+    with pytest.raises(FiptError) as caught:
+        for _ in slices:
+            pass
+    return caught.value.code
+
+
+def test_changing_the_room_meanwhile_is_refused(objects):
+    grid = objects[0].name
+
+    def divide():
+        mesh = bpy.data.objects[grid].data
+        mesh.clear_geometry()
+        mesh.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
+
+    assert interrupt(objects, divide) == "room-changed"
+    assert interrupt(objects, lambda: bpy.data.objects.remove(bpy.data.objects["Cube.001"])) == "room-changed"
+
+
+def test_an_object_in_edit_mode_is_refused(objects):
+    def edit():
+        bpy.context.view_layer.objects.active = bpy.data.objects["Cube.002"]
+        bpy.ops.object.mode_set(mode="EDIT")
+
+    assert interrupt(objects, edit) == "room-edited"
+    bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def test_results_are_not_exported_and_stay_shown(objects):
+    expected = exporting.collect_room(objects)
+    ours = bpy.data.meshes.new("ours")
+    ours.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
+    set_result_mesh(objects[1], ours)
+    room = exporting.collect_room(objects)
+    for name in ROOM_ARRAYS:
+        np.testing.assert_array_equal(getattr(room, name), getattr(expected, name))
+    assert objects[1].data == ours and not shows_original(objects[1])

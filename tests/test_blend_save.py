@@ -1,0 +1,91 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Files that Blender can't write: what the user reads, whatever Blender names as the reason."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import bpy
+import pytest
+
+from fipt_blender.blend import save
+from fipt_blender.blend.pictures import cycles, image_files
+from fipt_blender.core.run.errors import FiptError
+
+
+def saving_fails(path: Path) -> FiptError:
+    path.mkdir(parents=True)  # Blender can't replace a folder
+    with pytest.raises(FiptError) as error:
+        save.save_blend(path)
+    return error.value
+
+
+def fail(number: int):
+    def reserve(folder: Path) -> None:
+        raise OSError(number, os.strerror(number))
+
+    return reserve
+
+
+def test_a_full_disk_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(save, "reserve", fail(errno.ENOSPC))
+    error = saving_fails(tmp_path / "room.blend")
+    assert error.code == "disk-full" and "room.blend" in error.text and "Free some space" in error.remedy
+
+
+def test_a_disk_that_is_nearly_full_is_named(tmp_path, monkeypatch):
+    usage = type("Usage", (), {"free": 3_000_000})
+    monkeypatch.setattr(save.shutil, "disk_usage", lambda folder: usage)
+    error = saving_fails(tmp_path / "room.blend")
+    assert error.code == "disk-full" and "3 MB" in error.text
+
+
+def test_success_is_no_reason(tmp_path):
+    path = tmp_path / "room.blend"
+    for text in ("Error: Success\n", "Error: Permission denied\n"):
+        error = save.write_error(path, RuntimeError(text), "blend-unwritable")
+        assert error.code == "blend-unwritable" and "Success" not in error.text and str(path) in error.text
+    assert "Permission denied" in error.text
+
+
+def test_a_folder_without_permission_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(save, "reserve", fail(errno.EACCES))
+    error = saving_fails(tmp_path / "room.blend")
+    assert error.code == "run-unwritable" and "Permission denied" in error.text
+
+
+def test_nothing_is_left_of_the_probe(tmp_path):
+    save.reserve(tmp_path)
+    assert not list(tmp_path.iterdir())
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    save.save_blend(tmp_path / "room.blend")
+    assert (tmp_path / "room.blend").exists()
+
+
+def test_a_picture_that_was_cut_off_is_no_picture(tmp_path, monkeypatch):
+    path = tmp_path / "a.png"
+
+    def write() -> None:
+        path.write_bytes(b"\x89PNG and a part of the pixels")
+
+    monkeypatch.setattr(save, "reserve", fail(errno.ENOSPC))
+    with pytest.raises(FiptError) as error:
+        image_files.write_image(path, path, write)
+    assert error.value.code == "disk-full"
+
+
+def test_a_render_that_was_cut_off_is_no_render(tmp_path, monkeypatch):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    scene.collection.objects.link(scene.camera)
+    scene.render.resolution_x = scene.render.resolution_y = 8
+    cycles.render_exr(scene, tmp_path / "a.exr", cycles.RenderOptions(1))
+    monkeypatch.setattr(save, "reserve", fail(errno.ENOSPC))
+    with pytest.raises(FiptError) as error:
+        cycles.render_exr(scene, tmp_path / "b.exr", cycles.RenderOptions(1))
+    assert error.value.code == "disk-full"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]

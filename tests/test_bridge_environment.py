@@ -1,0 +1,416 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The engine's environment: pip's output, a real set-up from a folder of wheels, folders."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import errno
+import hashlib
+import io
+import json
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from collections import namedtuple
+from pathlib import Path
+
+import pytest
+
+from fipt_blender.bridge import environment, interpreter, native, pins, pip_bootstrap, places, setup
+from fipt_blender.bridge.pip import PipProgress, pip_error
+from fipt_blender.bridge.plan import Plan
+from fipt_blender.bridge.torch_build import Size
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.lock import hold
+from fipt_blender.core.run.messages import parse_message
+from fipt_blender.core.run.runfolder import RunFolder
+
+HERE = sys.version_info[:2]
+PYTHON = Path(sys.executable)
+
+
+class Listener:
+    """Records the progress of set-up."""
+
+    def __init__(self) -> None:
+        self.stages: list[str] = []
+        self.texts: list[str] = []
+        self.fractions: list[float] = []
+        self.warnings: list[str] = []
+        self.lines: list[str] = []
+
+    def stage(self, name: str, text: str) -> None:
+        self.stages.append(name)
+
+    def detail(self, text: str) -> None:
+        self.texts.append(text)
+
+    def progress(self, stage_fraction: float) -> None:
+        self.fractions.append(stage_fraction)
+
+    def warning(self, code: str, text: str, remedy: str) -> None:
+        self.warnings.append(code)
+
+    def log(self, line: str) -> None:
+        self.lines.append(line)
+
+
+def make_wheel(folder: Path, name: str, version: str, code: str = "VALUE = 7\n") -> Path:
+    """A minimal wheel: a pure Python package with one module."""
+    folder.mkdir(parents=True, exist_ok=True)
+    info = f"{name}-{version}.dist-info"
+    files = {
+        f"{name}.py": code,
+        f"{info}/METADATA": f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n",
+        f"{info}/WHEEL": "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
+    }
+    lines = []
+    for path, text in files.items():
+        digest = base64.urlsafe_b64encode(hashlib.sha256(text.encode()).digest()).rstrip(b"=").decode()
+        lines.append(f"{path},sha256={digest},{len(text.encode())}")
+    files[f"{info}/RECORD"] = "\n".join([*lines, f"{info}/RECORD,,"]) + "\n"
+    wheel = folder / f"{name}-{version}-py3-none-any.whl"
+    with zipfile.ZipFile(wheel, "w") as archive:
+        for path, text in files.items():
+            archive.writestr(path, text)
+    return wheel
+
+
+def make_plan(tmp_path: Path, **changes: object) -> Plan:
+    values = {
+        "folder": tmp_path / "env",
+        "base": PYTHON,
+        "requirements": ["fipttiny==1.0"],
+        "modules": ("fipttiny",),
+        "wheels": tmp_path / "wheels",
+        "key": "k",
+    }
+    return Plan(**{**values, **changes})
+
+
+@pytest.fixture
+def device_works(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Replace the engine's check by one that finds an LLVM, as these environments contain no engine."""
+    found = {"device": "llvm", "llvm": None}
+    monkeypatch.setattr(native, "check_engine", lambda python: (found, FiptError("", "", "")))
+
+
+def test_pips_lines_become_texts_and_a_fraction_that_never_falls(tmp_path: Path) -> None:
+    listener = Listener()
+    progress = PipProgress(tmp_path, 0.2, listener)
+    for line in (
+        "Collecting torch==2.13.0",
+        "  Downloading torch-2.13.0-cp313-cp313-manylinux_2_28_x86_64.whl.metadata (30 kB)",
+        "Downloading torch-2.13.0+cpu-cp313-cp313-manylinux_2_28_x86_64.whl (100.0 MB)",
+        "Progress 50000000 of 100000000",
+        "Progress 100000000 of 100000000",
+        "Using cached mitsuba-3.9.1-cp313-cp313-manylinux_2_28_x86_64.whl (62.6 MB)",
+        "Installing collected packages: torch, mitsuba",
+    ):
+        progress.line(line + "\n")
+    (tmp_path / "torch-2.13.0.dist-info").mkdir()
+    progress.watch()
+    assert listener.texts == [
+        "Downloading: torch 2.13.0+cpu (100.0 MB)",
+        "Taking from pip's cache: mitsuba 3.9.1 (62.6 MB)",
+        "Installing 2 packages",
+    ]
+    assert listener.fractions == sorted(listener.fractions) and listener.fractions[-1] == pytest.approx(0.85)
+    assert listener.fractions[1] == pytest.approx(0.7 / 4)
+    assert not any(line.startswith("Progress") for line in listener.lines)
+
+
+@pytest.mark.parametrize(
+    ("lines", "wheels", "code"),
+    [
+        (
+            ["ERROR: Could not install packages due to an OSError: [Errno 28] No space left"],
+            None,
+            "disk-full",
+        ),
+        (
+            [
+                "WARNING: Retrying after connection broken by 'NewConnectionError(...)'",
+                "ERROR: Could not find a version that satisfies the requirement torch (from versions: none)",
+                "ERROR: No matching distribution found for torch",
+            ],
+            None,
+            "network-missing",
+        ),
+        (["ERROR: No matching distribution found for torch"], None, "packages-failed"),
+        (["ERROR: No matching distribution found for torch"], Path("/wheels"), "wheels-missing"),
+        ([], None, "packages-failed"),
+    ],
+)
+def test_pips_failures_have_words(lines: list[str], wheels: Path | None, code: str, tmp_path: Path) -> None:
+    progress = PipProgress(tmp_path, 1.0, Listener())
+    for line in lines:
+        progress.line(line)
+    error = pip_error(progress, wheels)
+    assert error.code == code and error.text and error.remedy
+
+
+def test_set_up_from_wheels_is_complete_resumed_and_remade(
+    tmp_path: Path, device_works: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_wheel(tmp_path / "wheels", "fipttiny", "1.0")
+    plan = make_plan(tmp_path)
+    (tmp_path / "env").mkdir()
+    (tmp_path / "env" / "half-made").touch()  # an earlier set-up was killed here
+    listener = Listener()
+    environment.set_up(plan, listener)
+    assert listener.stages == ["environment", "packages", "libraries", "llvm"]
+    assert pins.is_set_up(plan.folder, "k") and not (plan.folder / "half-made").exists()
+    answer = subprocess.run(
+        [str(plan.python), "-I", "-c", "import fipttiny; print(fipttiny.VALUE)"], capture_output=True
+    )
+    assert answer.stdout.strip() == b"7"
+    # what is there is kept: a second time nothing is made anew
+    marker = plan.folder / "marker"
+    marker.touch()
+    environment.set_up(plan, Listener())
+    assert marker.exists()
+    # an interpreter that is gone (Blender was updated) has it made anew
+    plan.python.unlink()
+    environment.set_up(plan, Listener())
+    assert not marker.exists() and plan.python.exists()
+
+
+def test_set_up_names_what_the_wheels_lack_and_a_package_that_breaks(
+    tmp_path: Path, device_works: None
+) -> None:
+    make_wheel(tmp_path / "wheels", "fipttiny", "0.9")
+    with pytest.raises(FiptError, match=r"fipttiny==1\.0") as caught:
+        environment.set_up(make_plan(tmp_path), Listener())
+    assert caught.value.code == "wheels-missing"
+    assert not pins.read_stamp(tmp_path / "env")
+    (tmp_path / "env" / pins.STAMP_NAME).write_text(json.dumps({"installed": True}))  # spares making it anew
+    make_wheel(tmp_path / "wheels", "fipttiny", "1.0", "raise ImportError('no libfoo')")
+    with pytest.raises(FiptError, match="no libfoo") as caught:
+        environment.set_up(make_plan(tmp_path), Listener())
+    assert caught.value.code == "package-broken"
+    stamp = pins.read_stamp(tmp_path / "env")
+    assert stamp["installed"] and not stamp["complete"], "mended, it is completed and not made anew"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell script stands for Python")
+def test_python_without_pip_takes_one_from_the_wheels_or_says_how_to_mend_it(
+    tmp_path: Path, device_works: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    base = tmp_path / "bare" / "python3"
+    base.parent.mkdir()
+    # as Debian's without python3-venv: venv works only without pip
+    refuse = 'case "$*" in *"-m venv --without-pip"*) ;; *"-m venv"*) exit 1;; esac'
+    base.write_text(f'#!/bin/sh\n{refuse}\nexec {PYTHON} "$@"\n')
+    base.chmod(0o755)
+    monkeypatch.setattr(pip_bootstrap, "DEBIAN_WHEELS", tmp_path / "none")
+    monkeypatch.setattr(pip_bootstrap, "other_pythons", lambda: iter([]))
+    make_wheel(tmp_path / "wheels", "fipttiny", "1.0")
+    with pytest.raises(FiptError, match="neither pip nor ensurepip") as caught:
+        environment.set_up(make_plan(tmp_path, base=base), Listener())
+    assert caught.value.code == "python-unfit" and not (tmp_path / "env").exists()
+    import ensurepip
+
+    bundled = next((Path(ensurepip.__file__).parent / "_bundled").glob("pip-*.whl"))
+    shutil.copy(bundled, tmp_path / "wheels")
+    environment.set_up(make_plan(tmp_path, base=base), Listener())
+    assert pins.is_set_up(tmp_path / "env", "k")
+
+
+def locked(wheel: Path, digest: str = "") -> str:
+    """The line of a lock for a wheel, with its own hash by default."""
+    name, version = wheel.name.split("-")[:2]
+    return f"{name}=={version} --hash=sha256:{digest or hashlib.sha256(wheel.read_bytes()).hexdigest()}"
+
+
+def test_locked_packages_are_installed_only_with_the_hashes_of_the_lock(
+    tmp_path: Path, device_works: None
+) -> None:
+    tiny = make_wheel(tmp_path / "wheels", "fipttiny", "1.0")
+    other = make_wheel(tmp_path / "wheels", "fiptother", "2.0")
+    lock = (locked(tiny), locked(other, "0" * 64))
+    with pytest.raises(FiptError) as caught:
+        environment.set_up(make_plan(tmp_path, lock=lock), Listener())
+    assert caught.value.code == "package-hash" and "fiptother" in caught.value.text
+    listener = Listener()
+    environment.set_up(make_plan(tmp_path, lock=(locked(tiny), locked(other))), listener)
+    packages = places.site_packages(tmp_path / "env")
+    assert (packages / "fipttiny.py").exists() and (packages / "fiptother.py").exists()
+    assert listener.fractions == sorted(listener.fractions)
+
+
+def test_a_source_archive_is_never_built(tmp_path: Path) -> None:
+    (tmp_path / "wheels").mkdir()
+    with tarfile.open(tmp_path / "wheels" / "fipttiny-1.0.tar.gz", "w:gz") as archive:
+        code = f"open({str(tmp_path / 'ran')!r}, 'w')".encode()
+        info = tarfile.TarInfo("fipttiny-1.0/setup.py")
+        info.size = len(code)
+        archive.addfile(info, io.BytesIO(code))
+    with pytest.raises(FiptError) as caught:
+        environment.set_up(make_plan(tmp_path), Listener())
+    assert caught.value.code == "wheels-missing" and not (tmp_path / "ran").exists()
+
+
+def test_a_large_build_is_asked_for_before_it_is_downloaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device_works: None
+) -> None:
+    """PyTorch's own site can't be reached, and the package index has the build with CUDA alone."""
+    wheels = tmp_path / "wheels"
+    tiny, torch = make_wheel(wheels, "fipttiny", "1.0"), make_wheel(wheels, "torch", "1.0")
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    monkeypatch.setenv("PIP_FIND_LINKS", str(wheels))
+    monkeypatch.setattr(environment, "brings_cuda", lambda plan: True)
+    values = {"requirements": ["fipttiny==1.0", "torch==1.0"], "lock": (locked(tiny),), "wheels": None}
+    plan = make_plan(tmp_path, torch="cpu", **values)
+    listener = Listener()
+    with pytest.raises(FiptError) as caught:
+        environment.set_up(plan, listener)
+    assert caught.value.code == "torch-large" and "3.0 GB" in caught.value.text
+    assert listener.warnings == ["torch-index"]
+    packages = places.site_packages(tmp_path / "env")
+    assert not (packages / torch.name.split("-")[0]).exists() and not (packages / "torch.py").exists()
+    environment.set_up(dataclasses.replace(plan, allow_large=True), Listener())
+    assert (packages / "torch.py").exists() and (packages / "fipttiny.py").exists()
+
+
+def test_little_space_is_seen_beforehand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    usage = namedtuple("usage", "total used free")
+
+    def check(free: int, wheels: Path | None, build: str) -> Listener:
+        monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(free, 0, free))
+        listener = Listener()
+        environment.check_space(make_plan(tmp_path, wheels=wheels), build, listener)
+        return listener
+
+    for free, build in ((1_000_000_000, ""), (1_000_000_000, "cpu"), (7_000_000_000, "cu130")):
+        monkeypatch.setattr(shutil, "disk_usage", lambda path, free=free: usage(free, 0, free))
+        with pytest.raises(FiptError, match=rf"{free // 10**9}\.0 GB are free") as caught:
+            environment.set_up(make_plan(tmp_path, wheels=None, torch=build), Listener())
+        assert caught.value.code == "disk-full" and not (tmp_path / "env").exists()
+    # the package index's own build may be the small one
+    monkeypatch.setitem(environment.SIZES, "", Size(3.0, 9.0))
+    assert check(7_000_000_000, None, "").warnings == ["disk-full"]
+    assert check(9_100_000_000, None, "").warnings == []
+    # a folder's wheels are known: of two versions the larger one counts, unpacked
+    wheels = tmp_path / "wheels"
+    for version, megabytes in (("1.0", 1), ("1.1", 2)):
+        code = "#" * 1_000_000 * megabytes
+        assert make_wheel(wheels, "fipttiny", version, code).stat().st_size > megabytes * 1_000_000
+    (wheels / "broken-1.0-py3-none-any.whl").write_bytes(b"0" * 500_000)
+    assert check(2_502_000, wheels, "").warnings == []
+    with pytest.raises(FiptError) as caught:
+        check(2_500_000, wheels, "")
+    assert caught.value.code == "disk-full"
+
+
+def test_a_base_that_is_no_python_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FiptError) as caught:
+        environment.make_environment(make_plan(tmp_path, base=tmp_path / "gone"))
+    assert caught.value.code == "python-unfit"
+
+
+def test_plans_prefer_what_stands_and_name_a_python_that_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(setup, "other_pythons", lambda: iter([]))
+    plans = setup.make_plans(tmp_path, "auto", None)
+    assert [plan.base for plan in plans] == [PYTHON] and plans[0].folder.parent == tmp_path
+    assert plans[0].requirements == pins.read_pins()["engine"]
+    wheels = tmp_path / "wheels"
+    wheels.mkdir()
+    with pytest.raises(FiptError) as caught:
+        setup.make_plans(tmp_path, "auto", wheels)
+    assert caught.value.code == "wheels-missing"
+    version = next(pin for pin in pins.read_pins()["engine"] if pin.startswith("mitsuba")).partition("==")[2]
+    other = next(each for each in pins.ENGINE_PYTHONS if each != HERE)
+    (wheels / f"mitsuba-{version}-cp{other[0]}{other[1]}-cp{other[0]}{other[1]}-any.whl").touch()
+    with pytest.raises(FiptError, match=rf"Python {other[0]}\.{other[1]}") as caught:
+        setup.make_plans(tmp_path, "auto", wheels)
+    assert caught.value.code == "python-unfit"
+
+
+@pytest.fixture
+def installed(tmp_path: Path) -> list[str]:
+    """The command line of set-up of an installed extension, with one tiny pinned package."""
+    package = tmp_path / "extension"
+    shutil.copytree(places.PACKAGE_FOLDER, package, ignore=shutil.ignore_patterns("__pycache__"))
+    # named as the engine's main package, by which the wheels' Python is recognised
+    groups = {"engine": ["mitsuba==0.0.1"], "llvm": [], "pip": []}
+    (package / pins.PINS_NAME).write_text(json.dumps(groups))
+    command = interpreter.setup_command(PYTHON, tmp_path / "data", "auto", tmp_path / "wheels")
+    wheel = make_wheel(tmp_path / "wheels", "mitsuba", "0.0.1")
+    tag = f"cp{HERE[0]}{HERE[1]}"
+    wheel.rename(wheel.with_name(f"mitsuba-0.0.1-{tag}-none-any.whl"))
+    return [part.replace(str(places.PACKAGE_FOLDER), str(package)) for part in command]
+
+
+def test_child_process_tells_in_messages_and_says_what_is_missing(
+    installed: list[str], tmp_path: Path
+) -> None:
+    result = subprocess.run(installed, capture_output=True, text=True, cwd=tmp_path)
+    messages = [parse_message(line) for line in result.stdout.splitlines()]
+    assert None not in messages, "nothing but messages on stdout"
+    names = [message["name"] for message in messages if message["type"] == "stage"]
+    assert list(dict.fromkeys(names)) == ["environment", "packages", "libraries"]
+    fractions = [message["fraction"] for message in messages if message["type"] == "progress"]
+    assert fractions == sorted(fractions)
+    # the only pinned package is installed; the engine's others are missed
+    assert result.returncode == 1 and messages[-1]["code"] == "package-broken"
+    assert "torch" in messages[-1]["text"] and "pip install" in result.stderr
+    (folder,) = pins.environments(tmp_path / "data")
+    assert pins.read_stamp(folder)["installed"] and not pins.read_stamp(folder)["complete"]
+
+
+def test_second_set_up_in_one_data_folder_waits_its_turn(installed: list[str], tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    data.mkdir()
+    with hold(RunFolder(data), ["set-up"]):
+        result = subprocess.run(installed, capture_output=True, text=True)
+    error = parse_message(result.stdout.splitlines()[-1])
+    assert result.returncode == 1 and error["code"] == "run-busy"
+
+
+def test_data_folder_is_the_platforms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(places.DATA_VARIABLE, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    assert places.default_data_folder() == tmp_path / "fipt_blender"
+    monkeypatch.setattr(sys, "platform", "win32")
+    monkeypatch.setenv("LOCALAPPDATA", str(tmp_path / "local"))
+    assert places.default_data_folder() == tmp_path / "local" / "fipt_blender"
+    monkeypatch.setenv(places.DATA_VARIABLE, str(tmp_path / "named"))
+    assert places.default_data_folder() == tmp_path / "named"
+
+
+def test_run_folders_are_fresh_and_safely_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = (places.new_run_folder(tmp_path, "../Living room: 2?") for _ in range(2))
+    assert first != second and first.parent == second.parent == tmp_path / "runs"
+    assert first.name.startswith("Living-room-2-") and not list(first.iterdir())
+    assert places.new_run_folder(tmp_path, "").name.startswith("run-")
+    (tmp_path / "file").touch()
+    with pytest.raises(FiptError) as caught:
+        places.new_run_folder(tmp_path / "file", "room")
+    assert caught.value.code == "run-unwritable"
+
+    def full(*arguments: object, **options: object) -> None:
+        raise OSError(errno.ENOSPC, "no space")
+
+    monkeypatch.setattr(Path, "mkdir", full)
+    with pytest.raises(FiptError) as caught:
+        places.new_run_folder(tmp_path, "room")
+    assert caught.value.code == "disk-full"
+
+
+def test_stdout_of_set_up_is_for_messages_alone() -> None:
+    stdout = io.StringIO()
+    listener = setup.SetupReporter(stdout)
+    listener.plan((1.0, 1.0))
+    listener.stage("a", "A")
+    listener.detail("more of A")
+    lines = [json.loads(line) for line in stdout.getvalue().splitlines()]
+    assert [line["text"] for line in lines if line["type"] == "stage"] == ["A", "more of A"]
+    assert {line["index"] for line in lines if line["type"] == "stage"} == {0}

@@ -1,0 +1,280 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""An engine without a watching process: its lock, finding it, a full disk, stopping it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from fipt_blender.bridge.attached import AttachedEngine, find_engine
+from fipt_blender.bridge.death import explain_death
+from fipt_blender.bridge.process import EngineProcess
+from fipt_blender.bridge.sequence import Job
+from fipt_blender.bridge.step import Step, StepRecord
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.lock import hold, holder
+from fipt_blender.core.run.parent import PARENT_VARIABLE
+from fipt_blender.core.run.process_identity import host_name, process_start
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.jobs import run_job
+from samples.child_processes import is_alive, posix, wait_for
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# Holds the lock as the engine does, says so, and goes on until the file "stop" appears.
+HOLDER = """
+import json, sys, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from fipt_blender.core.run.lock import hold
+from fipt_blender.core.run.messages import Reporter, claim_stdout
+from fipt_blender.core.run.runfolder import RunFolder
+run, reporter = RunFolder(sys.argv[2]), Reporter(claim_stdout())
+with hold(run, ["estimate", str(run.root)]):
+    reporter.stage("shadings", "Baking")
+    reporter.warning("odd", "Odd.", "Even it.")
+    while not (run.root / "stop").exists():
+        time.sleep(0.02)
+    print("a stray line")
+    reporter.done(["a"], {})
+"""
+
+
+@pytest.fixture
+def engine(run_folder: RunFolder) -> Iterator[EngineProcess]:
+    """An engine that works in `run_folder` as if another Blender had started it."""
+    command = [sys.executable, "-c", HOLDER, str(ROOT), str(run_folder.root)]
+    process = EngineProcess(command, run_folder.log, messages=run_folder.messages("estimate"))
+    wait_for(lambda: find_engine(run_folder))
+    yield process
+    process.cancel()
+
+
+def test_the_lock_keeps_others_out_and_names_its_holder(run_folder, engine):
+    found = holder(run_folder)
+    assert found is not None
+    assert (found.pid, found.command) == (engine.pid, ("estimate", str(run_folder.root)))
+    started = time.monotonic()
+    with pytest.raises(FiptError) as caught, hold(run_folder, ["report"]):
+        pass
+    assert caught.value.code == "run-busy" and time.monotonic() - started < 5.0
+    with pytest.raises(FiptError) as caught:
+        run_job.open_job(run_folder, [])
+    assert caught.value.code == "run-busy"
+
+
+@posix
+def test_the_lock_goes_with_the_process_however_it_ends(run_folder, engine):
+    os.kill(engine.pid, signal.SIGKILL)
+    wait_for(lambda: holder(run_folder) is None)
+    with hold(run_folder, ["report"]):
+        assert holder(run_folder).command == ("report",)
+    assert holder(run_folder) is None
+
+
+def test_an_engine_command_in_a_busy_folder_says_so(run_folder, engine):
+    command = [sys.executable, "-m", "fipt_blender.core", "report", str(run_folder.root)]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert result.returncode == 1
+    message = json.loads(result.stdout.splitlines()[-1])
+    assert (message["type"], message["code"]) == ("error", "run-busy") and message["remedy"]
+
+
+def test_an_engine_that_was_left_is_watched_to_its_end(run_folder, engine):
+    engine.leave()
+    assert engine.poll() == [] and is_alive(engine.pid)
+    attached = AttachedEngine(run_folder, find_engine(run_folder))
+    messages = attached.poll()
+    assert [message["type"] for message in messages] == ["stage", "progress", "warning"]
+    assert attached.running
+    (run_folder.root / "stop").touch()
+    wait_for(lambda: messages.extend(attached.poll()) or not attached.running)
+    assert messages[-1]["type"] == "done" and attached.error is None
+    assert "a stray line" in run_folder.log.read_text()
+
+
+@posix
+def test_an_attached_engine_is_cancelled_within_two_seconds(run_folder, engine):
+    engine.leave()
+    attached = AttachedEngine(run_folder, find_engine(run_folder))
+    started = time.monotonic()
+    attached.cancel()
+    assert time.monotonic() - started < 2.0 and not attached.running
+    wait_for(lambda: not is_alive(engine.pid), 5.0)
+    assert find_engine(run_folder) is None and attached.error is None
+
+
+@posix
+def test_the_death_of_an_attached_engine_is_explained(run_folder, engine):
+    engine.leave()
+    attached = AttachedEngine(run_folder, find_engine(run_folder))
+    os.kill(engine.pid, signal.SIGKILL)
+    messages: list[dict] = []
+    wait_for(lambda: messages.extend(attached.poll()) or not attached.running)
+    assert messages[-1]["code"] == "engine-crashed" and "Resume" in messages[-1]["remedy"]
+
+
+@posix
+def test_a_process_with_the_id_of_a_dead_engine_is_left_alone(run_folder):
+    other = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], start_new_session=True)
+    try:
+        run_folder.messages("estimate").parent.mkdir()
+        run_folder.messages("estimate").touch()
+        run_folder.engine_lock.write_text(json.dumps({"pid": other.pid, "command": ["estimate"]}))
+        assert find_engine(run_folder) is None
+        with hold(run_folder, ["estimate"]):
+            attached = AttachedEngine(run_folder, find_engine(run_folder))
+        run_folder.engine_lock.write_text(json.dumps({"pid": other.pid, "command": ["estimate"]}))
+        attached.cancel()
+        assert other.poll() is None
+    finally:
+        other.kill()
+        other.wait()
+
+
+@posix
+@pytest.mark.parametrize(
+    "other_content", [{"host": "another-machine"}, {"started": "another boot 5"}, {"host": "", "started": ""}]
+)
+def test_a_process_is_left_alone_where_the_engine_runs_on_another_machine(run_folder, engine, other_content):
+    """On storage that machines share, the lock's id may be that of an innocent process here."""
+    content = json.loads(run_folder.engine_lock.read_text())
+    run_folder.engine_lock.write_text(json.dumps({**content, **other_content}))  # still locked
+    found = find_engine(run_folder)
+    assert found is not None and not found.is_here
+    attached = AttachedEngine(run_folder, found)
+    step = Step("estimate", "Estimate", 1.0, command=["estimate"])
+    record = StepRecord(run_folder.root / "steps.json")
+    job = Job([step], record, lambda arguments: attached, run_folder.log, lambda: ([], {}), resume=False)
+    wait_for(lambda: job.advance() is None or job.waits)
+    with pytest.raises(FiptError) as caught:
+        job.request_cancel()
+    assert caught.value.code == "engine-elsewhere" and str(engine.pid) in caught.value.text
+    assert not job.cancelled
+    with pytest.raises(FiptError, match=other_content.get("host") or str(engine.pid)):
+        run_job.refuse_busy(run_folder)
+    attached.request_cancel()
+    attached.poll()
+    job.cancel()
+    assert is_alive(engine.pid) and not attached.running
+
+
+def test_a_process_is_known_by_its_time_of_start(run_folder, engine):
+    found = holder(run_folder)
+    assert found.is_here and found.host == host_name()
+    assert process_start(engine.pid) == found.started != process_start(os.getpid())
+    assert process_start(2**22 + 5) == ""
+
+
+def test_the_command_of_a_lock_names_no_other_file(run_folder):
+    (run_folder.root.parent / "evil.jsonl").touch()
+    run_folder.messages("estimate").parent.mkdir()
+    with hold(run_folder, ["../../evil"]):
+        assert holder(run_folder) is not None and find_engine(run_folder) is None
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"pid": "x", "command": []}', '{"pid": 1}'])
+def test_a_lock_file_of_nonsense_is_nobodys(run_folder, text):
+    run_folder.engine_lock.write_text(text)
+    assert holder(run_folder) is None and find_engine(run_folder) is None
+
+
+def test_a_job_attaches_and_notes_that_its_step_is_finished(run_folder, engine):
+    record = StepRecord(run_folder.root / "steps.json")
+    record.store("estimate", "the key of then", finished=False)
+    steps = [Step("estimate", "Estimating", 1.0, command=["estimate"], reset=lambda: pytest.fail("kept"))]
+    job = run_job.attach_job(run_folder, steps)
+    assert job is not None
+    messages: list[dict] = []
+    for _ in range(5):
+        messages += job.advance()
+    assert "estimate/shadings" in [message.get("name") for message in messages]
+    (run_folder.root / "stop").touch()
+    assert job.run(messages.append) and messages[-1]["type"] == "done"
+    step = json.loads((run_folder.root / "steps.json").read_text())["steps"]["estimate"]
+    assert step["finished"] and step["key"] == "the key of then"
+    assert [warning["code"] for warning in step["warnings"]] == ["odd"]
+    assert run_job.attach_job(run_folder, steps) is None
+
+
+@posix
+def test_a_request_to_cancel_never_waits(run_folder):
+    script = (
+        "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
+        "print('{}', flush=True); time.sleep(60)"
+    )
+    log = run_folder.log
+
+    started_engines = []
+
+    def start(arguments):
+        engine = EngineProcess([sys.executable, "-c", script], log, messages=run_folder.messages("a"))
+        started_engines.append(engine)
+        return engine
+
+    step = Step("a", "A", 1.0, command=["a"])
+    job = Job([step], StepRecord(run_folder.root / "s.json"), start, log, lambda: ([], {}))
+    for _ in range(3):
+        job.advance()
+    (engine,) = started_engines
+    wait_for(lambda: run_folder.messages("a").stat().st_size)
+    started = time.monotonic()
+    job.request_cancel()
+    # Waiting for a child that does not listen would take a second.
+    assert time.monotonic() - started < 0.6 and not job.finished
+    while not job.finished:
+        before = time.monotonic()
+        assert job.advance() == []
+        assert time.monotonic() - before < 0.6
+        time.sleep(0.02)
+    assert time.monotonic() - started < 2.0 and job.cancelled and job.error is None
+    assert not is_alive(engine.pid)
+
+
+@posix
+def test_in_background_the_engine_ends_with_who_started_it(tmp_path):
+    # The child starts the engine's watch in a grandchild and is then killed, as a batch run may be.
+    watch = (
+        f"import sys, time; sys.path.insert(0, {str(ROOT)!r})\n"
+        "from fipt_blender.core.run.parent import end_with_parent\n"
+        "end_with_parent(); time.sleep(60)"
+    )
+    script = (
+        "import os, subprocess, sys, time\n"
+        f"environment = {{**os.environ, {PARENT_VARIABLE!r}: str(os.getpid())}}\n"
+        f"child = subprocess.Popen([sys.executable, '-c', {watch!r}], env=environment)\n"
+        "print(child.pid, flush=True); time.sleep(60)"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    engine = int(parent.stdout.readline())
+    time.sleep(1.5)
+    assert is_alive(engine)
+    parent.kill()
+    parent.wait()
+    parent.stdout.close()
+    wait_for(lambda: not is_alive(engine), 10.0)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is always full")
+def test_an_engine_whose_last_words_do_not_fit_on_the_disk_is_understood(run_folder):
+    command = [sys.executable, "-m", "fipt_blender.core", "report", str(run_folder.root)]
+    with open("/dev/full", "w") as full:
+        result = subprocess.run(command, cwd=ROOT, stdout=full, stderr=subprocess.DEVNULL, check=False)
+    assert explain_death(result.returncode)["code"] == "disk-full"
+
+
+def test_running_out_of_memory_is_told_from_a_crash():
+    for line in ("torch.OutOfMemoryError: CUDA out of memory.", "terminate called: std::bad_alloc"):
+        assert explain_death(-6, line)["code"] == "out-of-memory"
+    assert explain_death(-6, "assertion failed")["code"] == "engine-crashed"
+    assert "exit status" not in explain_death(None)["text"]

@@ -1,0 +1,229 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Damaged and hostile captures: each ends with a clear error within bounded time and memory."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from benchmarks import fuzz, fuzz_samples
+from fipt_blender.core.capture import colmap_sizes, images, ingest
+from fipt_blender.core.capture.formats import read_rig
+from fipt_blender.core.capture.rig import ReadOptions, RigView, view_name
+from fipt_blender.core.capture.views import load_capture
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder
+
+COLMAP_FILES = ("cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin")
+
+
+def error_of(read, *arguments) -> FiptError:
+    with pytest.raises(FiptError) as caught:
+        read(*arguments)
+    return caught.value
+
+
+# -------------------------------------------------------------------------------------------------- COLMAP
+
+
+@pytest.mark.parametrize("name", COLMAP_FILES)
+def test_a_colmap_file_cut_off_anywhere_is_refused(tmp_path: Path, name: str) -> None:
+    fuzz_samples.write_colmap(tmp_path, text=False)
+    model = tmp_path / "sparse" / "0"
+    data = (model / name).read_bytes()
+    colmap_sizes.check_model(model)
+    for length in range(len(data)):
+        (model / name).write_bytes(data[:length])
+        with pytest.raises(ValueError, match=rf"^{name} is cut off"):
+            colmap_sizes.check_model(model)
+    (model / name).write_bytes(data + b"\0")
+    with pytest.raises(ValueError, match="1 bytes more"):
+        colmap_sizes.check_model(model)
+
+
+@pytest.mark.parametrize("length", [0, 8, -4, -24])
+def test_a_cut_off_colmap_model_is_a_damaged_rig(tmp_path: Path, length: int) -> None:
+    fuzz_samples.write_colmap(tmp_path, text=False)
+    for name in COLMAP_FILES:
+        path = tmp_path / "sparse" / "0" / name
+        data = path.read_bytes()
+        path.write_bytes(data[: length % len(data)])
+        error = error_of(read_rig, tmp_path, "colmap", ReadOptions())
+        assert error.code == "rig-damaged" and name in error.text
+        path.write_bytes(data)
+
+
+def test_a_count_beyond_the_file_is_refused_at_once(tmp_path: Path) -> None:
+    fuzz_samples.write_colmap(tmp_path, text=False)
+    path = tmp_path / "sparse" / "0" / "points3D.bin"
+    path.write_bytes(struct.pack("<Q", 2**63) + path.read_bytes()[8:])
+    assert error_of(read_rig, tmp_path, "colmap", ReadOptions()).code == "rig-damaged"
+
+
+def test_a_folder_named_by_a_digit_that_is_no_number_is_no_model(tmp_path: Path) -> None:
+    fuzz_samples.write_colmap(tmp_path, text=True)
+    (tmp_path / "sparse" / "0").rename(tmp_path / "sparse" / "1")
+    (tmp_path / "sparse" / "²").mkdir()
+    fuzz_samples.write_colmap(tmp_path / "other", text=True)
+    for path in (tmp_path / "other" / "sparse" / "0").iterdir():
+        path.rename(tmp_path / "sparse" / "²" / path.name)
+    assert error_of(read_rig, tmp_path, "auto", ReadOptions()).code == "format-unknown"
+    (tmp_path / "sparse" / "1").rename(tmp_path / "sparse" / "0")
+    assert len(read_rig(tmp_path, "auto", ReadOptions()).views) == 3
+
+
+# ---------------------------------------------------------------------------------------------------- JSON
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"train_filenames": 5}, "train_filenames"),
+        ({"frames": 5}, "frames"),
+        ({"frames": [[]]}, r"frames\[0\]"),
+        ({"w": [12]}, "w should be"),
+        ({"fl_x": "9"}, "fl_x"),
+        ({"fl_x": float("nan")}, "fl_x"),
+        ({"up_axis": ["z"]}, "up_axis"),
+        ({"w": 1e30}, "w should be"),
+    ],
+)
+def test_wrong_types_in_transforms_are_named(tmp_path: Path, change: dict, text: str) -> None:
+    fuzz_samples.write_transforms(tmp_path)
+    data = json.loads((tmp_path / "transforms.json").read_text())
+    (tmp_path / "transforms.json").write_text(json.dumps({**data, **change}))
+    error = error_of(read_rig, tmp_path, "transforms", ReadOptions())
+    assert error.code == "rig-damaged"
+    assert re.search(text, error.text), error.text
+
+
+def test_nan_in_a_field_that_nobody_reads_does_no_harm(tmp_path: Path) -> None:
+    fuzz_samples.write_transforms(tmp_path)
+    data = json.loads((tmp_path / "transforms.json").read_text())
+    (tmp_path / "transforms.json").write_text(json.dumps({**data, "depth_scale": float("nan")}))
+    assert len(read_rig(tmp_path, "transforms", ReadOptions()).views) == 3
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may read everything")
+def test_a_folder_without_permission_is_named(tmp_path: Path) -> None:
+    fuzz_samples.write_transforms(tmp_path)
+    (tmp_path / "images").chmod(0)
+    try:
+        assert error_of(read_rig, tmp_path, "transforms", ReadOptions()).code == "capture-unreadable"
+    finally:
+        (tmp_path / "images").chmod(0o700)
+
+
+def test_a_refusal_of_the_system_is_an_error_with_a_remedy(tmp_path: Path, monkeypatch) -> None:
+    fuzz_samples.write_transforms(tmp_path)
+
+    def refuse(self: Path) -> bool:
+        raise PermissionError(13, "Permission denied", str(self))
+
+    monkeypatch.setattr(Path, "is_file", refuse)
+    error = error_of(read_rig, tmp_path, "auto", ReadOptions())
+    assert error.code == "capture-unreadable" and "Permission denied" in error.text
+
+
+# --------------------------------------------------------------------------------------------------- names
+
+
+def named(*names: str) -> list[str]:
+    views = tuple(
+        RigView(name, None, Path("a.exr"), 1, 1, fuzz_samples.PINHOLE, np.eye(4), None, None)
+        for name in names
+    )
+    return [view.name for view in ingest.unique_names(views)]
+
+
+def test_made_up_names_never_meet_given_ones() -> None:
+    assert named("a", "a", "a~2") == ["a", "a~2", "a~2~2"]
+    assert named("a~2", "a", "a") == ["a~2", "a", "a~3"]
+    assert named("a", "A", "b") == ["a", "A~2", "b"]
+
+
+@pytest.mark.parametrize(
+    "name", ["a\0b", "\ud800", "x" * 300, "ä" * 300, "a\nb", "/".join("abcdefghijkl" * 30)]
+)
+def test_names_can_be_names_of_files(tmp_path: Path, name: str) -> None:
+    path = tmp_path / f"{view_name(name + '.png')}.exr"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(b"")
+    assert path.is_file() and path.is_relative_to(tmp_path)
+
+
+def test_long_names_stay_different() -> None:
+    assert view_name("x" * 300 + "1.png") != view_name("x" * 300 + "2.png")
+    assert view_name("images/frame_0001.png") == "images/frame_0001"
+
+
+# -------------------------------------------------------------------------------------------------- images
+
+
+def png(path: Path, width: int, height: int) -> None:
+    """A PNG of one grey value, small on the disk whatever its size."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    rows = zlib.compress(bytes((width + 1) * height), 9)
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    signature = b"\x89PNG\r\n\x1a\n"
+    path.write_bytes(signature + chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b""))
+
+
+def test_only_png_is_read_from_png_files(tmp_path: Path) -> None:
+    path = tmp_path / "ids.png"
+    for content in (b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", b"\xff\xd8\xff\xe0" + bytes(64)):
+        path.write_bytes(content)
+        assert error_of(images.read_ids, path).code == "image-unreadable"
+        assert error_of(images.read_size, path).code == "image-unreadable"
+
+
+def test_a_large_mask_is_read_and_a_huge_one_refused(tmp_path: Path, monkeypatch) -> None:
+    path = tmp_path / "ids.png"
+    monkeypatch.setattr(images.Image, "MAX_IMAGE_PIXELS", 1000)
+    png(path, 100, 90)
+    assert images.read_ids(path).shape == (90, 100)
+    monkeypatch.setattr(images, "MOST_PIXELS", 8000)
+    assert error_of(images.read_ids, path).code == "image-too-large"
+    assert error_of(images.read_size, path).code == "image-too-large"
+
+
+def test_an_exr_of_few_bytes_does_not_take_gigabytes(tmp_path: Path) -> None:
+    path = tmp_path / "a.exr"
+    pixels = {name: np.zeros((2, 2), np.float16) for name in "RGB"}
+    window = (np.array([0, 0], np.int32), np.array([12_000, 12_000], np.int32))
+    header = {"displayWindow": window, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, pixels).write(str(path))
+    for read in (images.read_radiance, images.read_ids, images.read_size):
+        assert error_of(read, path).code == "image-unreadable"
+    window = (np.array([0, 0], np.int32), np.array([30_000, 30_000], np.int32))
+    OpenEXR.File({**header, "displayWindow": window}, pixels).write(str(path))
+    for read in (images.read_radiance, images.read_ids, images.read_size):
+        assert error_of(read, path).code == "image-too-large"
+
+
+def test_a_photograph_replaced_by_another_size_is_named(tmp_path: Path) -> None:
+    fuzz_samples.write_capture(tmp_path)
+    view = load_capture(RunFolder(tmp_path)).views[0]
+    images.write_exr(view.image, np.zeros((4, 6, 3)))
+    error = error_of(view.radiance)
+    assert error.code == "image-size" and "6 x 4" in error.text and "12 x 8" in error.text
+
+
+# ----------------------------------------------------------------------------------------------- mutations
+
+
+def test_mutated_captures_never_crash_hang_or_touch_other_files() -> None:
+    failures = fuzz.run_inputs(fuzz_samples.TARGETS, inputs=360, seed=7, keep=None)
+    assert not failures, failures[:3]

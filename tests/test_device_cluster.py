@@ -1,0 +1,297 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Work on views by a Dask cluster: the same bits even if workers die, and clear errors."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+import pytest
+from distributed import Client, LocalCluster
+
+from fipt_blender import cli
+from fipt_blender.bridge.step import chain_keys
+from fipt_blender.core.capture.views import View
+from fipt_blender.core.device import cluster
+from fipt_blender.core.estimate import command, stages
+from fipt_blender.core.material import training
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.messages import Reporter
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.scene.pixels import Tracing
+from fipt_blender.jobs.main_job import estimate_step
+from samples.small_captures import (
+    CAMERAS,
+    COLORS,
+    PANEL,
+    PANEL_RADIANCE,
+    PANEL_TRIANGLES,
+    SmallCapture,
+    matt,
+    photograph_room,
+    pinhole,
+    write_run,
+)
+from samples.small_rooms import BOX, make_room, table
+
+ROOT = Path(__file__).resolve().parent.parent
+# Every stage, and next to no training: that is not shared.
+LITTLE = {
+    "training_steps": 2, "later_training_steps": 2, "roughness_levels": 3, "diffuse_spp": 4, "light_spp": 4,
+    "refine_diffuse_spp": 4, "refine_light_spp": 4, "refine_depth": 2,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def three() -> Iterator[LocalCluster]:
+    """A cluster of three processes."""
+    with LocalCluster(n_workers=3, threads_per_worker=1, dashboard_address=":0") as found:
+        yield found
+
+
+@pytest.fixture
+def empty() -> Iterator[LocalCluster]:
+    """A scheduler without workers."""
+    with LocalCluster(n_workers=0, processes=True, dashboard_address=":0") as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def capture() -> SmallCapture:
+    room = make_room([*BOX, PANEL], parts="objects", objects=np.arange(7))
+    colors = np.repeat(np.array([*COLORS, [0.0] * 3]), 2, axis=0)
+    lamps = table(PANEL_TRIANGLES, PANEL_RADIANCE)
+    return photograph_room(room, matt(colors), lamps, cameras=[*CAMERAS, *CAMERAS], spp=16)
+
+
+def views(capture: SmallCapture) -> list[View]:
+    return [
+        View(str(i), "train", Path("none.exr"), **vars(pinhole(pose))) for i, pose in enumerate(capture.poses)
+    ]
+
+
+class Watch(Reporter):
+    """Calls a function once during a stage."""
+
+    def __init__(self, stage: str, action: Callable[[], None]) -> None:
+        super().__init__()
+        self._name, self._action, self._current = stage, action, ""
+        self.acted = False
+
+    def stage(self, name: str, text: str) -> None:
+        self._current = name
+        super().stage(name, text)
+
+    def progress(self, stage_fraction: float, *arguments, **options) -> None:
+        super().progress(stage_fraction, *arguments, **options)
+        if self._current == self._name and 0.0 < stage_fraction < 1.0 and not self.acted:
+            self.acted = True
+            self._action()
+
+
+def estimated(root: Path, capture: SmallCapture, address: str | None, reporter: Reporter) -> RunFolder:
+    run = write_run(root, capture, **LITTLE)
+    command.run(argparse.Namespace(run=run.root, cluster=address), reporter)
+    return run
+
+
+def files(run: RunFolder) -> dict[str, bytes]:
+    """The bytes of all files with data per pixel, and of the emitters."""
+    found = [*run.stage.glob("*/*.npy"), run.emitters_json]
+    return {path.relative_to(run.root).as_posix(): path.read_bytes() for path in found}
+
+
+def kill_a_busy_worker(address: str) -> None:
+    """Like a machine that is switched off while it works on views."""
+    with Client(address, set_as_default=False) as client:
+        busy = [worker for worker, keys in client.processing().items() if keys]
+        pids = client.run(os.getpid)
+    os.kill(pids[busy[0]], signal.SIGKILL)
+
+
+def test_a_cluster_finds_the_same_bits_though_a_worker_is_killed(
+    three: LocalCluster, capture: SmallCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (stages, training):
+        monkeypatch.setattr(module, "PRETRAINING_STEPS", 2)
+    here = files(estimated(tmp_path / "here", capture, None, Reporter()))
+    watch = Watch("refinement-1", lambda: kill_a_busy_worker(three.scheduler_address))
+    there = files(estimated(tmp_path / "there", capture, three.scheduler_address, watch))
+    assert watch.acted
+    assert here.keys() == there.keys() and len(here) == 13
+    assert [name for name in here if here[name] != there[name]] == []
+    with Client(three.scheduler_address, set_as_default=False) as client:
+        assert client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks)) == 0  # all released
+
+
+@pytest.mark.parametrize(
+    "name, value, text",
+    [("PRODUCT_VERSION", "99.0", "99.0"), ("method_digest", lambda: "another source", "another source")],
+)
+def test_a_worker_of_another_version_or_method_is_named(
+    three: LocalCluster,
+    capture: SmallCapture,
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    value: object,
+    text: str,
+) -> None:
+    monkeypatch.setattr(cluster, name, value)
+    with (
+        cluster.workers_at(three.scheduler_address) as workers,
+        pytest.raises(FiptError) as caught,
+    ):
+        list(workers.map(Tracing(capture.room), views(capture)))
+    assert caught.value.code == "cluster-worker-unfit" and caught.value.remedy
+    assert text in caught.value.text and "mitsuba" in caught.value.text
+
+
+def test_a_worker_without_the_engine_is_named_at_once(
+    empty: LocalCluster, capture: SmallCapture, tmp_path: Path
+) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "dask",
+        "worker",
+        empty.scheduler_address,
+        "--no-nanny",
+        "--no-dashboard",
+    ]
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    with (
+        subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.DEVNULL) as worker,
+        cluster.workers_at(empty.scheduler_address) as workers,
+    ):
+        try:
+            with Client(empty.scheduler_address, set_as_default=False) as client:
+                client.wait_for_workers(1, timeout=60)
+            with pytest.raises(FiptError) as caught:
+                list(workers.map(Tracing(capture.room), views(capture)))
+        finally:
+            worker.terminate()
+    assert caught.value.code == "cluster-worker-unfit" and "fipt_blender" in caught.value.text
+    assert "worker at tcp://" in caught.value.text and "architecture.md" in caught.value.remedy
+
+
+def test_a_scheduler_without_workers(
+    empty: LocalCluster, capture: SmallCapture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster, "WORKERS_SECONDS", 0.5)
+    monkeypatch.setattr(cluster, "POLL_SECONDS", 0.2)
+    taken = []
+
+    def items() -> Iterator[View]:
+        for view in views(capture):
+            taken.append(view)
+            yield view
+
+    with cluster.workers_at(empty.scheduler_address) as workers, pytest.raises(FiptError) as caught:
+        list(workers.map(Tracing(capture.room), items()))
+    assert caught.value.code == "cluster-no-worker" and "Start workers" in caught.value.remedy
+    assert 0 < len(taken) < len(views(capture)) / 2  # the rest was never read
+
+
+def test_a_scheduler_that_dies(empty: LocalCluster, capture: SmallCapture, monkeypatch) -> None:
+    def items() -> Iterator[View]:
+        yield views(capture)[0]
+        empty.close()
+        yield views(capture)[1]
+
+    with cluster.workers_at(empty.scheduler_address) as workers, pytest.raises(FiptError) as caught:
+        list(workers.map(Tracing(capture.room), items()))
+    assert caught.value.code == "cluster-lost" and "resume" in caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    "address", ["tcp://127.0.0.1:9", "nonsense://x", "tcp://no.such.host.invalid:8786", ""]
+)
+def test_an_address_where_nothing_answers(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)
+    started = time.monotonic()
+    with pytest.raises(FiptError) as caught, cluster.workers_at(address):
+        pass
+    assert caught.value.code == "cluster-unreachable" and repr(address) in caught.value.text
+    assert time.monotonic() - started < 5.0
+
+
+def test_a_name_server_that_never_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, done = [], threading.Event()
+
+    def wait(host: str, *arguments, **options) -> NoReturn:
+        asked.append(host)
+        done.wait(60)
+        raise OSError("at last")
+
+    monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)
+    monkeypatch.setattr(socket, "getaddrinfo", wait)
+    started = time.monotonic()
+    with pytest.raises(FiptError) as caught, cluster.workers_at("tcp://a.host.invalid:8786"):
+        pass
+    seconds = time.monotonic() - started
+    done.set()
+    assert asked == ["a.host.invalid"] and seconds < 5.0
+    assert caught.value.code == "cluster-unreachable" and "no answer within" in caught.value.text
+
+
+def test_a_scheduler_that_goes_after_it_has_answered(
+    three: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone(*arguments, **options) -> NoReturn:
+        raise TimeoutError("gone")
+
+    monkeypatch.setattr("distributed.Client", gone)
+    with pytest.raises(FiptError) as caught, cluster.workers_at(three.scheduler_address):
+        pass
+    assert caught.value.code == "cluster-unreachable" and "gone" in caught.value.text
+
+
+def test_no_client_is_left_to_be_collected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The __del__ of a client that never connected may block any thread forever."""
+    monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)
+    made = []
+    monkeypatch.setattr(Client, "__init__", lambda self, *arguments, **options: made.append(arguments))
+    for address in ("tcp://127.0.0.1:9", "nonsense://x", ""):
+        with pytest.raises(FiptError), cluster.workers_at(address):
+            pass
+    assert not made
+
+
+def test_the_address_reaches_the_engine_and_makes_no_result_stale(tmp_path: Path) -> None:
+    arguments = cli.make_parser().parse_args(["estimate", "room", "--cluster", "tcp://host:8786"])
+    options = cli.make_options(arguments)
+    assert options.cluster == "tcp://host:8786"
+    run = RunFolder(tmp_path)
+    steps = [estimate_step(run, options.settings, cluster=address) for address in (options.cluster, None)]
+    assert "--cluster=tcp://host:8786" in steps[0].command
+    assert steps[1].command == ["estimate", str(run.root)]
+    assert chain_keys(steps[:1]) == chain_keys(steps[1:])
+
+
+def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(FiptError) as caught, cluster.workers_at("tcp://127.0.0.1:9"):
+        pass
+    assert caught.value.code == "package-missing" and "pip install distributed" in caught.value.remedy
+
+
+def test_without_an_address_dask_is_not_imported() -> None:
+    code = (
+        "import sys\n"
+        "from fipt_blender.core.estimate import command\n"
+        "with command.workers_at(None) as workers:\n"
+        "    assert type(workers).__name__ == 'LocalWorkers'\n"
+        "assert not {'dask', 'distributed'} & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)

@@ -1,0 +1,239 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""LLVM and variants: order of candidates, libraries that abort, cached verdicts, the engine's interpreter."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fipt_blender.bridge import interpreter, places
+from fipt_blender.core.device import check, llvm, probe, variant
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.messages import Reporter, parse_message
+
+ROOT = Path(__file__).resolve().parent.parent
+PYTHON = Path(sys.executable)
+linux = pytest.mark.skipif(sys.platform != "linux", reason="uses a shell script and Linux' library names")
+
+
+def make_library(folder: Path, name: str) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / name).write_bytes(name.encode())
+    return folder / name
+
+
+def fake_python(folder: Path, script: str) -> Path:
+    """An interpreter that records each start and then runs a shell script."""
+    folder.mkdir(parents=True, exist_ok=True)
+    python = folder / "python"
+    python.write_text(f'#!/bin/sh\necho "$DRJIT_LIBLLVM_PATH" >> "{folder}/starts"\n{script}\n')
+    python.chmod(python.stat().st_mode | stat.S_IXUSR)
+    return python
+
+
+def starts(python: Path) -> list[str]:
+    file = python.parent / "starts"
+    return file.read_text().split() if file.exists() else []
+
+
+@pytest.mark.parametrize(
+    ("path", "version"),
+    [
+        ("/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1", 19),
+        ("/usr/lib/x86_64-linux-gnu/libLLVM-14.0.6.so.1", 14),
+        ("/usr/lib/x86_64-linux-gnu/libLLVM-15.so.1", 15),
+        ("/usr/lib/llvm-17/lib/libLLVM.so", 17),
+        ("/opt/homebrew/Cellar/llvm@20/20.1.8/lib/libLLVM.dylib", 20),
+        ("/opt/homebrew/Cellar/llvm/21.1.0/lib/libLLVM.dylib", 21),
+        ("/somewhere/libLLVM.so", 0),
+    ],
+)
+def test_version_from_name(path: str, version: int) -> None:
+    assert llvm.library_version(Path(path)) == version
+
+
+def test_order_prefers_good_versions_and_counts_links_once(tmp_path: Path) -> None:
+    names = [f"libLLVM{end}" for end in ("-14.so.1", "-99.so.1", ".so.17.0", ".so.20.1", ".so", "-15.so")]
+    libraries = [make_library(tmp_path, name) for name in names]
+    link = tmp_path / "libLLVM-20.so"
+    link.symlink_to(libraries[3])
+    ordered = [path.name for path in llvm.order_candidates([*libraries, link, tmp_path / "libLLVM-21.so"])]
+    assert ordered == [names[3], names[2], names[1], names[4], names[5], names[0]]
+
+
+def test_named_library_and_own_folder_lead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    own = make_library(tmp_path / "env" / "llvm", "libLLVM.so.19.1")
+    named = make_library(tmp_path, "libLLVM-14.so")
+    system = make_library(tmp_path / "system", "libLLVM.so.21.0")
+    monkeypatch.setattr(llvm, "system_patterns", lambda: iter([(tmp_path / "system", "libLLVM*")]))
+    monkeypatch.setattr(llvm.sys, "platform", "linux")
+    monkeypatch.setenv(llvm.LLVM_VARIABLE, str(named))
+    candidates = llvm.llvm_candidates(tmp_path / "env" / "bin" / "python")
+    assert candidates == [named, own, system]
+    assert llvm.companions(system) == []
+
+
+@linux
+def test_aborting_library_is_survived_and_the_next_one_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bad = make_library(tmp_path / "lib", "libLLVM.so.20.1")
+    good = make_library(tmp_path / "lib", "libLLVM.so.19.1")
+    abort = 'case "$DRJIT_LIBLLVM_PATH" in *20.1) kill -ABRT $$;; esac'
+    python = fake_python(tmp_path / "bin", f"echo {probe.IMPORTED}; {abort}; echo {probe.PASSED}")
+    monkeypatch.delenv(llvm.LLVM_VARIABLE, raising=False)
+    monkeypatch.setattr(llvm, "system_patterns", lambda: iter([]))
+    assert llvm.find_llvm(python, tmp_path / "cache") == good
+    assert starts(python) == [str(bad), str(good)]
+    assert llvm.find_llvm(python, tmp_path / "cache") == good
+    assert len(starts(python)) == 2, "verdicts are remembered"
+    os.utime(good, ns=(1, 1))
+    llvm.find_llvm(python, tmp_path / "cache")
+    assert starts(python)[2:] == [str(good)], "a changed library is tried again"
+
+
+@linux
+def test_no_working_library_names_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bad = make_library(tmp_path / "lib", "libLLVM.so.18.1")
+    python = fake_python(tmp_path / "bin", f"echo {probe.IMPORTED}; kill -ABRT $$")
+    monkeypatch.delenv(llvm.LLVM_VARIABLE, raising=False)
+    monkeypatch.setattr(llvm, "system_patterns", lambda: iter([]))
+    monkeypatch.setattr(llvm.platform, "freedesktop_os_release", lambda: {"ID": "debian"})
+    with pytest.raises(FiptError) as caught:
+        llvm.find_llvm(python, tmp_path / "cache")
+    assert caught.value.code == "llvm-missing"
+    assert str(bad) in caught.value.text and "signal 6" in caught.value.text
+    assert "apt-get install libllvm19" in caught.value.remedy
+
+
+@linux
+def test_kills_and_missing_packages_are_no_verdict_on_the_library(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_library(tmp_path / "lib", "libLLVM.so.19.1")
+    monkeypatch.delenv(llvm.LLVM_VARIABLE, raising=False)
+    monkeypatch.setattr(llvm, "system_patterns", lambda: iter([]))
+    python = fake_python(tmp_path / "bin", f"echo {probe.IMPORTED}; kill -KILL $$")
+    for _ in range(2):
+        with pytest.raises(FiptError, match="signal 9"):
+            llvm.find_llvm(python, tmp_path / "cache")
+    assert len(starts(python)) == 2
+    python = fake_python(tmp_path / "bin", 'echo "ModuleNotFoundError: No module named mitsuba"; exit 1')
+    with pytest.raises(FiptError) as caught:
+        llvm.find_llvm(python, tmp_path / "cache")
+    assert caught.value.code == "package-missing"
+
+
+def test_unusable_cache_costs_nothing_but_time(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("no folder")
+    assert llvm.remembered("key", lambda: llvm.Verdict(True, ""), blocked).works
+    (tmp_path / "devices.json").write_text("{damaged")
+    assert llvm.remembered("key", lambda: llvm.Verdict(True, ""), tmp_path).works
+    assert json.loads((tmp_path / "devices.json").read_text())["key"]["works"] is True
+
+
+def test_real_library_is_found_and_wrong_ones_refused(tmp_path: Path) -> None:
+    library = llvm.find_llvm(PYTHON)
+    assert llvm.try_variant(PYTHON, "llvm_ad_rgb", library).works
+    verdict = llvm.try_variant(PYTHON, "llvm_ad_rgb", make_library(tmp_path, "libLLVM.so.19.1"))
+    assert not verdict.works and verdict.reason
+
+
+def test_variant_is_set_once_and_bad_devices_are_refused() -> None:
+    current = variant.set_variant("llvm")
+    assert current == "llvm_ad_rgb"
+    assert variant.set_variant("auto") == variant.set_variant("llvm") == current
+    assert variant.torch_device() == "cpu"
+    with pytest.raises(FiptError) as caught:
+        variant.set_variant("tpu")
+    assert caught.value.code == "setting-invalid"
+
+
+def test_cuda_without_a_driver_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(variant, "cuda_driver_version", lambda: None)
+    with pytest.raises(FiptError) as caught:
+        variant.set_variant("cuda")
+    assert caught.value.code == "cuda-missing" and "driver" in caught.value.text
+
+
+def test_check_reports_devices_and_packages() -> None:
+    stream = io.StringIO()
+    check.run(argparse.Namespace(device="auto", gpu=""), Reporter(stream))
+    messages = [parse_message(line) for line in stream.getvalue().splitlines()]
+    data = messages[-1]["data"]
+    assert messages[-1]["type"] == "done" and data["ready"] is True
+    assert data["device"] in ("cuda", "llvm") and data["oidn"] is True
+    assert data["packages"]["mitsuba"] and data["cores"] >= 1
+
+
+def test_engine_starts_isolated_from_any_folder(tmp_path: Path) -> None:
+    (tmp_path / "torch.py").write_text("raise SystemExit('the working directory reached the engine')")
+    command = interpreter.engine_command(PYTHON, "--help")
+    environment = interpreter.engine_environment(PYTHON)
+    result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert result.returncode == 0 and result.stdout == "" and "estimate" in result.stderr
+
+
+def test_engine_python_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(interpreter.PYTHON_VARIABLE, raising=False)
+    monkeypatch.setattr(interpreter, "PACKAGE_FOLDER", tmp_path / "no" / "checkout")
+    monkeypatch.setenv(places.DATA_VARIABLE, str(tmp_path / "data"))
+    assert interpreter.find_engine_python() == PYTHON
+    assert interpreter.find_engine_python(str(PYTHON)) == PYTHON
+    assert interpreter.find_engine_python(managed=[PYTHON.parent.parent]) == PYTHON
+    monkeypatch.setenv(interpreter.PYTHON_VARIABLE, str(tmp_path / "gone"))
+    with pytest.raises(FiptError) as caught:
+        interpreter.find_engine_python()
+    assert caught.value.code == "engine-missing" and interpreter.PYTHON_VARIABLE in caught.value.text
+    assert interpreter.find_engine_python(str(PYTHON)) == PYTHON, "an argument comes first"
+
+
+@linux
+def test_engine_python_without_packages_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(interpreter.PYTHON_VARIABLE, raising=False)
+    bare = fake_python(tmp_path / "bin", 'echo "3.11.0 lacks mitsuba"; exit 1')
+    monkeypatch.setenv(places.DATA_VARIABLE, str(tmp_path / "data"))
+    with pytest.raises(FiptError, match="lacks mitsuba"):
+        interpreter.find_engine_python(str(bare))
+    monkeypatch.setattr(interpreter, "PACKAGE_FOLDER", tmp_path / "no" / "checkout")
+    monkeypatch.setattr(interpreter.sys, "executable", str(bare))
+    with pytest.raises(FiptError) as caught:
+        interpreter.find_engine_python()
+    assert caught.value.code == "engine-missing" and interpreter.PYTHON_VARIABLE in caught.value.remedy
+
+
+def test_engine_environment_is_clean(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("PYTHONHOME", "PYTHONPATH", "PYTHONSTARTUP"):
+        monkeypatch.setenv(name, "/nowhere")
+    monkeypatch.setenv(llvm.LLVM_VARIABLE, "/a/libLLVM.so")
+    (tmp_path / "system").mkdir()
+    environment = interpreter.engine_environment(tmp_path / "bin" / "python")
+    assert not [name for name in environment if name.startswith("PYTHON")]
+    assert environment[llvm.LLVM_VARIABLE] == "/a/libLLVM.so"
+    if sys.platform == "linux":
+        assert environment["LD_LIBRARY_PATH"].split(":")[0] == str(tmp_path / "system")
+
+
+def test_mitsuba_before_the_variant_is_an_error(tmp_path):
+    # Dr.Jit looks for LLVM at Mitsuba's import: one that is not the tried one aborts processes later.
+    script = (
+        f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
+        "import mitsuba\n"
+        "from fipt_blender.core.device.variant import set_variant\n"
+        "set_variant('llvm')\n"
+    )
+    environment = {key: value for key, value in os.environ.items() if key != llvm.LLVM_VARIABLE}
+    result = subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 1 and "imported before set_variant" in result.stderr

@@ -1,0 +1,313 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Complete estimations of a tiny lit box: correct, equal after kills, clear errors for unusable input."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fipt_blender.core.capture.images import read_radiance
+from fipt_blender.core.capture.views import load_capture
+from fipt_blender.core.light import baking
+from fipt_blender.core.material.fields import RoomFields
+from fipt_blender.core.run import finished_views
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.messages import parse_message
+from fipt_blender.core.run.runfolder import RunFolder
+from samples.small_captures import (
+    COLORS,
+    PANEL_RADIANCE,
+    PANEL_TRIANGLES,
+    SmallCapture,
+    look_at,
+    panel_capture,
+    run_here,
+    window_capture,
+    write_run,
+)
+from samples.small_rooms import surface_points
+
+ROOT = Path(__file__).resolve().parent.parent
+STAGES = ["pixels", "shadings", "training-0", "refinement-1", "training-1"]
+
+
+def run_child(run: RunFolder, kill=None) -> tuple[list[dict], int]:
+    """Estimate in a child process like Blender; SIGKILL at the first message for which `kill` is true."""
+    command = [sys.executable, "-m", "fipt_blender.core", "estimate", str(run.root)]
+    messages = []
+    with (run.root / "log.txt").open("a") as log:
+        # One thread: networks this small lose more by waiting for a second one, above all on a busy machine.
+        environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+        child = subprocess.Popen(
+            command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=log, text=True
+        )
+        assert child.stdout is not None
+        for line in child.stdout:
+            message = parse_message(line)
+            assert message is not None, f"no message: {line}"
+            messages.append(message)
+            if kill is not None and kill(message):
+                os.kill(child.pid, signal.SIGKILL)
+                break
+        child.stdout.close()
+        return messages, child.wait()
+
+
+def first_stage(messages: list[dict]) -> str:
+    """The first stage that a run does; pictures of earlier stages are reported before it."""
+    return next(message["name"] for message in messages if message["type"] == "stage")
+
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(scope="module")
+def capture() -> SmallCapture:
+    return panel_capture()
+
+
+@pytest.fixture(scope="module")
+def finished(capture: SmallCapture, tmp_path_factory: pytest.TempPathFactory) -> tuple[RunFolder, list[dict]]:
+    """One uninterrupted run, and its messages."""
+    run = write_run(tmp_path_factory.mktemp("finished") / "run", capture)
+    messages, status = run_child(run)
+    assert status == 0, messages[-1]
+    return run, messages
+
+
+def outcome(run: RunFolder) -> tuple[dict, str]:
+    """Arrays of fields.npz, and the text of emitters.json."""
+    with np.load(run.fields_npz, allow_pickle=False) as data:
+        return {name: data[name] for name in data.files}, run.emitters_json.read_text()
+
+
+def same(first: RunFolder, second: RunFolder) -> None:
+    """Equal bit for bit."""
+    (arrays, emitters), (others, other_emitters) = outcome(first), outcome(second)
+    assert arrays.keys() == others.keys()
+    assert emitters == other_emitters
+    assert [name for name in arrays if arrays[name].tobytes() != others[name].tobytes()] == []
+
+
+def color_errors(run: RunFolder, capture: SmallCapture) -> np.ndarray:
+    """Mean absolute error of base colour on each wall of the box."""
+    points, _, triangle = surface_points(capture.room, 200, np.random.default_rng(0), np.arange(12))
+    color, _, metallic = RoomFields.load(run).query(points, triangle)
+    wrong = np.abs(color * (1 - metallic[:, None]) - np.array(COLORS)[triangle // 2]).mean(axis=1)
+    return wrong.reshape(6, -1).mean(axis=1)
+
+
+def test_it_speaks_of_every_stage_and_names_its_files(finished) -> None:
+    run, messages = finished
+    stages = [message for message in messages if message["type"] == "stage"]
+    assert [stage["name"] for stage in stages] == STAGES
+    assert [(stage["index"], stage["count"]) for stage in stages] == [(i, 5) for i in range(5)]
+    fractions = [message["fraction"] for message in messages if message["type"] == "progress"]
+    assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] <= 1.0
+    assert messages[-1]["type"] == "done"
+    assert {Path(file).name for file in messages[-1]["files"]} == {
+        "fields.npz", "emitters.json", "statistics.json",
+    }  # fmt: skip
+    assert all(Path(file).exists() for file in messages[-1]["files"])
+    statistics = json.loads(run.statistics_json.read_text())
+    assert [stage["name"] for stage in statistics["stages"]] == STAGES
+    assert all(stage["seconds"] > 0 for stage in statistics["stages"])
+    assert not [path for path in run.root.rglob(".*") if path.is_file()]  # no temporary file is left
+
+
+def test_the_panel_is_found_with_its_radiance(finished) -> None:
+    data = json.loads(finished[0].emitters_json.read_text())
+    (fixture,) = data["fixtures"]
+    assert fixture["triangles"] == PANEL_TRIANGLES and data["environment"] is None
+    assert fixture["radiance"] == pytest.approx(PANEL_RADIANCE, rel=1e-3)
+    assert fixture["back_radiance"] == [0.0, 0.0, 0.0]
+    assert fixture["area"] == pytest.approx(1.96) and fixture["centroid"] == pytest.approx([0.0, 0.0, 2.9])
+    assert fixture["power"] == pytest.approx(np.multiply(PANEL_RADIANCE, np.pi * 1.96), rel=1e-3)
+
+
+def test_base_colours_are_near_the_truth(finished, capture: SmallCapture) -> None:
+    errors = color_errors(finished[0], capture)
+    assert errors.mean() < 0.06 and errors.max() < 0.12
+
+
+def test_killed_after_every_stage_it_ends_bit_for_bit_the_same(
+    finished, capture: SmallCapture, tmp_path: Path
+) -> None:
+    """Killed at the start of each stage, in training after a checkpoint, and while overwriting shadings."""
+    run = write_run(tmp_path / "run", capture)
+
+    def begins(name: str):
+        return lambda message: message["type"] == "stage" and message["name"] == name
+
+    def half_done(message: dict) -> bool:
+        return message["type"] == "progress" and 0.45 < message["stage_fraction"] < 1.0
+
+    checkpoint = run.stage / "training-0.pt"
+    for number, kill in enumerate(
+        [
+            begins("shadings"),
+            begins("training-0"),
+            lambda message: checkpoint.exists() or half_done(message),  # a slow reader may miss the file
+            lambda message: (run.stage / "networks-0.pt").exists() and half_done(message),
+            begins("training-1"),
+        ]
+    ):
+        messages, status = run_child(run, kill)
+        assert status == -signal.SIGKILL, (number, messages[-1])
+        assert not run.fields_npz.exists()
+        # A resumed run does not repeat what is done.
+        # The kill amid the refinement may come after its last view on a quick machine.
+        resumed_at = [STAGES[0:1], STAGES[1:2], STAGES[2:3], STAGES[2:3], STAGES[3:5]][number]
+        assert first_stage(messages) in resumed_at
+    messages, status = run_child(run)
+    assert status == 0 and first_stage(messages) == "training-1"
+    same(finished[0], run)
+    # Once more: nothing is left to do, and nothing changes.
+    messages = run_here(run)
+    assert "stage" not in {message["type"] for message in messages}
+    same(finished[0], run)
+
+
+@pytest.mark.parametrize(
+    ("rounds", "damaged"), [(0, False), (1, False), (0, True)], ids=["first", "refinement", "damaged"]
+)
+def test_views_baked_before_a_kill_are_not_baked_again(
+    rounds: int,
+    damaged: bool,
+    finished,
+    capture: SmallCapture,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run = write_run(tmp_path / "run", capture)
+    count = len(load_capture(run).train)
+    bake_view = baking.bake_view
+    baked: list[int] = []
+
+    def bake(*arguments):
+        if len(baked) == limit:
+            raise KeyboardInterrupt
+        baked.append(arguments[-1].index)
+        return bake_view(*arguments)
+
+    monkeypatch.setattr(finished_views, "NOTE_SECONDS", 0.0)
+    monkeypatch.setattr(baking, "bake_view", bake)
+    limit = rounds * count + 2
+    with pytest.raises(KeyboardInterrupt):
+        run_here(run)
+    if damaged:
+        (run.stage / "shadings" / "diffuse.npy").write_bytes(b"cut off")
+    baked, limit = [], -1
+    run_here(run)
+    rest = [*range(0 if damaged else 2, count)]
+    assert baked == rest + [*range(count)] * (1 - rounds)
+    same(finished[0], run)
+
+
+@pytest.mark.parametrize(
+    "length, radiance, shift",
+    [
+        (100.0, 1000.0, (0.0, 0.0, 0.0)),
+        (0.01, 0.001, (0.0, 0.0, 0.0)),
+        (1.0, 1.0, (1000.0, -600.0, 300.0)),
+    ],
+    ids=["large and bright", "small and dark", "far away"],
+)
+def test_nothing_depends_on_unit_exposure_or_place(
+    finished, capture: SmallCapture, tmp_path: Path, length: float, radiance: float, shift: tuple
+) -> None:
+    run = write_run(tmp_path / "run", capture.scaled(length, radiance, shift))
+    run_here(run)
+    points, _, triangle = surface_points(capture.room, 200, np.random.default_rng(0), np.arange(12))
+    color, roughness, _ = RoomFields.load(finished[0]).query(points, triangle)
+    other, other_roughness, _ = RoomFields.load(run).query(points * length + shift, triangle)
+    assert np.abs(color - other).mean() < 0.01
+    assert np.abs(roughness - other_roughness).mean() < 0.05
+    (fixture,) = json.loads(run.emitters_json.read_text())["fixtures"]
+    assert fixture["triangles"] == PANEL_TRIANGLES
+    assert fixture["radiance"] == pytest.approx(np.multiply(PANEL_RADIANCE, radiance), rel=1e-3)
+    assert fixture["centroid"] == pytest.approx(np.array([0.0, 0.0, 2.9]) * length + shift, abs=2e-3 * length)
+
+
+def test_a_window_becomes_an_environment(tmp_path: Path) -> None:
+    radiance = [5.0, 4.0, 3.0]
+    run = write_run(tmp_path / "run", window_capture(radiance), rounds=0)
+    messages = run_here(run)
+    data = json.loads(run.emitters_json.read_text())
+    assert data["fixtures"] == [] and data["environment"]["image"] == "environment.exr"
+    assert 0.02 < data["environment"]["observed_share"] < 0.5
+    found = read_radiance(run.environment_exr)
+    assert found.shape == (32, 64, 3)
+    # A window's edge may still hide in the last twentieth of a pixel.
+    np.testing.assert_allclose(found, np.tile(radiance, (32, 64, 1)), rtol=0.02)
+    assert np.isclose(found, radiance, rtol=1e-4).mean() > 0.8
+    assert "warning" not in {message["type"] for message in messages}
+    assert str(run.environment_exr) in messages[-1]["files"]
+
+
+def test_a_room_without_lamp_is_a_warning(capture: SmallCapture, tmp_path: Path) -> None:
+    """All surfaces have the same radiance: white walls explain it without a lamp."""
+    grey = replace(capture, images=[np.full_like(image, 0.4) for image in capture.images])
+    run = write_run(tmp_path / "run", grey, rounds=0)
+    messages = run_here(run)
+    assert [message["code"] for message in messages if message["type"] == "warning"] == ["no-emitter"]
+    assert messages[-1]["type"] == "done"
+    assert json.loads(run.emitters_json.read_text()) == {"fixtures": [], "environment": None}
+
+
+def away(capture: SmallCapture) -> SmallCapture:
+    """Cameras outside the room that look away from it."""
+    return replace(capture, poses=[look_at([9.0, i, 1.0], [20.0, i, 1.5]) for i in range(len(capture.poses))])
+
+
+def without_faces(capture: SmallCapture) -> SmallCapture:
+    room = capture.room
+    empty = {name: getattr(room, name)[:0] for name in ("triangles", "corner_normals", "triangle_object")}
+    return replace(capture, room=replace(room, **empty, triangle_material=room.triangle_material[:0]))
+
+
+def flat_faces(capture: SmallCapture) -> SmallCapture:
+    return replace(capture, room=replace(capture.room, vertices=capture.room.vertices * 0.0))
+
+
+def black(capture: SmallCapture) -> SmallCapture:
+    return replace(capture, images=[image * 0.0 for image in capture.images])
+
+
+def no_views(capture: SmallCapture) -> SmallCapture:
+    return replace(capture, images=[], poses=[])
+
+
+@pytest.mark.parametrize(
+    "spoil, code",
+    [
+        (without_faces, "mesh-empty"),
+        (flat_faces, "mesh-empty"),
+        (away, "mesh-unseen"),
+        (black, "images-black"),
+        (no_views, "views-none"),
+    ],
+)
+def test_input_that_can_not_be_used(spoil, code: str, capture: SmallCapture, tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", spoil(capture))
+    with pytest.raises(FiptError) as caught:
+        run_here(run)
+    assert caught.value.code == code and caught.value.remedy
+    assert not any(run.results.iterdir())
+
+
+def test_another_versions_run_folder(tmp_path: Path, capture: SmallCapture) -> None:
+    run = write_run(tmp_path / "run", capture)
+    data = json.loads(run.run_json.read_text())
+    run.run_json.write_text(json.dumps({**data, "version": 99}))
+    messages, status = run_child(run)
+    assert status == 1
+    assert [(message["type"], message["code"]) for message in messages] == [("error", "run-version")]
+    assert not any(run.stage.iterdir()) and not any(run.results.iterdir())

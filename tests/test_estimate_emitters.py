@@ -1,0 +1,243 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Complete estimations of small rooms with lamps that are hard to find or bright spots that are not lamps."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.tracer.surfaces import TriangleMaterials
+from fipt_blender.core.conventions import direction_to_equirect
+from fipt_blender.core.material.fields import RoomFields
+from fipt_blender.core.optics.environment import EnvironmentLight
+from fipt_blender.core.optics.lights import EmitterTable
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.scene.room import Room
+from samples.small_captures import CAMERAS, COLORS, PANEL, SmallCapture, photograph_room, run_here, write_run
+from samples.small_rooms import BOX, bulb, make_room, mesh_room, surface_points, table
+
+BLACK = [0.0, 0.0, 0.0]
+FIRST = 2 * len(BOX)  # triangle after those of the box
+
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+def estimated(root: Path, capture: SmallCapture) -> RunFolder:
+    """A run with one training; refinement hardly ever changes emitters."""
+    run = write_run(root / "run", capture, rounds=0)
+    run_here(run)
+    return run
+
+
+def fixtures(root: Path, capture: SmallCapture) -> list[dict]:
+    """The triangles that are found to emit."""
+    return json.loads(estimated(root, capture).emitters_json.read_text())["fixtures"]
+
+
+def furnished(
+    quads: list, colors: list, *meshes: tuple[np.ndarray, np.ndarray, list[float]]
+) -> tuple[Room, np.ndarray]:
+    """A room of quadrilaterals and meshes (vertices, triangles, colour), one object each, and its colours."""
+    room = make_room(quads)
+    vertices, triangles, objects = [room.vertices], [room.triangles], [room.triangle_object]
+    tints = [np.repeat(np.array(colors, float), 2, axis=0)]
+    for number, (points, faces, color) in enumerate(meshes):
+        triangles.append(faces + sum(map(len, vertices)))
+        vertices.append(points)
+        objects.append(np.full(len(faces), len(quads) + number))
+        tints.append(np.tile(color, (len(faces), 1)))
+    parts = [np.concatenate(arrays) for arrays in (vertices, triangles, objects)]
+    return mesh_room(*parts, parts="objects"), np.concatenate(tints)
+
+
+def matt(colors: np.ndarray) -> TriangleMaterials:
+    return TriangleMaterials(colors, np.ones(len(colors)), np.zeros(len(colors)))
+
+
+def ceiling(x: float, y: float, width: float, depth: float) -> list[list[float]]:
+    """A panel below the ceiling that shines downwards."""
+    corners = [(0, 0), (0, depth), (width, depth), (width, 0)]
+    return [[x + dx, y + dy, 2.95] for dx, dy in corners]
+
+
+def test_a_bulb_of_two_centimetres(tmp_path: Path) -> None:
+    """In two close cameras its width is two pixels; in all others it is smaller than a pixel."""
+    room, colors = furnished(BOX, COLORS, (*bulb([0.4, 0.3, 1.4], 0.01), BLACK))
+    lamps = table(list(range(FIRST, FIRST + 8)), [3000.0, 2500.0, 2000.0])
+    near = [[[0.55, 0.2, 1.33], [0.4, 0.3, 1.4]], [[0.3, 0.5, 1.5], [0.4, 0.3, 1.4]]]
+    capture = photograph_room(room, matt(colors), lamps, cameras=[*CAMERAS[:4], *near], scale=2, spp=64)
+    (found,) = fixtures(tmp_path, capture)
+    assert set(found["triangles"]) == set(range(FIRST, FIRST + 8))
+    # Hardly any pixel sees it alone.
+    assert found["radiance"] == pytest.approx([3000.0, 2500.0, 2000.0], rel=0.35)
+
+
+def test_fifty_lamps(tmp_path: Path) -> None:
+    panels = [ceiling(-1.75 + 0.36 * i, -1.7 + 0.72 * j, 0.2, 0.2) for i in range(10) for j in range(5)]
+    room, colors = furnished([*BOX, *panels], [*COLORS, *[BLACK] * 50])
+    lamps = table(list(range(FIRST, FIRST + 100)), [10.0, 9.0, 8.0])
+    upwards = [[[x, y, 0.3], [0.3 * x, 0.3 * y, 2.9]] for x, y in ((-1.5, -1.5), (1.5, 1.5), (1.5, -1.5))]
+    capture = photograph_room(room, matt(colors), lamps, cameras=[*CAMERAS, *upwards], scale=2, spp=64)
+    found = fixtures(tmp_path, capture)
+    assert sorted(t for fixture in found for t in fixture["triangles"]) == list(range(FIRST, FIRST + 100))
+    assert len(found) == 50
+    for fixture in found:
+        assert fixture["radiance"] == pytest.approx([10.0, 9.0, 8.0], rel=0.05)
+
+
+def test_a_shade_lit_from_inside_is_no_lamp_but_its_bulb_is(tmp_path: Path) -> None:
+    angle = 2.0 * np.pi * np.arange(8) / 8
+    ring = 0.25 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    points = np.concatenate([np.column_stack([ring, np.full(8, z)]) for z in (1.5, 1.9)]).astype(np.float32)
+    faces = [[[i, (i + 1) % 8, 8 + (i + 1) % 8], [i, 8 + (i + 1) % 8, 8 + i]] for i in range(8)]
+    shade = (points, np.array(faces, np.int32).reshape(-1, 3), [0.7, 0.6, 0.4])
+    room, colors = furnished(BOX, COLORS, shade, (*bulb([0.0, 0.0, 1.7], 0.06), BLACK))
+    lamps = table(list(range(FIRST + 16, FIRST + 24)), [300.0, 250.0, 200.0])
+    into = [[[0.6, -0.6, 2.6], [0.0, 0.0, 1.7]], [[-0.5, 0.4, 0.7], [0.0, 0.0, 1.8]]]
+    capture = photograph_room(room, matt(colors), lamps, cameras=[*CAMERAS[:4], *into], scale=2, spp=128)
+    (found,) = fixtures(tmp_path, capture)
+    assert set(found["triangles"]) == set(range(FIRST + 16, FIRST + 24))
+    assert found["radiance"] == pytest.approx([300.0, 250.0, 200.0], rel=0.1)
+
+
+def test_a_fixture_in_three_views_only(tmp_path: Path) -> None:
+    plate = [[1.95, -0.3, 1.5], [1.95, -0.3, 1.9], [1.95, 0.3, 1.9], [1.95, 0.3, 1.5]]
+    room, colors = furnished([*BOX, plate, PANEL], [*COLORS, BLACK, BLACK])
+    lamps = EmitterTable(
+        np.arange(FIRST, FIRST + 4, dtype=np.int32),
+        np.repeat(np.array([[12.0, 10.0, 8.0], [6.0, 5.0, 4.0]], np.float32), 2, axis=0),
+        np.zeros((4, 3), np.float32),
+    )
+    toward = [[[-1.5, y, 1.7], [1.9, 0.1 * y, 1.5]] for y in (-1.6, 1.4, 0.0)]
+    places = ((1, 1, 1), (1, -1, 2.2), (1.3, 0, 0.5), (0.3, -1.5, 0.6), (1.5, -0.6, 1.6), (1.7, 1.7, 1.3))
+    away = [[[x, y, 1.5], [-1.9, -0.5 * y, z]] for x, y, z in places]
+    found = fixtures(tmp_path, photograph_room(room, matt(colors), lamps, cameras=[*toward, *away]))
+    by_triangles = {tuple(fixture["triangles"]): fixture["radiance"] for fixture in found}
+    assert by_triangles.keys() == {(FIRST, FIRST + 1), (FIRST + 2, FIRST + 3)}
+    assert by_triangles[FIRST, FIRST + 1] == pytest.approx([12.0, 10.0, 8.0], rel=1e-3)
+
+
+def test_a_wall_washed_by_a_bright_lamp_is_no_lamp(tmp_path: Path) -> None:
+    """Just below the lamp the wall is six times as bright as elsewhere."""
+    colors = [*COLORS[:2], [0.8, 0.8, 0.8], *COLORS[3:], BLACK]
+    room, tints = furnished([*BOX, ceiling(-0.6, 1.6, 1.2, 0.3)], colors)
+    lamps = table([FIRST, FIRST + 1], [60.0, 55.0, 50.0])
+    (found,) = fixtures(tmp_path, photograph_room(room, matt(tints), lamps))
+    assert found["triangles"] == [FIRST, FIRST + 1]
+    assert found["radiance"] == pytest.approx([60.0, 55.0, 50.0], rel=1e-3)
+
+
+def test_a_mirror_that_shows_a_lamp_is_no_lamp(tmp_path: Path) -> None:
+    mirror = [[-1.98, -0.9, 0.6], [-1.98, 0.9, 0.6], [-1.98, 0.9, 2.4], [-1.98, -0.9, 2.4]]
+    room, colors = furnished([*BOX, PANEL, mirror], [*COLORS, BLACK, [0.95] * 3])
+    smooth = np.arange(len(colors)) >= FIRST + 2
+    materials = TriangleMaterials(colors, np.where(smooth, 0.02, 1.0), smooth * 1.0)
+    lamps = table([FIRST, FIRST + 1], [30.0, 25.0, 20.0])
+    toward = [[[1.5, -1.5, 1.4], [-2.0, 0.2, 1.6]], [[1.5, 1.5, 1.2], [-2.0, -0.2, 1.7]]]
+    toward += [[[0.6, -0.9, 1.5], [-2.0, 0.1, 1.9]], [[0.3, 0.2, 0.6], [-2.0, 0.0, 1.6]]]
+    capture = photograph_room(room, materials, lamps, cameras=[*CAMERAS[:4], *toward], scale=2, spp=64)
+    assert max(float(image.max()) for image in capture.images[4:]) > 20.0  # they do show it
+    (found,) = fixtures(tmp_path, capture)
+    assert found["triangles"] == [FIRST, FIRST + 1]
+    assert found["radiance"] == pytest.approx([30.0, 25.0, 20.0], rel=0.02)
+
+
+def test_sun_on_the_floor_through_a_window_is_no_lamp(tmp_path: Path) -> None:
+    """The right wall has a window onto a bright sky; a small sun throws a patch on the floor."""
+    low, high = ([[2, y, z] for y, z in ((-2, a), (-2, b), (2, b), (2, a))] for a, b in ((0, 1), (2.2, 3)))
+    sides = [[[2, y, z] for y, z in ((a, 1), (a, 2.2), (b, 2.2), (b, 1))] for a, b in ((-2, -0.7), (0.7, 2))]
+    quads = [*BOX[:4], BOX[5], low, high, *sides]
+    room, colors = furnished(quads, [*COLORS[:4], COLORS[5], *[COLORS[4]] * 4])
+    sky = np.tile(np.array([2.0, 2.2, 2.5], np.float32), (64, 128, 1))
+    sun = direction_to_equirect(np.array([[1.0, 0.15, 1.0]]) / np.linalg.norm([1.0, 0.15, 1.0]))[0]
+    row, column = int((1.0 - sun[1]) * 64), int(sun[0] * 128)
+    sky[row : row + 2, column : column + 2] = [1500.0, 1400.0, 1200.0]
+    outwards = [[[-1.5, 0.0, 1.2], [2.0, 0.1, 1.6]], [[-1.2, -0.2, 0.4], [0.6, 0.0, 1.8]]]
+    capture = photograph_room(
+        room, matt(colors), EmitterTable.empty(), EnvironmentLight(sky), [*CAMERAS, *outwards], spp=512
+    )
+    floor = max(float(np.quantile(image, 0.99)) for image in capture.images)
+    assert floor > 1.5  # there is such a patch
+    assert fixtures(tmp_path, capture) == []
+
+
+def test_a_lamp_that_reflects_is_told_from_its_emission(tmp_path: Path) -> None:
+    """A white shining plate, lit unevenly by a panel above it: base colour and emission of its own."""
+    plate = [[1.98, -1.2, 0.3], [1.98, -1.2, 2.6], [1.98, 1.2, 2.6], [1.98, 1.2, 0.3]]
+    room, colors = furnished([*BOX, plate, ceiling(0.9, -0.5, 0.6, 1.0)], [*COLORS, BLACK, BLACK])
+    lamps = EmitterTable(
+        np.arange(FIRST, FIRST + 4, dtype=np.int32),
+        np.repeat(np.array([[3.0, 2.5, 2.0], [20.0, 20.0, 20.0]], np.float32), 2, axis=0),
+        np.zeros((4, 3), np.float32),
+        np.repeat(np.array([[0.7, 0.6, 0.5], BLACK], np.float32), 2, axis=0),
+    )
+    toward = [[[-1.2, y, z], [1.98, 0.3 * y, 1.4]] for y, z in ((-1.0, 1.0), (0.0, 1.6), (1.0, 1.3))]
+    found = fixtures(
+        tmp_path, photograph_room(room, matt(colors), lamps, cameras=[*CAMERAS, *toward], scale=2, spp=128)
+    )
+    by_triangles = {tuple(fixture["triangles"]): fixture for fixture in found}
+    assert by_triangles.keys() == {(FIRST, FIRST + 1), (FIRST + 2, FIRST + 3)}
+    shining = by_triangles[FIRST, FIRST + 1]
+    assert shining["base_color"] == pytest.approx([0.7, 0.6, 0.5], abs=0.1)
+    assert shining["radiance"] == pytest.approx([3.0, 2.5, 2.0], rel=0.1)
+    assert not any(by_triangles[FIRST + 2, FIRST + 3]["base_color"])
+
+
+def cabinet(front: float) -> list[list[list[float]]]:
+    """Five sides of a wall cabinet on the back wall, facing outwards, whose front is at y = `front`."""
+    x0, x1, y, z0, z1 = -0.6, 0.6, 2.0, 1.1, 1.9
+    near = [[x0, front, z0], [x1, front, z0], [x1, front, z1], [x0, front, z1]]
+    far = [[x0, y, z0], [x1, y, z0], [x1, y, z1], [x0, y, z1]]
+    sides = [[near[(i + 1) % 4], near[i], far[i], far[(i + 1) % 4]] for i in range(4)]
+    return [near, *sides]
+
+
+def test_a_cabinet_whose_front_is_indented_makes_no_phantom_lamps(tmp_path: Path) -> None:
+    """The paper's failure case (supplementary): the front of the mesh is two pixels behind the real one."""
+    colors = [*COLORS, *[[0.5, 0.35, 0.2]] * 5, BLACK]
+    objects = np.array([*range(6), *[6] * 5, 7])
+    real = make_room([*BOX, *cabinet(1.5), PANEL], objects, parts="objects")
+    tints = np.repeat(np.array(colors, float), 2, axis=0)
+    lamp = [FIRST + 10, FIRST + 11]
+    toward = [[[x, -1.0, z], [0.3 * x, 1.5, 1.5]] for x, z in ((-1.2, 1.2), (0.0, 1.8), (1.2, 1.0))]
+    capture = photograph_room(
+        real, matt(tints), table(lamp, [20.0, 18.0, 16.0]), cameras=[*CAMERAS, *toward], scale=2, spp=128
+    )
+    indented = make_room([*BOX, *cabinet(1.6), PANEL], objects, parts="objects")
+    run = estimated(tmp_path, replace(capture, room=indented))
+    (found,) = json.loads(run.emitters_json.read_text())["fixtures"]
+    assert found["triangles"] == lamp
+    points, _, triangle = surface_points(
+        indented, 4000, np.random.default_rng(0), np.array([FIRST, FIRST + 1])
+    )
+    color, _, metallic = RoomFields.load(run).query(points, triangle)
+    wrong = np.abs(color * (1.0 - metallic[:, None]) - tints[triangle]).mean(axis=1)
+    # Only where the front's edges cast their shadows elsewhere is anything painted on it.
+    assert np.median(wrong) < 0.03 and np.quantile(wrong, 0.9) < 0.08 and metallic.max() < 0.1
+
+
+def test_bars_before_a_window_are_no_lamps_and_a_dim_panel_is_one(tmp_path: Path) -> None:
+    """No pixel sees only a bar; the panel is three times as bright as white paint in its place."""
+    window = [[-0.8, 1.98, 1.0], [0.8, 1.98, 1.0], [0.8, 1.98, 2.2], [-0.8, 1.98, 2.2]]
+    dim = [[-1.98, -1.2, 0.5], [-1.98, 0.8, 0.5], [-1.98, 0.8, 2.5], [-1.98, -1.2, 2.5]]
+    bars = [
+        [[x + dx, 1.8, z] for dx, z in ((0.0, 1.0), (0.02, 1.0), (0.02, 2.2), (0.0, 2.2))]
+        for x in (-0.6, -0.3, 0.0, 0.3, 0.6)
+    ]
+    room, colors = furnished([*BOX, window, dim, *bars], [*COLORS, BLACK, BLACK, *[[0.7] * 3] * 5])
+    lamps = EmitterTable(
+        np.arange(FIRST, FIRST + 4, dtype=np.int32),
+        np.repeat(np.array([[40.0, 38.0, 36.0], [9.0, 8.5, 8.0]], np.float32), 2, axis=0),
+        np.zeros((4, 3), np.float32),
+    )
+    toward = [[[x, -1.5, 1.5], [-0.5 * x, 1.98, 1.6]] for x in (-1.0, 0.2, 1.2)]
+    across = [[[1.5, y, 1.5], [-1.98, -0.2, 1.5]] for y in (-1.0, 0.6)]
+    capture = photograph_room(room, matt(colors), lamps, cameras=[*toward, *across], scale=2, spp=64)
+    found = fixtures(tmp_path, capture)
+    by_triangles = {tuple(fixture["triangles"]): fixture["radiance"] for fixture in found}
+    assert by_triangles.keys() == {(FIRST, FIRST + 1), (FIRST + 2, FIRST + 3)}
+    assert by_triangles[FIRST + 2, FIRST + 3] == pytest.approx([9.0, 8.5, 8.0], rel=1e-3)

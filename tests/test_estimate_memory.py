@@ -1,0 +1,130 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Memory does not grow with the number of views, because data per pixel is stored in files."""
+
+from __future__ import annotations
+
+import io
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fipt_blender.core.light import emitters, environment, observations
+from fipt_blender.core.light.baking import open_shadings
+from fipt_blender.core.light.emitters import EmitterPixels, bright_triangles, group_fixtures
+from fipt_blender.core.light.observations import Observations, observe
+from fipt_blender.core.material import pixel_samples
+from fipt_blender.core.material import training_input as training_input_module
+from fipt_blender.core.material.training_input import material_units, training_input
+from fipt_blender.core.run.messages import Reporter
+from fipt_blender.core.scene.pixels import NO_TRIANGLE, PixelStore
+from fipt_blender.core.scene.room import Room
+from fipt_blender.core.views import exposure
+from fipt_blender.core.views.check import ViewCheck, check_views
+from samples.panel_pixels import IS_PANEL, PARTS, ROOM, SETTINGS, make_pixels
+
+# An array of one number a pixel, of the smallest kind that is kept, would be four bytes.
+MOST_BYTES = 2.0
+
+
+def peak(action: Callable[[], object]) -> int:
+    """Peak bytes of numpy and Python; mapped files do not count."""
+    tracemalloc.start()
+    try:
+        action()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def lamps(pixels: PixelStore, room: Room) -> None:
+    marked = bright_triangles(room, pixels.triangle, pixels.front, pixels.radiance)
+    assert marked.triangles.tolist() == [12, 13]
+    # Of a lamp, whose pixels are few, all are looked at together; here there is none.
+    assert group_fixtures(room, np.zeros(len(room.triangles), bool), EmitterPixels.of(pixels)) == []
+
+
+def everything(seen: Observations) -> None:
+    seen.cache()
+    seen.cache(without=IS_PANEL)
+    assert len(seen.part) == len(seen.donor) == len(seen.pixels)
+
+
+def agreement_of(pixels: PixelStore, room: Room) -> None:
+    assert check_views(pixels, room, PARTS.triangle_part, SETTINGS, Reporter(io.StringIO())) == ViewCheck()
+
+
+def window(pixels: PixelStore) -> None:
+    """Make the upper third of each photograph show the outside."""
+    for index in range(len(pixels.views)):
+        rows = pixels.rows(index)
+        above = slice(rows.start, rows.start + (rows.stop - rows.start) // 3)
+        pixels.triangle[above], pixels.pure[above] = NO_TRIANGLE, True
+
+
+def learn_from(seen: Observations, pieces: np.ndarray | None) -> None:
+    levels = np.array([0.1, 0.5, 1.0], np.float32)
+    shadings = open_shadings(seen.folder, len(seen.pixels), len(levels), create=True)
+    data, estimate = training_input(seen, pieces, shadings, levels, lambda position: position, SETTINGS)
+    assert len(estimate.roughness) == len(estimate.rows) < len(data.pool) <= len(seen.pixels)
+    assert 400 < len(estimate.rows) < 600
+    units = material_units(seen, pieces, data)
+    assert len(units.triangle) == len(seen.parts.triangle_part)
+
+
+def lamps_colors(pixels: PixelStore, folder: Path) -> None:
+    shadings = open_shadings(folder, len(pixels), 3, create=True)
+    found = pixel_samples.lamp_pixels(pixels, shadings, IS_PANEL, 0)
+    assert 150 < len(found.triangle) < 250 and set(found.triangle) == {12, 13}
+    assert 2 * len(np.unique(found.view)) >= len(pixels.views)  # the others do not see it
+
+
+ACTIONS = (
+    "observe",
+    "look up",
+    "lamps",
+    "lamps' colours",
+    "agree",
+    "look outside",
+    "learn",
+    "learn without parts",
+)
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+def test_memory_of_the_views(action: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Smaller than these captures, as their usual sizes are smaller than large ones.
+    monkeypatch.setattr(emitters, "CHUNK", 4096)
+    monkeypatch.setattr(observations, "FOOTPRINT_PIXELS", 1000)
+    monkeypatch.setattr(exposure, "GAIN_PIXELS", 5000)
+    monkeypatch.setattr(environment, "MOST_PIXELS", 3)
+    monkeypatch.setattr(training_input_module, "PROJECTION_PIXELS", 500)
+    monkeypatch.setattr(pixel_samples, "LAMP_PIXELS", 200)
+    peaks, sizes = [], []
+    for views in (6, 6, 36):  # the first warms up
+        pixels = make_pixels(tmp_path / f"{views}", views)
+
+        def seen(pixels: PixelStore = pixels) -> Observations:
+            return observe(ROOM, pixels, PARTS, SETTINGS, tmp_path / "observed")
+
+        actions: dict[str, Callable[[], object]] = {
+            "observe": seen,
+            "lamps": lambda pixels=pixels: lamps(pixels, ROOM),
+            "lamps' colours": lambda pixels=pixels: lamps_colors(pixels, tmp_path / "shadings"),
+            "agree": lambda pixels=pixels: agreement_of(pixels, ROOM),
+            "look outside": seen,
+        }
+        if action == "look outside":
+            window(pixels)
+        if action in ("look up", "learn", "learn without parts"):
+            known = seen()
+            actions["look up"] = lambda known=known: everything(known)
+            actions["learn"] = lambda known=known: learn_from(known, None)
+            actions["learn without parts"] = lambda known=known: learn_from(known, ROOM.triangle_object)
+        peaks.append(peak(actions[action]))
+        sizes.append(len(pixels))
+    slope = (peaks[2] - peaks[1]) / (sizes[2] - sizes[1])
+    assert slope < MOST_BYTES, f"{slope:.1f} bytes a pixel"

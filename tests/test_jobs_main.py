@@ -1,0 +1,355 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The main job with a stand-in for the engine, and where it places the new light and the object."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fipt_blender
+from fipt_blender.blend.capture.view_geometry import ViewGeometry
+from fipt_blender.blend.insert.support import choose_view, find_support
+from fipt_blender.blend.lights.placement import find_light_place, room_light_power
+from fipt_blender.bridge.interpreter import engine_environment
+from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.settings import make_settings
+from fipt_blender.jobs import main_job, run_job
+from fipt_blender.jobs.main_job import make_main_job
+from fipt_blender.jobs.options import MainJobOptions
+
+ROOT = Path(main_job.__file__).resolve().parent.parent
+
+# Writes the outputs of `estimate` and `textures` without computing anything.
+STAND_IN = """
+import json, sys
+from pathlib import Path
+sys.path.insert(0, sys.argv.pop(1))
+import numpy as np
+from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.runfolder import RunFolder, write_json
+command, run = sys.argv[1], RunFolder(sys.argv[2])
+if command == "estimate":
+    np.savez(run.fields_npz, base_color=np.zeros(3))
+    fixture = {"name": "Fixture.001", "triangles": [0, 1], "radiance": [3.0, 3.0, 3.0]}
+    fixture |= {"back_radiance": [0.0] * 3, "area": 20.0, "centroid": [0.0, 0.0, 2.5], "power": [9.0] * 3}
+    write_json(run.emitters_json, {"fixtures": [fixture], "environment": None})
+else:
+    entries = []
+    for index, image in enumerate(read_json(run.atlas_json)["images"]):
+        entry = {"name": image["name"]}
+        for key in ("base_color", "roughness", "metallic", "confidence"):
+            path = run.textures / f"{index}_{key}.exr"
+            write_exr(path, np.full((8, 8, 3), 0.5, np.float32))
+            entry[key] = str(path.relative_to(run.root))
+        entries.append(entry)
+    write_json(run.textures_json, {"images": entries})
+print(json.dumps({"type": "done", "files": [], "data": {}}))
+"""
+
+
+def box(low, high, name: str, offset: int) -> str:
+    """A box as an OBJ object; its first face is the top."""
+    corners = [[(low, high)[(i >> axis) & 1][axis] for axis in range(3)] for i in range(8)]
+    faces = [(4, 5, 7, 6), (0, 2, 3, 1), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    lines = [f"o {name}"] + ["v {} {} {}".format(*corner) for corner in corners]
+    lines += ["f " + " ".join(str(i + 1 + offset) for i in face) for face in faces]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.fixture
+def capture(tmp_path) -> Path:
+    """Four photographs (Z up) of a closed box with a crate on its floor."""
+    folder = tmp_path / "capture"
+    folder.mkdir()
+    mesh = box((-2.0, -1.5, 0.0), (2.0, 1.5, 2.5), "walls", 0)
+    (folder / "scene.obj").write_text(mesh + box((0.8, 0.5, 0.0), (1.4, 1.0, 0.7), "crate", 8))
+    frames = []
+    for index in range(4):
+        write_exr(folder / f"{index}.exr", np.full((24, 32, 3), 0.2 + 0.1 * index, np.float32))
+        pose = look_at(np.array([-1.6 + 0.2 * index, -1.2, 1.6]), np.array([0.2, 0.2, 0.4]))
+        pose[:, 1:3] *= -1.0  # OpenGL axes
+        frames.append({"file_path": f"{index}.exr", "transform_matrix": pose.tolist()})
+    lens = {"w": 32, "h": 24, "fl_x": 24.0, "fl_y": 24.0, "cx": 16.0, "cy": 12.0}
+    (folder / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+    return folder
+
+
+def look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Camera-to-world with OpenCV axes, level."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3] = np.stack([right, np.cross(forward, right), forward, eye], axis=1)
+    return pose
+
+
+@pytest.fixture
+def engine(monkeypatch) -> list[str]:
+    """The engine with a stand-in for its long commands; lists the commands that were run."""
+    ran: list[str] = []
+    real = run_job.engine_command
+
+    def command(python, *arguments):
+        ran.append(arguments[0])
+        if arguments[0] in ("estimate", "textures"):
+            return [str(python), "-c", STAND_IN, str(ROOT), *arguments]
+        return real(python, *arguments)
+
+    launch = run_job.Launch(Path(sys.executable), engine_environment())
+    monkeypatch.setattr(main_job, "find_launch", lambda explicit=None: launch)
+    monkeypatch.setattr(run_job, "engine_command", command)
+    return ran
+
+
+def run_main_job(options: MainJobOptions) -> list[dict]:
+    messages: list[dict] = []
+    make_main_job(options).run(messages.append)
+    return messages
+
+
+@pytest.fixture
+def options(capture, tmp_path) -> MainJobOptions:
+    settings = make_settings("draft", {"texture_size": 64})
+    return MainJobOptions(
+        capture=capture, output=tmp_path / "run", settings=settings, up_axis="z", hold_back=4, renders=()
+    )
+
+
+def panel_is_ready(options: MainJobOptions, blend: Path) -> None:
+    """The file, opened with the add-on, shows views, lights and settings in the panel."""
+    import bpy
+
+    fipt_blender.register()
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(blend))
+        state = bpy.context.scene.fipt
+        assert (
+            Path(state.run_folder) == options.output and Path(state.capture.imported_path) == options.capture
+        )
+        assert [(view.name, view.split) for view in state.capture.views] == [
+            (view["name"], view["split"])
+            for view in read_json(RunFolder(options.output).capture_json)["views"]
+        ]
+        assert (
+            state.capture.train_count == 3 and state.capture.up_axis == "z" and state.capture.hold_back == 4
+        )
+        assert [light.name for light in state.lights.lights] == ["Fixture.001"]
+        assert state.materials.object_count == 2 and state.materials.texture_size == "512"
+        assert state.estimate.preset == "draft" and state.estimate.changes == ""
+        assert not bpy.context.scene.camera.data.show_background_images, "the photograph hides no results"
+        assert bpy.ops.fipt.revert() == {"FINISHED"} and bpy.ops.fipt.look_through(step=1) == {"FINISHED"}
+    finally:
+        fipt_blender.unregister()
+
+
+def test_the_job_makes_a_blend_and_a_report_and_resumes(options, engine):
+    import bpy
+
+    messages = run_main_job(options)
+    assert messages[-1]["type"] == "done", messages[-1]
+    assert engine == ["ingest", "estimate", "textures", "report"]
+    files = [Path(name) for name in messages[-1]["data"] and messages[-1]["files"]]
+    assert [path.name for path in files[:2]] == ["room.blend", "index.html"]
+    assert all(path.is_file() for path in files)
+
+    panel_is_ready(options, files[0])
+    bpy.ops.wm.open_mainfile(filepath=str(files[0]))
+    assert {"walls", "crate"} <= set(bpy.data.objects.keys())
+    assert any("Fixture.001" in name for name in bpy.data.objects.keys())
+    assert sum(item.type == "CAMERA" for item in bpy.data.objects) == 4
+    for image in bpy.data.images:
+        if image.source == "FILE" and image.packed_file is None:
+            assert image.filepath.startswith("//") and Path(bpy.path.abspath(image.filepath)).exists()
+
+    engine.clear()
+    again = dataclasses.replace(options, resume=True)
+    assert run_main_job(again)[-1]["type"] == "done" and engine == []
+
+    finer = dataclasses.replace(options.settings, texel_density=64.0)
+    assert run_main_job(dataclasses.replace(again, settings=finer))[-1]["type"] == "done"
+    assert engine == ["textures", "report"]
+
+    engine.clear()
+    (options.capture / "2.exr").touch()
+    run = RunFolder(options.output)
+    stale, checkpoint = run.results / "old", run.stage / "checkpoint"
+    stale.touch()
+    checkpoint.touch()
+    assert run_main_job(dataclasses.replace(again, settings=finer))[-1]["type"] == "done"
+    assert engine == ["ingest", "estimate", "textures", "report"] and not stale.exists()
+    assert checkpoint.exists(), "the engine knows itself which checkpoints still hold"
+
+
+def test_files_beside_the_mesh_do_not_restart_a_resumed_job(options, engine, tmp_path):
+    home = tmp_path / "home"
+    home.mkdir()
+    mesh = (options.capture / "scene.obj").rename(home / "room.obj")
+    options = dataclasses.replace(options, mesh=mesh)
+    assert run_main_job(options)[-1]["type"] == "done"
+    engine.clear()
+    (home / "letter.txt").touch()
+    again = dataclasses.replace(options, resume=True)
+    assert run_main_job(again)[-1]["type"] == "done" and engine == []
+    (home / "room.mtl").touch()
+    assert run_main_job(again)[-1]["type"] == "done"
+    assert engine == ["ingest", "estimate", "textures", "report"]
+
+
+def test_a_new_start_discards_earlier_results(options, engine):
+    run_main_job(options)
+    stale = RunFolder(options.output).stage / "checkpoint"
+    stale.touch()
+    engine.clear()
+    run_main_job(options)
+    assert engine == ["ingest", "estimate", "textures", "report"] and not stale.exists()
+
+
+def test_a_run_continues_after_the_engine_died(options, engine, monkeypatch):
+    stand_in = run_job.engine_command
+
+    def command(python, *arguments):
+        if arguments[0] == "estimate":
+            return [str(python), "-c", "import os; os.abort()"]
+        return stand_in(python, *arguments)
+
+    monkeypatch.setattr(run_job, "engine_command", command)
+    messages = run_main_job(options)
+    assert messages[-1]["code"] == "engine-crashed" and "SIGABRT" in messages[-1]["text"]
+    checkpoint = RunFolder(options.output).stage / "checkpoint"
+    checkpoint.touch()
+    monkeypatch.setattr(run_job, "engine_command", stand_in)
+    engine.clear()
+    assert run_main_job(dataclasses.replace(options, resume=True))[-1]["type"] == "done"
+    assert engine == ["estimate", "textures", "report"] and checkpoint.exists()
+
+
+def test_an_engine_error_ends_the_job_with_its_text(options, engine):
+    (options.capture / "1.exr").unlink()
+    messages = run_main_job(options)
+    assert messages[-1]["type"] == "error" and messages[-1]["code"] == "image-missing"
+    assert "1.exr" in messages[-1]["text"] and messages[-1]["remedy"]
+    assert not RunFolder(options.output).capture_json.exists()
+
+
+def code_of(options: MainJobOptions) -> str:
+    with pytest.raises(FiptError) as caught:
+        make_main_job(options)
+    return caught.value.code
+
+
+def test_wrong_paths_are_found_before_anything_is_written(options, engine, tmp_path):
+    change = dataclasses.replace
+    assert code_of(change(options, capture=tmp_path / "nowhere")) == "capture-missing"
+    assert code_of(change(options, mesh=tmp_path / "nowhere.obj")) == "mesh-missing"
+    assert code_of(change(options, output=options.capture)) == "output-inside-capture"
+    assert code_of(change(options, output=options.capture / "0.exr")) == "run-foreign"
+    assert code_of(change(options, renders=("selfie",))) == "render-unknown"
+    assert not options.output.exists()
+    foreign = tmp_path / "holiday"
+    foreign.mkdir()
+    (foreign / "photo.jpg").touch()
+    assert code_of(change(options, output=foreign)) == "run-foreign"
+    assert [path.name for path in foreign.iterdir()] == ["photo.jpg"]
+
+
+def test_a_run_of_another_version_is_not_changed(options, engine):
+    options.output.mkdir()
+    text = json.dumps({"format": "fipt-run", "version": 99})
+    (options.output / "run.json").write_text(text)
+    assert code_of(options) == "run-version"
+    assert (options.output / "run.json").read_text() == text
+
+
+# ------------------------------------------------------------------------------------------ placement
+
+
+def boxes(*bounds):
+    """Ray casting against axis-aligned boxes, from inside or outside."""
+
+    def cast(origin, direction):
+        best = None
+        for low, high in bounds:
+            for axis in range(3):
+                for value in (low[axis], high[axis]):
+                    if abs(direction[axis]) < 1e-12:
+                        continue
+                    t = (value - origin[axis]) / direction[axis]
+                    point = origin + t * direction
+                    others = [i for i in range(3) if i != axis]
+                    inside = all(low[i] - 1e-9 <= point[i] <= high[i] + 1e-9 for i in others)
+                    if t > 1e-6 and inside and (best is None or t < best[0]):
+                        best = (t, point, np.eye(3)[axis])
+        return None if best is None else best[1:]
+
+    return cast
+
+
+ROOM = (np.array([-2.0, -1.5, 0.0]), np.array([2.0, 1.5, 2.5]))
+VIEW = ViewGeometry(
+    look_at(np.array([-1.8, -1.3, 1.6]), np.array([0.0, 0.0, 0.4])), 320, 240, 240.0, 240.0, 160.0, 120.0
+)
+
+
+@pytest.mark.parametrize("scale", [0.01, 1.0, 100.0])
+def test_the_light_hangs_below_the_ceiling_in_the_middle(scale):
+    low, high = ROOM[0] * scale, ROOM[1] * scale
+    place = find_light_place(boxes((low, high)), low, high, 1.5 * scale)
+    np.testing.assert_allclose(place.center[:2], 0.0, atol=1e-6 * scale)
+    assert 2.3 * scale < place.center[2] < 2.5 * scale
+    assert place.size == pytest.approx(0.6 * scale)
+
+
+def test_the_light_avoids_a_lamp_that_hangs_in_the_middle():
+    lamp = (np.array([-0.2, -0.2, 1.7]), np.array([0.2, 0.2, 2.0]))
+    place = find_light_place(boxes(ROOM, lamp), *ROOM, 1.5)
+    half = 0.5 * place.size
+    assert place.center[2] > 2.3
+    assert np.max(np.abs(place.center[:2])) > 0.2 + half - 1e-6
+    assert np.max(np.abs(place.center[:2])) < 1.5 - half
+
+
+def test_a_room_without_ceiling_gets_its_light_at_the_top():
+    place = find_light_place(lambda origin, direction: None, *ROOM, 1.5)
+    assert 2.3 < place.center[2] < 2.5
+
+
+@pytest.mark.parametrize("scale", [0.01, 1.0, 100.0])
+def test_the_object_stands_on_free_floor_in_view(scale):
+    crate = (np.array([-0.3, -0.3, 0.0]) * scale, np.array([0.3, 0.3, 0.6]) * scale)
+    cast = boxes((ROOM[0] * scale, ROOM[1] * scale), crate)
+    pose = VIEW.camera_to_world.copy()
+    pose[:3, 3] *= scale
+    support = find_support(cast, dataclasses.replace(VIEW, camera_to_world=pose))
+    assert support is not None
+    point, radius = support.point / scale, support.radius / scale
+    assert abs(point[2]) < 1e-6 or abs(point[2] - 0.6) < 1e-6
+    if point[2] < 0.3:  # clear of the crate
+        assert np.max(np.abs(point[:2]) - 0.3) > radius
+    pixel = np.linalg.inv(pose) @ np.append(support.point + [0, 0, support.radius], 1.0)
+    u, v = 240.0 * pixel[0] / pixel[2] + 160.0, 240.0 * pixel[1] / pixel[2] + 120.0
+    assert 0 < u < 320 and 0 < v < 240
+    assert 240.0 * 2.0 * support.radius / pixel[2] == pytest.approx(0.18 * 240, rel=0.3)
+
+
+def test_a_view_without_floor_is_not_chosen():
+    wall = look_at(np.array([0.0, 0.0, 1.5]), np.array([2.0, 0.0, 2.4]))
+    walls = dataclasses.replace(VIEW, camera_to_world=wall)
+    cast = boxes(ROOM)
+    assert find_support(cast, walls) is None
+    assert choose_view(cast, [("walls", walls), ("floor", VIEW)])[0] == "floor"
+    assert choose_view(cast, [("walls", walls)]) == ("walls", None)
+
+
+def test_the_lights_power_follows_area_and_radiance():
+    assert room_light_power(2.0, *ROOM) == pytest.approx(2.0 * np.pi * 2 * (4 * 3 + 3 * 2.5 + 2.5 * 4))

@@ -1,0 +1,429 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The running job beside the artist: undo, other files, unregistering, cancelling, with stand-in engines.
+
+Timers never fire without a window: here `running.tick` is called by hand.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import bpy
+import pytest
+
+import fipt_blender
+from fipt_blender import machine
+from fipt_blender.bridge.attached import find_engine
+from fipt_blender.bridge.process import EngineProcess
+from fipt_blender.bridge.sequence import Job
+from fipt_blender.bridge.step import Step, StepRecord
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.settings import make_settings
+from fipt_blender.jobs import job_scene, run_job, running, runstate, session
+from fipt_blender.operators.estimate import FIPT_OT_cancel
+from fipt_blender.operators.job_operator import JobOperator
+
+ROOT = Path(fipt_blender.__file__).resolve().parent.parent
+# Works until the file "stop" appears; holds the lock as the engine does.
+ENGINE = """
+import sys, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from fipt_blender.core.run.lock import hold
+from fipt_blender.core.run.messages import Reporter, claim_stdout
+from fipt_blender.core.run.runfolder import RunFolder
+run, reporter = RunFolder(sys.argv[2]), Reporter(claim_stdout())
+with hold(run, ["estimate", str(run.root)]):
+    reporter.stage("shadings", "Baking")
+    reporter.progress(0.4, force=True, pictures=["stage/picture.png"])
+    reporter.warning("odd", "Odd.", "Even it.")
+    while not (run.root / "stop").exists():
+        time.sleep(0.02)
+    reporter.done([], {})
+"""
+
+
+@pytest.fixture(autouse=True)
+def registered(monkeypatch, tmp_path):
+    monkeypatch.setattr(machine.DEFAULTS, "data_folder", str(tmp_path / "data"))
+    fipt_blender.register()
+    yield
+    fipt_blender.unregister()
+    assert running.current() is None and not bpy.app.timers.is_registered(running.tick)
+
+
+@pytest.fixture
+def run(tmp_path) -> RunFolder:
+    """The scene's run folder."""
+    run = RunFolder(tmp_path / "run")
+    run.create(make_settings("draft"))
+    bpy.context.scene.fipt.run_folder = str(run.root)
+    return run
+
+
+def make_job(run: RunFolder, *functions, engine: bool = True, script: str = ENGINE) -> Job:
+    """An engine command and then functions on Blender's data."""
+
+    def start(arguments):
+        command = [sys.executable, "-c", script, str(ROOT), str(run.root)]
+        return EngineProcess(command, run.log, messages=run.messages("estimate"))
+
+    steps = [Step("estimate", "Estimating", 10.0, command=["estimate"])] if engine else []
+    steps += [Step(f"f{i}", f"Function {i}", 1.0, function=each) for i, each in enumerate(functions)]
+    return Job(steps, StepRecord(run.root / "steps.json"), start, run.log, lambda: ([], {}), resume=False)
+
+
+def start(job: Job, run: RunFolder, **more) -> running.RunningJob:
+    info = running.RunningJob("Test", "test", bpy.context.scene.name, run.root)
+    return running.start(job, info, **more)
+
+
+def tick_until(true, seconds: float = 20.0) -> None:
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it does not come"
+        running.tick()
+        time.sleep(0.01)
+
+
+def at_work(info: running.RunningJob) -> bool:
+    return bool(info.warnings)
+
+
+def finish(run: RunFolder, info: running.RunningJob) -> None:
+    (run.root / "stop").touch()
+    tick_until(lambda: info.state != "running")
+
+
+def test_what_the_panel_shows_follows_the_engine(run):
+    ended = []
+    info = start(make_job(run), run, on_end=ended.append)
+    assert running.current() is info and info.state == "running" and running.last("test") is None
+    tick_until(lambda: at_work(info))
+    assert info.stage_text == "Baking" and 0.3 < info.fraction < 0.5 and info.memory_gb > 0.0
+    assert info.pictures == [run.root / "stage" / "picture.png"]
+    assert [warning["code"] for warning in info.warnings] == ["odd"] and not ended
+    finish(run, info)
+    assert info.state == "finished" and info.fraction == 1.0 and ended == [info]
+    assert running.current() is None and running.last("test") is info is running.last()
+    assert running.tick() is None
+
+
+def test_only_one_job_runs(run):
+    info = start(make_job(run), run)
+    with pytest.raises(FiptError) as caught:
+        start(make_job(run), run)
+    assert caught.value.code == "job-running" and "Test" in caught.value.text
+    assert running.current() is info and not bpy.ops.fipt.estimate.poll()
+    running.cancel()
+    tick_until(lambda: info.state == "cancelled")
+
+
+def test_cancel_is_quick_and_never_blocks(run):
+    info = start(make_job(run), run)
+    tick_until(lambda: at_work(info))
+    engine = find_engine(run)
+    assert engine is not None and bpy.ops.fipt.cancel.poll()
+    assert bpy.ops.fipt.cancel() == {"FINISHED"}
+    assert info.state == "running" and info.stopping and not bpy.ops.fipt.cancel.poll()
+    tick_until(lambda: info.state == "cancelled", 2.0)
+    assert not info.stopping and info.error is None and find_engine(run) is None
+
+
+def press_escape(playing: bool = False) -> tuple[set[str], list[str]]:
+    """What the shortcut returns, and the messages of the dialogs that it opens."""
+    asked = []
+
+    def invoke_confirm(operator, event, message, **texts):
+        asked.append(message)
+        return {"RUNNING_MODAL"}
+
+    operator = SimpleNamespace(by_key=True, execute=lambda context: bpy.ops.fipt.cancel())
+    context = SimpleNamespace(
+        screen=SimpleNamespace(is_animation_playing=playing),
+        window_manager=SimpleNamespace(invoke_confirm=invoke_confirm),
+    )
+    return FIPT_OT_cancel.invoke(operator, context, None), asked
+
+
+def test_escape_asks_before_it_ends_a_long_run(run):
+    info = start(make_job(run), run)
+    tick_until(lambda: at_work(info))
+    info.started -= 7200.0
+    answer, asked = press_escape()
+    assert answer == {"RUNNING_MODAL"} and "2 h 0 min" in asked[0] and not info.stopping
+    assert bpy.ops.fipt.cancel("INVOKE_DEFAULT") == {"FINISHED"} and info.stopping  # the panel's button
+    tick_until(lambda: info.state == "cancelled", 2.0)
+
+
+def test_escape_ends_a_short_run_at_once(run):
+    info = start(make_job(run), run)
+    tick_until(lambda: at_work(info))
+    assert press_escape() == ({"FINISHED"}, []) and info.stopping
+    tick_until(lambda: info.state == "cancelled", 2.0)
+
+
+def test_escape_that_stops_playback_ends_no_run(run, monkeypatch):
+    info = start(make_job(run), run)
+    tick_until(lambda: at_work(info))
+    assert press_escape(playing=True) == ({"PASS_THROUGH"}, [])
+    # Blender stops playback and passes the key on.
+    for handler in bpy.app.handlers.animation_playback_post:
+        handler(bpy.context.scene, None)
+    assert press_escape() == ({"PASS_THROUGH"}, []) and not info.stopping
+    monkeypatch.setattr(session.time, "monotonic", lambda now=time.monotonic: now() + 5.0)
+    assert press_escape()[0] == {"FINISHED"}
+    monkeypatch.undo()
+    tick_until(lambda: info.state == "cancelled", 2.0)
+
+
+def test_cancel_closes_what_works_on_blenders_data(run):
+    log = []
+
+    def function():
+        try:
+            while True:
+                log.append("slice")
+                yield 0.5
+        finally:
+            log.append("closed")
+
+    info = start(make_job(run, function, engine=False), run)
+    tick_until(lambda: log)
+    running.cancel()
+    assert info.state == "cancelled" and log[-1] == "closed" and running.current() is None
+
+
+def test_a_function_gets_its_scene_whichever_is_shown(run):
+    seen = []
+    scene = bpy.context.scene
+    bpy.data.scenes.new("Another")
+    info = start(make_job(run, lambda: seen.append(bpy.context.scene.name), engine=False), run)
+    scene.name = "Renamed"
+    tick_until(lambda: info.state != "running")
+    assert info.state == "finished" and seen == ["Renamed"]
+
+
+def test_an_undo_during_a_run_does_not_disturb_it(run):
+    scene = bpy.context.scene
+    scene.fipt.run_folder = ""
+    bpy.ops.ed.undo_push(message="before")
+    scene.fipt.run_folder = str(run.root)
+    names = []
+    info = start(make_job(run, lambda: names.append(bpy.context.scene.fipt.run_folder)), run)
+    tick_until(lambda: at_work(info))
+    bpy.ops.mesh.primitive_cube_add()
+    # Without a window there is no undo: what it does to the state is done by hand.
+    bpy.context.scene.fipt.run_folder = ""
+    bpy.data.objects.remove(bpy.data.objects["Cube"])
+    finish(run, info)
+    assert info.state == "finished" and names == [str(run.root)]
+
+
+def test_a_reload_that_forgets_the_run_folder_is_told_it_again(run, tmp_path):
+    scene = bpy.context.scene
+    scene.fipt.run_folder = ""
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
+    bpy.context.scene.fipt.run_folder = str(run.root)
+    names = []
+    info = start(make_job(run, lambda: names.append(bpy.context.scene.name)), run)
+    tick_until(lambda: at_work(info))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "room.blend"))
+    assert not bpy.context.scene.fipt.run_folder
+    finish(run, info)
+    assert info.state == "finished" and bpy.context.scene.fipt.run_folder == str(run.root) and names
+
+
+def test_in_another_file_the_engine_goes_on_but_functions_touch_nothing(run, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
+    touched = []
+    info = start(make_job(run, lambda: touched.append(1)), run)
+    tick_until(lambda: at_work(info))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    running.tick()
+    assert info.state == "running" and not bpy.context.scene.fipt.run_folder
+    finish(run, info)
+    assert info.state == "failed" and info.error["code"] == "scene-gone" and not touched
+    assert "Open" in info.error["remedy"] and "resume" in info.error["remedy"]
+    # The engine's part is finished for the scene that names the folder.
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "room.blend"))
+    assert job_scene.find_scene("Scene", run.root) is not None
+
+
+def test_an_engine_job_ends_well_without_its_scene(run):
+    info = start(make_job(run), run)
+    tick_until(lambda: at_work(info))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    finish(run, info)
+    assert info.state == "finished"
+
+
+def test_disabling_stops_the_engine_by_default(run):
+    info = start(make_job(run), run)
+    tick_until(lambda: at_work(info))
+    began = time.monotonic()
+    fipt_blender.unregister()
+    assert time.monotonic() - began < 2.0 and info.state == "cancelled"
+    assert running.current() is None and find_engine(run) is None
+    fipt_blender.register()
+
+
+def test_disabling_can_leave_the_engine_and_later_attach_to_it(run, monkeypatch):
+    monkeypatch.setattr(machine.DEFAULTS, "on_close", "KEEP")
+    info = start(make_job(run), run)
+    tick_until(lambda: at_work(info))
+    fipt_blender.unregister()
+    found = find_engine(run)
+    assert running.current() is None and found is not None
+    fipt_blender.register()
+    bpy.context.scene.fipt.run_folder = str(run.root)
+    assert runstate.known(str(run.root)).engine == "estimate"
+    with pytest.raises(FiptError) as caught:
+        run_job.open_job(run, [])
+    assert caught.value.code == "run-busy"
+    earlier = time.time() - 7200.0
+    os.utime(run.engine_lock, (earlier, earlier))
+    assert session.attach(bpy.context.scene)
+    info = running.current()
+    assert (info.title, info.kind) == ("Estimate", "estimate") and info.worked_seconds > 3600.0
+    tick_until(lambda: at_work(info))
+    assert info.stage_text == "Baking"
+    running.cancel()
+    tick_until(lambda: info.state == "cancelled", 2.0)
+    assert find_engine(run) is None and not session.attach(bpy.context.scene)
+
+
+def test_a_bug_in_a_timer_ends_the_job_with_words(run, monkeypatch, capsys):
+    job = make_job(run)
+    info = start(job, run)
+    tick_until(lambda: at_work(info))
+    poll = EngineProcess.poll
+
+    def fail_once(engine):
+        monkeypatch.setattr(EngineProcess, "poll", poll)
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(EngineProcess, "poll", fail_once)
+    assert running.tick() is None
+    assert info.state == "failed" and "ZeroDivisionError" in info.error["text"]
+    assert find_engine(run) is None and "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("raised", "code"), [(FiptError("x", "X.", "Y."), "x"), (KeyError("k"), None)])
+def test_a_failure_at_the_end_is_the_jobs(run, raised, code, capsys):
+    def end(info):
+        raise raised
+
+    info = start(make_job(run, lambda: None, engine=False), run, on_end=end)
+    tick_until(lambda: info.state != "running")
+    assert info.state == "failed" and info.error["code"] == (code or "blender-step-failed")
+
+
+def test_ctrl_c_in_a_blocking_run_leaves_nothing_running(run):
+    def stop():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        running.run(make_job(run, stop, engine=False), running.RunningJob("T", "t", "", run.root))
+    assert running.current() is None and running.last("t").state == "cancelled"
+
+
+def test_the_state_of_a_run_folder(run):
+    assert runstate.known("") == runstate.RunState() == runstate.look(run)
+    messages = run.messages("estimate")
+    messages.parent.mkdir()
+    messages.write_text(
+        '{"type": "progress", "fraction": 0.5}\nstray\n'
+        '{"type": "progress", "fraction": 0.6, "files": ["stage/a.png"]}\n'
+        '{"type": "warning", "code": "w", "text": "W.", "remedy": "R."}\n'
+        '{"type": "error", "code": "disk-full", "text": "F.", "remedy": "R."}\n'
+    )
+    stages = {"keys": {}, "stages": {"pixels": {}, "shadings": {}}, "warnings": {}, "values": {}}
+    (run.stage / "stages.json").write_text(json.dumps(stages))
+    state = runstate.look(run)
+    assert (state.stages, state.finished, state.engine) == (2, False, "")
+    assert state.error["code"] == "disk-full" and [each["code"] for each in state.warnings] == ["w"]
+    assert state.pictures == (run.root / "stage" / "a.png",)
+    for path in (run.statistics_json, run.emitters_json, run.fields_npz):
+        path.touch()
+    assert runstate.look(run).finished
+
+
+class FIPT_OT_try_job(JobOperator, bpy.types.Operator):
+    """For the tests below"""
+
+    bl_idname = "fipt.try_job"
+    bl_label = "Try"
+    title = "Trying"
+    kind = "try"
+    made: list[str] = []
+    ended: list[str] = []
+    mode: bpy.props.StringProperty()
+
+    def make_job(self, context):
+        self.made.append(context.scene.name)
+        if self.mode == "refuse":
+            raise FiptError("no", "It can't be.", "Let it be.")
+        run = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
+        warning = {"type": "warning", "code": "w", "text": "Careful.", "remedy": "Care."}
+
+        def work():
+            yield
+            if self.mode == "fail":
+                raise FiptError("bad", "It went wrong.", "Try again.")
+            return [warning]
+
+        return run_job.open_job(run, [Step("work", "Working", 1.0, function=work)])
+
+    @staticmethod
+    def finished(scene, run):
+        FIPT_OT_try_job.ended.append(f"{scene.name} {run.root.name}")
+
+
+@pytest.fixture
+def operator():
+    bpy.utils.register_class(FIPT_OT_try_job)
+    FIPT_OT_try_job.made.clear()
+    FIPT_OT_try_job.ended.clear()
+    yield bpy.ops.fipt.try_job
+    bpy.utils.unregister_class(FIPT_OT_try_job)
+
+
+def test_an_operators_job_runs_to_its_end_for_scripts(run, operator):
+    assert operator() == {"FINISHED"} == operator("INVOKE_DEFAULT")
+    assert FIPT_OT_try_job.ended == ["Scene run"] * 2 and running.last("try").state == "finished"
+
+
+@pytest.mark.parametrize(("mode", "words"), [("refuse", "Let it be"), ("fail", "went wrong. Try again")])
+def test_an_operators_failure_is_an_error_for_scripts(run, operator, mode, words):
+    with pytest.raises(RuntimeError, match=words):
+        operator(mode=mode)
+    assert FIPT_OT_try_job.ended == [] and running.current() is None
+    job = running.last("try")
+    assert job.state == "failed" and words in f"{job.error['text']} {job.error['remedy']}"
+    assert running.belongs_to(job, bpy.context.scene)
+    bpy.context.scene.fipt.run_folder = "elsewhere"
+    assert not running.belongs_to(job, bpy.context.scene)
+
+
+def test_an_operator_waits_for_the_job_that_runs(run, operator):
+    info = start(make_job(run), run)
+    assert not operator.poll()
+    finish(run, info)
+    assert operator.poll()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_an_engine_that_dies_leaves_blender_unharmed(run):
+    info = start(make_job(run, script="import os; os.abort()"), run)
+    tick_until(lambda: info.state != "running")
+    assert info.state == "failed" and info.error["code"] == "engine-crashed"
+    assert "SIGABRT" in info.error["text"] and info.error["remedy"]
+    bpy.ops.mesh.primitive_cube_add()

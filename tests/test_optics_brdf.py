@@ -1,0 +1,168 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The paper's BRDF and its Mitsuba plugin: sampling fits the density, energy and symmetry are right."""
+
+import itertools
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from benchmarks.tracer import bsdf
+from fipt_blender.core.optics import brdf, factorised
+
+bsdf.register()
+
+SIGMAS = (0.25, 0.5, 1.0)
+ANGLES = (5.0, 50.0, 75.0)
+CASES = list(itertools.product(SIGMAS, (0.0, 1.0), ANGLES))
+
+
+def viewer(degrees: float) -> list[float]:
+    angle = np.radians(degrees)
+    return [float(np.sin(angle) * 0.6), float(np.sin(angle) * 0.8), float(np.cos(angle))]
+
+
+def spread(count: int, seed: int = 0) -> tuple[mi.Float, mi.Point2f]:
+    generator = mi.PCG32(size=count, initstate=seed)
+    return generator.next_float32(), mi.Point2f(generator.next_float32(), generator.next_float32())
+
+
+def hemisphere(side: int) -> tuple[mi.Vector3f, float]:
+    """Directions at the centres of side x side cells of equal solid angle, and that solid angle."""
+    x, y = dr.meshgrid(*[(dr.arange(mi.Float, side) + 0.5) / side] * 2)
+    return mi.warp.square_to_uniform_hemisphere(mi.Point2f(x, y)), 2.0 * np.pi / side**2
+
+
+@pytest.mark.parametrize("sigma, metallic, angle", [*CASES, (0.5, 0.3, 130.0), (1.0, 0.0, 105.0)])
+def test_plugin_samples_fit_its_density(sigma: float, metallic: float, angle: float) -> None:
+    """Angles above 90 degrees look at the back, which mirrors the front."""
+    direction = viewer(angle)
+    xml = f'<float name="roughness" value="{sigma}"/><float name="metallic" value="{metallic}"/>'
+    sample, density = mi.chi2.BSDFAdapter(bsdf.PLUGIN_NAME, xml, wi=direction)
+    test = mi.chi2.ChiSquareTest(
+        mi.chi2.SphericalDomain(), sample, density, sample_dim=3, sample_count=200_000, res=61, ires=32
+    )
+    assert test.run(0.01, len(CASES), quiet=True), test.messages
+
+
+class MirrorCap:
+    """Equal-area coordinates of a small cap around a direction: turn and height, for lobes of a mirror."""
+
+    def __init__(self, axis: list[float], radius: float) -> None:
+        self.frame = mi.Frame3f(mi.Vector3f(axis))
+        self.scale = radius**2 / 2.0  # height of the cap
+
+    def bounds(self) -> mi.ScalarBoundingBox2f:
+        return mi.ScalarBoundingBox2f([0.0, 0.0], [2.0 * np.pi, 1.0])
+
+    def aspect(self) -> float:
+        return 2.0
+
+    def map_forward(self, point: mi.Point2f) -> mi.Vector3f:
+        height = point.y * self.scale
+        sine = dr.sqrt(height * (2.0 - height))
+        return self.frame.to_world(mi.Vector3f(sine * dr.cos(point.x), sine * dr.sin(point.x), 1.0 - height))
+
+    def map_backward(self, direction: mi.Vector3f) -> mi.Point2f:
+        local = self.frame.to_local(direction)
+        height = dr.squared_norm(direction - self.frame.n) / 2.0  # keeps its digits near the axis
+        turn = dr.atan2(local.y, local.x)
+        return mi.Point2f(dr.select(turn < 0.0, turn + 2.0 * dr.pi, turn), height / self.scale)
+
+
+@pytest.mark.parametrize("sigma", [0.06, 0.15])
+def test_sharp_lobes_fit_their_density(sigma: float) -> None:
+    towards = viewer(40.0)
+    cap = MirrorCap([-towards[0], -towards[1], towards[2]], 12.0 * sigma**2)
+    material = (mi.Color3f(0.9), mi.Float(sigma), mi.Float(1.0))
+
+    def sample(numbers: mi.Vector3f) -> tuple[mi.Vector3f, mi.Float]:
+        wi, _, density = brdf.sample(
+            numbers.x, mi.Point2f(numbers.y, numbers.z), mi.Vector3f(towards), *material
+        )
+        inside = cap.map_backward(wi).y < 1.0
+        counts = (density > 0.0) & inside
+        return dr.select(counts, wi, cap.frame.n), dr.select(counts, 1.0, 0.0)
+
+    def density(wi: mi.Vector3f) -> mi.Float:
+        return brdf.pdf(wi, mi.Vector3f(towards), *material) * cap.scale
+
+    test = mi.chi2.ChiSquareTest(cap, sample, density, sample_dim=3, sample_count=100_000, res=41, ires=16)
+    assert test.run(0.01, 2, quiet=True), test.messages
+
+
+@pytest.mark.parametrize("sigma, metallic, angle", CASES)
+def test_weights_integrate_the_brdf(sigma: float, metallic: float, angle: float) -> None:
+    """a' by sampling and by quadrature agree (z-test), and the factorisation of paper Eq. 6 is exact."""
+    towards = mi.Vector3f(viewer(angle))
+    color = mi.Color3f(0.8, 0.3, 0.1)
+    cells, solid_angle = hemisphere(1024)
+    exact = np.array([dr.sum(c)[0] for c in brdf.evaluate(cells, towards, color, sigma, metallic)])
+    exact *= solid_angle
+    _, weight, _ = brdf.sample(*spread(200_000), towards, color, sigma, metallic)
+    values = np.array(weight).T
+    error = values.std(axis=0) / np.sqrt(len(values))
+    assert (np.abs(values.mean(axis=0) - exact) < 4.5 * error + 2e-3 * exact).all()
+    s0, s1 = (float(dr.sum(part)[0]) * solid_angle for part in brdf.specular_lobes(cells, towards, sigma))
+    kd = np.array(factorised.diffuse_reflectance(color, mi.Float(metallic))).ravel()
+    ks = np.array(factorised.specular_reflectance(color, mi.Float(metallic))).ravel()
+    assert np.allclose(exact, kd + ks * s0 + s1, rtol=1e-3)
+
+
+@pytest.mark.parametrize("sigma", [0.02, 0.06, 0.15, 0.4, 0.7, 1.0])
+def test_white_metal_in_a_furnace_gains_nothing(sigma: float) -> None:
+    for angle in (1.0, 30.0, 60.0, 80.0, 88.0):
+        _, weight, _ = brdf.sample(*spread(50_000), mi.Vector3f(viewer(angle)), mi.Color3f(1.0), sigma, 1.0)
+        values = np.array(weight)[0]
+        assert values.mean() < 1.0 + 4.0 * values.std() / np.sqrt(len(values))
+
+
+def test_reciprocity() -> None:
+    """f over the cosine is the same with light and viewer exchanged."""
+    count = 10_000
+    generator = mi.PCG32(size=count)
+    numbers = [generator.next_float32() for _ in range(9)]
+    first = mi.warp.square_to_uniform_hemisphere(mi.Point2f(numbers[0], numbers[1]))
+    second = mi.warp.square_to_uniform_hemisphere(mi.Point2f(numbers[2], numbers[3]))
+    material = (mi.Color3f(*numbers[4:7]), dr.lerp(0.15, 1.0, numbers[7]), numbers[8])
+    one = np.array(brdf.evaluate(first, second, *material) / first.z)
+    other = np.array(brdf.evaluate(second, first, *material) / second.z)
+    high = np.array((first.z > 0.01) & (second.z > 0.01))  # below, the model is cut off
+    assert np.allclose(one[:, high], other[:, high], rtol=1e-3)
+
+
+def test_plugin_reads_textures_and_can_be_edited() -> None:
+    plugin = mi.load_dict(
+        {
+            "type": bsdf.PLUGIN_NAME,
+            "base_color": {"type": "rgb", "value": [0.2, 0.4, 0.6]},
+            "roughness": {"type": "mesh_attribute", "name": "vertex_roughness"},
+            "metallic": 0.25,
+        }
+    )
+    parameters = mi.traverse(plugin)
+    assert {"base_color.value", "metallic.value"} <= set(parameters.keys())
+    parameters["metallic.value"] = 0.5
+    parameters.update()
+    mesh = mi.Mesh("triangle", 3, 1, has_vertex_texcoords=False, props=_with_bsdf(plugin))
+    mesh.add_attribute("vertex_roughness", 1, [0.2, 0.4, 0.9])
+    shape = mi.traverse(mesh)
+    shape["vertex_positions"] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    shape["faces"] = [0, 1, 2]
+    shape.update()
+    scene = mi.load_dict({"type": "scene", "triangle": mesh})
+    hit = scene.ray_intersect(mi.Ray3f([0.25, 0.5, 1.0], [0.0, 0.0, -1.0]))
+    light = mi.Vector3f(viewer(30.0))
+    value, density = hit.bsdf().eval_pdf(mi.BSDFContext(), hit, light)
+    roughness = 0.25 * 0.2 + 0.25 * 0.4 + 0.5 * 0.9
+    material = (mi.Color3f(0.2, 0.4, 0.6), mi.Float(roughness), mi.Float(0.5))
+    assert np.allclose(np.array(value), np.array(brdf.evaluate(light, hit.wi, *material)), rtol=1e-4)
+    assert np.allclose(np.array(density), np.array(brdf.pdf(light, hit.wi, *material)), rtol=1e-4)
+
+
+def _with_bsdf(plugin: mi.BSDF) -> mi.Properties:
+    properties = mi.Properties()
+    properties["bsdf"] = plugin
+    return properties

@@ -1,0 +1,169 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Emissive triangles: drawn in proportion to power, uniform by area, and right as estimators."""
+
+from dataclasses import replace
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from fipt_blender.core.optics.lights import AreaLights, EmitterTable, power_heuristic
+
+# triangle 0 emits nothing, 1 both sides, 2 its back, 3 its front but has no area, 4 its front
+VERTICES = np.array(
+    [
+        [0, 0, 0], [1, 0, 0], [0, 1, 0],
+        [0, 0, 1], [2, 0, 1], [0, 3, 1.5],
+        [5, 5, 5], [5, 5, 6], [5, 6, 5],
+        [9, 9, 9], [9, 9, 9], [9, 9, 9],
+    ],
+    np.float32,
+)  # fmt: skip
+TRIANGLES = np.array([[0, 1, 2], [3, 4, 5], [6, 7, 8], [9, 10, 11], [0, 2, 1]], np.int32)
+TABLE = EmitterTable(
+    np.array([4, 1, 2, 3], np.int32),
+    np.array([[2, 2, 2], [1, 0, 0], [0, 0, 0], [9, 9, 9]], np.float32),
+    np.array([[0, 0, 0], [0, 0, 1], [0, 7, 0], [0, 0, 0]], np.float32),
+)
+
+
+def test_look_ups_without_emitters_have_a_value_for_each_triangle() -> None:
+    lights = AreaLights(VERTICES, TRIANGLES, EmitterTable.empty())
+    triangle, cosine = mi.UInt32([0, 1, 4]), mi.Float([1.0, -1.0, 0.5])
+    assert np.array(lights.radiance(triangle, cosine)).tolist() == [[0.0] * 3] * 3
+    assert np.array(lights.base_color(triangle)).tolist() == [[0.0] * 3] * 3
+    assert np.array(lights.pdf_area(triangle)).tolist() == [0.0] * 3
+    assert np.array(lights.is_emitter(triangle)).tolist() == [False] * 3
+    assert np.array(lights.is_reflective_emitter(triangle)).tolist() == [False] * 3
+
+
+def draw(count: int, seed: int) -> mi.Float:
+    sampler = mi.PCG32(size=count, initstate=seed)
+    return [sampler.next_float32() for _ in range(3)]
+
+
+def chi2_upper(statistic: float, freedom: int) -> float:
+    """Probability of a larger chi-square, by Wilson and Hilferty's cube-root approximation."""
+    from math import erfc, sqrt
+
+    spread = 2.0 / (9.0 * freedom)
+    z = ((statistic / freedom) ** (1.0 / 3.0) - (1.0 - spread)) / sqrt(spread)
+    return 0.5 * erfc(z / sqrt(2.0))
+
+
+def areas() -> np.ndarray:
+    corners = VERTICES[TRIANGLES].astype(float)
+    return 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+
+
+def test_triangles_are_chosen_by_power() -> None:
+    lights = AreaLights(VERTICES, TRIANGLES, TABLE)
+    assert lights.count == 3
+    count = 100_000
+    chosen = np.array(lights.sample(*draw(count, 1)).triangle)
+    luminance = np.array([0.2126, 0.7152, 0.0722])
+    power = np.zeros(5)
+    power[TABLE.triangles] = (TABLE.radiance + TABLE.back_radiance) @ luminance * areas()[TABLE.triangles]
+    expected = power / power.sum() * count
+    observed = np.bincount(chosen, minlength=5)
+    assert observed[expected == 0].sum() == 0
+    used = expected > 0
+    statistic = float(((observed - expected)[used] ** 2 / expected[used]).sum())
+    assert chi2_upper(statistic, used.sum() - 1) > 1e-3
+
+
+def test_points_are_uniform_by_area() -> None:
+    """Barycentric coordinates of points on triangle 1 fill 8 x 8 cells of the unit triangle evenly."""
+    lights = AreaLights(VERTICES, TRIANGLES, TABLE)
+    sample = lights.sample(*draw(200_000, 2))
+    inside = np.array(sample.triangle) == 1
+    points = np.array(sample.position).T[inside] - VERTICES[3]
+    edges = np.stack([VERTICES[4] - VERTICES[3], VERTICES[5] - VERTICES[3]], axis=1)
+    coordinates, residual, *_ = np.linalg.lstsq(edges, points.T, rcond=None)
+    assert np.max(residual) < 1e-6
+    assert coordinates.min() > -1e-5 and coordinates.sum(axis=0).max() < 1 + 1e-5
+    cells = np.floor(np.clip(coordinates, 0, 0.999999) * 8).astype(int)
+    # only whole cells below the unit square's diagonal are compared
+    whole = cells.sum(axis=0) < 7
+    histogram = np.bincount(cells[0, whole] * 8 + cells[1, whole], minlength=64)
+    expected = inside.sum() * 2.0 / 64.0
+    used = np.add.outer(np.arange(8), np.arange(8)).ravel() < 7
+    statistic = float(((histogram[used] - expected) ** 2 / expected).sum())
+    assert chi2_upper(statistic, used.sum() - 1) > 1e-3
+
+
+def test_area_integral_of_the_estimator() -> None:
+    """The mean of 1/pdf over the samples is the area that can be sampled."""
+    lights = AreaLights(VERTICES, TRIANGLES, TABLE)
+    sample = lights.sample(*draw(100_000, 3))
+    values = 1.0 / np.array(sample.pdf_area)
+    error = values.std() / np.sqrt(len(values))
+    assert abs(values.mean() - areas()[[1, 2, 4]].sum()) < 4 * error
+    assert np.allclose(np.array(lights.pdf_area(sample.triangle)), np.array(sample.pdf_area))
+
+
+def test_lookup_by_side() -> None:
+    lights = AreaLights(VERTICES, TRIANGLES, TABLE)
+    triangle = mi.UInt32([0, 1, 1, 2, 2, 4, 4])
+    side = mi.Float([1, 1, -1, 1, -1, 1, -1])
+    found = np.array(lights.radiance(triangle, side)).T
+    expected = [[0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 0, 0], [0, 7, 0], [2, 2, 2], [0, 0, 0]]
+    assert np.array_equal(found, expected)
+    assert np.array(lights.is_emitter(triangle)).tolist() == [False] + [True] * 6
+    assert np.array(lights.pdf_area(mi.UInt32([0, 3]))).tolist() == [0.0, 0.0]
+    lights = AreaLights(VERTICES, TRIANGLES, replace(TABLE, reflective=TABLE.triangles == 4))
+    assert np.array_equal(np.array(lights.radiance(triangle, side)).T, expected)
+    assert np.array(lights.is_emitter(triangle)).tolist() == [False] + [True] * 4 + [False] * 2
+    assert np.array(lights.is_reflective_emitter(triangle)).tolist() == [False] * 5 + [True] * 2
+
+
+def test_a_room_without_emitters() -> None:
+    lights = AreaLights(VERTICES, TRIANGLES, EmitterTable.empty())
+    assert lights.count == 0
+    assert not np.array(lights.is_emitter(mi.UInt32([0, 1]))).any()
+    assert np.array(lights.radiance(mi.UInt32([0, 1]), mi.Float([1, 1]))).sum() == 0
+
+
+def test_irradiance_of_a_triangle_is_lamberts_formula() -> None:
+    """Irradiance from a polygon, sum of edge angles: sampled directions agree (z-test)."""
+    table = EmitterTable(np.array([1], np.int32), np.ones((1, 3), np.float32), np.ones((1, 3), np.float32))
+    lights = AreaLights(VERTICES, TRIANGLES, table)
+    point, up = np.array([0.4, 0.2, -0.3]), np.array([0.0, 0.0, 1.0])
+    rays = VERTICES[3:6].astype(float) - point
+    rays /= np.linalg.norm(rays, axis=1)[:, None]
+    exact = 0.0
+    for first, second in zip(rays, np.roll(rays, -1, axis=0), strict=True):
+        cross = np.cross(first, second)
+        exact += 0.5 * np.arccos(first @ second) * (cross @ up) / np.linalg.norm(cross)
+    direct = lights.sample_direction(mi.Point3f(point.tolist()), *draw(200_000, 4))
+    cosine = np.maximum(np.array(direct.direction).T @ up, 0.0)
+    values = np.array(direct.radiance)[0] * cosine / np.array(direct.pdf)
+    error = values.std() / np.sqrt(len(values))
+    assert error < 0.01 * abs(exact)
+    assert abs(values.mean() - abs(exact)) < 4 * error
+
+
+def test_fixtures_give_one_entry_a_triangle() -> None:
+    data = {
+        "fixtures": [
+            {"triangles": [4, 7], "radiance": [1, 2, 3], "back_radiance": [0, 0, 0]},
+            {"triangles": [2], "radiance": [0, 0, 0], "back_radiance": [4, 5, 6], "beside": True},
+        ]
+    }
+    table = EmitterTable.from_fixtures(data)
+    assert table.triangles.tolist() == [4, 7, 2]
+    assert table.radiance.tolist() == [[1, 2, 3], [1, 2, 3], [0, 0, 0]]
+    assert table.back_radiance[2].tolist() == [4, 5, 6]
+    assert table.reflective_mask().tolist() == [False, False, True]
+    assert EmitterTable.from_fixtures({"fixtures": []}).radiance.shape == (0, 3)
+
+
+@pytest.mark.parametrize("first, second", [(1.0, 2.0), (1e-20, 1e20), (1e30, 1e30), (0.0, 1.0)])
+def test_heuristic_weights_sum_to_one(first: float, second: float) -> None:
+    total = power_heuristic(mi.Float(first), mi.Float(second)) + power_heuristic(
+        mi.Float(second), mi.Float(first)
+    )
+    assert abs(float(total[0]) - 1.0) < 1e-6

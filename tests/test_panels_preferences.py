@@ -1,0 +1,386 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The preferences: their values, what survives a removal, set-up and check, clearing, drawing, start-up."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import bpy
+import pytest
+
+import fipt_blender
+from fipt_blender import machine
+from fipt_blender.bridge import pins, places, storage
+from fipt_blender.bridge.interpreter import PYTHON_VARIABLE
+from fipt_blender.core.device.cuda import VISIBLE_VARIABLE
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.lock import hold
+from fipt_blender.core.run.runfolder import PRODUCT_VERSION, RunFolder
+from fipt_blender.core.run.settings import make_settings
+from fipt_blender.jobs import data_job, running
+from fipt_blender.operators import environment as operators
+from fipt_blender.panels import preferences as panel
+
+OLD = time.time() - 86400
+GPUS = [{"name": f"Card {n}", "uuid": f"GPU-{n}", "memory_gb": 8.0} for n in (1, 2)]
+
+
+@pytest.fixture
+def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The default data folder of the test."""
+    monkeypatch.setenv(places.DATA_VARIABLE, str(tmp_path / "data"))
+    monkeypatch.delenv(PYTHON_VARIABLE, raising=False)
+    return tmp_path / "data"
+
+
+@pytest.fixture
+def values(data: Path) -> Iterator[Any]:
+    """The preferences of the package, enabled as an add-on is."""
+    fipt_blender.register()
+    addon = bpy.context.preferences.addons.new()
+    addon.module = fipt_blender.__name__
+    yield addon.preferences
+    bpy.context.preferences.addons.remove(addon)
+    fipt_blender.unregister()
+
+
+def make_run(data: Path, name: str, modified: float = OLD) -> RunFolder:
+    run = RunFolder(data / "runs" / name)
+    run.create(make_settings("draft"))
+    (run.results / "fields.npz").write_bytes(b"x" * 1000)
+    age(run.root, modified)
+    return run
+
+
+def age(folder: Path, modified: float) -> None:
+    for path in (*folder.rglob("*"), folder):
+        os.utime(path, (modified, modified))
+
+
+def make_environment(data: Path, groups: dict[str, list[str]]) -> Path:
+    folder = data / pins.environment_name(groups, sys.version_info[:2])
+    folder.mkdir(parents=True)
+    (folder / pins.STAMP_NAME).write_text(json.dumps({"complete": True}))
+    return folder
+
+
+def check_result(**changes: Any) -> dict[str, Any]:
+    engine = {
+        "python": "3.11.7",
+        "interpreter": "/python",
+        "packages": {"mitsuba": "3.9.1", "torch": None},
+        "llvm": "/usr/lib/libLLVM.so.19.1",
+        "cuda": None,
+        "gpus": GPUS,
+        "device": "llvm",
+        "oidn": True,
+        "cores": 8,
+        "memory_gb": 32.0,
+        "memory_free_gb": 20.0,
+        "ready": True,
+        **changes,
+    }
+    version = PRODUCT_VERSION
+    return {"time": 0.0, "product_version": version, "engine": engine, "warnings": [], "error": None}
+
+
+def test_answers_without_being_enabled(data: Path) -> None:
+    assert machine.get_preferences().on_close == "STOP"
+    assert machine.device_setting() == "auto" and machine.engine_variables() == {}
+    assert machine.data_folder() == data
+    assert machine.new_run_folder("a room").parent == data / "runs"
+    own = places.environment_python(places.PACKAGE_FOLDER.parent / ".venv")
+    assert machine.engine_python() == (own if own.exists() else Path(sys.executable))
+
+
+def test_values_and_a_data_folder_of_the_users_own(values: Any, data: Path, tmp_path: Path) -> None:
+    assert machine.get_preferences() == values
+    values.data_folder, values.device = str(tmp_path / "own"), "llvm"
+    assert machine.data_folder() == tmp_path / "own" and machine.device_setting() == "llvm"
+    values.engine_python = str(tmp_path / "gone")
+    with pytest.raises(FiptError) as caught:
+        machine.engine_python()
+    assert caught.value.code == "engine-missing"
+
+
+def test_gpu_is_chosen_by_its_identity(values: Any) -> None:
+    assert values.gpu == "AUTO" and machine.engine_variables() == {}
+    machine.store_status(check_result())
+    values.gpu = "GPU-2"
+    assert machine.engine_variables() == {VISIBLE_VARIABLE: "GPU-2"}
+    machine.store_status(check_result(gpus=GPUS[1:]))
+    assert values.gpu == "GPU-2", "the list changed, the card did not"
+    machine.store_status(check_result(gpus=[]))
+    assert values.gpu == "GPU-2", "a card that is gone is shown as such, not replaced in silence"
+    values.gpu = "AUTO"
+    assert machine.chosen_gpu() == ""
+
+
+def test_kept_values_return_after_a_removal_but_override_none(data: Path) -> None:
+    def enable() -> Any:
+        addon = bpy.context.preferences.addons.new()
+        addon.module = fipt_blender.__name__
+        fipt_blender.register()
+        return addon
+
+    def disable(addon: Any) -> None:
+        fipt_blender.unregister()
+        bpy.context.preferences.addons.remove(addon)
+
+    addon = enable()
+    addon.preferences.data_folder, addon.preferences.on_close = str(data / "far"), "KEEP"
+    machine.store_status(check_result())
+    disable(addon)
+    addon = enable()
+    assert (addon.preferences.data_folder, addon.preferences.on_close) == (str(data / "far"), "KEEP")
+    assert machine.status() == check_result()
+    disable(addon)
+    file = data / machine.KEPT_NAME
+    file.write_text(json.dumps({"on_close": "NONSENSE", "device": "llvm", "unknown": 1}))
+    addon = enable()
+    assert (addon.preferences.on_close, addon.preferences.device) == ("STOP", "llvm")
+    disable(addon)
+    file.write_text("{")
+    disable(enable())
+
+
+def test_check_looks_at_the_engine_and_keeps_what_it_saw(values: Any, data: Path) -> None:
+    assert bpy.ops.fipt.check_engine() == {"FINISHED"}
+    status = machine.status()
+    assert status["engine"]["ready"] is True and status["error"] is None
+    assert panel.headline(status)[1] == "CHECKMARK"
+    assert "check" in (data / "environment.log").read_text()
+    assert json.loads((data / machine.KEPT_NAME).read_text())["status"] == values.status
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell script stands for Python")
+def test_broken_interpreters_are_explained(values: Any, tmp_path: Path) -> None:
+    broken = tmp_path / "python"
+    broken.write_text("#!/bin/sh\nexit 3\n")
+    broken.chmod(0o755)
+    for interpreter in (tmp_path / "gone", broken, tmp_path):
+        values.engine_python = str(interpreter)
+        with pytest.raises(RuntimeError, match="can't be used"):
+            bpy.ops.fipt.check_engine()
+        assert machine.status()["error"]["code"] == "engine-missing"
+        assert panel.headline(machine.status())[1] == "ERROR"
+    values.engine_python = ""
+
+
+def test_set_up_says_why_it_can_not(values: Any, tmp_path: Path) -> None:
+    system = bpy.context.preferences.system
+    system.use_online_access = False
+    assert not bpy.ops.fipt.set_up_engine.poll()
+    system.use_online_access = True
+    assert bpy.ops.fipt.set_up_engine.poll()
+    values.engine_python = "/python"
+    assert not bpy.ops.fipt.set_up_engine.poll()
+    values.engine_python = ""
+    system.use_online_access = False
+    values.wheel_folder = str(tmp_path / "wheels")
+    assert bpy.ops.fipt.set_up_engine.poll(), "a folder of wheels needs no network"
+    with pytest.raises(RuntimeError, match="does not exist"):
+        bpy.ops.fipt.set_up_engine()
+    (tmp_path / "wheels").mkdir()
+    with pytest.raises(RuntimeError, match="does not contain the wheels"):
+        bpy.ops.fipt.set_up_engine()
+    assert machine.status()["error"]["code"] == "wheels-missing"
+    values.wheel_folder = ""
+
+
+def test_set_up_runs_beside_the_users_work_and_is_cancelled(
+    values: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values.wheel_folder = str(tmp_path)
+    failure = {
+        "code": "pip-missing",
+        "text": "Python has neither pip nor ensurepip.",
+        "remedy": "Install it.",
+    }
+    machine.store_status({"error": failure})
+    code = "import time; time.sleep(60)"
+    monkeypatch.setattr(data_job, "setup_command", lambda *arguments: [sys.executable, "-c", code])
+    operator = type("Operator", (operators.FIPT_OT_set_up_engine,), {"allow_large": False})
+    job, ended = operator.make_job(operator)
+    running.start(job, running.RunningJob("t", running.DATA_KIND, "", tmp_path), ended)
+    for _ in range(3):
+        running.tick()
+    assert not bpy.ops.fipt.check_engine.poll() and bpy.ops.fipt.cancel_set_up.poll()
+    started = time.monotonic()
+    bpy.ops.fipt.cancel_set_up()
+    while running.current() is not None and time.monotonic() - started < 5.0:
+        running.tick()
+        time.sleep(0.02)
+    assert running.current() is None and time.monotonic() - started < 2.0
+    assert machine.status() == {"error": failure, "cancelled": True}
+    texts: list[str] = []
+    panel.draw(Layout(texts), bpy.context, values, panel.Facts(machine.status(), {}, "/data"))
+    assert "set-up cancelled, press Set Up Engine" in " ".join(texts)
+    assert "ensurepip" not in " ".join(texts)
+    assert not bpy.ops.fipt.cancel_set_up.poll()
+    values.wheel_folder = ""
+
+
+def test_measuring_and_clearing_take_what_is_ours_and_unused(values: Any, data: Path) -> None:
+    groups = pins.read_pins()
+    old, used, held, fresh = (make_run(data, name) for name in ("old", "used", "held", "fresh"))
+    age(fresh.root, time.time())
+    foreign = data / "runs" / "photographs"
+    foreign.mkdir()
+    (foreign / "a.exr").touch()
+    empty = machine.new_run_folder("empty")
+    age(empty, OLD)
+    current, other = make_environment(data, groups), make_environment(data, {"engine": ["torch==1"]})
+    assert bpy.ops.fipt.measure_data() == {"FINISHED"}
+    usage = machine.usage()
+    assert set(usage["runs"]) == {"old", "used", "held", "fresh", empty.name}
+    assert usage["sizes"]["old"] > 1000 and {current.name, other.name} < set(usage["sizes"])
+    bpy.context.scene.fipt.run_folder = str(used.root)
+    with hold(held, ["estimate"]):
+        age(held.root, OLD)
+        assert bpy.ops.fipt.clear_data() == {"FINISHED"}
+    bpy.context.scene.fipt.run_folder = ""
+    assert not old.root.exists() and not empty.exists()
+    assert used.root.exists() and held.root.exists() and fresh.root.exists() and foreign.exists()
+    assert current.exists() and other.exists()
+    assert bpy.ops.fipt.clear_data(names=other.name) == {"FINISHED"}
+    assert current.exists() and not other.exists()
+    assert set(machine.usage()["sizes"]) == {"used", "held", "fresh", current.name}
+
+
+def test_clearing_never_takes_what_is_named_but_not_ours(values: Any, data: Path, tmp_path: Path) -> None:
+    outside = make_run(tmp_path / "elsewhere", "mine")
+    make_run(data, "kept", time.time())
+    link = data / "runs" / "link"
+    link.symlink_to(outside.root)
+    for name in ("..", "link", "photographs", str(outside.root)):
+        with pytest.raises(RuntimeError, match="no run and no environment"):
+            bpy.ops.fipt.clear_data(names=name)
+    assert bpy.ops.fipt.clear_data(names="kept;") == {"FINISHED"}
+    assert (data / "runs" / "kept").exists(), "it changed just now"
+    assert outside.fields_npz.exists() and link.exists()
+    item = storage.Item(storage.RUN, outside.root, OLD)
+    with pytest.raises(FiptError) as caught:
+        list(storage.delete(item, data, []))
+    assert caught.value.code == "run-foreign"
+
+
+def test_images_of_the_open_file_keep_their_run(values: Any, data: Path) -> None:
+    run = make_run(data, "textured")
+    image = bpy.data.images.new("fipt-test", 4, 4)
+    image.filepath = str(run.textures / "base.png")
+    bpy.ops.fipt.clear_data()
+    assert run.root.exists()
+    bpy.data.images.remove(image)
+    bpy.ops.fipt.clear_data()
+    assert not run.root.exists()
+
+
+class Layout:
+    """Stands for a layout where there is no window: takes everything, keeps the texts."""
+
+    def __init__(self, texts: list[str]) -> None:
+        self.__dict__["texts"] = texts
+
+    def __getattr__(self, name: str) -> Any:
+        def called(*arguments: Any, **options: Any) -> Layout:
+            self.texts.append(str(options.get("text", "")))
+            return Layout(self.texts)
+
+        return called
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("status", "words"),
+    [
+        ({}, "not set up yet"),
+        (check_result(), "ready, computes on the CPU"),
+        (check_result(device="cuda", cuda="Card 1", llvm=None), "ready, computes on Card 1"),
+        (check_result(ready=False, llvm=None, gpus=[], memory_free_gb=None), "does not work yet"),
+        ({**check_result(), "product_version": "0.0.1"}, "press Check"),
+        ({**check_result(), "error": {"text": "No Python.", "remedy": "Set up."}}, "No Python. Set up."),
+        ({**check_result(), "warnings": [{"text": "Little memory.", "remedy": "Close."}]}, "Little memory."),
+        ({"time": 0.0, "error": {"text": "Broken.", "remedy": ""}, "engine": {}}, "does not work yet"),
+        ({"cancelled": True}, "set-up cancelled"),
+        ({**check_result(), "cancelled": True}, "ready, computes on the CPU"),
+    ],
+)
+def test_preferences_are_drawn_from_what_is_known(values: Any, status: dict[str, Any], words: str) -> None:
+    texts: list[str] = []
+    facts = panel.Facts(status, {"sizes": {"a": 2e9, "engine-1": 5e9}, "runs": ["a"]}, "/data")
+    panel.draw(Layout(texts), bpy.context, values, facts)
+    assert words in " ".join(texts)
+    assert "1 cached runs: 2.0 GB; engine: 5.0 GB" in texts
+
+
+def test_drawing_is_quick_and_asks_no_disk(values: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    machine.store_status(check_result())
+    values_draw = panel.FIPT_Preferences.draw
+    stand_in = type("Self", (), {"layout": Layout([]), "status": values.status, "usage": values.usage})()
+    for name in machine.Defaults.__dataclass_fields__:
+        setattr(stand_in, name, getattr(values, name))
+    monkeypatch.setattr("builtins.open", lambda *arguments, **options: pytest.fail("draw reads a file"))
+    values_draw(stand_in, bpy.context)
+    started = time.process_time()
+    for _ in range(20):
+        values_draw(stand_in, bpy.context)
+    assert (time.process_time() - started) / 20 < 0.005
+
+
+START = """
+import gc, json, sys, time
+import bpy
+sys.path.insert(0, sys.argv[1])
+before = set(sys.modules)
+gc.freeze()  # a full collection of Blender's own objects, about 20 ms, falls on anyone
+started = time.process_time()
+import fipt_blender
+fipt_blender.register()
+seconds = time.process_time() - started
+loaded = set(sys.modules) - before
+names = {"classes": sorted(name for name in dir(bpy.types) if name.upper().startswith("FIPT_"))}
+fipt_blender.unregister()
+names["left"] = sorted(name for name in dir(bpy.types) if name.upper().startswith("FIPT_"))
+names["state"] = hasattr(bpy.types.Scene, "fipt")
+print(json.dumps({"seconds": seconds, "loaded": sorted(loaded), **names}), flush=True)
+import os
+os._exit(0)
+"""
+
+
+START_OF_BLEND = {"blend", "blend.marks", "blend.capture", "blend.capture.other_cameras"}  # bpy alone
+
+
+def test_enabling_loads_nothing_heavy_and_disabling_leaves_nothing(tmp_path: Path) -> None:
+    # Python keeps what it compiled, as Blender's does: the first start is another one's.
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
+    environment["PYTHONPYCACHEPREFIX"] = str(tmp_path)
+
+    def enable() -> dict[str, Any]:
+        command = [sys.executable, "-c", START, str(places.PACKAGE_FOLDER.parent)]
+        result = subprocess.run(command, capture_output=True, text=True, env=environment)
+        return json.loads(result.stdout.splitlines()[-1])
+
+    answer = enable()
+    loaded = {name.partition(".")[0] for name in answer["loaded"]}
+    heavy = {"numpy", "mitsuba", "drjit", "torch", "OpenEXR", "tomllib", "email", "asyncio", "unittest"}
+    assert not loaded & (heavy | {"json", "shutil", "subprocess", "tempfile", "traceback", "uuid"})
+    parts = {name.removeprefix("fipt_blender.") for name in answer["loaded"] if name.startswith("fipt_")}
+    assert {name for name in parts if name.startswith("blend")} <= START_OF_BLEND
+    later = ("bridge.process", "bridge.step", "bridge.sequence", "core.run.settings", "jobs.main_job")
+    assert not [name for name in parts if name.startswith((*later, "jobs.run_job", "jobs.data_job"))]
+    # 0.016 s of the processor's time on an idle machine.
+    assert any(enable()["seconds"] < 0.05 for _ in range(5))
+    assert "FIPT_OT_set_up_engine" in answer["classes"]
+    assert answer["left"] == [] and answer["state"] is False

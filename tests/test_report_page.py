@@ -1,0 +1,204 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The report of small run folders: complete, empty, with hostile names."""
+
+from __future__ import annotations
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.report.comparison import (
+    Agreement,
+    choose_exposure,
+    compare,
+    error_picture,
+    psnr,
+    resize_to,
+    to_display,
+)
+from fipt_blender.core.report.page import MAPS, format_duration, swatch, write_report
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.settings import make_settings
+
+NASTY = "<script>alert('x')</script> & \"é\""
+SIZE = (24, 12)
+
+
+class Page(HTMLParser):
+    """Collects all tags with their attributes, and all text."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict]] = []
+        self.text = ""
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def image(seed: int, scale: float = 0.5) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return (scale * rng.random((SIZE[1], SIZE[0], 3))).astype(np.float32)
+
+
+@pytest.fixture
+def run(tmp_path) -> RunFolder:
+    """A complete run folder with hostile names."""
+    run = RunFolder(tmp_path / "run & <b>co")
+    run.create(make_settings("draft"))
+    views = []
+    for index, split in enumerate(("train", "train", "held_back")):
+        path = run.root / f"photo{index}.exr"
+        write_exr(path, image(index))
+        view = {"name": f"{split}/{NASTY}{index}", "split": split, "image": path.name, "parts": None}
+        view |= {"width": SIZE[0], "height": SIZE[1], "fx": 20.0, "fy": 20.0, "cx": 12.0, "cy": 6.0}
+        views.append({**view, "semantics": None, "camera_to_world": np.eye(4).tolist()})
+    capture = {"format": "fipt-capture", "version": 1, "source": "transforms", "mesh": None}
+    write_json(run.capture_json, {**capture, "world_from_source": np.eye(4).tolist(), "views": views})
+    renders = []
+    for kind in ("rerender", "relight", "insert"):
+        write_exr(run.renders / f"{kind}.exr", image(2) * 1.1)
+        renders.append({"kind": kind, "view": views[2]["name"], "image": f"renders/{kind}.exr"})
+    write_json(run.renders_json, {"renders": renders})
+    maps = {name: f"results/maps/000_{name}.exr" for name in MAPS}
+    for path in maps.values():
+        write_exr(run.root / path, image(5))
+    write_json(run.results / "maps" / "maps.json", {"views": [{"view": NASTY, **maps}]})
+    fixture = {"name": NASTY, "triangles": [1, 2], "radiance": [10.0, 8.0, 4.0], "back_radiance": [0, 0, 0]}
+    fixture |= {"area": 0.25, "centroid": [0, 0, 2], "power": [7.9, 6.3, 3.1]}
+    environment = {"image": "environment.exr", "observed_share": 0.12}
+    write_json(run.emitters_json, {"fixtures": [fixture], "environment": environment})
+    write_exr(run.environment_exr, image(9))
+    stages = [{"name": "bake", "seconds": 2.0, "rays": 3_000_000}, {"name": NASTY, "seconds": 1.0}]
+    write_json(run.statistics_json, {"stages": stages, "peak_memory_gb": 1.5, "device": "llvm"})
+    warning = {"type": "warning", "code": "c", "text": NASTY, "remedy": "Mind it."}
+    step = {"key": "k", "finished": True, "seconds": 61.0, "warnings": [warning]}
+    write_json(run.root / "steps.json", {"version": 1, "steps": {"ingest": step}})
+    return run
+
+
+def test_the_page_is_whole_and_all_its_images_exist(run):
+    page = Page(write_report(run))
+    images = [attributes["src"] for tag, attributes in page.tags if tag == "img"]
+    assert len(images) == 3 + 2 + 2 + 4 + 1 + 2  # three renders, maps, environment, photographs
+    for address in images:
+        with Image.open(run.report / address) as picture:
+            assert picture.size == SIZE
+    assert "1.50" in page.text and "0.25" in page.text and "Mind it." in page.text
+    assert "1 min 1 s" in page.text and "12 % of all directions" in page.text
+
+
+def test_names_are_escaped_and_nothing_comes_from_elsewhere(run):
+    path = write_report(run)
+    page = Page(path)
+    assert "script" not in [tag for tag, _ in page.tags] and "b" in [tag for tag, _ in page.tags]
+    assert "<b>co" not in path.read_text(encoding="utf-8")
+    assert NASTY in page.text and "run & <b>co" in page.text
+    for _, attributes in page.tags:
+        for name in ("src", "href"):
+            assert re.fullmatch(r"images/[\w.-]+", attributes.get(name) or "images/x")
+    text = path.read_text(encoding="utf-8")
+    assert "http:" not in text and "https:" not in text and "url(" not in text
+
+
+def test_the_psnr_on_the_page_is_that_of_the_images(run):
+    expected = psnr(image(2) * 1.1, image(2))
+    assert f"{expected:.2f} dB" in Page(write_report(run)).text
+
+
+def test_an_empty_run_still_gives_a_page(tmp_path):
+    run = RunFolder(tmp_path / "run")
+    run.create(make_settings("draft"))
+    page = Page(write_report(run))
+    assert "No surface was found to emit light." in page.text and "draft" in page.text
+
+
+@pytest.mark.parametrize("path", ["../secret.exr", "renders/../../secret.exr"])
+def test_a_path_that_leads_out_of_the_run_is_refused(run, path):
+    write_exr(run.root.parent / "secret.exr", image(1))
+    write_json(run.renders_json, {"renders": [{"kind": "relight", "view": "x", "image": path}]})
+    with pytest.raises(FiptError) as caught:
+        write_report(run)
+    assert caught.value.code == "path-outside" and not (run.report / "index.html").exists()
+
+
+def test_a_photograph_path_that_leads_out_is_refused_too(run):
+    data = json.loads(run.capture_json.read_text())
+    data["views"][0]["image"] = "../../etc/passwd.exr"
+    write_json(run.capture_json, data)
+    with pytest.raises(FiptError) as caught:
+        write_report(run)
+    assert caught.value.code == "path-outside"
+
+
+def test_a_run_of_another_version_is_refused(run):
+    write_json(run.run_json, {"format": "fipt-run", "version": 99})
+    with pytest.raises(FiptError) as caught:
+        write_report(run)
+    assert caught.value.code == "run-version"
+
+
+def test_psnr_of_a_known_error():
+    truth = np.full((4, 4, 3), 0.5**2.2, np.float32)
+    estimate = np.full((4, 4, 3), 0.6**2.2, np.float32)
+    assert psnr(estimate, truth) == pytest.approx(20.0, abs=1e-3)
+    assert psnr(truth, truth) == float("inf")
+    assert psnr(truth * 50.0, truth * 70.0, exposure=1.0) == float("inf")  # both clip to white
+
+
+def test_display_survives_what_images_can_hold():
+    values = np.array([[[np.nan, np.inf, -np.inf], [-1.0, 2.0, 1.0]]], np.float32)
+    assert to_display(values).tolist() == [[[0.0, 1.0, 0.0], [0.0, 1.0, 1.0]]]
+
+
+def test_error_colours_run_from_black_to_light():
+    truth = np.zeros((1, 2, 3), np.float32)
+    estimate = np.array([[[0.0] * 3, [1.0] * 3]], np.float32)
+    colours = error_picture(estimate, truth)
+    assert colours[0, 0].max() < 0.02 and colours[0, 1].min() > 0.6
+
+
+@pytest.mark.parametrize("size", [(12, 6), (7, 5), (48, 24), (5, 30)])
+def test_resizing_keeps_the_mean(size):
+    picture = image(3)
+    other = resize_to(picture, *size)
+    assert other.shape == (size[1], size[0], 3) and other.dtype == np.float32
+    np.testing.assert_allclose(other.mean(axis=(0, 1)), picture.mean(axis=(0, 1)), rtol=1e-5)
+
+
+def test_resizing_averages_boxes():
+    picture = image(3)
+    np.testing.assert_allclose(
+        resize_to(picture, 12, 6), picture.reshape(6, 2, 12, 2, 3).mean(axis=(1, 3)), rtol=1e-4
+    )
+    np.testing.assert_allclose(resize_to(picture, 48, 24)[::2, 1::2], picture, rtol=1e-3, atol=1e-6)
+
+
+def test_both_psnrs_of_a_known_error():
+    truth = np.full((4, 4, 3), 0.5, np.float32)
+    agreement = compare(truth + 0.1, truth)
+    assert agreement.psnr_linear == pytest.approx(20.0, abs=1e-3)
+    assert agreement.psnr == pytest.approx(-20.0 * np.log10(0.6 ** (1 / 2.2) - 0.5 ** (1 / 2.2)), abs=1e-3)
+    assert compare(truth * 4.0, truth * 6.0) == Agreement(float("inf"), float("inf"))
+
+
+def test_exposure_is_only_changed_for_pictures_that_could_not_be_seen():
+    assert choose_exposure(0.3) == 1.0 and choose_exposure(0.0) == 1.0
+    assert choose_exposure(300.0) * 300.0 == pytest.approx(0.18)
+
+
+def test_swatches_and_times():
+    assert swatch([10.0, 10.0, 10.0]) == "#ffffff" and swatch([5.0, 0.0, 0.0]) == "#ff0000"
+    assert format_duration(59.94) == "59.9 s" and format_duration(125.0) == "2 min 5 s"

@@ -1,0 +1,274 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Checkpoints: kept for the same input, removed for another; no partial files on a full disk."""
+
+import errno
+import os
+import pickle
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from fipt_blender.core.material.fields import RoomFields
+from fipt_blender.core.material.groups import Units
+from fipt_blender.core.material.inference import Fields
+from fipt_blender.core.material.networks import BrdfNetwork
+from fipt_blender.core.material.seen import Box, seen_cells
+from fipt_blender.core.run import checkpoints, finished_views, method
+from fipt_blender.core.run.checkpoints import Checkpoints, stage_keys, stage_names
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder, explained_write_errors, write_json
+from fipt_blender.core.run.settings import Settings
+from fipt_blender.core.scene.pixels import open_array
+
+SMALL = Settings(hash_levels=2, hash_log2_size=6, brdf_width=8)
+
+
+STAGES = stage_names(1)
+
+
+def make_keys(changed: str = "") -> dict[str, str]:
+    """Keys of the stages, which differ from a stage on."""
+    first = STAGES.index(changed) if changed else len(STAGES)
+    return {name: f"{name} {index >= first}" for index, name in enumerate(STAGES)}
+
+
+def do(checkpoints: Checkpoints, names: list[str], folder: Path) -> None:
+    """Do the stages and write the files that the engine would write."""
+    for name in names:
+        checkpoints.begin(name)
+        if name.startswith("training"):
+            checkpoints.save_tensors(name.replace("training", "networks"), {"x": torch.arange(3)})
+        (folder / "previews").mkdir(exist_ok=True)
+        (folder / "previews" / f"{name}-base_color.png").touch()
+        checkpoints.mark(name, {"seconds": 2.0})
+
+
+def test_an_updated_method_repeats_every_stage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = stage_keys(SMALL, [])
+    assert before == stage_keys(SMALL, [])
+    core = tmp_path / "core"
+    for room in method.ROOMS:
+        folder = core if room.endswith(".py") else core / room
+        folder.mkdir(parents=True, exist_ok=True)
+        (core / room if room.endswith(".py") else folder / "rules.py").write_text("THRESHOLD = 0.7\n")
+    digest = method.method_digest(core)
+    (core / "light" / "rules.py").write_text("THRESHOLD = 0.8\n")
+    method.method_digest.cache_clear()
+    assert method.method_digest(core) != digest
+    monkeypatch.setattr(checkpoints, "method_digest", lambda: "another method")
+    assert not set(before.values()) & set(stage_keys(SMALL, []).values())
+
+
+def test_stages_are_remembered_for_the_same_input_only(tmp_path: Path) -> None:
+    folder = tmp_path / "stage"
+    first = Checkpoints(folder, make_keys())
+    first.remember("scale", 0.25)
+    do(first, STAGES[:3], folder)
+    again = Checkpoints(folder, make_keys())
+    assert again.done("training-0") and not again.done("refinement-1") and again.recall("scale") == 0.25
+    assert again.facts() == [{"name": name, "seconds": 2.0} for name in STAGES[:3]]
+    assert again.load_tensors("networks-0", torch.device("cpu"))["x"].tolist() == [0, 1, 2]
+    other = Checkpoints(folder, make_keys("pixels"))
+    assert not other.done("pixels") and list(folder.iterdir()) == []
+    for damaged in ("{ cut off", "{}", '{"stages": 1, "keys": {}, "values": {}}', '{"key": "a"}'):
+        (folder / "stages.json").write_text(damaged)
+        assert not Checkpoints(folder, make_keys()).done("pixels")
+
+
+@pytest.mark.parametrize(
+    ("done", "changed", "kept"),
+    [
+        (3, "shadings", 1),
+        (3, "training-0", 2),
+        (3, "refinement-1", 3),
+        (5, "training-0", 1),  # the refinement wrote over stage 1's shadings
+        (5, "refinement-1", 3),
+        (5, "training-1", 4),
+        (5, "", 5),
+    ],
+)
+def test_stages_before_a_change_are_kept(done: int, changed: str, kept: int, tmp_path: Path) -> None:
+    folder = tmp_path / "stage"
+    do(Checkpoints(folder, make_keys()), STAGES[:done], folder)
+    (folder / "training-1.pt").touch()  # under way
+    checkpoints = Checkpoints(folder, make_keys(changed))
+    assert [name for name in STAGES if checkpoints.done(name)] == STAGES[:kept]
+    pictures = [path.name.removesuffix("-base_color.png") for path in (folder / "previews").iterdir()]
+    assert sorted(pictures) == sorted(STAGES[:kept])
+    networks = [name for name in STAGES[:kept] if name.startswith("training")]
+    assert len(list(folder.glob("networks-*.pt"))) == len(networks)
+    assert (folder / "training-1.pt").exists() == (changed == "")
+    assert [name for name in STAGES if Checkpoints(folder, make_keys(changed)).done(name)] == STAGES[:kept]
+
+
+def test_a_refinement_that_began_has_spoilt_the_shadings_before(tmp_path: Path) -> None:
+    folder = tmp_path / "stage"
+    first = Checkpoints(folder, make_keys())
+    do(first, STAGES[:3], folder)
+    first.begin("refinement-1")
+    assert Checkpoints(folder, make_keys()).done("training-0")
+    checkpoints = Checkpoints(folder, make_keys("training-0"))
+    assert checkpoints.done("pixels") and not checkpoints.done("shadings")
+
+
+def test_a_kill_amid_dropping_stages_leaves_none_that_lack_their_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "stage"
+    do(Checkpoints(folder, make_keys()), STAGES, folder)
+    (folder / "training-0.pt").touch()
+
+    def killed(path: Path, missing_ok: bool = False) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Path, "unlink", killed)
+        Checkpoints(folder, make_keys("training-1"))
+    assert (folder / "networks-1.pt").exists()
+    again = Checkpoints(folder, make_keys())
+    assert not again.done("training-1") and again.done("refinement-1")
+    assert not (folder / "networks-1.pt").exists(), "it may be another key's"
+
+
+def test_finished_views_are_those_of_the_same_stage_and_input(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(finished_views, "NOTE_SECONDS", 0.0)
+    folder = tmp_path / "stage"
+    first = Checkpoints(folder, make_keys())
+    do(first, STAGES[:1], folder)
+    flushed = []
+    views = first.finished_views("shadings")
+    views.flush = lambda: flushed.append(set(views.views))
+    views.add(2, 50)
+    views.add(0, 30)
+    assert flushed == [{2}, {0, 2}], "the results must be on the disk before the note is"
+    again = Checkpoints(folder, make_keys()).finished_views("shadings")
+    assert again.views == {0, 2} and again.rays == 80
+    assert not Checkpoints(folder, make_keys()).finished_views("refinement-1").views
+    # The refinement writes over the shadings.
+    assert not Checkpoints(folder, make_keys()).finished_views("shadings").views
+    first.finished_views("shadings").add(1, 10)
+    assert not Checkpoints(folder, make_keys("shadings")).finished_views("shadings").views
+    for damaged in ("{ cut off", "[]", '{"key": "shadings False", "views": [-1], "rays": 0}'):
+        (folder / "baked.json").write_text(damaged)
+        assert not Checkpoints(folder, make_keys()).finished_views("shadings").views
+        assert not (folder / "baked.json").exists()
+
+
+def test_results_need_the_shadings_of_their_own_last_round(tmp_path: Path) -> None:
+    folder = tmp_path / "stage"
+    do(Checkpoints(folder, make_keys()), STAGES, folder)
+    fewer = {name: key for name, key in make_keys().items() if not name.endswith("-1")}
+    checkpoints = Checkpoints(folder, fewer)
+    assert checkpoints.done("pixels") and not checkpoints.done("shadings")
+
+
+def test_fewer_rounds_keep_the_stages_that_they_share(tmp_path: Path) -> None:
+    keys = stage_keys(SMALL, [])
+    assert list(keys) == stage_names(2)
+    fewer = stage_keys(replace(SMALL, rounds=1), [])
+    assert fewer == {name: keys[name] for name in STAGES}
+
+
+def test_keys_follow_the_settings_that_a_stage_and_those_before_it_read(tmp_path: Path) -> None:
+    file, photograph = tmp_path / "capture.json", tmp_path / "a.exr"
+    file.write_text("one")
+    photograph.write_text("one")
+    names = stage_names(SMALL.rounds)
+    keys = stage_keys(SMALL, [file], [photograph])
+
+    def first_other(settings: Settings) -> str | None:
+        others = stage_keys(settings, [file], [photograph])
+        differs = [others.get(name) != keys[name] for name in names]
+        assert differs == sorted(differs)  # and all after it
+        return names[differs.index(True)] if any(differs) else None
+
+    assert first_other(replace(SMALL)) is None
+    for item in fields(Settings):
+        if item.name != "rounds":
+            changed = replace(SMALL, **{item.name: ("x", getattr(SMALL, item.name))})
+            assert first_other(changed) == item.metadata["stage"], item.name
+    photograph.write_text("another")
+    assert first_other(SMALL) == "pixels"
+    photograph.unlink()
+    file.write_text("two")
+    assert first_other(SMALL) == "pixels"
+
+
+@pytest.mark.filterwarnings("ignore:Detected pickle protocol")
+def test_damaged_weights_are_an_error_of_ours_and_run_no_code(tmp_path: Path) -> None:
+    checkpoints = Checkpoints(tmp_path / "stage", make_keys())
+
+    class Touch:
+        def __reduce__(self):
+            return (open, (str(tmp_path / "touched"), "w"))
+
+    (tmp_path / "stage" / "bad.pt").write_bytes(pickle.dumps(Touch()))
+    with pytest.raises(FiptError) as caught:
+        checkpoints.load_tensors("bad", torch.device("cpu"))
+    assert caught.value.code == "file-damaged" and not (tmp_path / "touched").exists()
+
+
+def to_full_disk(path: Path) -> None:
+    """Put the temporary file beside `path` on a device that is always full."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.with_name(f".{os.getpid()}.{path.name}").symlink_to("/dev/full")
+
+
+def save_fields(run: RunFolder) -> None:
+    network = BrdfNetwork(SMALL, 2, torch.Generator(), torch.device("cpu"))
+    box, part = Box(np.zeros(3), 1.0), np.zeros(1, np.int32)
+    cells = seen_cells(box, [(np.zeros((1, 3), np.float32), part)])
+    RoomFields(Fields(network, box), Units(part, np.ones(1, bool)), cells).save(run)
+
+
+WRITERS = {
+    "results/fields.npz": save_fields,
+    "results/emitters.json": lambda run: write_json(run.emitters_json, {"fixtures": [1] * 99}),
+    "stage/weights.pt": lambda run: Checkpoints(run.stage, make_keys()).save_tensors(
+        "weights", {"x": torch.ones(9999)}
+    ),
+}
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # a zip file closed twice
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_full_disk_is_said_so_and_keeps_what_was_there(name: str, tmp_path: Path) -> None:
+    run = RunFolder(tmp_path / "run")
+    run.create(SMALL)
+    Checkpoints(run.stage, make_keys()).mark("pixels", {})
+    path = run.root / name
+    path.write_text("what was there")
+    to_full_disk(path)
+    with pytest.raises(FiptError) as caught:
+        WRITERS[name](run)
+    assert caught.value.code == "disk-full" and str(path) in caught.value.text
+    assert path.read_text() == "what was there"
+    assert [entry.name for entry in path.parent.iterdir() if entry.name.startswith(".")] == []
+
+
+@pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="only POSIX reserves blocks by call")
+def test_mapped_arrays_reserve_their_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Otherwise a full disk would end the process by SIGBUS at the first page without space."""
+    array = open_array(tmp_path / "a.npy", (1000, 700), np.float32, create=True)
+    assert (array == 0).all()
+    assert (tmp_path / "a.npy").stat().st_blocks * 512 >= array.nbytes
+    del array
+    assert open_array(tmp_path / "a.npy", (1000, 700), np.float32, create=False).shape == (1000, 700)
+    with pytest.raises(FiptError) as caught:
+        open_array(tmp_path / "a.npy", (1000, 701), np.float32, create=False)
+    assert caught.value.code == "file-damaged"
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(FiptError) as caught, explained_write_errors(tmp_path):
+        open_array(tmp_path / "b.npy", (10, 3), np.float32, create=True)
+    assert caught.value.code == "disk-full"

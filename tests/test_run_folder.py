@@ -1,0 +1,87 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A run folder writes nothing outside itself, and a damaged run.json is an error with a remedy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.lock import hold, open_lockable
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.settings import make_settings
+from fipt_blender.jobs import run_job
+from samples.child_processes import posix
+
+pytestmark = posix  # elsewhere links need rights
+
+
+@pytest.fixture
+def outside(tmp_path: Path) -> Path:
+    folder = tmp_path / "outside"
+    folder.mkdir()
+    (folder / "precious").write_text("precious")
+    return folder
+
+
+FOLDERS = ("results", "report", "textures", "renders", "stage", "survey", "messages", "images")
+INNER = ("stage/pixels", "renders/rerender", "results/maps", "report/images")
+
+
+@pytest.mark.parametrize("name", [*FOLDERS, *INNER, "engine.lock", "log.txt", "messages/estimate.jsonl"])
+def test_links_that_lead_outside_are_refused(run_folder: RunFolder, outside: Path, name: str) -> None:
+    path = run_folder.root / name
+    path.parent.mkdir(exist_ok=True)
+    if path.is_dir():
+        path.rmdir()
+    path.symlink_to(outside / "precious" if path.suffix else outside)
+    for use in (
+        lambda: run_folder.create(make_settings()),
+        lambda: run_job.open_job(run_folder, []),
+        lambda: hold(run_folder, ["estimate"]).__enter__(),
+    ):
+        with pytest.raises(FiptError) as caught:
+            use()
+        assert caught.value.code == "run-linked" and str(path) in caught.value.text
+    assert [entry.name for entry in outside.iterdir()] == ["precious"]
+    assert (outside / "precious").read_text() == "precious"
+
+
+def test_links_within_the_folder_and_to_it_are_followed(run_folder: RunFolder, tmp_path: Path) -> None:
+    (run_folder.stage / "a").mkdir()
+    (run_folder.stage / "b").symlink_to(run_folder.stage / "a")
+    (tmp_path / "link").symlink_to(run_folder.root)
+    RunFolder(tmp_path / "link").create(make_settings())
+    with hold(RunFolder(tmp_path / "link"), ["estimate"]):
+        pass
+
+
+def test_a_lock_is_no_link_and_no_other_special_file(tmp_path: Path, outside: Path) -> None:
+    (tmp_path / "lock").symlink_to(outside / "precious")
+    for path in (tmp_path / "lock", Path("/dev/null"), outside):
+        with pytest.raises(FiptError) as caught:
+            open_lockable(path)
+        assert caught.value.code == "run-unwritable"
+    assert (outside / "precious").read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "[]",
+        '{"format": "fipt-run", "version": 1, "settings": [1]}',
+        '{"format": "fipt-run", "version": 1, "settings": {"preset": ["draft"]}}',
+        '{"format": "fipt-run", "version": 1, "settings": {"seed": 1e30}}',
+        '{"format": ["fipt-run"], "version": 1}',
+        "[" * 100_000,
+    ],
+)
+def test_a_damaged_run_json_is_refused(run_folder: RunFolder, content: str) -> None:
+    run_folder.run_json.write_text(content)
+    with pytest.raises(FiptError) as caught:
+        run_folder.read()
+    assert caught.value.code in ("run-damaged", "setting-unknown", "setting-invalid")
+    assert caught.value.remedy

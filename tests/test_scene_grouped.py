@@ -1,0 +1,31 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Medians of groups: the same as numpy's and the standard library's, group by group."""
+
+import statistics
+
+import numpy as np
+import pytest
+
+from fipt_blender.core.scene.grouped import grouped_median, grouped_weighted_median
+
+
+@pytest.mark.parametrize("dtype", (np.float32, np.float64))
+def test_medians_are_those_of_each_group_alone(rng: np.random.Generator, dtype) -> None:
+    values, group = rng.random((300, 3)).round(1).astype(dtype), rng.integers(0, 40, 300)
+    medians = grouped_median(values, group, 42)
+    assert medians.dtype == dtype and not medians[40:].any()
+    low, high = (grouped_median(values[:, 0], group, 42, middle) for middle in ("low", "high"))
+    for index in np.unique(group):
+        members = values[group == index]
+        assert (medians[index] == np.median(members, axis=0)).all()
+        assert low[index] == statistics.median_low(members[:, 0].tolist())
+        assert high[index] == statistics.median_high(members[:, 0].tolist())
+    assert grouped_median(np.zeros((0, 3)), np.zeros(0, int), 2).shape == (2, 3)
+
+
+def test_weights_count_as_repeated_values(rng: np.random.Generator) -> None:
+    values, weight, group = rng.random(100), rng.integers(0, 4, 100), rng.integers(0, 9, 100)
+    repeated = grouped_median(np.repeat(values, weight), np.repeat(group, weight), 10, "low")
+    assert (grouped_weighted_median(values, weight, group, 10) == repeated).all()
+    assert not grouped_weighted_median(np.zeros(0), np.zeros(0), np.zeros(0, int), 2).any()

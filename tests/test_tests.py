@@ -1,0 +1,60 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What tests may import: no other test module, and no private name of what they test."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+TESTS = Path(__file__).resolve().parent
+
+
+def is_private(name: str) -> bool:
+    last = name.rpartition(".")[2]
+    return last.startswith("_") and not last.startswith("__")
+
+
+def imported_test_modules(tree: ast.Module) -> set[str]:
+    modules = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            modules |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            modules |= {node.module or "", *(alias.name for alias in node.names)}
+    return {name for name in modules if name.startswith("test_") or name == "conftest"}
+
+
+def private_names(tree: ast.Module) -> Iterator[str]:
+    """Private names of other modules and objects: imported, read as attributes, or set by monkeypatch."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            yield from (alias.name for alias in node.names if is_private(alias.name))
+        elif isinstance(node, ast.Attribute) and is_private(node.attr):
+            if not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")):
+                yield ast.unparse(node)
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("setattr", "getattr")):
+            names = [argument.value for argument in node.args[:2] if isinstance(argument, ast.Constant)]
+            yield from (name for name in names if isinstance(name, str) and is_private(name))
+
+
+@pytest.mark.parametrize("file", sorted(TESTS.rglob("*.py")), ids=lambda file: str(file.relative_to(TESTS)))
+def test_tests_stand_alone_and_use_public_names(file: Path) -> None:
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    assert not imported_test_modules(tree), "move what is shared to tests/samples"
+    assert not list(private_names(tree)), "test the public function, or make the name public"
+
+
+def test_the_check_finds_what_it_forbids() -> None:
+    tree = ast.parse(
+        "from test_a import b\n"
+        "from fipt_blender.cli import _c\n"
+        "d._e(self._f, g.__name__)\n"
+        "monkeypatch.setattr(h, '_i', 1)\n"
+        "monkeypatch.setattr('fipt_blender.cli._j', 1)\n"
+    )
+    assert imported_test_modules(tree) == {"test_a"}
+    assert set(private_names(tree)) == {"_c", "d._e", "_i", "fipt_blender.cli._j"}

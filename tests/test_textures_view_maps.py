@@ -1,0 +1,86 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Maps of views: materials on walls, radiance on emitters, zero outside the room."""
+
+import numpy as np
+import pytest
+
+from fipt_blender.core.capture.images import read_radiance
+from fipt_blender.core.capture.views import View
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.textures.view_maps import shrunk, write_view_maps
+
+VIEWS = [
+    View(f"{split}/{i}", split, None, 24, 12, 12.0, 12.0, 12.0, 6.0, np.eye(4))
+    for i, split in enumerate(("train", "train", "train", "held_back"))
+]
+
+
+class Fields:
+    """Base colour depends on the height, all else is constant."""
+
+    def query(self, positions, triangles):
+        count = len(positions)
+        color = np.repeat(positions[:, 1:2] / 4.0 + 0.5, 3, axis=1).astype(np.float32)
+        return color, np.full(count, 0.25, np.float32), np.full(count, 0.75, np.float32)
+
+    def confidence(self, positions, triangles):
+        return np.full((len(positions), 3), 0.5, np.float32)
+
+
+@pytest.fixture
+def run(tmp_path) -> RunFolder:
+    """A wall on the left half of the image, whose lower right triangle is a lamp facing the camera."""
+    run = RunFolder(tmp_path)
+    vertices = np.array([[-4, -2, 2], [0, -2, 2], [0, 2, 2], [-4, 2, 2]], np.float32)
+    triangles = np.array([[0, 2, 1], [0, 3, 2]], np.int32)  # fronts towards the camera at the origin
+    none = np.zeros(2, np.int32)
+    normals = np.tile(np.array([0.0, 0.0, -1.0], np.float32), (2, 3, 1))
+    arrays = {"vertices": vertices, "triangles": triangles, "corner_normals": normals}
+    np.savez(run.room_npz, **arrays, triangle_object=none, triangle_material=none, triangle_polygon=none)
+    write_json(run.room_json, {"objects": ["wall"], "materials": ["paint"], "parts": "auto"})
+    fixture = {"name": "a", "triangles": [0], "radiance": [8.0, 4.0, 2.0], "back_radiance": [1.0, 1.0, 1.0]}
+    write_json(run.emitters_json, {"fixtures": [fixture], "environment": None})
+    return run
+
+
+def test_held_back_views_come_first_and_their_maps_are_right(run):
+    files = write_view_maps(run, Fields(), VIEWS)
+    listed = read_json(files[-1])["views"]
+    assert [entry.pop("view") for entry in listed] == ["held_back/3", "train/0", "train/1"]
+    maps = {name: read_radiance(run.resolve(path)) for name, path in listed[0].items()}
+    emitter, wall = maps["emission"][..., 0] > 0.0, maps["roughness"][..., 0] > 0.0
+    assert emitter.any() and wall.any() and not (emitter & wall).any()
+    assert (emitter | wall)[:, :12].all() and not (emitter | wall)[:, 12:].any()
+    assert (maps["emission"][emitter] == [8.0, 4.0, 2.0]).all()
+    assert (maps["roughness"][wall] == 0.25).all() and (maps["metallic"][wall] == 0.75).all()
+    assert (maps["confidence"][wall] == 0.5).all() and not maps["confidence"][~wall].any()
+    # Rows run downwards, and so does the camera's y axis; z = 2 gives 1/6 of height a pixel.
+    rows = np.nonzero(wall)[0]
+    np.testing.assert_allclose(maps["base_color"][wall][:, 0], (rows + 0.5 - 6.0) / 24.0 + 0.5, atol=1e-3)
+    assert (maps["base_color"][~wall] == 0.0).all()
+
+
+def test_large_views_get_fewer_pixels_of_the_same_sight():
+    small = shrunk(VIEWS[0], 6)
+    assert (small.width, small.height, small.fx, small.fy, small.cx, small.cy) == (6, 3, 3.0, 3.0, 3.0, 1.5)
+    assert shrunk(VIEWS[0], 24) is VIEWS[0]
+
+
+def test_the_fields_are_asked_at_surface_points_alone(run):
+    """Rays past the mesh end at infinity."""
+
+    class Finite(Fields):
+        def query(self, positions, triangles):
+            assert np.isfinite(positions).all() and len(positions) == 12 * 12
+            return super().query(positions, triangles)
+
+    write_view_maps(run, Finite(), VIEWS)
+
+
+def test_a_room_without_lamps_has_maps_without_emission(run):
+    write_json(run.emitters_json, {"fixtures": [], "environment": None})
+    files = write_view_maps(run, Fields(), VIEWS)
+    maps = {path.stem: read_radiance(path) for path in files[:-1]}
+    assert not maps["000_emission"].any() and (maps["000_roughness"][:, :12] == 0.25).all()

@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Lamps that the mesh lacks are found, reported and left out of the pixels; other lamps are not."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.tracer.surfaces import TriangleMaterials
+from fipt_blender.core.scene.pixels import LEFT_OUT
+from fipt_blender.core.views.check import ViewCheck
+from samples.checked_views import run_check
+from samples.small_captures import CAMERAS, COLORS, PANEL, SmallCapture, photograph_room
+from samples.small_rooms import BOX, bulb, make_room, mesh_room, table
+
+PLACE = [0.3, 0.2, 1.6]
+VIEWS = [*CAMERAS, [[1.5, 0.2, 1.8], [-1.2, -0.4, 1.4]], [[-0.3, 1.7, 1.5], [0.1, -1.5, 1.6]]]
+
+
+@pytest.fixture(scope="module")
+def with_bulb() -> SmallCapture:
+    """A hanging bulb of 12 cm in a coloured box."""
+    flat = make_room(BOX)
+    points, faces = bulb(PLACE, 0.06)
+    room = mesh_room(
+        np.concatenate([flat.vertices, points]),
+        np.concatenate([flat.triangles, faces + len(flat.vertices)]),
+        np.concatenate([flat.triangle_object, np.full(8, 6)]),
+        parts="objects",
+    )
+    colors = np.concatenate([np.repeat(np.array(COLORS), 2, axis=0), np.zeros((8, 3))])
+    materials = TriangleMaterials(colors, np.ones(20), np.zeros(20))
+    lamps = table(list(range(12, 20)), [80.0, 70.0, 60.0])
+    return photograph_room(room, materials, lamps, cameras=VIEWS, scale=2, spp=32)
+
+
+def test_a_lamp_without_mesh_is_named_and_left_out(with_bulb: SmallCapture, tmp_path: Path) -> None:
+    pixels, check, messages = run_check(tmp_path, replace(with_bulb, room=make_room(BOX, parts="objects")))
+    (message,) = messages
+    assert message["code"] == "lamp-without-mesh" and message["remedy"]
+    (position,) = check.lamps
+    assert position == pytest.approx(PLACE, abs=0.06)
+    left = np.asarray(pixels.triangle) != LEFT_OUT
+    # No remaining pixel is as bright as the lamp, and few are left out.
+    assert np.asarray(pixels.radiance)[left].max() < 0.2 * np.asarray(pixels.radiance).max()
+    assert (~left).mean() < 0.02
+
+
+def test_a_lamp_with_mesh_and_one_in_a_mirror_are_no_such_lamps(
+    with_bulb: SmallCapture, tmp_path: Path
+) -> None:
+    _, check, messages = run_check(tmp_path / "bulb", with_bulb)
+    assert check == ViewCheck() and messages == []
+    mirror = [[-1.98, -0.9, 0.6], [-1.98, 0.9, 0.6], [-1.98, 0.9, 2.4], [-1.98, -0.9, 2.4]]
+    room = make_room([*BOX, PANEL, mirror], parts="objects")
+    colors = np.repeat(np.array([*COLORS, [0.0] * 3, [0.95] * 3]), 2, axis=0)
+    smooth = np.arange(16) >= 14
+    materials = TriangleMaterials(colors, np.where(smooth, 0.02, 1.0), smooth * 1.0)
+    toward = [[[1.5, -1.5, 1.4], [-2.0, 0.2, 1.6]], [[1.5, 1.5, 1.2], [-2.0, -0.2, 1.7]]]
+    toward += [[[0.6, -0.9, 1.5], [-2.0, 0.1, 1.9]], [[0.3, 0.2, 0.6], [-2.0, 0.0, 1.6]]]
+    lamps = table([12, 13], [30.0, 25.0, 20.0])
+    capture = photograph_room(room, materials, lamps, cameras=[*CAMERAS[:4], *toward], scale=2, spp=32)
+    _, check, _ = run_check(tmp_path / "mirror", capture)
+    assert check.lamps == []
