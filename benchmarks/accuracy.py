@@ -31,6 +31,7 @@ from fipt_blender.core.run.runfolder import PRODUCT_VERSION, RunFolder, write_js
 
 ROOT = Path(__file__).resolve().parent.parent
 SPLITS = ("training", "held_back")
+COLUMNS = ("paper", "strict", "edge", "inside")
 IMAGE_METRICS = ("view_synthesis_psnr", "relight_psnr")
 METRICS = (
     "kd_psnr",
@@ -232,14 +233,16 @@ def score(run: RunFolder, scope: Scope, page: picture_page.PicturePage) -> Score
         predicted = [predict.predict_maps(lit, view, filtered) for view in chosen[split]]
         figures: dict[str, Any] = dict.fromkeys(METRICS)
         strict: dict[str, Any] = dict.fromkeys(METRICS)
+        borders: dict[str, Any] = {"edge": {}, "inside": {}, "edge_share": None}
         if true:
             figures |= metrics.map_metrics(predicted, true, strict=False)
             strict |= metrics.map_metrics(predicted, true, strict=True)
+            borders = metrics.border_metrics(predicted, true)
         images = [render_view(lit, view, settings, stream) for stream, view in enumerate(rendered[split])]
         truths = [view.radiance() for view in rendered[split]]
         enter(figures, strict, "view_synthesis_psnr", images, truths)
-        result[split] = {**figures, "strict": strict, "views": len(true), "rendered_views": len(images)}
-        result[split]["maps_are_filtered"] = filtered
+        result[split] = {**figures, "strict": strict, **borders, "maps_are_filtered": filtered}
+        result[split] |= {"views": len(true), "rendered_views": len(images)}
         if split == "held_back":
             result[split]["confidence"] = predict.confidence_table(run, chosen[split], true) if true else []
             for view, one, other in zip(chosen[split], predicted, true, strict=True):
@@ -314,20 +317,20 @@ def score_cycles(run: RunFolder, spp: int, scored: Scored) -> None:
 
 
 def format_table(result: dict[str, Any]) -> str:
-    """The figures as text: a column a split and protocol."""
-    columns = [(split, protocol) for split in SPLITS for protocol in ("paper", "strict")]
-    lines = [f"{'':28s}" + "".join(f"{split + ' ' + protocol:>18s}" for split, protocol in columns)]
+    """The figures as text: for each split both protocols, and pixels near borders and away from them."""
+    cells = [["", *(f"{split.replace('_', ' ')} {column}" for split in SPLITS for column in COLUMNS)]]
     for name in METRICS:
-        cells = []
-        for split, protocol in columns:
-            figures = result[split] if protocol == "paper" else result[split]["strict"]
-            value = figures[name]
-            digits = ".2e" if name.endswith("log_l2") else ".3f" if name.endswith("iou") else ".2f"
-            cells.append(f"{'-':>18s}" if value is None else f"{value:18{digits}}")
-        lines.append(f"{name:28s}" + "".join(cells))
-    for name in ("seconds", "peak_memory_gb", "version"):
-        lines.append(f"{name:28s}{result.get(name)!s:>18s}")
-    return "\n".join(lines)
+        digits = ".2e" if name.endswith("log_l2") else ".3f" if name.endswith("iou") else ".2f"
+        groups = [
+            result[split] if key == "paper" else result[split][key] for split in SPLITS for key in COLUMNS
+        ]
+        values = [group.get(name) for group in groups]
+        cells.append([name, *("-" if value is None else f"{value:{digits}}" for value in values)])
+    for split in SPLITS:
+        share = result[split]["edge_share"]
+        cells.append([f"pixels near borders, {split}", "-" if share is None else f"{share:.3f}"])
+    cells += [[name, str(result.get(name))] for name in ("seconds", "peak_memory_gb", "version")]
+    return "\n".join(f"{row[0]:30s}" + "".join(f"{cell:>18s}" for cell in row[1:]) for row in cells)
 
 
 def out_of_bounds(result: dict[str, Any], bounds: dict[str, Any]) -> list[str]:

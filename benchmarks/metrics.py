@@ -7,18 +7,21 @@ clamped to the model's range. This is equivalent to comparing the maps that the 
 STRICT: excluded pixels do not count, values are unclamped floats, and pixels of rendered images that are
 clipped in the truth do not count. Map errors are pooled over all pixels of a split; PSNRs of rendered images
 are means over images. The paper does not define log L2; here it is the mean squared difference of
-log(1 + radiance).
+log(1 + radiance). Map errors at borders between materials and away from them follow STRICT.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from fipt_blender.core.report.comparison import psnr_of, tone_mapped
 
+# Maps of materials whose errors are also told at borders between materials and away from them.
+BORDER_METRICS = ("kd_psnr", "a_prime_psnr", "sigma_psnr", "metallic_psnr")
 DIFFUSE_ROUGHNESS = 0.999  # half floats and filtering keep "1" above this
 MIN_ROUGHNESS = 0.02
 
@@ -35,6 +38,7 @@ class Maps:
         metallic: (H, W).
         emission: (H, W, 3) emitted radiance.
         hit: (H, W) bool, whether the pixel sees the mesh.
+        material: (H, W) int, the material at the pixel's centre, 0 for none; only of true maps.
     """
 
     kd: np.ndarray
@@ -44,6 +48,7 @@ class Maps:
     metallic: np.ndarray
     emission: np.ndarray
     hit: np.ndarray
+    material: np.ndarray | None = None
 
 
 def psnr(squared_error: float) -> float:
@@ -95,25 +100,57 @@ def diffuse_surfaces(true: Maps) -> np.ndarray:
     return surfaces(true) & (true.roughness >= DIFFUSE_ROUGHNESS)
 
 
+def near_borders(material: np.ndarray) -> np.ndarray:
+    """(H, W) bool: whether any of the eight pixels around sees another material.
+
+    Args:
+        material: (H, W) ids; what lies beyond the image counts as equal.
+    """
+    height, width = material.shape
+    padded = np.pad(material, 1, mode="edge")
+    around = [padded[dy : dy + height, dx : dx + width] for dy in range(3) for dx in range(3)]
+    return np.any([other != material for other in around], axis=0)
+
+
 def map_metrics(predicted: Sequence[Maps], true: Sequence[Maps], strict: bool) -> dict[str, float | None]:
     """kd, a', sigma and metallic PSNR, emission IoU and log L2 of the views of one split."""
-    plain = [surfaces(view) for view in true]
-    diffuse = [diffuse_surfaces(view) for view in true]
-
-    def of(name: str, kept: Sequence[np.ndarray]) -> float | None:
-        pair = [[getattr(view, name) for view in side] for side in (predicted, true)]
-        if name == "roughness" and not strict:
-            pair = [[np.clip(image, MIN_ROUGHNESS, 1.0) for image in side] for side in pair]
-        return pooled_psnr(*pair, kept, strict)
-
-    return {
-        "kd_psnr": of("kd", diffuse),
-        "a_prime_psnr": of("a_prime", plain),
-        "sigma_psnr": of("roughness", plain),
-        "metallic_psnr": of("metallic", plain),
+    everywhere = [np.ones(view.hit.shape, bool) for view in true]
+    return material_metrics(predicted, true, everywhere, strict) | {
         "emission_iou": emission_iou([view.emission for view in predicted], [view.emission for view in true]),
         "emission_log_l2": log_l2([view.emission for view in predicted], [view.emission for view in true]),
     }
+
+
+def border_metrics(predicted: Sequence[Maps], true: Sequence[Maps]) -> dict[str, Any]:
+    """The strict PSNRs of `BORDER_METRICS` over pixels near borders and over all others.
+
+    Args:
+        true: at least one view; its materials are known.
+
+    Returns:
+        ``edge`` and ``inside``: dB by metric; ``edge_share``: pixels near borders, of all pixels.
+    """
+    edge = [near_borders(view.material) for view in true if view.material is not None]
+    return {
+        "edge": material_metrics(predicted, true, edge, strict=True),
+        "inside": material_metrics(predicted, true, [~near for near in edge], strict=True),
+        "edge_share": float(sum(near.sum() for near in edge) / sum(near.size for near in edge)),
+    }
+
+
+def material_metrics(
+    predicted: Sequence[Maps], true: Sequence[Maps], region: Sequence[np.ndarray], strict: bool
+) -> dict[str, float | None]:
+    """kd, a', sigma and metallic PSNR over the surfaces in a region (H, W) bool of each view."""
+    plain = [surfaces(view) & inside for view, inside in zip(true, region, strict=True)]
+    diffuse = [diffuse_surfaces(view) & inside for view, inside in zip(true, region, strict=True)]
+    found = {}
+    for metric, name in zip(BORDER_METRICS, ("kd", "a_prime", "roughness", "metallic"), strict=True):
+        pair = [[getattr(view, name) for view in side] for side in (predicted, true)]
+        if name == "roughness" and not strict:
+            pair = [[np.clip(image, MIN_ROUGHNESS, 1.0) for image in side] for side in pair]
+        found[metric] = pooled_psnr(*pair, diffuse if name == "kd" else plain, strict)
+    return found
 
 
 def emission_iou(predicted: Sequence[np.ndarray], true: Sequence[np.ndarray]) -> float:

@@ -77,10 +77,10 @@ class PicturePage:
         groups = [(split, figures) for split, figures in result.items() if isinstance(figures, dict)]
         titles, columns = [], []
         for split, figures in groups:
-            titles += [f"{split}, paper", f"{split}, strict"]
-            columns += [figures, figures["strict"]]
-        names = [name for name in columns[0]["strict"]] if columns else []
-        rows = [(name, [_text(column[name]) for column in columns]) for name in names]
+            titles += [f"{split}, {kind}" for kind in ("paper", "strict", "edge", "inside")]
+            columns += [figures, figures["strict"], figures["edge"], figures["inside"]]
+        names = [name for name in groups[0][1]["strict"]] if groups else []
+        rows = [(name, [_text(column.get(name)) for column in columns]) for name in names]
         environment = jinja2.Environment(autoescape=True)
         page = environment.from_string(_TEMPLATE).render(
             titles=titles, rows=rows, views=self._views, gain=ERROR_GAIN

@@ -65,14 +65,14 @@ def read_maps(view: View) -> Maps:
         maps = {key: read_radiance(folder / sub / name) for key, sub in COLOR_MAPS.items()}
         maps |= {key: read_radiance(folder / sub / name)[..., 0] for key, sub in VALUE_MAPS.items()}
         a_prime = read_radiance(folder / "albedo" / bare)
-        hit = read_ids(folder / "IndexMA" / name) > 0
+        material = read_ids(folder / "IndexMA" / name)
     except FiptError as error:
         raise FiptError(
             "truth-missing",
             f"The capture has no complete ground truth: {error.text}",
             "It needs DiffCol, BaseColor, Metallic, Roughness, Emit, albedo and IndexMA beside Image.",
         ) from None
-    return Maps(a_prime=a_prime, hit=hit, **maps)
+    return Maps(a_prime=a_prime, hit=material > 0, material=material, **maps)
 
 
 def maps_are_filtered(views: Sequence[Maps]) -> bool:

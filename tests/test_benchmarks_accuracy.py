@@ -46,6 +46,7 @@ def test_maps_come_back_from_the_layout(tmp_path: Path) -> None:
     found = truth.read_maps(view)
     for name in ("kd", "a_prime", "base_color", "roughness", "metallic", "emission", "hit"):
         assert np.array_equal(getattr(found, name), getattr(maps, name)), name
+    assert found.material is not None and (found.material == 1).all()
     assert (tmp_path / "val" / "albedo" / "000.exr").exists()
 
 
@@ -103,11 +104,17 @@ def test_page_and_table_show_all_figures(tmp_path: Path) -> None:
     page = picture_page.PicturePage(tmp_path)
     page.add_maps("val/000", maps, maps)
     page.add_images("val/000", "Relit", maps.kd, maps.kd)
-    strict = dict.fromkeys(accuracy.METRICS, 1.5)
-    result = {split: {**dict.fromkeys(accuracy.METRICS), "strict": strict} for split in accuracy.SPLITS}
+    columns = {
+        "strict": dict.fromkeys(accuracy.METRICS, 1.5),
+        "edge": {"kd_psnr": 2.25},
+        "inside": {},
+        "edge_share": 0.125,
+    }
+    result = {split: {**dict.fromkeys(accuracy.METRICS), **columns} for split in accuracy.SPLITS}
     page.write(result)
     text = (tmp_path / "index.html").read_text(encoding="utf-8")
     assert all(name in text for name in accuracy.METRICS)
     assert text.count("<img") == 18 and len(list(tmp_path.glob("*.png"))) == 18
     table = accuracy.format_table({**result, "seconds": 12.0, "version": "1"})
-    assert all(name in table for name in accuracy.METRICS) and "1.50" in table
+    assert all(name in table for name in accuracy.METRICS)
+    assert [table.count(word) for word in ("1.50", "2.25", "0.125", "held back inside")] == [20, 2, 2, 1]
