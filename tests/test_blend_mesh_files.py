@@ -22,8 +22,8 @@ TRIANGLES = [(0, 1, 2), (1, 2, 3), (2, 3, 4)]
 MIXED = [(0, 1, 2), (1, 2, 3, 4), (2, 3, 4)]
 OBJ = b"v 0 0 0\nv 1 0 0 # x\nv 0 1 0\nvt 0 0\nvn 0 0 1\nf 1/1/1 2/1/1 3/1/1\nf -3//1 -2//1 \\\n -1//1\n"
 
-# Imports the files of a folder in Blender, and says so on stderr if it has survived them: Blender's own lines on
-# stdout are buffered apart from Python's and may come after them.
+# Imports the files of a folder in Blender, and says so on stderr if it has survived them: Blender's own lines
+# on stdout are buffered apart from Python's and may come after them.
 IMPORT = """
 import sys
 import numpy as np
