@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Give a room of examples/make_room.py random materials and lamps; no constant was tuned on such a room.
 
-python examples/make_room.py --seed 7 --no-render --out DIR
+python examples/make_room.py --seed 7 [--thin] --no-render --out DIR
 python benchmarks/other_materials.py DIR --seed 7
 python examples/render_room.py DIR
 python3 dev.py accuracy DIR

@@ -30,6 +30,7 @@ import room_materials  # noqa: E402
 import room_ornaments  # noqa: E402
 import room_shell  # noqa: E402
 import room_textures  # noqa: E402
+import room_thin  # noqa: E402
 
 
 def parse_arguments(words: list[str]) -> argparse.Namespace:
@@ -42,19 +43,22 @@ def parse_arguments(words: list[str]) -> argparse.Namespace:
     parser.add_argument("--size", default="192x108", metavar="WxH", help="pixels of an image")
     parser.add_argument("--spp", type=int, default=64, help="paths a pixel")
     parser.add_argument("--seed", type=int, default=1, help="seed of textures, furniture, cameras and noise")
+    parser.add_argument(
+        "--thin", action="store_true", help="add thin things, such as bars and strips of light"
+    )
     parser.add_argument("--blend", type=Path, help="also save the modelled room as a .blend")
     parser.add_argument("--render-python", default=sys.executable, help="a Python that has mitsuba")
     parser.add_argument("--no-render", action="store_true", help="stop before the images")
     return parser.parse_args(words)
 
 
-def build_room(seed: int, textures: Path) -> None:
-    """Model everything into an empty scene."""
+def build_room(seed: int, textures: Path, thin: bool) -> None:
+    """Model everything into an empty scene; `thin` adds room_thin's things."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     textures.mkdir(parents=True, exist_ok=True)
     for name in room_textures.MAKERS:
         save_png(textures / f"{name}.png", room_textures.encode(room_textures.make_texture(name, seed)))
-    for material in room_materials.MATERIALS:
+    for material in chosen_materials(thin):
         room_materials.make_principled(material, textures)
     rng = np.random.default_rng([seed, 5])
     room_shell.build_shell()
@@ -72,6 +76,13 @@ def build_room(seed: int, textures: Path) -> None:
     room_ornaments.build_clock()
     room_ornaments.build_bin()
     room_ornaments.build_sill_bottles()
+    if thin:
+        room_thin.build_thin(np.random.default_rng([seed, 6]))
+
+
+def chosen_materials(thin: bool) -> list[room_materials.RoomMaterial]:
+    """The room's materials, in the order of their ids."""
+    return [*room_materials.MATERIALS, *(room_thin.MATERIALS if thin else [])]
 
 
 def save_png(path: Path, pixels: np.ndarray) -> None:
@@ -136,14 +147,15 @@ def main() -> int:
     for name in ("train", "val", "relight", "textures"):
         if (out / name).exists():
             shutil.rmtree(out / name)
-    build_room(options.seed, out / "textures")
+    build_room(options.seed, out / "textures", options.thin)
     if options.blend:
         bpy.ops.wm.save_as_mainfile(filepath=str(options.blend.resolve()))
     objects = room_export.read_objects()
     room_export.write_obj(out / "scene.obj", objects)
     wanted = ("views", "size", "spp", "seed")
-    command = " ".join(["make_room.py", *(f"--{name} {getattr(options, name)}" for name in wanted)])
-    room_export.write_tables(out, objects, command)
+    command = ["make_room.py", *(f"--{name} {getattr(options, name)}" for name in wanted)]
+    command += ["--thin"] * options.thin
+    room_export.write_tables(out, objects, chosen_materials(options.thin), " ".join(command))
     offsets = np.cumsum([0] + [len(item.vertices) for item in objects])
     triangles = np.concatenate(
         [item.triangles + start for item, start in zip(objects, offsets[:-1], strict=True)]

@@ -11,7 +11,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 from room_cameras import y_up
-from room_materials import MATERIALS, SEMANTIC_CLASSES
+from room_materials import SEMANTIC_CLASSES, RoomMaterial
 
 
 @dataclass
@@ -95,9 +95,11 @@ def write_obj(path: Path, objects: list[ObjectArrays]) -> None:
     path.write_text("\n".join(lines) + "\n")
 
 
-def write_tables(folder: Path, objects: list[ObjectArrays], command: str) -> None:
+def write_tables(
+    folder: Path, objects: list[ObjectArrays], materials: list[RoomMaterial], command: str
+) -> None:
     """materials.json, emitters.json and scene.npz; ids of materials count from 1, those of objects from 0."""
-    number = {material.name: k + 1 for k, material in enumerate(MATERIALS)}
+    number = {material.name: k + 1 for k, material in enumerate(materials)}
     material = np.concatenate([[number[name] for name in item.materials] for item in objects]).astype(
         np.int32
     )
@@ -106,7 +108,7 @@ def write_tables(folder: Path, objects: list[ObjectArrays], command: str) -> Non
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     radiance = np.zeros((len(material), 3), np.float32)
     emitters, rows = [], []
-    for made in MATERIALS:
+    for made in materials:
         mine = np.flatnonzero(material == number[made.name])
         rows.append(
             {

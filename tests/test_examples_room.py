@@ -134,6 +134,34 @@ def test_maps_follow_the_materials(tiny, files):
     assert a_prime.max() <= 1.001 and (a_prime >= load("DiffCol") - 2e-3).all()
 
 
+def test_thin_things_are_thin_and_have_their_own_materials(tmp_path, files):
+    """They follow the plain room's materials, lie within the room, and are slight beside a footprint."""
+    command = [sys.executable, str(EXAMPLES / "make_room.py"), "--out", str(tmp_path)]
+    command += ["--views", "1", "--seed", "3", "--thin", "--no-render"]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=400)
+    assert result.returncode == 0, result.stdout + result.stderr
+    plain = json.loads((SHIPPED / "materials.json").read_text())["materials"]
+    table = json.loads((tmp_path / "materials.json").read_text())
+    added = table["materials"][len(plain) :]
+    assert "--thin" in table["command"] and len(added) > 10
+    assert [row["name"] for row in table["materials"][: len(plain)]] == [row["name"] for row in plain]
+    capture = files.read_capture(tmp_path)
+    thin = np.isin(capture.material, [row["id"] for row in added])
+    assert all(row["triangles"] == (capture.material == row["id"]).sum() > 0 for row in added)
+    low, high = (capture.corners[~thin].reshape(-1, 3).min(0), capture.corners[~thin].reshape(-1, 3).max(0))
+    assert (capture.corners[thin] >= low).all() and (capture.corners[thin] <= high).all()
+    corners = capture.corners[thin].astype(float)
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    pixel = 2 * np.tan(capture.fov_x / 2) / 192  # metres, one metre from a camera of the shipped capture
+    assert np.mean(doubled / sides.max(1) < 3 * pixel) > 0.95
+    strips = [emitter for emitter in capture.emitters if emitter["name"].endswith("StripLight")]
+    assert len(strips) == 3 and len(capture.emitters) == 5
+    for strip in strips:
+        first, end = strip["triangles"]
+        assert len(np.unique(capture.material[first:end])) == 1 and strip["area"] < 0.12
+
+
 def test_shipped_capture_is_whole(files):
     """40 + 6 views under 15 MB; the bulb is seen by at least 6 training views; some objects have no UVs."""
     size = sum(path.stat().st_size for path in SHIPPED.rglob("*") if path.is_file())
