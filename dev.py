@@ -34,6 +34,7 @@ ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 VENV_PYTHON = VENV / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
 PRODUCT = ROOT / "fipt_blender" / "__main__.py"
+DEVELOPMENT_GROUPS = ("engine", "blender", "dev", "cluster", "heif", "markers", "masks")
 DEMO = ("estimate", "examples/room", "--output", "out/demo", "--preset", "draft")
 
 
@@ -104,7 +105,7 @@ def set_up() -> None:
         plan = Plan(
             folder=VENV,
             base=Path(sys.executable),
-            requirements=[*pins["engine"], *pins["blender"], *pins["dev"], *pins["cluster"]],
+            requirements=[pin for group in DEVELOPMENT_GROUPS for pin in pins[group]],
             modules=("bpy", *ENGINE_MODULES),
             llvm=pins["llvm"],
             pip=pins["pip"],
@@ -204,8 +205,6 @@ def lock() -> int:
         "compile",
         "-",
         "--universal",
-        "--python-version",
-        "3.11",
     ]
     options = [
         "--python-version",

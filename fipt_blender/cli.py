@@ -23,7 +23,7 @@ from .bridge.interpreter import engine_command
 from .bridge.process import EngineProcess, Message
 from .core.conventions import UP_AXES
 from .core.run.errors import FiptError
-from .core.run.runfolder import PRODUCT_VERSION
+from .core.run.runfolder import PRODUCT_VERSION, explained_write_errors
 from .core.run.settings import PRESETS, make_settings
 from .jobs.main_job import make_main_job
 from .jobs.options import PARTS, RENDER_KINDS, MainJobOptions
@@ -82,8 +82,22 @@ def make_parser() -> argparse.ArgumentParser:
     add("--render-view", default="", metavar="NAME", help="the view to render (default: a held-back one)")
     add("--resume", action="store_true", help="keep finished steps of an earlier run in the same folder")
 
+    prepare = commands.add_parser(
+        "prepare",
+        help="make a capture from a folder of photographs",
+        description="Make a capture from photographs: merge brackets to HDR images and solve the cameras. A"
+        " command that was stopped goes on where it was when it is started again.",
+    )
+    add = prepare.add_argument
+    add("photographs", type=Path, metavar="PHOTOGRAPHS", help="folder of the photographs")
+    add(
+        "--output", type=Path, metavar="CAPTURE", help="the capture's folder (default: ./PHOTOGRAPHS-capture)"
+    )
+    add("--steps", default="", metavar="NAMES", help="only some steps, separated by commas (default: all)")
+    add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one setting of prepare.json")
+
     check = commands.add_parser("check", help="check whether the engine works, and on which device")
-    for command in (estimate, check):
+    for command in (estimate, prepare, check):
         add = command.add_argument
         add("--engine-python", metavar="PATH", help="Python interpreter with the engine's packages")
         add("--quiet", action="store_true", help="print only warnings and errors")
@@ -97,7 +111,8 @@ def main(argv: Sequence[str]) -> int:
         arguments = make_parser().parse_args(list(argv))
     except SystemExit as end:  # argparse; Blender would print a traceback
         return end.code if isinstance(end.code, int) else 2
-    return _estimate(arguments) if arguments.command == "estimate" else _check(arguments)
+    commands = {"estimate": _estimate, "prepare": _prepare, "check": _check}
+    return commands[arguments.command](arguments)
 
 
 def make_options(arguments: argparse.Namespace) -> MainJobOptions:
@@ -175,20 +190,21 @@ def _estimate(arguments: argparse.Namespace) -> int:
     return 0 if succeeded else 1
 
 
-def _check(arguments: argparse.Namespace) -> int:
+def _prepare(arguments: argparse.Namespace) -> int:
+    photographs = arguments.photographs.absolute()
+    capture = (arguments.output or Path.cwd() / f"{photographs.name}-capture").absolute()
+    options = [f"--steps={arguments.steps}", *(f"--set={text}" for text in arguments.set)]
     try:
-        engine = find_launch(arguments.engine_python)
-        command = engine_command(engine.python, "check")
-        process = EngineProcess(command, Path(os.devnull), engine.environment)
+        with explained_write_errors(capture):
+            capture.mkdir(parents=True, exist_ok=True)
     except FiptError as error:
         return _report_error(arguments, error)
-    except OSError as error:
-        explained = FiptError(
-            "engine-missing",
-            f"The engine's Python can't be started ({error}).",
-            "Choose another interpreter (--engine-python).",
-        )
-        return _report_error(arguments, explained)
+    display = _Display(sys.stdout, arguments.json, arguments.quiet)
+    command = ["prepare", *options, "--", str(photographs), str(capture)]
+    return _run_engine(arguments, command, capture / "log.txt", display.show)[0]
+
+
+def _check(arguments: argparse.Namespace) -> int:
     display = _Display(sys.stdout, arguments.json, arguments.quiet)
 
     def show(message: Message) -> None:
@@ -199,11 +215,30 @@ def _check(arguments: argparse.Namespace) -> int:
                     value = ", ".join(f"{key} {item or 'missing'}" for key, item in value.items())
                 print(f"{name.replace('_', ' ')}: {'none' if value is None else value}")
 
+    status, done = _run_engine(arguments, ["check"], Path(os.devnull), show)
+    return status if status or (done and done["data"].get("ready", True)) else 1
+
+
+def _run_engine(
+    arguments: argparse.Namespace, command: list[str], log: Path, show: Callable[[Message], None]
+) -> tuple[int, Message | None]:
+    """Run one engine command; returns the exit status and its message `done`."""
     try:
-        succeeded = process.run_blocking(show)
-        return 0 if succeeded and process.done and process.done["data"].get("ready", True) else 1
+        engine = find_launch(arguments.engine_python)
+        process = EngineProcess(engine_command(engine.python, *command), log, engine.environment)
+    except FiptError as error:
+        return _report_error(arguments, error), None
+    except OSError as error:
+        explained = FiptError(
+            "engine-missing",
+            f"The engine's Python can't be started ({error}).",
+            "Choose another interpreter (--engine-python).",
+        )
+        return _report_error(arguments, explained), None
+    try:
+        return (0 if process.run_blocking(show) else 1), process.done
     except KeyboardInterrupt:
-        return 130
+        return 130, None
 
 
 def _report_error(arguments: argparse.Namespace, error: FiptError) -> int:

@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "fipt_blender"
 CORE = PACKAGE / "core"
-HEAVY = ("mitsuba", "drjit", "torch", "OpenEXR", "pycolmap", "pyoidn")
+HEAVY = ("mitsuba", "drjit", "torch", "OpenEXR", "pycolmap", "pyoidn", "rawpy", "exifread", "lensfunpy")
 # What Blender's side may import of the engine: the standard library and numpy are enough for these.
 SHARED = (
     "conventions",
@@ -50,6 +50,7 @@ FLOORS = (
     "core.material",
     "core.textures",
     "core.report",
+    "core.photographs",
     "core.estimate",
     "core.__main__",
     "core",

@@ -83,7 +83,8 @@ def test_build_refuses_versions_that_disagree(
 
 def test_every_pin_is_exact() -> None:
     groups = pins.read_pins()
-    assert set(groups) == {"engine", "blender", "dev", "cluster", "llvm", "pip", "lock"}
+    extras = {"heif", "markers", "masks"}
+    assert set(groups) == {"engine", "blender", "dev", "cluster", "llvm", "pip", "lock", *extras}
     locked = [pins.without_hashes(line) for line in groups.pop("lock")]
     for requirement in (pin for group in (*groups.values(), locked) for pin in group):
         assert re.match(r"[A-Za-z0-9-]+==[0-9][0-9a-z.]*( ?;|$)", requirement), requirement

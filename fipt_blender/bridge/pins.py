@@ -34,7 +34,7 @@ def read_pins(package: Path = PACKAGE_FOLDER) -> dict[str, list[str]]:
 
     ``lock`` has every package that the engine needs, with its version and the hashes of its files, but for
     PyTorch and what only its CUDA builds need: which build is installed depends on the machine. A checkout
-    also has ``blender``, ``dev`` and ``cluster``.
+    also has ``blender``, ``dev``, ``cluster``, ``heif``, ``markers`` and ``masks``.
 
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.

@@ -25,6 +25,7 @@ from .run.runfolder import RunFolder
 # Name: (module, help). Each module has add_arguments(parser) and run(arguments, reporter).
 COMMANDS = {
     "check": (".device.check", "print the device, LLVM and package versions of the engine"),
+    "prepare": (".photographs.command", "make a capture from a folder of photographs"),
     "ingest": (".capture.ingest", "read a capture into a run folder"),
     "survey": (".scene.survey", "find out what each view sees of the room, and which parts there are"),
     "estimate": (".estimate.command", "estimate materials and lights of the room of a run folder"),

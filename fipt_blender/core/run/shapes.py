@@ -56,6 +56,35 @@ STAGES = Fields(
     }
 )
 
+PREPARE_FORMAT = "fipt-prepare"
+PREPARE_VERSION = 1
+_EXIF_NUMBER = Maybe(Number(low=1e-12, high=1e12))
+PREPARE = Fields(
+    {
+        "format": Choice(PREPARE_FORMAT),
+        "version": Choice(PREPARE_VERSION),
+        "source": str,
+        "settings": dict,
+        "photographs": Items(
+            Fields(
+                {
+                    "path": str,
+                    "kind": Choice("raw", "ldr", "linear"),
+                    **dict.fromkeys(("width", "height"), Number(1, MOST_SIDE, whole=True)),
+                },
+                {
+                    "orientation": Number(1, 8, whole=True),
+                    **dict.fromkeys(("make", "model", "lens"), str),
+                    **dict.fromkeys(("shutter", "aperture", "iso", "exposure"), _EXIF_NUMBER),
+                    **dict.fromkeys(("focal_length", "focal_35mm"), _EXIF_NUMBER),
+                    "time": Maybe(Number()),
+                },
+            )
+        ),
+        "groups": Items(Fields({"name": FileName(), "photographs": Items(str, least=1)}, {"used": bool})),
+    }
+)
+
 EMITTERS = Fields(
     {
         "fixtures": Items(

@@ -1,0 +1,222 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which photographs belong together: exposures of one view, found by EXIF and time, or by folders."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import PurePath
+
+from .preparation import Group, Photograph
+
+# Cameras take a bracket in one go: the next photograph begins within this after the one before has ended.
+GAP_SECONDS = 5.0
+# EXIF rounds shutter times (1/60 stands for 1/64); brackets differ by a third of a stop or more.
+SAME_STOPS = 0.2
+_FORBIDDEN = re.compile(r'[\\/:*?"<>|\x00-\x1f]')
+
+
+@dataclass(frozen=True)
+class Remark:
+    """Something about the photographs that the user should know; see `FiptError`."""
+
+    code: str
+    text: str
+    remedy: str
+
+
+def find_groups(photographs: Sequence[Photograph], grouping: str) -> list[Group]:
+    """Group photographs.
+
+    Args:
+        photographs: any order.
+        grouping: ``auto``: consecutive photographs of one camera with different exposures and without a pause
+            (by folders where headers have no exposures, and the folders hold several photographs each);
+            ``folders``: each folder is a group; ``single``: each photograph is one.
+
+    Returns:
+        Groups in the order of time and name, photographs in theirs.
+    """
+    ordered = in_order(photographs)
+    if grouping == "single":
+        lists = [[photograph] for photograph in ordered]
+    elif grouping == "folders" or (grouping == "auto" and _folders_speak(ordered)):
+        folders: dict[PurePath, list[Photograph]] = {}
+        for photograph in ordered:
+            folders.setdefault(PurePath(photograph.path).parent, []).append(photograph)
+        lists = list(folders.values())
+        return _named(lists, by_folder=True)
+    else:
+        lists = []
+        for photograph in ordered:
+            if lists and continues(lists[-1], photograph):
+                lists[-1].append(photograph)
+            else:
+                lists.append([photograph])
+    return _named(lists, by_folder=False)
+
+
+def in_order(photographs: Iterable[Photograph]) -> list[Photograph]:
+    """By folder, then time (where all of a folder have one), then name with numbers by their value."""
+    photographs = list(photographs)
+    timeless = {PurePath(item.path).parent for item in photographs if item.time is None}
+
+    def rank(item: Photograph) -> tuple[object, ...]:
+        folder = PurePath(item.path).parent
+        time = 0.0 if folder in timeless or item.time is None else item.time
+        return _natural(str(folder)), time, _natural(PurePath(item.path).name)
+
+    return sorted(photographs, key=rank)
+
+
+def continues(group: Sequence[Photograph], photograph: Photograph) -> bool:
+    """Whether a photograph is a further exposure of the bracket that a group has begun."""
+    last = group[-1]
+    if PurePath(last.path).parent != PurePath(photograph.path).parent or not _same_camera(last, photograph):
+        return False
+    if photograph.exposure is None or any(item.exposure is None for item in group):
+        return False
+    if any(abs(stops_between(item, photograph)) < SAME_STOPS for item in group):
+        return False
+    if last.time is not None and photograph.time is not None:
+        # Clocks without fractions of seconds are up to one second off.
+        pause = photograph.time - last.time - (last.shutter or 0.0)
+        return -1.0 <= pause <= GAP_SECONDS
+    return True
+
+
+def stops_between(first: Photograph, second: Photograph) -> float:
+    """How many stops more light the second photograph got; both exposures must be known."""
+    assert first.exposure and second.exposure
+    return math.log2(second.exposure / first.exposure)
+
+
+def remarks(photographs: Sequence[Photograph], groups: Sequence[Group]) -> list[Remark]:
+    """What looks wrong with photographs and groups."""
+    by_path = {photograph.path: photograph for photograph in photographs}
+    members = {group.name: [by_path[path] for path in group.photographs] for group in groups if group.used}
+    found = [*_exposure_remarks(members), *_camera_remarks(members), *_size_remarks(members)]
+    sizes = Counter(len(items) for items in members.values())
+    usual = max(sizes, key=lambda size: (sizes[size], size), default=1)
+    odd = [name for name, items in members.items() if len(items) < usual]
+    if usual > 1 and odd:
+        found.append(
+            Remark(
+                "bracket-incomplete",
+                f"Most groups have {usual} exposures; there are fewer in {_listed(odd)}.",
+                "Correct the groups, or untick those that are no brackets.",
+            )
+        )
+    if members and usual == 1:
+        if not any(items[0].kind == "linear" for items in members.values()):
+            found.append(
+                Remark(
+                    "no-brackets",
+                    "Most photographs are single exposures: bright windows and lamps are clipped in them, and"
+                    " will be too dim.",
+                    "Take brackets, or group the photographs by folders or by hand.",
+                )
+            )
+    return found
+
+
+def _exposure_remarks(members: dict[str, list[Photograph]]) -> list[Remark]:
+    found = []
+    unknown = [item.path for items in members.values() for item in items if item.exposure is None]
+    if unknown:
+        found.append(
+            Remark(
+                "exposure-unknown",
+                f"There is no exposure data (EXIF) for {_listed(unknown)}.",
+                "Enter exposures in prepare.json, or untick these groups.",
+            )
+        )
+    apertures = [name for name, items in members.items() if len({item.aperture for item in items}) > 1]
+    if apertures:
+        found.append(
+            Remark(
+                "aperture-varies",
+                f"The aperture differs within {_listed(apertures)}: blur and vignetting differ too.",
+                "Bracket by the shutter time, at one aperture.",
+            )
+        )
+    return found
+
+
+def _camera_remarks(members: dict[str, list[Photograph]]) -> list[Remark]:
+    counts: Counter[str] = Counter()
+    for items in members.values():
+        counts[f"{items[0].make} {items[0].model}".strip() or "an unknown camera"] += 1
+    if len(counts) < 2:
+        return []
+    texts = ", ".join(f"{name} ({count})" for name, count in counts.most_common())
+    return [
+        Remark(
+            "cameras-mixed",
+            f"The groups are from different cameras: {texts}. Their colors and exposures may not agree.",
+            "Use one camera, or untick the groups of the others.",
+        )
+    ]
+
+
+def _size_remarks(members: dict[str, list[Photograph]]) -> list[Remark]:
+    counts = Counter(frozenset((items[0].width, items[0].height)) for items in members.values())
+    if len(counts) < 2:
+        return []
+    usual = counts.most_common(1)[0][0]
+    odd = [name for name, items in members.items() if {items[0].width, items[0].height} != set(usual)]
+    return [
+        Remark(
+            "sizes-mixed",
+            f"The size differs from most others in {_listed(odd)}: these may be frames of a video or crops.",
+            "Untick these groups if they don't belong to the capture.",
+        )
+    ]
+
+
+def _listed(names: Sequence[str]) -> str:
+    """The first name and the number of the others."""
+    return f"'{names[0]}'" if len(names) == 1 else f"'{names[0]}' and {len(names) - 1} more"
+
+
+def _folders_speak(photographs: Sequence[Photograph]) -> bool:
+    """Whether folders alone can tell the groups: no exposures, and several folders of several photographs."""
+    if any(photograph.exposure is not None for photograph in photographs):
+        return False
+    counts = Counter(PurePath(photograph.path).parent for photograph in photographs)
+    return len(counts) > 1 and all(1 < count <= 20 for count in counts.values())
+
+
+def _same_camera(first: Photograph, second: Photograph) -> bool:
+    def traits(item: Photograph) -> tuple[object, ...]:
+        return item.kind, item.width, item.height, item.make, item.model, item.lens, item.focal_length
+
+    return traits(first) == traits(second)
+
+
+def _natural(text: str) -> list[tuple[int, str]]:
+    """A sort key in which img_9 comes before img_10."""
+    parts = re.split(r"(\d+)", text.casefold())
+    return [(int(part[:18]), part) if part.isdecimal() else (-1, part) for part in parts]
+
+
+def _named(lists: Sequence[Sequence[Photograph]], by_folder: bool) -> list[Group]:
+    """Groups named after their folder or first photograph; names are unique and fit every file system."""
+    taken: set[str] = set()
+    groups = []
+    for items in lists:
+        path = PurePath(items[0].path)
+        has_folder = by_folder and path.parent != PurePath(".")
+        stem = "_".join(path.parent.parts) if has_folder else path.stem
+        plain = _FORBIDDEN.sub("_", stem).strip(" .")[:80] or "view"
+        name, count = plain, 1
+        while name.casefold() in taken:
+            count += 1
+            name = f"{plain}_{count}"
+        taken.add(name.casefold())
+        groups.append(Group(name, tuple(item.path for item in items)))
+    return groups

@@ -1,0 +1,209 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a photograph's header says: size, exposure, camera, lens, time. Pixels are not decoded.
+
+Headers come from cameras, phones and other programs; whatever is missing or makes no sense is None.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import struct
+from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import exifread
+import rawpy
+from exifread.core.exceptions import ExifError
+from PIL import Image, UnidentifiedImageError
+
+from ..capture.images import EXR_SUFFIX, MOST_PIXELS, read_size
+from ..run.errors import FiptError
+from . import radiance_hdr
+from .extras import optional
+from .preparation import Photograph
+
+RAW_SUFFIXES = (
+    *(".dng", ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".sr2", ".raf", ".rw2", ".orf", ".pef"),
+    *(".srw", ".3fr", ".fff", ".iiq", ".rwl", ".erf", ".mrw", ".x3f"),
+)
+HEIF_SUFFIXES = (".heic", ".heif")
+LDR_FORMATS = {
+    **dict.fromkeys((".jpg", ".jpeg"), "JPEG"),
+    **dict.fromkeys((".tif", ".tiff"), "TIFF"),
+    ".png": "PNG",
+    **dict.fromkeys(HEIF_SUFFIXES, "HEIF"),
+}
+LINEAR_SUFFIXES = (EXR_SUFFIX, ".hdr", ".pic")
+SUFFIXES = (*RAW_SUFFIXES, *LDR_FORMATS, *LINEAR_SUFFIXES)
+# What the libraries raise for damaged or hostile files.
+DAMAGE = (
+    *(OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, AssertionError, SyntaxError),
+    *(struct.error, EOFError, OverflowError, ZeroDivisionError, RecursionError, UnidentifiedImageError),
+    *(rawpy.LibRawError, ExifError, RuntimeError, NotImplementedError, MemoryError),
+)
+_TIMES = (
+    ("EXIF DateTimeOriginal", "EXIF SubSecTimeOriginal"),
+    ("EXIF DateTimeDigitized", "EXIF SubSecTimeDigitized"),
+    ("Image DateTime", "EXIF SubSecTime"),
+)
+# ExifRead says on its log what is wrong with a header; a missing value is all that matters here.
+logging.getLogger("exifread").setLevel(logging.CRITICAL)
+
+
+def kind_of(path: Path) -> str | None:
+    """``raw``, ``ldr`` or ``linear`` by the suffix, None for files that are no photographs."""
+    suffix = path.suffix.lower()
+    if suffix in RAW_SUFFIXES:
+        return "raw"
+    if suffix in LDR_FORMATS:
+        return "ldr"
+    return "linear" if suffix in LINEAR_SUFFIXES else None
+
+
+def describe(path: Path, name: str) -> Photograph:
+    """A photograph as its header describes it.
+
+    Args:
+        path: of the file.
+        name: the path by which prepare.json names it.
+
+    Raises:
+        FiptError: ``photograph-unreadable``, ``image-too-large`` or ``package-optional``.
+    """
+    kind = kind_of(path)
+    if kind is None:
+        raise unreadable(path, "its format is not known")
+    try:
+        if path.stat().st_size == 0:
+            raise unreadable(path, "the file is empty")
+        width, height, other = _size(path, kind)
+        tags = {**other, **_tags(path)} if path.suffix.lower() not in LINEAR_SUFFIXES else other
+    except DAMAGE as error:
+        raise unreadable(path, error) from None
+    if width < 1 or height < 1 or width * height > MOST_PIXELS:
+        raise FiptError(
+            "image-too-large",
+            f"{path} has {width} x {height} pixels; the limit is {MOST_PIXELS / 1e6:.0f} megapixels.",
+            "Scale it down, or remove it.",
+        )
+    return _photograph(name, kind, (width, height), tags)
+
+
+def unreadable(path: Path, reason: object) -> FiptError:
+    """The error for a photograph that can't be read."""
+    return FiptError(
+        "photograph-unreadable",
+        f"{path} can't be read ({reason}).",
+        "Copy it from the camera again, or remove it from the folder.",
+    )
+
+
+def relative_exposure(shutter: float | None, aperture: float | None, iso: float | None) -> float | None:
+    """The light that reaches the values: shutter * iso / (100 * aperture²).
+
+    Lenses without contacts report no aperture: it counts as 1 then, as it does not change within a bracket.
+    """
+    if shutter is None:
+        return None
+    return shutter * (100.0 if iso is None else iso) / 100.0 / (1.0 if aperture is None else aperture) ** 2
+
+
+def _photograph(name: str, kind: str, size: tuple[int, int], tags: Mapping[str, Any]) -> Photograph:
+    shutter = _number(tags, "EXIF ExposureTime")
+    if shutter is None and (value := _number(tags, "EXIF ShutterSpeedValue", least=-30.0)) is not None:
+        shutter = 2.0**-value
+    aperture = _number(tags, "EXIF FNumber")
+    iso = _number(tags, "EXIF ISOSpeedRatings") or _number(tags, "EXIF PhotographicSensitivity")
+    exposure = relative_exposure(shutter, aperture, iso)
+    return Photograph(
+        path=name,
+        kind=kind,
+        width=size[0],
+        height=size[1],
+        # LibRaw gives a sensor's values as they lie; programs that wrote linear images have turned them.
+        orientation=1 if kind == "linear" else int(_number(tags, "Image Orientation", 1.0, 8.0) or 1),
+        shutter=shutter,
+        aperture=aperture,
+        iso=iso,
+        focal_length=_number(tags, "EXIF FocalLength"),
+        focal_35mm=_number(tags, "EXIF FocalLengthIn35mmFilm"),
+        make=_text(tags, "Image Make"),
+        model=_text(tags, "Image Model"),
+        lens=_text(tags, "EXIF LensModel") or _text(tags, "MakerNote LensModel"),
+        time=_time(tags),
+        # Values of linear images are radiance already, unless they say how they were exposed.
+        exposure=1.0 if exposure is None and kind == "linear" else exposure,
+    )
+
+
+def _size(path: Path, kind: str) -> tuple[int, int, dict[str, Any]]:
+    """Width, height, and what only the format's own library reads, as EXIF tags."""
+    suffix = path.suffix.lower()
+    if kind == "raw":
+        with rawpy.imread(str(path)) as raw:
+            return raw.sizes.width, raw.sizes.height, _raw_tags(raw)
+    if suffix == EXR_SUFFIX:
+        return *read_size(path), {}
+    if kind == "linear":
+        return *radiance_hdr.read_size(path), {}
+    if suffix in HEIF_SUFFIXES:
+        optional("pillow_heif", "A photograph in HEIC").register_heif_opener()
+    with Image.open(path, formats=[LDR_FORMATS[suffix]]) as image:
+        return *image.size, {}
+
+
+def _raw_tags(raw: rawpy.RawPy) -> dict[str, Any]:
+    """What LibRaw knows of the exposure; zero stands for unknown there."""
+    other = raw.other
+    pairs = {
+        "EXIF ExposureTime": other.shutter_speed,
+        "EXIF FNumber": other.aperture,
+        "EXIF ISOSpeedRatings": other.iso_speed,
+        "EXIF FocalLength": other.focal_length,
+        # LibRaw's flip: 3 upside down, 5 to be turned left, 6 to be turned right.
+        "Image Orientation": {3: 3, 5: 8, 6: 6}.get(raw.sizes.flip, 1),
+    }
+    return {name: value for name, value in pairs.items() if value}
+
+
+def _tags(path: Path) -> dict[str, Any]:
+    """EXIF tags by ExifRead's names; none where the file has none or they are damaged."""
+    with path.open("rb") as file:
+        try:
+            found = exifread.process_file(file, details=False, extract_thumbnail=False)
+        except DAMAGE:
+            return {}
+    return {name: tag.values for name, tag in found.items() if hasattr(tag, "values")}
+
+
+def _number(tags: Mapping[str, Any], name: str, least: float = 1e-9, most: float = 1e9) -> float | None:
+    value = tags.get(name)
+    if isinstance(value, (list, tuple)):
+        value = value[0] if value else None
+    if value is None:
+        return None
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
+        return None
+    return number if math.isfinite(number) and least <= number <= most else None
+
+
+def _text(tags: Mapping[str, Any], name: str) -> str:
+    value = tags.get(name, "")
+    return "".join(c for c in value if c.isprintable()).strip()[:200] if isinstance(value, str) else ""
+
+
+def _time(tags: Mapping[str, Any]) -> float | None:
+    """Seconds since 1970 as if the camera's clock showed UTC."""
+    for name, fraction in _TIMES:
+        with contextlib.suppress(ValueError):
+            stamp = datetime.strptime(_text(tags, name)[:19] + " +0000", "%Y:%m:%d %H:%M:%S %z").timestamp()
+            digits = _text(tags, fraction)
+            return stamp + (float(f"0.{digits}") if digits.isascii() and digits.isdigit() else 0.0)
+    return None

@@ -1,0 +1,329 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`prepare`, step `read`: headers, brackets, bad files, and prepare.json between the steps."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import sys
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from fipt_blender import cli
+from fipt_blender.core.photographs import command, radiance_hdr
+from fipt_blender.core.photographs.brackets import find_groups, remarks
+from fipt_blender.core.photographs.exif import describe
+from fipt_blender.core.photographs.extras import EXTRAS, optional
+from fipt_blender.core.photographs.preparation import (
+    Group,
+    Photograph,
+    PreparationFolder,
+    make_prepare_settings,
+    read_preparation,
+    write_preparation,
+)
+from fipt_blender.core.photographs.reading import list_photographs, without_doubles
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.messages import Reporter
+from samples.photographs import exif, write_brackets, write_jpeg
+
+ROOT = Path(__file__).resolve().parent.parent
+GREY = np.full((6, 8, 3), 128, np.uint8)
+
+
+def prepare(photographs: Path, capture: Path, steps: str = "read", changes: tuple[str, ...] = ()) -> Reporter:
+    """Run the command in this process."""
+    reporter = Reporter()
+    arguments = argparse.Namespace(photographs=photographs, run=capture, steps=steps, set=list(changes))
+    command.run(arguments, reporter)
+    return reporter
+
+
+def shot(path: str, exposure: float | None, time: float | None = None, **others: object) -> Photograph:
+    values = {"kind": "ldr", "width": 8, "height": 6, "exposure": exposure, "time": time, **others}
+    return Photograph(path=path, **values)
+
+
+def names(groups: list[Group]) -> list[tuple[str, ...]]:
+    return [group.photographs for group in groups]
+
+
+def test_the_header_of_a_jpeg(tmp_path: Path) -> None:
+    path = write_jpeg(tmp_path / "a.jpg", GREY, exif(1 / 60, 0.25, aperture=5.6, iso=400, orientation=6))
+    found = describe(path, "a.jpg")
+    assert (found.width, found.height, found.upright_size) == (8, 6, (6, 8))
+    assert found.shutter == pytest.approx(1 / 60, rel=1e-3) and found.aperture == 5.6 and found.iso == 400
+    assert found.exposure == pytest.approx(4.0 / 60 / 5.6**2, rel=1e-3)
+    assert (found.make, found.model, found.focal_length, found.kind) == ("Make", "Model X", 24.0, "ldr")
+    later = describe(write_jpeg(tmp_path / "b.jpg", GREY, exif(1 / 60, 3.75)), "b.jpg")
+    assert later.time - found.time == pytest.approx(3.5)
+
+
+def test_a_photograph_without_exif_has_no_exposure(tmp_path: Path) -> None:
+    found = describe(write_jpeg(tmp_path / "a.jpg", GREY, exif(None)), "a.jpg")
+    assert found.exposure is None and found.time is None and found.make == ""
+
+
+def test_linear_pictures_hold_radiance(tmp_path: Path) -> None:
+    planes = dict.fromkeys("RGB", np.ones((3, 5), np.float32))
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, planes).write(str(tmp_path / "a.exr"))
+    found = describe(tmp_path / "a.exr", "a.exr")
+    assert (found.kind, found.width, found.height, found.exposure) == ("linear", 5, 3, 1.0)
+
+
+@pytest.mark.parametrize("width", [4, 300])
+def test_radiance_pictures_plain_and_run_length_encoded(tmp_path: Path, width: int) -> None:
+    rgbe = np.zeros((2, width, 4), np.uint8)
+    rgbe[..., :3], rgbe[..., 3] = [128, 64, 32], 130
+    rgbe[1, 0] = 0
+    if width < 8:
+        body = rgbe.tobytes()
+    else:
+        body = b""
+        for row in rgbe:
+            body += bytes([2, 2, width >> 8, width & 255])
+            for plane in row.T:
+                body += bytes([1, plane[0]])
+                for start in range(1, width, 100):  # runs of at most 127
+                    body += bytes([128 + len(plane[start : start + 100]), plane[start]])
+    header = b"#?RADIANCE\nEXPOSURE=2\nFORMAT=32-bit_rle_rgbe\n\n-Y 2 +X %d\n" % width
+    path = tmp_path / "a.hdr"
+    path.write_bytes(header + body)
+    pixels = radiance_hdr.read(path)
+    assert describe(path, "a.hdr").width == width and pixels.shape == (2, width, 3)
+    np.testing.assert_allclose(pixels[0], np.full((width, 3), [1.0, 0.5, 0.25]), rtol=0.02)
+    assert pixels[1, 0].max() == 0.0
+    for cut in (len(header) + 3, len(header + body) - 1):
+        path.write_bytes((header + body)[:cut])
+        with pytest.raises(ValueError, match=r"cut off|damaged"):
+            radiance_hdr.read(path)
+
+
+def test_brackets_by_time_and_exposure(tmp_path: Path) -> None:
+    write_brackets(tmp_path, 3, (1 / 60, 1 / 240, 1 / 15))
+    photographs = [describe(tmp_path / name, name) for name in list_photographs(tmp_path)]
+    groups = find_groups(photographs, "auto")
+    assert names(groups)[2] == ("IMG_7.jpg", "IMG_8.jpg", "IMG_9.jpg") and len(groups) == 3
+    assert [group.name for group in groups] == ["IMG_1", "IMG_4", "IMG_7"]
+    assert not remarks(photographs, groups)
+    assert len(find_groups(photographs, "single")) == 9
+    assert len(find_groups(photographs, "folders")) == 1
+
+
+def test_a_bracket_ends_where_an_exposure_repeats() -> None:
+    exposures = (1.0, 0.25, 4.0, 1.0, 0.25, 4.0)
+    photographs = [shot(f"{index}.jpg", value) for index, value in enumerate(exposures)]
+    assert names(find_groups(photographs, "auto")) == [
+        ("0.jpg", "1.jpg", "2.jpg"),
+        ("3.jpg", "4.jpg", "5.jpg"),
+    ]
+
+
+@pytest.mark.parametrize("other", [{"model": "Y"}, {"focal_length": 50.0}, {"width": 9}, {"time": 20.0}])
+def test_a_bracket_is_of_one_camera_and_without_pause(other: dict[str, object]) -> None:
+    first, second = shot("1.jpg", 1.0, 0.0), shot("2.jpg", 4.0, 1.0)
+    assert len(find_groups([first, second], "auto")) == 1
+    assert len(find_groups([first, replace(second, **other)], "auto")) == 2
+
+
+def test_folders_tell_the_groups_where_headers_say_nothing() -> None:
+    paths = ("b/1.jpg", "b/2.jpg", "a/1.jpg", "a/2.jpg")
+    groups = find_groups([shot(path, None) for path in paths], "auto")
+    assert [(group.name, group.photographs) for group in groups] == [
+        ("a", ("a/1.jpg", "a/2.jpg")),
+        ("b", ("b/1.jpg", "b/2.jpg")),
+    ]
+
+
+def test_names_of_groups_are_unique_file_names() -> None:
+    paths = ("a/X?.jpg", "b/x?.jpg", "c/x?.png")
+    groups = find_groups([shot(path, 1.0) for path in paths], "single")
+    assert [group.name for group in groups] == ["X_", "x__2", "x__3"]
+
+
+def test_what_looks_wrong_is_told() -> None:
+    good = [shot(f"{i}.jpg", 4.0 ** (i % 3), 100.0 * (i // 3) + i % 3) for i in range(9)]
+    odd = [
+        shot("90.jpg", 1.0, 1000.0),  # one exposure alone
+        shot("91.jpg", None, 2000.0),
+        shot("92.jpg", 1.0, 3000.0, model="Other", width=99),
+        shot("93.jpg", 1.0, 4000.0, aperture=4.0),
+        shot("94.jpg", 4.0, 4001.0, aperture=8.0),
+    ]
+    photographs = good + odd
+    found = {remark.code: remark for remark in remarks(photographs, find_groups(photographs, "auto"))}
+    assert set(found) == {
+        "bracket-incomplete",
+        "exposure-unknown",
+        "cameras-mixed",
+        "sizes-mixed",
+        "aperture-varies",
+    }
+    assert "'91'" in found["exposure-unknown"].text or "91.jpg" in found["exposure-unknown"].text
+    assert all(remark.remedy for remark in found.values())
+    single = good[:1]
+    assert [remark.code for remark in remarks(single, find_groups(single, "auto"))] == ["no-brackets"]
+
+
+def test_portrait_and_landscape_are_the_same_size() -> None:
+    photographs = [shot("1.jpg", 1.0), shot("2.jpg", 1.0, width=6, height=8)]
+    codes = {remark.code for remark in remarks(photographs, find_groups(photographs, "single"))}
+    assert "sizes-mixed" not in codes
+
+
+def test_the_jpeg_beside_a_raw_photograph_is_left_out() -> None:
+    photographs = [shot("1.jpg", 1.0), shot("1.DNG", 1.0, kind="raw"), shot("2.jpg", 1.0)]
+    kept, doubles = without_doubles(photographs)
+    assert [item.path for item in kept] == ["1.DNG", "2.jpg"] and doubles == photographs[:1]
+
+
+def test_reading_a_folder(tmp_path: Path) -> None:
+    source, capture = tmp_path / "in", tmp_path / "out"
+    write_brackets(source, 2, (1 / 60, 1 / 240))
+    (source / "empty.dng").write_bytes(b"")
+    (source / "cut.jpg").write_bytes((source / "IMG_1.jpg").read_bytes()[:20])
+    (source / "text.txt").write_text("no photograph")
+    reporter = prepare(source, capture)
+    preparation = read_preparation(PreparationFolder(capture))
+    assert len(preparation.photographs) == 4 and len(preparation.groups) == 2
+    assert [item.path for item in preparation.of(preparation.groups[0])] == ["IMG_2.jpg", "IMG_1.jpg"]
+    assert [message["code"] for message in reporter.warnings] == ["photographs-skipped"]
+    facts = json.loads((capture / "stage" / "read.json").read_text())
+    assert {item["path"] for item in facts["skipped"]} == {"empty.dng", "cut.jpg"}
+    assert any("empty" in item["reason"] for item in facts["skipped"])
+
+
+def test_corrections_by_the_user_stay_until_the_files_change(tmp_path: Path) -> None:
+    source, folder = tmp_path / "in", PreparationFolder(tmp_path / "out")
+    write_brackets(source, 2, (1 / 60, 1 / 240))
+    write_jpeg(source / "x.jpg", GREY, exif(None))
+    prepare(source, folder.root)
+    before = read_preparation(folder)
+    entered = tuple(
+        replace(item, exposure=0.5) if item.exposure is None else item for item in before.photographs
+    )
+    write_preparation(folder, replace(before, photographs=entered, groups=before.groups[:1]))
+    reporter = prepare(source, folder.root, changes=("working_width=640",))
+    after = read_preparation(folder)
+    assert after.groups == before.groups[:1] and after.settings.working_width == 640
+    assert [message["code"] for message in reporter.warnings]  # those of the reading are told again
+    write_jpeg(source / "y.jpg", GREY, exif(1 / 30, 500.0))
+    prepare(source, folder.root)
+    again = read_preparation(folder)
+    assert len(again.groups) == len(before.groups) + 1
+    assert next(item for item in again.photographs if item.path == "x.jpg").exposure == 0.5
+
+
+@pytest.mark.parametrize(
+    ("files", "code"),
+    [
+        ({}, "no-photographs"),
+        ({"a.jpg": b"", "b.dng": b"x" * 99}, "no-photographs"),
+        (None, "photographs-missing"),
+    ],
+)
+def test_folders_without_photographs(tmp_path: Path, files: dict[str, bytes] | None, code: str) -> None:
+    source = tmp_path / "in"
+    if files is not None:
+        source.mkdir()
+        for name, content in files.items():
+            (source / name).write_bytes(content)
+    with pytest.raises(FiptError) as caught:
+        prepare(source, tmp_path / "out")
+    assert caught.value.code == code and caught.value.remedy
+
+
+def test_foreign_folders_are_left_alone(tmp_path: Path) -> None:
+    source = tmp_path / "in"
+    write_brackets(source, 1, (1 / 60,))
+    full = tmp_path / "full"
+    full.mkdir()
+    (full / "mine.txt").write_text("mine")
+    for capture in (full, source / "capture"):
+        with pytest.raises(FiptError) as caught:
+            prepare(source, capture)
+        assert caught.value.code == "capture-foreign"
+    assert [path.name for path in full.iterdir()] == ["mine.txt"] and not (source / "capture").exists()
+    prepare(source, tmp_path / "out")
+    other = tmp_path / "other"
+    write_brackets(other, 1, (1 / 60,))
+    with pytest.raises(FiptError) as caught:
+        prepare(other, tmp_path / "out")
+    assert caught.value.code == "capture-foreign" and str(source) in caught.value.text
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"version": 2},
+        {"groups": [{"name": "a", "photographs": ["other.jpg"]}]},
+        {"groups": [{"name": "../a", "photographs": ["IMG_1.jpg"]}]},
+        {"groups": [{"name": name, "photographs": ["IMG_1.jpg"]} for name in "aA"]},
+        {"groups": [{"name": name, "photographs": ["IMG_1.jpg"]} for name in "ab"]},
+        {"photographs": [{"path": "../IMG_1.jpg", "kind": "ldr", "width": 8, "height": 6}], "groups": []},
+        {"photographs": [{"path": "IMG_1.jpg", "kind": "ldr", "width": 0, "height": 6}], "groups": []},
+        {"settings": {"unknown": 1}},
+        {"settings": {"working_width": -5}},
+        {"settings": {"response": "log"}},
+    ],
+)
+def test_a_damaged_preparation_is_refused(tmp_path: Path, damage: dict[str, object]) -> None:
+    source, folder = tmp_path / "in", PreparationFolder(tmp_path / "out")
+    write_brackets(source, 1, (1 / 60,))
+    prepare(source, folder.root)
+    data = json.loads(folder.prepare_json.read_text())
+    folder.prepare_json.write_text(json.dumps({**data, **damage}))
+    with pytest.raises(FiptError) as caught:
+        read_preparation(folder)
+    assert caught.value.code in ("file-damaged", "setting-unknown", "setting-invalid")
+    assert caught.value.remedy
+
+
+def test_settings_from_texts() -> None:
+    settings = make_prepare_settings({"working_width": "0", "align": "false", "grouping": "folders"})
+    assert (settings.working_width, settings.align, settings.grouping) == (0, False, "folders")
+
+
+def test_unknown_steps_and_options_are_refused(tmp_path: Path) -> None:
+    for options in ({"steps": "read,cook"}, {"changes": ("working_width",)}):
+        with pytest.raises(FiptError) as caught:
+            prepare(tmp_path, tmp_path / "out", **options)
+        assert caught.value.code == "option-invalid"
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_optional_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    with pytest.raises(FiptError) as caught:
+        optional("pillow_heif", "A photograph in HEIC")
+    assert caught.value.code == "package-optional" and "heif" in caught.value.text
+    assert EXTRAS["pillow_heif"][1] in caught.value.remedy
+
+
+def test_extras_have_the_pins_of_the_project() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    for extra, pin in EXTRAS.values():
+        assert project["optional-dependencies"][extra] == [pin]
+
+
+def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_brackets(tmp_path / "in", 2, (1 / 60, 1 / 240))
+    output = tmp_path / "out"
+    arguments = ["prepare", str(tmp_path / "in"), "--output", str(output), "--steps", "read", "--json"]
+    assert cli.main([*arguments, "--engine-python", sys.executable]) == 0
+    messages = [json.loads(line) for line in io.StringIO(capsys.readouterr().out)]
+    assert messages[-1]["type"] == "done" and len(read_preparation(PreparationFolder(output)).groups) == 2
+    assert (
+        cli.main(
+            ["prepare", str(tmp_path / "none"), "--output", str(output), "--engine-python", sys.executable]
+        )
+        == 1
+    )
+    assert "does not exist" in capsys.readouterr().err
