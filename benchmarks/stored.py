@@ -1,0 +1,69 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The closed-form estimate of a finished run, made again from its stored pixels and shadings.
+
+Import after Mitsuba's variant was set.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.sensitivity import ClosedForm
+from fipt_blender.core.capture.views import load_capture
+from fipt_blender.core.estimate.state import spread_views
+from fipt_blender.core.light.baking import open_shadings
+from fipt_blender.core.light.observations import observe
+from fipt_blender.core.light.shadings import roughness_levels
+from fipt_blender.core.material.seen import room_box
+from fipt_blender.core.material.training_input import training_input
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.settings import Settings
+from fipt_blender.core.scene.labels import choose_parts, room_pieces
+from fipt_blender.core.scene.pixels import open_pixels
+from fipt_blender.core.scene.room import load_room
+
+
+class StoredEstimate:
+    """Pixels and shadings of a finished run, which is only read, whatever code made it.
+
+    Args:
+        run: has kept its stage folder.
+        settings: of the run.
+        scratch: empty folder for what follows from the pixels.
+
+    Attributes:
+        views: whose pixels are stored.
+
+    Raises:
+        FiptError: where an array can't be read or does not fit.
+    """
+
+    def __init__(self, run: RunFolder, settings: Settings, scratch: Path) -> None:
+        room = load_room(run)
+        self.views = spread_views(load_capture(run).train, settings.view_share)
+        self.pixels = open_pixels(run.stage / "pixels", self.views)
+        bounds = zip(self.pixels.ranges[:-1], self.pixels.ranges[1:], strict=True)
+        triangles = [np.asarray(self.pixels.triangle[first:last]) for first, last in bounds]
+        parts = choose_parts(room, self.views, triangles)
+        self._pieces = None if parts.kind == "part" else room_pieces(room)
+        self._observations = observe(room, self.pixels, parts, settings, scratch)
+        levels = (settings.roughness_levels, settings.roughness_min, settings.roughness_spacing)
+        self._levels = roughness_levels(*levels)
+        self._shadings = open_shadings(run.stage / "shadings", len(self.pixels), len(self._levels))
+        self._box = room_box(room.bounds)
+
+    def closed_form(self, settings: Settings) -> ClosedForm:
+        """The estimate with other settings; those of earlier stages have no effect."""
+        data, initial = training_input(
+            self._observations, self._pieces, self._shadings, self._levels, self._box.normalise, settings
+        )
+        group = np.asarray(data.group)
+        known = group >= 0
+        roughness, metallic = np.ones(len(group), np.float32), np.zeros(len(group), np.float32)
+        roughness[known] = data.group_roughness[group[known]]
+        metallic[known] = data.group_metallic[group[known]]
+        kd = initial.base_color * (1.0 - initial.metallic[:, None])
+        return ClosedForm(initial.rows, kd, roughness, metallic)
