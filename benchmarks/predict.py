@@ -90,7 +90,10 @@ def predict_maps(lit: LitRoom, view: View, filtered: bool, spp: int = 128, seed:
             initstate=mi.UInt64(seed),
             initseq=mi.UInt64(first) * spp + mi.UInt64(index),
         )
-        shift = mi.Point2f(generator.next_float32(), generator.next_float32())
+        # Even, so that pixels at borders weigh their materials nearly exactly (Hammersley points, jittered).
+        number = index % spp
+        down = mi.radical_inverse_2(number, 0) + generator.next_float32() / spp
+        shift = mi.Point2f((mi.Float(number) + generator.next_float32()) / spp, down - dr.floor(down))
         if not filtered:
             shift = mi.Point2f(0.5)
         ray = camera_rays(view, first + index // spp, shift)

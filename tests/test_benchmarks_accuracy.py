@@ -76,9 +76,10 @@ def test_relight_faces_its_normal(tmp_path: Path, turned: bool) -> None:
     assert truth.read_relight(tmp_path / "nowhere", capture) is None
 
 
-def test_predicted_maps_of_a_floor_with_a_lamp(tmp_path: Path) -> None:
-    """Left half emits, right half has a known material; a' agrees with its integral within noise."""
-    vertices = np.array([[-3, -3, 0], [0, -3, 0], [0, 3, 0], [-3, 3, 0], [3, -3, 0], [3, 3, 0]], np.float32)
+def floor_with_lamp(border: float) -> LitRoom:
+    """A floor that emits left of x = `border`, and has a known material right of it."""
+    left, right = [[-3, -3, 0], [border, -3, 0], [border, 3, 0], [-3, 3, 0]], [[3, -3, 0], [3, 3, 0]]
+    vertices = np.array(left + right, np.float32)
     triangles = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]], np.int32)
     normals = np.repeat(triangle_normals(vertices, triangles)[:, None], 3, axis=1).astype(np.float32)
     room = Room(vertices, triangles, normals, np.zeros(4, np.int32), np.zeros(4, np.int32))
@@ -86,7 +87,20 @@ def test_predicted_maps_of_a_floor_with_a_lamp(tmp_path: Path) -> None:
     table = EmitterTable(
         np.array([0, 1], np.int32), np.full((2, 3), 5.0, np.float32), np.zeros((2, 3), np.float32)
     )
-    lit = LitRoom(room, materials, AreaLights(vertices, triangles, table))
+    return LitRoom(room, materials, AreaLights(vertices, triangles, table))
+
+
+def test_a_pixel_at_a_border_weighs_its_materials(tmp_path: Path) -> None:
+    """Pixels are 0.25 m wide there: 0.4 of each pixel in the fifth column emits, the rest is rough."""
+    maps = predict.predict_maps(floor_with_lamp(0.1), make_view(tmp_path), True, spp=128)
+    assert np.allclose(maps.emission[:, 4], 0.4 * 5.0, atol=0.06)
+    assert np.allclose(maps.roughness[:, 4], 0.6 * 0.5, atol=0.006)
+    assert np.allclose(maps.emission[:, 5:], 0.0) and np.allclose(maps.emission[:, :4], 5.0)
+
+
+def test_predicted_maps_of_a_floor_with_a_lamp(tmp_path: Path) -> None:
+    """Left half emits, right half has a known material; a' agrees with its integral within noise."""
+    lit = floor_with_lamp(0.0)
     for filtered in (False, True):
         maps = predict.predict_maps(lit, make_view(tmp_path), filtered, spp=1024)
         assert maps.hit.all()
