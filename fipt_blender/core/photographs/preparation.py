@@ -20,6 +20,8 @@ from ..run.shapes import MOST_SIDE, PREPARE, PREPARE_FORMAT, PREPARE_VERSION
 
 GROUPINGS = ("auto", "folders", "single")
 RESPONSES = ("auto", "srgb", "linear")
+SCALES = ("none", "points", "marker", "mesh")
+_MOST_TEXT = 4096  # characters of a setting
 _REMEDY = "Correct the file, or delete it and find the brackets again."
 
 
@@ -80,22 +82,47 @@ class Group:
     used: bool = True
 
 
-def _setting(default: Any, text: str) -> Any:
-    return field(default=default, metadata={"help": text})
+def _setting(default: Any, text: str, **limits: Any) -> Any:
+    """A setting; `limits` are `choices` of a text, `low` and `high` of a number, `zero` if 0 is, too."""
+    return field(default=default, metadata={"help": text, **limits})
 
 
 @dataclass(frozen=True)
 class PrepareSettings:
     """What the user chooses; the metadata of each field holds its `help`."""
 
-    grouping: str = _setting("auto", "how brackets are found: auto (EXIF and time), folders, or single")
+    grouping: str = _setting(
+        "auto", "how brackets are found: auto (EXIF and time), folders, or single", choices=GROUPINGS
+    )
     working_width: int = _setting(
-        2048, "longer side of the merged images in pixels; 0 keeps the photographs' size"
+        2048,
+        "longer side of the merged images in pixels; 0 keeps the photographs' size",
+        low=64,
+        high=MOST_SIDE,
+        zero=True,
     )
     response: str = _setting(
-        "auto", "response of JPEG, PNG and TIFF: auto (recovered from the brackets), srgb or linear"
+        "auto",
+        "response of JPEG, PNG and TIFF: auto (recovered from the brackets), srgb or linear",
+        choices=RESPONSES,
     )
     align: bool = _setting(True, "align hand-held brackets, and take what moved from one exposure")
+    cameras: str = _setting("", "folder of an existing camera solve; empty to solve the cameras")
+    seed: int = _setting(0, "seed of the camera solve", low=0, high=2**31 - 1)
+    scale: str = _setting(
+        "none",
+        "what tells the real size: none, points (two picked ones), marker (printed) or mesh (its transform)",
+        choices=SCALES,
+    )
+    scale_length: float = _setting(
+        0.0, "distance of the two points, or edge of the marker, in metres", low=0.0, high=1e4
+    )
+    scale_picks: str = _setting(
+        "", "two points in views, e.g. 'desk 812 440, door 790 431; desk 102 455': picks of one have a comma"
+    )
+    scale_matrix: str = _setting("", "4 x 4 matrix, row by row, from the solved cameras to the mesh")
+    marker_dictionary: str = _setting("4X4_50", "dictionary of the printed ArUco marker")
+    masks: str = _setting("", "folder of a segmentation model for semantic masks; empty for none")
 
 
 @dataclass(frozen=True)
@@ -161,14 +188,21 @@ def make_prepare_settings(changes: Mapping[str, Any]) -> PrepareSettings:
     Raises:
         FiptError: ``setting-unknown`` or ``setting-invalid``.
     """
-    defaults = {item.name: item.default for item in dataclasses.fields(PrepareSettings)}
+    known = {item.name: item for item in dataclasses.fields(PrepareSettings)}
     values = {}
     for name, value in changes.items():
-        if name not in defaults:
+        if name not in known:
             raise FiptError(
-                "setting-unknown", f"There is no setting '{name}'.", f"Use one of: {', '.join(defaults)}."
+                "setting-unknown", f"There is no setting '{name}'.", f"Use one of: {', '.join(known)}."
             )
-        values[name] = _converted(name, value, defaults[name])
+        try:
+            values[name] = _converted(value, known[name].default, known[name].metadata)
+        except ValueError as error:
+            raise FiptError(
+                "setting-invalid",
+                f"'{value}' is not a valid value of the setting '{name}'.",
+                f"Give {error}.",
+            ) from None
     return PrepareSettings(**values)
 
 
@@ -231,26 +265,31 @@ def _fault(photographs: tuple[Photograph, ...], groups: tuple[Group, ...]) -> st
     return ""
 
 
-def _converted(name: str, value: Any, default: Any) -> Any:
-    """A setting's value in the type of its default."""
-    choices = {"grouping": GROUPINGS, "response": RESPONSES}.get(name)
-    if choices is not None:
-        if value in choices:
-            return value
-        wanted = f"one of: {', '.join(choices)}"
-    elif isinstance(default, bool):
+def _converted(value: Any, default: Any, limits: Mapping[str, Any]) -> Any:
+    """A setting's value in the type of its default.
+
+    Raises:
+        ValueError: what the setting takes.
+    """
+    if isinstance(default, str):
+        text = str(value)
+        choices = limits.get("choices", ())
+        if choices and text not in choices:
+            raise ValueError(f"one of: {', '.join(choices)}")
+        if len(text) > _MOST_TEXT or not text.isprintable():
+            raise ValueError(f"a text of at most {_MOST_TEXT} letters")
+        return text
+    if isinstance(default, bool):
         truths: dict[str, bool] = {"true": True, "1": True, "false": False, "0": False}
-        if str(value).lower() in truths:
-            return truths[str(value).lower()]
-        wanted = "true or false"
-    else:
-        try:
-            number = int(str(value))
-        except ValueError:
-            number = -1
-        if number == 0 or 64 <= number <= MOST_SIDE:
-            return number
-        wanted = f"0, or a whole number from 64 to {MOST_SIDE}"
-    raise FiptError(
-        "setting-invalid", f"'{value}' is not a valid value of the setting '{name}'.", f"Give {wanted}."
-    )
+        if str(value).lower() not in truths:
+            raise ValueError("true or false")
+        return truths[str(value).lower()]
+    low, high = limits["low"], limits["high"]
+    try:
+        number = type(default)(str(value))
+    except ValueError:
+        number = float("nan")
+    if not (low <= number <= high or (number == 0 and limits.get("zero"))):
+        kind = "a whole number" if isinstance(default, int) else "a number"
+        raise ValueError(f"{'0, or ' if limits.get('zero') else ''}{kind} from {low} to {high}")
+    return number

@@ -43,6 +43,8 @@ class Step:
 
 STEPS = {
     "read": Step(".reading", "Reading photographs and finding brackets", 1.0),
+    "solve": Step(".solve_step", "Solving cameras", 20.0),
+    "scale": Step(".scale_step", "Finding scale and up axis", 1.0),
 }
 
 

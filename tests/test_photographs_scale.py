@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Scale and up axis of solved cameras: analytic cases, texts of the user, printed markers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fipt_blender.core.photographs import scale
+from fipt_blender.core.photographs.marker import MarkerDetector
+from fipt_blender.core.photographs.scale import Pick
+from fipt_blender.core.run.errors import FiptError
+from samples.textured_room import look_at
+
+
+def rotation(generator: np.random.Generator) -> np.ndarray:
+    """A random rotation (3, 3)."""
+    orthogonal, triangular = np.linalg.qr(generator.normal(size=(3, 3)))
+    orthogonal = orthogonal * np.sign(np.diag(triangular))
+    return orthogonal * np.sign(np.linalg.det(orthogonal))
+
+
+def turned(pose: np.ndarray, quarter_turns: int) -> np.ndarray:
+    """A camera that is rolled about its axis of view."""
+    angle = 0.5 * np.pi * quarter_turns
+    roll = np.eye(4)
+    roll[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    return pose @ roll
+
+
+@pytest.mark.parametrize("around", [True, False], ids=["all directions", "one direction"])
+@pytest.mark.parametrize("sideways", [0, 2])
+def test_up_of_level_cameras_in_any_frame(around: bool, sideways: int) -> None:
+    generator = np.random.default_rng(5)
+    poses = []
+    for index in range(9):
+        position = generator.uniform(-1.0, 1.0, 3)
+        toward = [np.cos(index), np.sin(index), -0.5] if around else [1.0, 0.0, -0.5 + 0.1 * index]
+        pose = look_at(position, position + np.array(toward))
+        poses.append(turned(pose, 1) if index < sideways else pose)
+    frame = np.eye(4)
+    frame[:3, :3] = rotation(generator)
+    up = scale.up_direction(frame @ np.array(poses))
+    # Along one line, only the mean of the tilts tells up from forward.
+    assert np.degrees(np.arccos(min(1.0, up @ frame[:3, 2]))) < (0.5 if around else 8.0)
+
+
+def test_the_room_frame_stands_on_the_floor_and_is_in_meters() -> None:
+    generator = np.random.default_rng(2)
+    places = generator.uniform([0, 0, 1], [3, 3, 2], (12, 3))
+    poses = np.array([look_at(place, generator.uniform([0, 0, 0], [3, 3, 1])) for place in places])
+    points = generator.uniform([0, 0, 0], [3, 3, 2.5], (2000, 3))
+    other = np.eye(4)
+    other[:3, :3] = rotation(generator)
+    other[:3, 3] = [5.0, -3.0, 1.0]
+    moved = other @ poses
+    moved[:, :3, 3] *= 0.25  # the solve's unit is four metres
+    frame = scale.room_frame(moved, 0.25 * (points @ other[:3, :3].T + other[:3, 3]), 4.0)
+    result = 4.0 * frame[:3, :3] / 4.0 @ moved[:, :3, 3].T + frame[:3, 3:]
+    assert np.allclose(result[2], places[:, 2], atol=0.08)
+    assert np.allclose(result[:2].mean(axis=1), 0.0, atol=1e-9)
+    distances = np.linalg.norm(result.T[0] - result.T[1:], axis=1)
+    assert np.allclose(distances, np.linalg.norm(places[0] - places[1:], axis=1))
+    assert np.allclose(scale.room_frame(moved, np.empty((0, 3)), 4.0)[:3, :3], frame[:3, :3])
+
+
+@pytest.mark.parametrize("up", [[0, 0, 1], [0, 0, -1], [1, 0, 0], [0.6, 0.0, -0.8]])
+def test_rotation_to_z(up: list[float]) -> None:
+    matrix = scale.rotation_to_z(np.array(up, float))
+    assert np.allclose(matrix @ up, [0, 0, 1]) and np.linalg.det(matrix) == pytest.approx(1.0)
+    assert np.allclose(matrix @ matrix.T, np.eye(3))
+
+
+def test_rays_meet_and_a_wrong_one_is_dropped() -> None:
+    point = np.array([0.3, 2.0, 1.0])
+    origins = np.array([[-1.0, 0, 0], [1, 0, 0], [0, -1, 1], [0.5, 0, 2], [0, 0, 0.5]])
+    directions = point - origins
+    directions[4] = [1.0, 0.2, 0.0]  # sees something else
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    found = scale.nearest_to_rays(origins, directions)
+    assert found is not None and np.allclose(found, point, atol=1e-9)
+    parallel = np.tile([0.0, 1.0, 0.0], (2, 1))
+    assert scale.nearest_to_rays(origins[:2], parallel) is None
+    assert scale.nearest_to_rays(origins[:1], directions[:1]) is None
+
+
+def test_depth_of_a_pick_is_that_of_points_near_it() -> None:
+    positions = np.array([[10.0, 10.0], [12, 10], [10, 13], [90, 90]])
+    depths = np.array([2.0, 2.1, 9.0, 50.0])
+    assert scale.depth_of_pick(np.array([10.0, 11.0]), positions, depths, 100.0) == pytest.approx(2.1)
+    for where in ([50.0, 50.0], [0.0, 95.0]):
+        with pytest.raises(ValueError, match="no solved point"):
+            scale.depth_of_pick(np.array(where), positions, depths, 100.0)
+
+
+def test_picks_from_a_text() -> None:
+    first, second = scale.parse_picks("my desk 812 440.5, door 1 2; my desk 3 4")
+    assert first == [Pick("my desk", 812.0, 440.5), Pick("door", 1.0, 2.0)] and second == [
+        Pick("my desk", 3, 4)
+    ]
+
+
+@pytest.mark.parametrize(
+    "text", ["", "a 1 2", "a 1 2; b 3", "a 1 x; b 3 4", "a 1 2; b nan 4", "a 1 2;;", "1 2; 3 4"]
+)
+def test_picks_that_are_no_two_points_are_refused(text: str) -> None:
+    with pytest.raises(FiptError) as caught:
+        scale.parse_picks(text)
+    assert caught.value.code == "scale-picks"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "1 2 3",
+        "a" * 12,
+        "1 0 0 0 0 2 0 0 0 0 1 0",
+        "0 0 0 0 0 0 0 0 0 0 0 0",
+        "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 2",
+    ],
+)
+def test_a_matrix_that_is_no_similarity_is_refused(text: str) -> None:
+    with pytest.raises(FiptError) as caught:
+        scale.parse_similarity(text)
+    assert caught.value.code == "scale-matrix"
+
+
+def test_the_edge_of_a_marker_and_how_square_it_is() -> None:
+    square = 0.3 * np.array([[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
+    assert scale.marker_edge(square) == pytest.approx((0.3, 0.0))
+    bent = square + [[0.1, 0.1, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]]
+    assert scale.marker_edge(bent)[1] > 0.1
+    assert scale.agreed_scale([1.0, 1.02, 1.1]) == pytest.approx((1.02, 0.08 / 1.02))
+
+
+def test_a_printed_marker_is_found_to_a_tenth_of_a_pixel() -> None:
+    cv2 = pytest.importorskip("cv2")
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    marker = cv2.aruco.generateImageMarker(dictionary, 7, 480)
+    picture = np.full((900, 1200), 230, np.uint8)
+    picture[200:680, 300:780] = marker
+    small = np.round(picture.reshape(225, 4, 300, 4).mean(axis=(1, 3))).astype(np.uint8)
+    found = MarkerDetector("4X4_50").find(small)
+    corners = np.array([[75.0, 50.0], [195.0, 50.0], [195.0, 170.0], [75.0, 170.0]])
+    assert list(found) == [7] and np.abs(found[7] - corners).max() < 0.1
+    assert MarkerDetector("5X5_50").find(small) == {}
+    double = np.concatenate([small, small], axis=1)
+    assert MarkerDetector("4X4_50").find(double) == {}, "which of two equal markers is meant is not known"
