@@ -9,12 +9,13 @@ import json
 import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.rig import Lens
@@ -23,6 +24,7 @@ from fipt_blender.core.run.run_files import read_atlas, read_emitters, read_room
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.run.shapes import ROOM_ARRAYS, STAGES
+from samples import rig_writers
 
 
 @dataclass(frozen=True)
@@ -146,6 +148,29 @@ def write_fipt_synthetic(folder: Path) -> None:
     _write_mesh(folder)
 
 
+def _shots() -> list[rig_writers.Shot]:
+    """Three cameras of the size of the sample's images."""
+    shots = []
+    for index, pose in enumerate(_poses(3)):
+        values = (f"{index:03d}.jpg", 12, 8, 9.0, 9.0, 6.0, 4.0, pose[:3, :3].T, pose[:3, 3])
+        shots.append(rig_writers.Shot(*values, k=(-0.02, 0.01)))
+    return shots
+
+
+def _program(write: Callable[[Path, list[rig_writers.Shot]], None]) -> Callable[[Path], None]:
+    """A writer of another program's cameras with images that can be ingested."""
+
+    def write_all(folder: Path) -> None:
+        write(folder, _shots())
+        for index, path in enumerate(sorted(folder.rglob("*.jpg"))):
+            path.unlink()
+            pixels = np.random.default_rng(index).random((8, 12, 3), np.float32)
+            write_exr(path.with_suffix(".exr"), pixels, half=True)
+        _write_mesh(folder)
+
+    return write_all
+
+
 def write_capture(folder: Path) -> None:
     """capture.json as `ingest` writes it, with its images."""
     with tempfile.TemporaryDirectory() as temporary:
@@ -184,6 +209,32 @@ def _read_run_files(sample: Path, out: Path) -> None:
     run.read()
 
 
+def _metashape(folder: Path, shots: list[rig_writers.Shot]) -> None:
+    rig_writers.write_photographs(folder, shots)
+    rig_writers.write_metashape(
+        folder, [rig_writers.metashape_chunk(rig_writers.Chunk(shots), component=True)]
+    )
+
+
+PROGRAMS: dict[str, Callable[[Path, list[rig_writers.Shot]], None]] = {
+    "metashape": _metashape,
+    "realityscan-csv": rig_writers.write_realityscan_csv,
+    "realityscan-xmp": rig_writers.write_realityscan_xmp,
+    "meshroom": lambda folder, shots: rig_writers.write_meshroom(
+        folder, [replace(shot, k=(-0.02,)) for shot in shots], (1, 2, 8)
+    ),
+    "opensfm": lambda folder, shots: rig_writers.write_opensfm(folder, [shots], "perspective"),
+    "openmvg": lambda folder, shots: rig_writers.write_openmvg(
+        folder, [replace(shot, k=(-0.02, 0.01, 0.0)) for shot in shots], "pinhole_radial_k3", "disto_k3"
+    ),
+    "bundler": rig_writers.write_bundler,
+    "nvm": lambda folder, shots: rig_writers.write_nvm(folder, [shots], 0.02),
+    "polycam": lambda folder, shots: rig_writers.write_polycam(folder, shots, np.eye(4), corrected=True),
+    "record3d": lambda folder, shots: rig_writers.write_record3d(
+        folder, [replace(shot, name=f"{index}.jpg") for index, shot in enumerate(shots)], each_frame=True
+    ),
+    "scannetpp": lambda folder, shots: rig_writers.write_scannetpp(folder, shots, held_back=2),
+}
 PINHOLE = Lens("PINHOLE", (9.0, 9.0, 6.0, 4.0))
 TARGETS = (
     Target("colmap-binary", lambda folder: write_colmap(folder, text=False), _ingest),
@@ -191,6 +242,7 @@ TARGETS = (
     Target("transforms", write_transforms, _ingest),
     Target("fipt-real", write_fipt_real, _ingest),
     Target("fipt-synthetic", write_fipt_synthetic, _ingest),
+    *(Target(name, _program(write), _ingest) for name, write in PROGRAMS.items()),
     Target("capture", write_capture, _load_capture),
     Target("run-files", write_run_files, _read_run_files),
 )

@@ -29,7 +29,10 @@ from .jobs.main_job import make_main_job
 from .jobs.options import PARTS, RENDER_KINDS, MainJobOptions
 from .jobs.run_job import find_launch
 
-FORMATS = ("auto", "fipt-synthetic", "fipt-real", "transforms", "colmap")
+FORMATS = (
+    *("auto", "fipt-synthetic", "fipt-real", "scannetpp", "transforms", "colmap", "metashape", "realityscan"),
+    *("meshroom", "opensfm", "openmvg", "bundler", "nvm", "polycam", "record3d"),
+)
 _LINE_SECONDS = 5.0
 _REFRESH_SECONDS = 0.2
 

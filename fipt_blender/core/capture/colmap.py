@@ -11,25 +11,12 @@ import numpy as np
 import pycolmap
 
 from .colmap_sizes import check_model
-from .rig import (
-    PARTS_FOLDER,
-    SEMANTICS_FOLDER,
-    Lens,
-    Note,
-    ReadOptions,
-    Rig,
-    RigView,
-    damaged,
-    find_ids,
-    find_image,
-    find_mesh,
-    view_name,
-)
+from .rig import Lens, Note, ReadOptions, Rig, damaged
+from .rig_files import Places
 
 NAME = "colmap"
 LOOKS_FOR = "cameras.bin or cameras.txt with images and points3D, in the folder or its sparse/0"
 MODEL_FOLDERS = (".", "sparse/0", "sparse", "0", "dense/sparse", "dense/0/sparse", "colmap/sparse/0")
-IMAGE_FOLDERS = ("hdr", "exr", "images", "input", "Image", ".")
 MESH_FOLDERS = (".", "dense", "dense/0")
 MESH_STEMS = ("scene", "mesh", "meshed-poisson", "meshed-delaunay", "fused")
 
@@ -59,27 +46,17 @@ def read(path: Path, options: ReadOptions) -> Rig:
         entries = [(image.name, model.cameras[image.camera_id], _camera_to_world(image)) for image in images]
     except (RuntimeError, ValueError, KeyError, IndexError, OSError) as error:
         raise damaged(folder, error) from None
-    roots = _roots(path, folder)
-    folders = [options.images] if options.images else []
-    folders += [root / name for root in roots for name in IMAGE_FOLDERS]
-    views = []
-    for name, camera, pose in entries:
-        stem = view_name(name)
-        views.append(
-            RigView(
-                name=stem,
-                split=None,
-                image=find_image(folders, name),
-                width=int(camera.width),
-                height=int(camera.height),
-                lens=Lens(camera.model_name, tuple(float(value) for value in camera.params)),
-                camera_to_world=pose,
-                parts=_ids(roots, PARTS_FOLDER, stem),
-                semantics=_ids(roots, SEMANTICS_FOLDER, stem),
-            )
+    places = Places(tuple(_roots(path, folder)), options.images)
+    views = tuple(
+        places.view(
+            name,
+            (int(camera.width), int(camera.height)),
+            Lens(camera.model_name, tuple(float(value) for value in camera.params)),
+            pose,
         )
-    mesh = find_mesh([root / name for root in roots for name in MESH_FOLDERS], MESH_STEMS)
-    return Rig(NAME, tuple(views), None, mesh, _notes(folder))
+        for name, camera, pose in entries
+    )
+    return Rig(NAME, views, None, places.mesh(MESH_STEMS, MESH_FOLDERS), _notes(folder))
 
 
 def _is_model(folder: Path) -> bool:
@@ -137,11 +114,6 @@ def _camera_to_world(image: pycolmap.Image) -> np.ndarray:
     pose = np.eye(4)
     pose[:3] = image.cam_from_world().inverse().matrix()
     return pose
-
-
-def _ids(roots: list[Path], folder: str, stem: str) -> Path | None:
-    paths = (find_ids(root / folder, stem) for root in roots)
-    return next((path for path in paths if path is not None), None)
 
 
 def _notes(folder: Path) -> tuple[Note, ...]:

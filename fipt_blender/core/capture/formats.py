@@ -8,12 +8,43 @@ from pathlib import Path
 from types import ModuleType
 
 from ..run.errors import FiptError
-from . import colmap, fipt_real, fipt_synthetic, transforms
+from . import (
+    bundler,
+    colmap,
+    fipt_real,
+    fipt_synthetic,
+    meshroom,
+    metashape,
+    nvm,
+    openmvg,
+    opensfm,
+    polycam,
+    realityscan,
+    record3d,
+    scannetpp,
+    transforms,
+)
 from .rig import ReadOptions, Rig
 
 # The first match is used: nerfstudio, for example, keeps a COLMAP model beside its transforms.json.
 FORMATS: dict[str, ModuleType] = {
-    module.NAME: module for module in (fipt_synthetic, fipt_real, transforms, colmap)
+    module.NAME: module
+    for module in (
+        fipt_synthetic,
+        fipt_real,
+        scannetpp,
+        transforms,
+        colmap,
+        metashape,
+        realityscan,
+        meshroom,
+        opensfm,
+        openmvg,
+        bundler,
+        nvm,
+        polycam,
+        record3d,
+    )
 }
 
 

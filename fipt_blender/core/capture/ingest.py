@@ -57,7 +57,7 @@ class IngestOptions:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("capture", type=Path, help="folder of the capture (or its transforms.json)")
+    parser.add_argument("capture", type=Path, help="folder of the capture, or its camera file")
     parser.add_argument("run", type=Path, help="run folder; created with default settings if missing")
     parser.add_argument("--format", choices=("auto", *FORMATS), default="auto", help="layout of the capture")
     parser.add_argument("--mesh", type=Path, help="the room's mesh, in the capture's coordinates")

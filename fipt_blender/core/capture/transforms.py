@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from .rig import (
     read_pose,
     view_name,
 )
+from .rig_files import head
 
 NAME = "transforms"
 LOOKS_FOR = "transforms.json or transforms_train.json"
@@ -52,9 +54,9 @@ _COMMON = {
     **dict.fromkeys(("k1", "k2", "k3", "k4", "p1", "p2"), _NUMBER),
     **dict.fromkeys(("camera_model", "mask_path", "name"), Maybe(str)),
 }
-_FRAME = Fields({"file_path": str, "transform_matrix": list}, _COMMON)
+FRAME = Fields({"file_path": str, "transform_matrix": list}, _COMMON)
 RIG = Fields(
-    {"frames": Items(_FRAME)},
+    {"frames": Items(FRAME)},
     {
         **_COMMON,
         **dict.fromkeys(SPLIT_LISTS, Maybe(Items(str))),
@@ -66,9 +68,9 @@ RIG = Fields(
 
 
 def detect(path: Path) -> bool:
-    """Whether a path is a JSON file, or a folder that contains such camera files."""
+    """Whether a path is a JSON file with frames, or a folder that contains such camera files."""
     if path.is_file():
-        return path.suffix.lower() == ".json"
+        return path.suffix.lower() == ".json" and '"frames"' in head(path)
     return (path / "transforms.json").is_file() or (path / "transforms_train.json").is_file()
 
 
@@ -102,25 +104,31 @@ def read(path: Path, options: ReadOptions) -> Rig:
         lists = {name: split for key, split in SPLIT_LISTS.items() for name in data.get(key) or ()}
         for frame in data["frames"]:
             split_of_frame = lists.get(frame["file_path"], split)
-            views.append(_view(json_path, {**data, **frame}, split_of_frame, undo, options))
+            image = find_image(
+                [folder for folder in (options.images, json_path.parent) if folder], frame["file_path"]
+            )
+            view = frame_view(json_path, {**data, **frame}, split_of_frame, image)
+            if undo is not None:
+                view = replace(view, camera_to_world=transform_poses(undo, view.camera_to_world))
+            views.append(view)
     mesh = find_mesh([root], ["scene", "mesh", "meshed-poisson", "poisson_mesh"])
     return Rig(NAME, tuple(views), up_axis, mesh)
 
 
-def _view(
-    json_path: Path, frame: dict[str, Any], split: str | None, undo: np.ndarray | None, options: ReadOptions
-) -> RigView:
-    """One view.
+def frame_view(json_path: Path, frame: dict[str, Any], split: str | None, image: Path) -> RigView:
+    """One view, with the pose as stored.
 
     Args:
+        json_path: of the file.
         frame: the file's values, overridden by those of the frame.
-        undo: (4, 4) similarity to apply to the pose, or None.
+        split: of the view.
+        image: its photograph.
+
+    Raises:
+        FiptError: see `read`.
     """
     root = json_path.parent
-    image = find_image([folder for folder in (options.images, root) if folder], frame["file_path"])
     pose = opengl_to_opencv_camera(read_pose(json_path, frame["transform_matrix"]))
-    if undo is not None:
-        pose = transform_poses(undo, pose)
     try:
         if "w" in frame and "h" in frame:
             width, height = int(frame["w"]), int(frame["h"])

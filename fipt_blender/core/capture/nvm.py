@@ -1,0 +1,126 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reader for VisualSFM's N-View Match files (.nvm).
+
+Source: VisualSFM's documentation, "NVM File Format" and "Camera Model". The radial distortion of a camera
+undoes the distortion: undistorted = distorted (1 + r d^2), with d the distorted radius over the focal length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from .radial import undistorting_lens
+from .rig import ReadOptions, Rig, RigView, damaged
+from .rig_files import (
+    Places,
+    camera_files,
+    camera_pose,
+    head,
+    largest_model,
+    number,
+    numbers,
+    quaternion_rotation,
+    read_text_rig,
+)
+
+NAME = "nvm"
+LOOKS_FOR = "an .nvm file that begins with NVM_V3"
+_CAMERA_NUMBERS = 10  # focal length, quaternion, centre, radial distortion, 0
+
+
+def detect(path: Path) -> bool:
+    """Whether a path is such a file, or a folder that contains one."""
+    return _file(path) is not None
+
+
+def read(path: Path, options: ReadOptions) -> Rig:
+    """Read all cameras of the largest model.
+
+    Sizes are those of the photographs, since the file has none. The principal point is their centre unless
+    the file has a fixed calibration. VisualSFM does not define an up axis.
+
+    Raises:
+        FiptError: ``rig-damaged``, ``camera-model``, ``image-missing`` or ``image-unreadable``.
+    """
+    file = _file(path)
+    if file is None:
+        raise damaged(path, "it contains no .nvm file")
+    places = Places.around(file, options)
+    lines = (line.strip() for line in read_text_rig(file).splitlines())
+    filled = (line for line in lines if line and not line.startswith("#"))
+    try:
+        centre, aspect = _fixed_calibration(next(filled, ""))
+        entries = _models(filled)
+    except ValueError as error:
+        raise damaged(file, error) from None
+    models = [[_view(places, name, values, centre, aspect) for name, values in model] for model in entries]
+    views, notes = largest_model(models, str(file))
+    return Rig(NAME, views, None, places.mesh(), notes)
+
+
+def _file(path: Path) -> Path | None:
+    files = camera_files(path, (".nvm",))
+    return next((file for file in files if head(file).startswith("NVM_V3")), None)
+
+
+def _fixed_calibration(line: str) -> tuple[tuple[float, float] | None, float]:
+    """Principal point in pixels, or None for the image's centre, and fy over fx, of the first line."""
+    words = line.split()
+    if "FixedK" not in words:
+        return None, 1.0
+    fx, cx, fy, cy, _ = numbers(words[words.index("FixedK") + 1 :][:5], 5)
+    if not (fx > 0.0 and fy > 0.0):
+        raise ValueError("the fixed calibration has no focal length")
+    return (float(cx), float(cy)), float(fy / fx)
+
+
+def _models(lines: Iterator[str]) -> list[list[tuple[str, np.ndarray]]]:
+    """Names and numbers of the cameras of each model; the points are skipped.
+
+    Raises:
+        ValueError: what is wrong.
+    """
+    models = []
+    while (count := _count(next(lines, "0"))) > 0:
+        cameras = [_camera(next(lines, "")) for _ in range(count)]
+        for _ in range(_count(next(lines, "0"))):
+            if next(lines, None) is None:
+                raise ValueError("it is cut off")
+        models.append(cameras)
+    return models
+
+
+def _count(line: str) -> int:
+    value = number(line)
+    if not value.is_integer() or value < 0:
+        raise ValueError(f"{line[:40]!r} is no count")
+    return int(value)
+
+
+def _camera(line: str) -> tuple[str, np.ndarray]:
+    words = line.rsplit(maxsplit=_CAMERA_NUMBERS)
+    if len(words) != _CAMERA_NUMBERS + 1:
+        raise ValueError(f"the line {line[:40]!r} is no camera")
+    values = numbers(words[1:], _CAMERA_NUMBERS)
+    if not values[0] > 0.0 or not values[1:5].any():
+        raise ValueError(f"the camera {words[0][:40]!r} has no focal length or no rotation")
+    return words[0].replace('"', " "), values  # VisualSFM writes blanks in names as quotation marks
+
+
+def _view(
+    places: Places, name: str, values: np.ndarray, centre: tuple[float, float] | None, aspect: float
+) -> RigView:
+    size = places.size(name)
+    focal, distortion = float(values[0]), float(values[8])
+    cx, cy = centre or (0.5 * size[0], 0.5 * size[1])
+    lens = undistorting_lens((focal, focal * aspect, cx, cy), size, partial(_undistorted, distortion))
+    return places.view(name, size, lens, camera_pose(quaternion_rotation(values[1:5]), values[5:8]))
+
+
+def _undistorted(distortion: float, radii: np.ndarray) -> np.ndarray:
+    return radii * (1.0 + distortion * radii**2)

@@ -1,0 +1,92 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reader for Polycam's raw data (Export > Raw Data), with corrected cameras if there are any.
+
+Source: Polycam's polyform. Cameras have OpenGL axes. ``alignmentTransform`` in mesh_info.json, by columns,
+leads from their world to the mesh raw.glb, in whose coordinates the poses are returned.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ..conventions import opengl_to_opencv_camera, transform_poses
+from ..run.documents import Fields, Maybe, Number, Numbers
+from .rig import Lens, ReadOptions, Rig, RigView, damaged, read_json_rig, read_pose
+from .rig_files import Places, pixel_size, similarity
+
+NAME = "polycam"
+LOOKS_FOR = "keyframes/corrected_cameras or keyframes/cameras with JSON files"
+# Cameras and their photographs; the corrected ones are missing where Polycam could not improve its tracking.
+FOLDERS = (("corrected_cameras", "corrected_images"), ("cameras", "images"))
+_MATRIX = [[f"t_{row}{column}" for column in range(4)] for row in range(3)]
+_CAMERA = Fields(
+    {
+        **dict.fromkeys(("fx", "fy", "cx", "cy", "width", "height"), Number()),
+        **{key: Number() for row in _MATRIX for key in row},
+    }
+)
+_MESH_INFO = Fields({}, {"alignmentTransform": Maybe(Numbers(16))})
+
+
+def detect(path: Path) -> bool:
+    """Whether a folder, or its folder keyframes, holds Polycam's cameras."""
+    return _cameras(path) is not None
+
+
+def read(path: Path, options: ReadOptions) -> Rig:
+    """Read all cameras. The world is Y up, as in the mesh.
+
+    Raises:
+        FiptError: ``rig-damaged``.
+    """
+    found = _cameras(path)
+    if found is None:
+        raise damaged(path, "it contains no cameras of Polycam")
+    cameras, photographs = found
+    keyframes = cameras.parent
+    folders = tuple(f"keyframes/{name}" for name in (photographs, "hdr", "exr"))
+    places = Places((keyframes.parent,), options.images, (*folders, "hdr", "exr", "."))
+    files = sorted(file for file in cameras.iterdir() if file.suffix.lower() == ".json")
+    alignment = _alignment(keyframes.parent)
+    views = tuple(_view(file, places, alignment) for file in files)
+    return Rig(NAME, views, "y", places.mesh(("raw", "mesh", "scene")))
+
+
+def _cameras(path: Path) -> tuple[Path, str] | None:
+    """The folder of the cameras, and the name of the folder of their photographs."""
+    for root in (path / "keyframes", path):
+        for cameras, photographs in FOLDERS:
+            folder = root / cameras
+            if folder.is_dir() and any(file.suffix.lower() == ".json" for file in folder.iterdir()):
+                return folder, photographs
+    return None
+
+
+def _alignment(root: Path) -> np.ndarray:
+    """Similarity (4, 4) from the cameras' world to the mesh; the identity where the file does not have it."""
+    file = root / "mesh_info.json"
+    if not file.is_file():
+        return np.eye(4)
+    stored = read_json_rig(file, _MESH_INFO).get("alignmentTransform")
+    if stored is None:
+        return np.eye(4)
+    matrix = np.array(stored, np.float64).reshape(4, 4).T
+    scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+    try:
+        return similarity(scale, matrix[:3, :3] / (scale or 1.0), matrix[:3, 3])
+    except ValueError as error:
+        raise damaged(file, error) from None
+
+
+def _view(file: Path, places: Places, alignment: np.ndarray) -> RigView:
+    data = read_json_rig(file, _CAMERA)
+    pose = read_pose(file, [[data[key] for key in row] for row in _MATRIX])
+    try:
+        size = pixel_size(data["width"], data["height"])
+    except ValueError as error:
+        raise damaged(file, error) from None
+    lens = Lens("PINHOLE", tuple(float(data[key]) for key in ("fx", "fy", "cx", "cy")))
+    return places.view(file.stem, size, lens, transform_poses(alignment, opengl_to_opencv_camera(pose)))

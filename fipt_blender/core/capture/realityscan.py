@@ -1,0 +1,166 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reader for RealityScan (RealityCapture): XMP files beside the photographs, or a CSV of camera parameters.
+
+Source: Epic's "XMP Camera Math" and the help page "Internal/External camera parameters". The principal point
+is divided by the photograph's longer side, the focal length is that for a film of 36 mm. The distortion is
+OpenCV's with t1 = p2 and t2 = p1.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from ..conventions import opengl_to_opencv_camera
+from ..run.errors import FiptError
+from .radial import distorting_lens
+from .rig import Lens, ReadOptions, Rig, RigView, damaged
+from .rig_files import (
+    IMAGE_FOLDERS,
+    Places,
+    camera_files,
+    camera_pose,
+    head,
+    number,
+    numbers,
+    read_text_rig,
+    read_xml_rig,
+)
+
+NAME = "realityscan"
+LOOKS_FOR = (
+    "XMP files with xcr:Position beside the photographs, or a CSV file with the columns x, y, alt, heading, f"
+)
+FOLDERS = (".", "images", "input")
+FILM_WIDTH = 36.0  # mm
+_XCR = "{http://www.capturingreality.com/ns/xcr/1.1#}"
+_COLUMNS = ("x", "y", "alt", "heading", "pitch", "roll", "f", "px", "py", "k1", "k2", "k3", "k4", "t1", "t2")
+_XMP_IMAGES = tuple(dict.fromkeys((*IMAGE_FOLDERS, *FOLDERS)))
+
+
+def detect(path: Path) -> bool:
+    """Whether a path is such a file, or a folder that contains some."""
+    return _csv_file(path) is not None or _first_xmp(path) is not None
+
+
+def read(path: Path, options: ReadOptions) -> Rig:
+    """Read all cameras of the CSV file where there is one, otherwise of the XMP files. The world is Z up.
+
+    Sizes are those of the photographs, since the files have none.
+
+    Raises:
+        FiptError: ``rig-damaged``, ``camera-model``, ``image-missing`` or ``image-unreadable``.
+    """
+    file = _csv_file(path)
+    if file is not None:
+        places = Places.around(file, options)
+        views = _csv_views(file, places)
+    else:
+        first = _first_xmp(path)
+        if first is None:
+            raise damaged(path, "it contains no XMP files with camera positions")
+        places = Places.around(first, options, _XMP_IMAGES)
+        files = (other for other in camera_files(first.parent, (".xmp",)) if _has_pose(other))
+        views = [_xmp_view(other, places) for other in files]
+    views.sort(key=lambda view: view.name)
+    return Rig(NAME, tuple(views), "z", places.mesh())
+
+
+def _csv_file(path: Path) -> Path | None:
+    return next((file for file in camera_files(path, (".csv",)) if _is_camera_table(head(file))), None)
+
+
+def _is_camera_table(text: str) -> bool:
+    columns = text.lstrip("\ufeff").split("\n", 1)[0].strip().split(",")
+    return columns[0].strip() == "#name" and set(_COLUMNS[:7]) <= {column.strip() for column in columns}
+
+
+def _first_xmp(path: Path) -> Path | None:
+    return next((file for file in camera_files(path, (".xmp",), FOLDERS) if _has_pose(file)), None)
+
+
+def _has_pose(file: Path) -> bool:
+    text = head(file)
+    return "capturingreality.com/ns/xcr" in text and "Position" in text and "Rotation" in text
+
+
+def _csv_views(file: Path, places: Places) -> list[RigView]:
+    views = []
+    try:
+        for row in csv.DictReader(read_text_rig(file).splitlines(), skipinitialspace=True):
+            values = {key: number(row[key]) for key in _COLUMNS}
+            name = str(row["#name"])
+            size = places.size(name)
+            angles = (values["heading"], values["pitch"], values["roll"])
+            pose = camera_pose(_world_to_camera(*angles), np.array([values["x"], values["y"], values["alt"]]))
+            coefficients = tuple(values[key] for key in _COLUMNS[9:])
+            lens = _lens(size, (values["f"], values["px"], values["py"]), coefficients)
+            views.append(places.view(name, size, lens, opengl_to_opencv_camera(pose)))
+    except (csv.Error, KeyError, TypeError, ValueError) as error:
+        raise damaged(file, error) from None
+    return views
+
+
+def _world_to_camera(heading: float, pitch: float, roll: float) -> np.ndarray:
+    """Rotation (3, 3) to OpenGL camera axes of angles in degrees; at zero the camera looks straight down."""
+    z, x, y = (math.radians(angle) for angle in (-heading, pitch, roll))
+    about_z = np.array([[math.cos(z), -math.sin(z), 0], [math.sin(z), math.cos(z), 0], [0, 0, 1]])
+    about_x = np.array([[1, 0, 0], [0, math.cos(x), -math.sin(x)], [0, math.sin(x), math.cos(x)]])
+    about_y = np.array([[math.cos(y), 0, math.sin(y)], [0, 1, 0], [-math.sin(y), 0, math.cos(y)]])
+    return (about_z @ about_x @ about_y).T
+
+
+def _xmp_view(file: Path, places: Places) -> RigView:
+    """The view that an XMP file describes; its values are attributes or elements."""
+    root = read_xml_rig(file)
+    values: dict[str, str] = {}
+    for element in root.iter():
+        values.update({key: value for key, value in element.attrib.items() if key.startswith(_XCR)})
+        if element.tag.startswith(_XCR):
+            values[element.tag] = _text(element)
+    try:
+        rotation = numbers(values[f"{_XCR}Rotation"], 9).reshape(3, 3)
+        centre = numbers(values[f"{_XCR}Position"], 3)
+        film = tuple(
+            number(values.get(_XCR + key, "0"))
+            for key in ("FocalLength35mm", "PrincipalPointU", "PrincipalPointV")
+        )
+        coefficients = numbers(values.get(f"{_XCR}DistortionCoeficients", "0 0 0 0 0 0"), 6)
+        skew = number(values.get(f"{_XCR}Skew", "0"))
+        aspect = number(values.get(f"{_XCR}AspectRatio", "1"))
+    except (KeyError, ValueError) as error:
+        raise damaged(file, error) from None
+    model = values.get(f"{_XCR}DistortionModel", "brown3")
+    known = model.startswith("brown") or model == "perspective" or not coefficients.any()
+    if skew != 0.0 or aspect != 1.0 or not known:
+        raise FiptError(
+            "camera-model",
+            f"{file} has the distortion model {model[:40]!r}, skew {skew:g} and aspect ratio {aspect:g}.",
+            "Align again with a Brown distortion model without K + (Alignment Settings > Advanced).",
+        )
+    size = places.size(file.stem)
+    lens = _lens(size, film, tuple(float(value) for value in coefficients))
+    return places.view(file.stem, size, lens, camera_pose(rotation, centre))
+
+
+def _text(element: ElementTree.Element) -> str:
+    return (element.text or "").strip()
+
+
+def _lens(size: tuple[int, int], film: tuple[float, ...], coefficients: tuple[float, ...]) -> Lens:
+    """The lens of a photograph.
+
+    Args:
+        size: width and height in pixels.
+        film: focal length in mm of 36 mm film, and the principal point's offsets from the centre.
+        coefficients: k1 to k4, t1, t2.
+    """
+    side = float(max(size))
+    focal = film[0] * side / FILM_WIDTH
+    intrinsics = (focal, focal, 0.5 * size[0] + film[1] * side, 0.5 * size[1] + film[2] * side)
+    return distorting_lens(intrinsics, size, coefficients[:4], (coefficients[5], coefficients[4]))

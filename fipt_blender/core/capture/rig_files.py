@@ -1,0 +1,285 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Camera files of other programs: how they are recognized, read within limits, and what lies beside.
+
+Camera files name photographs as they lay on another computer. No such path is followed out of the capture's
+folders: photographs are found by their path within these folders, or by their file name.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from ..run.shapes import MOST_SIDE
+from .images import read_size
+from .rig import (
+    PARTS_FOLDER,
+    SEMANTICS_FOLDER,
+    Lens,
+    Note,
+    ReadOptions,
+    RigView,
+    damaged,
+    find_ids,
+    find_image,
+    find_mesh,
+    view_name,
+)
+
+IMAGE_FOLDERS = ("hdr", "exr", "images", "input", "Image", ".")
+MESH_STEMS = ("scene", "mesh", "model", "texturedMesh", "scene_dense_mesh")
+HEAD_BYTES = 1 << 16
+MOST_TEXT_BYTES = 256_000_000
+MOST_XML_BYTES = 64_000_000  # a parsed document takes about ten times its size
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where the photographs, id images and mesh of a camera file are searched.
+
+    Attributes:
+        roots: folders, the first ones first.
+        images: the folder in which photographs are searched before all others, or None.
+        image_folders: folders below each root that may hold photographs.
+    """
+
+    roots: tuple[Path, ...]
+    images: Path | None = None
+    image_folders: tuple[str, ...] = IMAGE_FOLDERS
+
+    @classmethod
+    def around(
+        cls, path: Path, options: ReadOptions, image_folders: tuple[str, ...] = IMAGE_FOLDERS
+    ) -> Places:
+        """The places around a camera file: its folder and the one above."""
+        return cls((path.parent, path.absolute().parent.parent), options.images, image_folders)
+
+    def image(self, name: str) -> Path:
+        """The photograph of a name or path; the path that it should have where it does not exist."""
+        names = _inner_names(name)
+        usual = [root / folder for root in self.roots for folder in self.image_folders]
+        searched = [folders for folders in ([self.images] if self.images else [], usual) if folders]
+        paths = [find_image(folders, inner) for folders in searched for inner in names]
+        return next((path for path in paths if path.is_file()), paths[0])
+
+    def size(self, name: str) -> tuple[int, int]:
+        """Width and height in pixels of the photograph of a name.
+
+        Raises:
+            FiptError: ``image-missing`` or ``image-unreadable``.
+        """
+        return read_size(self.image(name))
+
+    def view(self, name: str, size: tuple[int, int], lens: Lens, camera_to_world: np.ndarray) -> RigView:
+        """The view of a photograph, with the id images that exist.
+
+        Args:
+            name: of the photograph, as the camera file has it.
+            size: width and height in pixels that the lens is calibrated for.
+            lens, camera_to_world: see `RigView`.
+        """
+        stem = view_name(_inner_names(name)[0])
+        ids = {
+            kind: next(filter(None, (find_ids(root / kind, stem) for root in self.roots)), None)
+            for kind in (PARTS_FOLDER, SEMANTICS_FOLDER)
+        }
+        return RigView(
+            name=stem,
+            split=None,
+            image=self.image(name),
+            width=size[0],
+            height=size[1],
+            lens=lens,
+            camera_to_world=camera_to_world,
+            parts=ids[PARTS_FOLDER],
+            semantics=ids[SEMANTICS_FOLDER],
+        )
+
+    def mesh(self, stems: Sequence[str] = MESH_STEMS, folders: Sequence[str] = (".",)) -> Path | None:
+        """The first mesh with one of these names, or None."""
+        return find_mesh([root / folder for root in self.roots for folder in folders], stems)
+
+
+def _inner_names(name: str) -> list[str]:
+    """A photograph's path within the capture, without what leads out of it, and its file name."""
+    path = PurePosixPath(name.replace("\\", "/"))
+    parts = [part for part in path.parts if part != "."]
+    if not parts or parts[-1] in ("..", "/"):
+        return ["unnamed"]
+    leads_out = path.is_absolute() or ".." in parts or ":" in parts[0]
+    return list(dict.fromkeys([parts[-1] if leads_out else "/".join(parts), parts[-1]]))
+
+
+# ------------------------------------------------------------------------------------------------ recognition
+
+
+def head(path: Path) -> str:
+    """The beginning of a file as text, for recognizing its format; empty where it can't be read."""
+    try:
+        with path.open("rb") as file:
+            return file.read(HEAD_BYTES).decode("utf-8", errors="replace")
+    except OSError:
+        return ""
+
+
+def camera_files(path: Path, suffixes: Iterable[str], folders: Sequence[str] = (".",)) -> Iterator[Path]:
+    """The file itself, or those in a folder and some below it, that have one of the suffixes, by name."""
+    wanted = tuple(suffixes)
+    if path.is_file():
+        if path.suffix.lower() in wanted:
+            yield path
+        return
+    for folder in folders:
+        if (path / folder).is_dir():
+            for entry in sorted((path / folder).iterdir()):
+                if entry.suffix.lower() in wanted and entry.is_file():
+                    yield entry
+
+
+# ---------------------------------------------------------------------------------------------------- reading
+
+
+def read_text_rig(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> str:
+    """The text of a camera file.
+
+    Raises:
+        FiptError: ``rig-damaged`` where it is not UTF-8, or too large.
+    """
+    if path.stat().st_size > most_bytes:
+        raise damaged(path, f"it has more than {most_bytes / 1e6:.0f} MB")
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise damaged(path, error) from None
+
+
+def read_xml_rig(path: Path) -> ElementTree.Element:
+    """The root element of an XML file without a document type, whose entities could expand without end.
+
+    Raises:
+        FiptError: ``rig-damaged``.
+    """
+    text = read_text_rig(path, MOST_XML_BYTES)
+    if "<!DOCTYPE" in text:
+        raise damaged(path, "it declares a document type")
+    try:
+        return ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise damaged(path, error) from None
+
+
+def number(value: Any) -> float:
+    """A finite number; programs also write numbers as texts.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise ValueError(f"{str(value)[:40]!r} is not a number")
+    try:
+        result = float(value)
+    except (OverflowError, ValueError):
+        result = math.nan
+    if not math.isfinite(result):
+        raise ValueError(f"{str(value)[:40]!r} is not a finite number")
+    return result
+
+
+def numbers(value: Any, count: int) -> np.ndarray:
+    """(count,) float64 of a list of numbers, or of a text with numbers between blanks.
+
+    Raises:
+        ValueError: where it has another length or other content.
+    """
+    items = value.split() if isinstance(value, str) else value
+    if not isinstance(items, list) or len(items) != count:
+        raise ValueError(f"{str(value)[:40]!r} should be {count} numbers")
+    return np.array([number(item) for item in items], np.float64)
+
+
+def pixel_size(width: Any, height: Any) -> tuple[int, int]:
+    """Width and height of an image in pixels.
+
+    Raises:
+        ValueError: for sizes that no image has.
+    """
+    sides = number(width), number(height)
+    if not all(1.0 <= side <= MOST_SIDE for side in sides):
+        raise ValueError(f"an image of {sides[0]:g} x {sides[1]:g} pixels")
+    return int(sides[0]), int(sides[1])
+
+
+# ------------------------------------------------------------------------------------------------------ poses
+
+
+def camera_pose(world_to_camera: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Camera-to-world (4, 4) float64 of the rotation (3, 3) from world to camera and the centre (3,)."""
+    pose = np.eye(4)
+    pose[:3, :3] = world_to_camera.T
+    pose[:3, 3] = centre
+    return pose
+
+
+def quaternion_rotation(wxyz: np.ndarray) -> np.ndarray:
+    """Rotation (3, 3) of a quaternion w, x, y, z of any length above zero.
+
+    Raises:
+        ValueError: for a quaternion of zeros.
+    """
+    length = float(np.linalg.norm(wxyz))
+    if not length > 0.0:
+        raise ValueError("a quaternion is zero")
+    w, x, y, z = wxyz / length
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def similarity(scale: float, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """Similarity (4, 4) of a scale, a rotation (3, 3) and a translation (3,).
+
+    Raises:
+        ValueError: for a scale that is not positive, or a matrix that is no rotation.
+    """
+    off = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+    if not scale > 0.0 or off > 1e-3 or np.linalg.det(rotation) < 0.0:
+        raise ValueError("a transform is no rotation with a positive scale")
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale * rotation
+    matrix[:3, 3] = translation
+    return matrix
+
+
+def largest_model(
+    models: Sequence[Sequence[RigView]], source: str
+) -> tuple[tuple[RigView, ...], tuple[Note, ...]]:
+    """The views of the model with the most views, and a warning where there are others.
+
+    Args:
+        models: the views of each model that the solver could not connect with the others.
+        source: what holds them, for the warning.
+    """
+    filled = [model for model in models if model]
+    if not filled:
+        return (), ()
+    chosen = max(filled, key=len)
+    if len(filled) == 1:
+        return tuple(chosen), ()
+    sizes = ", ".join(str(len(model)) for model in filled)
+    note = Note(
+        "several-models",
+        f"{source} holds {len(filled)} unconnected models ({sizes} photographs); only the largest is used.",
+        "To use another one, or all of them together, connect them in the program that solved the cameras.",
+    )
+    return tuple(chosen), (note,)

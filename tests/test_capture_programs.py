@@ -1,0 +1,450 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Readers of other programs' cameras: poses to 1e-5, and pixels of points in the room to 1e-4."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fipt_blender import cli
+from fipt_blender.core.capture.distortion import lens_camera
+from fipt_blender.core.capture.formats import FORMATS, detect_format, read_rig
+from fipt_blender.core.capture.radial import MOST_ERROR
+from fipt_blender.core.capture.rig import ReadOptions, Rig
+from fipt_blender.core.run.errors import FiptError
+from samples import rig_writers as write
+
+BROWN3 = write.Style((-0.12, 0.03, -0.006), (0.002, -0.001))
+CENTRED = (0.0, 0.0)
+
+
+def read(path: Path, **options) -> Rig:
+    return read_rig(path, "auto", ReadOptions(**options))
+
+
+def room_points(shot: write.Shot) -> np.ndarray:
+    """Points over the whole image of a shot, corners included, at different depths."""
+    x, y = np.meshgrid(np.linspace(-0.9, 0.9, 9), np.linspace(-0.9, 0.9, 9))
+    rays = np.stack([x * shot.width / 2 / shot.fx, y * shot.height / 2 / shot.fy, np.ones_like(x)], axis=-1)
+    depth = np.linspace(1.0, 5.0, 81).reshape(9, 9, 1)
+    return (rays * depth).reshape(-1, 3) @ shot.rotation + shot.centre
+
+
+def assert_same(rig: Rig, shots: list[write.Shot], pixels: float = 1e-4) -> None:
+    """The rig's views see the room's points where the shots do."""
+    assert len(rig.views) == len(shots)
+    for view, shot in zip(rig.views, shots, strict=True):
+        assert Path(view.name).name == Path(shot.name).stem and view.image.is_file()
+        assert (view.width, view.height) == (shot.width, shot.height)
+        np.testing.assert_allclose(view.camera_to_world, shot.pose, atol=1e-5)
+        points = room_points(shot)
+        camera = lens_camera(view.lens, view.width, view.height)
+        local = (points - view.camera_to_world[:3, 3]) @ view.camera_to_world[:3, :3]
+        expected = np.stack([shot.pixel(point) for point in points])
+        np.testing.assert_allclose(np.asarray(camera.img_from_cam(local)), expected, atol=pixels)
+
+
+def error_of(path: Path) -> FiptError:
+    with pytest.raises(FiptError) as caught:
+        read(path)
+    return caught.value
+
+
+# ------------------------------------------------------------------------------------------------- Metashape
+
+
+def moved_chunk(shots: list[write.Shot]) -> write.Chunk:
+    rotation = write.random_rotation(np.random.default_rng(5))
+    return write.Chunk(shots, 0.0254, rotation, np.array([12.0, -3.0, 0.5]))
+
+
+@pytest.mark.parametrize("component", [False, True])
+@pytest.mark.parametrize(
+    "style",
+    [
+        replace(BROWN3, aspect=1.01),
+        write.Style((-0.1, 0.02, -0.004, 0.001), (0.002, -0.001), fisheye=True),
+    ],
+)
+def test_metashape(tmp_path: Path, style: write.Style, component: bool) -> None:
+    shots = write.make_shots(style)
+    write.write_photographs(tmp_path, shots)
+    write.write_metashape(tmp_path, [write.metashape_chunk(moved_chunk(shots), component)])
+    for path in (tmp_path, tmp_path / "cameras.xml"):
+        rig = read(path)
+        assert rig.source == "metashape" and rig.up_axis is None and not rig.notes
+        assert_same(rig, shots)
+
+
+def test_metashape_with_a_fourth_radial_coefficient_is_fitted(tmp_path: Path) -> None:
+    shots = write.make_shots(write.Style((-0.2, 0.06, -0.02, 0.004), (0.002, -0.001)))
+    write.write_photographs(tmp_path, shots)
+    write.write_metashape(tmp_path, [write.metashape_chunk(write.Chunk(shots))])
+    assert_same(read(tmp_path), shots, pixels=MOST_ERROR)
+
+
+def test_metashape_rig_follows_its_master(tmp_path: Path) -> None:
+    first, second = write.make_shots(BROWN3, count=2)
+    chunk = moved_chunk([first, second])
+    inside = np.linalg.inv(chunk.inside(first)) @ chunk.inside(second)
+    rotation, translation = write.text(inside[:3, :3]), write.text(inside[:3, 3])
+    offset = f"<rotation>{rotation}</rotation><translation>{translation}</translation>"
+    document = write.metashape_chunk(replace(chunk, shots=[first]))
+    document = document.replace("</sensors>", write.metashape_sensor(1, second, offset) + "</sensors>")
+    slave = f'<camera id="1" sensor_id="1" master_id="0" label="{Path(second.name).stem}"/>'
+    write.write_photographs(tmp_path, [first, second])
+    write.write_metashape(tmp_path, [document.replace("</cameras>", slave + "</cameras>")])
+    assert_same(read(tmp_path), [first, second])
+
+
+def test_metashape_reads_the_largest_of_several_chunks(tmp_path: Path) -> None:
+    shots = write.make_shots(count=4)
+    write.write_photographs(tmp_path, shots)
+    chunks = [write.metashape_chunk(write.Chunk(part)) for part in (shots[:1], shots[1:])]
+    write.write_metashape(tmp_path, chunks)
+    rig = read(tmp_path)
+    assert_same(rig, shots[1:])
+    assert [note.code for note in rig.notes] == ["several-models"] and "(1, 3 " in rig.notes[0].text
+
+
+def test_metashape_with_geographic_coordinates_is_named(tmp_path: Path) -> None:
+    shots = write.make_shots(count=2)
+    chunk = write.Chunk(
+        [replace(shot, centre=shot.centre + 4e6) for shot in shots], 1.0, np.eye(3), np.full(3, 4e6)
+    )
+    write.write_metashape(tmp_path, [write.metashape_chunk(chunk)])
+    assert [note.code for note in read(tmp_path).notes] == ["georeferenced"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code"),
+    [
+        ('type="frame"', 'type="spherical"', "camera-model"),
+        ("<k1>", "<b2>0.5</b2><k1>", "camera-model"),
+        ("<f>", "<g>", "rig-damaged"),
+        ("</cx>", "x</cx>", "rig-damaged"),
+        ('<?xml version="1.0" encoding="UTF-8"?>', '<!DOCTYPE a [<!ENTITY b "c">]>', "rig-damaged"),
+        ("<scale>0.0254", "<scale>-1", "rig-damaged"),
+    ],
+)
+def test_metashape_that_cannot_be_used(tmp_path: Path, old: str, new: str, code: str) -> None:
+    write.write_metashape(tmp_path, [write.metashape_chunk(moved_chunk(write.make_shots(BROWN3, 1)))])
+    document = (tmp_path / "cameras.xml").read_text()
+    assert old in document
+    (tmp_path / "cameras.xml").write_text(document.replace(old, new))
+    assert error_of(tmp_path).code == code
+
+
+def test_metashape_sensor_without_calibration(tmp_path: Path) -> None:
+    write.write_metashape(tmp_path, [write.metashape_chunk(write.Chunk(write.make_shots(count=1)))])
+    document = (tmp_path / "cameras.xml").read_text().replace("calibration", "covariance")
+    (tmp_path / "cameras.xml").write_text(document)
+    assert error_of(tmp_path).code == "intrinsics-missing"
+
+
+# ----------------------------------------------------------------------------------------------- RealityScan
+
+
+@pytest.mark.parametrize("writer", [write.write_realityscan_csv, write.write_realityscan_xmp])
+def test_realityscan(tmp_path: Path, writer) -> None:
+    shots = write.make_shots(BROWN3)
+    writer(tmp_path, shots)
+    rig = read(tmp_path)
+    assert rig.source == "realityscan" and rig.up_axis == "z"
+    assert_same(rig, shots)
+
+
+def test_realityscan_xmp_values_may_be_attributes(tmp_path: Path) -> None:
+    shots = write.make_shots(BROWN3, 1)
+    write.write_realityscan_xmp(tmp_path, shots)
+    path = tmp_path / f"{Path(shots[0].name).stem}.xmp"
+    document = path.read_text()
+    start, end = document.index("      <xcr:Rotation>"), document.index("      <xcr:Position>")
+    attribute = (
+        document[start:end]
+        .strip()
+        .replace("<xcr:Rotation>", 'xcr:Rotation="')
+        .replace("</xcr:Rotation>", '"')
+    )
+    path.write_text((document[:start] + document[end:]).replace('xcr:Skew="0"', f'xcr:Skew="0" {attribute}'))
+    assert_same(read(tmp_path), shots)
+
+
+def test_realityscan_colmap_export(tmp_path: Path) -> None:
+    shots = write.make_shots(write.Style(aspect=1.01))
+    write.write_realityscan_colmap(tmp_path, shots)
+    rig = read(tmp_path)
+    assert rig.source == "colmap"
+    assert_same(rig, shots)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("brown4t2", "division"), ('Skew="0"', 'Skew="0.1"'), ('Ratio="1"', 'Ratio="1.1"')]
+)
+def test_realityscan_lenses_that_are_not_supported(tmp_path: Path, old: str, new: str) -> None:
+    write.write_realityscan_xmp(tmp_path, write.make_shots(BROWN3, 1))
+    path = tmp_path / "IMG_0000.xmp"
+    path.write_text(path.read_text().replace(old, new))
+    assert error_of(tmp_path).code == "camera-model"
+
+
+@pytest.mark.parametrize("writer", [write.write_realityscan_csv, write.write_realityscan_xmp])
+def test_sizes_that_only_photographs_have_need_the_photographs(tmp_path: Path, writer) -> None:
+    writer(tmp_path, write.make_shots(BROWN3, 2))
+    (tmp_path / "IMG_0001.jpg").unlink()
+    error = error_of(tmp_path)
+    assert error.code == "image-missing" and "IMG_0001" in error.text
+
+
+# -------------------------------------------------------------------------------- Meshroom, OpenSfM, OpenMVG
+
+
+@pytest.mark.parametrize("version", [(1, 0, 0), (1, 2, 0), (1, 2, 3), (1, 2, 6), (1, 2, 8), (1, 2, 11)])
+def test_meshroom(tmp_path: Path, version: tuple[int, int, int]) -> None:
+    shots = write.make_shots(replace(BROWN3, aspect=1.0 if version < (1, 2, 0) else 1.02))
+    write.write_meshroom(tmp_path, shots, version)
+    for path in (tmp_path, tmp_path / "cameras.sfm"):
+        rig = read(path)
+        assert rig.source == "meshroom" and rig.up_axis == "y"
+        assert_same(rig, shots)
+
+
+@pytest.mark.parametrize(
+    "style", [write.Style(), write.Style((-0.1,)), write.Style((-0.1, 0.02, -0.004, 0.001), fisheye=True)]
+)
+def test_meshroom_lenses(tmp_path: Path, style: write.Style) -> None:
+    shots = write.make_shots(style)
+    for version in ((1, 2, 6), (1, 2, 9)):
+        write.write_meshroom(tmp_path, shots, version)
+        assert_same(read(tmp_path), shots)
+
+
+def test_meshroom_rigs_and_views_without_a_pose(tmp_path: Path) -> None:
+    first, second = write.make_shots(BROWN3, 2)
+    write.write_meshroom(tmp_path, [first, second], (1, 2, 8))
+    data = json.loads((tmp_path / "cameras.sfm").read_text())
+    inside = np.linalg.inv(first.pose) @ second.pose
+    part = {"rotation": [str(v) for v in inside[:3, :3].ravel()], "center": [str(v) for v in inside[:3, 3]]}
+    same = {"rotation": ["1", "0", "0", "0", "1", "0", "0", "0", "1"], "center": ["0", "0", "0"]}
+    data["rigs"] = [{"rigId": "5", "subPoses": [{"pose": same}, {"pose": part}]}]
+    data["views"][1].update(rigId="5", subPoseId="1", isPoseIndependant="false", poseId="0")
+    data["views"].append({**data["views"][0], "viewId": "9", "poseId": "9"})
+    data["poses"] = data["poses"][:1]
+    (tmp_path / "cameras.sfm").write_text(json.dumps(data))
+    assert_same(read(tmp_path), [first, second])
+
+
+def test_opensfm(tmp_path: Path) -> None:
+    styles = {
+        "perspective": write.Style((-0.1, 0.02), off_centre=CENTRED),
+        "brown": replace(BROWN3, aspect=1.01),
+        "fisheye": write.Style((-0.1, 0.02), off_centre=CENTRED, fisheye=True),
+        "fisheye_opencv": write.Style((-0.1, 0.02, -0.004, 0.001), aspect=1.01, fisheye=True),
+    }
+    for kind, style in styles.items():
+        shots = write.make_shots(style)
+        write.write_opensfm(tmp_path, [shots], kind)
+        rig = read(tmp_path)
+        assert rig.source == "opensfm" and rig.up_axis == "z" and not rig.notes
+        assert_same(rig, shots)
+
+
+def test_opensfm_reads_the_largest_reconstruction(tmp_path: Path) -> None:
+    shots = write.make_shots(write.Style(off_centre=CENTRED))
+    write.write_opensfm(tmp_path, [shots[:1], shots[1:]], "perspective")
+    rig = read(tmp_path)
+    assert_same(rig, shots[1:])
+    assert [note.code for note in rig.notes] == ["several-models"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "key", "style"),
+    [
+        ("pinhole", "", write.Style()),
+        ("pinhole_radial_k1", "disto_k1", write.Style((-0.1,))),
+        ("pinhole_radial_k3", "disto_k3", write.Style((-0.1, 0.02, -0.004))),
+        ("pinhole_brown_t2", "disto_t2", BROWN3),
+        ("fisheye", "fisheye", write.Style((-0.1, 0.02, -0.004, 0.001), fisheye=True)),
+    ],
+)
+def test_openmvg(tmp_path: Path, kind: str, key: str, style: write.Style) -> None:
+    shots = write.make_shots(style)
+    write.write_openmvg(tmp_path, shots, kind, key)
+    for path in (tmp_path, tmp_path / "sfm_data.json"):
+        rig = read(path)
+        assert rig.source == "openmvg" and rig.up_axis is None
+        assert_same(rig, shots)
+
+
+@pytest.mark.parametrize("kind", ["spherical", "something new"])
+def test_models_without_a_pinhole_are_refused(tmp_path: Path, kind: str) -> None:
+    shots = write.make_shots(write.Style(off_centre=CENTRED), 2)
+    write.write_openmvg(tmp_path / "openmvg", shots, kind, "")
+    write.write_opensfm(tmp_path / "opensfm", [shots], kind)
+    write.write_meshroom(tmp_path / "meshroom", shots, (1, 2, 8))
+    path = tmp_path / "meshroom" / "cameras.sfm"
+    path.write_text(path.read_text().replace('"pinhole"', f'"{kind}"'))
+    for name in ("openmvg", "opensfm", "meshroom"):
+        error = error_of(tmp_path / name)
+        assert error.code == "camera-model" and kind in error.text
+
+
+# ---------------------------------------------------------------------------------------------- Bundler, NVM
+
+
+def test_bundler(tmp_path: Path) -> None:
+    shots = write.make_shots(write.Style((-0.1, 0.02), off_centre=CENTRED))
+    write.write_bundler(tmp_path, shots)
+    for path in (tmp_path, tmp_path / "bundle" / "bundle.out"):
+        rig = read(path)
+        assert rig.source == "bundler" and rig.up_axis is None
+        assert_same(rig, shots)
+    (tmp_path / "list.txt").unlink()
+    error = error_of(tmp_path)
+    assert error.code == "rig-damaged" and "list.txt" in error.text
+
+
+def test_nvm_distortion_is_the_other_way_round(tmp_path: Path) -> None:
+    """VisualSFM's polynomial leads from the photograph to the pinhole: a point's pixel satisfies it."""
+    shots = write.make_shots(write.Style(off_centre=CENTRED))
+    write.write_nvm(tmp_path, [shots], distortion=0.15)
+    rig = read(tmp_path)
+    assert rig.source == "nvm" and not rig.notes
+    for view, shot in zip(rig.views, shots, strict=True):
+        np.testing.assert_allclose(view.camera_to_world, shot.pose, atol=1e-5)
+        camera = lens_camera(view.lens, view.width, view.height)
+        local = (room_points(shot) - shot.centre) @ shot.rotation.T
+        centre = np.array([shot.width / 2, shot.height / 2])
+        distorted = (np.asarray(camera.img_from_cam(local)) - centre) / shot.fx
+        undone = distorted * (1.0 + 0.15 * (distorted**2).sum(axis=1, keepdims=True))
+        np.testing.assert_allclose(undone * shot.fx, local[:, :2] / local[:, 2:] * shot.fx, atol=1e-3)
+
+
+def test_nvm_models_names_and_fixed_calibration(tmp_path: Path) -> None:
+    shots = [replace(shot, fx=400.0, fy=404.0, cx=250.0, cy=150.0) for shot in write.make_shots()[::2]]
+    shots[0] = replace(shots[0], name="IMG 0000.jpg")
+    write.write_nvm(tmp_path, [shots[:1], shots], fixed="FixedK 400 250 404 150 0")
+    path = tmp_path / "model.nvm"
+    path.write_text(path.read_text().replace("IMG 0000.jpg", 'IMG"0000.jpg'))
+    rig = read(tmp_path)
+    assert [note.code for note in rig.notes] == ["several-models"]
+    assert_same(rig, sorted(shots, key=lambda shot: shot.name))
+
+
+# ------------------------------------------------------------------------------ Polycam, Record3D, ScanNet++
+
+
+@pytest.mark.parametrize("corrected", [True, False])
+def test_polycam_poses_are_in_the_coordinates_of_the_mesh(tmp_path: Path, corrected: bool) -> None:
+    shots = write.make_shots(write.Style(aspect=1.01))
+    alignment = np.eye(4)
+    alignment[:3, :3], alignment[:3, 3] = write.random_rotation(np.random.default_rng(2)), (1.0, 2.0, 3.0)
+    write.write_polycam(tmp_path, shots, alignment, corrected)
+    rig = read(tmp_path)
+    assert rig.source == "polycam" and rig.up_axis == "y" and rig.mesh == tmp_path / "raw.glb"
+    assert_same(rig, shots)
+
+
+def test_polycam_alignment_that_is_no_similarity(tmp_path: Path) -> None:
+    write.write_polycam(tmp_path, write.make_shots(count=1), np.diag([1.0, 2.0, 1.0, 1.0]), True)
+    assert error_of(tmp_path).code == "rig-damaged"
+
+
+@pytest.mark.parametrize("each_frame", [True, False])
+def test_record3d(tmp_path: Path, each_frame: bool) -> None:
+    first, *others = write.make_shots(write.Style(aspect=1.01))[::2]
+    shots = [replace(shot, name=f"{i}.jpg") for i, shot in enumerate((first, *others))]
+    if not each_frame:
+        shots = [replace(shot, fx=first.fx, fy=first.fy) for shot in shots]
+    write.write_record3d(tmp_path, shots, each_frame)
+    rig = read(tmp_path)
+    assert rig.source == "record3d" and rig.up_axis == "y"
+    assert_same(rig, shots)
+
+
+def test_scannetpp(tmp_path: Path) -> None:
+    first, *others = write.make_shots(write.Style((-0.03, 0.004, 0.001, -0.0005), aspect=1.01, fisheye=True))[
+        ::2
+    ]
+    shots = [first, *(replace(shot, fx=first.fx, fy=first.fy) for shot in others)]
+    write.write_scannetpp(tmp_path, shots, held_back=1)
+    for path in (tmp_path, tmp_path / "dslr", tmp_path / "dslr" / "nerfstudio" / "transforms.json"):
+        rig = read(path)
+        assert rig.source == "scannetpp"
+        assert_same(rig, shots)
+        assert [view.split for view in rig.views] == [None, "held_back"]
+        assert rig.mesh == tmp_path / "scans" / "mesh_aligned_0.05.ply"
+        masks = tmp_path / "dslr" / "resized_anon_masks"
+        assert [view.mask for view in rig.views] == [masks / "IMG_0000.png", masks / "IMG_0002.png"]
+
+
+# ----------------------------------------------------------------------------------------------- all of them
+
+
+def all_formats(root: Path) -> dict[str, Path]:
+    """A capture in each format, by its name."""
+    shots = write.make_shots(write.Style(off_centre=CENTRED), 2)
+    write.write_photographs(root / "metashape", shots)
+    write.write_metashape(root / "metashape", [write.metashape_chunk(write.Chunk(shots))])
+    write.write_realityscan_csv(root / "realityscan", shots)
+    write.write_meshroom(root / "meshroom", shots, (1, 2, 8))
+    write.write_opensfm(root / "opensfm", [shots], "perspective")
+    write.write_openmvg(root / "openmvg", shots, "pinhole", "")
+    write.write_bundler(root / "bundler", shots)
+    write.write_nvm(root / "nvm", [shots])
+    return {path.name: path for path in root.iterdir()}
+
+
+def test_command_line_and_panel_offer_all_formats() -> None:
+    from fipt_blender.properties import capture
+
+    assert set(cli.FORMATS) == {name for name, *_ in capture.FORMATS} == {"auto", *FORMATS}
+
+
+def test_each_format_is_recognized_by_its_content(tmp_path: Path) -> None:
+    for name, path in all_formats(tmp_path).items():
+        assert detect_format(path) == name
+        assert read_rig(path, name, ReadOptions()).source == name
+
+
+def test_photographs_are_found_in_a_named_folder_and_never_outside(tmp_path: Path) -> None:
+    paths = all_formats(tmp_path / "captures")
+    outside, chosen = tmp_path / "IMG_0000.jpg", tmp_path / "photographs"
+    write.write_photographs(chosen, write.make_shots(count=2))
+    outside.write_bytes((chosen / "IMG_0000.jpg").read_bytes())
+    for path in paths.values():
+        views = read(path, images=chosen).views
+        assert [view.image for view in views] == [chosen / "IMG_0000.jpg", chosen / "IMG_0001.jpg"]
+    for name, away in (("meshroom", str(outside)), ("openmvg", f"../../{outside.name}")):
+        file = next(file for file in paths[name].iterdir() if file.suffix in (".sfm", ".json"))
+        (paths[name] / "images" / "IMG_0000.jpg").unlink()
+        data = json.loads(file.read_text())
+        view = data["views"][0]
+        target = view["value"]["ptr_wrapper"]["data"] if name == "openmvg" else view
+        target["filename" if name == "openmvg" else "path"] = away
+        file.write_text(json.dumps(data))
+        image = read(paths[name]).views[0].image
+        assert paths[name] in image.parents and not image.is_file() and ".." not in image.parts
+
+
+@pytest.mark.parametrize("content", ["cut", "words", "empty"])
+def test_damaged_camera_files_are_refused(tmp_path: Path, content: str) -> None:
+    for name, path in all_formats(tmp_path).items():
+        suffixes = (".xml", ".csv", ".sfm", ".json", ".out", ".nvm")
+        file = next(file for file in sorted(path.rglob("*")) if file.suffix in suffixes)
+        document = file.read_text()
+        if content == "cut":
+            document = document[: len(document) * 2 // 5]
+        elif content == "words":
+            document = document.replace("0", "nan")
+        else:
+            document = ""
+        file.write_text(document)
+        error = error_of(path)
+        assert error.code in ("rig-damaged", "format-unknown"), (name, error)
+        assert error.remedy
