@@ -23,7 +23,8 @@ from fipt_blender.core.report.comparison import (
     resize_to,
     to_display,
 )
-from fipt_blender.core.report.page import MAPS, format_duration, swatch, write_report
+from fipt_blender.core.report.html import format_duration
+from fipt_blender.core.report.page import MAPS, swatch, write_report
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings

@@ -11,9 +11,33 @@ from __future__ import annotations
 
 import bpy
 
-from . import capture, check, environment, estimate, insert, lights, materials, parts, storage, views
+from . import (
+    capture,
+    check,
+    environment,
+    estimate,
+    insert,
+    lights,
+    materials,
+    parts,
+    photographs,
+    storage,
+    views,
+)
 
-_MODULES = (environment, storage, capture, views, parts, estimate, materials, lights, insert, check)
+_MODULES = (
+    environment,
+    storage,
+    photographs,
+    capture,
+    views,
+    parts,
+    estimate,
+    materials,
+    lights,
+    insert,
+    check,
+)
 
 
 register, unregister = bpy.utils.register_classes_factory(

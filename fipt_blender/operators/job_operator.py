@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from ..bridge.sequence import Job
 
 
-class _StartsJob:
-    """Base of both mix-ins below: allows one job at a time and reports its end."""
+class StartsJob:
+    """Base of the mix-ins below: allows one job at a time and reports its end."""
 
     title = ""
     bl_options = {"REGISTER"}
@@ -62,7 +62,7 @@ class _StartsJob:
         raise NotImplementedError
 
 
-class JobOperator(_StartsJob):
+class JobOperator(StartsJob):
     """Mix-in of an operator that starts a job on a scene; put it before `bpy.types.Operator`.
 
     A subclass sets `title` and `kind`, implements `make_job`, and may implement `finished` and `failed`. With
@@ -99,7 +99,7 @@ class JobOperator(_StartsJob):
         return running.RunningJob(self.title, self.kind, scene.name, folder)
 
 
-class DataJobOperator(_StartsJob):
+class DataJobOperator(StartsJob):
     """Mix-in of an operator that starts a job on the data folder; a subclass sets `title` and `make_job`."""
 
     def make_job(self) -> tuple[Job, Callable[[running.RunningJob], None] | None]:

@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import bpy
 
-from . import capture, check, estimate, insert, lights, materials, parts, swatches
+from . import capture, check, estimate, insert, lights, materials, parts, photographs, swatches
 
-_MODULES = (capture, parts, estimate, materials, lights, insert, check)
+_MODULES = (photographs, capture, parts, estimate, materials, lights, insert, check)
 
 register, _unregister = bpy.utils.register_classes_factory(
     [panel for module in _MODULES for panel in module.CLASSES]

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import bpy
 
-from . import capture, check, estimate, insert, lights, materials, parts
+from . import capture, check, estimate, insert, lights, materials, parts, photographs
 
-_MODULES = (capture, parts, estimate, materials, lights, insert, check)
+_MODULES = (photographs, capture, parts, estimate, materials, lights, insert, check)
 
 
 class FIPT_SceneSettings(bpy.types.PropertyGroup):
@@ -23,6 +23,7 @@ class FIPT_SceneSettings(bpy.types.PropertyGroup):
         description="Folder of the engine's files for this scene: checkpoints, results, textures, renders",
         subtype="DIR_PATH",
     )
+    photographs: bpy.props.PointerProperty(type=photographs.FIPT_PhotographsSettings)
     capture: bpy.props.PointerProperty(type=capture.FIPT_CaptureSettings)
     parts: bpy.props.PointerProperty(type=parts.FIPT_PartsSettings)
     estimate: bpy.props.PointerProperty(type=estimate.FIPT_EstimateSettings)

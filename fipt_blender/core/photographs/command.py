@@ -16,6 +16,7 @@ from .preparation import (
     PreparationFolder,
     make_prepare_settings,
     read_preparation,
+    refuse_foreign,
     write_preparation,
 )
 from .steps import STEPS, choose_steps, run_steps
@@ -66,29 +67,12 @@ def begin(folder: PreparationFolder, photographs: Path, changes: dict[str, str])
                 "Choose another folder for the capture, or those photographs.",
             )
     else:
-        _refuse_foreign(folder, photographs)
+        refuse_foreign(folder, photographs)
         preparation = Preparation(photographs, (), ())
     settings = make_prepare_settings({**asdict(preparation.settings), **changes})
     with explained_write_errors(folder.root):
         folder.stage.mkdir(parents=True, exist_ok=True)
     write_preparation(folder, replace(preparation, settings=settings))
-
-
-def _refuse_foreign(folder: PreparationFolder, photographs: Path) -> None:
-    """Refuse to write among the photographs or into a folder that holds something else."""
-    own = {"messages", "log.txt", "engine.lock", "stage"}
-    if folder.root.is_dir() and {path.name for path in folder.root.iterdir()} - own:
-        raise FiptError(
-            "capture-foreign",
-            f"The folder {folder.root} is not empty, and no capture was prepared in it.",
-            "Choose a new or empty folder for the capture.",
-        )
-    if folder.root.is_relative_to(photographs):
-        raise FiptError(
-            "capture-foreign",
-            f"The capture's folder {folder.root} is inside the photographs' folder.",
-            "Choose a folder elsewhere, so that merged images are not taken for photographs.",
-        )
 
 
 def _changes(texts: list[str]) -> dict[str, str]:

@@ -293,3 +293,26 @@ def _converted(value: Any, default: Any, limits: Mapping[str, Any]) -> Any:
         kind = "a whole number" if isinstance(default, int) else "a number"
         raise ValueError(f"{'0, or ' if limits.get('zero') else ''}{kind} from {low} to {high}")
     return number
+
+
+def refuse_foreign(folder: PreparationFolder, photographs: Path) -> None:
+    """Refuse to write among the photographs or into a folder that holds something else.
+
+    Raises:
+        FiptError: ``capture-foreign``.
+    """
+    if folder.prepare_json.exists():
+        return
+    own = {"messages", "log.txt", "engine.lock", "stage"}
+    if folder.root.is_dir() and {path.name for path in folder.root.iterdir()} - own:
+        raise FiptError(
+            "capture-foreign",
+            f"The folder {folder.root} is not empty, and no capture was prepared in it.",
+            "Choose a new or empty folder for the capture.",
+        )
+    if folder.root.is_relative_to(photographs):
+        raise FiptError(
+            "capture-foreign",
+            f"The capture's folder {folder.root} is inside the photographs' folder.",
+            "Choose a folder elsewhere, so that merged images are not taken for photographs.",
+        )

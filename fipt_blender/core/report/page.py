@@ -15,17 +15,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 
 from ..capture.images import read_radiance
 from ..capture.views import Capture, load_capture
 from ..run.documents import Fields, read_json
 from ..run.messages import Reporter
-from ..run.runfolder import PRODUCT_VERSION, RunFolder, atomic_path
+from ..run.runfolder import PRODUCT_VERSION, RunFolder
 from ..run.settings import Settings
 from ..run.shapes import EMITTERS, RENDERS, STATISTICS, STEPS
 from ..run.shapes import MAPS as MAPS_FILE
 from .comparison import ERROR_FULL, choose_exposure, error_picture, psnr, resize_to, to_display
+from .html import write_page
 from .pictures import write_png
 
 MAPS = ("base_color", "roughness", "metallic", "emission")
@@ -134,14 +134,8 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
             (item.name, getattr(settings, item.name), item.metadata["help"]) for item in fields(Settings)
         ],
     }
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters["duration"] = format_duration
-    template = environment.from_string(Path(__file__).with_name("template.html").read_text(encoding="utf-8"))
     page = run.report / "index.html"
-    with atomic_path(page) as temporary:
-        temporary.write_text(template.render(context), encoding="utf-8")
+    write_page(Path(__file__).with_name("template.html"), context, page)
     return page
 
 
@@ -258,11 +252,3 @@ def _numbers(statistics: Mapping[str, Any]) -> list[tuple[str, str | int | float
         for name, value in statistics.items()
         if isinstance(value, (str, int, float)) and not isinstance(value, bool) and name != "peak_memory_gb"
     ]
-
-
-def format_duration(seconds: float) -> str:
-    """A duration as text: "12.3 s", "4 min 5 s"."""
-    if seconds < 60.0:
-        return f"{seconds:.1f} s"
-    rounded = int(seconds + 0.5)
-    return f"{rounded // 60} min {rounded % 60} s"

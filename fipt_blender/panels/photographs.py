@@ -1,0 +1,187 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The section Photographs: from the photographs of a camera to a capture."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from ..core.run.runfolder import RunFolder
+from ..jobs import running
+from .job import draw_error, draw_messages, draw_progress
+from .sidebar import Section, SubSection, draw_text
+
+_KIND = "photographs"
+
+
+class FIPT_UL_photograph_groups(bpy.types.UIList):
+    """The groups: whether they are used, the number of photographs, and the outcome"""
+
+    def draw_item(
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        data: bpy.types.PropertyGroup,
+        item: bpy.types.PropertyGroup,
+        icon: int,
+        active_data: bpy.types.PropertyGroup,
+        active_property: str,
+        index: int = 0,
+        flt_flag: int = 0,
+    ) -> None:
+        row = layout.row(align=True)
+        row.prop(item, "used", text="")
+        name = row.row(align=True)
+        name.active = item.used
+        name.label(text=item.name, translate=False)
+        count = row.row(align=True)
+        count.alignment = "RIGHT"
+        count.active = item.used
+        count.label(text=str(len(item.photographs)), translate=False)
+        if item.state == "REGISTERED":
+            row.label(text="", icon="CHECKMARK")
+        elif item.state == "LEFT_OUT":
+            row.label(text="", icon="ERROR")
+
+
+class FIPT_UL_photographs(bpy.types.UIList):
+    """The photographs of a group with their exposures"""
+
+    def draw_item(
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        data: bpy.types.PropertyGroup,
+        item: bpy.types.PropertyGroup,
+        icon: int,
+        active_data: bpy.types.PropertyGroup,
+        active_property: str,
+        index: int = 0,
+        flt_flag: int = 0,
+    ) -> None:
+        split = layout.split(factor=0.45)
+        split.label(text=item.name.rpartition("/")[2], translate=False)
+        split.label(text=item.exposure or iface_("exposure unknown"), translate=False)
+
+
+class FIPT_PT_photographs(Section, bpy.types.Panel):
+    """From the photographs of a camera to a capture"""
+
+    bl_label = "Photographs"
+    bl_order = 0
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        settings = context.scene.fipt.photographs
+        column = layout.column(align=True)
+        column.prop(settings, "path")
+        column.operator("fipt.choose_photographs", text="Choose Files...", icon="FILEBROWSER")
+        if settings.chosen:
+            text = iface_("{} chosen files").format(len(settings.chosen.splitlines()))
+            layout.label(text=text, icon="FILE_IMAGE", translate=False)
+        if not settings.path:
+            text = "Choose the folder with the photographs as your camera has written them."
+            draw_text(layout, context, text, icon="INFO")
+        layout.operator("fipt.find_brackets", icon="VIEWZOOM")
+        if settings.groups:
+            _draw_groups(layout, context, settings)
+            text = "Resume" if _was_stopped(settings) else "Prepare"
+            layout.operator("fipt.prepare", text=text, icon="RENDERLAYERS")
+        _draw_job(layout, context, settings)
+        if settings.registered_count >= 0 and running.current() is None:
+            _draw_outcome(layout, settings)
+
+
+class FIPT_PT_photographs_settings(SubSection, bpy.types.Panel):
+    """How the photographs become a capture"""
+
+    bl_label = "Settings"
+    bl_parent_id = "FIPT_PT_photographs"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        settings = context.scene.fipt.photographs
+        layout.prop(settings, "output")
+        layout.prop(settings, "grouping")
+        column = layout.column(align=True)
+        column.prop(settings, "working_width")
+        column.prop(settings, "response")
+        column.prop(settings, "align")
+        layout.prop(settings, "cameras")
+        column = layout.column(align=True)
+        column.prop(settings, "scale")
+        if settings.scale != "none":
+            column.prop(settings, "scale_length")
+        if settings.scale == "points":
+            column.prop(settings, "scale_picks")
+        layout.prop(settings, "masks")
+
+
+def _draw_groups(
+    layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup
+) -> None:
+    """The groups, and the photographs of the active one."""
+    layout = layout.column()
+    layout.use_property_split = False
+    row = layout.row()
+    row.template_list("FIPT_UL_photograph_groups", "", settings, "groups", settings, "active_group", rows=5)
+    column = row.column(align=True)
+    column.operator("fipt.merge_brackets", text="", icon="FULLSCREEN_EXIT")
+    column.operator("fipt.split_bracket", text="", icon="FULLSCREEN_ENTER")
+    text = iface_("{} groups become views").format(settings.used_count)
+    layout.label(text=text, icon="IMAGE_DATA", translate=False)
+    if not 0 <= settings.active_group < len(settings.groups):
+        return
+    group = settings.groups[settings.active_group]
+    count = min(len(group.photographs), 7)
+    layout.template_list(
+        "FIPT_UL_photographs", "", group, "photographs", settings, "active_photograph", rows=count
+    )
+    if group.problem:
+        draw_text(layout, context, f"{group.name}: {group.problem}", icon="ERROR")
+    if group.clipped_share > 0.0:
+        text = iface_("{}: {:.2f}% of the pixels are clipped in every photograph")
+        draw_text(layout, context, text.format(group.name, 100.0 * group.clipped_share), icon="INFO")
+
+
+def _draw_job(
+    layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup
+) -> None:
+    """Progress of the running job, or the outcome of the last one on these photographs."""
+    job = running.current()
+    if job is not None and job.kind == _KIND:
+        draw_progress(layout, context, job)
+        draw_messages(layout, context, job.warnings)
+        return
+    job = running.last(_KIND)
+    if job is not None and job.run_folder == settings.capture_folder():
+        if job.error is not None:
+            draw_error(layout, context, job.error, RunFolder(job.run_folder))
+        draw_messages(layout, context, job.warnings)
+
+
+def _was_stopped(settings: bpy.types.PropertyGroup) -> bool:
+    """Whether the last job on these photographs was cancelled, so that the next one continues it."""
+    job = running.last(_KIND)
+    return job is not None and job.state == "cancelled" and job.run_folder == settings.capture_folder()
+
+
+def _draw_outcome(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
+    """How many views have a camera, and the way on."""
+    all_found = settings.registered_count == settings.used_count
+    text = iface_("{} of {} views have a camera").format(settings.registered_count, settings.used_count)
+    layout.label(text=text, icon="CHECKMARK" if all_found else "ERROR", translate=False)
+    row = layout.row(align=True)
+    button = row.operator("fipt.import_capture", icon="IMPORT")
+    button.filepath = str(settings.capture_folder() or "")
+    row.operator("fipt.open_photographs_report", text="", icon="URL")
+
+
+CLASSES = (
+    FIPT_UL_photograph_groups,
+    FIPT_UL_photographs,
+    FIPT_PT_photographs,
+    FIPT_PT_photographs_settings,
+)

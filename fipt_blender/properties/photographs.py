@@ -1,0 +1,148 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""State of the section Photographs: the folder, the groups of bracketed exposures, and the settings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+GROUPINGS = (
+    ("auto", "Automatic", "Find brackets by exposure, time and camera, as written in the files"),
+    ("folders", "Folders", "Each folder with photographs is one bracket"),
+    ("single", "Single", "Each photograph is a view of its own"),
+)
+RESPONSES = (
+    ("auto", "Recover", "Recover the response of JPEG, PNG and TIFF from the brackets"),
+    ("srgb", "sRGB", "The pixel values follow the sRGB curve"),
+    ("linear", "Linear", "The pixel values are proportional to light"),
+)
+SCALES = (
+    ("none", "Unknown", "The capture is scaled later, under Alignment in the section Capture"),
+    ("points", "Two Points", "Two points that are marked in photographs, and their distance"),
+    ("marker", "Printed Marker", "A printed ArUco marker that is seen in photographs"),
+)
+ENGINE_SETTINGS = (
+    *("grouping", "working_width", "response", "align"),
+    *("cameras", "scale", "scale_length", "scale_picks", "masks"),
+)
+PATH_SETTINGS = ("cameras", "masks")
+STATES = (
+    ("NONE", "", "", "NONE", 0),
+    ("REGISTERED", "Registered", "Its camera has been found", "CHECKMARK", 1),
+    ("LEFT_OUT", "Left Out", "Its camera has not been found", "ERROR", 2),
+)
+
+
+class FIPT_Photograph(bpy.types.PropertyGroup):
+    """One file of a group. `name` is its path in prepare.json."""
+
+    exposure: bpy.props.StringProperty(description="Shutter, aperture and ISO as the file states them")
+
+
+class FIPT_PhotographGroup(bpy.types.PropertyGroup):
+    """Exposures of one view. `name` is the name of the merged image."""
+
+    used: bpy.props.BoolProperty(name="Use", description="Make a view from these photographs", default=True)
+    photographs: bpy.props.CollectionProperty(type=FIPT_Photograph)
+    clipped_share: bpy.props.FloatProperty(description="Share of pixels clipped in every photograph")
+    state: bpy.props.EnumProperty(name="State", description="Whether its camera has been found", items=STATES)
+    problem: bpy.props.StringProperty(description="Why its camera has not been found")
+
+
+class FIPT_PhotographsSettings(bpy.types.PropertyGroup):
+    """The section Photographs."""
+
+    path: bpy.props.StringProperty(
+        name="Folder",
+        description="Folder of the photographs as the camera has written them: RAW, JPEG, TIFF, PNG, EXR",
+        subtype="DIR_PATH",
+    )
+    output: bpy.props.StringProperty(
+        name="Output",
+        description="Folder for the capture. If empty, a folder beside the photographs is used",
+        subtype="DIR_PATH",
+    )
+    chosen: bpy.props.StringProperty(
+        description="Names of the files that were chosen, one per line; empty for all in the folder"
+    )
+    grouping: bpy.props.EnumProperty(
+        name="Brackets", description="How photographs of one view are recognized", items=GROUPINGS
+    )
+    working_width: bpy.props.IntProperty(
+        name="Size",
+        description="Longer side of the merged images in pixels. 0 keeps the size of the photographs",
+        default=2048,
+        min=0,
+        soft_max=8192,
+    )
+    response: bpy.props.EnumProperty(
+        name="Response",
+        description="Relation between light and the pixel values of JPEG, PNG and TIFF",
+        items=RESPONSES,
+    )
+    align: bpy.props.BoolProperty(
+        name="Align",
+        description="Align photographs taken by hand, and take what moved from one of them",
+        default=True,
+    )
+    cameras: bpy.props.StringProperty(
+        name="Existing Solve",
+        description="Folder of cameras that were solved elsewhere (COLMAP, transforms.json) for images of the"
+        " same names. If empty, the cameras are solved here",
+        subtype="DIR_PATH",
+    )
+    scale: bpy.props.EnumProperty(
+        name="Scale", description="What the real size of the room is known from", items=SCALES
+    )
+    scale_length: bpy.props.FloatProperty(
+        name="Length",
+        description="Distance of the two points, or the length of the marker's edge, in meters",
+        min=0.0,
+        soft_max=10.0,
+        precision=4,
+    )
+    scale_picks: bpy.props.StringProperty(
+        name="Points",
+        description="Two points, each with a view and its pixel, or several with commas, e.g."
+        " IMG_4209 812 440, IMG_4214 790 431; IMG_4209 102 455",
+    )
+    masks: bpy.props.StringProperty(
+        name="Masks Model",
+        description="Folder of a segmentation model (Mask2Former, OneFormer or EoMT for transformers) for"
+        " semantic masks. If empty, no masks are made",
+        subtype="DIR_PATH",
+    )
+    groups: bpy.props.CollectionProperty(type=FIPT_PhotographGroup)
+    active_group: bpy.props.IntProperty(name="Group", options=set())
+    active_photograph: bpy.props.IntProperty(name="Photograph", options=set())
+    listed: bpy.props.StringProperty(description="Digest of the groups in prepare.json when they were listed")
+    registered_count: bpy.props.IntProperty(
+        description="Number of views with a camera; negative before the cameras are solved", default=-1
+    )
+
+    def capture_folder(self) -> Path | None:
+        """The folder of the capture: the chosen one, or one beside the photographs; None without either."""
+        if self.output:
+            return Path(bpy.path.abspath(self.output)).absolute()
+        if not self.path:
+            return None
+        photographs = Path(bpy.path.abspath(self.path)).absolute()
+        return photographs.parent / f"{photographs.name or 'photographs'}-capture"
+
+    def engine_settings(self) -> dict[str, object]:
+        """The settings of `prepare` by their names."""
+        settings = {name: getattr(self, name) for name in ENGINE_SETTINGS}
+        for name in PATH_SETTINGS:
+            if settings[name]:
+                settings[name] = str(Path(bpy.path.abspath(settings[name])).absolute())
+        return settings
+
+    @property
+    def used_count(self) -> int:
+        """Number of ticked groups."""
+        return sum(group.used for group in self.groups)
+
+
+CLASSES = (FIPT_Photograph, FIPT_PhotographGroup, FIPT_PhotographsSettings)

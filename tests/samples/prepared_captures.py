@@ -1,0 +1,75 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Folders as `prepare` leaves them: two brackets of three photographs, a single one, and the steps' facts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.photographs.preparation import (
+    Group,
+    Photograph,
+    Preparation,
+    PreparationFolder,
+    write_preparation,
+)
+from fipt_blender.core.run.runfolder import write_json
+
+SHUTTERS = (0.01, 0.04, 0.16)
+SIZE = (24, 16)
+
+
+def make_preparation(source: Path, names: tuple[str, ...] = ("IMG_1", "IMG_4", "IMG_7")) -> Preparation:
+    """Two brackets and a single photograph, which is not used."""
+    photographs = [
+        Photograph(
+            path=f"IMG_{index + 1}.jpg",
+            kind="ldr",
+            width=SIZE[0],
+            height=SIZE[1],
+            shutter=SHUTTERS[index % 3],
+            aperture=8.0,
+            iso=100.0,
+            exposure=SHUTTERS[index % 3] / 64.0,
+        )
+        for index in range(7)
+    ]
+    paths = [photograph.path for photograph in photographs]
+    parts = (paths[:3], paths[3:6], paths[6:])
+    groups = [Group(name, tuple(part), len(part) > 1) for name, part in zip(names, parts, strict=True)]
+    return Preparation(source, tuple(photographs), tuple(groups))
+
+
+def write_prepared(folder: PreparationFolder, preparation: Preparation) -> None:
+    """prepare.json, merged images with a clipped corner, and the facts of merging and solving."""
+    write_preparation(folder, preparation)
+    rng = np.random.default_rng(3)
+    images = []
+    for group in preparation.used_groups:
+        write_exr(folder.image(group), rng.random((SIZE[1], SIZE[0], 3), np.float32))
+        mask = np.zeros((SIZE[1], SIZE[0]), np.uint8)
+        mask[:4, :4] = 255
+        folder.clipped.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(mask).save(folder.clipped_mask(group))
+        images.append({"name": group.name, "clipped_share": 16.0 / mask.size, "shift_pixels": 1.5})
+    first, second = (group.name for group in preparation.used_groups)
+    curve = np.linspace(0.0, 1.0, 16) ** 2.2
+    write_json(
+        folder.facts("merge"),
+        {"seconds": 3.0, "images": images, "response": {"curves": [curve.tolist()] * 3, "uncertainty": 0.02}},
+    )
+    warning = {"code": "views-left-out", "text": "1 of 2 views has no camera.", "remedy": "Take more."}
+    write_json(
+        folder.facts("solve"),
+        {
+            "seconds": 70.0,
+            "messages": [warning],
+            "registered": [{"name": first, "points": 120, "reprojection_error": 0.6}],
+            "left_out": [{"name": second, "reason": "It shares too few points.", "remedy": ""}],
+            "reprojection_error": 0.6,
+        },
+    )

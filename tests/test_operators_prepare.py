@@ -1,0 +1,188 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The buttons of the section Photographs as scripts press them, with a stand-in for the engine."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import bpy
+import pytest
+
+import fipt_blender
+from fipt_blender.core.photographs.preparation import (
+    Group,
+    PreparationFolder,
+    make_prepare_settings,
+    read_preparation,
+    write_preparation,
+)
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.jobs import prepare_job, run_job, running
+from samples.prepared_captures import make_preparation, write_prepared
+
+ops = bpy.ops.fipt
+
+
+@pytest.fixture(scope="module", autouse=True)
+def registered():
+    fipt_blender.register()
+    yield
+    fipt_blender.unregister()
+
+
+@pytest.fixture
+def settings(tmp_path):
+    """The section's state, with a folder of photographs."""
+    (tmp_path / "card").mkdir()
+    settings = bpy.context.scene.fipt.photographs
+    settings.path = str(tmp_path / "card")
+    return settings
+
+
+@pytest.fixture
+def commands(monkeypatch, tmp_path) -> list[list[str]]:
+    """The arguments of each start of the engine, whose work a function in this process does."""
+    started: list[list[str]] = []
+
+    def work(arguments: list[str]) -> None:
+        started.append(arguments)
+        photographs, folder = Path(arguments[-2]), PreparationFolder(arguments[-1])
+        if "--steps=read" in arguments:
+            write_preparation(folder, make_preparation(photographs))
+        else:
+            write_prepared(folder, read_preparation(folder))
+
+    def open_job(run, steps, **options):
+        faked = [replace(step, command=None, function=partial(work, list(step.command))) for step in steps]
+        return run_job.open_job(run, faked, launch=run_job.Launch(Path(sys.executable), {}), **options)
+
+    monkeypatch.setattr(prepare_job, "open_job", open_job)
+    return started
+
+
+def listed(settings) -> list[tuple[str, bool, int]]:
+    return [(group.name, group.used, len(group.photographs)) for group in settings.groups]
+
+
+def refused(operator, **arguments) -> str:
+    with pytest.raises(RuntimeError) as error:
+        operator(**arguments)
+    return str(error.value)
+
+
+def test_find_brackets_lists_the_groups_beside_the_photographs(settings, commands, tmp_path):
+    assert ops.find_brackets() == {"FINISHED"}
+    capture = tmp_path / "card-capture"
+    assert settings.capture_folder() == capture and (capture / "prepare.json").is_file()
+    assert commands[0][0] == "prepare" and commands[0][-2:] == [str(tmp_path / "card"), str(capture)]
+    assert "--set=working_width=2048" in commands[0] and "--set=align=True" in commands[0]
+    assert listed(settings) == [("IMG_1", True, 3), ("IMG_4", True, 3), ("IMG_7", False, 1)]
+    assert settings.groups[0].photographs[0].exposure == "1/100 s  f/8  ISO 100"
+    assert settings.used_count == 2 and settings.registered_count == -1
+    job = running.last("photographs")
+    assert job.state == "finished" and job.run_folder == capture
+    assert not bpy.context.scene.fipt.run_folder  # no run is made of it yet
+
+
+def test_corrections_reach_prepare_json_and_the_outcome_comes_back(settings, commands, tmp_path):
+    ops.find_brackets()
+    settings.active_group, settings.active_photograph = 1, 2
+    assert ops.split_bracket() == {"FINISHED"}
+    assert listed(settings)[1:3] == [("IMG_4", True, 2), ("IMG_6", True, 1)]
+    assert settings.groups[2].photographs[0].exposure == "1/6 s  f/8  ISO 100"
+    settings.active_group = 2
+    assert ops.merge_brackets() == {"FINISHED"}
+    assert listed(settings)[2] == ("IMG_6", True, 2)
+    settings.groups[1].used = False
+    assert ops.prepare() == {"FINISHED"}
+    capture = PreparationFolder(settings.capture_folder())
+    groups = read_preparation(capture).groups
+    assert groups[1] == Group("IMG_4", ("IMG_4.jpg", "IMG_5.jpg"), False)
+    assert groups[2] == Group("IMG_6", ("IMG_6.jpg", "IMG_7.jpg"), True)
+    assert [group.state for group in settings.groups] == ["REGISTERED", "NONE", "LEFT_OUT"]
+    assert "too few points" in settings.groups[2].problem
+    assert settings.registered_count == 1 and settings.groups[0].clipped_share > 0.0
+    assert bpy.context.scene.fipt.capture.path == str(capture.root)
+
+
+def test_groups_changed_by_hand_are_shown_and_never_overwritten(settings, commands):
+    ops.find_brackets()
+    folder = PreparationFolder(settings.capture_folder())
+    preparation = read_preparation(folder)
+    changed = (replace(preparation.groups[0], name="door"), *preparation.groups[1:])
+    write_preparation(folder, replace(preparation, groups=changed))
+    assert "not those that were listed" in refused(ops.prepare)
+    assert settings.groups[0].name == "door" and len(commands) == 1
+    assert ops.prepare() == {"FINISHED"}
+    assert read_preparation(folder).groups == changed
+
+
+def test_an_older_list_after_an_undo_is_written(settings, commands):
+    ops.find_brackets()
+    before = settings.listed
+    settings.groups[1].name = "window"
+    assert ops.prepare() == {"FINISHED"}
+    settings.groups[1].name, settings.listed = "IMG_4", before  # as an undo step does
+    assert ops.prepare() == {"FINISHED"}
+    assert read_preparation(PreparationFolder(settings.capture_folder())).groups[1].name == "IMG_4"
+
+
+def test_chosen_files_tick_their_groups(settings, commands, tmp_path):
+    files = [{"name": "IMG_5.jpg"}, {"name": "IMG_7.jpg"}]
+    assert ops.choose_photographs(directory=str(tmp_path / "card") + "/", files=files) == {"FINISHED"}
+    assert not settings.groups and settings.chosen == "IMG_5.jpg\nIMG_7.jpg"
+    ops.find_brackets()
+    assert [group.used for group in settings.groups] == [False, True, True]
+    ops.choose_photographs(directory=str(tmp_path / "card"), files=[{"name": ""}])
+    assert settings.chosen == ""
+
+
+def test_refusals_name_a_remedy_and_write_nothing(settings, commands, tmp_path):
+    assert not ops.prepare.poll() and not ops.split_bracket.poll() and not ops.merge_brackets.poll()
+    foreign = tmp_path / "pictures"
+    foreign.mkdir()
+    (foreign / "cat.jpg").write_bytes(b"")
+    settings.output = str(foreign)
+    assert "not empty" in refused(ops.find_brackets)
+    assert [path.name for path in foreign.iterdir()] == ["cat.jpg"]
+    settings.output = str(tmp_path / "card" / "inside")
+    assert "inside the photographs" in refused(ops.find_brackets)
+    assert not list((tmp_path / "card").iterdir())
+    settings.output = ""
+    ops.find_brackets()
+    shutil.rmtree(settings.capture_folder())
+    assert "does not exist" in refused(ops.prepare)
+    settings.path = str(tmp_path / "gone")
+    assert "does not exist" in refused(ops.find_brackets)
+    assert running.last("photographs").error["code"] == "photographs-missing"
+    assert "no report" in refused(ops.open_photographs_report)
+    settings.path = ""
+    assert not ops.find_brackets.poll() and settings.capture_folder() is None
+
+
+def test_without_an_engine_the_panel_says_so(settings, monkeypatch):
+    def no_engine():
+        raise FiptError("engine-missing", "There is no engine.", "Use Set Up Engine.")
+
+    monkeypatch.setattr(run_job, "find_launch", no_engine)
+    assert "There is no engine" in refused(ops.find_brackets)
+    assert not settings.capture_folder().exists()
+
+
+def test_every_setting_is_one_of_the_engines(settings):
+    settings.cameras = str(Path("solve").absolute())
+    settings.scale, settings.scale_length = "marker", 0.15
+    made = make_prepare_settings(settings.engine_settings())
+    assert made.scale == "marker" and made.scale_length == pytest.approx(0.15)
+    assert Path(made.cameras).is_absolute() and made.masks == ""
+
+
+def test_dropped_photographs_have_a_handler(settings):
+    handler = bpy.types.FIPT_FH_photographs
+    assert handler.bl_import_operator == "fipt.choose_photographs"
+    assert {".cr2", ".nef", ".dng", ".jpg", ".exr"} <= set(handler.bl_file_extensions.split(";"))

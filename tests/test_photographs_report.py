@@ -1,0 +1,119 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The report on prepared photographs: complete, after reading alone, with hostile names and damaged files."""
+
+from __future__ import annotations
+
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.capture.rig import Lens, Rig, RigView
+from fipt_blender.core.photographs.preparation import PreparationFolder, write_preparation
+from fipt_blender.core.photographs.report import make_plan, shutter_text, small, write_report
+from fipt_blender.core.run.errors import FiptError
+from samples.prepared_captures import make_preparation, write_prepared
+
+NASTY = "it's & é #1"
+
+
+class Page(HTMLParser):
+    """The page's pictures and its text."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.pictures: list[Path] = []
+        self.text = ""
+        self.feed(path.read_text(encoding="utf-8"))
+        self.pictures = [path.parent / name for name in self.pictures]
+
+    def handle_starttag(self, tag, attributes):
+        if tag == "img":
+            self.pictures.append(dict(attributes)["src"])
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.fixture
+def folder(tmp_path) -> PreparationFolder:
+    return PreparationFolder(tmp_path / "kitchen & <b>co")
+
+
+def test_the_page_shows_what_each_step_has_found(folder, tmp_path):
+    preparation = make_preparation(tmp_path / "card", (NASTY, "IMG_4", "IMG_7"))
+    write_prepared(folder, preparation)
+    fractions = []
+    page = Page(write_report(folder, preparation, fractions.append))
+    assert fractions == sorted(fractions) and 0.0 < fractions[-1] <= 1.0
+    assert NASTY in page.text and "kitchen & <b>co" in page.text
+    for words in ("6 photographs in 2 groups", "1 of 2", "0.60 px", "1/100, 1/25, 1/6", "4.17 %", "not used"):
+        assert words in " ".join(page.text.split()).replace("6photographs", "6 photographs"), words
+    assert "1 of 2 views has no camera." in page.text and "It shares too few points." in page.text
+    assert "2 %" in page.text  # of the response
+    assert len(page.pictures) == 2  # the single photograph is not used
+    colors = np.asarray(Image.open(page.pictures[0]), np.float64)
+    assert colors.shape == (16, 24, 3)
+    corner, other = colors[1:3, 1:3].mean((0, 1)), colors[8:, 8:].mean((0, 1))
+    assert corner[1] < 60 < 200 < corner[0] and abs(other[0] - other[1]) < 60
+
+
+def test_after_reading_alone_the_page_lists_the_groups(folder, tmp_path):
+    preparation = make_preparation(tmp_path / "card")
+    write_preparation(folder, preparation)
+    page = Page(write_report(folder, preparation))
+    assert "IMG_4" in page.text and not page.pictures and "views with a camera" not in page.text
+
+
+def test_damaged_facts_and_masks_are_refused_and_leave_no_page(folder, tmp_path):
+    preparation = make_preparation(tmp_path / "card")
+    write_prepared(folder, preparation)
+    mask = folder.clipped_mask(preparation.groups[0])
+    mask.write_bytes(b"no png")
+    with pytest.raises(FiptError) as caught:
+        write_report(folder, preparation)
+    assert caught.value.code == "file-damaged" and str(mask) in caught.value.text
+    folder.facts("solve").write_text('{"registered": [{"name": 3}]}')
+    with pytest.raises(FiptError) as caught:
+        write_report(folder, preparation)
+    assert caught.value.code == "file-damaged" and "registered[0].name" in caught.value.text
+    assert not (folder.report / "index.html").exists()
+
+
+def test_large_images_keep_their_shape_and_mean(tmp_path):
+    path = tmp_path / "large.exr"
+    write_exr(path, np.full((600, 1300, 3), 0.25, np.float32))
+    picture = small(path, 100)
+    assert picture.shape == (46, 100, 3) and np.allclose(picture, 0.25)
+
+
+def camera(name: str, place: tuple[float, float, float], forward: tuple[float, float, float]) -> RigView:
+    """A view whose third axis is `forward`."""
+    pose = np.eye(4)
+    pose[:3, 2], pose[:3, 3] = forward, place
+    return RigView(name, None, Path(name), 4, 4, Lens("PINHOLE", (1.0, 1.0, 2.0, 2.0)), pose)
+
+
+def test_plan_shows_cameras_from_above():
+    views = (camera("a", (0, 0, 1), (1, 0, 0)), camera("b", (4, 2, 3), (0, 1, 0)))
+    plan = make_plan(Rig("colmap", views, None, None))
+    first, second = plan.arrows
+    assert second.x - first.x == pytest.approx(2.0 * (first.y - second.y))  # Y points up on the page
+    assert first.tip_x > first.x and first.tip_y == pytest.approx(first.y)
+    assert second.tip_y < second.y and second.tip_x == pytest.approx(second.x)
+    assert plan.length == 1.0 and plan.bar == pytest.approx((second.x - first.x) / 4.0)
+    assert plan.height < plan.width
+    assert make_plan(Rig("colmap", (), None, None)) is None
+
+
+def test_one_camera_makes_a_plan_of_finite_size():
+    plan = make_plan(Rig("colmap", (camera("a", (5, 5, 5), (0, 0, -1)),), None, None))
+    assert 0.0 < plan.width < 1000.0 and plan.arrows[0].x == pytest.approx(plan.arrows[0].tip_x)
+
+
+def test_shutter_times_are_written_as_on_cameras():
+    assert [shutter_text(value) for value in (0.004, 0.5, 8.0, None)] == ["1/250", "0.5 s", "8 s", "?"]
