@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Eight-bit copies of HDR photographs in which features are found alike in the dark and in the light.
+"""Eight-bit copies of HDR photographs: for features, alike in the dark and in the light, and for display.
 
 Needs numpy alone.
 """
@@ -13,6 +13,7 @@ _REC709_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 # Below the median radiance by this factor, the curve turns from logarithmic to linear: darker is noise.
 DARKEST = 2.0**-6
 _LOW, _HIGH = 0.5, 99.8  # percentiles that become black and white
+_WHITE = 95.0  # percentile of the brightest channel that becomes white in a picture for display
 
 
 def tone_mapped(radiance: np.ndarray) -> np.ndarray:
@@ -32,3 +33,18 @@ def tone_mapped(radiance: np.ndarray) -> np.ndarray:
     low, high = np.percentile(encoded, [_LOW, _HIGH])
     scaled = (encoded - low) / max(float(high - low), 1e-6)
     return np.round(255.0 * np.clip(scaled, 0.0, 1.0)).astype(np.uint8)
+
+
+def display_picture(radiance: np.ndarray) -> np.ndarray:
+    """A photograph as a camera's JPEG shows it: exposed for most of it, with clipped lamps.
+
+    Args:
+        radiance: (height, width, 3) scene-linear, finite.
+
+    Returns:
+        (height, width, 3) uint8, sRGB.
+    """
+    white = float(np.percentile(radiance.max(axis=-1), _WHITE))
+    values = np.clip(radiance / max(white, 1e-12), 0.0, 1.0)
+    encoded = np.where(values <= 0.0031308, 12.92 * values, 1.055 * values ** (1.0 / 2.4) - 0.055)
+    return np.round(255.0 * encoded).astype(np.uint8)

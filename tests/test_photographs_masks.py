@@ -1,0 +1,207 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Semantic masks by segmentation models, on tiny models with random weights."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from fipt_blender.core.capture.images import read_ids, write_exr
+from fipt_blender.core.photographs.preparation import (
+    Group,
+    Photograph,
+    Preparation,
+    PreparationFolder,
+    PrepareSettings,
+    write_preparation,
+)
+from fipt_blender.core.photographs.segmentation import Segmenter, window_starts
+from fipt_blender.core.photographs.steps import run_steps
+from fipt_blender.core.photographs.tonemap import display_picture
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.messages import Reporter
+
+transformers = pytest.importorskip("transformers")
+SIZE = {"shortest_edge": 64, "longest_edge": 1333}
+
+
+def mask2former() -> torch.nn.Module:
+    stages = {"depths": [1] * 4, "num_heads": [1] * 4, "out_features": [f"stage{i}" for i in (1, 2, 3, 4)]}
+    backbone = transformers.SwinConfig(image_size=64, patch_size=4, embed_dim=8, window_size=4, **stages)
+    sizes = ("feature_size", "mask_feature_size", "hidden_dim", "encoder_feedforward_dim", "dim_feedforward")
+    config = transformers.Mask2FormerConfig(
+        backbone_config=backbone,
+        **dict.fromkeys(sizes, 32),
+        encoder_layers=1,
+        decoder_layers=2,
+        num_attention_heads=2,
+        num_queries=20,
+        num_labels=5,
+    )
+    return transformers.Mask2FormerForUniversalSegmentation(config)
+
+
+def eomt() -> torch.nn.Module:
+    config = transformers.EomtConfig(
+        hidden_size=32,
+        num_hidden_layers=2,
+        num_attention_heads=2,
+        image_size=64,
+        patch_size=16,
+        num_queries=20,
+        num_blocks=1,
+        num_labels=5,
+    )
+    return transformers.EomtForUniversalSegmentation(config)
+
+
+@pytest.fixture(scope="module", params=[mask2former, eomt], ids=["mask2former", "eomt"])
+def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a model whose queries differ enough to tell the parts of an image apart."""
+    folder = tmp_path_factory.mktemp("model")
+    torch.manual_seed(0)
+    network = request.param()
+    with torch.no_grad():
+        for name, parameter in network.named_parameters():
+            if "class_predictor" in name or "quer" in name:
+                parameter.normal_(0.0, 3.0)
+            elif "mask" in name and parameter.ndim > 1:
+                parameter.mul_(4.0)
+    network.config.id2label = {
+        index: name for index, name in enumerate(("wall", "floor", "lamp", "bed", "rug"))
+    }
+    network.save_pretrained(folder)
+    processor = {"size": SIZE, "image_mean": [0.5, 0.4, 0.3], "image_std": [0.2, 0.3, 0.4]}
+    (folder / "preprocessor_config.json").write_text(json.dumps(processor), encoding="utf-8")
+    return folder
+
+
+def picture(width: int, height: int) -> np.ndarray:
+    coarse = np.random.default_rng(4).integers(0, 256, (height // 16, width // 16, 3), np.uint8)
+    return coarse.repeat(16, axis=0).repeat(16, axis=1)
+
+
+@pytest.mark.parametrize(("width", "height"), [(96, 64), (64, 160)])
+def test_classes_are_those_of_the_models_own_definition(model: Path, width: int, height: int) -> None:
+    """Per pixel, the class with the highest sum over queries of P(class) P(pixel in mask)."""
+    segmenter = Segmenter(model)
+    image = picture(width, height)
+    ids = segmenter(image)
+    assert ids.shape == (height, width) and ids.dtype == np.int32
+    assert segmenter.classes == {0: "wall", 1: "floor", 2: "lamp", 3: "bed", 4: "rug"}
+    kind = json.loads((model / "config.json").read_text(encoding="utf-8"))["architectures"][0]
+    network = getattr(transformers, kind).from_pretrained(model).eval()
+    values = (torch.from_numpy(image) / 255.0 - torch.tensor([0.5, 0.4, 0.3])) / torch.tensor([0.2, 0.3, 0.4])
+    pixels = values.permute(2, 0, 1)[None]
+    square = "Eomt" in kind
+    starts = window_starts(max(width, height), 64) if square else [0]
+    total, count = torch.zeros(5, height, width), torch.zeros(height, width)
+    for start in starts:
+        rows = slice(start, start + 64) if square and height > width else slice(None)
+        columns = slice(start, start + 64) if square and width >= height else slice(None)
+        with torch.no_grad():
+            output = network(pixel_values=pixels[..., rows, columns])
+        scores = torch.einsum(
+            "qc,qhw->chw",
+            output.class_queries_logits[0].softmax(-1)[:, :-1],
+            output.masks_queries_logits[0].sigmoid(),
+        )
+        part = total[:, rows, columns]
+        part += torch.nn.functional.interpolate(scores[None], size=part.shape[1:], mode="bilinear")[0]
+        count[rows, columns] += 1.0
+    expected = (total / count).argmax(dim=0).numpy()
+    assert len(np.unique(expected)) > 1, "the picture must have several classes"
+    assert (ids == expected).mean() > 0.999
+
+
+def test_larger_photographs_are_scaled_to_the_models_size(model: Path) -> None:
+    segmenter = Segmenter(model)
+    small = picture(96, 64)
+    large = small.repeat(4, axis=0).repeat(4, axis=1)
+    agreement = (segmenter(large)[2::4, 2::4] == segmenter(small)).mean()
+    assert agreement > 0.9
+
+
+def test_the_step_writes_masks_where_the_reader_finds_them(model: Path, tmp_path: Path) -> None:
+    folder = PreparationFolder(tmp_path / "capture")
+    names = ["a b", "c"]
+    photographs = tuple(Photograph(f"{name}.jpg", "ldr", 96, 64) for name in names)
+    groups = tuple(Group(name, (f"{name}.jpg",)) for name in names)
+    for name in names:
+        write_exr(folder.images / f"{name}.exr", (picture(96, 64) / 255.0).astype(np.float32) ** 2.2)
+    own = folder.root / "semantics" / "mine.png"
+    own.parent.mkdir(parents=True)
+    own.write_bytes(b"a mask of the user")
+
+    def run(masks: str, used: int) -> dict:
+        settings = PrepareSettings(masks=masks)
+        write_preparation(folder, Preparation(tmp_path, photographs[:used], groups[:used], settings))
+        run_steps(folder, ["masks"], Reporter())
+        return json.loads(folder.facts("masks").read_text(encoding="utf-8"))
+
+    facts = run(str(model), 2)
+    written = [read_ids(folder.root / "semantics" / f"{name}.png") for name in names]
+    assert all(ids.shape == (64, 96) and set(np.unique(ids)) <= set(range(5)) for ids in written)
+    assert sum(item["share"] for item in facts["classes"]) == pytest.approx(1.0, abs=1e-3)
+    assert facts["classes"][0]["share"] == max(item["share"] for item in facts["classes"])
+    run(str(model), 1)
+    assert {path.name for path in own.parent.iterdir()} == {"a b.png", "mine.png"}
+    assert run("", 1)["model"] is None
+    assert {path.name for path in own.parent.iterdir()} == {"mine.png"}
+
+
+def test_unusable_models_are_refused(model: Path, tmp_path: Path) -> None:
+    def refused(change: dict[str, object] | None, words: str, remove: str = "") -> None:
+        folder = tmp_path / words.replace(" ", "-")
+        shutil.copytree(model, folder)
+        if change is not None:
+            config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
+            (folder / "config.json").write_text(json.dumps({**config, **change}), encoding="utf-8")
+        if remove:
+            (folder / remove).unlink()
+        with pytest.raises(FiptError) as caught:
+            Segmenter(folder)
+        assert caught.value.code == "model-unusable" and words in caught.value.text, caught.value.text
+
+    refused({"model_type": "bert"}, "of the type 'bert'")
+    refused({"num_queries": 7}, "can't be used")
+    refused(None, "no safetensors", remove="model.safetensors")
+    refused(None, "config.json", remove="config.json")
+    with pytest.raises(FiptError):
+        Segmenter(tmp_path / "nowhere")
+
+
+def test_weights_that_are_missing_are_told(model: Path, tmp_path: Path) -> None:
+    """transformers alone would fill them with random numbers."""
+    from safetensors.torch import load_file, save_file
+
+    shutil.copytree(model, tmp_path / "model")
+    weights = load_file(model / "model.safetensors")
+    gone = sorted(weights)[0]
+    save_file({k: v for k, v in weights.items() if k != gone}, tmp_path / "model" / "model.safetensors")
+    with pytest.raises(FiptError) as caught:
+        Segmenter(tmp_path / "model")
+    assert caught.value.code == "model-unusable" and "missing" in caught.value.text
+
+
+@pytest.mark.parametrize(
+    ("longer", "side", "starts"), [(64, 64, [0]), (96, 64, [0, 32]), (160, 64, [0, 48, 96])]
+)
+def test_windows_cover_an_image(longer: int, side: int, starts: list[int]) -> None:
+    assert window_starts(longer, side) == starts
+    assert starts[-1] + side == longer
+
+
+def test_a_picture_for_display_does_not_depend_on_the_exposure() -> None:
+    radiance = np.random.default_rng(0).uniform(0.0, 1.0, (40, 50, 3)).astype(np.float32)
+    radiance[0, 0] = 1000.0
+    shown = display_picture(radiance)
+    assert np.array_equal(shown, display_picture(8.0 * radiance)) and shown[0, 0].min() == 255
+    assert abs(float(shown.mean()) - 175.0) < 15.0
+    assert not display_picture(np.zeros((3, 3, 3), np.float32)).any()
