@@ -32,6 +32,9 @@ _FACTS: dict[str, dict[str, Any]] = {
         "left_out": Items(Fields({"name": str, "reason": str}, {"remedy": str})),
         "reprojection_error": _SIZE,
     },
+    "vignetting": {
+        "lenses": Items(Fields({"lens": str, "applied": bool}, {"corner": _SIZE, "corner_error": _SIZE}))
+    },
     "scale": {"meters_per_unit": _SIZE},
     "masks": {"classes": Items(Fields({"name": str}, {"share": _SHARE}))},
 }

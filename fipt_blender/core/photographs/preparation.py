@@ -20,6 +20,7 @@ from ..run.shapes import MOST_SIDE, PREPARE, PREPARE_FORMAT, PREPARE_VERSION
 
 GROUPINGS = ("auto", "folders", "single")
 RESPONSES = ("auto", "srgb", "linear")
+VIGNETTINGS = ("auto", "none")
 SCALES = ("none", "points", "marker", "mesh")
 _MOST_TEXT = 4096  # characters of a setting
 _REMEDY = "Correct the file, or delete it and find the brackets again."
@@ -107,6 +108,11 @@ class PrepareSettings:
         choices=RESPONSES,
     )
     align: bool = _setting(True, "align hand-held brackets, and take what moved from one exposure")
+    vignetting: str = _setting(
+        "auto",
+        "vignetting: auto (from lensfun's database, else from overlapping views) or none",
+        choices=VIGNETTINGS,
+    )
     cameras: str = _setting("", "folder of an existing camera solve; empty to solve the cameras")
     seed: int = _setting(0, "seed of the camera solve", low=0, high=2**31 - 1)
     scale: str = _setting(

@@ -44,6 +44,7 @@ class Step:
 STEPS = {
     "read": Step(".reading", "Reading photographs and finding brackets", 1.0),
     "solve": Step(".solve_step", "Solving cameras", 20.0),
+    "vignetting": Step(".vignetting_step", "Correcting vignetting", 1.0),
     "scale": Step(".scale_step", "Finding scale and up axis", 1.0),
     "masks": Step(".masks_step", "Finding semantic classes", 1.0),
     "report": Step(".report", "Writing the report", 1.0),
