@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Emitters: marked by the mask, grouped into fixtures, measured by clean pixels."""
+"""Emitters: marked by the mask, grouped into fixtures, measured by the pixels that see them."""
 
 import itertools
 
@@ -33,11 +33,13 @@ def room_with_bulb(radius: float = 0.05) -> Room:
 
 
 def pixels(
-    rows: list[tuple[int, bool, bool, float]],
+    rows: list[tuple[int, bool, float, float]],
 ) -> EmitterPixels:
-    """Pixels of (triangle, front, pure, grey) rows."""
-    triangle, front, pure, grey = (np.array(column) for column in zip(*rows, strict=True))
-    return EmitterPixels(triangle, front.astype(bool), pure.astype(bool), np.repeat(grey[:, None], 3, axis=1))
+    """Pixels of (triangle, front, weight, grey) rows."""
+    triangle, front, weight, grey = (np.array(column) for column in zip(*rows, strict=True))
+    return EmitterPixels(
+        triangle, front.astype(bool), np.repeat(grey[:, None], 3, axis=1), weight.astype(float)
+    )
 
 
 def test_a_bulb_of_five_centimetres_is_found_and_nothing_else() -> None:
@@ -57,14 +59,14 @@ def test_a_bulb_of_five_centimetres_is_found_and_nothing_else() -> None:
         assert found[5] == expected and not found[4] and found[[2, 3]].all()
 
 
-def test_medians_of_both_sides_from_clean_pixels() -> None:
+def test_weighted_medians_of_both_sides() -> None:
     group = np.array([0, 0, 1, -1])
-    rows = [(0, True, True, 4.0), (0, True, True, 6.0), (1, True, True, 9.0), (1, True, False, 100.0)]
-    rows += [(0, False, True, 1.0), (2, True, False, 3.0), (3, True, True, 50.0), (-1, True, True, 70.0)]
-    medians, counts = side_medians(pixels(rows), group)
+    rows = [(0, True, 1.0, 4.0), (0, True, 1.0, 6.0), (1, True, 1.0, 9.0), (1, True, 0.1, 100.0)]
+    rows += [(0, False, 1.0, 1.0), (2, True, 0.1, 3.0), (3, True, 1.0, 50.0), (-1, True, 1.0, 70.0)]
+    medians, weights = side_medians(pixels(rows), group)
     assert medians[:, :, 0].tolist() == [[6.0, 1.0], [3.0, 0.0]]
-    assert counts.tolist() == [[3, 1], [1, 0]]
-    medians, counts = side_medians(pixels(rows), np.full(4, -1))
+    np.testing.assert_allclose(weights, [[3.1, 1.0], [0.1, 0.0]])
+    medians, _ = side_medians(pixels(rows), np.full(4, -1))
     assert len(medians) == 0
 
 
@@ -75,17 +77,17 @@ def test_two_lamps_apart_are_two_fixtures_with_their_sides() -> None:
     room = make_room([*BOX, first, second])
     emitting = np.zeros(16, bool)
     emitting[12:] = True
-    rows = [(12, True, True, 10.0), (13, True, True, 10.5), (12, False, True, 0.4)]
-    rows += [(14, True, True, 4.0), (15, True, True, 4.2), (14, False, True, 3.0), (0, True, True, 0.5)]
+    rows = [(12, True, 1.0, 10.0), (13, True, 1.0, 10.5), (12, False, 1.0, 0.4)]
+    rows += [(14, True, 1.0, 4.0), (15, True, 1.0, 4.2), (14, False, 1.0, 3.0), (0, True, 1.0, 0.5)]
     fixtures = group_fixtures(room, emitting, pixels(rows))
     assert [fixture.triangles.tolist() for fixture in fixtures] == [[12, 13], [14, 15]]
-    assert fixtures[0].radiance[0] == pytest.approx(10.25) and fixtures[0].back_radiance[0] == 0.0
-    assert fixtures[1].radiance[0] == pytest.approx(4.1) and fixtures[1].back_radiance[0] == 3.0
+    assert fixtures[0].radiance[0] == pytest.approx(10.0) and fixtures[0].back_radiance[0] == 0.0
+    assert fixtures[1].radiance[0] == pytest.approx(4.0) and fixtures[1].back_radiance[0] == 3.0
     assert fixtures[0].area == pytest.approx(1.0) and fixtures[1].area == pytest.approx(0.25)
     assert fixtures[0].centroid == pytest.approx([-1.0, -0.5, 2.9])
     table = emitter_table(fixtures)
     assert table.triangles.tolist() == [12, 13, 14, 15]
-    assert table.radiance[:, 1].tolist() == pytest.approx([10.25, 10.25, 4.1, 4.1])
+    assert table.radiance[:, 1].tolist() == pytest.approx([10.0, 10.0, 4.0, 4.0])
     assert table.back_radiance[:, 2].tolist() == [0.0, 0.0, 3.0, 3.0]
     assert len(emitter_table([]).triangles) == 0
     assert group_fixtures(room, np.zeros(16, bool), pixels(rows)) == []
@@ -96,17 +98,17 @@ def test_touching_triangles_of_unlike_radiance_are_two_fixtures() -> None:
     emitting = np.zeros(14, bool)
     emitting[12:] = True
     for other, number in ((1.3, 1), (3.0, 2)):
-        rows = [(12, True, True, 1.0), (13, True, True, other)]
+        rows = [(12, True, 1.0, 1.0), (13, True, 1.0, other)]
         assert len(group_fixtures(room, emitting, pixels(rows))) == number
 
 
 def test_unseen_triangles_are_as_bright_as_their_lamp_and_black_ones_are_no_lamp() -> None:
     room = room_with_bulb()
     emitting = np.arange(20) >= 12
-    rows = [(i, True, True, 8.0) for i in (12, 13, 14)] + [(2, True, True, 0.3)]
+    rows = [(i, True, 1.0, 8.0) for i in (12, 13, 14)] + [(2, True, 1.0, 0.3)]
     fixtures = group_fixtures(room, emitting, pixels(rows))
     assert [fixture.triangles.tolist() for fixture in fixtures] == [list(range(12, 20))]
-    black = [(i, True, True, 0.0) for i in (12, 13, 14)]
+    black = [(i, True, 1.0, 0.0) for i in (12, 13, 14)]
     assert group_fixtures(room, emitting, pixels(black)) == []
 
 
@@ -114,8 +116,8 @@ def test_the_far_side_of_a_bulb_in_mixed_pixels_alone_is_the_bulb() -> None:
     """Pixels at its outline show mostly what is behind; the sides seen alone tell how bright it is."""
     room = room_with_bulb()
     emitting = np.arange(20) >= 12
-    rows = [(i, True, True, 8.0) for i in (12, 13, 14)] + [(2, True, True, 0.3)]
-    rows += [(i, True, False, 0.6) for i in (15, 16, 17, 18)]
+    rows = [(i, True, 1.0, 8.0) for i in (12, 13, 14)] + [(2, True, 1.0, 0.3)]
+    rows += [(i, True, 0.1, 0.6) for i in (15, 16, 17, 18)]
     (fixture,) = group_fixtures(room, emitting, pixels(rows))
     assert fixture.triangles.tolist() == list(range(12, 20))
     assert fixture.radiance.tolist() == [8.0] * 3
@@ -123,7 +125,7 @@ def test_the_far_side_of_a_bulb_in_mixed_pixels_alone_is_the_bulb() -> None:
 
 def test_bright_triangles_are_aimed_at() -> None:
     room = make_room([*BOX, [[0, 0, 2.9], [0, 0.4, 2.9], [0.4, 0.4, 2.9], [0.4, 0, 2.9]]])
-    rows = [(i, True, True, 0.5) for i in range(12)] + [(12, True, True, 60.0), (13, False, True, 40.0)]
+    rows = [(i, True, 1.0, 0.5) for i in range(12)] + [(12, True, 1.0, 60.0), (13, False, 1.0, 40.0)]
     seen = pixels(rows)
     table = bright_triangles(room, seen.triangle, seen.front, seen.radiance)
     assert table.triangles.tolist() == [12, 13]

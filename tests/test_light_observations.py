@@ -22,6 +22,6 @@ def test_rim_pixels_of_an_emitter_stay_out_of_the_cache(tmp_path: Path, rim_widt
         rows = pixels.rows(index)
         on_panel = (np.asarray(pixels.triangle[rows]) >= 12).reshape(view.height, view.width)
         rim = binary_dilation(on_panel, np.ones((3, 3)), iterations=rim_width).ravel()
-        pixels.radiance[rows] = np.where(rim, 100.0, WALL_RADIANCE)[:, None]
+        pixels.own[rows] = np.where(rim, 100.0, WALL_RADIANCE)[:, None]
     cache = observe(ROOM, pixels, PARTS, SETTINGS, tmp_path / "observed").cache(without=IS_PANEL)
     assert (cache == WALL_RADIANCE).all() == (rim_width == 1)

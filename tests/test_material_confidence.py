@@ -43,7 +43,15 @@ def synthetic(
     specular = np.broadcast_to(by_level[:, :, None, None], (count, len(LEVELS), 2, 3))
     roughness, metallic = np.full(count, 0.5, np.float32), np.zeros(count, np.float32)
     samples = PixelSamples(
-        np.arange(count), np.ones((count, 3)), diffuse, specular, LEVELS, cell, np.zeros_like(cell), view
+        np.arange(count),
+        np.ones((count, 3)),
+        diffuse,
+        specular,
+        LEVELS,
+        cell,
+        np.zeros_like(cell),
+        view,
+        np.ones(count, np.float32),
     )
     at_truth = linearise(samples, true[cell], roughness, metallic)
     rendered = 1.0 - at_truth.residual
@@ -69,7 +77,9 @@ def test_derivatives_are_those_of_the_rendering():
     roughness, metallic = rng.uniform(0.05, 0.95, (2, 50))
     specular = rng.uniform(0.0, 2.0, (50, 6, 2, 3))
     index = np.zeros(50, int)
-    samples = PixelSamples(np.arange(50), radiance, diffuse, specular, LEVELS, index, index, index)
+    samples = PixelSamples(
+        np.arange(50), radiance, diffuse, specular, LEVELS, index, index, index, np.ones(50, np.float32)
+    )
     at = lambda a, s, m: linearise(samples, a, s, m)  # noqa: E731
     here, step = at(color, roughness, metallic), 1e-4
     for moved, slope in (

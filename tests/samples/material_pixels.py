@@ -51,7 +51,7 @@ def samples_of(
     """Pixels whose views alternate."""
     rows = np.arange(len(part))
     arrays = [np.asarray(array, np.float32) for array in (radiance, diffuse, specular)]
-    return PixelSamples(rows, *arrays, LEVELS, cell, part, rows % VIEWS)
+    return PixelSamples(rows, *arrays, LEVELS, cell, part, rows % VIEWS, np.ones(len(rows), np.float32))
 
 
 def materials_of(samples: PixelSamples) -> tuple[np.ndarray, np.ndarray]:

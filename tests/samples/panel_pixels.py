@@ -13,6 +13,7 @@ from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.scene.labels import Parts
 from fipt_blender.core.scene.mixed_pixels import mark_pure
 from fipt_blender.core.scene.pixels import PixelStore, open_pixels, trace_view
+from fipt_blender.core.scene.unmixing import unmix_pixels
 from samples.small_captures import CAMERAS, PANEL, look_at, pinhole
 from samples.small_rooms import BOX, make_room
 
@@ -38,4 +39,5 @@ def make_pixels(folder: Path, views: int) -> PixelStore:
             getattr(pixels, name)[rows] = getattr(traced, name)
         pixels.radiance[rows] = np.where(traced.triangle >= 12, PANEL_RADIANCE, WALL_RADIANCE)[:, None]
     mark_pure(pixels, ROOM, PARTS.triangle_part, lambda done: None)
+    unmix_pixels(pixels, ROOM, PARTS.triangle_part, lambda done: None)
     return pixels

@@ -29,6 +29,7 @@ from ..light.observations import observe
 from ..light.reflecting import separate
 from ..light.shadings import SampleCounts
 from ..material.cell_errors import cell_errors
+from ..material.groups import numbered
 from ..material.inference import render_pixels
 from ..material.networks import (
     BrdfNetwork,
@@ -49,6 +50,7 @@ from ..run.runfolder import explained_write_errors, write_json
 from ..run.settings import Settings
 from ..scene.mixed_pixels import mark_pure
 from ..scene.pixels import fill_pixels, open_pixels
+from ..scene.unmixing import unmix_pixels
 from ..views.check import check_views
 from .previews import Preview
 from .results import write_results
@@ -142,17 +144,20 @@ class Estimation(EstimationState):
             facts["mrays_per_second"] = round(facts["rays"] / seconds / 1e6, 3)
         self.checkpoints.mark(name, facts, self.reporter.warnings[warned:])
 
-    # ---- Pixels: first hits, parts, pure pixels (supplementary), and a check of the views ------------------
+    # ---- Pixels: first hits, parts, pure and mixed pixels (supplementary), and a check of the views --------
 
     def _trace(self) -> Facts:
         self.pixels = open_pixels(self.folder.stage / "pixels", self.views, create=True)
         self.scale = fill_pixels(self.pixels, self.room, self._progress_within(0.0, 0.4), self.workers)
-        self._sort_pixels(0.4, 0.8)
+        self._sort_pixels(0.4, 0.7)
         self.view_check = check_views(
             self.pixels, self.room, self.parts.triangle_part, self.settings, self.reporter
         )
         if self.view_check.left_out:  # their masks no longer count
-            self._sort_pixels(0.8, 1.0)
+            self._sort_pixels(0.7, 0.8)
+        unmix_pixels(
+            self.pixels, self.room, self._surface_labels(), self._progress_within(0.8, 1.0), self.workers
+        )
         self.checkpoints.remember("scale", self.scale)
         self.checkpoints.remember("view_check", self.view_check.facts())
         return {"rays": 6 * len(self.pixels)}
@@ -162,6 +167,13 @@ class Estimation(EstimationState):
         self.parts = self._choose_parts()
         progress = self._progress_within(begin, end)
         mark_pure(self.pixels, self.room, self.parts.triangle_part, progress, self.workers)
+
+    def _surface_labels(self) -> np.ndarray:
+        """(T,) int32 part of each triangle; where parts are unknown, label and connected piece."""
+        part = self.parts.triangle_part
+        if self._pieces is None:
+            return part
+        return numbered([part, self._pieces]).astype(np.int32)
 
     def _prepare(self) -> None:
         """Everything that follows from the pixels and is quick to make again, and new networks."""

@@ -129,7 +129,7 @@ def unseen_points(
     """A surface point in each entry that contains surface but that no pixel saw.
 
     Args:
-        count: (M * 6,) pixels in each entry.
+        count: (M * 6,) pixels in each entry, or their weight.
 
     Returns:
         (U,) int64 entries, (U, 3) float32 points, metres, and (U,) triangles on which they lie.
@@ -164,7 +164,7 @@ def pool(grid: VoxelGrid, entries: np.ndarray, values: np.ndarray) -> tuple[np.n
         values: (N, C) floats.
 
     Returns:
-        (filled (M * 6, C) float32, count (M * 6,) int64 values that fell into each entry).
+        (filled (M * 6, C) float32, weight (M * 6,) float64 number of values that fell into each entry).
     """
     pooled = Pool(grid, values.shape[1])
     pooled.add(entries, values)
@@ -177,23 +177,28 @@ class Pool:
     def __init__(self, grid: VoxelGrid, channels: int) -> None:
         total = len(grid.voxels) * SIDES
         self._grid = grid
-        self._count = np.zeros(total, np.int64)
+        self._weight = np.zeros(total)
         self._sums = np.zeros((channels, total))
 
-    def add(self, entries: np.ndarray, values: np.ndarray) -> None:
-        """Accumulate (N, C) values on (N,) entries; the result does not depend on the chunks' sizes."""
-        np.add.at(self._count, entries, 1)
+    def add(self, entries: np.ndarray, values: np.ndarray, weight: np.ndarray | None = None) -> None:
+        """Accumulate (N, C) values on (N,) entries; the result does not depend on the chunks' sizes.
+
+        Args:
+            weight: (N,) of the values; 1 each if None.
+        """
+        factor = np.ones(len(entries)) if weight is None else weight.astype(np.float64)
+        np.add.at(self._weight, entries, factor)
         for sums, column in zip(self._sums, values.T, strict=True):
-            np.add.at(sums, entries, column.astype(np.float64))
+            np.add.at(sums, entries, factor * column)
 
     def mean(self) -> tuple[np.ndarray, np.ndarray]:
-        """(M * 6, C) float32 mean of each entry, 0 without values, and (M * 6,) number of values."""
-        return self._mean().T.astype(np.float32, order="C"), self._count
+        """(M * 6, C) float32 mean of each entry, 0 without values, and (M * 6,) sum of weights."""
+        return self._mean().T.astype(np.float32, order="C"), self._weight
 
     def filled(self) -> tuple[np.ndarray, np.ndarray]:
         """The same with missing means filled; see :func:`pool`."""
         grid, mean = self._grid, self._mean()
-        observed = self._count > 0
+        observed = self._weight > 0
         missing = np.flatnonzero(~observed)
         side = missing % SIDES
         # Sums over the sides of ever coarser voxels, and the coarse voxel of each row of the grid.
@@ -212,12 +217,13 @@ class Pool:
             mean[:, missing[filled]] = sums[:, *source] / number[source]
             missing, side = missing[~filled], side[~filled]
         if len(missing):
-            mean[:, missing] = self._sums.sum(axis=1, keepdims=True) / max(int(self._count.sum()), 1)
-        return mean.T.astype(np.float32, order="C"), self._count
+            total = float(self._weight.sum())
+            mean[:, missing] = self._sums.sum(axis=1, keepdims=True) / (total if total > 0.0 else 1.0)
+        return mean.T.astype(np.float32, order="C"), self._weight
 
     def _mean(self) -> np.ndarray:
         """(C, M * 6) float64, 0 without values."""
-        return self._sums / np.maximum(self._count, 1)
+        return self._sums / np.where(self._weight > 0.0, self._weight, 1.0)
 
 
 def _added(values: np.ndarray, group: np.ndarray) -> np.ndarray:

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..optics.lights import LUMINANCE, EmitterTable
-from ..scene.components import graph_components, mesh_components
-from ..scene.grouped import grouped_median
+from ..scene.components import graph_components
+from ..scene.grouped import grouped_weighted_median
 from ..scene.labels import weld
 from ..scene.pixels import PixelStore
 from ..scene.room import Room
@@ -25,6 +25,9 @@ from ..scene.room import Room
 DIM_SIDE = 0.1
 # Neighbouring triangles belong to one fixture if their luminance differs by less than this factor.
 ALIKE = 1.5
+# A triangle's radiance is measured if its pixels are worth at least so many pure ones; others take that of
+# their neighbours.
+LEAST_MEASURED = 1.0
 # Pixels per chunk: arrays of all pixels of a large capture would take gigabytes.
 CHUNK = 1 << 20
 
@@ -103,47 +106,44 @@ class EmitterPixels:
     Attributes:
         triangle: (N,) int, negative where no surface is seen.
         front: (N,) bool, whether the triangle's front is seen.
-        pure: (N,) bool, whether the pixel sees nothing else.
-        radiance: (N, 3).
+        radiance: (N, 3) of the surface.
+        weight: (N,) its information: 1 for pure pixels.
     """
 
     triangle: np.ndarray
     front: np.ndarray
-    pure: np.ndarray
     radiance: np.ndarray
+    weight: np.ndarray
 
     @classmethod
     def of(cls, pixels: PixelStore) -> EmitterPixels:
         """All pixels of a store."""
-        return cls(pixels.triangle, pixels.front, pixels.pure, pixels.radiance)
+        return cls(pixels.triangle, pixels.front, pixels.own, pixels.weight)
 
     def rows(self, rows: np.ndarray) -> EmitterPixels:
         """Some of the pixels, in memory."""
-        return EmitterPixels(self.triangle[rows], self.front[rows], self.pure[rows], self.radiance[rows])
+        return EmitterPixels(self.triangle[rows], self.front[rows], self.radiance[rows], self.weight[rows])
 
 
 def side_medians(pixels: EmitterPixels, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Per-channel median radiance of each group's two sides.
-
-    Mixed pixels are left out where a side has pure ones.
+    """Per-channel weighted median of the radiance of each group's two sides.
 
     Args:
         pixels: in memory.
         group: (T,) int group of each triangle, negative without.
 
     Returns:
-        (groups, 2, 3) medians, front first, and (groups, 2) numbers of pixels.
+        (groups, 2, 3) medians, front first, and (groups, 2) sums of weights.
     """
     groups = int(group.max(initial=-1)) + 1
     pixel_group = np.where(pixels.triangle >= 0, group[np.maximum(pixels.triangle, 0)], -1)
     inside = np.flatnonzero(pixel_group >= 0)
     side = pixel_group[inside] * 2 + ~pixels.front[inside]
-    has_pure = np.bincount(side, pixels.pure[inside], minlength=groups * 2) > 0
-    chosen = pixels.pure[inside] | ~has_pure[side]
-    inside, side = inside[chosen], side[chosen]
-    medians = grouped_median(pixels.radiance[inside], side, groups * 2).astype(np.float64)
-    counts = np.bincount(side, minlength=groups * 2)
-    return medians.reshape(groups, 2, 3), counts.reshape(groups, 2)
+    weight = pixels.weight[inside].astype(np.float64)
+    columns = pixels.radiance[inside].T.astype(np.float64)
+    medians = [grouped_weighted_median(column, weight, side, groups * 2) for column in columns]
+    weights = np.bincount(side, weight, minlength=groups * 2)
+    return np.stack(medians, axis=1).reshape(groups, 2, 3), weights.reshape(groups, 2)
 
 
 def group_fixtures(room: Room, emitting: np.ndarray, pixels: EmitterPixels) -> list[Fixture]:
@@ -156,16 +156,17 @@ def group_fixtures(room: Room, emitting: np.ndarray, pixels: EmitterPixels) -> l
     pixels = pixels.rows(rows)
     emitter = np.full(len(emitting), -1, np.int64)  # a group per triangle
     emitter[ids] = np.arange(len(ids))
-    medians, counts = side_medians(pixels, emitter)
-    luminance = (medians * (counts > 0)[..., None] @ LUMINANCE).max(axis=1)
-    measured = (counts.sum(axis=1) > 0) & ~_mixed_only(corners[ids], emitter[pixels.triangle[pixels.pure]])
+    medians, weights = side_medians(pixels, emitter)
+    luminance = (medians @ LUMINANCE).max(axis=1)
+    measured = weights.sum(axis=1) >= LEAST_MEASURED
     group = np.full(len(emitting), -1, np.int64)
     group[ids] = emitter_components(corners[ids], luminance, measured)
-    medians, counts = side_medians(pixels, group)
+    medians, weights = side_medians(pixels, group)
+    known = weights >= np.minimum(weights.max(axis=1, keepdims=True, initial=0.0), LEAST_MEASURED)
     fixtures = []
     for index in range(len(medians)):
         members = np.flatnonzero(group == index)
-        sides = medians[index] * (counts[index] > 0)[:, None]
+        sides = medians[index] * known[index][:, None]
         luminance = sides @ LUMINANCE
         if not luminance.max() > 0.0:
             continue
@@ -177,19 +178,6 @@ def group_fixtures(room: Room, emitting: np.ndarray, pixels: EmitterPixels) -> l
         centroid = (middle * area[:, None]).sum(axis=0) / area.sum()
         fixtures.append(Fixture(members, sides[0], sides[1], float(area.sum()), centroid))
     return sorted(fixtures, key=lambda f: -f.area * float((f.radiance + f.back_radiance) @ LUMINANCE))
-
-
-def _mixed_only(corners: np.ndarray, pure: np.ndarray) -> np.ndarray:
-    """(n,) bool, emitting triangles without pure pixels in components that have pure pixels elsewhere.
-
-    Args:
-        corners: (n, 3) welded vertices of the emitting triangles.
-        pure: indices, among these, of triangles with pure pixels.
-    """
-    has_pure = np.zeros(len(corners), bool)
-    has_pure[pure] = True
-    component = mesh_components(corners)
-    return ~has_pure & (np.bincount(component, has_pure)[component] > 0)
 
 
 def emitter_components(corners: np.ndarray, luminance: np.ndarray, measured: np.ndarray) -> np.ndarray:

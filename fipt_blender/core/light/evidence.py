@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which triangles emit, from the evidence of single pixels (after the paper's Sec. 4.4 "Emitter extraction").
 
-A pixel supports emission where its surface must emit because reflection can't explain its radiance. It also
-receives light that spills over from neighbouring pixels, and at edges light from the surface behind: light
-that may come from another surface is no evidence.
+A pixel supports emission where its surface must emit because reflection can't explain its radiance. Light
+that may come from another surface is no evidence: what spills over from neighbouring pixels, and what the
+unmixed radiance of a mixed pixel may owe to its errors.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from ..optics.lights import LUMINANCE
 from ..scene.labels import room_pieces
 from ..scene.pixels import PixelStore
 from ..scene.room import Room
+from ..scene.unmixing import standard_error
 from .baking import ShadingStore
 
 # Least relative residual of a surface that emits: the share of its radiance that reflection can't explain.
@@ -27,9 +28,9 @@ LEAST_RESIDUAL = 0.3
 # Share of a pure pixel's light that may spill over from its neighbours: half where coplanar surfaces meet at
 # its centre, 16 to 30 % by a camera's blur (a Gaussian of half a pixel).
 SPILL = 0.5
-# A mixed pixel next to a lamp pixel of at least this share of its radiance may show that lamp's light.
-LAMPLIGHT = 0.5
-# Highlights move with the view: where the emission mask does not mark a triangle, or only mixed pixels see
+# Standard errors by which the unmixed radiance of a mixed pixel may be wrong.
+DOUBT = 3.0
+# Highlights move with the view: where the emission mask does not mark a triangle, or no pure pixel supports
 # it, at least this number of views must support emission.
 LEAST_VIEWS = 2
 # Triangles without evidence emit if more than this share of their component's area with evidence does.
@@ -56,25 +57,24 @@ def find_emission(
         constant: (T,) bool, triangles of parts of view-independent radiance: they emit in any case.
         estimate: (R,) pixels to their (R, 3) reflected radiance L_r of the estimate.
     """
-    evidence = Evidence(*np.zeros((3, len(marked)), np.int64))
-    mixed = []
+    evidence = Evidence.none(len(marked))
     for index in range(len(pixels.views)):
         rows = pixels.rows(index)
-        triangle, radiance = np.asarray(pixels.triangle[rows]), np.asarray(pixels.radiance[rows])
-        reflected = _reflected(pixels, shadings, rows, triangle, radiance, marked, estimate)
-        bright = relative_residual(radiance, reflected) >= LEAST_RESIDUAL
-        hit = triangle >= 0
-        evidence.oppose(triangle[hit & ~bright])
+        triangle, own, weight = (np.asarray(a[rows]) for a in (pixels.triangle, pixels.own, pixels.weight))
+        reflected = _reflected(shadings, rows, triangle, own, marked, estimate)
+        error = DOUBT * standard_error(own, weight) / np.maximum(own.mean(axis=1), 1e-12)
+        hit = (triangle >= 0) & (weight > 0.0)
+        dark = relative_residual(own * (1.0 + error[:, None]), reflected) < LEAST_RESIDUAL
+        evidence.oppose(triangle[hit & dark], weight[hit & dark])
         size = pixels.views[index].height, pixels.views[index].width
-        luminance = radiance @ LUMINANCE
-        pure = np.asarray(pixels.pure[rows])
-        fraction = spill_free_fraction(luminance, neighbourhood_maximum(luminance, size))
-        certain = relative_residual(radiance * fraction[:, None], reflected) >= LEAST_RESIDUAL
-        evidence.support(triangle[hit & bright & pure & certain])
-        mixed.append(np.flatnonzero(hit & bright & ~pure) + rows.start)
-    emits = evidence.majority & (marked | (evidence.views >= LEAST_VIEWS))
-    _support_by_mixed_pixels(pixels, evidence, emits, mixed)
-    emits |= evidence.majority & (evidence.views >= LEAST_VIEWS)
+        brightest = neighbourhood_maximum(np.asarray(pixels.radiance[rows]) @ LUMINANCE, size)
+        least = own * np.maximum(1.0 - error, 0.0)[:, None]
+        fraction = spill_free_fraction(least @ LUMINANCE, brightest)
+        bright = relative_residual(least * fraction[:, None], reflected) >= LEAST_RESIDUAL
+        evidence.support(
+            triangle[hit & bright], weight[hit & bright], np.asarray(pixels.pure[rows])[hit & bright]
+        )
+    emits = evidence.majority & ((marked & evidence.pure) | (evidence.views >= LEAST_VIEWS))
     decided = emits | (evidence.exists & ~evidence.majority)
     return extend_to_components(room.areas, room_pieces(room), emits | constant, decided | constant)
 
@@ -86,34 +86,42 @@ def brighter_than_white(pixels: PixelStore, shadings: ShadingStore, triangles: i
         rows = pixels.rows(index)
         triangle = np.asarray(pixels.triangle[rows])
         white = np.asarray(shadings.diffuse[rows], np.float32)
-        bright = relative_residual(np.asarray(pixels.radiance[rows]), white) >= LEAST_RESIDUAL
+        bright = relative_residual(np.asarray(pixels.own[rows]), white) >= LEAST_RESIDUAL
         brighter[triangle[bright & (triangle >= 0)]] = True
     return brighter
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Counts for each triangle, (T,) int64.
+    """Sums for each triangle.
 
     Attributes:
-        supporting: pixels that support emission.
-        opposing: pixels that reflection explains.
-        views: views with supporting pixels.
+        supporting: (T,) weight of the pixels that support emission.
+        opposing: (T,) weight of the pixels that reflection explains.
+        views: (T,) number of views with supporting pixels.
+        pure: (T,) bool, whether a pure pixel supports emission.
     """
 
     supporting: np.ndarray
     opposing: np.ndarray
     views: np.ndarray
+    pure: np.ndarray
 
-    def support(self, triangle: np.ndarray) -> None:
-        """Count supporting pixels of one view by the triangles that they see."""
-        count = np.bincount(triangle, minlength=len(self.views))
-        np.add(self.supporting, count, out=self.supporting)
-        np.add(self.views, count > 0, out=self.views)
+    @classmethod
+    def none(cls, triangles: int) -> Evidence:
+        """No evidence for any of so many triangles."""
+        supporting, opposing = np.zeros((2, triangles))
+        return cls(supporting, opposing, np.zeros(triangles, np.int64), np.zeros(triangles, bool))
 
-    def oppose(self, triangle: np.ndarray) -> None:
-        """Count opposing pixels by the triangles that they see."""
-        np.add(self.opposing, np.bincount(triangle, minlength=len(self.views)), out=self.opposing)
+    def support(self, triangle: np.ndarray, weight: np.ndarray, pure: np.ndarray) -> None:
+        """Add supporting pixels of one view: the triangles that they see, their weights, whether pure."""
+        np.add.at(self.supporting, triangle, weight)
+        self.views[np.unique(triangle)] += 1
+        self.pure[triangle[pure]] = True
+
+    def oppose(self, triangle: np.ndarray, weight: np.ndarray) -> None:
+        """Add opposing pixels: the triangles that they see, and their weights."""
+        np.add.at(self.opposing, triangle, weight)
 
     @property
     def majority(self) -> np.ndarray:
@@ -127,7 +135,6 @@ class Evidence:
 
 
 def _reflected(
-    pixels: PixelStore,
     shadings: ShadingStore,
     rows: slice,
     triangle: np.ndarray,
@@ -179,34 +186,6 @@ def spill_free_fraction(luminance: np.ndarray, brightest: np.ndarray) -> np.ndar
     """
     remaining = (luminance - SPILL * brightest) / (1.0 - SPILL)
     return np.clip(remaining / np.maximum(luminance, 1e-12), 0.0, 1.0)
-
-
-def _support_by_mixed_pixels(
-    pixels: PixelStore, evidence: Evidence, emits: np.ndarray, mixed: list[np.ndarray]
-) -> None:
-    """Add mixed pixels as evidence for triangles without any: lamps too small or thin for pure pixels.
-
-    Such a pixel must be the brightest of its neighbourhood, and not next to known light: the emitters found
-    so far, and everything outside.
-
-    Args:
-        emits: (T,) bool, emitters found so far.
-        mixed: for each view its mixed pixels (indices among all) that reflection can't explain.
-    """
-    lamp = np.append(emits, True)  # at -1: outside
-    without_evidence = ~evidence.exists
-    for index, rows in enumerate(mixed):
-        rows = rows[without_evidence[pixels.triangle[rows]]]
-        if not len(rows):
-            continue
-        view_rows = pixels.rows(index)
-        size = pixels.views[index].height, pixels.views[index].width
-        luminance = np.asarray(pixels.radiance[view_rows]) @ LUMINANCE
-        known = luminance * lamp[np.maximum(pixels.triangle[view_rows], -1)]
-        local = rows - view_rows.start
-        brightest, lamplight = (neighbourhood_maximum(image, size)[local] for image in (luminance, known))
-        peak = (luminance[local] >= brightest) & (lamplight < LAMPLIGHT * luminance[local])
-        evidence.support(pixels.triangle[rows[peak]])
 
 
 def extend_to_components(

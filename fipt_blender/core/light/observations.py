@@ -22,11 +22,15 @@ from ..scene.labels import NO_PART, Parts
 from ..scene.mixed_pixels import find_donors
 from ..scene.pixels import PixelStore, open_array
 from ..scene.room import Room, triangle_normals
-from .cache import SIDES, Pool, VoxelGrid, fill_grid, grid_frame, unseen_points
+from .cache import Pool, VoxelGrid, fill_grid, grid_frame, unseen_points
 from .environment import Environment, estimate_environment, outside_pixels
 
 # Distance in pixels within which a pure pixel of the same part replaces a mixed one.
 DONOR_REACH = 4
+# Least information of a mixed pixel that is used, relative to that of a pure one.
+LEAST_WEIGHT = 0.01
+# Stream of the random numbers that draw the pixels to train on.
+POOL_STREAM = 9
 # Approximate number of pixels for the median footprint.
 FOOTPRINT_PIXELS = 200_000
 
@@ -59,18 +63,19 @@ class Observations:
             yield _hits(self.pixels, index)
 
     def cache(self, without: np.ndarray | None = None) -> np.ndarray:
-        """(M * 6, 3) float32 radiance cache of all pixels, or of all but those lit by the emitters `without`
+        """(M * 6, 3) float32 radiance cache of all pixels, or of all but those on the emitters `without`
         ((T,) bool).
 
-        Pixels around a lamp contain some of its radiance. With emitters of known radiance it would count
-        twice and make the shadings of the whole room a few per cent too bright.
+        Pixels that a camera blurs over the edge of a lamp contain some of its radiance, too. With emitters of
+        known radiance it would count twice and make the shadings of the whole room too bright.
         """
         pooled = Pool(self.grid, 3)
         for index, rows in enumerate(self.hits()):
             if without is not None and without.any():
                 near = self._near(index, without)
                 rows = rows[~near[rows - self.pixels.ranges[index]]]
-            pooled.add(self.entry[rows], self.pixels.radiance[rows])
+            rows = rows[self.pixels.weight[rows] >= LEAST_WEIGHT]
+            pooled.add(self.entry[rows], self.pixels.own[rows], self.pixels.weight[rows])
         return pooled.filled()[0]
 
     def means(self, values: np.ndarray) -> np.ndarray:
@@ -127,34 +132,42 @@ class Observations:
     def donor(self) -> np.ndarray:
         """(N,) int64 pixel that replaces each, -1 for none: see :func:`find_donors`; memory-mapped.
 
-        Without parts it is unknown which neighbour shows the same surface. A mixed pixel without a donor
-        replaces itself where its surface has no pure pixel.
+        Without parts it is unknown which neighbour shows the same surface. A mixed pixel without a pure
+        neighbour replaces itself, with what is known of the radiance of its own surface.
         """
         reach = DONOR_REACH if self.parts.kind == "part" else 0
-        alone = np.zeros(len(self.grid.voxels) * SIDES, bool)
-        for hit in self.hits():
-            alone[self.entry[hit[self.pixels.pure[hit]]]] = True
         donors = open_array(self.folder / "donor.npy", (len(self.pixels),), np.int64, create=True)
         for index, hit in enumerate(self.hits()):
             rows = self.pixels.rows(index)
             found = find_donors(self.pixels, index, np.asarray(self.part[rows]), reach)
-            lonely = hit[~alone[self.entry[hit]] & (found[hit - rows.start] < 0)]
-            found[lonely - rows.start] = lonely
+            known = np.asarray(self.pixels.weight[hit]) >= LEAST_WEIGHT
+            alone = hit[known & (found[hit - rows.start] < 0)]
+            found[alone - rows.start] = alone
             donors[rows] = found
         return donors
 
     @cached_property
     def pool(self) -> np.ndarray:
-        """(P,) int64 pixels that have a donor, ascending; memory-mapped."""
+        """(P,) int64 pixels to train on, ascending; memory-mapped.
+
+        A pixel with a donor is drawn with the donor's weight as probability, so that the mean of a loss over
+        the pool is its weighted mean.
+        """
         views = range(len(self.pixels.views))
-        known = [int((self.donor[self.pixels.rows(index)] >= 0).sum()) for index in views]
-        pool = open_array(self.folder / "pool.npy", (sum(known),), np.int64, create=True)
-        end = 0
-        for index, number in enumerate(known):
-            rows = self.pixels.rows(index)
-            end += number
-            pool[end - number : end] = np.flatnonzero(self.donor[rows] >= 0) + rows.start
+        counts = [len(self._drawn(index)) for index in views]
+        pool = open_array(self.folder / "pool.npy", (sum(counts),), np.int64, create=True)
+        ends = np.cumsum(counts)
+        for index in views:
+            pool[ends[index] - counts[index] : ends[index]] = self._drawn(index)
         return pool
+
+    def _drawn(self, index: int) -> np.ndarray:
+        """(n,) int64 pixels of a view that belong to the pool."""
+        rows = self.pixels.rows(index)
+        donor = np.asarray(self.donor[rows])
+        weight = np.where(donor >= 0, self.pixels.weight[np.maximum(donor, 0)], 0.0)
+        drawn = np.random.default_rng([POOL_STREAM, index]).random(len(weight))
+        return np.flatnonzero(drawn < weight) + rows.start
 
 
 def _hits(pixels: PixelStore, index: int) -> np.ndarray:

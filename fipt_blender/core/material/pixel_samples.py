@@ -24,7 +24,8 @@ class PixelSamples:
 
     Attributes:
         rows: (N,) int64 indices among the pixels of the run.
-        radiance: (N, 3) float32 photographed radiance, in units of the capture's median.
+        radiance: (N, 3) float32 radiance of the surface that the pixel's centre sees, in units of the
+            capture's median.
         diffuse: (N, 3) float32 diffuse shading L_d, in the same unit.
         specular: (N, K, 2, 3) float32 specular shadings L_s0 and L_s1 at the roughness `levels`.
         levels: (K,) float32 roughness levels, ascending.
@@ -32,6 +33,8 @@ class PixelSamples:
         group: (N,) int part, or the group in its place (:mod:`.groups`), with one roughness and one metallic;
             negative for pixels without one.
         view: (N,) int index of the view.
+        weight: (N,) float32 information of the radiance, 1 for pure pixels and less for mixed ones: the
+            inverse variance of its residuals relative to those of pure pixels.
     """
 
     rows: np.ndarray
@@ -42,6 +45,7 @@ class PixelSamples:
     cell: np.ndarray
     group: np.ndarray
     view: np.ndarray
+    weight: np.ndarray
 
 
 def read_samples(
@@ -58,9 +62,10 @@ def read_samples(
         shadings: of all pixels at the roughness `levels` (K,).
         cell, group: (N,), see :class:`PixelSamples`.
     """
-    arrays = (pixels.radiance, shadings.diffuse, shadings.specular)
+    arrays = (pixels.own, shadings.diffuse, shadings.specular)
     radiance, diffuse, specular = (np.asarray(array[rows], np.float32) for array in arrays)
-    return PixelSamples(rows, radiance, diffuse, specular, levels, cell, group, pixels.view_of(rows))
+    weight = np.asarray(pixels.weight[rows])
+    return PixelSamples(rows, radiance, diffuse, specular, levels, cell, group, pixels.view_of(rows), weight)
 
 
 def window_means(

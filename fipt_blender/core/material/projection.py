@@ -83,7 +83,8 @@ def project(
     level = np.abs(samples.levels[None, :] - roughness[:, None]).argmin(axis=1)
     s0, s1 = np.moveaxis(samples.specular[np.arange(len(level)), level], 1, 0)
     slope, offset = color_line(samples.diffuse, s0, s1, metallic[:, None])
-    color = fit_colors(samples.radiance, slope, offset, residual_weight(samples.radiance), cell)
+    weight = residual_weight(samples.radiance) * samples.weight[:, None]
+    color = fit_colors(samples.radiance, slope, offset, weight, cell)
     # The most that a white surface could reflect, diffuse or of this metallic: metals mirror lamps.
     white = np.maximum(samples.diffuse, slope) + offset
     grey = samples.radiance.mean(axis=1)

@@ -71,11 +71,14 @@ def training_input(
     wide_cell = _wide_cells(observations, wide_rows)
     kept = sample_groups(group[wide_rows], wide_cell, np.random.default_rng([settings.seed, 5]))
     wide_rows, wide_cell = wide_rows[kept], wide_cell[kept]
-    arrays = (pixels.radiance, shadings.diffuse, shadings.specular)
+    arrays = (pixels.own, shadings.diffuse, shadings.specular)
     widths = np.array([view.width for view in pixels.views])
     radiance, diffuse, specular = window_means(arrays, wide_rows, pure, group, pixels.ranges, widths)
     view = pixels.view_of(wide_rows)
-    wide = PixelSamples(wide_rows, radiance, diffuse, specular, levels, wide_cell, group[wide_rows], view)
+    weight = np.asarray(pixels.weight[wide_rows])
+    wide = PixelSamples(
+        wide_rows, radiance, diffuse, specular, levels, wide_cell, group[wide_rows], view, weight
+    )
     prior = None
     if pieces is not None:
         prior = _similarity(wide.group, observations.part[wide_rows], color[observations.entry[wide_rows]])
@@ -91,7 +94,7 @@ def training_input(
         pool=observations.pool,
         donor=observations.donor,
         position=pixels.position,
-        radiance=pixels.radiance,
+        radiance=pixels.own,
         label=observations.part,
         group=group,
         diffuse=shadings.diffuse,
@@ -150,10 +153,10 @@ def _diffuse_colors(observations: Observations, shadings: ShadingStore) -> np.nd
         rows = _rows_with_donor(pixels, observations.donor, view)
         radiance, diffuse, roughest = (
             np.asarray(array, np.float32)
-            for array in (pixels.radiance[rows], shadings.diffuse[rows], shadings.specular[rows, -1])
+            for array in (pixels.own[rows], shadings.diffuse[rows], shadings.specular[rows, -1])
         )
         slope, offset = color_line(diffuse, roughest[:, 0], roughest[:, 1], 0.0)
-        weight = slope / (radiance + RADIANCE_FLOOR) ** 2
+        weight = slope * pixels.weight[rows, None] / (radiance + RADIANCE_FLOOR) ** 2
         used, place = np.unique(observations.entry[rows], return_inverse=True)
         for total, values in ((top, weight * (radiance - offset)), (bottom, weight * slope)):
             total[used] += np.stack([np.bincount(place, column) for column in values.T], axis=1)

@@ -45,6 +45,9 @@ class PixelStore:
         front: (N,) bool, whether the triangle's front is seen.
         pure: (N,) bool, whether the whole pixel sees one smooth surface, or only the outside; all others are
             mixed pixels.
+        own: (N, 3) float32 radiance of the surface at the pixel's centre, without what other surfaces add to
+            a mixed pixel (:mod:`.unmixing`); the photographed radiance of pure pixels.
+        weight: (N,) float32 information of `own`: 1 for pure pixels, 0 where it is not known.
     """
 
     views: list[View]
@@ -55,6 +58,8 @@ class PixelStore:
     triangle: np.ndarray
     front: np.ndarray
     pure: np.ndarray
+    own: np.ndarray
+    weight: np.ndarray
 
     def __len__(self) -> int:
         return int(self.ranges[-1])
@@ -101,6 +106,8 @@ _ARRAYS: dict[str, tuple[type, tuple[int, ...]]] = {
     "triangle": (np.int32, ()),
     "front": (np.bool_, ()),
     "pure": (np.bool_, ()),
+    "own": (np.float32, (3,)),
+    "weight": (np.float32, ()),
 }
 
 _START_AGAIN = "Start the estimation again without resuming it."
@@ -188,7 +195,8 @@ def fill_pixels(
     """Trace all views, read their photographs, and return the capture's radiance scale.
 
     The scale is the median luminance of all pixels that are not black; `store.radiance` is divided by it,
-    so that all later stages are independent of exposure. `store.pure` is filled by `mark_pure`.
+    so that all later stages are independent of exposure. `mark_pure` and `unmix_pixels`
+    fill the rest.
 
     Args:
         progress: called with the share (0..1) that is done.
