@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The radiance of each surface in a mixed pixel: the photographed one is the sum of coverage times radiance.
 
-The expected radiance of a fragment is that of pure pixels of its surface nearby; where there are none, it is
-unknown. The difference between the photograph and the sum of expectations is distributed by their variances
-(the posterior mean of a linear Gaussian model).
+The expected radiance of a fragment is that of pure pixels of its surface nearby. Where there are none, it is
+that of all such fragments of the surface in the view, whose mean and variance expectation maximisation finds.
+The difference between the photograph and the sum of expectations is distributed by their variances (the
+posterior mean of a linear Gaussian model).
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from functools import partial
 
 import mitsuba as mi
 import numpy as np
+from scipy.sparse import csr_matrix, diags
+from scipy.sparse.linalg import spsolve
 
 from ..capture.views import View
 from ..run.per_view import LocalWorkers, Workers
@@ -28,8 +31,13 @@ REACH = 4
 NEIGHBOURS = 4
 # Relative standard deviation of the radiance of a surface within that distance, beside what they show.
 VARIATION = 0.1
-# Standard deviation of an unknown radiance, as a multiple of the photographed one.
+# Standard deviation of an unknown radiance before anything is known, as a multiple of the photographed one.
 UNKNOWN = 3.0
+# Iterations by which mean and variance of unknown radiances are found; more change little.
+ITERATIONS = 6
+# Relative standard deviation of the radiance of one surface in one view, and how many fragments that guess is
+# worth.
+SPREAD, SPREAD_FRAGMENTS = 0.5, 0.2
 # Relative standard deviation of a photographed radiance.
 NOISE = 0.02
 # Standard deviation of a coverage by 16 samples: 0.035 at edges of any slope, 0.048 for strips.
@@ -115,9 +123,11 @@ def _unmix_view(
     for start in range(0, len(mixed), CHUNK):
         pixels = mixed[start : start + CHUNK]
         fragments = trace_fragments(room, device_labels, photograph.view, pixels)
-        fragments, mean, variance = expected(fragments, photograph, label, pixels)
+        fragments, mean, variance, known = expected(fragments, photograph, label, pixels)
         radiance = photograph.radiance[pixels].astype(np.float64)
-        mean, variance = posterior(fragments, radiance, mean, variance)
+        mean, variance = posterior(
+            fragments, radiance, *fit_unknown(fragments, radiance, mean, variance, known)
+        )
         chosen = at_centres(fragments, label[pixels], photograph.position[pixels])
         found = np.flatnonzero(chosen >= 0)
         chosen = chosen[found]
@@ -128,7 +138,7 @@ def _unmix_view(
 
 def expected(
     fragments: Fragments, photograph: ViewPhotograph, label: np.ndarray, pixels: np.ndarray
-) -> tuple[Fragments, np.ndarray, np.ndarray]:
+) -> tuple[Fragments, np.ndarray, np.ndarray, np.ndarray]:
     """Expected radiance of fragments before the pixel itself is considered.
 
     Args:
@@ -136,8 +146,8 @@ def expected(
         label: (H * W,) label of what each pixel's centre sees.
 
     Returns:
-        the fragments, of which those of one pixel and label without pure pixels nearby are one, and their
-        (F, 3) mean and (F, 3) variance.
+        the fragments, of which those of one pixel and label without pure pixels nearby are one, their (F, 3)
+        mean and (F, 3) variance, and (F,) bool, whether there are pure pixels nearby.
     """
     usable = photograph.pure & (photograph.triangle >= NO_TRIANGLE)
     size = photograph.view.height, photograph.view.width
@@ -146,14 +156,14 @@ def expected(
     known = sums[0] > 0.0
     fragments, index = fragments.merged(np.where(known, np.arange(len(known)), -1))
     photographed = photograph.radiance[place[index]].astype(np.float64)
-    known = known[index, None]
+    known = known[index]
     total, weighted, squares = (values[index] for values in sums)
     total = np.maximum(total, 1e-12)[:, None]
-    mean = np.where(known, weighted / total, photographed)
+    mean = np.where(known[:, None], weighted / total, photographed)
     spread = np.maximum(squares / total - mean**2, 0.0)
     grey = mean.mean(axis=1, keepdims=True)
-    variance = np.where(known, spread + (VARIATION * grey) ** 2, (UNKNOWN * grey) ** 2)
-    return fragments, mean, variance
+    variance = np.where(known[:, None], spread + (VARIATION * grey) ** 2, (UNKNOWN * grey) ** 2)
+    return fragments, mean, variance, known
 
 
 def _nearby(
@@ -226,6 +236,84 @@ def posterior(
     contrast = np.abs(result - radiance[pixel]) / np.maximum(1.0 - coverage, 1e-12)
     shifted = np.where(coverage < 1.0, (gain * COVERAGE_ERROR * contrast) ** 2, 0.0)
     return result, variance * (1.0 - gain * coverage) + shifted
+
+
+def fit_unknown(
+    fragments: Fragments, radiance: np.ndarray, mean: np.ndarray, variance: np.ndarray, known: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Expected radiance, with that of unknown fragments replaced by mean and variance of their label.
+
+    Args:
+        radiance: (M, 3) photographed.
+        mean, variance: (F, 3) as :func:`expected` gives them.
+        known: (F,) bool; where not, the values of all fragments of a label have one distribution.
+
+    Returns:
+        (F, 3) mean and (F, 3) variance.
+    """
+    mean, variance = mean.copy(), variance.copy()
+    pixels = np.unique(fragments.pixel[~known])
+    involved = np.flatnonzero(np.isin(fragments.pixel, pixels))
+    if not len(involved):
+        return mean, variance
+    place = np.searchsorted(pixels, fragments.pixel[involved])
+    some = Fragments(
+        place, fragments.label[involved], fragments.coverage[involved], fragments.position[involved]
+    )
+    unknown = np.flatnonzero(~known[involved])
+    group = np.unique(some.label[unknown], return_inverse=True)[1].ravel()
+    count = np.bincount(group)[:, None]
+    chosen, photographed = involved[unknown], radiance[pixels]
+
+    def added(values: np.ndarray) -> np.ndarray:
+        return np.stack([np.bincount(group, column) for column in values.T], axis=1)
+
+    first = added(photographed[place[unknown]]) / count
+    spread = (SPREAD * first) ** 2
+    for _ in range(ITERATIONS):
+        mean[chosen], variance[chosen] = 0.0, spread[group]
+        centre = _least_squares(some, photographed, mean[involved], variance[involved], unknown, group, first)
+        mean[chosen] = centre[group]
+        found, errors = (
+            values[unknown] for values in posterior(some, photographed, mean[involved], variance[involved])
+        )
+        squares = added(errors + (found - centre[group]) ** 2) + SPREAD_FRAGMENTS * (SPREAD * centre) ** 2
+        spread = squares / (count + SPREAD_FRAGMENTS)
+    variance[chosen] = spread[group]
+    return mean, variance
+
+
+def _least_squares(
+    fragments: Fragments,
+    radiance: np.ndarray,
+    mean: np.ndarray,
+    variance: np.ndarray,
+    unknown: np.ndarray,
+    group: np.ndarray,
+    first: np.ndarray,
+) -> np.ndarray:
+    """(L, 3) mean radiance of L labels that explains pixels (M, 3) best, not negative.
+
+    Args:
+        mean, variance: (F, 3) of the fragments; the mean of unknown ones is 0.
+        unknown: (U,) unknown fragments. group: (U,) label of each, from 0.
+        first: (L, 3) guess, whose standard deviation is UNKNOWN times its mean.
+    """
+    coverage, pixel = fragments.coverage[:, None], fragments.pixel
+    shape = len(radiance), len(first)
+    shares = csr_matrix((fragments.coverage[unknown], (pixel[unknown], group)), shape)
+    explained, spread = (
+        np.stack([np.bincount(pixel, column, len(radiance)) for column in values.T], axis=1)
+        for values in (coverage * mean, coverage**2 * variance)
+    )
+    weight = 1.0 / (spread + (NOISE * radiance) ** 2 + 1e-12)
+    prior = 1.0 / ((UNKNOWN * first.mean(axis=1)) ** 2 + 1e-12)
+    result = np.empty_like(first)
+    for channel in range(3):
+        weighted = shares.multiply(weight[:, channel, None]).T.tocsr()
+        right = weighted @ (radiance - explained)[:, channel] + prior * first[:, channel]
+        result[:, channel] = spsolve((weighted @ shares + diags(prior)).tocsc(), right)
+    return np.maximum(result, 0.0)
 
 
 def at_centres(fragments: Fragments, label: np.ndarray, position: np.ndarray) -> np.ndarray:
