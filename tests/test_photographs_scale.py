@@ -4,14 +4,32 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
+import pycolmap
 import pytest
+from PIL import Image
 
 from fipt_blender.core.photographs import scale
 from fipt_blender.core.photographs.marker import MarkerDetector
+from fipt_blender.core.photographs.models import poses, read_model, write_model
+from fipt_blender.core.photographs.preparation import (
+    Group,
+    Photograph,
+    Preparation,
+    PreparationFolder,
+    PrepareSettings,
+    write_preparation,
+)
 from fipt_blender.core.photographs.scale import Pick
+from fipt_blender.core.photographs.solve_step import copy_file, model_folder
+from fipt_blender.core.photographs.steps import run_steps
+from fipt_blender.core.photographs.tonemap import tone_mapped
 from fipt_blender.core.run.errors import FiptError
-from samples.textured_room import look_at
+from fipt_blender.core.run.messages import Reporter
+from samples.textured_room import FOCAL, HEIGHT, WIDTH, look_at, photograph
 
 
 def rotation(generator: np.random.Generator) -> np.ndarray:
@@ -148,3 +166,47 @@ def test_a_printed_marker_is_found_to_a_tenth_of_a_pixel() -> None:
     assert MarkerDetector("5X5_50").find(small) == {}
     double = np.concatenate([small, small], axis=1)
     assert MarkerDetector("4X4_50").find(double) == {}, "which of two equal markers is meant is not known"
+
+
+def test_a_marker_on_a_wall_gives_meters(tmp_path: Path) -> None:
+    """Three photographs of a room with a marker of 0.6 m and their poses in another unit."""
+    cv2 = pytest.importorskip("cv2")
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    marker = cv2.aruco.generateImageMarker(dictionary, 3, 300)[::-1] / 255.0  # walls count from the floor
+    textures = np.full((6, 1000, 1200), 0.8)  # the back wall, 3 m away, has 4 x 2.5 m
+    textures[3, 400:640, 480:660] = cv2.resize(marker, (180, 240), interpolation=cv2.INTER_NEAREST)
+    folder = PreparationFolder(tmp_path / "capture")
+    where = [look_at(np.array([x, 0.5, 1.2]), np.array([1.9, 3.0, 1.3])) for x in (1.0, 1.9, 2.9)]
+    model = pycolmap.Reconstruction()
+    camera = [FOCAL, 0.5 * WIDTH, 0.5 * HEIGHT]
+    model.add_camera_with_trivial_rig(
+        pycolmap.Camera(camera_id=1, model="SIMPLE_PINHOLE", width=WIDTH, height=HEIGHT, params=camera)
+    )
+    for number, pose in enumerate(where, start=1):
+        pose = pose.copy()
+        pose[:3, 3] *= 0.1
+        world_to_camera = pycolmap.Rigid3d(np.linalg.inv(pose)[:3])
+        image = pycolmap.Image(name=f"v{number}.exr", camera_id=1, image_id=number)
+        model.add_image_with_trivial_frame(image, world_to_camera)
+        copy = copy_file(folder, f"v{number}")
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(tone_mapped(photograph(where[number - 1], textures))).save(copy, quality=95)
+    write_model(model_folder(folder), model)
+    photographs = tuple(Photograph(f"v{number}.jpg", "ldr", WIDTH, HEIGHT) for number in (1, 2, 3))
+    groups = tuple(Group(f"v{number}", (f"v{number}.jpg",)) for number in (1, 2, 3))
+
+    def run(**settings: object) -> dict:
+        chosen = PrepareSettings(scale="marker", scale_length=0.6, **settings)
+        write_preparation(folder, Preparation(tmp_path, photographs, groups, chosen))
+        run_steps(folder, ["scale"], Reporter())
+        return json.loads(folder.facts("scale").read_text(encoding="utf-8"))
+
+    facts = run()
+    assert facts["meters_per_unit"] == pytest.approx(10.0, rel=0.02) and facts["difference"] < 0.03
+    places = poses(read_model(folder.sparse))[:, :3, 3]
+    expected = np.linalg.norm(where[0][:3, 3] - where[2][:3, 3])
+    assert np.linalg.norm(places[0] - places[2]) == pytest.approx(expected, rel=0.02)
+    with pytest.raises(FiptError) as caught:
+        run(marker_dictionary="5X5_50")
+    assert caught.value.code == "marker-missing"
+    assert np.array_equal(poses(read_model(folder.sparse))[:, :3, 3], places)

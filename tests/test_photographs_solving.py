@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from fipt_blender.core.capture.formats import read_rig
 from fipt_blender.core.capture.images import write_exr
@@ -26,7 +28,14 @@ from fipt_blender.core.photographs.preparation import (
     PrepareSettings,
     write_preparation,
 )
-from fipt_blender.core.photographs.solving import Connections, SolveView, camera_groups, left_out, solve
+from fipt_blender.core.photographs.solving import (
+    Connections,
+    SolveView,
+    camera_groups,
+    copy_name,
+    left_out,
+    solve,
+)
 from fipt_blender.core.photographs.steps import run_steps
 from fipt_blender.core.photographs.tonemap import tone_mapped
 from fipt_blender.core.run.errors import FiptError
@@ -238,6 +247,51 @@ def test_a_solve_of_other_photographs_is_refused(rig: Rig, code: str) -> None:
     with pytest.raises(FiptError) as caught:
         model_from_rig(rig, [WantedView("a", 300, 200, ("a",))])
     assert caught.value.code == code
+
+
+def write_copies(folder: Path, images: dict[str, np.ndarray]) -> list[SolveView]:
+    """The copies that a solve starts from."""
+    (folder / "copies").mkdir(parents=True)
+    for name, pixels in images.items():
+        Image.fromarray(tone_mapped(pixels)).save(folder / "copies" / copy_name(name), quality=95)
+    return [SolveView(name, WIDTH, HEIGHT, focal=FOCAL) for name in images]
+
+
+def test_a_stopped_solve_goes_on_where_it_stood(tmp_path: Path) -> None:
+    room = textured_room.wall_textures(1)
+    views = write_copies(
+        tmp_path, {f"v{i}": textured_room.photograph(pose, room) for i, pose in enumerate(poses(3))}
+    )
+
+    def stop(share: float) -> None:
+        if share > 0.5:  # after features and matches
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        solve(tmp_path, views, 0, stop)
+    with sqlite3.connect(tmp_path / "database.db") as database:
+        database.execute("update keypoints set rows = rows")  # it is not locked
+        before = database.execute("select * from two_view_geometries").fetchall()
+        assert len(before) == 3
+    database.close()
+    found = solve(tmp_path, views, 0, lambda share: None)
+    assert found.sizes == (3,) and found.left_out == ()
+    with sqlite3.connect(tmp_path / "database.db") as database:
+        assert database.execute("select * from two_view_geometries").fetchall() == before
+        assert database.execute("select count(*), max(image_id) from images").fetchone() == (3, 3)
+    database.close()
+    assert {path.name for path in tmp_path.iterdir()} == {"copies", "database.db"}
+
+
+def test_a_damaged_database_is_named(tmp_path: Path) -> None:
+    room = textured_room.wall_textures(1)
+    views = write_copies(
+        tmp_path, {f"v{i}": textured_room.photograph(pose, room) for i, pose in enumerate(poses(2))}
+    )
+    (tmp_path / "database.db").write_bytes(b"not a database" * 100)
+    with pytest.raises(FiptError) as caught:
+        solve(tmp_path, views, 0, lambda share: None)
+    assert caught.value.code == "solve-database" and "database.db" in caught.value.text
 
 
 def test_without_overlap_the_solve_says_so(tmp_path: Path) -> None:

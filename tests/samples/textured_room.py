@@ -35,7 +35,12 @@ def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def photograph(pose: np.ndarray, textures: np.ndarray) -> np.ndarray:
-    """Radiance (HEIGHT, WIDTH, 3) float32 that a pinhole camera in the room sees, by four rays a pixel."""
+    """Radiance (HEIGHT, WIDTH, 3) float32 that a pinhole camera in the room sees, by four rays a pixel.
+
+    Args:
+        pose: (4, 4) camera-to-world.
+        textures: (6, rows, columns) of the walls at low and high X, Y, Z; rows rise with the second axis.
+    """
     total = np.zeros((HEIGHT, WIDTH))
     for dx, dy in ((0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75)):
         x, y = np.meshgrid(np.arange(WIDTH) + dx, np.arange(HEIGHT) + dy)
@@ -61,5 +66,7 @@ def _wall_values(origin: np.ndarray, directions: np.ndarray, textures: np.ndarra
     ahead = np.take_along_axis(directions, axis[..., None], axis=-1)[..., 0] > 0.0
     first = np.where(axis == 0, unit[..., 1], unit[..., 0])
     second = np.where(axis == 2, unit[..., 1], unit[..., 2])
-    u, v = (np.clip((value * TEXELS).astype(int), 0, TEXELS - 1) for value in (first, second))
+    rows, columns = textures.shape[1:]
+    u = np.clip((first * columns).astype(int), 0, columns - 1)
+    v = np.clip((second * rows).astype(int), 0, rows - 1)
     return np.asarray(textures[2 * axis + ahead, v, u])

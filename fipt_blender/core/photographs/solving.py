@@ -117,7 +117,7 @@ def solve(folder: Path, views: Sequence[SolveView], seed: int, progress: Progres
 
     Raises:
         FiptError: ``solve-failed`` where no two photographs could be connected, ``solve-few`` for less than
-            two photographs.
+            two photographs, ``solve-database`` or ``disk-full`` where the database can't be used.
     """
     if len(views) < 2:
         raise FiptError(
@@ -129,15 +129,18 @@ def solve(folder: Path, views: Sequence[SolveView], seed: int, progress: Progres
     pycolmap.set_random_seed(seed)
     database = folder / "database.db"
     features, matches, mapping = _SHARES
-    _extract(database, folder / "copies", views, lambda share: progress(features * share))
-    _match(database, views, seed, lambda share: progress(features + matches * share))
-    models = _map(
-        database,
-        folder,
-        len(views),
-        seed,
-        lambda share: progress(features + matches + mapping * share),
-    )
+    try:
+        _extract(database, folder / "copies", views, lambda share: progress(features * share))
+        _match(database, views, seed, lambda share: progress(features + matches * share))
+        models = _map(
+            database,
+            folder,
+            len(views),
+            seed,
+            lambda share: progress(features + matches + mapping * share),
+        )
+    except RuntimeError as error:
+        raise _explained(database, error) from error
     connections = _connections(database, [copy_name(view.name) for view in views])
     if not models:
         raise _nothing_solved(connections)
@@ -224,6 +227,22 @@ def _nothing_solved(connections: Sequence[Connections]) -> FiptError:
         text,
         "Take photographs from different positions that share half of what they show, or solve the cameras "
         "in another program and name its folder as the existing solve.",
+    )
+
+
+def _explained(database: Path, error: RuntimeError) -> FiptError:
+    """pycolmap's error as one for the user: it stops at what the database's system says."""
+    if "full" in str(error).lower():
+        return FiptError(
+            "disk-full",
+            f"The disk is full; {database} could not be written.",
+            "Free some space and start again; the features and matches found so far are kept.",
+        )
+    reason = str(error).strip().splitlines()
+    return FiptError(
+        "solve-database",
+        f"The camera solve stopped with {database} ({reason[-1] if reason else 'no reason given'}).",
+        "Delete this file and start again.",
     )
 
 
