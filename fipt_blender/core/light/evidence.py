@@ -62,7 +62,7 @@ def find_emission(
         rows = pixels.rows(index)
         triangle, own, weight = (np.asarray(a[rows]) for a in (pixels.triangle, pixels.own, pixels.weight))
         reflected = _reflected(shadings, rows, triangle, own, marked, estimate)
-        error = DOUBT * standard_error(own, weight) / np.maximum(own.mean(axis=1), 1e-12)
+        error = _doubt(own, weight)
         hit = (triangle >= 0) & (weight > 0.0)
         dark = relative_residual(own * (1.0 + error[:, None]), reflected) < LEAST_RESIDUAL
         evidence.oppose(triangle[hit & dark], weight[hit & dark])
@@ -84,11 +84,17 @@ def brighter_than_white(pixels: PixelStore, shadings: ShadingStore, triangles: i
     brighter = np.zeros(triangles, bool)
     for index in range(len(pixels.views)):
         rows = pixels.rows(index)
-        triangle = np.asarray(pixels.triangle[rows])
+        triangle, own, weight = (np.asarray(a[rows]) for a in (pixels.triangle, pixels.own, pixels.weight))
         white = np.asarray(shadings.diffuse[rows], np.float32)
-        bright = relative_residual(np.asarray(pixels.own[rows]), white) >= LEAST_RESIDUAL
+        least = own * np.maximum(1.0 - _doubt(own, weight), 0.0)[:, None]
+        bright = relative_residual(least, white) >= LEAST_RESIDUAL
         brighter[triangle[bright & (triangle >= 0)]] = True
     return brighter
+
+
+def _doubt(own: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """(n,) share of unmixed radiances (n, 3) of weights (n,) that may be an error."""
+    return DOUBT * standard_error(own, weight) / np.maximum(own.mean(axis=1), 1e-12)
 
 
 @dataclass(frozen=True)
