@@ -75,10 +75,13 @@ def emission(
 
 def test_only_what_outshines_white_paint_is_asked_for_its_mask(tmp_path: Path) -> None:
     grey = [[1.3, 0.2, 1.5, 1.2, 9.0]]
-    pixels = store(tmp_path, [(["..Lb "], grey), (["bB..."], [[1.44, 1.0, 0.0, 0.0, 0.0]])])
+    pictures = [(["..Lb "], grey), (["bB..."], [[1.44, 1.0, 0.0, 0.0, 0.0]])]
+    pixels = store(tmp_path, pictures, weight=1.0)
     shadings = ShadingStore(np.ones((10, 3), np.float16), np.zeros((10, 2, 2, 3), np.float16))
     # Three tenths of the radiance must be left: from 1.43 on.
     assert np.flatnonzero(brighter_than_white(pixels, shadings, len(ROOM.triangles))).tolist() == [LAMP, BAR]
+    doubtful = store(tmp_path / "doubtful", pictures, weight=0.1)
+    assert np.flatnonzero(brighter_than_white(doubtful, shadings, len(ROOM.triangles))).tolist() == [LAMP]
 
 
 def test_no_material_reflects_more_than_the_bound() -> None:
