@@ -23,6 +23,8 @@ RESPONSES = ("auto", "srgb", "linear")
 VIGNETTINGS = ("auto", "none")
 SCALES = ("none", "points", "marker", "mesh")
 _MOST_TEXT = 4096  # characters of a setting
+WHITE_BALANCES = ("camera", "daylight")
+VIGNETTINGS = ("raw", "all", "none")
 _REMEDY = "Correct the file, or delete it and find the brackets again."
 
 
@@ -106,6 +108,17 @@ class PrepareSettings:
         "auto",
         "response of JPEG, PNG and TIFF: auto (recovered from the brackets), srgb or linear",
         choices=RESPONSES,
+    )
+    white_balance: str = _setting(
+        "camera",
+        "white balance of RAW photographs: camera (that of the first one for all) or daylight",
+        choices=WHITE_BALANCES,
+    )
+    vignetting: str = _setting(
+        "raw",
+        "photographs whose vignetting is undone if lensfun knows the lens: raw, as most cameras correct their"
+        " JPEGs themselves; all; or none",
+        choices=VIGNETTINGS,
     )
     align: bool = _setting(True, "align hand-held brackets, and take what moved from one exposure")
     vignetting: str = _setting(

@@ -43,6 +43,7 @@ class Step:
 
 STEPS = {
     "read": Step(".reading", "Reading photographs and finding brackets", 1.0),
+    "merge": Step(".merge_step", "Merging exposures", 10.0),
     "solve": Step(".solve_step", "Solving cameras", 20.0),
     "vignetting": Step(".vignetting_step", "Correcting vignetting", 1.0),
     "scale": Step(".scale_step", "Finding scale and up axis", 1.0),
@@ -104,7 +105,7 @@ def step_key(name: str, folder: PreparationFolder, value: Any) -> str:
     `read` alone is kept by an update of the code, because the user may have corrected its groups.
     """
     before = [finished_key(folder.facts(other)) for other in STEPS if _is_before(other, name)]
-    text = json.dumps([name, value, before, "" if name == "read" else _code_digest()], sort_keys=True)
+    text = json.dumps([name, value, before, "" if name == "read" else code_digest()], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
@@ -131,7 +132,8 @@ def _is_before(other: str, name: str) -> bool:
     return other != "read" and order.index(other) < order.index(name)
 
 
-def _code_digest() -> str:
+def code_digest() -> str:
+    """A hash of the room's source code, on which the results depend."""
     digest = hashlib.sha256()
     for file in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(file.name.encode() + b"\0" + file.read_bytes())

@@ -1,0 +1,296 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The pixels of one photograph: sensor values or codes as stored, and linear values at the working size."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import rawpy
+from PIL import Image
+from scipy import ndimage
+
+from ..capture.images import EXR_SUFFIX, read_radiance
+from ..run.errors import FiptError
+from . import radiance_hdr
+from .exif import DAMAGE, HEIF_SUFFIXES, LDR_FORMATS, unreadable
+from .extras import optional
+from .preparation import Photograph
+
+BAND_ROWS = 512
+# A sensor's own ceiling below the nominal one: this share of its pixels holds the highest value.
+_CEILING_SHARE = 1e-4
+# Share of the nominal ceiling from which on a sensor's pixels count as clipped.
+NEAR_TOP = 0.998
+_LARGE_PIXELS = 8_000_000  # above this, linear values are kept as half floats
+XYZ_FROM_REC709 = np.array(
+    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """A photograph's values as stored.
+
+    Attributes:
+        values: RAW: (height, width) sensor values above black, 0 to 1 at the nominal ceiling, float32, or
+            (height, width, 3) where the file holds no mosaic. LDR: (height, width, 3) uint8 or uint16 codes.
+            Linear: (height, width, 3) float32.
+        colors: RAW: the channel (0 to 2) of each place of the mosaic's pattern, (n, m); None elsewhere.
+        ceiling: value at which pixels count as clipped, in units of `values`.
+        balance: RAW: factors of the three channels for the camera's own white balance; ones elsewhere.
+        matrix: (3, 3) from the balanced camera's channels to linear Rec.709; the unit matrix elsewhere.
+    """
+
+    values: np.ndarray
+    colors: np.ndarray | None = None
+    ceiling: float = 1.0
+    balance: np.ndarray = field(default_factory=lambda: np.ones(3))
+    matrix: np.ndarray = field(default_factory=lambda: np.eye(3))
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Linear values of one exposure at the working size.
+
+    Attributes:
+        values: (height, width, 3) float16 or float32, radiance times exposure; 1 at the ceiling.
+        clipped: (height, width, 3) bool, places to which a clipped value contributes.
+    """
+
+    values: np.ndarray
+    clipped: np.ndarray
+
+
+def load(path: Path, photograph: Photograph) -> Stored:
+    """The stored values of a photograph, in the orientation of the file.
+
+    Raises:
+        FiptError: ``photograph-unreadable`` or ``package-optional``.
+    """
+    try:
+        if photograph.kind == "raw":
+            stored = _load_raw(path)
+        elif photograph.kind == "ldr":
+            stored = Stored(_load_codes(path))
+        else:
+            stored = Stored(_load_linear(path), ceiling=np.inf)
+    except DAMAGE as error:
+        raise unreadable(path, error) from None
+    size = stored.values.shape[1], stored.values.shape[0]
+    if size != (photograph.width, photograph.height):
+        raise unreadable(path, f"it has {size[0]} x {size[1]} pixels; it had {photograph.width} x"
+                         f" {photograph.height} when its header was read")  # fmt: skip
+    return stored
+
+
+def linear_frame(stored: Stored, curve: np.ndarray | None, factor: int) -> Frame:
+    """Linear values, averaged over squares of pixels.
+
+    Args:
+        stored: as loaded.
+        curve: (levels, 3) linear value of each code, 1 at the highest; None for RAW and linear photographs.
+        factor: edge of the squares; rows and columns that fill no square are cut off.
+    """
+    height, width = (size // factor for size in stored.values.shape[:2])
+    is_large = width * height > _LARGE_PIXELS and np.isfinite(stored.ceiling)
+    kind = np.float16 if is_large else np.float32
+    frame = Frame(np.empty((height, width, 3), kind), np.empty((height, width, 3), bool))
+    rows = max(BAND_ROWS // factor, 1)
+    for start in range(0, height, rows):
+        stop = min(start + rows, height)
+        values, clipped = linear_rows(stored, curve, start * factor, stop * factor)
+        values, clipped = values[:, : width * factor], clipped[:, : width * factor]
+        frame.values[start:stop] = block_mean(values, factor)
+        frame.clipped[start:stop] = block_any(clipped, factor)
+    return frame
+
+
+def linear_rows(
+    stored: Stored, curve: np.ndarray | None, start: int, stop: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Linear values and clipped places, both (rows, width, 3), of the rows from `start` to before `stop`."""
+    if stored.colors is not None:
+        values, clipped = demosaiced_rows(stored.values, stored.colors, stored.ceiling, start, stop)
+        return values / np.float32(stored.ceiling), clipped
+    values = stored.values[start:stop]
+    if curve is None:
+        clipped = (values >= stored.ceiling).any(axis=-1, keepdims=True)
+        return values / np.float32(stored.ceiling if np.isfinite(stored.ceiling) else 1.0), np.repeat(
+            clipped, 3, -1
+        )
+    top = np.iinfo(values.dtype).max
+    # Cameras mix channels after they clip: where one is at its end, the others are wrong, too.
+    clipped = (values >= (top * CLIPPED_CODE) // 255).any(axis=-1, keepdims=True)
+    codes = values.astype(np.intp) if len(curve) == top + 1 else values * (len(curve) - 1.0) / top
+    linear = np.empty(values.shape, np.float32)
+    for channel in range(3):
+        if codes.dtype == np.intp:
+            linear[..., channel] = curve[codes[..., channel], channel]
+        else:
+            linear[..., channel] = np.interp(codes[..., channel], np.arange(len(curve)), curve[:, channel])
+    return linear, np.repeat(clipped, 3, -1)
+
+
+# Codes of 8 bits from which on a channel counts as clipped: JPEG's noise blurs the end of the scale.
+CLIPPED_CODE = 252
+
+
+def demosaiced_rows(
+    mosaic: np.ndarray, colors: np.ndarray, ceiling: float, start: int, stop: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Bilinear interpolation of a mosaic of any pattern: means over the nearest places of each channel.
+
+    Returns:
+        Values (rows, width, 3) float32, and bool (rows, width, 3): a clipped place contributes.
+    """
+    radius = 1 if max(colors.shape) == 2 else 2
+    first, last = max(start - radius, 0), min(stop + radius, len(mosaic))
+    rows = mosaic[first:last].astype(np.float32)
+    places = np.arange(first, last) % colors.shape[0]
+    pattern = colors[places][:, np.arange(mosaic.shape[1]) % colors.shape[1]]
+    ramp = np.array([1.0, 2.0, 1.0] if radius == 1 else [1.0, 2.0, 3.0, 2.0, 1.0], np.float32)
+    values = np.empty((*rows.shape, 3), np.float32)
+    clipped = np.empty((*rows.shape, 3), bool)
+    for channel in range(3):
+        own = pattern == channel
+        total = _smoothed(np.where(own, rows, 0.0), ramp)
+        values[..., channel] = np.where(own, rows, total / _smoothed(own.astype(np.float32), ramp))
+        high = own & (rows >= ceiling)
+        clipped[..., channel] = ndimage.maximum_filter(high, 2 * radius + 1) if high.any() else False
+    return values[start - first : stop - first], clipped[start - first : stop - first]
+
+
+def block_mean(values: np.ndarray, factor: int) -> np.ndarray:
+    """Means over squares of (height, width, channels); the sizes must be multiples of the factor."""
+    if factor == 1:
+        return values
+    height, width, channels = values.shape
+    blocks = values.reshape(height // factor, factor, width // factor, factor, channels)
+    return blocks.mean(axis=(1, 3), dtype=np.float32)
+
+
+def block_any(flags: np.ndarray, factor: int) -> np.ndarray:
+    """Whether any of a square's flags is set; see `block_mean`."""
+    if factor == 1:
+        return flags
+    height, width, channels = flags.shape
+    return flags.reshape(height // factor, factor, width // factor, factor, channels).any(axis=(1, 3))
+
+
+def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
+    """Pixels (height, width, ...) turned and mirrored as EXIF's orientation says (1 to 8)."""
+    turns: dict[int, Callable[[np.ndarray], np.ndarray]] = {
+        2: lambda p: p[:, ::-1],
+        3: lambda p: p[::-1, ::-1],
+        4: lambda p: p[::-1],
+        5: lambda p: p.swapaxes(0, 1),
+        6: lambda p: p.swapaxes(0, 1)[:, ::-1],
+        7: lambda p: p[::-1, ::-1].swapaxes(0, 1),
+        8: lambda p: p.swapaxes(0, 1)[::-1],
+    }
+    return np.ascontiguousarray(turns.get(orientation, lambda p: p)(pixels))
+
+
+def rec709_from_camera(xyz_to_camera: np.ndarray) -> np.ndarray:
+    """(3, 3) from the camera's channels, white balanced, to linear Rec.709: white stays white.
+
+    Args:
+        xyz_to_camera: (3, 3) of the camera; the unit matrix is returned where it is singular or zero.
+    """
+    camera = xyz_to_camera @ XYZ_FROM_REC709
+    sums = camera.sum(axis=1, keepdims=True)
+    if not np.isfinite(camera).all() or np.abs(sums).min() < 1e-6:
+        return np.eye(3)
+    balanced = camera / sums
+    return np.eye(3) if np.linalg.cond(balanced) > 1e3 else np.linalg.inv(balanced)
+
+
+def _smoothed(plane: np.ndarray, ramp: np.ndarray) -> np.ndarray:
+    across = ndimage.convolve1d(plane, ramp, axis=1, mode="constant")
+    return ndimage.convolve1d(across, ramp, axis=0, mode="constant")
+
+
+def _load_raw(path: Path) -> Stored:
+    with rawpy.imread(str(path)) as raw:
+        matrix = rec709_from_camera(np.array(raw.rgb_xyz_matrix, np.float64)[:3])
+        balance = _balance(raw)
+        if raw.raw_type != rawpy.RawType.Flat or raw.raw_pattern is None:
+            return Stored(_developed(raw), ceiling=NEAR_TOP, balance=balance, matrix=matrix)
+        mosaic = raw.raw_image_visible
+        black = np.array(raw.black_level_per_channel, np.float32)
+        colors = np.array(raw.raw_pattern)
+        below = black[colors]
+        white = float(raw.white_level)
+        places = np.ix_(
+            np.arange(mosaic.shape[0]) % len(colors), np.arange(mosaic.shape[1]) % colors.shape[1]
+        )
+        span = np.float32(white - below.mean())
+        values = (mosaic - below[places]) / span
+    channels = np.where(colors == 3, 1, colors)  # the second green
+    return Stored(values, channels, find_ceiling(values), balance, matrix)
+
+
+def find_ceiling(values: np.ndarray) -> float:
+    """Where a sensor clips, below 1 if the pixels pile up there; a little lower, for its noise."""
+    top = float(values.max())
+    if 0.5 < top < 1.0 and np.mean(values >= top - (1.0 - NEAR_TOP)) > _CEILING_SHARE:
+        return top - (1.0 - NEAR_TOP)
+    return NEAR_TOP
+
+
+def _balance(raw: rawpy.RawPy) -> np.ndarray:
+    """The camera's white balance relative to green, ones where the file has none."""
+    for factors in (raw.camera_whitebalance, raw.daylight_whitebalance):
+        values = np.array(factors[:3], np.float64)
+        if np.isfinite(values).all() and values.min() > 0.0:
+            return values / values[1]
+    return np.ones(3)
+
+
+def _developed(raw: rawpy.RawPy) -> np.ndarray:
+    """(height, width, 3) of files without a mosaic, linear and without any brightening."""
+    pixels = raw.postprocess(
+        gamma=(1, 1),
+        no_auto_bright=True,
+        adjust_maximum_thr=0.0,  # otherwise LibRaw scales each photograph by its own maximum
+        output_bps=16,
+        user_wb=[1, 1, 1, 1],
+        output_color=rawpy.ColorSpace.raw,
+        user_flip=0,
+    )
+    return pixels.astype(np.float32) / np.float32(65535.0)
+
+
+def _load_codes(path: Path) -> np.ndarray:
+    suffix = path.suffix.lower()
+    if suffix in HEIF_SUFFIXES:
+        optional("pillow_heif", "A photograph in HEIC").register_heif_opener()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+        image = Image.open(path, formats=[LDR_FORMATS[suffix]])
+    with image:
+        if image.mode.startswith(("I", "F")):
+            values = np.asarray(image)
+            if values.dtype != np.uint16:
+                raise ValueError(f"its values are {values.dtype}, not of 8 or 16 bits")
+        else:
+            values = np.asarray(image.convert("RGB"))
+    return np.repeat(values[..., None], 3, -1) if values.ndim == 2 else values
+
+
+def _load_linear(path: Path) -> np.ndarray:
+    if path.suffix.lower() == EXR_SUFFIX:
+        try:
+            pixels = read_radiance(path)
+        except FiptError as error:
+            raise ValueError(error.text) from None
+    else:
+        pixels = radiance_hdr.read(path)
+    if not np.isfinite(pixels).all():
+        raise ValueError("it holds values that are no numbers")
+    return pixels
