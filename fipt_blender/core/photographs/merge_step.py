@@ -226,7 +226,7 @@ def _merged_group(
     radiance, clipped, moved = merge_group(frames, exposures, motions, calibration.noise[items[0].kind])
     if items[0].kind == "raw":
         radiance = in_rec709(radiance, clipped, calibration.balance, calibration.matrix)
-    if preparation.settings.vignetting in ("all", items[0].kind):
+    if preparation.settings.vignetting == "auto" and items[0].kind != "linear":
         gain = vignetting(items[0], radiance.shape[1], radiance.shape[0])
         radiance = radiance if gain is None else radiance * gain[..., None]
     radiance, clipped = _finished(radiance, clipped, items[0], preparation.settings.working_width)

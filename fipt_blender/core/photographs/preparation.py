@@ -24,7 +24,6 @@ VIGNETTINGS = ("auto", "none")
 SCALES = ("none", "points", "marker", "mesh")
 _MOST_TEXT = 4096  # characters of a setting
 WHITE_BALANCES = ("camera", "daylight")
-VIGNETTINGS = ("raw", "all", "none")
 _REMEDY = "Correct the file, or delete it and find the brackets again."
 
 
@@ -113,12 +112,6 @@ class PrepareSettings:
         "camera",
         "white balance of RAW photographs: camera (that of the first one for all) or daylight",
         choices=WHITE_BALANCES,
-    )
-    vignetting: str = _setting(
-        "raw",
-        "photographs whose vignetting is undone if lensfun knows the lens: raw, as most cameras correct their"
-        " JPEGs themselves; all; or none",
-        choices=VIGNETTINGS,
     )
     align: bool = _setting(True, "align hand-held brackets, and take what moved from one exposure")
     vignetting: str = _setting(
