@@ -6,11 +6,13 @@ from __future__ import annotations
 
 import json
 import sqlite3
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 from PIL import Image
 
@@ -18,7 +20,7 @@ from fipt_blender.core.capture.formats import read_rig
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.rig import Lens, ReadOptions, Rig, RigView
 from fipt_blender.core.photographs.lens import FULL_FRAME_DIAGONAL
-from fipt_blender.core.photographs.models import WantedView, model_from_rig
+from fipt_blender.core.photographs.models import WantedView, model_from_rig, read_model, write_model
 from fipt_blender.core.photographs.pairs import MOST_EXHAUSTIVE, image_pairs
 from fipt_blender.core.photographs.preparation import (
     Group,
@@ -61,12 +63,15 @@ def poses(count: int) -> list[np.ndarray]:
     ]
 
 
-def write_capture(folder: PreparationFolder, images: dict[str, np.ndarray]) -> Preparation:
-    """Merged images and the prepare.json of a folder as the step merge leaves it."""
+def write_capture(
+    folder: PreparationFolder, images: dict[str, np.ndarray], models: Mapping[str, str] = {}
+) -> Preparation:
+    """Merged images and the prepare.json of a folder as the step merge leaves it; `models` are cameras."""
     for name, pixels in images.items():
         write_exr(folder.images / f"{name}.exr", pixels)
     photographs = tuple(
-        Photograph(f"{name}.jpg", "ldr", WIDTH, HEIGHT, focal_35mm=FOCAL_35MM) for name in images
+        Photograph(f"{name}.jpg", "ldr", WIDTH, HEIGHT, focal_35mm=FOCAL_35MM, model=models.get(name, ""))
+        for name in images
     )
     groups = tuple(Group(name, (f"{name}.jpg",)) for name in images)
     preparation = Preparation(folder.root / "photographs", photographs, groups)
@@ -97,7 +102,7 @@ def solved(tmp_path_factory: pytest.TempPathFactory) -> tuple[PreparationFolder,
     for index, pose in enumerate(poses(4)):
         images[f"hall {index}"] = textured_room.photograph(pose, other) / 256.0
     images["blank"] = np.full((HEIGHT, WIDTH, 3), 0.3, np.float32)
-    preparation = write_capture(folder, images)
+    preparation = write_capture(folder, images, {"blank": "Another Camera"})
     return folder, preparation, run(folder, preparation)
 
 
@@ -134,6 +139,8 @@ def test_the_largest_room_is_solved_and_the_rest_is_told(
     assert "plain surfaces" in reasons["blank"]
     codes = {warning["code"] for warning in reporter.warnings}
     assert {"solve-left-out", "solve-split", "scale-unknown"} <= codes
+    few = next(item for item in reporter.warnings if item["code"] == "camera-few-views")
+    assert few["text"].startswith("blank: ")
     assert "not connected" in reasons["hall 1"] and found["models"] == [7, 4]
 
 
@@ -232,6 +239,31 @@ def test_an_existing_solve_is_taken(
         assert (view.width, view.height) == (WIDTH, HEIGHT)
         assert view.lens.parameters[0] == pytest.approx(FOCAL)
     assert "solve-left-out" in {warning["code"] for warning in reporter.warnings}
+
+
+class CutOff:
+    """A model of which only a part fits onto the disk."""
+
+    def __init__(self, model: pycolmap.Reconstruction) -> None:
+        self._model = model
+
+    def write_binary(self, folder: str) -> None:
+        self._model.write_binary(folder)
+        path = Path(folder) / "images.bin"
+        path.write_bytes(path.read_bytes()[:-20])
+
+
+def test_a_model_that_was_cut_off_replaces_no_other(tmp_path: Path) -> None:
+    model = model_from_rig(rig_of(300, 200, "a"), [WantedView("a", 300, 200, ("a",))])
+    folder = tmp_path / "sparse" / "0"
+    write_model(folder, model)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    with pytest.raises(FiptError) as caught:
+        write_model(folder, CutOff(model))
+    assert caught.value.code == "disk-full"
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    assert list(folder.parent.iterdir()) == [folder]
+    assert read_model(folder).num_reg_images() == 1
 
 
 def rig_of(width: int, height: int, name: str) -> Rig:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
+from ..capture.colmap_sizes import check_model
 from ..capture.rig import Rig
 from ..run.errors import FiptError
 from ..run.runfolder import explained_write_errors
@@ -32,8 +34,10 @@ def write_model(folder: Path, model: pycolmap.Reconstruction) -> None:
         try:
             try:
                 model.write_binary(str(temporary))
-            except RuntimeError as error:  # pycolmap does not tell the system's reason
-                raise OSError(None, str(error)) from None
+                check_model(temporary)
+            except (RuntimeError, ValueError) as error:
+                # pycolmap tells neither the system's reason nor that it could write a part only.
+                raise OSError(errno.ENOSPC, str(error)) from None
             if folder.exists():
                 shutil.rmtree(folder)
             os.replace(temporary, folder)

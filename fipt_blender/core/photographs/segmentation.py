@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Semantic classes of photographs, by a Mask2Former or EoMT model in a folder on this machine.
+"""Semantic classes of photographs, by a Mask2Former, OneFormer or EoMT model in a folder on this machine.
 
 Nothing is downloaded, and weights are read from safetensors files only, which hold no code. Images are
-prepared and results combined here, as both models' processors do it, because those need torchvision.
+prepared and results combined here, as the models' processors do it, because those need torchvision.
 """
 
 from __future__ import annotations
@@ -22,18 +22,31 @@ from .extras import optional
 
 CLASSES = {
     "mask2former": "Mask2FormerForUniversalSegmentation",
+    "oneformer": "OneFormerForUniversalSegmentation",
     "eomt": "EomtForUniversalSegmentation",
 }
-_CONFIG = Fields({"model_type": str, "id2label": Entries(str)}, {"image_size": Number(16, 8192, whole=True)})
+_CONFIG = Fields(
+    {"model_type": str, "id2label": Entries(str)},
+    {
+        "image_size": Number(16, 8192, whole=True),
+        "task_seq_len": Number(1, 1024, whole=True),
+    },
+)
 _PROCESSOR = Fields({}, {"image_mean": Items(Number()), "image_std": Items(Number(low=1e-3)), "size": dict})
-_MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet, with which both were trained
+_TASK = "the task is semantic"  # what OneFormer is asked for
+_TASK_WORDS = 77  # to which its tokens are filled up, where its configuration does not say
+_MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet, with which they were trained
 _SHORT_SIDE = 800  # pixels, where the folder does not say how large images were in training
-_MULTIPLE = 32  # of the sides that Mask2Former's backbone needs
+_MULTIPLE = 32  # of the sides that the backbones of all but EoMT need
 _CLASSES_AT_ONCE = 16  # whose scores are enlarged together; all would take gigabytes
 _REMEDY = (
-    "Choose the folder of a Mask2Former or EoMT model for semantic segmentation with config.json, "
-    "preprocessor_config.json and model.safetensors."
+    "Choose the folder of a Mask2Former, OneFormer or EoMT model for semantic segmentation with config.json, "
+    "preprocessor_config.json and model.safetensors (and OneFormer's tokenizer)."
 )
+
+
+# What transformers raises for files that do not fit together.
+_LOADING = (OSError, ValueError, RuntimeError, KeyError, TypeError, AttributeError, ImportError)
 
 
 class Segmenter:
@@ -68,7 +81,13 @@ class Segmenter:
         self._windows = kind == "eomt"  # its input is a square of one size
         self._side = int(config.get("image_size", _SHORT_SIDE)) if self._windows else _short_side(processor)
         self._device = device
-        self._model = _load(folder, CLASSES[kind]).to(device).eval()
+        # Only its training needs OneFormer's encoder of texts.
+        changes = {"is_training": False} if kind == "oneformer" else {}
+        self._model = _load(folder, CLASSES[kind], changes).to(device).eval()
+        self._more = {}
+        if kind == "oneformer":
+            task = _task_tokens(folder, int(config.get("task_seq_len", _TASK_WORDS)))
+            self._more = {"task_inputs": task.to(device)}
         self.classes = {int(key): name for key, name in config["id2label"].items() if key.isdecimal()}
 
     @staticmethod
@@ -103,7 +122,7 @@ class Segmenter:
 
     def _scores(self, pixels: torch.Tensor) -> torch.Tensor:
         """(C, h, w) score of each class, at the resolution of the model's masks."""
-        output = self._model(pixel_values=pixels)
+        output = self._model(pixel_values=pixels, **self._more)
         weights = output.class_queries_logits[0].softmax(dim=-1)[:, :-1]  # the last one is "nothing"
         masks = output.masks_queries_logits[0].sigmoid()
         return torch.einsum("qc,qhw->chw", weights, masks)
@@ -142,21 +161,38 @@ def _rounded(length: float, multiple: int) -> int:
     return max(multiple, round(length / multiple) * multiple)
 
 
-def _load(folder: Path, name: str) -> Any:
-    """The model with all of its weights."""
-    os.environ["HF_HUB_OFFLINE"] = "1"  # read when transformers is imported
-    transformers = optional("transformers", "A segmentation model")
+def _load(folder: Path, name: str, changes: dict[str, Any]) -> Any:
+    """The model with all of its weights, and some changes of its configuration."""
     try:
-        model, info = getattr(transformers, name).from_pretrained(
-            str(folder), local_files_only=True, use_safetensors=True, output_loading_info=True
+        model, info = getattr(_transformers(), name).from_pretrained(
+            str(folder), local_files_only=True, use_safetensors=True, output_loading_info=True, **changes
         )
-    except (OSError, ValueError, RuntimeError, KeyError, TypeError, AttributeError, ImportError) as error:
-        reason = str(error).strip().splitlines()
-        raise _unusable(folder, reason[0] if reason else type(error).__name__) from None
+    except _LOADING as error:
+        raise _unusable(folder, _first_line(error)) from None
     missing = sorted(info["missing_keys"])
     if missing:  # transformers fills them with random numbers
         raise _unusable(folder, f"{len(missing)} of its weights are missing, the first is {missing[0]}")
     return model
+
+
+def _task_tokens(folder: Path, length: int) -> torch.Tensor:
+    """(1, length) numbers of the words that tell OneFormer its task, as its processor makes them."""
+    try:
+        tokenizer = _transformers().CLIPTokenizer.from_pretrained(str(folder), local_files_only=True)
+        tokens = tokenizer([_TASK], padding="max_length", max_length=length, truncation=True)
+    except _LOADING as error:
+        raise _unusable(folder, f"its tokenizer: {_first_line(error)}") from None
+    return torch.tensor(tokens["attention_mask"]) * torch.tensor(tokens["input_ids"])
+
+
+def _transformers() -> Any:
+    os.environ["HF_HUB_OFFLINE"] = "1"  # read when transformers is imported
+    return optional("transformers", "A segmentation model")
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0] if lines else type(error).__name__
 
 
 def _enlarged(scores: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
