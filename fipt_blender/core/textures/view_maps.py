@@ -16,6 +16,7 @@ import numpy as np
 
 from ..capture.images import write_exr
 from ..capture.views import View
+from ..light.baking import SUBPIXELS
 from ..material.fields import RoomFields
 from ..optics.lights import AreaLights, EmitterTable
 from ..run.run_files import read_emitters
@@ -52,14 +53,14 @@ def write_view_maps(run: RunFolder, fields: RoomFields, views: Sequence[View]) -
 
 
 def view_maps(room: Room, lights: AreaLights, fields: RoomFields, view: View) -> dict[str, np.ndarray]:
-    """The maps of one view, sampled at the centres of its pixels.
+    """The maps of one view: means over places in each pixel, as a photograph is a mean over the pixel.
 
     Returns:
         Arrays by name: base_color (H,W,3), roughness (H,W), metallic (H,W), emission (H,W,3) radiance in the
         photographs' units, confidence (H,W,3). All are zero where the view does not see the room; all but
         emission are zero on emitters.
     """
-    surface = trace_pixels(room, view)
+    surface = trace_pixels(room, view, SUBPIXELS)
     emitter = np.array(lights.is_emitter(surface.triangle, surface.valid))
     facing = dr.select(surface.front, 1.0, -1.0)
     emission = np.array(lights.radiance(surface.triangle, facing, surface.valid)).T
@@ -69,17 +70,20 @@ def view_maps(room: Room, lights: AreaLights, fields: RoomFields, view: View) ->
     base_color, roughness, metallic = fields.query(*points)
     confidence = fields.confidence(*points)
 
+    def means(values: np.ndarray) -> np.ndarray:
+        return values.reshape(view.height, view.width, len(SUBPIXELS), *values.shape[1:]).mean(axis=2)
+
     def on_surfaces(values: np.ndarray) -> np.ndarray:
-        pixels = np.zeros((len(valid), *values.shape[1:]), np.float32)
-        pixels[valid] = values
-        pixels[emitter] = 0.0
-        return pixels.reshape(view.height, view.width, *values.shape[1:])
+        places = np.zeros((len(valid), *values.shape[1:]), np.float32)
+        places[valid] = values
+        places[emitter] = 0.0
+        return means(places)
 
     return {
         "base_color": on_surfaces(base_color),
         "roughness": on_surfaces(roughness),
         "metallic": on_surfaces(metallic),
-        "emission": emission.reshape(view.height, view.width, 3),
+        "emission": means(emission),
         "confidence": on_surfaces(confidence),
     }
 
