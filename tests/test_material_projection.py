@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fipt_blender.core.material.gloss import DIFFUSE_FACTOR, group_materials
 from fipt_blender.core.material.pixel_samples import PixelSamples, window_means
 from fipt_blender.core.material.projection import InitialEstimate, constant_parts, project
-from samples.material_pixels import LAMBDA_DIFFUSE, LEVELS, materials_of, samples_of, synthetic
+from samples.material_pixels import LEVELS, materials_of, samples_of, synthetic
 
 
 def estimate_of(samples: PixelSamples) -> InitialEstimate:
@@ -25,7 +24,7 @@ def test_known_materials_are_recovered(
     truths = [(1.0, 0.0), (float(LEVELS[3]), 0.0), (float(LEVELS[2]), 1.0), (float(LEVELS[5]), 1.0)]
     samples, color = synthetic(rng, truths, noise, outliers)
     roughness, metallic = materials_of(samples)
-    assert metallic.tolist() == [metallic for _, metallic in truths]
+    np.testing.assert_allclose(metallic, [metallic for _, metallic in truths], atol=1e-3)
     for estimated, (true, _) in zip(roughness, truths, strict=True):
         assert estimated == pytest.approx(true, abs=0.08)
     estimate = project(samples, roughness, metallic)
@@ -63,7 +62,7 @@ def test_an_empty_part_id_does_no_harm(rng: np.random.Generator) -> None:
     samples, _ = synthetic(rng, [(1.0, 0.0), (float(LEVELS[3]), 1.0)], 0.01, 0.0)
     roughness, metallic = materials_of(replace(samples, group=samples.group * 2))  # part 1 has no pixel
     assert len(roughness) == 3 and np.isfinite(roughness).all()
-    assert metallic[2] == 1.0
+    assert metallic[2] == pytest.approx(1.0, abs=1e-3)
 
 
 def test_parts_of_constant_radiance_under_uneven_light_are_lamps(rng: np.random.Generator) -> None:
@@ -92,16 +91,7 @@ def test_roughness_between_levels_is_found(rng: np.random.Generator) -> None:
     radiance = (color * samples.diffuse + 0.04 * middle[:, 0] + middle[:, 1]).astype(np.float32)
     roughness, metallic = materials_of(replace(samples, radiance=radiance))
     assert roughness[0] == pytest.approx(0.5 * (LEVELS[3] + LEVELS[4]), abs=1e-6)
-    assert metallic[0] == 0.0
-
-
-def test_lambda_diffuse_weighs_the_preference_for_diffuse_surfaces(rng: np.random.Generator) -> None:
-    """It is the weight of l_d here and in training (Eq. 17); its default is the calibrated 0.004."""
-    assert DIFFUSE_FACTOR * LAMBDA_DIFFUSE == 0.004
-    samples, _ = synthetic(rng, [(float(LEVELS[3]), 0.0)], 0.01, 0.0)
-    glossy, _ = group_materials(samples, samples.cell, LAMBDA_DIFFUSE)
-    diffuse, metallic = group_materials(samples, samples.cell, 1.0)
-    assert glossy[0] < 0.9 and diffuse[0] == 1.0 and metallic[0] == 0.0
+    assert metallic[0] < 1e-3
 
 
 def test_one_odd_view_does_not_make_a_part_glossy(rng: np.random.Generator) -> None:

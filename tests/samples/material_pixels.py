@@ -5,12 +5,12 @@
 import numpy as np
 
 from fipt_blender.core.light.shadings import roughness_levels
-from fipt_blender.core.material.gloss import group_materials
+from fipt_blender.core.material.mixture import infer_materials
 from fipt_blender.core.material.pixel_samples import PixelSamples
 from fipt_blender.core.run.settings import Settings
 
 LEVELS = roughness_levels(8, 0.02, 1.5)
-LAMBDA_DIFFUSE = Settings().lambda_diffuse
+SETTINGS = Settings()
 CELLS, VIEWS = 300, 8
 
 
@@ -56,4 +56,5 @@ def samples_of(
 
 def materials_of(samples: PixelSamples) -> tuple[np.ndarray, np.ndarray]:
     """Roughness and metallic of each part."""
-    return group_materials(samples, samples.cell, LAMBDA_DIFFUSE)
+    found = infer_materials(samples, samples.cell, SETTINGS)
+    return found.roughness, found.metallic

@@ -26,12 +26,9 @@ from .networks import BrdfNetwork
 from .part_prior import part_priors, shrink_to_parts
 from .seen import Box, SeenCells, fallback_values, seen_statistics
 
-# Base colour, roughness and metallic among the five values of a point.
-COLUMNS = (slice(0, 3), slice(3, 4), slice(4, 5))
-# Least standard error of base colour, and the error of roughness and metallic by which the network smooths
-# them at the borders of parts.
-LEAST_ERROR = 0.02
-SMOOTHING_ERROR = 0.2
+# Base colour, and roughness with metallic, among the five values of a point.
+COLOR, MATERIAL = slice(0, 3), slice(3, 5)
+LEAST_ERROR = 0.02  # least standard error of base colour
 
 
 class RoomFields:
@@ -39,8 +36,8 @@ class RoomFields:
 
     Args:
         fields: the values on seen surfaces.
-        units: of the mesh. If errors are given, values are shrunk towards those of their unit where that is
-            of one material (:mod:`.part_prior`).
+        units: of the mesh. If errors are given, points of a unit of one material have its median roughness
+            and metallic, and base colours are shrunk towards its median (:mod:`.part_prior`).
         cells: where the photographs saw surfaces.
         errors: (C, 3) float32 standard errors of base colour, roughness and metallic in each cell
             (:func:`.cell_errors.cell_errors`); None if they are not known.
@@ -58,13 +55,10 @@ class RoomFields:
         self.errors = unknown if errors is None else errors
         values = _columns(fields.query(cells.points))
         self._statistics = seen_statistics(cells.points, cells.part, values)
-        self._priors = []
+        self._prior = None
         if errors is not None and units.single.any():
             part = np.where(units.is_single(cells.part), cells.part, NO_PART)
-            self._priors = [
-                part_priors(values[:, columns], column_errors, part)
-                for columns, column_errors in zip(COLUMNS, _errors_within_part(errors), strict=True)
-            ]
+            self._prior = part_priors(values[:, COLOR], _color_errors(errors), part)
 
     def query(
         self, positions: np.ndarray, triangles: np.ndarray
@@ -83,12 +77,12 @@ class RoomFields:
         # Where no surface was seen at all, only the network is left.
         seen = place >= 0 if len(self.cells.keys) else np.ones(len(positions), bool)
         seen_values = _columns(self.fields.query(positions[seen]))
-        if self._priors:
-            errors = _errors_within_part(self.errors[place[seen]])
-            for columns, column_errors, prior in zip(COLUMNS, errors, self._priors, strict=True):
-                seen_values[:, columns] = shrink_to_parts(
-                    seen_values[:, columns], column_errors, part[seen], prior
-                )
+        if self._prior is not None:
+            errors = _color_errors(self.errors[place[seen]])
+            seen_values[:, COLOR] = shrink_to_parts(seen_values[:, COLOR], errors, part[seen], self._prior)
+            single = self.units.is_single(part[seen])
+            typical = fallback_values(positions[seen][single], part[seen][single], self._statistics)
+            seen_values[single, MATERIAL] = typical[:, MATERIAL]
         values = np.empty((len(positions), seen_values.shape[1]), np.float32)
         values[seen] = seen_values
         values[~seen] = fallback_values(positions[~seen], part[~seen], self._statistics)
@@ -164,14 +158,9 @@ class RoomFields:
             np.savez(temporary, triangle_part=self.units.triangle, single=self.units.single)
 
 
-def _errors_within_part(errors: np.ndarray) -> tuple[np.ndarray, ...]:
-    """(N,) error of a point's value relative to its part, for each of COLUMNS, from errors (N, 3) of cells.
-
-    A part has one roughness and one metallic, so their standard errors are not errors of single points:
-    differences between points come from the network, mostly at borders.
-    """
-    smoothing = np.full(len(errors), SMOOTHING_ERROR)
-    return np.maximum(errors[:, 0].astype(float), LEAST_ERROR), smoothing, smoothing
+def _color_errors(errors: np.ndarray) -> np.ndarray:
+    """(N,) standard errors of base colour from those of all values (N, 3)."""
+    return np.maximum(errors[:, 0].astype(float), LEAST_ERROR)
 
 
 def _columns(materials: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:

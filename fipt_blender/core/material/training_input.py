@@ -14,7 +14,6 @@ from ..light.observations import Observations
 from ..optics.factorised import color_line
 from ..run.settings import Settings
 from ..scene.pixels import PixelStore, open_array
-from .gloss import group_materials
 from .groups import (
     LEAST_PIXELS,
     MOST_GROUPS,
@@ -27,6 +26,7 @@ from .groups import (
     piece_units,
     similarity,
 )
+from .mixture import infer_materials
 from .pixel_samples import PixelSamples, read_samples, window_means
 from .projection import RADIANCE_FLOOR, InitialEstimate, project
 from .training import TrainingData
@@ -79,12 +79,11 @@ def training_input(
     wide = PixelSamples(
         wide_rows, radiance, diffuse, specular, levels, wide_cell, group[wide_rows], view, weight
     )
-    prior = None
+    alike = None
     if pieces is not None:
-        prior = _similarity(wide.group, observations.part[wide_rows], color[observations.entry[wide_rows]])
-    roughness, metallic = group_materials(
-        wide, _light_cells(observations, wide_rows), settings.lambda_diffuse, prior
-    )
+        alike = _similarity(wide.group, observations.part[wide_rows], color[observations.entry[wide_rows]])
+    materials = infer_materials(wide, _light_cells(observations, wide_rows), settings, alike)
+    roughness, metallic = materials.roughness, materials.metallic
     cell = np.asarray(observations.entry[rows], np.int64)
     samples = read_samples(pixels, shadings, levels, rows, cell, group[rows])
     estimate = project(samples, roughness, metallic, known_parts=pieces is None)

@@ -123,6 +123,26 @@ class Settings:
     )
     lambda_emission: float = _setting(1.0, "weight of l_e, the L1 norm of the emission mask", TRAINING)
     lambda_diffuse: float = _setting(5e-4, "weight of l_d, the preference for diffuse surfaces", TRAINING)
+    residual_degrees: float = _setting(
+        3.0,
+        "closed form of roughness and metallic: degrees of freedom of the residuals' t-distribution; fewer"
+        " ignore more outliers (this and the next four are not in the paper)",
+        TRAINING,
+    )
+    pixels_per_sample: float = _setting(
+        10.0, "closed form: number of neighbouring pixels that share their errors and count as one", TRAINING
+    )
+    view_error: float = _setting(
+        5e-3,
+        "closed form: standard deviation of the error that a view's shadings share, relative to radiance",
+        TRAINING,
+    )
+    view_outliers: float = _setting(
+        0.1, "closed form: share of the views whose shadings tell nothing about a part's gloss", TRAINING
+    )
+    prior_weight: float = _setting(
+        1.0, "closed form: weight of a prior over materials, as a number of parts that follow it", TRAINING
+    )
     lambda_part: float = _setting(
         5e-2,
         "weight of l_p with part masks, towards the closed form (paper: 5e-3, towards the mean of a batch)",
@@ -276,9 +296,9 @@ def _check(settings: Settings) -> None:
                 f"The setting '{item.name}' is {value}.",
                 f"Give a number of at most {_MOST}.",
             )
-        if item.name == "view_share" and value > 1.0:
+        if item.name in _SHARES and value > 1.0:
             raise FiptError(
-                "setting-invalid", f"The setting 'view_share' is {value}.", "Give a number of at most 1."
+                "setting-invalid", f"The setting '{item.name}' is {value}.", "Give a number of at most 1."
             )
         if number and value < _LEAST.get(item.name, value):
             raise FiptError(
@@ -292,6 +312,7 @@ def _check(settings: Settings) -> None:
 _MOST = 2**31 - 1
 # With smaller values there is nothing to interpolate between, or no room inside the grid's empty border.
 _LEAST = {"roughness_levels": 3, "voxel_resolution": 8, "environment_width": 4}
+_SHARES = {"view_share", "view_outliers"}
 _MAY_BE_ZERO = {
     "seed",
     "rounds",

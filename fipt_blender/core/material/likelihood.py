@@ -1,0 +1,152 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How well each roughness, as dielectric or metal, explains the pixels of each group: robust log-likelihoods.
+
+Base colours have a closed form for each candidate (projection.py). What then remains are errors of the
+shadings, which neighbouring pixels and whole views share; docs/method.md states the model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..optics.factorised import color_line
+from ..run.settings import Settings
+from ..scene.grouped import grouped_median
+from .pixel_samples import PixelSamples
+from .projection import cells_of_groups, fit_colors, residual_weight
+
+# Distance between the candidates' roughness, in baked levels: the posterior is wider than half of it.
+STEP = 0.25
+# Median of a squared standard normal variable: variances follow from medians, which outliers hardly change.
+MEDIAN_OF_SQUARE = 0.4549
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """The materials that are compared: K of every metallic; the last dielectric, of roughness 1, is diffuse.
+
+    Attributes:
+        place: (S,) position of each among the baked levels.
+        roughness, metallic: (S,) of each; first all dielectrics, then all metals.
+    """
+
+    place: np.ndarray
+    roughness: np.ndarray
+    metallic: np.ndarray
+
+
+def make_candidates(levels: np.ndarray) -> Candidates:
+    """Dielectrics and metals every `STEP` of the roughness `levels` (K,)."""
+    place = np.arange(0.0, len(levels) - 1.0 + STEP, STEP)
+    roughness = np.interp(place, np.arange(len(levels)), levels)
+    return Candidates(np.tile(place, 2), np.tile(roughness, 2), np.repeat([0.0, 1.0], len(place)))
+
+
+def group_log_likelihoods(
+    samples: PixelSamples, light_cell: np.ndarray, prior: np.ndarray, settings: Settings
+) -> np.ndarray:
+    """(S, groups) log-likelihood of each candidate relative to the group's best; 0 in groups without pixels.
+
+    The pixels of a group in one view count as n / (`pixels_per_sample` + n t² / s²) samples, where t is
+    `view_error` and s² the variance of their residuals: a view's shadings err by t in any direction, so many
+    pixels of one view tell no more than s² / t² samples. A share `view_outliers` of the views tells nothing.
+
+    Args:
+        samples: N pixels; those without a group, or alone in their cell, are left out: anything fits these.
+        light_cell: (N,) int from 0, cell of one slope on which the same light falls in all views.
+        prior: (S,) probability of each of :func:`make_candidates`, for views that tell nothing.
+    """
+    groups = int(samples.group.max(initial=-1)) + 1
+    candidates = make_candidates(samples.levels)
+    used, light_cell = _comparable(samples, light_cell)
+    if not len(used.rows):
+        return np.zeros((len(prior), groups))
+    used = replace(used, diffuse=_shared_light(used.diffuse, light_cell))
+    variance = _residual_variance(used, groups, settings.view_error)
+    views = int(used.view.max()) + 1
+    pairs, pair = np.unique(used.group.astype(np.int64) * views + used.view, return_inverse=True)
+    group = pairs // views
+    pixels = np.bincount(pair)
+    errors = settings.pixels_per_sample + pixels * settings.view_error**2 / variance[group]
+    result = np.empty((len(prior), len(pairs)))
+    for index, (place, metallic) in enumerate(zip(candidates.place, candidates.metallic, strict=True)):
+        pixel = _log_density(used, place, metallic, variance[used.group], settings.residual_degrees)
+        result[index] = np.bincount(pair, pixel) / errors
+    likelihood = np.exp(result - result.max(axis=0))
+    outliers = settings.view_outliers
+    by_view = np.log((1.0 - outliers) * likelihood + outliers * (prior @ likelihood))
+    total = np.stack([np.bincount(group, row, minlength=groups) for row in by_view])
+    return total - total.max(axis=0)
+
+
+def _comparable(samples: PixelSamples, light_cell: np.ndarray) -> tuple[PixelSamples, np.ndarray]:
+    """The pixels with a group that share their cell with others, cells numbered by group, and light cells."""
+    cell = cells_of_groups(samples.cell, samples.group)
+    light = cells_of_groups(light_cell, samples.group)
+    kept = (samples.group >= 0) & (np.bincount(cell)[cell] > 1)
+    arrays = {
+        name: getattr(samples, name)[kept]
+        for name in ("rows", "radiance", "diffuse", "specular", "group", "view", "weight")
+    }
+    cell, light = (np.unique(values[kept], return_inverse=True)[1] for values in (cell, light))
+    return PixelSamples(levels=samples.levels, cell=cell, **arrays), light
+
+
+def _shared_light(diffuse: np.ndarray, cell: np.ndarray) -> np.ndarray:
+    """(N, 3) mean of each pixel's own L_d (N, 3) and that of all pixels of its light cell (N,).
+
+    The same light falls on a cell in all views. A pixel's own L_d has errors that its view shares; the mean
+    over views blurs folds and shadows. Neither error is known to be the smaller one.
+    """
+    count = np.bincount(cell)
+    means = np.stack([np.bincount(cell, column) / count for column in diffuse.T], axis=1)
+    return (0.5 * (diffuse + means[cell])).astype(np.float32)
+
+
+def _lines(samples: PixelSamples, place: float, metallic: float) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 3) slope and offset of the rendering, slope a + offset, at a place among the levels (Eq. 8)."""
+    low = min(int(place), len(samples.levels) - 2)
+    share = np.float32(place - low)
+    specular = (1.0 - share) * samples.specular[:, low] + share * samples.specular[:, low + 1]
+    return color_line(samples.diffuse, specular[:, 0], specular[:, 1], np.float32(metallic))
+
+
+def _weights(samples: PixelSamples) -> np.ndarray:
+    """(N, 3) of squared residuals: relative to the radiance, and less where it is that of a mixed pixel."""
+    return residual_weight(samples.radiance) * samples.weight[:, None]
+
+
+def _squared(samples: PixelSamples, line: tuple[np.ndarray, np.ndarray], weight: np.ndarray) -> np.ndarray:
+    """(N,) squared relative residuals with the least-squares base colours for the weights (N, 3)."""
+    slope, offset = line
+    color = fit_colors(samples.radiance, slope, offset, weight, samples.cell).astype(np.float32)[samples.cell]
+    residual = samples.radiance - offset - color * slope
+    return (residual**2 * _weights(samples)).mean(axis=1)
+
+
+def _residual_variance(samples: PixelSamples, groups: int, least: float) -> np.ndarray:
+    """(groups,) variance of the relative residuals with the best material, at least `least` squared."""
+    median = np.full(groups, np.inf)
+    weight = _weights(samples)
+    for place in range(len(samples.levels)):
+        for metallic in (0.0, 1.0):
+            squared = _squared(samples, _lines(samples, place, metallic), weight)
+            median = np.minimum(median, grouped_median(squared, samples.group, groups, "high"))
+    return np.maximum(median / MEDIAN_OF_SQUARE, least**2)
+
+
+def _log_density(
+    samples: PixelSamples, place: float, metallic: float, variance: np.ndarray, degrees: float
+) -> np.ndarray:
+    """(N,) logarithm of Student's t-density of the residuals, up to a constant.
+
+    Base colours are fitted twice, the second time with the weights of the t-distribution.
+    """
+    line, weight = _lines(samples, place, metallic), _weights(samples)
+    scale = (degrees * variance).astype(np.float32)
+    robust = 1.0 / (scale + _squared(samples, line, weight))
+    squared = _squared(samples, line, weight * robust[:, None])
+    return -0.5 * (degrees + 1.0) * np.log1p(squared / scale)

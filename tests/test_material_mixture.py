@@ -1,0 +1,180 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Roughness and metallic as a mixture: calibrated, and not misled by errors that views share."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fipt_blender.core.material import training_input
+from fipt_blender.core.material.likelihood import make_candidates
+from fipt_blender.core.material.mixture import GroupMaterials, broad_prior, group_posterior, infer_materials
+from fipt_blender.core.material.pixel_samples import PixelSamples
+from samples.material_pixels import CELLS, LEVELS, SETTINGS, VIEWS, synthetic
+
+CANDIDATES = make_candidates(LEVELS)
+HALF = len(CANDIDATES.roughness) // 2
+DIFFUSE = HALF - 1
+
+
+def infer(samples: PixelSamples, similarity: np.ndarray | None = None) -> GroupMaterials:
+    return infer_materials(samples, samples.cell, SETTINGS, similarity)
+
+
+def first_cells(samples: PixelSamples, cells: int) -> PixelSamples:
+    """The pixels of the first cells of each group."""
+    kept = samples.cell % CELLS < cells
+    return PixelSamples(
+        **{name: values if name == "levels" else values[kept] for name, values in vars(samples).items()}
+    )
+
+
+def with_view_errors(
+    rng: np.random.Generator, truths: list[tuple[float, float]], noise: float, of_view: float
+) -> PixelSamples:
+    """Pixels whose errors are shared by ten neighbours, and by whole views where the surface shows gloss."""
+    samples, _ = synthetic(rng, truths, 0.0, 0.0)
+    block = np.arange(len(samples.rows)) // (VIEWS * int(SETTINGS.pixels_per_sample))
+    shared = rng.normal(size=(block.max() + 1, VIEWS, 3))[block, samples.view]
+    gloss = 0.04 * samples.specular[:, 3, 0] + samples.specular[:, 3, 1]
+    pattern = gloss / np.sqrt((gloss**2).mean())
+    groups = len(truths)
+    view_error = of_view * rng.normal(size=(groups, VIEWS))[samples.group, samples.view]
+    radiance = samples.radiance * (1.0 + noise * shared + view_error[:, None] * pattern)
+    return replace(samples, radiance=radiance.clip(0.0).astype(np.float32))
+
+
+def test_posterior_is_calibrated() -> None:
+    """Standardised errors of many groups of few pixels have a mean square of about one."""
+    rng = np.random.default_rng(11)
+    roughness = np.where(rng.random(60) < 0.5, rng.choice(LEVELS[2:-1], 60), 1.0)
+    samples = with_view_errors(rng, [(float(sigma), 0.0) for sigma in roughness], 0.15, SETTINGS.view_error)
+    found = infer(first_cells(samples, 20))
+    deviation = found.roughness - roughness
+    assert (np.abs(deviation) > 0.03).sum() > 5  # the noise is large enough to matter
+    score = (deviation / np.maximum(found.roughness_error, 0.02)) ** 2
+    assert 0.2 < score.mean() < 2.0
+    assert (found.metallic < 0.2).all()
+
+
+def test_no_gloss_in_errors_that_views_share() -> None:
+    """Diffuse surfaces whose views err in the pattern of gloss by `view_error`, or by three times as much."""
+    for factor in (1.0, 3.0):
+        rng = np.random.default_rng(5)
+        found = infer(with_view_errors(rng, [(1.0, 0.0)] * 12, 0.02, factor * SETTINGS.view_error))
+        assert found.roughness.mean() > 0.97 and (found.roughness > 0.8).all()
+        assert (found.metallic < 0.01).all()
+
+
+def test_order_of_pixels_and_numbers_of_views_do_not_matter(rng: np.random.Generator) -> None:
+    samples = with_view_errors(rng, [(1.0, 0.0), (float(LEVELS[4]), 0.0), (float(LEVELS[3]), 1.0)], 0.1, 0.01)
+    order = rng.permutation(len(samples.rows))
+    arrays = {name: values if name == "levels" else values[order] for name, values in vars(samples).items()}
+    arrays["view"] = rng.permutation(VIEWS)[arrays["view"]]
+    shuffled = infer(PixelSamples(**arrays))
+    for one, other in zip(vars(infer(samples)).values(), vars(shuffled).values(), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-3)
+
+
+def test_small_changes_of_the_pixels_change_the_answer_by_little(rng: np.random.Generator) -> None:
+    """Also where gloss and no gloss are about equally likely: there is no switch that rounding could flip."""
+    samples = with_view_errors(rng, [(float(LEVELS[5]), 0.0), (1.0, 0.0)] * 10, 0.2, 0.005)
+    samples = first_cells(samples, 10)
+    nudged = samples.radiance * (1.0 + 1e-6 * rng.normal(size=samples.radiance.shape))
+    before, after = infer(samples), infer(replace(samples, radiance=nudged.astype(np.float32)))
+    assert (before.roughness_error > 0.1).any()  # some are undecided
+    np.testing.assert_allclose(before.roughness, after.roughness, atol=5e-3)
+    np.testing.assert_allclose(before.metallic, after.metallic, atol=5e-3)
+
+
+@pytest.mark.parametrize("level", [2, 3, 5, 7])
+def test_roughness_is_found_in_little_noise(rng: np.random.Generator, level: int) -> None:
+    samples = with_view_errors(rng, [(float(LEVELS[level]), 0.0)], 0.03, 0.0)
+    found = infer(samples)
+    assert found.roughness[0] == pytest.approx(LEVELS[level], abs=0.03) and found.metallic[0] < 0.01
+
+
+def test_few_pixels_leave_the_prior(rng: np.random.Generator) -> None:
+    """With few of its pixels a faint gloss is less certain, and closer to the prior's mean."""
+    samples = with_view_errors(rng, [(float(LEVELS[3]), 0.0)], 0.3, 0.005)
+
+    many, few = infer(samples), infer(first_cells(samples, 4))
+    assert many.roughness[0] == pytest.approx(LEVELS[3], abs=0.1)
+    assert many.roughness[0] < few.roughness[0] < 1.0
+    assert few.roughness_error[0] > 2.0 * many.roughness_error[0]
+
+
+def likelihood_of(*best: tuple[int, float]) -> np.ndarray:
+    """(S, groups) log-likelihoods: diffuse 0, one candidate a value, all others far below."""
+    result = np.full((len(CANDIDATES.roughness), len(best)), -60.0)
+    result[DIFFUSE] = 0.0
+    for group, (candidate, value) in enumerate(best):
+        result[candidate, group] = value
+    return result - result.max(axis=0)
+
+
+def roughness_of(log_likelihood: np.ndarray, similarity: np.ndarray | None = None) -> np.ndarray:
+    posterior = group_posterior(log_likelihood, CANDIDATES, broad_prior(CANDIDATES), 1.0, similarity)
+    np.testing.assert_allclose(posterior.sum(axis=0), 1.0)
+    return CANDIDATES.roughness @ posterior
+
+
+def test_the_posterior_of_one_group_is_bayes_rule() -> None:
+    """With a heavy broad prior, one group follows likelihood times prior."""
+    prior = broad_prior(CANDIDATES)
+    assert prior.sum() == pytest.approx(1.0) and prior[DIFFUSE] > 0.5
+    log_likelihood = likelihood_of((10, 2.0), (HALF + 10, 5.0))
+    posterior = group_posterior(log_likelihood, CANDIDATES, prior, 1e9)
+    expected = np.exp(log_likelihood) * prior[:, None]
+    np.testing.assert_allclose(posterior, expected / expected.sum(axis=0), rtol=1e-5, atol=1e-12)
+
+
+def test_groups_of_unclear_gloss_follow_the_room() -> None:
+    """The same faint evidence is gloss in a room of such gloss, and chance in a room without."""
+    clear = [(12, 40.0)] * 20
+    glossy = roughness_of(likelihood_of(*clear, (12, 1.0)))
+    matt = roughness_of(likelihood_of(*[(12, -40.0)] * 20, (12, 1.0)))
+    alone = roughness_of(likelihood_of((12, 1.0)))
+    assert glossy[-1] < 0.6 < alone[0] < matt[-1]
+    assert glossy[-1] > CANDIDATES.roughness[12] and matt[-1] > 0.95
+    # A group that is clear keeps its own material.
+    assert roughness_of(likelihood_of(*clear, (12, -40.0)))[-1] > 0.99
+
+
+def test_groups_of_one_class_and_color_count_more_than_the_room() -> None:
+    """Two unclear groups: one is like five glossy groups, the other like twenty diffuse ones."""
+    log_likelihood = likelihood_of(*[(12, 40.0)] * 5, *[(12, -40.0)] * 20, (12, 1.0), (12, 1.0))
+    alike = np.eye(27)
+    alike[25, :5] = alike[:5, 25] = 1.0
+    alike[26, 5:25] = alike[5:25, 26] = 1.0
+    roughness = roughness_of(log_likelihood, alike)
+    assert roughness[25] < 0.55 and roughness[26] > 0.95
+
+
+def test_groups_that_no_pixel_shows_do_not_count_for_the_room() -> None:
+    unseen = np.zeros((len(CANDIDATES.roughness), 50))
+    known = likelihood_of(*[(12, 40.0)] * 10, (12, 1.0))
+    with_unseen = roughness_of(np.concatenate([known, unseen], axis=1))
+    np.testing.assert_allclose(with_unseen[:11], roughness_of(known), atol=1e-6)
+
+
+def test_pixels_without_group_or_company_tell_nothing(rng: np.random.Generator) -> None:
+    samples, _ = synthetic(rng, [(float(LEVELS[3]), 0.0)], 0.01, 0.0)
+    alone = infer(replace(samples, cell=np.arange(len(samples.rows))))
+    prior = broad_prior(CANDIDATES)
+    assert alone.roughness[0] == pytest.approx(float(CANDIDATES.roughness @ prior), abs=1e-5)
+    nothing = infer(replace(samples, group=np.full(len(samples.rows), -1)))
+    assert all(len(values) == 0 for values in vars(nothing).values())
+
+
+def test_large_groups_are_sampled_by_complete_cells(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(training_input, "GROUP_PIXELS", 1000)
+    part = np.repeat([0, 1], [800, 20_000])
+    cell = np.arange(len(part)) // 5
+    kept = training_input.sample_groups(part, cell, np.random.default_rng(0))
+    assert kept[part == 0].all()
+    assert kept[part == 1].sum() == pytest.approx(1000, rel=0.2)
+    assert set(np.bincount(cell, kept)) == {0.0, 5.0}
