@@ -139,6 +139,8 @@ def test_the_largest_room_is_solved_and_the_rest_is_told(
     assert "plain surfaces" in reasons["blank"]
     codes = {warning["code"] for warning in reporter.warnings}
     assert {"solve-left-out", "solve-split", "scale-unknown"} <= codes
+    left = next(item for item in reporter.warnings if item["code"] == "solve-left-out")
+    assert left["text"].startswith("5 of 12 photographs") and "working width" in left["remedy"]
     few = next(item for item in reporter.warnings if item["code"] == "camera-few-views")
     assert few["text"].startswith("blank: ")
     assert "not connected" in reasons["hall 1"] and found["models"] == [7, 4]

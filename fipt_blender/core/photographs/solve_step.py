@@ -30,6 +30,7 @@ from .tonemap import tone_mapped
 _COPIES_SHARE = 0.1  # of the step's time
 _JPEG_QUALITY = 95
 POOR_ERROR = 1.5  # pixels of mean reprojection error; a good solve has less than one
+SMALL_SIDE = 1000  # pixels; in smaller images, most photographs of a room have too few features
 FEW_VIEWS = 3  # of one camera; with less, its focal length is hardly determined
 _NAMES_IN_TEXT = 5
 
@@ -211,11 +212,15 @@ def _warn(solved: Solve, facts: dict[str, Any], count: int, reporter: Reporter) 
         )
     if solved.left_out:
         names = _listed([item.name for item in solved.left_out])
+        side = max(max(camera.width, camera.height) for camera in solved.model.cameras.values())
+        remedy = solved.left_out[0].remedy
+        if side < SMALL_SIDE:
+            remedy = f"The images have {side} pixels, which show few features: set a larger working width."
         reporter.warning(
             "solve-left-out",
             f"{len(solved.left_out)} of {count} photographs have no camera and are left out: {names}. "
             f"{solved.left_out[0].name}: {solved.left_out[0].reason}.",
-            f"{solved.left_out[0].remedy} The report lists the reason for each.",
+            f"{remedy} The report lists the reason for each.",
         )
     error = facts["reprojection_error"]
     if error is not None and error > POOR_ERROR:
