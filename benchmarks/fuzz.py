@@ -40,6 +40,8 @@ MOST_BYTES = 2_000_000_000
 _POLL_SECONDS = 0.002
 _UNFORESEEN = ("engine-failed", "out-of-memory")
 _INTEGERS = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**63 - 1, 2**63, 2**64 - 1)
+_JSON_FILES = (".json", ".sfm")
+_TEXT_FILES = (".txt", ".csv", ".xml", ".xmp", ".nvm", ".out")
 _WORDS = (
     "",
     "nan",
@@ -91,9 +93,9 @@ def mutate(folder: Path, rng: np.random.Generator) -> str:
         files = sorted(path for path in folder.rglob("*") if path.is_file())
         path = files[int(rng.integers(len(files)))]
         kind = path.suffix.lower()
-        if kind == ".json" and rng.random() < 0.8:
+        if kind in _JSON_FILES and rng.random() < 0.8:
             done.append(f"{path.name}: {_mutate_json(path, rng)}")
-        elif kind == ".txt" and rng.random() < 0.7:
+        elif kind in _TEXT_FILES and rng.random() < 0.7:
             done.append(f"{path.name}: {_mutate_text(path, rng)}")
         else:
             done.append(f"{path.name}: {_mutate_bytes(path, files, rng)}")
