@@ -68,6 +68,7 @@ def make_parser() -> argparse.ArgumentParser:
     add("--hold-back", type=int, metavar="N", help="hold back every N-th view for comparison; 0 for none")
     add("--images", type=Path, metavar="DIR", help="folder of the HDR photographs")
     add("--clamp-negative", action="store_true", help="treat negative radiance in photographs as zero")
+    add("--align-mesh", action="store_true", help="align the cameras to a mesh from another program")
     add(
         "--undo-applied-transform",
         action="store_true",
@@ -154,6 +155,7 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
         hold_back=arguments.hold_back,
         images=arguments.images,
         clamp_negative=arguments.clamp_negative,
+        align_mesh=arguments.align_mesh,
         undo_applied_transform=arguments.undo_applied_transform,
         parts=arguments.parts,
         renders=() if arguments.no_renders else RENDER_KINDS,

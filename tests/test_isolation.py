@@ -45,6 +45,7 @@ FLOORS = (
     "core.run",
     "core.conventions",
     "core.device",
+    "core.alignment",
     "core.capture",
     "core.scene",
     "core.optics",

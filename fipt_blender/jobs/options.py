@@ -29,6 +29,7 @@ class CaptureOptions:
             engine's default.
         images: folder in which the photographs are looked for first.
         clamp_negative: whether negative radiance is read as zero.
+        align_mesh: whether the cameras are moved to the mesh by the solve's sparse points.
         undo_applied_transform: transforms.json only; whether the mesh has the coordinates from before
             nerfstudio's `applied_transform`.
     """
@@ -40,6 +41,7 @@ class CaptureOptions:
     hold_back: int | None = None
     images: Path | None = None
     clamp_negative: bool = False
+    align_mesh: bool = False
     undo_applied_transform: bool = False
 
 
@@ -84,6 +86,8 @@ def ingest_arguments(options: CaptureOptions) -> list[str]:
         arguments.append(f"--images={options.images.absolute()}")
     if options.clamp_negative:
         arguments.append("--clamp-negative")
+    if options.align_mesh:
+        arguments.append("--align-mesh")
     if options.undo_applied_transform:
         arguments.append("--undo-applied-transform")
     return arguments

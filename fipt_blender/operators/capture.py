@@ -286,6 +286,7 @@ def _capture_options(settings: FIPT_CaptureSettings) -> CaptureOptions:
         hold_back=0 if settings.hold_back < 2 else settings.hold_back,
         images=images,
         clamp_negative=settings.clamp_negative,
+        align_mesh=settings.align_mesh,
         undo_applied_transform=settings.undo_applied_transform,
     )
 

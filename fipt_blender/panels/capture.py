@@ -97,6 +97,7 @@ class FIPT_PT_capture_import(SubSection, bpy.types.Panel):
         column = layout.column(align=True)
         column.prop(settings, "images")
         column.prop(settings, "mesh")
+        column.prop(settings, "align_mesh")
         layout.prop(settings, "hold_back")
         column = layout.column(align=True)
         column.prop(settings, "clamp_negative")

@@ -156,6 +156,11 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         name="Clamp Negative",
         description="Treat all negative pixel values as black, instead of refusing large ones",
     )
+    align_mesh: bpy.props.BoolProperty(
+        name="Align to Mesh",
+        description="The mesh is from another program than the cameras. Move the cameras to it by the sparse"
+        " points of the camera solve, with any rotation and scale. The mesh must be an OBJ or PLY file",
+    )
     undo_applied_transform: bpy.props.BoolProperty(
         name="Undo Applied Transform",
         description="For transforms.json: the mesh has the coordinates from before nerfstudio applied its"

@@ -56,6 +56,23 @@ def read(path: Path, options: ReadOptions) -> Rig:
     return Rig(NAME, tuple(views), None, places.mesh())
 
 
+def points(path: Path) -> np.ndarray:
+    """The sparse points (N, 3).
+
+    Raises:
+        FiptError: ``rig-damaged``.
+    """
+    file = _file(path) or path
+    lines = read_text_rig(file).splitlines()
+    try:
+        cameras, count = (int(value) for value in numbers(lines[1], 2))
+        first = 2 + _LINES * cameras
+        stored = [numbers(line, 3) for line in lines[first : first + 3 * count : 3]]
+    except (IndexError, ValueError) as error:
+        raise damaged(file, error) from None
+    return np.array(stored).reshape(-1, 3)
+
+
 def _file(path: Path) -> Path | None:
     files = camera_files(path, (".out",), FOLDERS)
     return next((file for file in files if head(file).startswith(_FIRST_LINE)), None)

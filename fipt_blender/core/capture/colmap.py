@@ -59,6 +59,23 @@ def read(path: Path, options: ReadOptions) -> Rig:
     return Rig(NAME, views, None, places.mesh(MESH_STEMS, MESH_FOLDERS), _notes(folder))
 
 
+def points(path: Path) -> np.ndarray:
+    """The sparse points (N, 3) of the model that `read` reads.
+
+    Raises:
+        FiptError: ``rig-damaged``.
+    """
+    folder = _model_folder(path)
+    if folder is None:
+        raise damaged(path, "it contains no COLMAP model")
+    try:
+        check_model(folder)
+        model = pycolmap.Reconstruction(str(folder))
+        return np.array([point.xyz for point in model.points3D.values()], np.float64).reshape(-1, 3)
+    except (RuntimeError, ValueError, KeyError, IndexError, OSError) as error:
+        raise damaged(folder, error) from None
+
+
 def _is_model(folder: Path) -> bool:
     return any(
         (folder / f"cameras{suffix}").is_file() and (folder / f"images{suffix}").is_file()

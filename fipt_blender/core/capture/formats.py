@@ -7,6 +7,8 @@ from __future__ import annotations
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
+
 from ..run.errors import FiptError
 from . import (
     bundler,
@@ -82,6 +84,27 @@ def read_rig(path: Path, name: str, options: ReadOptions) -> Rig:
             f"{error.filename or path} can't be read ({error.strerror}).",
             "Allow your user to read the capture's files and folders, or copy them to your own disk.",
         ) from None
+
+
+def read_points(path: Path, name: str) -> np.ndarray:
+    """The sparse points (N, 3) float64 of a capture's solve, in the coordinates of its poses.
+
+    Args:
+        path: of the capture.
+        name: of its format, one of `FORMATS`.
+
+    Raises:
+        FiptError: ``alignment-points`` where the format has none, or one of the reader's.
+    """
+    reader = getattr(FORMATS[name], "points", None)
+    if reader is None:
+        raise FiptError(
+            "alignment-points",
+            f"The format {name} holds no sparse points, by which the cameras could be aligned to the mesh.",
+            "Export the cameras as a COLMAP model with points, or move them by hand with FIPT Alignment.",
+        )
+    points: np.ndarray = reader(path)
+    return points
 
 
 def _read_rig(path: Path, name: str, options: ReadOptions) -> Rig:

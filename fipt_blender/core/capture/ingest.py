@@ -21,6 +21,7 @@ from ..run.messages import Reporter
 from ..run.runfolder import RunFolder, write_json
 from ..run.settings import make_settings
 from . import checks
+from .align_mesh import aligned_to_mesh
 from .distortion import is_distorted, lens_pinhole, undistorted_pinhole, undistortion
 from .formats import FORMATS, read_rig
 from .images import is_rec709, read_ids, read_radiance, read_size, write_exr
@@ -43,6 +44,7 @@ class IngestOptions:
         scale: metres per unit of the capture.
         hold_back: every Nth view is held back in captures that have no held-back views; 0 for none.
         clamp_negative: set negative radiance of any size to zero.
+        align_mesh: move the cameras to the mesh by the solve's sparse points.
         read: options of the readers.
     """
 
@@ -52,6 +54,7 @@ class IngestOptions:
     scale: float = 1.0
     hold_back: int = DEFAULT_HOLD_BACK
     clamp_negative: bool = False
+    align_mesh: bool = False
     read: ReadOptions = field(default_factory=ReadOptions)
 
 
@@ -82,6 +85,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--clamp-negative", action="store_true", help="set negative radiance to zero")
     parser.add_argument(
+        "--align-mesh",
+        action="store_true",
+        help="the mesh is from another program: align the cameras to it by the solve's points",
+    )
+    parser.add_argument(
         "--undo-applied-transform",
         action="store_true",
         help="transforms.json: the mesh has the coordinates before nerfstudio's applied_transform",
@@ -97,6 +105,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         scale=arguments.scale,
         hold_back=arguments.hold_back,
         clamp_negative=arguments.clamp_negative,
+        align_mesh=arguments.align_mesh,
         read=ReadOptions(arguments.images, arguments.undo_applied_transform),
     )
     ingest(arguments.capture, RunFolder(arguments.run), options, reporter)
@@ -114,11 +123,13 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     reporter.stage("cameras", "Reading cameras")
     _check_options(options)
     rig = read_rig(capture.absolute(), options.format, options.read)
+    mesh = _mesh(rig, options)
+    if options.align_mesh:
+        rig = aligned_to_mesh(capture.absolute(), rig, mesh)
     for note in rig.notes:
         reporter.warning(note.code, note.text, note.remedy)
     views = _assign_splits(unique_names(rig.views), options.hold_back)
     _check_files(views)
-    mesh = _mesh(rig, options)
     up_axis = options.up_axis if options.up_axis != "auto" else rig.up_axis or guess_up_axis(views)
     world_from_source = _world_from_source(up_axis, options.scale)
     views = [

@@ -69,6 +69,20 @@ def read(path: Path, options: ReadOptions) -> Rig:
     return Rig(NAME, tuple(views), "y", places.mesh())
 
 
+def points(path: Path) -> np.ndarray:
+    """The sparse points (N, 3), which the file has if it was converted with its structure.
+
+    Raises:
+        FiptError: ``rig-damaged``.
+    """
+    file = _file(path) or path
+    try:
+        stored = [numbers(entry["X"], 3) for entry in read_json_rig(file, SFM).get("structure", [])]
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise damaged(file, error) from None
+    return np.array(stored).reshape(-1, 3) @ _MESH_FROM_SFM[:3, :3].T
+
+
 def _file(path: Path) -> Path | None:
     for file in camera_files(path, (".sfm", ".json")):
         text = head(file)

@@ -8,8 +8,10 @@ undoes the distortion: undistorted = distorted (1 + r d^2), with d the distorted
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -51,16 +53,37 @@ def read(path: Path, options: ReadOptions) -> Rig:
     if file is None:
         raise damaged(path, "it contains no .nvm file")
     places = Places.around(file, options)
-    lines = (line.strip() for line in read_text_rig(file).splitlines())
-    filled = (line for line in lines if line and not line.startswith("#"))
+    lines = _lines(file)
     try:
-        centre, aspect = _fixed_calibration(next(filled, ""))
-        entries = _models(filled)
+        centre, aspect = _fixed_calibration(next(lines, ""))
+        entries = [cameras for cameras, _ in _models(lines)]
     except ValueError as error:
         raise damaged(file, error) from None
     models = [[_view(places, name, values, centre, aspect) for name, values in model] for model in entries]
     views, notes = largest_model(models, str(file))
     return Rig(NAME, views, None, places.mesh(), notes)
+
+
+def points(path: Path) -> np.ndarray:
+    """The sparse points (N, 3) of the largest model.
+
+    Raises:
+        FiptError: ``rig-damaged``.
+    """
+    file = _file(path) or path
+    lines = _lines(file)
+    next(lines, "")
+    try:
+        _, stored = max(_models(lines), key=lambda model: len(model[0]))
+        return np.array([numbers(line.split()[:3], 3) for line in stored]).reshape(-1, 3)
+    except ValueError as error:
+        raise damaged(file, error) from None
+
+
+def _lines(file: Path) -> Iterator[str]:
+    """Lines of the file that are neither empty nor comments."""
+    lines = (line.strip() for line in read_text_rig(file).splitlines())
+    return (line for line in lines if line and not line.startswith("#"))
 
 
 def _file(path: Path) -> Path | None:
@@ -79,8 +102,8 @@ def _fixed_calibration(line: str) -> tuple[tuple[float, float] | None, float]:
     return (float(cx), float(cy)), float(fy / fx)
 
 
-def _models(lines: Iterator[str]) -> list[list[tuple[str, np.ndarray]]]:
-    """Names and numbers of the cameras of each model; the points are skipped.
+def _models(lines: Iterator[str]) -> list[tuple[list[tuple[str, np.ndarray]], list[str]]]:
+    """Names and numbers of the cameras of each model, and the lines of its points.
 
     Raises:
         ValueError: what is wrong.
@@ -88,10 +111,11 @@ def _models(lines: Iterator[str]) -> list[list[tuple[str, np.ndarray]]]:
     models = []
     while (count := _count(next(lines, "0"))) > 0:
         cameras = [_camera(next(lines, "")) for _ in range(count)]
-        for _ in range(_count(next(lines, "0"))):
-            if next(lines, None) is None:
-                raise ValueError("it is cut off")
-        models.append(cameras)
+        expected = _count(next(lines, "0"))
+        stored = list(islice(lines, expected)) if expected <= sys.maxsize else []
+        if len(stored) != expected:
+            raise ValueError("it is cut off")
+        models.append((cameras, stored))
     return models
 
 

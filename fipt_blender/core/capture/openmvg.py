@@ -75,6 +75,19 @@ def read(path: Path, options: ReadOptions) -> Rig:
     return Rig(NAME, tuple(views), None, places.mesh())
 
 
+def points(path: Path) -> np.ndarray:
+    """The sparse points (N, 3), which the file has unless it was exported without its structure.
+
+    Raises:
+        FiptError: ``rig-damaged``.
+    """
+    try:
+        stored = load_document(_file(path) or path, SFM_DATA, strict=False).get("structure", [])
+        return np.array([numbers(entry["value"]["X"], 3) for entry in stored]).reshape(-1, 3)
+    except (AttributeError, KeyError, OSError, TypeError, ValueError) as error:
+        raise damaged(path, error) from None
+
+
 def _file(path: Path) -> Path | None:
     files = camera_files(path, (".json",), FOLDERS)
     return next((file for file in files if '"sfm_data_version"' in head(file)), None)

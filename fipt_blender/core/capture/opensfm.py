@@ -17,7 +17,7 @@ from ..run.documents import Entries, Fields, Items, Maybe, Number, Numbers, load
 from ..run.errors import FiptError
 from .radial import distorting_lens
 from .rig import Lens, ReadOptions, Rig, RigView, damaged
-from .rig_files import Places, camera_files, camera_pose, head, largest_model, pixel_size
+from .rig_files import Places, camera_files, camera_pose, head, largest_model, numbers, pixel_size
 
 NAME = "opensfm"
 LOOKS_FOR = "reconstruction.json with cameras and shots"
@@ -54,6 +54,21 @@ def read(path: Path, options: ReadOptions) -> Rig:
     places = Places.around(file, options)
     views, notes = largest_model([_views(file, model, places) for model in models], str(file))
     return Rig(NAME, views, "z", places.mesh(folders=(".", "odm_meshing", "undistorted")), notes)
+
+
+def points(path: Path) -> np.ndarray:
+    """The sparse points (N, 3) of the largest reconstruction.
+
+    Raises:
+        FiptError: ``rig-damaged``.
+    """
+    file = _file(path)
+    try:
+        models = load_document(file or path, RECONSTRUCTIONS, strict=False)
+        stored = max(models, key=lambda model: len(model["shots"])).get("points", {}).values()
+        return np.array([numbers(point["coordinates"], 3) for point in stored]).reshape(-1, 3)
+    except (AttributeError, KeyError, OSError, TypeError, ValueError) as error:
+        raise damaged(path, error) from None
 
 
 def _file(path: Path) -> Path | None:

@@ -1,0 +1,181 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Vertices and triangles of OBJ and PLY files, all that aligning a mesh needs of it.
+
+Every fault of a file becomes one error, and nothing is allocated that the file does not hold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..run.errors import FiptError
+
+MOST_BYTES = 4_000_000_000
+_HEADER_BYTES = 1_000_000
+_TYPES = {
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
+    **{"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
+    **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
+}
+_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+
+
+def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) float64 and triangles (T, 3) int64 of an OBJ or PLY file; point clouds have none.
+
+    Raises:
+        FiptError: ``mesh-missing``, ``mesh-format`` or ``mesh-unreadable``.
+    """
+    readers = {".obj": _read_obj, ".ply": _read_ply}
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise FiptError(
+            "mesh-format",
+            f"Cameras can't be aligned to {path.suffix or 'nameless'} files ({path}).",
+            "Export the mesh as OBJ or PLY.",
+        )
+    if not path.is_file():
+        raise FiptError("mesh-missing", f"The mesh {path} does not exist.", "Correct the path.")
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise ValueError(f"it has more than {MOST_BYTES / 1e9:.0f} GB")
+        vertices, triangles = reader(path.read_bytes())
+        if not np.isfinite(vertices).all():
+            raise ValueError("a vertex is not finite")
+        if len(triangles) and not (0 <= triangles.min() and triangles.max() < len(vertices)):
+            raise ValueError("a face has a vertex that is not there")
+    except (OSError, ValueError, IndexError, KeyError, OverflowError) as error:
+        raise FiptError(
+            "mesh-unreadable", f"{path} can't be read ({error}).", "Export the mesh again."
+        ) from None
+    return vertices, triangles
+
+
+def _read_obj(data: bytes) -> tuple[np.ndarray, np.ndarray]:
+    positions: list[list[bytes]] = []
+    faces: list[list[int]] = []
+    for line in data.replace(b"\\\n", b" ").split(b"\n"):
+        if line.startswith(b"v "):
+            positions.append(line.split(maxsplit=4)[1:4])
+        elif line.startswith(b"f "):
+            corners = [int(word.partition(b"/")[0]) for word in line.split()[1:]]
+            corners = [corner - 1 if corner > 0 else len(positions) + corner for corner in corners]
+            faces += [[corners[0], *corners[i : i + 2]] for i in range(1, len(corners) - 1)]
+    vertices = np.array(positions, np.float64).reshape(-1, 3)
+    return vertices, np.array(faces, np.int64).reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class _Element:
+    """An element of a PLY file: its properties as (name, type, type of the list's length or "")."""
+
+    name: str
+    count: int
+    properties: list[tuple[str, str, str]]
+
+
+def _read_ply(data: bytes) -> tuple[np.ndarray, np.ndarray]:
+    end = data.find(b"end_header", 0, _HEADER_BYTES)
+    line_end = data.find(b"\n", end)
+    if not data.startswith(b"ply") or end < 0 or line_end < 0:
+        raise ValueError("it has no PLY header")
+    order, elements = _header(data[:end].decode("ascii", errors="replace"))
+    vertices, triangles = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    body = _AsciiBody(data[line_end + 1 :]) if order == "" else _BinaryBody(data, line_end + 1, order)
+    for element in elements:
+        columns = body.read(element)
+        if element.name == "vertex":
+            vertices = np.stack([np.asarray(columns[axis], np.float64) for axis in "xyz"], axis=1)
+        elif element.name == "face":
+            lists = columns.get("vertex_indices", columns.get("vertex_index"))
+            triangles = _fans([] if lists is None else lists)
+    return vertices, triangles
+
+
+def _header(text: str) -> tuple[str, list[_Element]]:
+    """Byte order and elements of a PLY header."""
+    order: str | None = None
+    elements: list[_Element] = []
+    for words in (line.split() for line in text.splitlines()):
+        if words[:1] == ["format"]:
+            order = _ORDERS[words[1]]
+        elif words[:1] == ["element"]:
+            elements.append(_Element(words[1], int(words[2]), []))
+            if elements[-1].count < 0:
+                raise ValueError("an element has a negative count")
+        elif words[:2] == ["property", "list"]:
+            elements[-1].properties.append((words[4], _TYPES[words[3]], _TYPES[words[2]]))
+        elif words[:1] == ["property"]:
+            elements[-1].properties.append((words[2], _TYPES[words[1]], ""))
+    if order is None:
+        raise ValueError("its header has no format")
+    return order, elements
+
+
+class _AsciiBody:
+    """The content of a PLY file in words."""
+
+    def __init__(self, data: bytes) -> None:
+        self._lines = iter(data.split(b"\n"))
+
+    def read(self, element: _Element) -> dict[str, list]:
+        """Values of each property; lists for list properties."""
+        columns: dict[str, list] = {name: [] for name, _, _ in element.properties}
+        for _ in range(element.count):
+            line = next(self._lines, None)
+            if line is None:
+                raise ValueError("it is cut off")
+            words, place = line.split(), 0
+            for name, _, length_type in element.properties:
+                if length_type:
+                    count = int(words[place])
+                    columns[name].append([int(word) for word in words[place + 1 : place + 1 + count]])
+                    place += count
+                else:
+                    columns[name].append(float(words[place]))
+                place += 1
+        return columns
+
+
+class _BinaryBody:
+    """The content of a PLY file in bytes."""
+
+    def __init__(self, data: bytes, start: int, order: str) -> None:
+        self._data, self._place, self._order = data, start, order
+
+    def read(self, element: _Element) -> dict[str, np.ndarray]:
+        """Values of each property; of a list property, those of triangles (count, 3)."""
+        lists = [length_type for _, _, length_type in element.properties if length_type]
+        if len(lists) > 1:
+            raise ValueError(f"its element {element.name} has several lists")
+        kinds = []
+        for name, kind, length_type in element.properties:
+            if length_type:
+                kinds += [("length", self._order + length_type), (name, self._order + kind, (3,))]
+            else:
+                kinds.append((name, self._order + kind))
+        records = self._take(np.dtype(kinds), element.count)
+        if lists and (records["length"] != 3).any():
+            raise ValueError("it has faces that are no triangles; triangulate it")
+        return {name: records[name] for name, _, _ in element.properties}
+
+    def _take(self, kind: np.dtype, count: int) -> np.ndarray:
+        if self._place + kind.itemsize * count > len(self._data):
+            raise ValueError("it is cut off, or has faces that are no triangles")
+        records = np.frombuffer(self._data, kind, count, self._place)
+        self._place += kind.itemsize * count
+        return records
+
+
+def _fans(lists: list | np.ndarray) -> np.ndarray:
+    """Triangles (T, 3) of polygons."""
+    if isinstance(lists, np.ndarray):
+        return lists.astype(np.int64)
+    triangles = [
+        [polygon[0], polygon[i], polygon[i + 1]] for polygon in lists for i in range(1, len(polygon) - 1)
+    ]
+    return np.array(triangles, np.int64).reshape(-1, 3)

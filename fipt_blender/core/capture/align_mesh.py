@@ -1,0 +1,109 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Moves the cameras of a capture to a mesh from another program, by the solve's sparse points.
+
+From then on, the capture has the coordinates of the mesh: its up axis is found anew, its unit is the mesh's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..alignment.mesh_file import read_mesh
+from ..alignment.registration import Candidate, register
+from ..alignment.surface import Surface, sample_surface, unit_of_height
+from ..conventions import split_similarity, transform_poses
+from ..run.errors import FiptError
+from .formats import read_points
+from .rig import Note, Rig
+
+MOST_POINTS = 4000  # more do not make the alignment better, only slower
+LEAST_INLIERS = 0.6  # of the points near the mesh; a wrong alignment leaves fewer
+ALIKE = 1.3  # a second alignment whose score is at most so many times the best one's is named
+_SEED = 0
+
+
+def aligned_to_mesh(capture: Path, rig: Rig, mesh: Path | None) -> Rig:
+    """The rig in the coordinates of a mesh, by the sparse points of the capture that it was read from.
+
+    Raises:
+        FiptError: those of `align_rig` and `read_points`, or ``mesh-missing``.
+    """
+    if mesh is None:
+        raise FiptError(
+            "mesh-missing", "There is no mesh to which the cameras could be aligned.", "Choose the mesh file."
+        )
+    return align_rig(rig, read_points(capture, rig.source), mesh)
+
+
+def align_rig(rig: Rig, points: np.ndarray, mesh: Path) -> Rig:
+    """The rig in the coordinates of a mesh, with notes on how well its points fit.
+
+    Args:
+        rig: in the coordinates of the solve.
+        points: (N, 3) sparse points of the solve.
+        mesh: OBJ or PLY file.
+
+    Raises:
+        FiptError: ``alignment-points``, ``alignment-failed``, or one of `read_mesh` and `sample_surface`.
+    """
+    rng = np.random.default_rng(_SEED)
+    surface = sample_surface(*read_mesh(mesh), rng)
+    chosen = points[rng.permutation(len(points))[:MOST_POINTS]]
+    up = -np.mean([view.camera_to_world[:3, 1] for view in rig.views], axis=0)
+    best, *others = register(chosen, surface, rng, up if float(np.linalg.norm(up)) > 0.3 else None)
+    if best.inliers < LEAST_INLIERS:
+        raise FiptError(
+            "alignment-failed",
+            f"Only {100.0 * best.inliers:.0f} % of the {len(chosen)} points of the camera solve lie near "
+            f"the mesh {mesh}.",
+            "Check that it shows the same room, or move the cameras to the mesh by hand with FIPT Alignment.",
+        )
+    views = tuple(
+        replace(view, camera_to_world=transform_poses(best.similarity, view.camera_to_world))
+        for view in rig.views
+    )
+    notes = [_result(best, len(chosen))]
+    alike = sum(other.score <= ALIKE * best.score and other.inliers >= LEAST_INLIERS for other in others)
+    if alike:
+        notes.append(_ambiguous(alike))
+    notes += _unit_notes(surface, best.similarity, up)
+    return replace(rig, views=views, up_axis=None, notes=(*rig.notes, *notes))
+
+
+def _result(best: Candidate, count: int) -> Note:
+    scale = split_similarity(best.similarity)[0]
+    return Note(
+        "mesh-aligned",
+        f"The cameras were aligned to the mesh. {100.0 * best.inliers:.0f} % of {count} points lie near it, "
+        f"half of all within {best.error:.3g} of its units. One unit of the solve is {scale:.5g} of its units.",
+        "Look through some views and check that the mesh's edges lie on those of the photographs.",
+    )
+
+
+def _ambiguous(alike: int) -> Note:
+    return Note(
+        "alignment-ambiguous",
+        f"The mesh fits nearly as well in {alike} other ways, since the room looks alike from other sides.",
+        "Look through some views; if they are wrong, move the cameras by hand with FIPT Alignment.",
+    )
+
+
+def _unit_notes(surface: Surface, similarity: np.ndarray, up: np.ndarray) -> list[Note]:
+    """A note where the height of the mesh is that of a room in another unit than metres."""
+    direction = split_similarity(similarity)[1] @ up
+    axis = int(np.argmax(np.abs(direction)))
+    low, high = np.percentile(surface.points[:, axis], [1.0, 99.0])
+    unit = unit_of_height(float(high - low))
+    if unit is None or unit[0] == "meters":
+        return []
+    return [
+        Note(
+            "mesh-unit",
+            f"The mesh is {high - low:.4g} units high, so it seems to be in {unit[0]}.",
+            f"Set the scale to {unit[1]:g} meters per unit if it is not set yet.",
+        )
+    ]

@@ -1,0 +1,302 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Known similarities between a solve and a mesh are found again, from pairs and from sparse points."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fipt_blender.core.alignment.pairs import fit_pairs
+from fipt_blender.core.alignment.registration import refine, register
+from fipt_blender.core.alignment.surface import closest_points, main_axes, sample_surface, unit_of_height
+from fipt_blender.core.capture.align_mesh import align_rig
+from fipt_blender.core.capture.formats import read_points, read_rig
+from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.capture.ingest import IngestOptions, ingest
+from fipt_blender.core.capture.rig import ReadOptions
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.messages import Reporter
+from fipt_blender.core.run.runfolder import RunFolder
+from samples import rig_writers
+
+
+def turn(rng: np.random.Generator) -> np.ndarray:
+    q, r = np.linalg.qr(rng.normal(size=(3, 3)))
+    q = q * np.sign(np.diag(r))
+    return q * np.sign(np.linalg.det(q))
+
+
+def drawn_similarity(rng: np.random.Generator, scale: float) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale * turn(rng)
+    matrix[:3, 3] = 3.0 * scale * rng.normal(size=3)
+    return matrix
+
+
+def moved(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+    return points @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def box(low: tuple, high: tuple) -> tuple[np.ndarray, np.ndarray]:
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
+    quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    return corners * (np.array(high) - low) + low, triangles
+
+
+def furnished_room() -> tuple[np.ndarray, np.ndarray]:
+    """5 x 4 x 2.6 m with boxes that stand differently along each wall; no turn maps it to itself."""
+    parts = [
+        box((0, 0, 0), (5, 4, 2.6)),
+        box((0, 0, 0), (0.6, 2.2, 1.9)),
+        box((2.0, 1.2, 0.65), (3.6, 2.1, 0.75)),
+        box((4.2, 2.6, 0), (5, 4, 0.8)),
+        box((1.4, 3.4, 0.9), (2.3, 4, 1.3)),
+    ]
+    vertices, triangles, start = [], [], 0
+    for corners, faces in parts:
+        vertices.append(corners)
+        triangles.append(faces + start)
+        start += len(corners)
+    return np.concatenate(vertices), np.concatenate(triangles)
+
+
+def sparse_points(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Points on what can be seen, off by 3 mm, one in twenty far off; nothing on the ceiling."""
+    surface = sample_surface(*furnished_room(), rng, 4000)
+    seen = surface.points[surface.points[:, 2] < 2.5]
+    points = seen[rng.permutation(len(seen))[:count]] + 0.003 * rng.normal(size=(count, 3))
+    points[: count // 20] += 0.5 * rng.normal(size=(count // 20, 3))
+    return points
+
+
+# ----------------------------------------------------------------------------------------------------- pairs
+
+
+@pytest.mark.parametrize("scale", [0.0254, 1.0, 1000.0])
+@pytest.mark.parametrize("count", [3, 8])
+def test_pairs_give_the_similarity(scale: float, count: int) -> None:
+    rng = np.random.default_rng(count)
+    matrix = drawn_similarity(rng, scale)
+    source = rng.normal(size=(count, 3))
+    fit = fit_pairs(source, moved(matrix, source))
+    np.testing.assert_allclose(fit.similarity, matrix, atol=1e-9 * scale)
+    assert fit.error < 1e-9 * scale and not fit.mirrored and fit.residuals.shape == (count,)
+
+
+def test_residuals_name_the_wrong_pair() -> None:
+    rng = np.random.default_rng(0)
+    source = rng.normal(size=(8, 3))
+    target = 2.0 * source
+    target[5] += (0.5, 0.0, 0.0)
+    fit = fit_pairs(source, target)
+    assert int(fit.residuals.argmax()) == 5 and 0.05 < fit.error < 0.5
+
+
+def test_mirrored_mesh_is_said() -> None:
+    rng = np.random.default_rng(1)
+    source = rng.normal(size=(6, 3))
+    noise = 0.01 * rng.normal(size=(6, 3))
+    assert fit_pairs(source, source * [1.0, -1.0, 1.0] + noise).mirrored
+    assert not fit_pairs(source, source + noise).mirrored
+    flat = source * [1.0, 1.0, 0.0]
+    assert not fit_pairs(flat, flat * [1.0, -1.0, 1.0]).mirrored  # fits by a turn as well
+
+
+@pytest.mark.parametrize(
+    ("source", "text"),
+    [
+        (np.eye(3)[:2], "2 pairs"),
+        (np.outer(np.arange(4.0), [1.0, 2.0, 3.0]), "one line"),
+        (np.zeros((4, 3)), "one line"),
+        (np.full((3, 3), np.nan), "finite"),
+    ],
+)
+def test_pairs_that_decide_nothing(source: np.ndarray, text: str) -> None:
+    target = np.random.default_rng(2).normal(size=source.shape)
+    for pair in ((source, target), (target, source)):
+        with pytest.raises(FiptError, match=text) as caught:
+            fit_pairs(*pair)
+        assert caught.value.code == "alignment-pairs"
+
+
+# --------------------------------------------------------------------------------------------------- surface
+
+
+def test_closest_points_of_triangles_by_brute_force() -> None:
+    rng = np.random.default_rng(3)
+    corners, positions = rng.normal(size=(40, 3, 3)), 1.5 * rng.normal(size=(40, 3))
+    share = np.stack(np.meshgrid(np.linspace(0, 1, 201), np.linspace(0, 1, 201)), axis=-1).reshape(-1, 2)
+    share = share[share.sum(axis=1) <= 1.0 + 1e-9]
+    weights = np.concatenate([1.0 - share.sum(axis=1, keepdims=True), share], axis=1)
+    exact = np.linalg.norm(closest_points(positions, corners) - positions, axis=1)
+    for position, triangle, distance in zip(positions, corners, exact, strict=True):
+        brute = np.linalg.norm(weights @ triangle - position, axis=1).min()
+        assert distance - 1e-9 <= brute <= distance + 0.02
+
+
+def test_samples_lie_evenly_on_the_mesh() -> None:
+    surface = sample_surface(*box((0, 0, 0), (1, 2, 4)), np.random.default_rng(4), 28_000)
+    for axis, side, share in ((0, 0.0, 8.0), (1, 2.0, 4.0), (2, 4.0, 2.0)):
+        on_side = np.abs(surface.points[:, axis] - side) < 1e-12
+        assert on_side.mean() == pytest.approx(share / 28.0, rel=0.02)
+        np.testing.assert_allclose(np.abs(surface.normals[on_side, axis]), 1.0)
+    with pytest.raises(FiptError, match="no surface") as caught:
+        sample_surface(np.zeros((3, 3)), np.array([[0, 1, 2]]), np.random.default_rng(0), 10)
+    assert caught.value.code == "mesh-empty"
+
+
+def test_main_axes_of_a_turned_room() -> None:
+    rng = np.random.default_rng(5)
+    vertices, triangles = furnished_room()
+    rotation = turn(rng)
+    axes = main_axes(sample_surface(vertices @ rotation.T, triangles, rng, 5000).normals)
+    np.testing.assert_allclose(np.sort(np.abs(axes @ rotation), axis=1), [[0, 0, 1]] * 3, atol=1e-6)
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("height", "unit"),
+    [(2.6, "meters"), (8.5, "feet"), (100.0, "inches"), (260.0, "centimeters"), (2600.0, "millimeters")],
+)
+def test_unit_by_the_height_of_a_room(height: float, unit: str) -> None:
+    found = unit_of_height(height)
+    assert found is not None and found[0] == unit
+    assert 1.9 < height * found[1] < 4.6
+    assert unit_of_height(0.3) is None
+
+
+# ---------------------------------------------------------------------------------------------- registration
+
+
+@pytest.mark.parametrize(("scale", "known_up"), [(0.0254, True), (1000.0, True), (1.0, False)])
+def test_known_similarities_are_found_from_500_points(scale: float, known_up: bool) -> None:
+    rng = np.random.default_rng(int(scale) + 7)
+    vertices, triangles = furnished_room()
+    from_solve, to_mesh = drawn_similarity(rng, 0.7), drawn_similarity(rng, scale)
+    solve = moved(from_solve, sparse_points(rng, 500))
+    up = from_solve[:3, :3] @ np.array([0.1, -0.05, 1.0]) if known_up else None
+    surface = sample_surface(moved(to_mesh, vertices), triangles, rng, 20_000)
+    best, *others = register(solve, surface, rng, up)
+    back = np.linalg.inv(to_mesh) @ best.similarity @ from_solve  # the identity, but for errors
+    off = np.linalg.norm(moved(back, vertices) - vertices, axis=1)
+    rotation = back[:3, :3] / np.cbrt(np.linalg.det(back[:3, :3]))
+    angle = np.degrees(np.linalg.norm(rotation - rotation.T) / np.sqrt(8.0))
+    assert off.max() < 0.005 and angle < 0.1
+    assert best.error == pytest.approx(0.002 * scale, rel=0.5) and best.inliers > 0.94
+    assert all(other.score > 1.5 * best.score for other in others)
+
+
+def test_a_symmetric_room_has_several_candidates() -> None:
+    rng = np.random.default_rng(8)
+    surface = sample_surface(*box((0, 0, 0), (5, 4, 2.6)), rng, 20_000)
+    points = surface.points[rng.permutation(20_000)[:300]]
+    best, second, *_ = register(points, surface, rng, np.array([0.0, 0.0, 1.0]))
+    assert second.score < 2.0 * best.score + 1e-3
+
+
+def test_a_rough_alignment_is_refined() -> None:
+    rng = np.random.default_rng(9)
+    vertices, triangles = furnished_room()
+    surface = sample_surface(vertices, triangles, rng, 20_000)
+    rough = drawn_similarity(np.random.default_rng(1), 1.0)
+    rough[:3, :3] = 1.01 * np.array([[1.0, -0.01, 0.0], [0.01, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    rough[:3, 3] = (0.02, -0.02, 0.01)
+    refined = refine(sparse_points(rng, 500), surface, rough)
+    assert np.linalg.norm(moved(refined.similarity, vertices) - vertices, axis=1).max() < 0.005
+
+
+def test_too_few_points_are_refused() -> None:
+    rng = np.random.default_rng(10)
+    surface = sample_surface(*furnished_room(), rng, 1000)
+    with pytest.raises(FiptError) as caught:
+        register(np.zeros((20, 3)), surface, rng)
+    assert caught.value.code == "alignment-points"
+
+
+# -------------------------------------------------------------------------------------------------- captures
+
+
+def write_solve(folder: Path, from_solve: np.ndarray, points: np.ndarray) -> list[rig_writers.Shot]:
+    """An OpenSfM reconstruction with cameras held level; returns its shots in the room's coordinates."""
+    scale = np.cbrt(np.linalg.det(from_solve[:3, :3]))
+    shots, solved = [], []
+    for index, shot in enumerate(rig_writers.make_shots(rig_writers.Style(off_centre=(0.0, 0.0)), 3)):
+        angle = 2.0 * index
+        level = np.array([[np.cos(angle), np.sin(angle), 0], [0, 0, -1], [-np.sin(angle), np.cos(angle), 0]])
+        shots.append(replace(shot, width=24, height=16, rotation=level, centre=np.array([2.5, 2.4, 1.5])))
+        turned = level @ (from_solve[:3, :3] / scale).T
+        solved.append(replace(shots[-1], rotation=turned, centre=moved(from_solve, shots[-1].centre)))
+    rig_writers.write_opensfm(folder, [solved], "perspective")
+    data = json.loads((folder / "reconstruction.json").read_text())
+    data[0]["points"] = {str(i): {"coordinates": list(p)} for i, p in enumerate(moved(from_solve, points))}
+    (folder / "reconstruction.json").write_text(json.dumps(data))
+    for shot in shots:
+        pixels = 2.0 + np.random.default_rng(0).random((16, 24, 3), np.float32)
+        write_exr((folder / "images" / shot.name).with_suffix(".exr"), pixels)
+    return shots
+
+
+def test_cameras_are_aligned_to_a_mesh_in_inches(tmp_path: Path) -> None:
+    rng = np.random.default_rng(11)
+    shots = write_solve(tmp_path / "solve", drawn_similarity(rng, 0.4), sparse_points(rng, 500))
+    vertices, triangles = furnished_room()
+    mesh = tmp_path / "scan.obj"
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices / 0.0254]
+    mesh.write_text("\n".join(lines + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in triangles]))
+    run = RunFolder(tmp_path / "run")
+    stream = io.StringIO()
+    options = IngestOptions(mesh=mesh, align_mesh=True, scale=0.0254, hold_back=0)
+    ingest(tmp_path / "solve", run, options, Reporter(stream))
+    capture = read_json(run.capture_json)
+    for view, shot in zip(capture["views"], shots, strict=True):
+        np.testing.assert_allclose(np.array(view["camera_to_world"]), shot.pose, atol=0.005)
+    messages = [json.loads(line) for line in stream.getvalue().splitlines()]
+    warnings = {message["code"]: message for message in messages if message["type"] == "warning"}
+    assert set(warnings) == {"mesh-aligned", "mesh-unit"} and "inches" in warnings["mesh-unit"]["text"]
+    assert messages[-1]["data"]["up_axis"] == "z"
+
+
+def test_cameras_of_another_room_are_not_aligned(tmp_path: Path) -> None:
+    rng = np.random.default_rng(12)
+    write_solve(tmp_path, np.eye(4), 3.0 * rng.normal(size=(400, 3)))
+    (tmp_path / "scan.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    rig = read_rig(tmp_path, "auto", ReadOptions())
+    points = read_points(tmp_path, rig.source)
+    with pytest.raises(FiptError) as caught:
+        align_rig(rig, points, tmp_path / "scan.obj")
+    assert caught.value.code == "alignment-failed" and "FIPT Alignment" in caught.value.remedy
+
+
+def test_formats_without_points_cannot_be_aligned(tmp_path: Path) -> None:
+    rig_writers.write_record3d(tmp_path, rig_writers.make_shots(count=1), each_frame=True)
+    with pytest.raises(FiptError) as caught:
+        read_points(tmp_path, "record3d")
+    assert caught.value.code == "alignment-points"
+
+
+def test_points_of_each_format(tmp_path: Path) -> None:
+    """The one point that the writers add, in the coordinates of the poses."""
+    shots = rig_writers.make_shots(rig_writers.Style(off_centre=(0.0, 0.0)), 2)
+    rig_writers.write_bundler(tmp_path / "bundler", shots)
+    rig_writers.write_nvm(tmp_path / "nvm", [shots[:1], shots])
+    rig_writers.write_realityscan_colmap(tmp_path / "colmap", shots)
+    rig_writers.write_openmvg(tmp_path / "openmvg", shots, "pinhole", "")
+    rig_writers.write_meshroom(tmp_path / "meshroom", shots, (1, 2, 8))
+    edit_json(
+        tmp_path / "openmvg" / "sfm_data.json", "structure", [{"key": 0, "value": {"X": [0.1, 0.2, 0.3]}}]
+    )
+    edit_json(tmp_path / "meshroom" / "cameras.sfm", "structure", [{"X": ["0.1", "-0.2", "-0.3"]}])
+    for name in ("bundler", "nvm", "colmap", "openmvg", "meshroom"):
+        np.testing.assert_allclose(read_points(tmp_path / name, name), [[0.1, 0.2, 0.3]])
+
+
+def edit_json(path: Path, key: str, value: object) -> None:
+    path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))
