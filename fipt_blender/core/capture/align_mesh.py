@@ -79,7 +79,7 @@ def _result(best: Candidate, count: int) -> Note:
     return Note(
         "mesh-aligned",
         f"The cameras were aligned to the mesh. {100.0 * best.inliers:.0f} % of {count} points lie near it, "
-        f"half of all within {best.error:.3g} of its units. One unit of the solve is {scale:.5g} of its units.",
+        f"half of all within {best.error:.3g} of its units. One unit of the solve is {scale:.5g} of these.",
         "Look through some views and check that the mesh's edges lie on those of the photographs.",
     )
 
