@@ -65,7 +65,8 @@ def group_log_likelihoods(
     if not len(used.rows):
         return np.zeros((len(prior), groups))
     used = replace(used, diffuse=_shared_light(used.diffuse, light_cell))
-    variance = _residual_variance(used, groups, settings.view_error)
+    weight = residual_weight(used.radiance) * used.weight[:, None]
+    variance = _residual_variance(used, weight, groups, settings.view_error)
     views = int(used.view.max()) + 1
     pairs, pair = np.unique(used.group.astype(np.int64) * views + used.view, return_inverse=True)
     group = pairs // views
@@ -73,7 +74,8 @@ def group_log_likelihoods(
     errors = settings.pixels_per_sample + pixels * settings.view_error**2 / variance[group]
     result = np.empty((len(prior), len(pairs)))
     for index, (place, metallic) in enumerate(zip(candidates.place, candidates.metallic, strict=True)):
-        pixel = _log_density(used, place, metallic, variance[used.group], settings.residual_degrees)
+        lines = _lines(used, place, metallic)
+        pixel = _log_density(used, lines, weight, variance[used.group], settings.residual_degrees)
         result[index] = np.bincount(pair, pixel) / errors
     likelihood = np.exp(result - result.max(axis=0))
     outliers = settings.view_outliers
@@ -114,39 +116,45 @@ def _lines(samples: PixelSamples, place: float, metallic: float) -> tuple[np.nda
     return color_line(samples.diffuse, specular[:, 0], specular[:, 1], np.float32(metallic))
 
 
-def _weights(samples: PixelSamples) -> np.ndarray:
-    """(N, 3) of squared residuals: relative to the radiance, and less where it is that of a mixed pixel."""
-    return residual_weight(samples.radiance) * samples.weight[:, None]
+def _squared(
+    samples: PixelSamples, lines: tuple[np.ndarray, np.ndarray], weight: np.ndarray, robust: np.ndarray | None
+) -> np.ndarray:
+    """(N,) squared weighted residuals, mean over the channels, with the least-squares base colours.
+
+    Args:
+        lines: slope and offset (:func:`_lines`).
+        weight: (N, 3) of the squared residuals.
+        robust: (N,) factors of the weights for the base colours; None for 1.
+    """
+    slope, offset = lines
+    color_weight = weight if robust is None else weight * robust[:, None]
+    color = fit_colors(samples.radiance, slope, offset, color_weight, samples.cell).astype(np.float32)
+    residual = samples.radiance - offset - color[samples.cell] * slope
+    return np.einsum("nc,nc,nc->n", residual, residual, weight) / np.float32(3.0)
 
 
-def _squared(samples: PixelSamples, line: tuple[np.ndarray, np.ndarray], weight: np.ndarray) -> np.ndarray:
-    """(N,) squared relative residuals with the least-squares base colours for the weights (N, 3)."""
-    slope, offset = line
-    color = fit_colors(samples.radiance, slope, offset, weight, samples.cell).astype(np.float32)[samples.cell]
-    residual = samples.radiance - offset - color * slope
-    return (residual**2 * _weights(samples)).mean(axis=1)
-
-
-def _residual_variance(samples: PixelSamples, groups: int, least: float) -> np.ndarray:
+def _residual_variance(samples: PixelSamples, weight: np.ndarray, groups: int, least: float) -> np.ndarray:
     """(groups,) variance of the relative residuals with the best material, at least `least` squared."""
     median = np.full(groups, np.inf)
-    weight = _weights(samples)
     for place in range(len(samples.levels)):
         for metallic in (0.0, 1.0):
-            squared = _squared(samples, _lines(samples, place, metallic), weight)
+            squared = _squared(samples, _lines(samples, place, metallic), weight, None)
             median = np.minimum(median, grouped_median(squared, samples.group, groups, "high"))
     return np.maximum(median / MEDIAN_OF_SQUARE, least**2)
 
 
 def _log_density(
-    samples: PixelSamples, place: float, metallic: float, variance: np.ndarray, degrees: float
+    samples: PixelSamples,
+    lines: tuple[np.ndarray, np.ndarray],
+    weight: np.ndarray,
+    variance: np.ndarray,
+    degrees: float,
 ) -> np.ndarray:
     """(N,) logarithm of Student's t-density of the residuals, up to a constant.
 
     Base colours are fitted twice, the second time with the weights of the t-distribution.
     """
-    line, weight = _lines(samples, place, metallic), _weights(samples)
     scale = (degrees * variance).astype(np.float32)
-    robust = 1.0 / (scale + _squared(samples, line, weight))
-    squared = _squared(samples, line, weight * robust[:, None])
+    robust = 1.0 / (scale + _squared(samples, lines, weight, None))
+    squared = _squared(samples, lines, weight, robust)
     return -0.5 * (degrees + 1.0) * np.log1p(squared / scale)
