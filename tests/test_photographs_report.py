@@ -13,8 +13,9 @@ from PIL import Image
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.rig import Lens, Rig, RigView
+from fipt_blender.core.photographs.facts import shutter_text
 from fipt_blender.core.photographs.preparation import PreparationFolder, write_preparation
-from fipt_blender.core.photographs.report import make_plan, shutter_text, small, write_report
+from fipt_blender.core.photographs.report import make_plan, small, write_report
 from fipt_blender.core.run.errors import FiptError
 from samples.prepared_captures import make_preparation, write_prepared
 
@@ -51,7 +52,14 @@ def test_the_page_shows_what_each_step_has_found(folder, tmp_path):
     page = Page(write_report(folder, preparation, fractions.append))
     assert fractions == sorted(fractions) and 0.0 < fractions[-1] <= 1.0
     assert NASTY in page.text and "kitchen & <b>co" in page.text
-    for words in ("6 photographs in 2 groups", "1 of 2", "0.60 px", "1/100, 1/25, 1/6", "4.17 %", "not used"):
+    for words in (
+        "6 photographs in 2 groups",
+        "1 of 2",
+        "0.60 px",
+        "1/100 s, 1/25 s, 1/6 s",
+        "4.17 %",
+        "not used",
+    ):
         assert words in " ".join(page.text.split()).replace("6photographs", "6 photographs"), words
     assert "1 of 2 views has no camera." in page.text and "It shares too few points." in page.text
     assert "2 %" in page.text  # of the response
@@ -116,4 +124,4 @@ def test_one_camera_makes_a_plan_of_finite_size():
 
 
 def test_shutter_times_are_written_as_on_cameras():
-    assert [shutter_text(value) for value in (0.004, 0.5, 8.0, None)] == ["1/250", "0.5 s", "8 s", "?"]
+    assert [shutter_text(value) for value in (0.004, 8 / 15, 8.0, None)] == ["1/250 s", "0.533 s", "8 s", "?"]

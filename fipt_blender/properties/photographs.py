@@ -18,13 +18,21 @@ RESPONSES = (
     ("srgb", "sRGB", "The pixel values follow the sRGB curve"),
     ("linear", "Linear", "The pixel values are proportional to light"),
 )
+WHITE_BALANCES = (
+    ("camera", "Camera", "The white balance that the camera has chosen for the first photograph, for all"),
+    ("daylight", "Daylight", "The white balance of daylight"),
+)
+VIGNETTINGS = (
+    ("auto", "Automatic", "From the lens database, otherwise from what overlapping views have in common"),
+    ("none", "None", "Vignetting is not corrected"),
+)
 SCALES = (
     ("none", "Unknown", "The capture is scaled later, under Alignment in the section Capture"),
     ("points", "Two Points", "Two points that are marked in photographs, and their distance"),
     ("marker", "Printed Marker", "A printed ArUco marker that is seen in photographs"),
 )
 ENGINE_SETTINGS = (
-    *("grouping", "working_width", "response", "align"),
+    *("grouping", "working_width", "response", "white_balance", "align", "vignetting"),
     *("cameras", "scale", "scale_length", "scale_picks", "masks"),
 )
 PATH_SETTINGS = ("cameras", "masks")
@@ -81,6 +89,12 @@ class FIPT_PhotographsSettings(bpy.types.PropertyGroup):
         name="Response",
         description="Relation between light and the pixel values of JPEG, PNG and TIFF",
         items=RESPONSES,
+    )
+    white_balance: bpy.props.EnumProperty(
+        name="White Balance", description="White balance of RAW photographs", items=WHITE_BALANCES
+    )
+    vignetting: bpy.props.EnumProperty(
+        name="Vignetting", description="Correction of the lens's darker corners", items=VIGNETTINGS
     )
     align: bpy.props.BoolProperty(
         name="Align",

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from blender import Blender, Lost
+from drop import FileDrag
 
 VIEW, SIDEBAR = ("VIEW_3D", "WINDOW"), ("VIEW_3D", "UI")
 PREFERENCES = ("PREFERENCES", "WINDOW")
@@ -33,6 +34,17 @@ class Hand(Blender):
         super().__init__(*arguments, **options)
         self._places: dict[tuple[Where, str], list[tuple[int, int]]] = {}
         self._last_press = (0, 0, 0.0)
+
+    def drop_files(self, files: Iterable[Path], where: Where = SIDEBAR) -> None:
+        """Drop files from outside on the middle of a region."""
+        left, top, width, height = self.box(where)
+        x, y = left + width // 2, top + height // 2
+        self.display.move(x, y)
+        self._let_pass()
+        with FileDrag(self.display.name, files) as drag:
+            drag.drop(x, y)
+        self._let_pass()
+        self.settle()
 
     def settle(self, seconds: float = 2.0) -> None:
         """Wait until an action's effects are over: the sidebar is no longer redrawn."""

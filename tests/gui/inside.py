@@ -38,6 +38,18 @@ def counts() -> dict[str, int]:
     }
 
 
+def photographs() -> dict[str, Any]:
+    """The list of the section Photographs."""
+    settings = bpy.context.scene.fipt.photographs
+    return {
+        "path": settings.path,
+        "sizes": [len(group.photographs) for group in settings.groups],
+        "used": [group.used for group in settings.groups],
+        "registered": settings.registered_count,
+        "capture": str(settings.capture_folder() or ""),
+    }
+
+
 def job(kind: str) -> dict[str, Any]:
     """State of the running job of a kind, or of the last one; an empty state if there was none."""
     running = _ours("jobs.running")

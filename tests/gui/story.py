@@ -8,7 +8,9 @@ Each chapter acts through the window, then asserts on Blender's data and takes i
 from __future__ import annotations
 
 import json
+import shutil
 import statistics
+import subprocess
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -99,6 +101,47 @@ def preferences(window: Window, options: Options) -> None:
     window.shot("03_preferences_after")
     window.ask("close_window", "PREFERENCES")
     window.settle()
+
+
+def photographs(window: Window, options: Options) -> None:
+    """Drop a camera's photographs, correct their brackets by hand, make a capture of them and import it."""
+    folder = window.shots.resolve() / "photographs"
+    shutil.rmtree(folder, ignore_errors=True)
+    script = Path(__file__).with_name("brackets.py")
+    subprocess.run([options.engine, script, options.capture, folder], check=True)
+    window.open_section("Photographs")
+    window.drop_files(sorted((folder / "card").iterdir()))
+    if not window.ask("inside.photographs")["path"]:
+        window.press()  # a menu under the pointer asks what to do with images
+    _finish(window, "photographs")
+    found = window.ask("inside.photographs")
+    assert Path(found["path"]) == folder / "card" and set(found["sizes"]) == {3}, found
+    window.shot("03_photographs_found")
+    window.click_row("photographs.active_group", 1)
+    window.click_row("photographs.active_photograph", 2)
+    window.click("fipt.split_bracket")
+    split = window.wait("inside.photographs", until=lambda now: now["sizes"][1:3] == [2, 1])
+    assert len(split["sizes"]) == len(found["sizes"]) + 1
+    window.shot("03_photographs_split")
+    window.click("fipt.merge_brackets")
+    window.wait("inside.photographs", until=lambda now: now["sizes"] == found["sizes"])
+    window.tick("photographs.groups[4].used", False)
+    window.open_section("Photographs", "Settings")
+    window.set_text("photographs.cameras", str(folder / "solve"))
+    window.shot("03_photographs_settings")
+    window.click("fipt.prepare")
+    _finish(window, "photographs")
+    prepared = window.ask("inside.photographs")
+    assert prepared["registered"] == sum(prepared["used"]) == len(found["sizes"]) - 1, prepared
+    assert (Path(prepared["capture"]) / "report" / "index.html").is_file()
+    window.shot("03_photographs_prepared")
+    window.click("fipt.import_capture")
+    _finish(window, "capture")
+    counts = window.ask("inside.counts")
+    assert counts["views"] == counts["cameras"] == prepared["registered"], counts
+    window.point_in_view()
+    window.settle()
+    window.shot("03_photographs_imported")
 
 
 def capture(window: Window, options: Options) -> None:
@@ -317,6 +360,7 @@ def _finish(window: Window, kind: str, seconds: float = _JOB_SECONDS) -> dict[st
 CHAPTERS = (
     empty_scene,
     preferences,
+    photographs,
     capture,
     parts,
     estimate,

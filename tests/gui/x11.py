@@ -121,6 +121,7 @@ class Display:
             ),
         ):
             function.restype, function.argtypes = result, arguments
+        self.name = name
         self._display = self._x.XOpenDisplay(name.encode())
         if not self._display:
             raise DisplayError(f"The display {name} can't be opened")

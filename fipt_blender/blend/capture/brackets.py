@@ -12,7 +12,7 @@ from typing import Any
 
 import bpy
 
-from ...core.photographs.facts import read_facts
+from ...core.photographs.facts import read_facts, shutter_text
 from ...core.photographs.preparation import Group, Photograph, PreparationFolder, read_preparation
 
 
@@ -91,8 +91,7 @@ def exposure_text(photograph: Photograph) -> str:
     """Shutter, aperture and ISO as cameras show them, e.g. "1/60 s  f/8  ISO 100"."""
     parts = []
     if photograph.shutter:
-        long = photograph.shutter >= 0.4  # cameras write shorter times as fractions
-        parts.append(f"{photograph.shutter:g} s" if long else f"1/{1.0 / photograph.shutter:.0f} s")
+        parts.append(shutter_text(photograph.shutter))
     if photograph.aperture:
         parts.append(f"f/{photograph.aperture:g}")
     if photograph.iso:

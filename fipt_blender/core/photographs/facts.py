@@ -14,6 +14,7 @@ from .preparation import PreparationFolder
 
 _SHARE = Maybe(Number(0.0, 1.0))
 _SIZE = Maybe(Number(low=0.0))
+_LONG_SECONDS = 0.4
 _EVERY_STEP = {
     "seconds": Number(low=0.0),
     "messages": Items(Fields(dict.fromkeys(("code", "text", "remedy"), str))),
@@ -51,3 +52,11 @@ def read_facts(folder: PreparationFolder, step: str) -> dict[str, Any]:
         return {}
     remedy = f"Repeat the step '{step}'."
     return read_json(path, Fields(optional={**_EVERY_STEP, **_FACTS[step]}), remedy)
+
+
+def shutter_text(seconds: float | None) -> str:
+    """A shutter time as cameras show it: "1/250 s", "0.5 s"; "?" if it is unknown."""
+    if not seconds:
+        return "?"
+    # Cameras write shorter times as fractions.
+    return f"{seconds:.3g} s" if seconds >= _LONG_SECONDS else f"1/{1.0 / seconds:.0f} s"

@@ -18,18 +18,19 @@ from PIL import Image
 from ..capture import colmap
 from ..capture.images import read_radiance
 from ..capture.rig import ReadOptions, Rig
-from ..report.comparison import choose_exposure, resize_to, to_display
+from ..report.comparison import resize_to, to_display
 from ..report.html import write_page
 from ..report.pictures import write_jpeg
 from ..run.errors import FiptError
 from ..run.messages import Reporter
 from ..run.runfolder import PRODUCT_VERSION
-from .facts import read_facts
+from .facts import read_facts, shutter_text
 from .preparation import Group, Preparation, PreparationFolder
 
 _FACTS = ("read", "merge", "solve", "scale", "masks")
 PICTURE_WIDTH = 400
 CLIPPED_COLOR = (1.0, 0.0, 1.0)
+MIDDLE_GRAY = 0.18  # of the median pixel in the pictures: the scale of radiance is arbitrary
 _PLAN_SIZE = 420.0  # pixels of the longer side of the cameras' plan
 _PLAN_MARGIN = 24.0
 _ARROW = 14.0  # pixels
@@ -143,7 +144,8 @@ def _exposure(images: Sequence[Path]) -> float:
     existing = [path for path in images if path.is_file()]
     step = max(1, len(existing) // _EXPOSURE_IMAGES)
     medians = [float(np.median(small(path))) for path in existing[::step]]
-    return choose_exposure(float(np.median(medians)) if medians else 0.0)
+    median = float(np.median(medians)) if medians else 0.0
+    return MIDDLE_GRAY / median if median > 0.0 else 1.0
 
 
 def small(path: Path, width: int = PICTURE_WIDTH) -> np.ndarray:
@@ -208,13 +210,6 @@ def _row(
 def _named(entries: Sequence[Mapping[str, Any]], name: str) -> Mapping[str, Any]:
     """The entry of a name; empty if there is none."""
     return next((entry for entry in entries if entry["name"] == name), {})
-
-
-def shutter_text(seconds: float | None) -> str:
-    """A shutter time as cameras show it: "1/250", "0.5 s"; "?" if it is unknown."""
-    if seconds is None or seconds <= 0.0:
-        return "?"
-    return f"{seconds:g} s" if seconds >= 0.4 else f"1/{round(1.0 / seconds)}"
 
 
 def _plan(capture: Path) -> Plan | None:
