@@ -204,6 +204,7 @@ class ReferenceEstimation(Estimation):
         self.pixels = open_pixels(self.folder.stage / "pixels", self.views, create=True)
         self.scale = fill_pixels(self.pixels, self.room, self.reporter.progress)
         self.pixels.pure[:] = np.asarray(self.pixels.triangle) >= 0  # no pixel counts as mixed
+        self.pixels.own[:], self.pixels.weight[:] = self.pixels.radiance, self.pixels.pure
         self.parts = self._choose_parts()
         self.view_check = ViewCheck()
         self.checkpoints.remember("scale", self.scale)
