@@ -21,7 +21,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks import accuracy
 from fipt_blender.core.run.documents import read_json
-from fipt_blender.core.run.settings import make_settings
 
 COLUMNS = ("kd_psnr", "a_prime_psnr", "sigma_psnr", "emission_iou", "emission_log_l2", "relight_psnr")
 FULL = "full"
@@ -121,21 +120,12 @@ def planned(arguments: argparse.Namespace, names: Sequence[str]) -> list[tuple[s
     runs = []
     for name in names:
         options = [*common, *ABLATIONS[name].options]
-        if name == "no-stage-3":  # as many steps as the full model has in all its rounds
-            options += ["--set", f"training_steps={all_steps(arguments.preset, arguments.set)}"]
         runs.append((name, options))
     if FULL in names:
         runs += [
             (f"{FULL}-seed-{seed}", [*common, "--set", f"seed={seed}"]) for seed in range(1, arguments.seeds)
         ]
     return runs
-
-
-def all_steps(preset: str, changes: Sequence[str]) -> int:
-    """Optimiser steps of a run in all of its rounds."""
-    values = dict(change.partition("=")[::2] for change in changes)
-    settings = make_settings(preset, values)
-    return settings.training_steps + settings.rounds * settings.later_training_steps
 
 
 def table(folder: Path) -> str:

@@ -16,23 +16,23 @@ from typing import Any
 import numpy as np
 import torch
 
+from benchmarks.emission_mask import (
+    EmissionNetwork,
+    emission_mask,
+    find_emitters,
+    mask_at,
+    masked_rendering_loss,
+)
 from benchmarks.shading_error import shading_points
 from fipt_blender.core.estimate.stages import Estimation
 from fipt_blender.core.light.baking import CHUNK, HALF_LARGEST
-from fipt_blender.core.light.cache import SurfaceLookup
-from fipt_blender.core.light.emitters import (
-    EmitterPixels,
-    Fixture,
-    emitter_table,
-    find_emitters,
-    side_medians,
-)
+from fipt_blender.core.light.cache import SurfaceLookup, pool
+from fipt_blender.core.light.emitters import EmitterPixels, Fixture, emitter_table, side_medians
 from fipt_blender.core.light.radiance import CachedRadiance, RadianceSource, TracedRadiance
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, Shadings, bake
 from fipt_blender.core.material import losses
 from fipt_blender.core.material.groups import part_units
-from fipt_blender.core.material.inference import mask_at
-from fipt_blender.core.material.networks import BrdfNetwork, EmissionNetwork, emission_mask
+from fipt_blender.core.material.networks import BrdfNetwork, Prediction
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.run.settings import Settings, make_settings
@@ -46,7 +46,6 @@ from fipt_blender.core.views.check import ViewCheck
 AUTHORS: dict[str, Any] = {
     "rounds": 2,
     "masking": "schlick",
-    "emission": "mask",
     "voxel_resolution": 256,
     "roughness_levels": 6,
     "roughness_spacing": 1.0,
@@ -59,17 +58,13 @@ AUTHORS: dict[str, Any] = {
     "refine_cache": True,
     "cache_roughness": 0.6,
     "training_steps": 10_000,
-    "later_training_steps": 10_000,
     "batch_size": 8192,
     "learning_rate": 1e-3,
-    "lambda_emission": 1.0,
     "lambda_diffuse": 5e-4,
     "lambda_part": 5e-3,
     "lambda_semantic": 1e-3,
     "sigma_albedo": 0.05 / 3.0,
     "sigma_position": 0.3 / 3.0,
-    "emitter_threshold": 0.01,
-    "emitter_samples": 100,
     "hash_levels": 32,
     "hash_features": 2,
     "hash_log2_size": 19,
@@ -77,9 +72,6 @@ AUTHORS: dict[str, Any] = {
     "hash_growth": 1.3,
     "brdf_width": 64,
     "brdf_depth": 2,
-    "emission_bands": 10,
-    "emission_width": 128,
-    "emission_depth": 6,
     "denoise": False,
     "denoise_specular": False,
     "reject_views": False,
@@ -90,6 +82,8 @@ _SAMPLES = ("diffuse_spp", "specular_spp", "refine_diffuse_spp", "refine_specula
 # undefined).
 LEAST_WEIGHT = 1e-4
 _PARTNERS = 1024
+# Weight of l_e, the L1 norm of the emission mask; its mean on a triangle that emits; points per triangle.
+LAMBDA_EMISSION, EMITTER_THRESHOLD, EMITTER_SAMPLES = 1.0, 0.01, 100
 
 
 def reference_settings(steps: int, samples: float, changes: dict[str, Any]) -> Settings:
@@ -104,8 +98,7 @@ def reference_settings(steps: int, samples: float, changes: dict[str, Any]) -> S
         FiptError: ``setting-unknown`` or ``setting-invalid``.
     """
     counts = {name: max(1, round(AUTHORS[name] * samples)) for name in _SAMPLES}
-    trained = {"training_steps": steps, "later_training_steps": steps}
-    return make_settings("high", {**AUTHORS, **counts, **trained, **changes})
+    return make_settings("high", {**AUTHORS, **counts, "training_steps": steps, **changes})
 
 
 def bake_apart(
@@ -144,6 +137,19 @@ class Batch:
     specular: torch.Tensor
 
 
+class PaperNetwork(BrdfNetwork):
+    """MLP_brdf as in the paper: it knows nothing of units, and starts anywhere."""
+
+    def __init__(
+        self, settings: Settings, levels: int, generator: torch.Generator, device: torch.device
+    ) -> None:
+        super().__init__(settings, levels, np.full((1, 5), 0.5), generator, device)
+
+    def forward(self, positions: torch.Tensor, units: torch.Tensor | None = None) -> Prediction:
+        """Evaluate at (N, 3) positions in [0, 1]."""
+        return super().forward(positions, torch.full_like(positions[:, 0], -1, dtype=torch.int64))
+
+
 def batch_means(values: torch.Tensor, weight: torch.Tensor, part: torch.Tensor) -> torch.Tensor:
     """(N, C) weighted mean of the values over the batch's pixels of the same part (paper Eq. 19).
 
@@ -161,7 +167,7 @@ def batch_means(values: torch.Tensor, weight: torch.Tensor, part: torch.Tensor) 
 
 
 def reference_loss(
-    brdf: BrdfNetwork,
+    brdf: PaperNetwork,
     emission: EmissionNetwork,
     batch: Batch,
     levels: torch.Tensor,
@@ -175,8 +181,8 @@ def reference_loss(
     kd, ks = losses.reflectances(prediction)
     s0, s1 = losses.interpolate_specular(batch.specular, prediction.roughness, levels)
     highlight = ks * s0 + s1
-    loss = losses.rendering_loss(kd * batch.diffuse + highlight, emission_mask(raw), batch.radiance)
-    loss = loss + settings.lambda_emission * losses.emission_loss(raw)
+    loss = masked_rendering_loss(kd * batch.diffuse + highlight, emission_mask(raw), batch.radiance)
+    loss = loss + LAMBDA_EMISSION * raw.abs().mean()
     loss = loss + settings.lambda_diffuse * losses.diffuse_loss(prediction)
     if part_kind == "part":
         weight = highlight.detach().abs().sum(dim=1) + LEAST_WEIGHT
@@ -214,7 +220,6 @@ class ReferenceEstimation(Estimation):
     def _prepare(self) -> None:
         super()._prepare()
         self.hit = np.flatnonzero(np.asarray(self.pixels.triangle) >= 0)
-        self.hash_levels = self.settings.hash_levels
         self.emitting = np.zeros(len(self.room.triangles), bool)
         # Nothing is shrunk towards its part: only the product does that.
         units = part_units(self.parts)
@@ -223,8 +228,8 @@ class ReferenceEstimation(Estimation):
 
     def _new_networks(self, index: int) -> None:
         generator = torch.Generator().manual_seed(self.settings.seed + index)
-        self.brdf = BrdfNetwork(self.settings, self.hash_levels, generator, self.device)
-        self.emission = EmissionNetwork(self.settings, generator, self.device)
+        self.brdf = PaperNetwork(self.settings, self.settings.hash_levels, generator, self.device)
+        self.mask = EmissionNetwork(generator, self.device)
 
     def _show(self, name: str) -> None:
         """No previews."""
@@ -279,28 +284,35 @@ class ReferenceEstimation(Estimation):
             self.reporter.progress((start + len(rows)) / len(hit))
         return {"rays": len(hit) * (diffuse + sum(specular))}
 
-    # Stage 2
+    def _material_values(self) -> np.ndarray:
+        """(M * 6, 5) base colour, roughness and metallic of each cache entry, by the network."""
+        entries, points, triangles = self._places
+        fields, seen = self._room_fields(), triangles < 0
+        values = np.empty((len(entries), 5), np.float32)
+        none = np.full(int(seen.sum()), -1)
+        values[seen] = np.column_stack(fields.fields.query(points[seen], none))
+        values[~seen] = np.column_stack(fields.query(points[~seen], triangles[~seen]))
+        return pool(self.observations.grid, entries, values)[0]
 
-    def _train(self, index: int, steps: int) -> dict[str, Any]:
+    # Stage 2, in each round
+
+    def _estimate(self, index: int) -> dict[str, Any]:
         self._new_networks(index)
-        self._optimise(index, steps, self.reporter.progress)
+        self._optimise(index, self.settings.training_steps, self.reporter.progress)
         if index == 0:  # the paper's emitters are found once
-            self.emitting = self._find_emitters(index, self.emitting)
-            self._group_fixtures(self.emitting, index)
-        self.checkpoints.save_tensors(
-            f"networks-{index}",
-            {
-                "brdf": self.brdf.state_dict(),
-                "emission": self.emission.state_dict(),
-                "emitting": torch.from_numpy(self.emitting),
-            },
-        )
-        return {"steps": steps, "hash_levels": self.hash_levels}
+            self.emitting = self._masked_triangles()
+            self._group_fixtures(self.emitting)
+        return {"steps": self.settings.training_steps, "hash_levels": self.settings.hash_levels}
+
+    def _train(self) -> dict[str, Any]:
+        """Nothing is left to do after the last round."""
+        self._save_network()
+        return {}
 
     def _optimise(self, index: int, steps: int, progress: Callable[[float], None]) -> None:
         """Adam on random pixels; both networks change in place."""
         settings = self.settings
-        parameters = [*self.brdf.parameters(), *self.emission.parameters()]
+        parameters = [*self.brdf.parameters(), *self.mask.parameters()]
         optimiser = torch.optim.Adam(parameters, lr=settings.learning_rate, fused=True)
         levels = torch.from_numpy(self.levels).to(self.device)
         part = self.parts.triangle_part[np.asarray(self.pixels.triangle)]  # only hits are looked up
@@ -322,25 +334,23 @@ class ReferenceEstimation(Estimation):
                 )
             )
             partners = torch.from_numpy(rng.integers(0, size, min(_PARTNERS, size))).to(self.device)
-            loss = reference_loss(
-                self.brdf, self.emission, batch, levels, self.parts.kind, settings, partners
-            )
+            loss = reference_loss(self.brdf, self.mask, batch, levels, self.parts.kind, settings, partners)
             optimiser.zero_grad(set_to_none=True)
             loss.backward()
             optimiser.step()
             progress((step + 1) / steps)
 
-    def _find_emitters(self, index: int, constant: np.ndarray) -> np.ndarray:
+    def _masked_triangles(self) -> np.ndarray:
         """(T,) bool, triangles whose mean mask is above the threshold, without any further test."""
         return find_emitters(
             self.room,
-            lambda positions: mask_at(self.emission, self.box, positions),
-            self.settings.emitter_threshold,
-            self.settings.emitter_samples,
-            np.random.default_rng([self.settings.seed, 3, index]),
+            lambda positions: mask_at(self.mask, self.box, positions),
+            EMITTER_THRESHOLD,
+            EMITTER_SAMPLES,
+            np.random.default_rng([self.settings.seed, 3, 0]),
         )
 
-    def _group_fixtures(self, emitting: np.ndarray, index: int) -> None:
+    def _group_fixtures(self, emitting: np.ndarray) -> None:
         """A fixture per triangle, with the median radiance of its pixels; black ones are dropped."""
         ids = np.flatnonzero(emitting)
         emitter = np.full(len(emitting), -1, np.int64)

@@ -28,7 +28,7 @@ from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import Settings, make_settings
 
-KINDS = ("pixels", "shadings", "training", "refinement", "other")
+KINDS = ("pixels", "shadings", "estimate", "refinement", "training", "other")
 # Less work than with the draft preset; no view may be left out, since that would change the size.
 FEW_SAMPLES: dict[str, Any] = {
     "rounds": 1,
@@ -39,8 +39,6 @@ FEW_SAMPLES: dict[str, Any] = {
     "refine_specular_spp": 4,
     "refine_light_spp": 4,
     "training_steps": 30,
-    "later_training_steps": 30,
-    "emitter_samples": 8,
     "reject_views": False,
     "correct_exposure": False,
 }

@@ -48,7 +48,7 @@ from samples.small_rooms import BOX, make_room, table
 ROOT = Path(__file__).resolve().parent.parent
 # Every stage, and next to no training: that is not shared.
 LITTLE = {
-    "training_steps": 2, "later_training_steps": 2, "roughness_levels": 3, "diffuse_spp": 4, "light_spp": 4,
+    "training_steps": 2, "roughness_levels": 3, "diffuse_spp": 4, "light_spp": 4,
     "refine_diffuse_spp": 4, "refine_light_spp": 4, "refine_depth": 2,
 }  # fmt: skip
 

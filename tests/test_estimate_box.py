@@ -35,7 +35,7 @@ from samples.small_captures import (
 from samples.small_rooms import surface_points
 
 ROOT = Path(__file__).resolve().parent.parent
-STAGES = ["pixels", "shadings", "training-0", "refinement-1", "training-1"]
+STAGES = ["pixels", "shadings", "estimate-0", "refinement-1", "estimate-1", "training"]
 
 
 def run_child(run: RunFolder, kill=None) -> tuple[list[dict], int]:
@@ -108,7 +108,7 @@ def test_it_speaks_of_every_stage_and_names_its_files(finished) -> None:
     run, messages = finished
     stages = [message for message in messages if message["type"] == "stage"]
     assert [stage["name"] for stage in stages] == STAGES
-    assert [(stage["index"], stage["count"]) for stage in stages] == [(i, 5) for i in range(5)]
+    assert [(stage["index"], stage["count"]) for stage in stages] == [(i, 6) for i in range(6)]
     fractions = [message["fraction"] for message in messages if message["type"] == "progress"]
     assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] <= 1.0
     assert messages[-1]["type"] == "done"
@@ -149,25 +149,25 @@ def test_killed_after_every_stage_it_ends_bit_for_bit_the_same(
     def half_done(message: dict) -> bool:
         return message["type"] == "progress" and 0.45 < message["stage_fraction"] < 1.0
 
-    checkpoint = run.stage / "training-0.pt"
+    checkpoint = run.stage / "unfinished.pt"
     for number, kill in enumerate(
         [
             begins("shadings"),
-            begins("training-0"),
+            begins("estimate-0"),
+            lambda message: (run.stage / "estimate-0.pt").exists() and half_done(message),
+            begins("training"),
             lambda message: checkpoint.exists() or half_done(message),  # a slow reader may miss the file
-            lambda message: (run.stage / "networks-0.pt").exists() and half_done(message),
-            begins("training-1"),
         ]
     ):
         messages, status = run_child(run, kill)
         assert status == -signal.SIGKILL, (number, messages[-1])
         assert not run.fields_npz.exists()
         # A resumed run does not repeat what is done.
-        # The kill amid the refinement may come after its last view on a quick machine.
-        resumed_at = [STAGES[0:1], STAGES[1:2], STAGES[2:3], STAGES[2:3], STAGES[3:5]][number]
+        # A kill amid the refinement may come only after the stages that follow: they are quick.
+        resumed_at = [STAGES[0:1], STAGES[1:2], STAGES[2:3], STAGES[3:], STAGES[5:]][number]
         assert first_stage(messages) in resumed_at
     messages, status = run_child(run)
-    assert status == 0 and first_stage(messages) == "training-1"
+    assert status == 0 and first_stage(messages) == "training"
     same(finished[0], run)
     # Once more: nothing is left to do, and nothing changes.
     messages = run_here(run)

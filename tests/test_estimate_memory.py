@@ -18,6 +18,7 @@ from fipt_blender.core.light.emitters import EmitterPixels, bright_triangles, gr
 from fipt_blender.core.light.observations import Observations, observe
 from fipt_blender.core.material import pixel_samples
 from fipt_blender.core.material import training_input as training_input_module
+from fipt_blender.core.material.closed_form import fit_cells
 from fipt_blender.core.material.training_input import material_units, training_input
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.scene.pixels import NO_TRIANGLE, PixelStore
@@ -71,6 +72,8 @@ def learn_from(seen: Observations, pieces: np.ndarray | None) -> None:
     data, estimate = training_input(seen, pieces, shadings, levels, lambda position: position, SETTINGS)
     assert len(estimate.roughness) == len(estimate.rows) < len(data.pool) <= len(seen.pixels)
     assert 400 < len(estimate.rows) < 600
+    cells, marked = fit_cells(seen, data)
+    assert len(marked) == len(seen.parts.triangle_part) and 0 < len(cells.keys) < len(seen.pixels)
     units = material_units(seen, pieces, data)
     assert len(units.triangle) == len(seen.parts.triangle_part)
 

@@ -3,7 +3,6 @@
 """The pictures that a run shows while it works."""
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -46,8 +45,11 @@ def preview(tmp_path: Path) -> Preview:
 
 def pictures(preview: Preview, emitters: EmitterTable) -> list[np.ndarray]:
     """Base colour and emission."""
-    fields = SimpleNamespace(query=lambda points: (np.full((len(points), 3), 0.5, np.float32),))
-    return [np.asarray(Image.open(path)) for path in preview.estimate("training-0", fields, emitters)]
+
+    def colors(rows: np.ndarray) -> np.ndarray:
+        return np.full((len(rows), 3), 0.5, np.float32)
+
+    return [np.asarray(Image.open(path)) for path in preview.estimate("training", colors, emitters)]
 
 
 def test_emission_is_of_a_view_that_shows_a_lamp(preview: Preview) -> None:

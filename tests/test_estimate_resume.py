@@ -21,7 +21,7 @@ from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import (
-    LATER_TRAINING,
+    ESTIMATE,
     REFINEMENT,
     SHADINGS,
     TRAINING,
@@ -31,8 +31,8 @@ from fipt_blender.core.run.settings import (
 from samples.small_captures import QUICK, panel_capture, run_here, write_run
 
 # Small enough to be quick, and such that each setting has an effect.
-BASE = {**QUICK, "training_steps": 6, "later_training_steps": 4, "batch_size": 512, "rounds": 0}
-ALL = ["pixels", "shadings", "training-0", "refinement-1", "training-1"]
+BASE = {**QUICK, "training_steps": 6, "batch_size": 512, "rounds": 0}
+ALL = ["pixels", "shadings", "estimate-0", "refinement-1", "estimate-1", "training"]
 # Values other than those of BASE where doubling is no legal change.
 OTHERS = {
     "masking": "smith",
@@ -111,11 +111,10 @@ def arrays(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(folder.rglob("*.npy"))}
 
 
-def weights(run: RunFolder, index: int) -> dict[str, bytes]:
-    """The networks and the emitters after a training."""
-    state = torch.load(run.stage / f"networks-{index}.pt", weights_only=True)
-    tensors = {**state["brdf"], **state["emission"], "emitting": state["emitting"]}
-    return {name: value.numpy().tobytes() for name, value in tensors.items()}
+def tensors(run: RunFolder, name: str) -> dict[str, bytes]:
+    """What a closed-form estimate or the training has found."""
+    state = torch.load(run.stage / f"{name}.pt", weights_only=True)
+    return {name: value.numpy().tobytes() for name, value in state.items()}
 
 
 def outcome(run: RunFolder) -> dict[str, bytes]:
@@ -129,29 +128,33 @@ def test_stages_depend_on_no_setting_that_is_said_to_be_read_later(fresh) -> Non
     """Changing all settings of a stage keeps the stages before it."""
     none, one = fresh(0), fresh(1)
     assert arrays(fresh(0, SHADINGS).stage / "pixels") == arrays(none.stage / "pixels")
-    other = fresh(0, TRAINING)
+    other = fresh(0, ESTIMATE)
     assert arrays(other.stage / "pixels") == arrays(none.stage / "pixels")
     assert arrays(other.stage / "shadings") == arrays(none.stage / "shadings")
-    assert weights(other, 0) != weights(none, 0)
-    assert weights(none, 0) == weights(one, 0), "the number of rounds changes none of them"
+    assert tensors(other, "estimate-0") != tensors(none, "estimate-0")
+    assert tensors(none, "estimate-0") == tensors(one, "estimate-0"), (
+        "the number of rounds changes none of them"
+    )
     refinement = fresh(1, REFINEMENT)
-    assert weights(refinement, 0) == weights(one, 0)
+    assert tensors(refinement, "estimate-0") == tensors(one, "estimate-0")
     assert arrays(refinement.stage / "shadings") != arrays(one.stage / "shadings")
-    later = fresh(1, LATER_TRAINING)
-    assert weights(later, 0) == weights(one, 0)
+    later = fresh(1, TRAINING)
     assert arrays(later.stage / "shadings") == arrays(one.stage / "shadings")
-    assert weights(later, 1) != weights(one, 1)
+    assert tensors(later, "estimate-1") == tensors(one, "estimate-1")
+    assert tensors(later, "training") != tensors(one, "training")
     assert outcome(fresh(1, None)) == outcome(one)
 
 
 @pytest.mark.parametrize(
     ("rounds_before", "rounds", "stage", "done"),
     [
-        (0, 0, TRAINING, ["training-0"]),
-        (0, 0, SHADINGS, ["shadings", "training-0"]),
-        (1, 0, TRAINING, ["shadings", "training-0"]),  # the refinement wrote over stage 1's shadings
-        (1, 1, REFINEMENT, ["refinement-1", "training-1"]),
-        (1, 1, LATER_TRAINING, ["training-1"]),
+        (0, 0, TRAINING, ["training"]),
+        (0, 0, ESTIMATE, ["estimate-0", "training"]),
+        (0, 0, SHADINGS, ["shadings", "estimate-0", "training"]),
+        # The refinement wrote over stage 1's shadings.
+        (1, 0, ESTIMATE, ["shadings", "estimate-0", "training"]),
+        (1, 1, REFINEMENT, ["refinement-1", "estimate-1", "training"]),
+        (1, 1, TRAINING, ["training"]),
         (1, 1, None, []),
     ],
 )
@@ -183,8 +186,9 @@ def without_values(path: Path) -> None:
         ("pixels/triangle.npy", Path.unlink, ALL),
         ("pixels/front.npy", lambda path: path.write_bytes(b""), ALL),
         ("shadings/diffuse.npy", cut, ALL[3:]),
-        ("networks-0.pt", cut, ALL[1:]),  # the refinement wrote over stage 1's shadings
-        ("networks-1.pt", other_tensors, ALL[4:]),
+        ("estimate-0.pt", cut, ALL[1:]),  # the refinement wrote over stage 1's shadings
+        ("estimate-1.pt", other_tensors, ALL[4:]),
+        ("training.pt", other_tensors, ALL[5:]),
         ("stages.json", without_values, ALL),
         ("stages.json", lambda path: path.write_text("[]"), ALL),
     ],
@@ -206,11 +210,11 @@ def test_a_damaged_checkpoint_of_an_unfinished_training_is_discarded(fresh, tmp_
     run = RunFolder(shutil.copytree(fresh(0).root, tmp_path / "run"))
     path = run.stage / "stages.json"
     data = json.loads(path.read_text())
-    del data["stages"]["training-0"]
+    del data["stages"]["training"]
     path.write_text(json.dumps(data))
-    (run.stage / "training-0.pt").write_bytes(b"cut off")
+    (run.stage / "unfinished.pt").write_bytes(b"cut off")
     messages = run_here(run)
-    assert [message["name"] for message in messages if message["type"] == "stage"] == ["training-0"]
+    assert [message["name"] for message in messages if message["type"] == "stage"] == ["training"]
     assert "checkpoint-damaged" in [message.get("code") for message in messages]
     assert outcome(run) == outcome(fresh(0))
 
@@ -218,10 +222,12 @@ def test_a_damaged_checkpoint_of_an_unfinished_training_is_discarded(fresh, tmp_
 def test_another_number_of_rounds_keeps_those_that_are_done(fresh, tmp_path: Path) -> None:
     copy = RunFolder(shutil.copytree(fresh(1).root, tmp_path / "run"))
     copy.create(make_settings("draft", BASE))
-    assert work(copy) == ["shadings", "training-0"], "the refinement wrote over stage 1's shadings"
+    assert work(copy) == ["shadings", "estimate-0", "training"], (
+        "the refinement wrote over stage 1's shadings"
+    )
     assert outcome(copy) == outcome(fresh(0))
     copy.create(make_settings("draft", {**BASE, "rounds": 1}))
-    assert work(copy) == ["refinement-1", "training-1"] and outcome(copy) == outcome(fresh(1))
+    assert work(copy) == ALL[3:] and outcome(copy) == outcome(fresh(1))
 
 
 def test_a_resumed_run_repeats_the_warnings_of_finished_stages(
@@ -237,7 +243,7 @@ def test_a_resumed_run_repeats_the_warnings_of_finished_stages(
         patch.setattr(stages, "pretrain", stop)
         with pytest.raises(FiptError):
             run_here(run)
-    for done in (["training-0"], []):
+    for done in (["training"], []):
         messages = run_here(run)
         assert [message["name"] for message in messages if message["type"] == "stage"] == done
         (warning,) = [message for message in messages if message["type"] == "warning"]
@@ -252,5 +258,5 @@ def test_stages_that_take_no_time_have_no_rate(
     run = write_run(tmp_path / "run", capture, **BASE)
     run_here(run)
     listed = read_json(run.statistics_json)["stages"]
-    assert [stage["seconds"] for stage in listed] == [0.0] * 3
+    assert [stage["seconds"] for stage in listed] == [0.0] * 4
     assert listed[1]["rays"] > 0 and "mrays_per_second" not in listed[1]

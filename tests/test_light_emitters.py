@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Emitters: marked by the mask, grouped into fixtures, measured by the pixels that see them."""
+"""Emitters: grouped into fixtures, measured by the pixels that see them."""
 
 import itertools
 
@@ -13,7 +13,6 @@ from fipt_blender.core.light.emitters import (
     bright_triangles,
     emitter_components,
     emitter_table,
-    find_emitters,
     group_fixtures,
     side_medians,
 )
@@ -40,23 +39,6 @@ def pixels(
     return EmitterPixels(
         triangle, front.astype(bool), np.repeat(grey[:, None], 3, axis=1), weight.astype(float)
     )
-
-
-def test_a_bulb_of_five_centimetres_is_found_and_nothing_else() -> None:
-    room = room_with_bulb()
-
-    def mask(positions: np.ndarray) -> np.ndarray:
-        inside = np.linalg.norm(positions - [0.5, 0.3, 1.0], axis=1) < 0.06
-        return np.where(inside, 0.6, 0.0) + 1e-4  # a trained mask is never quite zero
-
-    found = find_emitters(room, mask, 0.01, 100, np.random.default_rng(0))
-    assert np.flatnonzero(found).tolist() == list(range(12, 20))
-    # The threshold is on the mean: three quarters of a wall's upper triangle at 0.012 are not enough.
-    for alpha, expected in ((0.012, False), (0.02, True)):
-        found = find_emitters(
-            room, lambda p, a=alpha: a * (p[:, 2] > 1.5), 0.01, 100, np.random.default_rng(0)
-        )
-        assert found[5] == expected and not found[4] and found[[2, 3]].all()
 
 
 def test_weighted_medians_of_both_sides() -> None:

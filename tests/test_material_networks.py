@@ -1,19 +1,23 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hash grid, networks and losses against values by hand or in double precision, and differences."""
+"""Hash grid, network and losses against values by hand or in double precision, and differences."""
 
 import numpy as np
 import pytest
 import torch
 
+from benchmarks.emission_mask import (
+    EmissionNetwork,
+    emission_mask,
+    masked_rendering_loss,
+    positional_encoding,
+)
 from fipt_blender.core.material import losses
 from fipt_blender.core.material.hashgrid import HashGrid
 from fipt_blender.core.material.networks import (
     BrdfNetwork,
-    EmissionNetwork,
     Prediction,
-    emission_mask,
-    positional_encoding,
+    typical_values,
     useful_hash_levels,
 )
 from fipt_blender.core.run.settings import Settings
@@ -29,8 +33,15 @@ def make_grid(levels: int = 5, seed: int = 0) -> HashGrid:
     return grid
 
 
+def units_of(positions: torch.Tensor) -> torch.Tensor:
+    """Three units in turn."""
+    return torch.arange(len(positions)) % 3
+
+
 def reference_weights(grid: HashGrid, positions: np.ndarray) -> np.ndarray:
-    """(N, levels, table rows) trilinear weights in double precision, by Eq. 4 of Müller et al.."""
+    """(N, levels, table rows) trilinear weights in double precision, by Eq. 4 of Müller et al. with units."""
+    unit = np.arange(len(positions), dtype=np.uint64) % 3 * 3674653429 % 2**32
+    unit ^= unit >> 15
     result = np.zeros((len(positions), len(grid.resolutions), int(grid.offsets[-1])))
     for level, resolution in enumerate(grid.resolutions):
         scaled = positions.astype(np.float64) * resolution
@@ -42,7 +53,7 @@ def reference_weights(grid: HashGrid, positions: np.ndarray) -> np.ndarray:
                 entry = corner @ [1, resolution + 1, (resolution + 1) ** 2]
             else:
                 hashed = corner.astype(np.uint64) * np.array([1, 2654435761, 805459861], np.uint64)
-                entry = ((hashed[:, 0] ^ hashed[:, 1] ^ hashed[:, 2]) % 2**12).astype(np.int64)
+                entry = ((hashed[:, 0] ^ hashed[:, 1] ^ hashed[:, 2] ^ unit) % 2**12).astype(np.int64)
             weight = np.abs(1 - np.array([x, y, z]) - fraction).prod(axis=1)
             np.add.at(result, (np.arange(len(cell)), level, entry + grid.offsets[level]), weight)
     return result
@@ -53,7 +64,8 @@ def test_hash_grid_is_its_definition_forward_and_backward(rng: np.random.Generat
     assert grid.resolutions == [4, 7, 12, 23, 41] and grid.width == 10
     positions = rng.random((200, 3)).astype(np.float32)
     weights = reference_weights(grid, positions)
-    features = grid(torch.from_numpy(positions))
+    points = torch.from_numpy(positions)
+    features = grid(points, units_of(points))
     table = grid.table.detach().numpy().astype(np.float64)
     expected = np.einsum("nlt,tf->nlf", weights, table).reshape(200, -1)
     np.testing.assert_allclose(features.detach().numpy(), expected, atol=3e-5)
@@ -68,7 +80,7 @@ def test_hash_grid_gradient_is_the_finite_difference(rng: np.random.Generator) -
     positions = torch.from_numpy(rng.random((500, 3)).astype(np.float32))
 
     def loss() -> torch.Tensor:
-        return torch.sin(grid(positions).double()).sum()
+        return torch.sin(grid(positions, units_of(positions)).double()).sum()
 
     loss().backward()
     direction = torch.from_numpy(rng.normal(size=grid.table.shape).astype(np.float32))
@@ -86,9 +98,9 @@ def test_hash_grid_gradient_is_the_finite_difference(rng: np.random.Generator) -
 def test_hash_grid_at_the_borders_and_with_no_gradient() -> None:
     grid = make_grid()
     corners = torch.tensor([[0.0, 0, 0], [1, 1, 1], [1, 0, 1], [-0.1, 2.0, 0.5]])
-    features = grid(corners)
+    features = grid(corners, torch.zeros(4, dtype=torch.int64))
     assert torch.isfinite(features).all()
-    inside = grid(torch.tensor([[1.0 - 2e-6] * 3]))
+    inside = grid(torch.tensor([[1.0 - 2e-6] * 3]), torch.zeros(1, dtype=torch.int64))
     assert torch.allclose(features[1], inside[0], atol=1e-3)
     (features * 0.0).sum().backward()
     assert (grid.table.grad == 0).all()
@@ -101,12 +113,12 @@ def test_hash_grid_gradients_are_the_same_bit_for_bit(rng: np.random.Generator) 
     gradients = []
     for _ in range(3):
         grid = make_grid()
-        grid(positions).backward(upstream)
+        grid(positions, units_of(positions)).backward(upstream)
         gradients.append(grid.table.grad.clone())
     assert torch.equal(gradients[0], gradients[1]) and torch.equal(gradients[0], gradients[2])
     shuffled = torch.from_numpy(np.random.default_rng(1).permutation(20_000))
     grid = make_grid()
-    grid(positions[shuffled]).backward(upstream[shuffled])
+    grid(positions[shuffled], units_of(positions)[shuffled]).backward(upstream[shuffled])
     assert torch.equal(grid.table.grad, gradients[0])
 
 
@@ -116,9 +128,9 @@ def test_networks_stay_in_range_and_start_alike() -> None:
     outputs = []
     for _ in range(2):
         generator = torch.Generator().manual_seed(5)
-        brdf = BrdfNetwork(settings, 4, generator, CPU)
-        emission = EmissionNetwork(settings, generator, CPU)
-        outputs.append((brdf(positions), emission(positions)))
+        brdf = BrdfNetwork(settings, 4, np.full((3, 5), 0.5), generator, CPU)
+        emission = EmissionNetwork(generator, CPU)
+        outputs.append((brdf(positions, units_of(positions) - 1), emission(positions)))
     (prediction, raw), (again, raw_again) = outputs
     assert torch.equal(prediction.base_color, again.base_color) and torch.equal(raw, raw_again)
     assert 0 <= prediction.base_color.min() and prediction.base_color.max() <= 1
@@ -126,6 +138,36 @@ def test_networks_stay_in_range_and_start_alike() -> None:
     assert len(emission.layers) == 7 and emission.layers[3].in_features == 128 + 63  # the skip
     raw = torch.tensor([-1.0, 0.0, 1.0])
     assert emission_mask(raw).tolist() == pytest.approx([0.0, 0.0, 1 - np.exp(-1)])
+
+
+def test_the_network_starts_near_the_typical_values_of_each_unit() -> None:
+    typical = np.array([[0.1, 0.2, 0.3, 0.4, 0.0], [0.9, 0.8, 0.7, 1.0, 1.0], [0.5] * 5])
+    brdf = BrdfNetwork(Settings(hash_levels=4), 4, typical, torch.Generator().manual_seed(0), CPU)
+    positions = torch.rand((60, 3), generator=torch.Generator().manual_seed(1))
+    found = brdf(positions, units_of(positions) - 1)  # units -1, 0 and 1; the last row is for none
+    values = torch.cat([found.base_color, found.roughness[:, None], found.metallic[:, None]], dim=1)
+    expected = torch.from_numpy(typical).float()[units_of(positions) - 1]
+    assert (values - expected).abs().max() < 0.01
+
+
+def test_units_that_touch_share_no_fine_detail() -> None:
+    """The gradient at a point of one unit changes another unit's value there by the coarse levels alone."""
+    grid = make_grid()
+    point = torch.full((1, 3), 0.4)
+    first, second = (torch.full((1,), unit) for unit in (0, 1))
+    before = grid(point, first), grid(point, second)
+    grid(point, first)[:, 6:].sum().backward()  # of the levels that share entries
+    with torch.no_grad():
+        grid.table.add_(grid.table.grad)
+    after = grid(point, first), grid(point, second)
+    assert (after[0] - before[0])[:, 6:].min() > 0.1
+    assert torch.equal(after[1], before[1])
+
+
+def test_typical_values_are_medians_and_those_of_all_where_nothing_was_seen() -> None:
+    values = np.array([[0.1], [0.3], [0.2], [0.9], [0.5]])
+    found = typical_values(values, np.array([0, 0, 0, 2, -1]), 3)
+    assert found[:, 0].tolist() == pytest.approx([0.2, 0.3, 0.9, 0.3])
 
 
 def test_positional_encoding() -> None:
@@ -188,20 +230,21 @@ def test_tone_mapping_and_rendering_loss() -> None:
     assert losses.tone_map(x).tolist() == pytest.approx(curve.tolist())
     photographed = torch.full((6, 3), 2.0, dtype=torch.float64)
     ones = torch.ones(6, dtype=torch.float64)
+    # Pixels that see emitters do not count.
+    assert float(losses.rendering_loss(LIGHT, photographed, ones < 0)) == 0.0
+    squared = (losses.tone_map(LIGHT) - losses.tone_map(photographed)).square().sum(dim=1)
+    half = torch.arange(6) < 3
+    expected = float(squared[:3].sum() / 6)
+    assert float(losses.rendering_loss(LIGHT, photographed, half)) == pytest.approx(expected)
     # With alpha = 1 emission explains the photograph; with 0 only the rendering counts.
-    assert float(losses.rendering_loss(LIGHT, ones, photographed)) == 0.0
-    expected = (losses.tone_map(LIGHT) - losses.tone_map(photographed)).square().sum(dim=1).mean()
-    assert float(losses.rendering_loss(LIGHT, ones * 0, photographed)) == pytest.approx(
-        float(expected.detach())
-    )
-    rendered, alpha = LIGHT.clone().requires_grad_(), (ones * 0.3).requires_grad_()
-    assert torch.autograd.gradcheck(lambda r, a: losses.rendering_loss(r, a, photographed), (rendered, alpha))
+    assert float(masked_rendering_loss(LIGHT, ones, photographed)) == 0.0
+    masked = float(masked_rendering_loss(LIGHT, ones * 0, photographed))
+    assert masked == pytest.approx(float(squared.mean()))
+    rendered = LIGHT.clone().requires_grad_()
+    assert torch.autograd.gradcheck(lambda r: losses.rendering_loss(r, photographed, half), (rendered,))
 
 
-def test_emission_and_diffuse_terms() -> None:
-    raw = torch.tensor([-0.5, 0.25, 1.5], dtype=torch.float64, requires_grad=True)
-    assert float(losses.emission_loss(raw)) == pytest.approx(0.75)
-    assert torch.autograd.gradcheck(losses.emission_loss, (raw,))
+def test_diffuse_term() -> None:
     values = prediction(3)
     expected = ((1 - values[1]) + values[2]).mean()
     assert float(losses.diffuse_loss(Prediction(*values))) == pytest.approx(float(expected.detach()))

@@ -32,7 +32,7 @@ class Ramp:
 
     box = BOX_4
 
-    def query(self, positions):
+    def query(self, positions, units=None):
         x = (np.asarray(positions, np.float32)[:, 0] / 4.0).astype(np.float32)
         return np.stack([x, 0.5 * x, 0.2 * x], axis=1), 1.0 - 0.5 * x, 0.1 * x
 

@@ -33,7 +33,7 @@ from samples.small_rooms import BOX
 
 ops = bpy.ops.fipt
 posix = pytest.mark.skipif(os.name == "nt", reason="signals")
-STAGES = ["pixels", "shadings", "training-0", "refinement-1", "training-1"]
+STAGES = ["pixels", "shadings", "estimate-0", "refinement-1", "estimate-1", "training"]
 
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -73,7 +73,7 @@ def scene(run, tmp_path, monkeypatch):
 @pytest.fixture
 def quick(monkeypatch) -> dict:
     """Settings below those that the panel offers, for a run of seconds."""
-    changes = {**QUICK, "training_steps": 20, "later_training_steps": 10}
+    changes = {**QUICK, "training_steps": 20}
     monkeypatch.setattr(estimate, "scene_settings", lambda scene: make_settings("draft", changes))
     return changes
 
@@ -128,7 +128,7 @@ def test_estimate_works_on_the_scene_as_it_is(scene, run, quick):
     assert run.read().training_steps == 20 and run.read().device == "llvm"
     job = running.last("estimate")
     assert job.state == "finished" and all(path.is_file() for path in job.pictures)
-    assert [path.name for path in job.pictures] == ["training-1-base_color.png", "training-1-emission.png"]
+    assert [path.name for path in job.pictures] == ["training-base_color.png", "training-emission.png"]
     assert not ops.resume.poll()  # it is finished
 
     before = run.emitters_json.stat().st_mtime_ns
@@ -139,7 +139,7 @@ def test_estimate_works_on_the_scene_as_it_is(scene, run, quick):
 
 @posix
 def test_killed_at_every_stage_it_resumes_and_blender_lives_on(scene, run, quick):
-    quick |= {"refine_diffuse_spp": 512, "later_training_steps": 300}  # long enough to be met
+    quick |= {"refine_diffuse_spp": 512, "training_steps": 300}  # long enough to be met
     for number, stage in enumerate(STAGES):
         info = start(resume=number > 0)
         tick_to_stage(run, stage)
@@ -156,7 +156,7 @@ def test_killed_at_every_stage_it_resumes_and_blender_lives_on(scene, run, quick
 @posix
 def test_cancelled_while_baking_and_while_training(scene, run, quick):
     quick |= {"diffuse_spp": 2048, "training_steps": 5000}
-    for stage, kept in (("shadings", 1), ("training-0", 2)):
+    for stage, kept in (("shadings", 1), ("training", 5)):
         info = start(resume=kept > 1)
         tick_to_stage(run, stage)
         began = time.monotonic()
@@ -255,7 +255,7 @@ def test_only_changed_settings_leave_the_preset(scene):
         False,
     )
     assert not made.reject_views and not made.correct_exposure
-    assert made.later_training_steps == make_settings("draft").later_training_steps
+    assert made.batch_size == make_settings("draft").batch_size
     assert settings.is_changed("denoise") and not settings.is_changed("rounds")
     assert ops.reset_setting(setting="diffuse_samples") == {"FINISHED"}
     assert scene_settings(scene).diffuse_spp == make_settings("draft").diffuse_spp
@@ -291,9 +291,9 @@ def test_the_device_of_the_scene_comes_before_the_preferences(scene):
 
 def test_estimate_starts_anew_unless_stages_are_to_be_kept(scene, run, quick):
     assert ops.estimate() == {"FINISHED"} and worked(run) == STAGES
-    quick["later_training_steps"] = 12
-    assert ops.estimate(keep=True) == {"FINISHED"} and worked(run) == ["training-1"]
-    assert run.read().later_training_steps == 12 and done(run) == STAGES
+    quick["training_steps"] = 12
+    assert ops.estimate(keep=True) == {"FINISHED"} and worked(run) == ["training"]
+    assert run.read().training_steps == 12 and done(run) == STAGES
     assert ops.estimate() == {"FINISHED"} and worked(run) == STAGES
 
 

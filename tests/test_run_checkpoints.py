@@ -40,8 +40,8 @@ def do(checkpoints: Checkpoints, names: list[str], folder: Path) -> None:
     """Do the stages and write the files that the engine would write."""
     for name in names:
         checkpoints.begin(name)
-        if name.startswith("training"):
-            checkpoints.save_tensors(name.replace("training", "networks"), {"x": torch.arange(3)})
+        if name.startswith(("estimate", "training")):
+            checkpoints.save_tensors(name, {"x": torch.arange(3)})
         (folder / "previews").mkdir(exist_ok=True)
         (folder / "previews" / f"{name}-base_color.png").touch()
         checkpoints.mark(name, {"seconds": 2.0})
@@ -69,9 +69,9 @@ def test_stages_are_remembered_for_the_same_input_only(tmp_path: Path) -> None:
     first.remember("scale", 0.25)
     do(first, STAGES[:3], folder)
     again = Checkpoints(folder, make_keys())
-    assert again.done("training-0") and not again.done("refinement-1") and again.recall("scale") == 0.25
+    assert again.done("estimate-0") and not again.done("refinement-1") and again.recall("scale") == 0.25
     assert again.facts() == [{"name": name, "seconds": 2.0} for name in STAGES[:3]]
-    assert again.load_tensors("networks-0", torch.device("cpu"))["x"].tolist() == [0, 1, 2]
+    assert again.load_tensors("estimate-0", torch.device("cpu"))["x"].tolist() == [0, 1, 2]
     other = Checkpoints(folder, make_keys("pixels"))
     assert not other.done("pixels") and list(folder.iterdir()) == []
     for damaged in ("{ cut off", "{}", '{"stages": 1, "keys": {}, "values": {}}', '{"key": "a"}'):
@@ -83,25 +83,27 @@ def test_stages_are_remembered_for_the_same_input_only(tmp_path: Path) -> None:
     ("done", "changed", "kept"),
     [
         (3, "shadings", 1),
-        (3, "training-0", 2),
+        (3, "estimate-0", 2),
         (3, "refinement-1", 3),
-        (5, "training-0", 1),  # the refinement wrote over stage 1's shadings
-        (5, "refinement-1", 3),
-        (5, "training-1", 4),
+        (6, "estimate-0", 1),  # the refinement wrote over stage 1's shadings
+        (6, "refinement-1", 3),
+        (6, "estimate-1", 4),
+        (6, "training", 5),
         (5, "", 5),
+        (6, "", 6),
     ],
 )
 def test_stages_before_a_change_are_kept(done: int, changed: str, kept: int, tmp_path: Path) -> None:
     folder = tmp_path / "stage"
     do(Checkpoints(folder, make_keys()), STAGES[:done], folder)
-    (folder / "training-1.pt").touch()  # under way
+    (folder / "unfinished.pt").touch()  # under way
     checkpoints = Checkpoints(folder, make_keys(changed))
     assert [name for name in STAGES if checkpoints.done(name)] == STAGES[:kept]
     pictures = [path.name.removesuffix("-base_color.png") for path in (folder / "previews").iterdir()]
     assert sorted(pictures) == sorted(STAGES[:kept])
-    networks = [name for name in STAGES[:kept] if name.startswith("training")]
-    assert len(list(folder.glob("networks-*.pt"))) == len(networks)
-    assert (folder / "training-1.pt").exists() == (changed == "")
+    saved = [name for name in STAGES[:kept] if name.startswith(("estimate", "training"))]
+    left = {path.stem for path in folder.glob("*.pt")}
+    assert left == {*saved, *(["unfinished"] if changed == "" else [])}
     assert [name for name in STAGES if Checkpoints(folder, make_keys(changed)).done(name)] == STAGES[:kept]
 
 
@@ -110,8 +112,8 @@ def test_a_refinement_that_began_has_spoilt_the_shadings_before(tmp_path: Path) 
     first = Checkpoints(folder, make_keys())
     do(first, STAGES[:3], folder)
     first.begin("refinement-1")
-    assert Checkpoints(folder, make_keys()).done("training-0")
-    checkpoints = Checkpoints(folder, make_keys("training-0"))
+    assert Checkpoints(folder, make_keys()).done("estimate-0")
+    checkpoints = Checkpoints(folder, make_keys("estimate-0"))
     assert checkpoints.done("pixels") and not checkpoints.done("shadings")
 
 
@@ -120,18 +122,18 @@ def test_a_kill_amid_dropping_stages_leaves_none_that_lack_their_files(
 ) -> None:
     folder = tmp_path / "stage"
     do(Checkpoints(folder, make_keys()), STAGES, folder)
-    (folder / "training-0.pt").touch()
+    (folder / "unfinished.pt").touch()
 
     def killed(path: Path, missing_ok: bool = False) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(Path, "unlink", killed)
-        Checkpoints(folder, make_keys("training-1"))
-    assert (folder / "networks-1.pt").exists()
+        Checkpoints(folder, make_keys("estimate-1"))
+    assert (folder / "estimate-1.pt").exists()
     again = Checkpoints(folder, make_keys())
-    assert not again.done("training-1") and again.done("refinement-1")
-    assert not (folder / "networks-1.pt").exists(), "it may be another key's"
+    assert not again.done("estimate-1") and again.done("refinement-1")
+    assert not (folder / "estimate-1.pt").exists(), "it may be another key's"
 
 
 def test_finished_views_are_those_of_the_same_stage_and_input(
@@ -172,7 +174,7 @@ def test_fewer_rounds_keep_the_stages_that_they_share(tmp_path: Path) -> None:
     keys = stage_keys(SMALL, [])
     assert list(keys) == stage_names(2)
     fewer = stage_keys(replace(SMALL, rounds=1), [])
-    assert fewer == {name: keys[name] for name in STAGES}
+    assert [name for name in fewer if fewer[name] != keys[name]] == ["training"], "it comes after all rounds"
 
 
 def test_keys_follow_the_settings_that_a_stage_and_those_before_it_read(tmp_path: Path) -> None:
@@ -221,7 +223,7 @@ def to_full_disk(path: Path) -> None:
 
 
 def save_fields(run: RunFolder) -> None:
-    network = BrdfNetwork(SMALL, 2, torch.Generator(), torch.device("cpu"))
+    network = BrdfNetwork(SMALL, 2, np.full((2, 5), 0.5), torch.Generator(), torch.device("cpu"))
     box, part = Box(np.zeros(3), 1.0), np.zeros(1, np.int32)
     cells = seen_cells(box, [(np.zeros((1, 3), np.float32), part)])
     RoomFields(Fields(network, box), Units(part, np.ones(1, bool)), cells).save(run)

@@ -17,7 +17,7 @@ from .sidebar import Section, SubSection
 # Settings in one column belong together.
 _ADVANCED = (
     ("diffuse_samples", "specular_samples", "light_samples", "denoise"),
-    ("training_steps", "later_training_steps"),
+    ("training_steps",),
     ("voxel_resolution", "roughness_levels"),
     ("reject_views", "correct_exposure"),
     ("seed",),

@@ -67,10 +67,7 @@ CHOICES = {
         "Rays per pixel toward lamps: more rays reduce noise in shadows",
     ),
     "training_steps": Choice(
-        ("training_steps",), "Training Steps", "Steps of the first training: more steps give sharper textures"
-    ),
-    "later_training_steps": Choice(
-        ("later_training_steps",), "Later Steps", "Training steps in each later round"
+        ("training_steps",), "Training Steps", "Steps of the training: more steps give sharper textures"
     ),
     "voxel_resolution": Choice(
         ("voxel_resolution",),

@@ -32,7 +32,6 @@ _FAST = {
     "specular_samples": 4,
     "light_samples": 2,
     "training_steps": 400,
-    "later_training_steps": 150,
     "voxel_resolution": 48,
     "roughness_levels": 3,
 }

@@ -7,12 +7,12 @@ They are kept with the checkpoints and become stale together with them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from ..light.baking import ShadingStore
-from ..material.inference import Fields
 from ..optics.lights import EmitterTable
 from ..report.comparison import to_display
 from ..report.pictures import write_png
@@ -62,18 +62,20 @@ class Preview:
         color[np.asarray(self._pixels.triangle[rows]) < 0] = 0.0
         return [self._write(self._paths(stage)[0], color, self._rows.shape)]
 
-    def estimate(self, stage: str, fields: Fields, emitters: EmitterTable) -> list[Path]:
+    def estimate(
+        self, stage: str, colors: Callable[[np.ndarray], np.ndarray], emitters: EmitterTable
+    ) -> list[Path]:
         """Estimated base colour and emission.
 
         Args:
             stage: used in the names of the files.
-            fields: the material network.
+            colors: (R,) pixels to their (R, 3) base colour.
             emitters: radiance in units of the capture's median.
 
         Raises:
             FiptError: ``disk-full`` or ``run-unwritable``.
         """
-        color = fields.query(np.asarray(self._pixels.position[self._rows.reshape(-1)]))[0]
+        color = colors(self._rows.reshape(-1))
         emission = self._emission(emitters, self._rows)
         triangle = np.asarray(self._pixels.triangle[self._rows.reshape(-1)])
         color[(triangle < 0) | emission.any(axis=1)] = 0.0

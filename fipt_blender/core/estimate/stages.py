@@ -4,12 +4,14 @@
 
     pixels          intersect the photographs' pixels with the mesh; check the views
     shadings        stage 1: bake the shadings from the radiance cache (Sec. 4.2, Eq. 9)
-    training-0      stage 2: fit BRDF and emission mask, find the emitters (Sec. 4.4 and 4.5, Eq. 12 to 20)
+    estimate-0      closed-form estimate of the BRDF (Eq. 5); find the emitters (Sec. 4.4)
     refinement-i    stage 3: bake the shadings anew by path tracing (Sec. 4.3, Eq. 10 and 11)
-    training-i      stage 2 with the refined shadings
+    estimate-i      closed form and emitters with the refined shadings
+    training        stage 2: fit the BRDF network, once (Sec. 4.5, Eq. 14 to 20)
 
-Stages 3 and 2 are repeated `rounds` times. A run that is resumed loads the stages that it has finished. The
-computations are in `light/`, `views/` and `material/`, the data that stages share in :mod:`.state`.
+Stage 3 and the closed form are repeated `rounds` times. A run that is resumed loads the stages that it has
+finished. The computations are in `light/`, `views/` and `material/`, the data that stages share in
+:mod:`.state`.
 """
 
 from __future__ import annotations
@@ -17,33 +19,34 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..light.baking import Baking, ShadingStore, TracedLight, bake_views
 from ..light.emitters import bright_triangles
-from ..light.lamps import find_lamps, make_fixtures
+from ..light.evidence import find_emission
 from ..light.observations import observe
 from ..light.reflecting import separate
 from ..light.shadings import SampleCounts
 from ..material.cell_errors import cell_errors
+from ..material.closed_form import CellEstimate, fit_cells, render_rows, triangle_emission
 from ..material.groups import numbered
-from ..material.inference import render_pixels
-from ..material.networks import (
-    BrdfNetwork,
-    EmissionNetwork,
-    Networks,
-    networks_generator,
-    useful_hash_levels,
-)
+from ..material.networks import typical_values, useful_hash_levels
 from ..material.pixel_samples import lamp_pixels
 from ..material.projection import InitialEstimate
-from ..material.training import PRETRAINING_STEPS, Resume, TrainingData, pretrain, read_checkpoint, train
+from ..material.training import (
+    PRETRAINING_STEPS,
+    Resume,
+    Surfaces,
+    TrainingData,
+    pretrain,
+    read_checkpoint,
+    train,
+)
 from ..material.training_input import material_units, training_input
 from ..optics.lights import EmitterTable
-from ..run.checkpoints import DamagedStage, stage_names
+from ..run.checkpoints import UNFINISHED, DamagedStage, stage_names
 from ..run.errors import FiptError
 from ..run.finished_views import FinishedViews
 from ..run.runfolder import explained_write_errors, write_json
@@ -59,7 +62,7 @@ from .state import EstimationState
 Facts = dict[str, Any]  # what stages.json keeps of a stage; JSON-serialisable
 
 # Expected time of each kind of stage relative to stage 1, for the progress bar only.
-_WEIGHTS = {"pixels": 0.1, "shadings": 1.0, "training": 1.6, "refinement": 1.2}
+_WEIGHTS = {"pixels": 0.1, "shadings": 1.0, "estimate": 0.4, "refinement": 1.2, "training": 1.2}
 
 
 class Estimation(EstimationState):
@@ -108,12 +111,14 @@ class Estimation(EstimationState):
                         partial(self._load_shadings, f"refinement-{index}"),
                     )
                 self._stage(
-                    f"training-{index}",
-                    f"Stage 2: training materials (round {index + 1} of {rounds + 1})",
-                    partial(self._train, index, _training_steps(self.settings, index)),
-                    partial(self._resume_training, index),
+                    f"estimate-{index}",
+                    f"Estimating materials and lamps (round {index + 1} of {rounds + 1})",
+                    partial(self._estimate, index),
+                    partial(self._resume_estimate, index),
                 )
-                self._show(f"training-{index}")
+                self._show(f"estimate-{index}")
+            self._stage("training", "Stage 2: training materials", self._train, self._load_network)
+            self._show("training")
             self._write_results()
 
     def _stage(self, name: str, text: str, work: Callable[[], Facts], load: Callable[[], None]) -> None:
@@ -176,14 +181,10 @@ class Estimation(EstimationState):
         return numbered([part, self._pieces]).astype(np.int32)
 
     def _prepare(self) -> None:
-        """Everything that follows from the pixels and is quick to make again, and new networks."""
+        """Everything that follows from the pixels and is quick to make again."""
         self.observations = observe(
             self.room, self.pixels, self.parts, self.settings, self.folder.stage / "observed"
         )
-        generator = networks_generator(self.settings)
-        self.hash_levels = useful_hash_levels(self.settings, self.box.extent, self.observations.footprint)
-        self.brdf = BrdfNetwork(self.settings, self.hash_levels, generator, self.device)
-        self.emission = EmissionNetwork(self.settings, generator, self.device)
 
     # ---- Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9) ---------------------------------------
 
@@ -236,67 +237,38 @@ class Estimation(EstimationState):
         finished.flush = store.flush
         return store
 
-    # ---- Stage 2: BRDF and emission mask (Sec. 4.5, Eq. 12, 14 to 20); emitters (Sec. 4.4, Eq. 13) ---------
+    # ---- Closed form (Eq. 5) and emitters (Sec. 4.4) -------------------------------------------------------
 
-    def _train(self, index: int, steps: int) -> Facts:
-        shadings = self._open_shadings()
-        data, initial = training_input(
-            self.observations,
-            self._pieces,
-            shadings,
-            self.levels,
-            self.box.normalise,
-            self.settings,
-        )
-        checkpoint = self.folder.stage / f"training-{index}.pt"
-        self._fit(index, steps, data, initial, checkpoint)
-        self._find_cells(material_units(self.observations, self._pieces, data))
-        constant = self._constant_triangles(initial)
+    def _estimate(self, index: int) -> Facts:
+        self._input = None  # that of the round before
+        data, initial = self._closed_form()
         joint = self.settings.emission == "joint"
-        emitting = constant if joint else self._find_emitters(index, constant)
-        self._group_fixtures(emitting, index)
-        # Kept with the networks: stage 3 writes over the shadings from which these means are made.
-        self.diffuse = self.observations.means(shadings.diffuse).astype(np.float16)
-        self._save_training(index, emitting)
-        checkpoint.unlink(missing_ok=True)
-        return {"steps": steps, "hash_levels": self.hash_levels}
+        cells, marked = fit_cells(self.observations, data, self.settings.lambda_joint if joint else None)
+        self._find_cells(material_units(self.observations, self._pieces, data))
+        emitting = self._constant_triangles(initial)
+        if joint:
+            self.emission = triangle_emission(cells, self.observations, data)
+        else:
+            emitting = self._find_emitters(data, cells, marked, emitting)
+        self._group_fixtures(emitting)
+        # Kept for stage 3, which writes over the shadings from which these are made.
+        self.diffuse = self.observations.means(data.diffuse).astype(np.float16)
+        self.materials = self._entry_values(cells)
+        self._save_estimate(index, emitting)
+        return {"cells": len(cells.keys)}
 
-    def _fit(
-        self,
-        index: int,
-        steps: int,
-        data: TrainingData,
-        initial: InitialEstimate,
-        checkpoint: Path,
-    ) -> None:
-        """Fit the networks to the closed-form estimate, then to the photographs."""
-        networks = Networks(self.brdf, self.emission)
-        state = None
-        if checkpoint.exists():
-            try:
-                state = read_checkpoint(checkpoint, networks, steps)
-            except FiptError as error:
-                self._warn_of_damage(error.text)
-                checkpoint.unlink()
-        fitted = PRETRAINING_STEPS / (PRETRAINING_STEPS + steps)
-        if state is None:
-            pretrain(
-                networks,
-                data,
-                initial,
+    def _closed_form(self) -> tuple[TrainingData, InitialEstimate]:
+        """The data to train on with the last shadings, and the closed-form estimate of a sample of them."""
+        if self._input is None:
+            self._input = training_input(
+                self.observations,
+                self._pieces,
+                self._open_shadings(),
+                self.levels,
+                self.box.normalise,
                 self.settings,
-                index,
-                self._progress_within(0.0, fitted),
             )
-        train(
-            networks,
-            data,
-            self.settings,
-            steps,
-            index,
-            Resume(checkpoint, state),
-            self._progress_within(fitted, 1.0),
-        )
+        return self._input
 
     def _constant_triangles(self, initial: InitialEstimate) -> np.ndarray:
         """(T,) bool, triangles of parts whose radiance is constant although the light on them varies."""
@@ -307,34 +279,64 @@ class Estimation(EstimationState):
         constant[known] = initial.part_emits[part[known]]
         return constant
 
-    def _find_emitters(self, index: int, constant: np.ndarray) -> np.ndarray:
+    def _find_emitters(
+        self, data: TrainingData, cells: CellEstimate, marked: np.ndarray, constant: np.ndarray
+    ) -> np.ndarray:
         """(T,) bool, triangles that emit; those of `constant` ((T,) bool) do in any case."""
-        shadings = self._open_shadings()
-        arguments = self.brdf, self.box, self.pixels.position
-        estimate = partial(render_pixels, *arguments, shadings.diffuse, shadings.specular, self.levels)
-        return find_lamps(
-            self.room, self.pixels, shadings, self._mask, estimate, constant, self.settings, index
-        )
+        estimate = partial(render_rows, cells, self.observations, data)
+        return find_emission(self.room, self.pixels, self._open_shadings(), marked, constant, estimate)
 
-    def _group_fixtures(self, emitting: np.ndarray, index: int) -> None:
-        self.fixtures = make_fixtures(self.room, self.pixels, emitting, self._mask, self.settings, index)
-
-    def _resume_training(self, index: int) -> None:
+    def _resume_estimate(self, index: int) -> None:
         # Emitters are read, not found anew: the shadings they were found with may have been refined since.
-        self._group_fixtures(self._load_training(index), index)
+        self._group_fixtures(self._load_estimate(index))
+
+    # ---- Stage 2: the BRDF network (Sec. 4.5, Eq. 12, 14 to 20) --------------------------------------------
+
+    def _train(self) -> Facts:
+        """Fit the network to the closed-form estimate, then to the photographs."""
+        data, initial = self._closed_form()
+        _, emitting = self._emitters()
+        joint = len(self.emission) > 0
+        surfaces = Surfaces(
+            self.pixels.triangle,
+            self.units.triangle,
+            np.zeros_like(emitting) if joint else emitting,
+            self.emission,
+        )
+        unit = self.units.triangle[self.pixels.triangle[initial.rows]]
+        hash_levels = useful_hash_levels(self.settings, self.box.extent, self.observations.footprint)
+        self.brdf = self._new_network(
+            hash_levels, typical_values(initial.values, unit, len(self.units.single))
+        )
+        checkpoint = self.folder.stage / f"{UNFINISHED}.pt"
+        state = None
+        if checkpoint.exists():
+            try:
+                state = read_checkpoint(checkpoint, self.brdf, self.settings.training_steps)
+            except FiptError as error:
+                self._warn_of_damage(error.text)
+                checkpoint.unlink()
+        fitted = PRETRAINING_STEPS / (PRETRAINING_STEPS + self.settings.training_steps)
+        if state is None:
+            progress = self._progress_within(0.0, fitted)
+            pretrain(self.brdf, data, surfaces, initial, self.settings, progress)
+        progress = self._progress_within(fitted, 1.0)
+        train(self.brdf, data, surfaces, self.settings, Resume(checkpoint, state), progress)
+        self._save_network()
+        checkpoint.unlink(missing_ok=True)
+        return {"steps": self.settings.training_steps, "hash_levels": hash_levels}
 
     # ---- Stage 3: shadings by path tracing (Sec. 4.3, Eq. 10 and 11) ---------------------------------------
 
     def _refine(self, index: int) -> Facts:
         settings = self.settings
+        self._input = None  # its files are written over
         table, emitting = self._emitters()
         # Emission that was fitted jointly is read from the cache: the rims of lamps then count only once.
-        lamps = emitting if settings.emission == "mask" else None
+        lamps = None if len(self.emission) else emitting
         cache = self.observations.cache(without=lamps) if settings.refine_cache else None
         diffuse = self.diffuse if settings.refine_cache else None
-        traced = TracedLight(
-            self._material_values(), diffuse, settings.cache_roughness, settings.refine_depth
-        )
+        traced = TracedLight(self.materials, diffuse, settings.cache_roughness, settings.refine_depth)
         counts = SampleCounts(
             settings.refine_diffuse_spp, settings.refine_specular_spp, settings.refine_light_spp
         )
@@ -356,7 +358,7 @@ class Estimation(EstimationState):
             self.settings.seed,
         )
         fixtures = self.fixtures, np.zeros((len(self.fixtures), 3))
-        if self.settings.emission != "joint":
+        if not len(self.emission):
             pixels = lamp_pixels(self.pixels, shadings, emitting, self.settings.seed)
             fixtures = separate(self.fixtures, pixels)
         environment = self.observations.environment
@@ -378,22 +380,12 @@ class Estimation(EstimationState):
         if not paths and name == "shadings":
             paths = preview.first_guess(name, self._open_shadings())
         elif not paths:
-            paths = preview.estimate(name, self._fields(), self._emitters()[0])
+            colors = self._network_colors if name == "training" else self._closed_form_colors
+            paths = preview.estimate(name, colors, self._emitters()[0])
         relative = [path.relative_to(self.folder.root).as_posix() for path in paths]
         self.reporter.progress(1.0, force=True, pictures=relative)
 
 
-def _training_steps(settings: Settings, index: int) -> int:
-    return settings.later_training_steps if index else settings.training_steps
-
-
 def _stage_weights(settings: Settings) -> list[float]:
     """Expected share of time of each stage, in no unit; for the progress bar."""
-    weights = []
-    for name in stage_names(settings.rounds):
-        kind, _, number = name.partition("-")
-        weight = _WEIGHTS[kind]
-        if kind == "training":
-            weight *= _training_steps(settings, int(number)) / max(settings.training_steps, 1)
-        weights.append(weight)
-    return weights
+    return [_WEIGHTS[name.partition("-")[0]] for name in stage_names(settings.rounds)]

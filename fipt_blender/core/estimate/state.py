@@ -18,14 +18,18 @@ from ..capture.views import View, load_capture
 from ..device.variant import torch_device
 from ..light.baking import ShadingStore, open_shadings
 from ..light.cache import pool
-from ..light.emitters import Fixture, emitter_table
+from ..light.emitters import EmitterPixels, Fixture, emitter_table, group_fixtures
+from ..light.joint import joint_fixtures
 from ..light.observations import Observations
 from ..light.shadings import roughness_levels
+from ..material.closed_form import CellEstimate
 from ..material.fields import RoomFields
 from ..material.groups import Units
-from ..material.inference import Fields, mask_at
-from ..material.networks import BrdfNetwork, EmissionNetwork
-from ..material.seen import SeenCells, find_seen_cells, room_box
+from ..material.inference import Fields
+from ..material.networks import BrdfNetwork, network_generator
+from ..material.projection import InitialEstimate
+from ..material.seen import SeenCells, fallback_values, find_seen_cells, room_box, seen_statistics
+from ..material.training import TrainingData
 from ..optics.lights import EmitterTable
 from ..run.arrays import check_layouts
 from ..run.checkpoints import Checkpoints, stage_keys
@@ -35,15 +39,17 @@ from ..run.per_view import LocalWorkers, Workers
 from ..run.runfolder import RunFolder
 from ..run.settings import Settings
 from ..run.shapes import Layout
-from ..scene.labels import Parts, choose_parts, room_pieces
+from ..scene.labels import NO_PART, Parts, choose_parts, room_pieces
 from ..scene.pixels import LEFT_OUT, PixelStore, open_pixels
 from ..scene.room import load_room
 from ..views.check import ViewCheck
 
-# What a training's checkpoint holds besides the networks; see `EstimationState._save_training`.
-_TRAINING_ARRAYS: dict[str, Layout] = {
+# What the checkpoint of a closed-form estimate holds; see `EstimationState._save_estimate`.
+_ESTIMATE_ARRAYS: dict[str, Layout] = {
     "emitting": ("b", ("T",)),
+    "emission": ("f", ("E", 3)),
     "diffuse": ("f", ("M", 3)),
+    "materials": ("f", ("M", 5)),
     "unit": ("i", ("T",)),
     "single": ("b", ("U",)),
 }
@@ -70,10 +76,12 @@ class EstimationState:
         view_check: views that were left out or corrected.
         parts: of the room's triangles.
         observations: what the pixels tell before anything is estimated: cache, environment.
-        brdf, emission: the networks of stage 2.
+        brdf: the network of stage 2.
         units, cells: surfaces of one material, and where pixels saw them.
         fixtures: the emitters found so far.
-        diffuse: (M * 6, 3) float16 mean L_d of each cache entry after the last training.
+        emission: (T, 3) float32 L_e of each triangle if it is fitted jointly, else (0, 3).
+        diffuse: (M * 6, 3) float16 mean L_d of each cache entry in the last closed-form estimate.
+        materials: (M * 6, 5) float32 base colour, roughness and metallic of each entry in that estimate.
 
     Raises:
         FiptError: ``views-none``, or where the capture or the room can't be read.
@@ -102,13 +110,14 @@ class EstimationState:
         self.view_check = ViewCheck()
         self.parts: Parts
         self.observations: Observations
-        self.hash_levels: int
         self.brdf: BrdfNetwork
-        self.emission: EmissionNetwork
         self.units = Units(np.zeros(0, np.int32), np.zeros(0, bool))
         self.cells: SeenCells
         self.fixtures: list[Fixture] = []
+        self.emission = np.zeros((0, 3), np.float32)
         self.diffuse: np.ndarray
+        self.materials: np.ndarray
+        self._input: tuple[TrainingData, InitialEstimate] | None = None
 
     # Pixels and shadings
 
@@ -148,55 +157,75 @@ class EstimationState:
         """(T,) int32 connected piece of each triangle; None where parts are known, which need no pieces."""
         return None if self.parts.kind == "part" else room_pieces(self.room)
 
-    # Trainings
+    # Closed form and network
 
-    def _save_training(self, index: int, emitting: np.ndarray) -> None:
-        """Keep what training number `index` has found, with the triangles that emit ((T,) bool)."""
-        self.checkpoints.save_tensors(
-            f"networks-{index}",
-            {
-                "brdf": self.brdf.state_dict(),
-                "emission": self.emission.state_dict(),
-                "emitting": torch.from_numpy(emitting),
-                "diffuse": torch.from_numpy(self.diffuse),
-                "unit": torch.from_numpy(self.units.triangle),
-                "single": torch.from_numpy(self.units.single),
-            },
-        )
+    def _save_estimate(self, index: int, emitting: np.ndarray) -> None:
+        """Keep what closed-form estimate number `index` has found; `emitting` (T,) bool."""
+        arrays = {
+            "emitting": emitting,
+            "emission": self.emission,
+            "diffuse": self.diffuse,
+            "materials": self.materials,
+            "unit": self.units.triangle,
+            "single": self.units.single,
+        }
+        tensors = {name: torch.from_numpy(array) for name, array in arrays.items()}
+        self.checkpoints.save_tensors(f"estimate-{index}", tensors)
 
-    def _load_training(self, index: int) -> np.ndarray:
-        """Read back what training number `index` has found; returns the triangles that emit, (T,) bool.
+    def _load_estimate(self, index: int) -> np.ndarray:
+        """Read back closed-form estimate number `index`; returns the triangles that emit, (T,) bool.
 
         Raises:
             FiptError: ``file-damaged``.
         """
-        name = f"networks-{index}"
-        state = self.checkpoints.load_tensors(name, self.device)
+        name = f"estimate-{index}"
+        state = self.checkpoints.load_tensors(name, torch.device("cpu"))
         try:
-            arrays = {key: state[key].cpu().numpy() for key in _TRAINING_ARRAYS}
+            arrays = {key: state[key].numpy() for key in _ESTIMATE_ARRAYS}
             check_layouts(
-                arrays | {"room": self.room.triangles}, _TRAINING_ARRAYS | {"room": ("i", ("T", 3))}
+                arrays | {"room": self.room.triangles}, _ESTIMATE_ARRAYS | {"room": ("i", ("T", 3))}
             )
-            self.brdf.load_state_dict(state["brdf"])
-            self.emission.load_state_dict(state["emission"])
-        except (KeyError, AttributeError, TypeError, ValueError, RuntimeError) as error:
-            text = f"The checkpoint {name} can't be read ({error})."
-            raise FiptError("file-damaged", text, "Start the estimation again.") from None
-        self.diffuse = arrays["diffuse"]
+        except (KeyError, AttributeError, TypeError, ValueError) as error:
+            raise _unreadable(name, error) from None
+        self.emission, self.diffuse = arrays["emission"], arrays["diffuse"]
+        self.materials = arrays["materials"]
         self._find_cells(Units(arrays["unit"], arrays["single"]))
         return arrays["emitting"]
 
+    def _new_network(self, hash_levels: int, typical: np.ndarray) -> BrdfNetwork:
+        return BrdfNetwork(self.settings, hash_levels, typical, network_generator(self.settings), self.device)
+
+    def _save_network(self) -> None:
+        self.checkpoints.save_tensors("training", self.brdf.state_dict())
+
+    def _load_network(self) -> None:
+        """Read back what the training has found.
+
+        Raises:
+            FiptError: ``file-damaged``.
+        """
+        state = self.checkpoints.load_tensors("training", self.device)
+        try:
+            levels = state["mlp.0.weight"].shape[1] // self.settings.hash_features
+            self.brdf = self._new_network(levels, np.zeros((len(self.units.single) + 1, 5)))
+            self.brdf.load_state_dict(state)
+        except (KeyError, AttributeError, IndexError, TypeError, ValueError, RuntimeError) as error:
+            raise _unreadable("training", error) from None
+
     def _find_cells(self, units: Units) -> None:
-        """Take the units of the last training, and find where pixels saw them; known parts never change."""
+        """Take the units of the last estimate, and find where pixels saw them; known parts never change."""
         if not np.array_equal(units.triangle, self.units.triangle):
             self.cells = find_seen_cells(self.pixels, units, self.box)
         self.units = units
 
     # The estimate
 
-    def _mask(self, positions: np.ndarray) -> np.ndarray:
-        """Emission mask alpha at world positions (N, 3)."""
-        return mask_at(self.emission, self.box, positions)
+    def _group_fixtures(self, emitting: np.ndarray) -> None:
+        """Fixtures of the emitting triangles ((T,) bool), or of the jointly fitted emission."""
+        if len(self.emission):
+            self.fixtures = joint_fixtures(self.room, self.emission, self.settings.joint_threshold)
+        else:
+            self.fixtures = group_fixtures(self.room, emitting, EmitterPixels.of(self.pixels))
 
     def _emitters(self) -> tuple[EmitterTable, np.ndarray]:
         """The fixtures as a table of triangles, and the triangles that emit, (T,) bool."""
@@ -217,14 +246,34 @@ class EstimationState:
         """Cache entries with a surface point each; see :meth:`Observations.places`."""
         return self.observations.places(self.room, np.random.default_rng([self.settings.seed, 4]))
 
-    def _material_values(self) -> np.ndarray:
-        """(M * 6, 5) base colour, roughness and metallic of each cache entry."""
+    def _entry_values(self, cells: CellEstimate) -> np.ndarray:
+        """(M * 6, 5) base colour, roughness and metallic of each cache entry.
+
+        Entries without a cell take the median of their unit, or the value of the nearest cell.
+        """
         entries, points, triangles = self._places
-        fields, seen = self._room_fields(), triangles < 0
-        values = np.empty((len(entries), 5), np.float32)
-        values[seen] = np.column_stack(fields.fields.query(points[seen]))
-        values[~seen] = np.column_stack(fields.query(points[~seen], triangles[~seen]))
-        return pool(self.observations.grid, entries, values)[0]
+        known, values, seen_triangle = cells.by_entry()
+        place = np.minimum(np.searchsorted(known, entries), max(len(known) - 1, 0))
+        has_cell = known[place] == entries if len(known) else np.zeros(len(entries), bool)
+        result = np.full((len(entries), 5), 0.5, np.float32)
+        if has_cell.any():
+            result[has_cell] = values[place[has_cell]]
+            unit = np.append(self.units.triangle, NO_PART)
+            statistics = seen_statistics(
+                points[has_cell], unit[seen_triangle[place[has_cell]]], result[has_cell]
+            )
+            missing = ~has_cell
+            result[missing] = fallback_values(points[missing], unit[triangles[missing]], statistics)
+        return pool(self.observations.grid, entries, result)[0]
+
+    def _network_colors(self, rows: np.ndarray) -> np.ndarray:
+        """(R, 3) base colour that the network has for the pixels `rows` (R,)."""
+        unit = np.append(self.units.triangle, NO_PART)[np.asarray(self.pixels.triangle[rows])]
+        return self._fields().query(np.asarray(self.pixels.position[rows]), unit)[0]
+
+    def _closed_form_colors(self, rows: np.ndarray) -> np.ndarray:
+        """(R, 3) base colour of the last closed-form estimate in the pixels `rows` (R,)."""
+        return self.materials[np.asarray(self.observations.entry[rows]), :3]
 
     # What is reported of it
 
@@ -248,3 +297,9 @@ class EstimationState:
         folder = self.folder
         results = [folder.fields_npz, folder.emitters_json, folder.environment_exr, folder.statistics_json]
         return [path for path in results if path.exists()]
+
+
+def _unreadable(name: str, error: Exception) -> FiptError:
+    return FiptError(
+        "file-damaged", f"The checkpoint {name} can't be read ({error}).", "Start the estimation again."
+    )

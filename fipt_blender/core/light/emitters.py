@@ -1,15 +1,13 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Emitters from the emission mask (paper Sec. 4.4 "Emitter extraction"), grouped into fixtures.
+"""Emitters (paper Sec. 4.4 "Emitter extraction"), grouped into fixtures; :mod:`.evidence` finds them.
 
-Triangles whose mean mask is above the threshold are candidates; :mod:`.evidence` decides which of them emit.
 An emitter is assumed to reflect nothing, so its radiance is the median of the pixels that see it (closed form
 of paper Eq. 13). Connected triangles of similar radiance form a fixture.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,39 +49,6 @@ class Fixture:
     area: float
     centroid: np.ndarray
     reflective: bool = False
-
-
-def find_emitters(
-    room: Room,
-    mask: Callable[[np.ndarray], np.ndarray],
-    threshold: float,
-    samples: int,
-    rng: np.random.Generator,
-    candidates: np.ndarray | None = None,
-) -> np.ndarray:
-    """(T,) bool, triangles whose mean emission mask over random points exceeds the threshold.
-
-    Args:
-        mask: (N, 3) world positions to (N,) alpha.
-        samples: points per triangle.
-        candidates: (T,) bool, triangles to test; all if None.
-    """
-    tested = np.arange(len(room.triangles)) if candidates is None else np.flatnonzero(candidates)
-    emits = np.zeros(len(room.triangles), bool)
-    for start in range(0, len(tested), 4096):
-        chunk = tested[start : start + 4096]
-        mean = mask(random_points(room, chunk, samples, rng)).reshape(-1, samples).mean(axis=1)
-        emits[chunk] = mean > threshold
-    return emits
-
-
-def random_points(room: Room, triangles: np.ndarray, samples: int, rng: np.random.Generator) -> np.ndarray:
-    """(len(triangles) * samples, 3) float32 points, uniform on each triangle."""
-    u, v = rng.random((2, len(triangles), samples), dtype=np.float32)
-    root = np.sqrt(u)
-    weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=-1)
-    corners = room.vertices[room.triangles[triangles]]
-    return np.einsum("tsc,tcd->tsd", weights, corners).reshape(-1, 3)
 
 
 def pixels_on(triangle: np.ndarray, marked: np.ndarray) -> np.ndarray:

@@ -30,8 +30,8 @@ LEAST_RESIDUAL = 0.3
 SPILL = 0.5
 # Standard errors by which the unmixed radiance of a mixed pixel may be wrong.
 DOUBT = 3.0
-# Highlights move with the view: where the emission mask does not mark a triangle, or no pure pixel supports
-# it, at least this number of views must support emission.
+# Highlights move with the view: where a triangle is not marked, or no pure pixel supports it,
+# at least this number of views must support emission.
 LEAST_VIEWS = 2
 # Triangles without evidence emit if more than this share of their component's area with evidence does.
 MAJORITY = 0.5
@@ -47,13 +47,13 @@ def find_emission(
 ) -> np.ndarray:
     """(T,) bool, triangles that emit, by the majority of their pixels or of their connected component.
 
-    Triangles marked by the emission mask emit where the estimate can't explain their radiance. The mask's L1
-    regularisation (paper Eq. 16) suppresses lamps that are only a little brighter than lit surfaces, so other
-    triangles emit if at least two views show them brighter than any material (:func:`most_reflected`).
+    Marked triangles, of which most pixels are much brighter than white, emit where the estimate can't explain
+    their radiance. Others may be lamps that are only a little brighter than lit surfaces: they emit if at
+    least two views show them brighter than any material (:func:`most_reflected`).
 
     Args:
         shadings: of all pixels.
-        marked: (T,) bool, triangles where the emission mask is above its threshold.
+        marked: (T,) bool, triangles that look like emitters (:func:`.material.closed_form.fit_cells`).
         constant: (T,) bool, triangles of parts of view-independent radiance: they emit in any case.
         estimate: (R,) pixels to their (R, 3) reflected radiance L_r of the estimate.
     """
@@ -77,19 +77,6 @@ def find_emission(
     emits = evidence.majority & ((marked & evidence.pure) | (evidence.views >= LEAST_VIEWS))
     decided = emits | (evidence.exists & ~evidence.majority)
     return extend_to_components(room.areas, room_pieces(room), emits | constant, decided | constant)
-
-
-def brighter_than_white(pixels: PixelStore, shadings: ShadingStore, triangles: int) -> np.ndarray:
-    """(triangles,) bool, those that any pixel shows brighter than white diffuse paint: all that may emit."""
-    brighter = np.zeros(triangles, bool)
-    for index in range(len(pixels.views)):
-        rows = pixels.rows(index)
-        triangle, own, weight = (np.asarray(a[rows]) for a in (pixels.triangle, pixels.own, pixels.weight))
-        white = np.asarray(shadings.diffuse[rows], np.float32)
-        least = own * np.maximum(1.0 - _doubt(own, weight), 0.0)[:, None]
-        bright = relative_residual(least, white) >= LEAST_RESIDUAL
-        brighter[triangle[bright & (triangle >= 0)]] = True
-    return brighter
 
 
 def _doubt(own: np.ndarray, weight: np.ndarray) -> np.ndarray:

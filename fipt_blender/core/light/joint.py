@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Emitters from an emission that was optimised jointly with the materials: the paper's ablation "Joint L_e
-opt." (Sec. 5.4), which the product itself never uses.
+"""Emitters from an emission that was fitted jointly with the materials: the paper's ablation "Joint L_e opt."
+(Sec. 5.4), which the product itself never uses.
 
 These emitters also reflect: photographs show L_r + L_e, and much of the room has some L_e. Black emitters
 would make half of the room black.
@@ -9,37 +9,22 @@ would make half of the room black.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from ..optics.lights import LUMINANCE
 from ..scene.labels import weld
 from ..scene.room import Room
-from .emitters import Fixture, emitter_components, random_points
+from .emitters import Fixture, emitter_components
 
 
-def joint_fixtures(
-    room: Room,
-    emission: Callable[[np.ndarray], np.ndarray],
-    threshold: float,
-    samples: int,
-    rng: np.random.Generator,
-) -> list[Fixture]:
-    """Fixtures of the triangles whose mean optimised emission exceeds the threshold, with that emission.
+def joint_fixtures(room: Room, emission: np.ndarray, threshold: float) -> list[Fixture]:
+    """Fixtures of the triangles whose emission exceeds the threshold, with that emission.
 
     Args:
-        emission: (N, 3) world positions to (N, 3) L_e in units of the capture's median.
-        threshold: of the mean's luminance, in the same units.
-        samples: points per triangle.
+        emission: (T, 3) mean L_e of each triangle in units of the capture's median.
+        threshold: of its luminance, in the same units.
     """
-    count = len(room.triangles)
-    mean = np.empty((count, 3))
-    for start in range(0, count, 4096):
-        part = np.arange(start, min(start + 4096, count))
-        values = emission(random_points(room, part, samples, rng))
-        mean[part] = values.reshape(len(part), samples, 3).mean(axis=1)
-    brightness = mean @ LUMINANCE
+    brightness = emission @ LUMINANCE
     ids = np.flatnonzero((brightness > threshold) & (room.areas > 0.0))
     if not len(ids):
         return []
@@ -50,9 +35,9 @@ def joint_fixtures(
     fixtures = []
     for members in np.split(ids[order], starts[1:]):
         area = room.areas[members]
-        radiance = np.average(mean[members], axis=0, weights=area)
+        radiance = np.average(emission[members], axis=0, weights=area)
         middle = room.vertices[room.triangles[members]].mean(axis=1)
         centroid = np.average(middle, axis=0, weights=area)
-        # The emission network does not distinguish the sides.
+        # The fit does not distinguish the sides.
         fixtures.append(Fixture(members, radiance, radiance, float(area.sum()), centroid, reflective=True))
     return fixtures

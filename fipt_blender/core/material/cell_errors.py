@@ -48,13 +48,12 @@ def cell_errors(
     if not len(rows):
         return errors
     position = np.asarray(pixels.position[rows])
-    place = np.searchsorted(
-        cells.keys, cell_keys(fields.box, position, units.triangle[pixels.triangle[rows]])
-    )
+    unit = units.triangle[pixels.triangle[rows]]
+    place = np.searchsorted(cells.keys, cell_keys(fields.box, position, unit))
     sampled, cell = np.unique(place, return_inverse=True)
     group_of_cell = groups_of_cells(units, fields, cells)
     group = group_of_cell[place]
-    color, roughness, metallic = fields.query(position)
+    color, roughness, metallic = fields.query(position, unit)
     chunks = []
     for start in range(0, len(rows), CHUNK):
         chunk = slice(start, start + CHUNK)

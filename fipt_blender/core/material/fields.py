@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The estimated material fields of a run, which can be queried at any surface point, seen or unseen.
 
-results/fields.npz holds the weights of the BRDF network, the box to which positions are normalised and the
-cells that photographs saw; parts.npz holds the unit of each triangle and which units are of one material.
+results/fields.npz holds the BRDF network with the typical values of the units, the box to which positions are
+normalised and the cells that photographs saw; parts.npz holds the unit of each triangle and which units are
+of one material.
 Both are plain arrays without pickles.
 """
 
@@ -53,7 +54,7 @@ class RoomFields:
         self.fields, self.units, self.cells = fields, units, cells
         unknown = np.full((len(cells.keys), 3), UNIFORM_DEVIATION, np.float32)
         self.errors = unknown if errors is None else errors
-        values = _columns(fields.query(cells.points))
+        values = _columns(fields.query(cells.points, cells.part))
         self._statistics = seen_statistics(cells.points, cells.part, values)
         self._prior = None
         if errors is not None and units.single.any():
@@ -76,7 +77,7 @@ class RoomFields:
         place = self.cells.find(self.fields.box, positions, part)
         # Where no surface was seen at all, only the network is left.
         seen = place >= 0 if len(self.cells.keys) else np.ones(len(positions), bool)
-        seen_values = _columns(self.fields.query(positions[seen]))
+        seen_values = _columns(self.fields.query(positions[seen], part[seen]))
         if self._prior is not None:
             errors = _color_errors(self.errors[place[seen]])
             seen_values[:, COLOR] = shrink_to_parts(seen_values[:, COLOR], errors, part[seen], self._prior)
@@ -124,7 +125,9 @@ class RoomFields:
                 raise ValueError(f"it has {hash_levels} levels, the settings {settings.hash_levels}")
             if parts["triangle_part"].max(initial=NO_PART) >= len(parts["single"]):
                 raise ValueError(f"{run.parts_npz.name} names parts that it lacks")
-            network = BrdfNetwork(settings, hash_levels, torch.Generator(), torch.device(torch_device()))
+            typical = np.zeros((len(parts["single"]) + 1, 5))
+            device = torch.device(torch_device())
+            network = BrdfNetwork(settings, hash_levels, typical, torch.Generator(), device)
             state = {
                 name[len("network/") :]: torch.from_numpy(array)
                 for name, array in arrays.items()

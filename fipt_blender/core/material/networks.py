@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The two networks of stage 2 (paper Eq. 14, supplementary "Network architecture").
+"""The network of stage 2 (paper Eq. 14, supplementary "Network architecture").
 
-MLP_brdf maps a position to base colour, roughness and metallic: a hash grid and two hidden layers of 64.
-MLP_emit maps it to the emission mask: a positional encoding with 10 bands and six hidden layers of 128, with
-one skip connection in the middle.
+MLP_brdf maps a position to base colour, roughness and metallic: a hash grid and two hidden layers of 64. Here
+it adds detail to the typical values of each unit (a part, or what takes its place) instead of finding them.
 """
 
 from __future__ import annotations
@@ -12,10 +11,17 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
 from ..run.settings import Settings
+from ..scene.grouped import grouped_median
 from .hashgrid import HashGrid
+
+# Typical values are kept this far from 0 and 1, where the sigmoid's slope would leave nothing to learn.
+_INSIDE = 0.005
+# Initial weights of the last layer, relative to those of the others: the network starts near typical values.
+_FIRST_DETAIL = 0.1
 
 
 @dataclass
@@ -34,13 +40,29 @@ class Prediction:
 
 
 class BrdfNetwork(torch.nn.Module):
-    """Base colour, roughness and metallic of positions in the unit cube."""
+    """Base colour, roughness and metallic of positions in the unit cube on units of the mesh.
+
+    Args:
+        levels: of the hash grid.
+        typical: (U + 1, 5) typical base colour, roughness and metallic of each unit, to which the network
+            adds before the sigmoid; the last row is of surfaces without a unit.
+    """
+
+    typical: torch.Tensor
 
     def __init__(
-        self, settings: Settings, levels: int, generator: torch.Generator, device: torch.device
+        self,
+        settings: Settings,
+        levels: int,
+        typical: np.ndarray,
+        generator: torch.Generator,
+        device: torch.device,
     ) -> None:
         super().__init__()
         self.lowest = settings.roughness_min
+        values = torch.from_numpy(typical.astype(np.float32))
+        values[:, 3] = (values[:, 3] - self.lowest) / (1.0 - self.lowest)
+        self.register_buffer("typical", torch.logit(values, eps=_INSIDE).to(device))
         self.grid = HashGrid(
             levels,
             settings.hash_features,
@@ -52,78 +74,39 @@ class BrdfNetwork(torch.nn.Module):
         )
         widths = [self.grid.width] + [settings.brdf_width] * settings.brdf_depth + [5]
         self.mlp = _mlp(widths, generator, device)
+        with torch.no_grad():
+            self.mlp[-1].weight.mul_(_FIRST_DETAIL)
 
-    def forward(self, positions: torch.Tensor) -> Prediction:
-        """Evaluate at (N, 3) positions in [0, 1]."""
-        x = self.grid(positions)
+    def forward(self, positions: torch.Tensor, units: torch.Tensor) -> Prediction:
+        """Evaluate at (N, 3) positions in [0, 1] on units (N,) int64; negative ones stand for none."""
+        units = torch.where(units >= 0, units, len(self.typical) - 1)
+        x = self.grid(positions, units)
         for layer in self.mlp[:-1]:
             x = torch.relu(layer(x))
-        value = torch.sigmoid(self.mlp[-1](x))
+        value = torch.sigmoid(self.mlp[-1](x) + self.typical[units])
         roughness = self.lowest + (1.0 - self.lowest) * value[:, 3]
         return Prediction(value[:, :3], roughness, value[:, 4])
 
 
-class EmissionNetwork(torch.nn.Module):
-    """Raw emission mask of positions in the unit cube; alpha = 1 - exp(-ReLU(raw)) (paper Eq. 14).
-
-    Where emission is fitted jointly, the network has three outputs instead: L_e = ReLU(raw).
-    """
-
-    def __init__(self, settings: Settings, generator: torch.Generator, device: torch.device) -> None:
-        super().__init__()
-        self.bands = settings.emission_bands
-        encoded = 3 + 6 * self.bands
-        width, depth = settings.emission_width, settings.emission_depth
-        self.skip = depth // 2
-        layers = []
-        inputs = encoded
-        for i in range(depth):
-            layers.append(_linear(inputs, width, generator, device))
-            inputs = width + encoded if i + 1 == self.skip else width
-        self.outputs = 3 if settings.emission == "joint" else 1
-        layers.append(_linear(inputs, self.outputs, generator, device))
-        self.layers = torch.nn.ModuleList(layers)
-
-    def forward(self, positions: torch.Tensor) -> torch.Tensor:
-        """Raw values (N,), or (N, 3) where emission is fitted jointly, at (N, 3) positions in [0, 1]."""
-        encoded = positional_encoding(positions * 2.0 - 1.0, self.bands)
-        x = encoded
-        for i, layer in enumerate(self.layers[:-1]):
-            x = torch.relu(layer(x))
-            if i + 1 == self.skip:
-                x = torch.cat([x, encoded], dim=1)
-        raw = self.layers[-1](x)
-        return raw if self.outputs == 3 else raw[:, 0]
-
-
-@dataclass(frozen=True)
-class Networks:
-    """The two networks of stage 2, on one device."""
-
-    brdf: BrdfNetwork
-    emission: EmissionNetwork
-
-    @property
-    def device(self) -> torch.device:
-        """Device of all parameters."""
-        return next(self.brdf.parameters()).device
-
-
-def networks_generator(settings: Settings) -> torch.Generator:
+def network_generator(settings: Settings) -> torch.Generator:
     """The generator of the initial weights: on the CPU, so that they are the same on all devices."""
     return torch.Generator().manual_seed(settings.seed)
 
 
-def emission_mask(raw: torch.Tensor) -> torch.Tensor:
-    """alpha = 1 - exp(-ReLU(raw)) (paper Eq. 14)."""
-    return 1.0 - torch.exp(-torch.relu(raw))
+def typical_values(values: np.ndarray, unit: np.ndarray, units: int) -> np.ndarray:
+    """(units + 1, C) median of the values of each unit, and of all values for those without and at the end.
 
-
-def positional_encoding(positions: torch.Tensor, bands: int) -> torch.Tensor:
-    """(N, 3 + 6 bands): positions (N, 3) in [-1, 1], and sines and cosines of pi 2^k times them (NeRF)."""
-    octaves = torch.pi * 2.0 ** torch.arange(bands, device=positions.device, dtype=positions.dtype)
-    angles = (positions[:, :, None] * octaves).reshape(len(positions), -1)
-    return torch.cat([positions, torch.sin(angles), torch.cos(angles)], dim=1)
+    Args:
+        values: (N, C).
+        unit: (N,) int, negative for none.
+    """
+    known = unit >= 0
+    result = np.empty((units + 1, values.shape[1]))
+    result[:] = np.median(values, axis=0)
+    medians = grouped_median(values[known], unit[known], units)
+    seen = np.bincount(unit[known], minlength=units) > 0
+    result[:-1][seen] = medians[seen]
+    return result
 
 
 def useful_hash_levels(settings: Settings, extent: float, footprint: float) -> int:
@@ -146,10 +129,10 @@ def useful_hash_levels(settings: Settings, extent: float, footprint: float) -> i
 
 def _mlp(widths: list[int], generator: torch.Generator, device: torch.device) -> torch.nn.ModuleList:
     pairs = itertools.pairwise(widths)
-    return torch.nn.ModuleList([_linear(a, b, generator, device) for a, b in pairs])
+    return torch.nn.ModuleList([linear(a, b, generator, device) for a, b in pairs])
 
 
-def _linear(inputs: int, outputs: int, generator: torch.Generator, device: torch.device) -> torch.nn.Linear:
+def linear(inputs: int, outputs: int, generator: torch.Generator, device: torch.device) -> torch.nn.Linear:
     """A linear layer with He-uniform weights from `generator` and zero bias."""
     layer = torch.nn.Linear(inputs, outputs, device=device)
     bound = (6.0 / inputs) ** 0.5 if outputs > 1 else (1.0 / inputs) ** 0.5

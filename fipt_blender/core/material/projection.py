@@ -52,6 +52,11 @@ class InitialEstimate:
     emitting: np.ndarray
     part_emits: np.ndarray
 
+    @property
+    def values(self) -> np.ndarray:
+        """(N, 5) float32 base colour, roughness and metallic."""
+        return np.column_stack([self.base_color, self.roughness, self.metallic])
+
 
 def cells_of_groups(cell: np.ndarray, group: np.ndarray) -> np.ndarray:
     """(N,) int from 0, a number for each pair of a surface cell (N,) and a group (N,), negative for none."""

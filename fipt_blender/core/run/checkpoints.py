@@ -30,10 +30,10 @@ from .shapes import STAGES
 
 def stage_names(rounds: int) -> list[str]:
     """The stages of an estimation in order."""
-    names = ["pixels", "shadings", "training-0"]
+    names = ["pixels", "shadings", "estimate-0"]
     for index in range(1, rounds + 1):
-        names += [f"refinement-{index}", f"training-{index}"]
-    return names
+        names += [f"refinement-{index}", f"estimate-{index}"]
+    return [*names, "training"]
 
 
 def stage_keys(settings: Settings, files: Sequence[Path], images: Sequence[Path] = ()) -> dict[str, str]:
@@ -62,6 +62,7 @@ def stage_keys(settings: Settings, files: Sequence[Path], images: Sequence[Path]
 
 _START_AGAIN = "Start the estimation again without resuming it."
 _BAKED_NAME = "baked.json"
+UNFINISHED = "unfinished"  # name of the checkpoint of a training that has not ended
 _BAKING_STAGES = ("shadings", "refinement")  # stages that write the shadings
 
 
@@ -140,12 +141,12 @@ class Checkpoints:
     def _remove_all_but(self, stages: set[str]) -> None:
         """Remove files of other stages that a new stage would mistake for its own.
 
-        These are network weights, checkpoints of an unfinished training, and preview pictures.
+        These are estimates, the network, the checkpoint of an unfinished training, and preview pictures.
         """
-        for pattern in ("networks-*.pt", "training-*.pt", "previews/*-*"):
+        for pattern in ("estimate-*.pt", "training.pt", f"{UNFINISHED}.pt", "previews/*-*"):
             for path in self._folder.glob(pattern):
                 stage = path.stem if path.suffix == ".pt" else path.stem.rpartition("-")[0]
-                if stage.replace("networks", "training") not in stages:
+                if stage.replace(UNFINISHED, "training") not in stages:
                     path.unlink()
 
     def begin(self, name: str) -> None:

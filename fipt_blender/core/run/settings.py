@@ -18,8 +18,8 @@ from .errors import FiptError
 
 # The first stage of an estimation that reads a setting: if the setting changes, the stages before it are
 # kept. None if no stage's result depends on it.
-PIXELS, SHADINGS, TRAINING = "pixels", "shadings", "training-0"
-REFINEMENT, LATER_TRAINING = "refinement-1", "training-1"
+PIXELS, SHADINGS, ESTIMATE = "pixels", "shadings", "estimate-0"
+REFINEMENT, TRAINING = "refinement-1", "training"
 
 Value = str | int | float | bool
 
@@ -106,11 +106,8 @@ class Settings:
 
     training_steps: int = _setting(
         300,
-        "stage 2: optimiser steps of the first round, after a closed-form estimate (paper: 2 epochs)",
+        "stage 2: optimiser steps after the last closed-form estimate (paper: 2 epochs in each round)",
         TRAINING,
-    )
-    later_training_steps: int = _setting(
-        300, "stage 2: optimiser steps of each later round (paper: 2 epochs)", LATER_TRAINING
     )
     batch_size: int = _setting(8192, "stage 2: pixels per step", TRAINING)
     learning_rate: float = _setting(
@@ -121,27 +118,26 @@ class Settings:
         "stage 2: initial learning rate of the hash grid, of which few pixels reach each entry (paper: 1e-3)",
         TRAINING,
     )
-    lambda_emission: float = _setting(1.0, "weight of l_e, the L1 norm of the emission mask", TRAINING)
     lambda_diffuse: float = _setting(5e-4, "weight of l_d, the preference for diffuse surfaces", TRAINING)
     residual_degrees: float = _setting(
         3.0,
         "closed form of roughness and metallic: degrees of freedom of the residuals' t-distribution; fewer"
         " ignore more outliers (this and the next four are not in the paper)",
-        TRAINING,
+        ESTIMATE,
     )
     pixels_per_sample: float = _setting(
-        10.0, "closed form: number of neighbouring pixels that share their errors and count as one", TRAINING
+        10.0, "closed form: number of neighbouring pixels that share their errors and count as one", ESTIMATE
     )
     view_error: float = _setting(
         5e-3,
         "closed form: standard deviation of the error that a view's shadings share, relative to radiance",
-        TRAINING,
+        ESTIMATE,
     )
     view_outliers: float = _setting(
-        0.1, "closed form: share of the views whose shadings tell nothing about a part's gloss", TRAINING
+        0.1, "closed form: share of the views whose shadings tell nothing about a part's gloss", ESTIMATE
     )
     prior_weight: float = _setting(
-        1.0, "closed form: weight of a prior over materials, as a number of parts that follow it", TRAINING
+        1.0, "closed form: weight of a prior over materials, as a number of parts that follow it", ESTIMATE
     )
     lambda_part: float = _setting(
         5e-2,
@@ -166,26 +162,20 @@ class Settings:
     )
     brdf_width: int = _setting(64, "BRDF network: width of the hidden layers", TRAINING)
     brdf_depth: int = _setting(2, "BRDF network: number of hidden layers", TRAINING)
-    emission_bands: int = _setting(10, "emission network: bands of the positional encoding", TRAINING)
-    emission_width: int = _setting(128, "emission network: width of the hidden layers", TRAINING)
-    emission_depth: int = _setting(6, "emission network: number of hidden layers", TRAINING)
     checkpoint_steps: int = _setting(500, "stage 2: steps between checkpoints of a training", None)
 
     emission: str = _setting(
-        "mask",
-        "mask: find emitters by an emission mask; joint: fit emission together with the materials (ablation)",
-        TRAINING,
+        "evidence",
+        "evidence: find the triangles that emit; joint: fit emission together with base colour (ablation)",
+        ESTIMATE,
     )
     lambda_joint: float = _setting(
         1e-2,
         "joint emission: weight of its L1 norm, in units of the capture's median (the paper gives no value)",
-        TRAINING,
+        ESTIMATE,
     )
-    emitter_threshold: float = _setting(
-        0.01, "a triangle whose mean emission mask is above this may be an emitter", TRAINING
-    )
-    emitter_samples: int = _setting(
-        100, "positions per triangle at which the emission mask is sampled", TRAINING
+    joint_threshold: float = _setting(
+        0.01, "joint emission: triangles of which it is less do not emit, in the same units", ESTIMATE
     )
     environment_width: int = _setting(256, "width of the estimated environment map in pixels", SHADINGS)
 
@@ -201,7 +191,6 @@ PRESETS: dict[str, dict[str, Value]] = {
     "draft": {
         "rounds": 1,
         "training_steps": 250,
-        "later_training_steps": 250,
         "batch_size": 4096,
     },
     "medium": {},
@@ -212,8 +201,7 @@ PRESETS: dict[str, dict[str, Value]] = {
         "refine_diffuse_spp": 128,
         "refine_specular_spp": 32,
         "refine_light_spp": 64,
-        "training_steps": 2000,
-        "later_training_steps": 4000,
+        "training_steps": 4000,
         "roughness_levels": 12,
         "denoise_specular": True,
     },
@@ -273,7 +261,7 @@ def _check(settings: Settings) -> None:
         "atlas_mode": ("uv", "color_attribute"),
         "write_back": ("cycles", "paper"),
         "masking": ("schlick", "smith"),
-        "emission": ("mask", "joint"),
+        "emission": ("evidence", "joint"),
     }
     for name, allowed in choices.items():
         if getattr(settings, name) not in allowed:
@@ -316,12 +304,10 @@ _SHARES = {"view_share", "view_outliers"}
 _MAY_BE_ZERO = {
     "seed",
     "rounds",
-    "lambda_emission",
     "lambda_joint",
     "lambda_diffuse",
     "lambda_part",
     "lambda_semantic",
-    "emitter_threshold",
-    "emission_depth",
+    "joint_threshold",
     "brdf_depth",
 }

@@ -1,0 +1,112 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The paper's emission mask (Eq. 12 to 16) for the reference of the speed.
+
+The product finds emitters by other evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+
+from fipt_blender.core.material.inference import CHUNK
+from fipt_blender.core.material.losses import tone_map
+from fipt_blender.core.material.networks import linear
+from fipt_blender.core.material.seen import Box
+from fipt_blender.core.scene.room import Room
+
+
+class EmissionNetwork(torch.nn.Module):
+    """Raw emission mask of positions in the unit cube; alpha = 1 - exp(-ReLU(raw)) (paper Eq. 14).
+
+    A positional encoding with 10 bands and six hidden layers of 128, with one skip connection in the middle.
+    """
+
+    def __init__(
+        self, generator: torch.Generator, device: torch.device, width: int = 128, depth: int = 6
+    ) -> None:
+        super().__init__()
+        self.bands = 10
+        encoded = 3 + 6 * self.bands
+        self.skip = depth // 2
+        layers = []
+        inputs = encoded
+        for i in range(depth):
+            layers.append(linear(inputs, width, generator, device))
+            inputs = width + encoded if i + 1 == self.skip else width
+        layers.append(linear(inputs, 1, generator, device))
+        self.layers = torch.nn.ModuleList(layers)
+
+    def forward(self, positions: torch.Tensor) -> torch.Tensor:
+        """Raw values (N,) at (N, 3) positions in [0, 1]."""
+        encoded = positional_encoding(positions * 2.0 - 1.0, self.bands)
+        x = encoded
+        for i, layer in enumerate(self.layers[:-1]):
+            x = torch.relu(layer(x))
+            if i + 1 == self.skip:
+                x = torch.cat([x, encoded], dim=1)
+        return self.layers[-1](x)[:, 0]
+
+
+def emission_mask(raw: torch.Tensor) -> torch.Tensor:
+    """alpha = 1 - exp(-ReLU(raw)) (paper Eq. 14)."""
+    return 1.0 - torch.exp(-torch.relu(raw))
+
+
+def positional_encoding(positions: torch.Tensor, bands: int) -> torch.Tensor:
+    """(N, 3 + 6 bands): positions (N, 3) in [-1, 1], and sines and cosines of pi 2^k times them (NeRF)."""
+    octaves = torch.pi * 2.0 ** torch.arange(bands, device=positions.device, dtype=positions.dtype)
+    angles = (positions[:, :, None] * octaves).reshape(len(positions), -1)
+    return torch.cat([positions, torch.sin(angles), torch.cos(angles)], dim=1)
+
+
+def masked_rendering_loss(
+    rendered: torch.Tensor, alpha: torch.Tensor, photographed: torch.Tensor
+) -> torch.Tensor:
+    """Tone-mapped L2 with the emission mask (paper Eq. 15), mean over pixels."""
+    mixed = torch.lerp(rendered, photographed, alpha[:, None])
+    return (tone_map(mixed) - tone_map(photographed)).square().sum(dim=1).mean()
+
+
+@torch.no_grad()
+def mask_at(network: EmissionNetwork, box: Box, positions: np.ndarray) -> np.ndarray:
+    """(N,) float32 emission mask alpha at world positions (N, 3)."""
+    device = next(network.parameters()).device
+    values = []
+    for start in range(0, max(len(positions), 1), CHUNK):
+        inputs = torch.from_numpy(box.normalise(positions[start : start + CHUNK])).to(device)
+        values.append(emission_mask(network(inputs)).cpu().numpy())
+    return np.concatenate(values)
+
+
+def find_emitters(
+    room: Room,
+    mask: Callable[[np.ndarray], np.ndarray],
+    threshold: float,
+    samples: int,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """(T,) bool, triangles whose mean emission mask over random points exceeds the threshold.
+
+    Args:
+        mask: (N, 3) world positions to (N,) alpha.
+        samples: points per triangle.
+    """
+    emits = np.zeros(len(room.triangles), bool)
+    for start in range(0, len(emits), 4096):
+        chunk = np.arange(start, min(start + 4096, len(emits)))
+        mean = mask(random_points(room, chunk, samples, rng)).reshape(-1, samples).mean(axis=1)
+        emits[chunk] = mean > threshold
+    return emits
+
+
+def random_points(room: Room, triangles: np.ndarray, samples: int, rng: np.random.Generator) -> np.ndarray:
+    """(len(triangles) * samples, 3) float32 points, uniform on each triangle."""
+    u, v = rng.random((2, len(triangles), samples), dtype=np.float32)
+    root = np.sqrt(u)
+    weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=-1)
+    corners = room.vertices[room.triangles[triangles]]
+    return np.einsum("tsc,tcd->tsd", weights, corners).reshape(-1, 3)
