@@ -11,7 +11,6 @@ import torch
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.light.baking import ShadingStore
 from fipt_blender.core.light.evidence import (
-    brighter_than_white,
     extend_to_components,
     find_emission,
     most_reflected,
@@ -71,17 +70,6 @@ def emission(
         lambda rows: np.full((len(rows), 3), estimate),
     )
     return np.flatnonzero(found).tolist()
-
-
-def test_only_what_outshines_white_paint_is_asked_for_its_mask(tmp_path: Path) -> None:
-    grey = [[1.3, 0.2, 1.5, 1.2, 9.0]]
-    pictures = [(["..Lb "], grey), (["bB..."], [[1.44, 1.0, 0.0, 0.0, 0.0]])]
-    pixels = store(tmp_path, pictures, weight=1.0)
-    shadings = ShadingStore(np.ones((10, 3), np.float16), np.zeros((10, 2, 2, 3), np.float16))
-    # Three tenths of the radiance must be left: from 1.43 on.
-    assert np.flatnonzero(brighter_than_white(pixels, shadings, len(ROOM.triangles))).tolist() == [LAMP, BAR]
-    doubtful = store(tmp_path / "doubtful", pictures, weight=0.1)
-    assert np.flatnonzero(brighter_than_white(doubtful, shadings, len(ROOM.triangles))).tolist() == [LAMP]
 
 
 def test_no_material_reflects_more_than_the_bound() -> None:

@@ -1,0 +1,121 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The closed-form estimate on cells: colours, marked lamps, rendering, and emission fitted jointly."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fipt_blender.core.light.observations import Observations, observe
+from fipt_blender.core.material.closed_form import CellEstimate, fit_cells, render_rows, triangle_emission
+from fipt_blender.core.material.training import TrainingData
+from samples.panel_pixels import IS_PANEL, PARTS, ROOM, SETTINGS, make_pixels
+
+LEVELS = np.array([0.1, 0.5, 1.0], np.float32)
+WALLS = 6  # parts of the box; the panel is the seventh
+COLORS = np.random.default_rng(1).uniform(0.1, 0.9, (WALLS + 1, 3))
+METAL = 2  # the part that is a metal
+
+
+@pytest.fixture
+def seen(tmp_path: Path) -> Observations:
+    return observe(ROOM, make_pixels(tmp_path / "pixels", 6), PARTS, SETTINGS, tmp_path)
+
+
+@pytest.fixture
+def data(seen: Observations) -> TrainingData:
+    """Pixels whose radiance is Eq. 5 of parts of one colour, one of them metallic; the panel is a lamp."""
+    pixels, rng = seen.pixels, np.random.default_rng(0)
+    part = np.asarray(seen.part)
+    metallic = (np.arange(WALLS + 1) == METAL).astype(np.float32)
+    roughness = np.linspace(0.1, 1.0, WALLS + 1).astype(np.float32)
+    roughness = LEVELS[np.abs(LEVELS - roughness[:, None]).argmin(axis=1)]
+    diffuse = rng.uniform(0.5, 1.5, (len(pixels), 3))
+    specular = rng.uniform(0.1, 0.5, (len(pixels), 3, 2, 3))
+    s0, s1 = np.moveaxis(specular[np.arange(len(part)), np.searchsorted(LEVELS, roughness)[part]], 1, 0)
+    color, metal = COLORS[part], metallic[part][:, None]
+    kd, ks = color * (1.0 - metal), 0.04 * (1.0 - metal) + color * metal
+    radiance = kd * diffuse + ks * s0 + s1
+    radiance[IS_PANEL[pixels.triangle]] = 50.0
+    pixels.own[:], pixels.weight[:] = radiance, np.where(pixels.pure, 1.0, 0.25)
+    return TrainingData(
+        pool=seen.pool,
+        donor=seen.donor,
+        position=pixels.position,
+        radiance=pixels.own,
+        label=part,
+        group=part,
+        diffuse=diffuse,
+        specular=specular,
+        levels=LEVELS,
+        semantic=False,
+        group_roughness=roughness,
+        group_metallic=metallic,
+        normalise=lambda positions: positions,
+    )
+
+
+def reflecting(seen: Observations) -> np.ndarray:
+    """Pixels of the walls."""
+    rows = np.flatnonzero(np.asarray(seen.pixels.triangle) >= 0)
+    return rows[~IS_PANEL[seen.pixels.triangle[rows]]]
+
+
+def test_cells_have_the_colours_of_their_parts_and_lamps_are_marked(seen, data) -> None:
+    cells, marked = fit_cells(seen, data)
+    group = cells.keys % (cells.groups + 1) - 1
+    walls = group < WALLS
+    np.testing.assert_allclose(cells.color[walls], COLORS[group[walls]], atol=2e-3)
+    assert (cells.color[~walls] == 1.0).all() and not cells.emission.any()
+    assert (marked == IS_PANEL).all()
+    np.testing.assert_array_equal(ROOM.triangle_object[cells.triangle], group)
+    rows = reflecting(seen)
+    found = cells.find(seen.entry[rows], data.group[rows])
+    assert (found >= 0).all() and (cells.keys[found] // 8 == seen.entry[rows]).all()
+    assert cells.find(np.array([0]), np.array([6]))[0] == -1
+
+
+def test_the_rendering_of_the_closed_form_is_the_photograph(seen, data) -> None:
+    cells, _ = fit_cells(seen, data)
+    rows = reflecting(seen)
+    rendered = render_rows(cells, seen, data, rows)
+    np.testing.assert_allclose(rendered, seen.pixels.own[rows], rtol=0.01)
+    # Where no cell is known the surface is taken as white.
+    none = replace(cells, keys=cells.keys[:1], color=cells.color[:1])
+    assert (render_rows(none, seen, data, rows[-5:]) >= rendered[-5:]).all()
+
+
+def test_values_of_an_entry_are_means_over_its_pixels() -> None:
+    """Entry 3 has a pixel of no group and three of group 1, entry 5 one of group 0."""
+    cells = CellEstimate(
+        keys=np.array([9, 11, 16]),
+        groups=2,
+        color=np.array([[0.2] * 3, [0.6] * 3, [0.9] * 3], np.float32),
+        emission=np.zeros((3, 3), np.float32),
+        pixels=np.array([1.0, 3.0, 1.0]),
+        triangle=np.array([7, 8, 9]),
+        roughness=np.array([0.4, 0.8, 1.0]),
+        metallic=np.array([1.0, 0.0, 0.0]),
+    )
+    entries, values, triangle = cells.by_entry()
+    assert entries.tolist() == [3, 5] and triangle.tolist() == [8, 9]
+    np.testing.assert_allclose(values, [[0.5, 0.5, 0.5, 0.85, 0.0], [0.9, 0.9, 0.9, 0.4, 1.0]], rtol=1e-6)
+
+
+def test_emission_that_is_fitted_jointly_is_found_where_light_varies(seen, data) -> None:
+    shine = np.array([0.3, 0.2, 0.1])
+    on = (np.asarray(data.group) == 0) & (np.asarray(seen.pixels.triangle) >= 0)
+    data.radiance[on] += shine
+    alone, _ = fit_cells(seen, data)
+    cells, _ = fit_cells(seen, data, joint=1e-6)
+    group = cells.keys % (cells.groups + 1) - 1
+    clear = (group == 0) & (cells.pixels >= 5)
+    assert np.median(np.abs(cells.emission[clear] - shine)) < 0.01
+    assert np.median(np.abs(cells.color[clear] - COLORS[0])) < 0.01
+    assert np.median(np.abs(alone.color[clear] - COLORS[0])) > 0.05
+    mean = triangle_emission(cells, seen, data)
+    assert np.abs(mean[:2] - shine).max() < 0.1 and mean[2:12].max() < 0.05
+    strong, _ = fit_cells(seen, data, joint=1e3)
+    assert not strong.emission[group < WALLS].any()
