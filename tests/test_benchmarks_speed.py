@@ -185,9 +185,8 @@ def test_exponents_are_those_of_power_laws(tmp_path: Path) -> None:
     assert curves.fit_exponent(sizes, [0.0, None, 1.0, 4.0]) == pytest.approx(1.0)
     records = [merged([record(scale)]) for scale in (1.0, 2.0)]
     stages = scaling.fitted([10, 20], records)
-    assert stages["training"]["seconds"] == [4.0, 8.0] and stages["training"]["exponent"] == pytest.approx(
-        1.0
-    )
+    assert stages["estimate"]["seconds"] == [1.0, 2.0] and stages["training"]["seconds"] == [3.0, 6.0]
+    assert stages["training"]["exponent"] == pytest.approx(1.0)
     assert stages["all"]["cpu_exponent"] == pytest.approx(0.0)
     shown = {"views": {"unit": "views", "sizes": [10, 20], "stages": stages}}
     assert "1.00" in scaling.format_table(shown)
