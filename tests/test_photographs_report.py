@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -16,7 +17,10 @@ from fipt_blender.core.capture.rig import Lens, Rig, RigView
 from fipt_blender.core.photographs.facts import shutter_text
 from fipt_blender.core.photographs.preparation import PreparationFolder, write_preparation
 from fipt_blender.core.photographs.report import make_plan, small, write_report
+from fipt_blender.core.photographs.steps import run_steps
 from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.messages import Reporter
+from fipt_blender.core.run.runfolder import write_json
 from samples.prepared_captures import make_preparation, write_prepared
 
 NASTY = "it's & é #1"
@@ -75,6 +79,30 @@ def test_after_reading_alone_the_page_lists_the_groups(folder, tmp_path):
     write_preparation(folder, preparation)
     page = Page(write_report(folder, preparation))
     assert "IMG_4" in page.text and not page.pictures and "views with a camera" not in page.text
+
+
+def test_the_page_is_written_although_a_step_fails(folder, tmp_path, monkeypatch):
+    class Fails:
+        @staticmethod
+        def key(folder, preparation):
+            return None
+
+        @staticmethod
+        def run(folder, preparation, reporter):
+            raise FiptError("solve-few", "Two views are too few.", "Take more photographs.")
+
+    monkeypatch.setitem(sys.modules, "fipt_blender.core.photographs.solve_step", Fails)
+    preparation = make_preparation(tmp_path / "card")
+    write_prepared(folder, preparation)
+    write_json(folder.facts("report"), {"key": "of an earlier run", "messages": []})
+    with pytest.raises(FiptError) as caught:
+        run_steps(folder, ["solve", "report"], Reporter())
+    assert caught.value.code == "solve-few"
+    page = Page(folder.report / "index.html")
+    assert "Two views are too few." in page.text and "Take more photographs." in page.text
+    assert len(page.pictures) == 2 and not folder.facts("report").exists()
+    assert not folder.facts("solve").exists()  # nor does the page show the cameras of an earlier run
+    assert "views with a camera" not in page.text
 
 
 def test_damaged_facts_and_masks_are_refused_and_leave_no_page(folder, tmp_path):

@@ -161,6 +161,8 @@ def _draw_job(
     if job is not None and job.run_folder == settings.capture_folder():
         if job.error is not None:
             draw_error(layout, context, job.error, RunFolder(job.run_folder))
+            if settings.groups:
+                layout.operator("fipt.open_photographs_report", icon="URL")
         draw_messages(layout, context, job.warnings)
 
 

@@ -92,8 +92,14 @@ def write_report(
     folder: PreparationFolder,
     preparation: Preparation,
     progress: Callable[[float], None] = lambda fraction: None,
+    stopped: FiptError | None = None,
 ) -> Path:
     """Write report/index.html and its pictures; returns the page's path.
+
+    Args:
+        folder, preparation: of the capture.
+        progress: called with the finished share.
+        stopped: the error that has ended the steps, if one has.
 
     Raises:
         FiptError: ``file-damaged``, ``image-unreadable``, ``disk-full`` or ``run-unwritable``.
@@ -110,6 +116,7 @@ def write_report(
     context = {
         "title": folder.root.name,
         "version": PRODUCT_VERSION,
+        "stopped": stopped,
         "rows": rows,
         "used": used,
         "photograph_count": sum(len(row.photographs) for row in used),

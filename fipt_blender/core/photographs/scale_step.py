@@ -58,7 +58,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
                 "scale-unknown",
                 "The real size of the room is not known: lengths, and the power of lamps, are wrong.",
                 "Give the distance of two points or the size of a printed marker, or align the cameras with "
-                "a mesh in metres after the import.",
+                "a mesh in meters after the import.",
             )
         else:
             _check_length(settings.scale_length)
@@ -78,7 +78,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
 def _check_length(length: float) -> None:
     if not (np.isfinite(length) and length > 0.0):
         raise FiptError(
-            "scale-length", f"The known length is {length:g} m.", "Give the length in metres, above zero."
+            "scale-length", f"The known length is {length:g} m.", "Give the length in meters, above zero."
         )
 
 

@@ -13,6 +13,7 @@ import importlib
 import json
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -78,25 +79,43 @@ def run_steps(folder: PreparationFolder, names: Sequence[str], reporter: Reporte
     """
     reporter.plan([STEPS[name].weight for name in names])
     for name in names:
-        step = STEPS[name]
-        module = importlib.import_module(step.module, __package__)
-        preparation = read_preparation(folder)
-        key = step_key(name, folder, module.key(folder, preparation))
-        path = folder.facts(name)
-        done = finished_facts(path, key)
-        if done is not None:
-            for message in done["messages"]:
-                reporter.warning(message["code"], message["text"], message["remedy"])
-            reporter.skip()
-            continue
-        reporter.stage(name, step.text)
-        path.unlink(missing_ok=True)
-        started, told = time.monotonic(), len(reporter.warnings)
-        facts = module.run(folder, preparation, reporter)
-        seconds = round(time.monotonic() - started, 2)
-        messages = reporter.warnings[told:]
-        write_json(path, {"key": key, "seconds": seconds, "messages": messages, **facts})
+        try:
+            _run_step(folder, name, reporter)
+        except FiptError as error:
+            if "report" in names and name != "report":
+                _report_stop(folder, error)
+            raise
     return [folder.facts(name) for name in names]
+
+
+def _run_step(folder: PreparationFolder, name: str, reporter: Reporter) -> None:
+    """Run one step, or repeat its warnings if it is finished."""
+    step = STEPS[name]
+    module = importlib.import_module(step.module, __package__)
+    preparation = read_preparation(folder)
+    key = step_key(name, folder, module.key(folder, preparation))
+    path = folder.facts(name)
+    done = finished_facts(path, key)
+    if done is not None:
+        for message in done["messages"]:
+            reporter.warning(message["code"], message["text"], message["remedy"])
+        reporter.skip()
+        return
+    reporter.stage(name, step.text)
+    path.unlink(missing_ok=True)
+    started, told = time.monotonic(), len(reporter.warnings)
+    facts = module.run(folder, preparation, reporter)
+    seconds = round(time.monotonic() - started, 2)
+    messages = reporter.warnings[told:]
+    write_json(path, {"key": key, "seconds": seconds, "messages": messages, **facts})
+
+
+def _report_stop(folder: PreparationFolder, error: FiptError) -> None:
+    """Write the report on what was done before an error; the error itself is the caller's to raise."""
+    module = importlib.import_module(STEPS["report"].module, __package__)
+    with suppress(FiptError, OSError):
+        folder.facts("report").unlink(missing_ok=True)  # so that the next start writes the page again
+        module.write_report(folder, read_preparation(folder), stopped=error)
 
 
 def step_key(name: str, folder: PreparationFolder, value: Any) -> str:
