@@ -19,6 +19,8 @@ STEPS = 20
 MOST_POINTS = 40_000  # at which residuals are measured
 STILL_PIXELS = 0.15  # smaller motion of any corner, in pixels of the working size, is measurement noise
 MOST_SHARE = 0.15  # of the longer side; larger motion is taken for a failure
+# Standard deviation of the logarithm at the coarsest size, where noise is averaged out.
+LEAST_CONTRAST = 0.02
 _LEAST_OVERLAP = 0.05  # share of pixels that must be usable in both
 # Log values below that of about 1 % of the ceiling are mostly noise.
 DARKEST, BRIGHTEST = 0.01, 0.95
@@ -68,8 +70,15 @@ def measure(reference: np.ndarray, exposure: np.ndarray) -> Motion:
 
     Args:
         reference, exposure: (height, width) linear values, 1 at the ceiling; NaN where they are clipped.
+
+    Returns:
+        No motion for bare walls, on which nothing can be followed. A `similarity` of -1 says that too few
+        pixels are usable in both.
     """
     pyramids = [_pyramid(_log_values(image)) for image in (reference, exposure)]
+    coarse = pyramids[0][0][np.isfinite(pyramids[0][0])]
+    if len(coarse) and coarse.std() < LEAST_CONTRAST:
+        return Motion()
     motion = _searched(pyramids[0][0], pyramids[1][0])
     for first, second in zip(*pyramids, strict=True):
         motion = _refined(first, second, motion)

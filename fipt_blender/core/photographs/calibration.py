@@ -35,6 +35,7 @@ class Survey:
             NaN where they can't be compared. RAW only.
         noise: gain and read noise; RAW only.
         samples: (places, exposures, 3) codes of 8 bits, NaN where unusable; LDR only.
+        ceilings: where each exposure seems to clip, and its highest value; RAW only.
     """
 
     motions: tuple[Motion, ...]
@@ -43,6 +44,7 @@ class Survey:
     ratios: tuple[float, ...]
     noise: tuple[float, float] | None
     samples: np.ndarray | None
+    ceilings: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +55,13 @@ class Observed:
         frame: linear values (by sRGB's curve for codes), 1024 to 2048 pixels long or less.
         codes: (rows, columns, 3) mean codes of 8 bits of calm squares, NaN elsewhere; LDR only.
         noise: gain and read noise; RAW only.
+        ceiling: where it seems to clip, and its highest value.
     """
 
     frame: Frame
     codes: np.ndarray | None
     noise: tuple[float, float] | None
+    ceiling: tuple[float, float]
 
 
 def observe(stored: Stored, photograph: Photograph, with_noise: bool) -> Observed:
@@ -68,7 +72,9 @@ def observe(stored: Stored, photograph: Photograph, with_noise: bool) -> Observe
     if with_noise and stored.colors is not None:
         noise = measure_noise(stored.values, max(stored.colors.shape))
     frame = linear_frame(stored, srgb_curve() if is_ldr else None, factor)
-    return Observed(frame, _calm_codes(stored.values) if is_ldr else None, noise)
+    return Observed(
+        frame, _calm_codes(stored.values) if is_ldr else None, noise, (stored.ceiling, stored.top)
+    )
 
 
 def survey_group(
@@ -94,7 +100,8 @@ def survey_group(
     noise = next((item.noise for item in observed if item.noise is not None), None)
     codes = [item.codes for item in observed if item.codes is not None]
     samples = _samples(codes, motions, most) if len(codes) > 1 else None
-    return Survey(motions, reference, strangers, ratios, noise, samples)
+    ceilings = tuple(item.ceiling for item in observed) if photographs[0].kind == "raw" else ()
+    return Survey(motions, reference, strangers, ratios, noise, samples, ceilings)
 
 
 def correct_exposures(

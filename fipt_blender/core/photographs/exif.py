@@ -81,8 +81,9 @@ def describe(path: Path, name: str) -> Photograph:
     try:
         if path.stat().st_size == 0:
             raise unreadable(path, "the file is empty")
-        width, height, other = _size(path, kind)
-        tags = {**other, **_tags(path)} if path.suffix.lower() not in LINEAR_SUFFIXES else other
+        tags = _tags(path) if kind != "linear" else {}
+        width, height, other = _size(path, kind, tags)
+        tags = {**other, **tags}
     except DAMAGE as error:
         raise unreadable(path, error) from None
     if width < 1 or height < 1 or width * height > MOST_PIXELS:
@@ -141,12 +142,12 @@ def _photograph(name: str, kind: str, size: tuple[int, int], tags: Mapping[str, 
     )
 
 
-def _size(path: Path, kind: str) -> tuple[int, int, dict[str, Any]]:
-    """Width, height, and what only the format's own library reads, as EXIF tags."""
+def _size(path: Path, kind: str, tags: Mapping[str, Any]) -> tuple[int, int, dict[str, Any]]:
+    """Width, height, and what the format's own library knows besides, as EXIF tags."""
     suffix = path.suffix.lower()
     if kind == "raw":
         with rawpy.imread(str(path)) as raw:
-            return raw.sizes.width, raw.sizes.height, _raw_tags(raw)
+            return raw.sizes.width, raw.sizes.height, _raw_tags(raw, tags)
     if suffix == EXR_SUFFIX:
         return *read_size(path), {}
     if kind == "linear":
@@ -157,18 +158,19 @@ def _size(path: Path, kind: str) -> tuple[int, int, dict[str, Any]]:
         return *image.size, {}
 
 
-def _raw_tags(raw: rawpy.RawPy) -> dict[str, Any]:
-    """What LibRaw knows of the exposure; zero stands for unknown there."""
-    other = raw.other
-    pairs = {
-        "EXIF ExposureTime": other.shutter_speed,
-        "EXIF FNumber": other.aperture,
-        "EXIF ISOSpeedRatings": other.iso_speed,
-        "EXIF FocalLength": other.focal_length,
-        # LibRaw's flip: 3 upside down, 5 to be turned left, 6 to be turned right.
-        "Image Orientation": {3: 3, 5: 8, 6: 6}.get(raw.sizes.flip, 1),
-    }
-    return {name: value for name, value in pairs.items() if value}
+def _raw_tags(raw: rawpy.RawPy, tags: Mapping[str, Any]) -> dict[str, Any]:
+    """What LibRaw knows where the header's tags say nothing; zero stands for unknown there."""
+    # LibRaw's flip: 3 upside down, 5 to be turned left, 6 to be turned right.
+    known: dict[str, Any] = {"Image Orientation": {3: 3, 5: 8, 6: 6}.get(raw.sizes.flip, 1)}
+    if "EXIF ExposureTime" not in tags:  # asking for the exposure decodes the whole photograph
+        other = raw.other
+        known |= {
+            "EXIF ExposureTime": other.shutter_speed,
+            "EXIF FNumber": other.aperture,
+            "EXIF ISOSpeedRatings": other.iso_speed,
+            "EXIF FocalLength": other.focal_length,
+        }
+    return {name: value for name, value in known.items() if value}
 
 
 def _tags(path: Path) -> dict[str, Any]:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from .preparation import Photograph
 BAND_ROWS = 512
 # A sensor's own ceiling below the nominal one: this share of its pixels holds the highest value.
 _CEILING_SHARE = 1e-4
+CEILING_WIDTH = 0.002
 # Share of the nominal ceiling from which on a sensor's pixels count as clipped.
 NEAR_TOP = 0.998
 _LARGE_PIXELS = 8_000_000  # above this, linear values are kept as half floats
@@ -42,6 +43,7 @@ class Stored:
             Linear: (height, width, 3) float32.
         colors: RAW: the channel (0 to 2) of each place of the mosaic's pattern, (n, m); None elsewhere.
         ceiling: value at which pixels count as clipped, in units of `values`.
+        top: RAW: the highest value.
         balance: RAW: factors of the three channels for the camera's own white balance; ones elsewhere.
         matrix: (3, 3) from the balanced camera's channels to linear Rec.709; the unit matrix elsewhere.
     """
@@ -49,6 +51,7 @@ class Stored:
     values: np.ndarray
     colors: np.ndarray | None = None
     ceiling: float = 1.0
+    top: float = 1.0
     balance: np.ndarray = field(default_factory=lambda: np.ones(3))
     matrix: np.ndarray = field(default_factory=lambda: np.eye(3))
 
@@ -58,7 +61,7 @@ class Frame:
     """Linear values of one exposure at the working size.
 
     Attributes:
-        values: (height, width, 3) float16 or float32, radiance times exposure; 1 at the ceiling.
+        values: (height, width, 3) float16 or float32, radiance times exposure; 1 at the nominal ceiling.
         clipped: (height, width, 3) bool, places to which a clipped value contributes.
     """
 
@@ -116,13 +119,11 @@ def linear_rows(
     """Linear values and clipped places, both (rows, width, 3), of the rows from `start` to before `stop`."""
     if stored.colors is not None:
         values, clipped = demosaiced_rows(stored.values, stored.colors, stored.ceiling, start, stop)
-        return values / np.float32(stored.ceiling), clipped
+        return values, clipped
     values = stored.values[start:stop]
     if curve is None:
         clipped = (values >= stored.ceiling).any(axis=-1, keepdims=True)
-        return values / np.float32(stored.ceiling if np.isfinite(stored.ceiling) else 1.0), np.repeat(
-            clipped, 3, -1
-        )
+        return values, np.repeat(clipped, 3, -1)
     top = np.iinfo(values.dtype).max
     # Cameras mix channels after they clip: where one is at its end, the others are wrong, too.
     clipped = (values >= (top * CLIPPED_CODE) // 255).any(axis=-1, keepdims=True)
@@ -232,15 +233,26 @@ def _load_raw(path: Path) -> Stored:
         span = np.float32(white - below.mean())
         values = (mosaic - below[places]) / span
     channels = np.where(colors == 3, 1, colors)  # the second green
-    return Stored(values, channels, find_ceiling(values), balance, matrix)
+    return Stored(values, channels, find_ceiling(values), float(values.max()), balance, matrix)
 
 
 def find_ceiling(values: np.ndarray) -> float:
-    """Where a sensor clips, below 1 if the pixels pile up there; a little lower, for its noise."""
-    top = float(values.max())
-    if 0.5 < top < 1.0 and np.mean(values >= top - (1.0 - NEAR_TOP)) > _CEILING_SHARE:
-        return top - (1.0 - NEAR_TOP)
+    """Where a sensor seems to clip, below 1 if its pixels pile up there; a little lower, for its noise."""
+    top = float(values.max(initial=0.0))
+    if 0.5 < top < NEAR_TOP and np.mean(values >= top - CEILING_WIDTH) > _CEILING_SHARE:
+        return top - CEILING_WIDTH
     return NEAR_TOP
+
+
+def common_ceiling(ceilings: Sequence[float], tops: Sequence[float]) -> float:
+    """Where a camera clips, from all its photographs: a bright flat area alone looks like a ceiling, too.
+
+    Args:
+        ceilings: of each photograph; see `find_ceiling`.
+        tops: the highest value of each.
+    """
+    highest = max(tops, default=1.0)
+    return min((value for value in ceilings if highest <= value + 2.0 * CEILING_WIDTH), default=NEAR_TOP)
 
 
 def _balance(raw: rawpy.RawPy) -> np.ndarray:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,7 @@ from .calibration import (
     survey_group,
     with_correction,
 )
-from .frames import Stored, linear_frame, load, upright
+from .frames import Stored, common_ceiling, linear_frame, load, upright
 from .lens import vignetting
 from .merging import Noise, code_noise, in_rec709, merge_group, resized, sensor_noise
 from .preparation import Group, Photograph, Preparation, PreparationFolder
@@ -49,6 +49,7 @@ class Calibration:
         curve: (256, 3) linear values of codes, None without LDR photographs.
         noise: by kind of photograph.
         scale: exposure that a radiance of 1 saturates.
+        ceiling: value at which RAW photographs clip.
         balance, matrix: from RAW channels to linear Rec.709; see `frames.Stored`.
     """
 
@@ -56,12 +57,15 @@ class Calibration:
     curve: np.ndarray | None
     noise: Mapping[str, Noise]
     scale: float
+    ceiling: float
     balance: np.ndarray
     matrix: np.ndarray
 
     def digest(self) -> str:
         """A text that differs for calibrations that give different images."""
-        value = hashlib.sha256(repr((self.scale, self.balance.tolist(), self.matrix.tolist())).encode())
+        value = hashlib.sha256(
+            repr((self.scale, self.ceiling, self.balance.tolist(), self.matrix.tolist())).encode()
+        )
         for array in (self.curve, *(noise.weights for _, noise in sorted(self.noise.items()))):
             value.update(b"none" if array is None else np.ascontiguousarray(array).tobytes())
         return value.hexdigest()[:24]
@@ -132,7 +136,9 @@ def calibrate(
         matrix = color.matrix
         balance = color.balance if preparation.settings.white_balance == "camera" else balance
     scale = float(np.median(exposures)) if exposures else 1.0
-    return Calibration(photographs, curve, noise, scale, balance, matrix), response
+    pairs = [pair for survey in surveys for pair in survey.ceilings]
+    ceiling = common_ceiling([pair[0] for pair in pairs], [pair[1] for pair in pairs])
+    return Calibration(photographs, curve, noise, scale, ceiling, balance, matrix), response
 
 
 def _check(preparation: Preparation, groups: Sequence[Group]) -> None:
@@ -164,7 +170,7 @@ def _survey(preparation: Preparation, group: Group, most: int) -> tuple[Survey, 
         stored = load(preparation.file(photograph), photograph)
         observed.append(observe(stored, photograph, index == len(photographs) // 2))
         if photograph.kind == "raw" and color is None:
-            color = Stored(np.empty(0), None, stored.ceiling, stored.balance, stored.matrix)
+            color = replace(stored, values=np.empty(0), colors=None)
     return survey_group(observed, photographs, preparation.settings.align, most), color
 
 
@@ -221,7 +227,11 @@ def _merged_group(
     exposures = [(item.exposure or 1.0) / calibration.scale for item in items]
     curve = calibration.curve if items[0].kind == "ldr" else None
     factor = _factor(items[0], preparation.settings.working_width)
-    frames = [linear_frame(load(preparation.file(item), item), curve, factor) for item in items]
+    frames = []
+    for item in items:
+        stored = load(preparation.file(item), item)
+        stored = replace(stored, ceiling=calibration.ceiling) if item.kind == "raw" else stored
+        frames.append(linear_frame(stored, curve, factor))
     motions = [survey.motions[index] for index in kept]
     radiance, clipped, moved = merge_group(frames, exposures, motions, calibration.noise[items[0].kind])
     if items[0].kind == "raw":
@@ -259,7 +269,7 @@ def _finished(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Radiance and clipped places upright and at the working size."""
     radiance = np.maximum(upright(radiance, photograph.orientation), 0.0)
-    clipped = upright(clipped, photograph.orientation)
+    clipped = upright(clipped.any(axis=-1), photograph.orientation)
     if side and max(clipped.shape) > side:
         radiance = resized(radiance, side)
         clipped = resized(clipped[..., None].astype(np.float32), side)[..., 0] > 0.0

@@ -183,7 +183,7 @@ def moved_regions(values: Sequence[np.ndarray], sigmas: Sequence[np.ndarray]) ->
 def merge_group(
     frames: Sequence[Frame], exposures: Sequence[float], motions: Sequence[Motion], noise: Noise
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Radiance (height, width, 3) times the exposures' unit; clipped and moved places (height, width).
+    """Radiance and clipped places (height, width, 3), and moved places (height, width).
 
     Args:
         frames: exposures at the working size, shortest first; those of strangers are left out already.
@@ -194,7 +194,7 @@ def merge_group(
     height, width = frames[0].values.shape[:2]
     choice = _ghosts(frames, exposures, motions, noise)
     radiance = np.empty((height, width, 3), np.float32)
-    clipped, moved = np.empty((height, width), bool), np.empty((height, width), bool)
+    clipped, moved = np.empty(radiance.shape, bool), np.empty((height, width), bool)
     for start in range(0, height, BAND_ROWS):
         stop = min(start + BAND_ROWS, height)
         bands = [_band(frame, motion, start, stop) for frame, motion in zip(frames, motions, strict=True)]
@@ -202,7 +202,7 @@ def merge_group(
         chosen = choice[rows][:, np.arange(width) * choice.shape[1] // width]
         values, flags = [band[0] for band in bands], [band[1] for band in bands]
         merged, none = merge_exposures(values, flags, exposures, noise, chosen)
-        radiance[start:stop], clipped[start:stop] = merged, none.any(axis=-1)
+        radiance[start:stop], clipped[start:stop] = merged, none
         moved[start:stop] = chosen >= 0
     return radiance, clipped, moved
 
@@ -219,9 +219,14 @@ def resized(image: np.ndarray, side: int) -> np.ndarray:
 def in_rec709(
     radiance: np.ndarray, clipped: np.ndarray, balance: np.ndarray, matrix: np.ndarray
 ) -> np.ndarray:
-    """Linear Rec.709 from a camera's channels; what is clipped becomes as bright as its brightest channel."""
+    """Linear Rec.709 from a camera's channels (height, width, 3).
+
+    Channels clip at different radiances after the balance, so that a white lamp would be magenta: clipped
+    channels of a pixel become as bright as the brightest of them.
+    """
     balanced = radiance * balance.astype(np.float32)
-    balanced[clipped] = balanced[clipped].max(axis=-1, keepdims=True)
+    highest = np.where(clipped, balanced, 0.0).max(axis=-1, keepdims=True)
+    balanced = np.where(clipped, np.maximum(balanced, highest), balanced)
     return np.maximum(balanced @ matrix.T.astype(np.float32), 0.0)
 
 

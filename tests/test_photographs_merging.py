@@ -1,0 +1,440 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`prepare`, step `merge`: brackets become radiance on one scale; motion, clipping, bad files."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy import ndimage
+
+from benchmarks.dng import Shot, mosaic_of, write_dng
+from fipt_blender.core.capture.images import read_radiance, write_exr
+from fipt_blender.core.photographs import command, merge_step
+from fipt_blender.core.photographs.alignment import Motion, after, measure, warped
+from fipt_blender.core.photographs.calibration import Survey, correct_exposures
+from fipt_blender.core.photographs.exif import describe
+from fipt_blender.core.photographs.frames import (
+    NEAR_TOP,
+    common_ceiling,
+    demosaiced_rows,
+    find_ceiling,
+    load,
+    rec709_from_camera,
+    upright,
+)
+from fipt_blender.core.photographs.merging import (
+    in_rec709,
+    measure_noise,
+    merge_exposures,
+    moved_regions,
+    sensor_noise,
+)
+from fipt_blender.core.photographs.preparation import (
+    Photograph,
+    PreparationFolder,
+    read_preparation,
+    write_preparation,
+)
+from fipt_blender.core.photographs.response import LEVELS, recover_response, srgb_curve
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.messages import Reporter
+from samples.photographs import exif, write_jpeg
+
+BLACK, WHITE = 256, 16383
+SHUTTERS = (1 / 400, 1 / 100, 1 / 25)
+TALL, WIDE = 48, 64
+
+
+def prepare(source: Path, capture: Path, changes: tuple[str, ...] = ()) -> Reporter:
+    """Run the steps read and merge in this process."""
+    reporter = Reporter()
+    options = argparse.Namespace(photographs=source, run=capture, steps="read,merge", set=list(changes))
+    command.run(options, reporter)
+    return reporter
+
+
+def room(seed: int = 0, height: int = TALL, width: int = WIDE, spread: float = 1.0) -> np.ndarray:
+    """Smooth radiance (height, width, 3) around 1 with a range of some stops."""
+    rng = np.random.default_rng(seed)
+    smooth = ndimage.gaussian_filter(rng.standard_normal((height, width, 3)), (6, 6, 0), mode="wrap")
+    return np.minimum(np.exp(spread * smooth / smooth.std()), 12.0)
+
+
+def write_raw(folder: Path, radiance: np.ndarray, first: int = 0, minute: int = 0, turn: int = 1) -> None:
+    """A bracket of RAW photographs with a little read noise; radiance 1 fills the middle one by a fifth."""
+    rng = np.random.default_rng([first, minute])
+    for index, shutter in enumerate(SHUTTERS):
+        light = 0.2 * radiance * shutter * 100.0
+        values = mosaic_of(light) * (WHITE - BLACK) + BLACK + rng.normal(0.0, 2.0, light.shape[:2])
+        shot = Shot(shutter, time=f"2026:05:01 12:{minute:02d}:{index:02d}", orientation=turn)
+        path = folder / f"IMG_{first + index}.dng"
+        write_dng(path, np.clip(np.round(values), 0, WHITE).astype(np.uint16), shot, BLACK, WHITE)
+
+
+def camera_response(linear: np.ndarray) -> np.ndarray:
+    """An S-shaped response, 0 to 1."""
+    power = linear ** (1.0 / 2.1)
+    return power + 0.3 * power * (1.0 - power) * (2.0 * power - 1.0)
+
+
+def write_jpegs(folder: Path, radiance: np.ndarray, first: int = 0, minute: int = 0) -> None:
+    for index, shutter in enumerate(SHUTTERS):
+        linear = np.clip(0.2 * radiance * shutter * 100.0, 0.0, 1.0)
+        codes = np.round(255.0 * camera_response(linear)).astype(np.uint8)
+        write_jpeg(folder / f"IMG_{first + index}.jpg", codes, exif(shutter, 60.0 * minute + index))
+
+
+def error_of(image: np.ndarray, truth: np.ndarray) -> float:
+    """Median relative error after a common factor."""
+    ratio = image / truth
+    return float(np.median(np.abs(ratio / np.median(ratio) - 1.0)))
+
+
+def test_raw_brackets_become_radiance_on_one_scale(tmp_path: Path) -> None:
+    truths = [room(0), 0.25 * room(1)]
+    for index, truth in enumerate(truths):
+        write_raw(tmp_path / "in", truth, 3 * index, index)
+    reporter = prepare(tmp_path / "in", tmp_path / "out", ("working_width=0",))
+    folder = PreparationFolder(tmp_path / "out")
+    images = [read_radiance(folder.image(group)) for group in read_preparation(folder).used_groups]
+    ratios = [np.median(image / truth) for image, truth in zip(images, truths, strict=True)]
+    assert ratios[1] == pytest.approx(ratios[0], rel=3e-3)
+    assert all(error_of(image, truth) < 0.01 for image, truth in zip(images, truths, strict=True))
+    assert not reporter.warnings
+    facts = json.loads(folder.facts("merge").read_text())
+    assert [entry["moved_share"] for entry in facts["images"]] == [0.0, 0.0]
+    # Radiance 1 saturates the exposure in the middle.
+    assert ratios[0] == pytest.approx(0.2, rel=0.01)
+
+
+def test_a_raw_value_is_not_stretched(tmp_path: Path) -> None:
+    """LibRaw by itself scales a photograph by its own maximum."""
+    mosaic = np.full((64, 64), round(0.8 * (WHITE - BLACK)) + BLACK, np.uint16)
+    write_dng(tmp_path / "a.dng", mosaic, Shot(0.01, orientation=6), BLACK, WHITE)
+    photograph = describe(tmp_path / "a.dng", "a.dng")
+    assert photograph.shutter == pytest.approx(0.01) and photograph.orientation == 6
+    stored = load(tmp_path / "a.dng", photograph)
+    np.testing.assert_allclose(stored.values, 0.8, atol=1e-4)
+    np.testing.assert_allclose(stored.matrix, np.eye(3), atol=1e-3)
+    np.testing.assert_allclose(stored.balance, 1.0)
+
+
+def test_jpeg_brackets_recover_the_cameras_response(tmp_path: Path) -> None:
+    truths = [room(seed, 96, 128, 1.2) for seed in range(3)]
+    for index, truth in enumerate(truths):
+        write_jpegs(tmp_path / "in", truth, 3 * index, index)
+    folder = PreparationFolder(tmp_path / "out")
+    prepare(tmp_path / "in", folder.root, ("working_width=0",))
+    for group, truth in zip(read_preparation(folder).used_groups, truths, strict=True):
+        well = (0.2 * truth.max(axis=-1) / 4 < 0.8) & (0.2 * truth.min(axis=-1) * 4 > 0.05)
+        assert error_of(read_radiance(folder.image(group))[well], truth[well]) < 0.03
+    facts = json.loads(folder.facts("merge").read_text())
+    curve = np.array(facts["response"]["curves"][0])
+    codes = np.arange(30, 226)
+    linear = np.linspace(0.0, 1.0, 4096)
+    true = np.interp(codes / 255.0, camera_response(linear), linear)
+    ratio = curve[codes] / true
+    np.testing.assert_allclose(ratio / ratio[100], 1.0, atol=0.04)
+    assert 0.0 < facts["response"]["uncertainty"] < 0.05
+
+
+def test_the_response_from_exact_codes_and_its_uncertainty() -> None:
+    rng = np.random.default_rng(3)
+    times = np.array([0.25, 1.0, 4.0])
+    linear = np.linspace(0.0, 1.0, 4096)
+    groups = []
+    for _ in range(4):
+        light = np.exp(rng.uniform(-5.0, 0.5, (3000, 1, 3))) * times[None, :, None]
+        codes = 255.0 * np.interp(light, linear, camera_response(linear))
+        groups.append(np.where(light < 0.98, codes, np.nan))
+    found = recover_response(groups, [times] * 4)
+    truth = np.interp(np.arange(LEVELS) / 255.0, camera_response(linear), linear)
+    ratio = found.curve[20:240] / truth[20:240, None]
+    assert np.abs(ratio / np.median(ratio, axis=0) - 1.0).max() < 0.02
+    assert (np.diff(found.curve, axis=0) > 0.0).all() and np.all(found.curve[-1] == 1.0)
+    noisy = [codes + rng.normal(0.0, 4.0, codes.shape) for codes in groups]
+    assert recover_response(noisy, [times] * 4).uncertainty.mean() > 2.0 * found.uncertainty.mean()
+
+
+def test_single_photographs_pass_with_a_warning(tmp_path: Path) -> None:
+    source = tmp_path / "in"
+    codes = np.full((6, 8, 3), 128, np.uint8)
+    write_jpeg(source / "a.jpg", codes, exif(1 / 60))
+    write_jpeg(source / "b.jpg", codes, exif(1 / 60, 60.0))
+    folder = PreparationFolder(tmp_path / "out")
+    reporter = prepare(source, folder.root)
+    assert {"no-brackets", "response-unknown"} <= {message["code"] for message in reporter.warnings}
+    np.testing.assert_allclose(read_radiance(folder.images / "a.exr"), srgb_curve()[128, 0], rtol=0.02)
+
+
+def test_linear_pictures_keep_their_values(tmp_path: Path) -> None:
+    truth = 3.0 * room(5).astype(np.float32)
+    write_exr(tmp_path / "in" / "a.exr", truth)
+    folder = PreparationFolder(tmp_path / "out")
+    prepare(tmp_path / "in", folder.root, ("working_width=0",))
+    np.testing.assert_allclose(read_radiance(folder.images / "a.exr"), truth, rtol=1e-3)
+
+
+def test_what_is_clipped_in_all_exposures_is_told(tmp_path: Path) -> None:
+    truth = np.ones((TALL, WIDE, 3))
+    truth[8:16, 20:32] = 1000.0
+    write_raw(tmp_path / "in", truth)
+    folder = PreparationFolder(tmp_path / "out")
+    reporter = prepare(tmp_path / "in", folder.root, ("working_width=0",))
+    assert [message["code"] for message in reporter.warnings] == ["clipped"]
+    mask = np.asarray(Image.open(folder.clipped / "IMG_0.png"))
+    assert mask[9:15, 21:31].min() == 255 and mask[20:].max() == 0
+    image = read_radiance(folder.images / "IMG_0.exr")
+    # At least as bright as the ceiling of the darkest exposure; the surroundings are right.
+    assert image[9:15, 21:31].min() > 3.9 and image[30, 40] == pytest.approx(np.full(3, 0.2), rel=0.02)
+    facts = json.loads(folder.facts("merge").read_text())["images"][0]
+    assert facts["clipped_share"] == pytest.approx(np.mean(mask == 255), abs=1e-6)
+
+
+def test_portrait_photographs_come_out_upright(tmp_path: Path) -> None:
+    truth = room(7)
+    write_raw(tmp_path / "in", truth, turn=6)
+    folder = PreparationFolder(tmp_path / "out")
+    prepare(tmp_path / "in", folder.root, ("working_width=0",))
+    image = read_radiance(folder.images / "IMG_0.exr")
+    assert image.shape == (WIDE, TALL, 3) and error_of(image, np.rot90(truth, -1)) < 0.01
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_orientations_are_those_of_exif(orientation: int) -> None:
+    from PIL import ImageOps
+
+    pixels = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
+    image = Image.fromarray(pixels)
+    image.getexif()[0x0112] = orientation
+    np.testing.assert_array_equal(upright(pixels, orientation), np.asarray(ImageOps.exif_transpose(image)))
+
+
+def test_the_working_size_is_a_mean_over_areas(tmp_path: Path) -> None:
+    truth = room(8, 96, 128)
+    write_raw(tmp_path / "in", truth)
+    folder = PreparationFolder(tmp_path / "out")
+    prepare(tmp_path / "in", folder.root, ("working_width=64",))
+    small = truth.reshape(48, 2, 64, 2, 3).mean((1, 3))
+    image = read_radiance(folder.images / "IMG_0.exr")
+    assert image.shape == small.shape and error_of(image, small) < 0.01
+
+
+@pytest.mark.parametrize("motion", [Motion(), Motion(0.01, -0.02, 0.01), Motion(0.08, 0.03, -0.02)])
+def test_motion_is_measured_across_exposures(motion: Motion) -> None:
+    height, width = 120, 160
+    scene = 0.1 * room(9, 240, 320, 0.8)[..., 0]
+
+    def shot(moved: Motion, exposure: float) -> np.ndarray:
+        y, x = np.mgrid[:height, :width] + 0.5
+        back = Motion(0.0, 0.0, -moved.angle)
+        points = np.stack([x.ravel(), y.ravel()], -1) - width * np.array([moved.x, moved.y])
+        places = back.apply(points, width, height) + [width / 2 - 0.5, height / 2 - 0.5]
+        values = ndimage.map_coordinates(scene, [places[:, 1], places[:, 0]], order=3).reshape(height, width)
+        return np.where(values * exposure < 1.0, values * exposure, np.nan)
+
+    found = measure(shot(Motion(), 1.0), shot(motion, 4.0))
+    rest = Motion(found.x - motion.x, found.y - motion.y, found.angle - motion.angle)
+    assert rest.corner_shift(width, height) < 0.1 and found.similarity > 0.95
+
+
+def test_a_bare_wall_does_not_move() -> None:
+    rng = np.random.default_rng(4)
+    walls = [np.full((120, 160), 0.3) + rng.normal(0.0, 0.01, (120, 160)) for _ in range(2)]
+    assert measure(*walls) == Motion()
+
+
+def test_motions_follow_one_another() -> None:
+    first, second = Motion(0.1, -0.05, 0.3), Motion(-0.02, 0.04, -0.1)
+    points = np.random.default_rng(0).uniform(0.0, 100.0, (5, 2))
+    both = second.apply(first.apply(points, 120, 80), 120, 80)
+    np.testing.assert_allclose(after(first, second).apply(points, 120, 80), both)
+
+
+def test_warping_shifts_rows_and_marks_what_is_outside() -> None:
+    values = np.arange(20.0)[:, None, None].repeat(10, 1)
+    moved = warped(values, Motion(y=0.1), 0, 20)  # two rows of twenty
+    np.testing.assert_allclose(moved[:18, :, 0], values[2:, :, 0])
+    assert np.isnan(moved[18:]).all()
+
+
+def test_what_moves_is_taken_from_one_exposure() -> None:
+    still = np.ones((20, 30))
+    first, second, third = still.copy(), still.copy(), still.copy()
+    first[5:10, 5:10], second[5:10, 12:17] = 3.0, 3.0
+    third[:, 20:] = np.nan
+    choice = moved_regions([first, second, third], [np.full((20, 30), 0.01)] * 3)
+    assert (choice[6:9, 6:9] == 2).all() and (choice[12:] == -1).all() and (choice[:, 24:] == -1).all()
+    assert len(set(choice[5:10, 12:17].ravel())) == 1  # one region, one exposure
+    noisy = [still + np.random.default_rng(i).normal(0.0, 0.03, still.shape) for i in range(3)]
+    assert (moved_regions(noisy, [np.full((20, 30), 0.03)] * 3) == -1).all()
+
+
+def test_merging_is_unbiased_and_prefers_the_less_noisy() -> None:
+    rng = np.random.default_rng(1)
+    gain, read, truth = 1e-3, 2e-3, 0.02
+    exposures = [1.0, 4.0, 16.0]
+    values = [
+        truth * e + rng.normal(0.0, np.sqrt(gain * truth * e + read**2), (200, 200, 3)) for e in exposures
+    ]
+    clipped = [value >= 1.0 for value in values]
+    merged, none = merge_exposures(values, clipped, exposures, sensor_noise(gain, read))
+    assert merged.mean() == pytest.approx(truth, rel=1e-3) and not none.any()
+    alone = values[2] / 16.0
+    assert merged.std() < alone.std()
+
+
+def test_noise_is_measured_from_a_photograph() -> None:
+    rng = np.random.default_rng(2)
+    ramp = np.linspace(0.01, 0.8, 512)[None].repeat(256, 0)
+    gain, read = 2e-4, 1e-3
+    noisy = ramp + rng.normal(0.0, np.sqrt(gain * ramp + read**2))
+    found = measure_noise(noisy.astype(np.float32), 2)
+    assert found[0] == pytest.approx(gain, rel=0.5) and found[1] == pytest.approx(read, rel=1.0)
+
+
+def test_exposures_that_headers_round_are_corrected() -> None:
+    def shot(shutter: float) -> Photograph:
+        return Photograph("a", "raw", 8, 6, shutter=shutter, exposure=shutter)
+
+    bracket = [shot(1 / 250), shot(1 / 60), shot(1 / 15)]
+    true = np.log([1 / 256, 1 / 64, 1 / 16])
+    nominal = np.log([item.exposure for item in bracket])
+    ratios = tuple(np.diff(true) - np.diff(nominal))
+    survey = Survey((), 1, (), ratios, None, None)
+    corrections, largest = correct_exposures([bracket] * 3, [survey] * 3)
+    found = np.array([corrections[(item.shutter, 0.0, 0.0, item.exposure)] for item in bracket])
+    np.testing.assert_allclose(np.diff(found + nominal), np.diff(true))
+    assert found.mean() == pytest.approx(0.0) and 0.0 < largest < 0.1
+
+
+def test_demosaicing_keeps_a_plane_and_spreads_clipping() -> None:
+    plane = np.linspace(0.1, 0.9, 24)[None, :, None] * np.array([1.0, 0.8, 0.6]) + np.zeros((16, 1, 1))
+    mosaic = mosaic_of(plane).astype(np.float32)
+    colors = np.array([[0, 1], [1, 2]])
+    values, clipped = demosaiced_rows(mosaic, colors, 0.95, 0, 16)
+    np.testing.assert_allclose(values[2:-2, 2:-2], plane[2:-2, 2:-2], rtol=1e-5)
+    assert not clipped.any()
+    mosaic[6, 8] = 1.0  # a red place
+    values, clipped = demosaiced_rows(mosaic, colors, 0.95, 0, 16)
+    assert clipped[5:8, 7:10, 0].all() and clipped.sum() == 9
+    for start in (0, 5, 11):
+        rows, _ = demosaiced_rows(mosaic, colors, 0.95, start, start + 5)
+        np.testing.assert_array_equal(rows, values[start : start + 5])
+
+
+def test_white_stays_white_in_the_cameras_colors() -> None:
+    matrix = rec709_from_camera(np.array([[0.9, -0.2, -0.1], [-0.4, 1.2, 0.2], [-0.05, 0.2, 0.6]]))
+    np.testing.assert_allclose(matrix.sum(axis=1), 1.0)
+    np.testing.assert_array_equal(rec709_from_camera(np.zeros((3, 3))), np.eye(3))
+
+
+def test_a_stranger_in_a_bracket_is_left_out(tmp_path: Path) -> None:
+    truth = room(11, 120, 160, 0.5)
+    write_raw(tmp_path / "in", truth)
+    other = tmp_path / "other"
+    write_raw(other, room(12, 120, 160, 0.5))
+    shutil.copy(other / "IMG_2.dng", tmp_path / "in" / "IMG_2.dng")
+    folder = PreparationFolder(tmp_path / "out")
+    reporter = prepare(tmp_path / "in", folder.root, ("working_width=0",))
+    assert "exposures-left-out" in {message["code"] for message in reporter.warnings}
+    assert json.loads(folder.facts("merge").read_text())["images"][0]["left_out"] == ["IMG_2.dng"]
+    assert error_of(read_radiance(folder.images / "IMG_0.exr"), truth) < 0.02
+
+
+def test_groups_that_can_not_be_merged_are_refused(tmp_path: Path) -> None:
+    source, folder = tmp_path / "in", PreparationFolder(tmp_path / "out")
+    write_raw(source, room(0))
+    prepare(source, folder.root)
+    before = read_preparation(folder)
+    image = folder.images / "IMG_0.exr"
+    content = image.read_bytes()
+    first = before.photographs[0]
+    unknown = (replace(first, exposure=None), *before.photographs[1:])
+    turned = (replace(first, orientation=6), *before.photographs[1:])
+    for photographs, groups, code in (
+        (unknown, before.groups, "exposure-unknown"),
+        (turned, before.groups, "bracket-mixed"),
+        (before.photographs, (replace(before.groups[0], used=False),), "no-photographs"),
+    ):
+        write_preparation(folder, replace(before, photographs=photographs, groups=groups))
+        with pytest.raises(FiptError) as caught:
+            prepare(source, folder.root)
+        assert caught.value.code == code and caught.value.remedy
+        assert image.read_bytes() == content and not folder.facts("merge").exists()
+
+
+@pytest.mark.parametrize("content", [None, b"", b"II*" + bytes(500), "half"])
+def test_a_raw_file_that_is_damaged_later_is_named(tmp_path: Path, content: bytes | str | None) -> None:
+    source, folder = tmp_path / "in", PreparationFolder(tmp_path / "out")
+    write_raw(source, room(0))
+    path = source / "IMG_1.dng"
+    photograph, whole = describe(path, "IMG_1.dng"), path.read_bytes()
+    path.unlink()
+    if content is not None:
+        path.write_bytes(whole[: len(whole) // 2] if isinstance(content, str) else content)
+    with pytest.raises(FiptError) as caught:
+        load(path, photograph)
+    assert caught.value.code == "photograph-unreadable" and "IMG_1.dng" in caught.value.text
+    if content == "half":
+        with pytest.raises(FiptError, match="IMG_1"):
+            prepare(source, folder.root)
+        assert not folder.images.exists()
+
+
+def test_the_ceiling_of_a_camera_is_that_of_all_photographs() -> None:
+    lower = np.minimum(np.linspace(0.0, 1.2, 10_000), 0.85)
+    wall = np.minimum(np.linspace(0.0, 1.2, 10_000), 0.6)
+    assert find_ceiling(lower) == pytest.approx(0.848) and find_ceiling(wall) == pytest.approx(0.598)
+    ceilings = [find_ceiling(lower), find_ceiling(wall), NEAR_TOP]
+    assert common_ceiling(ceilings, [0.85, 0.6, 0.3]) == pytest.approx(0.848)
+    assert common_ceiling([find_ceiling(wall), NEAR_TOP], [0.6, 1.0]) == NEAR_TOP
+
+
+def test_clipped_channels_become_neutral_and_others_stay() -> None:
+    radiance = np.array([[[1.0, 1.0, 1.0], [1.0, 0.2, 0.1]]], np.float32)
+    clipped = np.array([[[True, True, True], [True, False, False]]])
+    found = in_rec709(radiance, clipped, np.array([2.0, 1.0, 1.5]), np.eye(3))
+    np.testing.assert_allclose(found[0], [[2.0, 2.0, 2.0], [2.0, 0.2, 0.15]], rtol=1e-6)
+
+
+def test_a_stopped_merge_goes_on_with_the_other_groups(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source, folder = tmp_path / "in", PreparationFolder(tmp_path / "out")
+    for index in range(2):
+        write_raw(source, room(index), 3 * index, index)
+    written = []
+
+    def write(path: Path, array: np.ndarray, half: bool = False) -> None:
+        if len(written) == 1:
+            raise FiptError("disk-full", "The disk is full.", "Free some space.")
+        written.append(path.name)
+        write_exr(path, array, half)
+
+    monkeypatch.setattr(merge_step, "write_exr", write)
+    with pytest.raises(FiptError):
+        prepare(source, folder.root)
+    assert [path.name for path in folder.images.iterdir()] == ["IMG_0.exr"]
+    assert not folder.facts("merge").exists()
+    monkeypatch.setattr(
+        merge_step,
+        "write_exr",
+        lambda path, *rest, **more: written.append(path.name) or write_exr(path, *rest, **more),
+    )
+    prepare(source, folder.root)
+    assert written == ["IMG_0.exr", "IMG_3.exr"]
+    prepare(source, folder.root)
+    assert len(written) == 2  # nothing has changed
+    before = read_preparation(folder)
+    write_preparation(folder, replace(before, groups=before.groups[:1]))
+    prepare(source, folder.root)
+    assert [path.name for path in folder.images.iterdir()] == ["IMG_0.exr"]
