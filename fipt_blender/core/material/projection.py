@@ -4,8 +4,8 @@
 
 For given roughness and metallic, the factorised rendering (paper Eq. 5) is linear in base colour. The
 least-squares base colour of each surface cell therefore has a closed form, and its residuals tell which pair
-of roughness and metallic fits a part best (gloss.py). The networks start from this estimate instead of random
-values; the optimisation that follows is the paper's.
+of roughness and metallic fits a part best (mixture.py). The networks start from this estimate instead of
+random values; the optimisation that follows is the paper's.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def project(
 
     Args:
         samples: N pixels; those without a group are taken as diffuse.
-        group_roughness, group_metallic: (groups,) float32 (:func:`.gloss.group_materials`).
+        group_roughness, group_metallic: (groups,) float32 (:func:`.mixture.infer_materials`).
         known_parts: whether groups are known parts. Other groups may hold pixels of a lamp and of a wall of
             one colour, and do not tell which parts emit.
     """
