@@ -24,6 +24,7 @@ SHARED = (
     "photographs.editing",
     "photographs.facts",
     "photographs.preparation",
+    "photographs.suffixes",
     "run.arrays",
     "run.documents",
     "run.errors",

@@ -174,6 +174,16 @@ def test_without_an_engine_the_panel_says_so(settings, monkeypatch):
     assert not settings.capture_folder().exists()
 
 
+def test_an_engine_at_work_in_the_folder_is_watched(settings, commands, monkeypatch, tmp_path):
+    ops.find_brackets()
+    folder = PreparationFolder(settings.capture_folder())
+    watching = object()
+    monkeypatch.setattr(prepare_job, "find_engine", lambda run: "engine" if run.root == folder.root else None)
+    monkeypatch.setattr(prepare_job, "attach_job", lambda run, steps, record: watching)
+    assert prepare_job.make_prepare_job(tmp_path / "card", folder, {}) is watching
+    assert len(commands) == 1
+
+
 def test_every_setting_is_one_of_the_engines(settings):
     settings.cameras = str(Path("solve").absolute())
     settings.scale, settings.scale_length = "marker", 0.15

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import bpy
 
+from ..core.photographs.suffixes import SUFFIXES
 from ..core.run.errors import FiptError
 from ..jobs import running
 from .job_operator import StartsJob
@@ -19,10 +20,6 @@ if TYPE_CHECKING:
     from ..core.photographs.preparation import Group, PreparationFolder
     from ..properties.photographs import FIPT_PhotographsSettings
 
-SUFFIXES = (
-    *(".cr2", ".cr3", ".nef", ".arw", ".dng", ".raf", ".orf", ".rw2", ".pef", ".srw"),
-    *(".jpg", ".jpeg", ".tif", ".tiff", ".png", ".heic", ".exr", ".hdr"),
-)
 # The groups that this session has written to prepare.json: folder and digest. After an undo the scene's list
 # is an older one, which is no reason to think that somebody else has changed the file.
 _written: set[tuple[str, str]] = set()

@@ -26,20 +26,8 @@ from ..run.errors import FiptError
 from . import radiance_hdr
 from .extras import optional
 from .preparation import Photograph
+from .suffixes import HEIF_SUFFIXES, LDR_FORMATS, LINEAR_SUFFIXES, RAW_SUFFIXES
 
-RAW_SUFFIXES = (
-    *(".dng", ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".sr2", ".raf", ".rw2", ".orf", ".pef"),
-    *(".srw", ".3fr", ".fff", ".iiq", ".rwl", ".erf", ".mrw", ".x3f"),
-)
-HEIF_SUFFIXES = (".heic", ".heif")
-LDR_FORMATS = {
-    **dict.fromkeys((".jpg", ".jpeg"), "JPEG"),
-    **dict.fromkeys((".tif", ".tiff"), "TIFF"),
-    ".png": "PNG",
-    **dict.fromkeys(HEIF_SUFFIXES, "HEIF"),
-}
-LINEAR_SUFFIXES = (EXR_SUFFIX, ".hdr", ".pic")
-SUFFIXES = (*RAW_SUFFIXES, *LDR_FORMATS, *LINEAR_SUFFIXES)
 # What the libraries raise for damaged or hostile files.
 DAMAGE = (
     *(OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, AssertionError, SyntaxError),

@@ -17,9 +17,10 @@ from scipy import ndimage
 from ..capture.images import EXR_SUFFIX, read_radiance
 from ..run.errors import FiptError
 from . import radiance_hdr
-from .exif import DAMAGE, HEIF_SUFFIXES, LDR_FORMATS, unreadable
+from .exif import DAMAGE, unreadable
 from .extras import optional
 from .preparation import Photograph
+from .suffixes import HEIF_SUFFIXES, LDR_FORMATS
 
 BAND_ROWS = 512
 # A sensor's own ceiling below the nominal one: this share of its pixels holds the highest value.
