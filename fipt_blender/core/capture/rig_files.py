@@ -150,8 +150,10 @@ def read_text_rig(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> str:
     """The text of a camera file.
 
     Raises:
-        FiptError: ``rig-damaged`` where it is not UTF-8, or too large.
+        FiptError: ``rig-damaged`` where it is not a file, not UTF-8, or too large.
     """
+    if not path.is_file():
+        raise damaged(path, "it contains no camera file")
     if path.stat().st_size > most_bytes:
         raise damaged(path, f"it has more than {most_bytes / 1e6:.0f} MB")
     try:
