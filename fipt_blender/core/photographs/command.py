@@ -80,6 +80,6 @@ def _changes(texts: list[str]) -> dict[str, str]:
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals:
-            raise FiptError("option-invalid", f"'--set {text}' has no '='.", "Write --set NAME=VALUE.")
+            raise FiptError("option-invalid", f"'--set {text}' has no '='.", "Write it as NAME=VALUE.")
         changes[name.strip()] = value.strip()
     return changes
