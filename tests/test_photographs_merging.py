@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from benchmarks.dng import Shot, mosaic_of, write_dng
 from fipt_blender.core.capture.images import read_radiance, write_exr
-from fipt_blender.core.photographs import command, merge_step
+from fipt_blender.core.photographs import command, frames, merge_step, merging
 from fipt_blender.core.photographs.alignment import Motion, after, measure, warped
 from fipt_blender.core.photographs.calibration import Survey, correct_exposures
 from fipt_blender.core.photographs.exif import describe
@@ -197,6 +197,17 @@ def test_what_is_clipped_in_all_exposures_is_told(tmp_path: Path) -> None:
     assert image[9:15, 21:31].min() > 3.9 and image[30, 40] == pytest.approx(np.full(3, 0.2), rel=0.02)
     facts = json.loads(folder.facts("merge").read_text())["images"][0]
     assert facts["clipped_share"] == pytest.approx(np.mean(mask == 255), abs=1e-6)
+
+
+def test_bands_of_rows_leave_no_traces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_raw(tmp_path / "in", room(6))
+    images = []
+    for rows in (7, 1000):
+        for module in (frames, merging):
+            monkeypatch.setattr(module, "BAND_ROWS", rows)
+        prepare(tmp_path / "in", tmp_path / str(rows), ("working_width=0",))
+        images.append(read_radiance(tmp_path / str(rows) / "images" / "IMG_0.exr"))
+    np.testing.assert_array_equal(*images)
 
 
 def test_portrait_photographs_come_out_upright(tmp_path: Path) -> None:

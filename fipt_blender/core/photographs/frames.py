@@ -22,7 +22,7 @@ from .extras import optional
 from .preparation import Photograph
 from .suffixes import HEIF_SUFFIXES, LDR_FORMATS
 
-BAND_ROWS = 512
+BAND_ROWS = 128
 # A sensor's own ceiling below the nominal one: this share of its pixels holds the highest value.
 _CEILING_SHARE = 1e-4
 CEILING_WIDTH = 0.002

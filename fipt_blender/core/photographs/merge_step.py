@@ -234,6 +234,7 @@ def _merged_group(
         frames.append(linear_frame(stored, curve, factor))
     motions = [survey.motions[index] for index in kept]
     radiance, clipped, moved = merge_group(frames, exposures, motions, calibration.noise[items[0].kind])
+    del frames, stored  # of 24 megapixels each, they are most of the memory
     if items[0].kind == "raw":
         radiance = in_rec709(radiance, clipped, calibration.balance, calibration.matrix)
     if preparation.settings.vignetting == "auto" and items[0].kind != "linear":
