@@ -51,6 +51,7 @@ from ..run.errors import FiptError
 from ..run.finished_views import FinishedViews
 from ..run.runfolder import explained_write_errors, write_json
 from ..run.settings import Settings
+from ..scene.fragments import SUBPIXELS
 from ..scene.mixed_pixels import mark_pure
 from ..scene.pixels import fill_pixels, open_pixels
 from ..scene.unmixing import unmix_pixels
@@ -165,7 +166,9 @@ class Estimation(EstimationState):
         )
         self.checkpoints.remember("scale", self.scale)
         self.checkpoints.remember("view_check", self.view_check.facts())
-        return {"rays": 6 * len(self.pixels)}
+        rows = (self.pixels.rows(index) for index in range(len(self.views)))
+        pure = sum(int(np.count_nonzero(self.pixels.pure[view])) for view in rows)
+        return {"rays": 6 * len(self.pixels) + len(SUBPIXELS) * (len(self.pixels) - pure)}
 
     def _sort_pixels(self, begin: float, end: float) -> None:
         """Choose the parts of the triangles, and mark the pixels that see one surface of one part."""
