@@ -16,13 +16,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.emission_mask import (
-    EmissionNetwork,
-    emission_mask,
-    find_emitters,
-    mask_at,
-    masked_rendering_loss,
-)
 from benchmarks.shading_error import shading_points
 from fipt_blender.core.estimate.stages import Estimation
 from fipt_blender.core.light.baking import CHUNK, HALF_LARGEST
@@ -31,8 +24,10 @@ from fipt_blender.core.light.emitters import EmitterPixels, Fixture, emitter_tab
 from fipt_blender.core.light.radiance import CachedRadiance, RadianceSource, TracedRadiance
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, Shadings, bake
 from fipt_blender.core.material import losses
+from fipt_blender.core.material.emission_mask import EmissionNetwork, emission_mask, mask_at, masked_triangles
 from fipt_blender.core.material.groups import part_units
 from fipt_blender.core.material.networks import BrdfNetwork, Prediction
+from fipt_blender.core.material.training import Networks
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.run.settings import Settings, make_settings
@@ -82,8 +77,6 @@ _SAMPLES = ("diffuse_spp", "specular_spp", "refine_diffuse_spp", "refine_specula
 # undefined).
 LEAST_WEIGHT = 1e-4
 _PARTNERS = 1024
-# Weight of l_e, the L1 norm of the emission mask; its mean on a triangle that emits; points per triangle.
-LAMBDA_EMISSION, EMITTER_THRESHOLD, EMITTER_SAMPLES = 1.0, 0.01, 100
 
 
 def reference_settings(steps: int, samples: float, changes: dict[str, Any]) -> Settings:
@@ -181,8 +174,8 @@ def reference_loss(
     kd, ks = losses.reflectances(prediction)
     s0, s1 = losses.interpolate_specular(batch.specular, prediction.roughness, levels)
     highlight = ks * s0 + s1
-    loss = masked_rendering_loss(kd * batch.diffuse + highlight, emission_mask(raw), batch.radiance)
-    loss = loss + LAMBDA_EMISSION * raw.abs().mean()
+    loss = losses.rendering_loss(kd * batch.diffuse + highlight, emission_mask(raw), batch.radiance)
+    loss = loss + settings.lambda_emission * losses.emission_loss(raw)
     loss = loss + settings.lambda_diffuse * losses.diffuse_loss(prediction)
     if part_kind == "part":
         weight = highlight.detach().abs().sum(dim=1) + LEAST_WEIGHT
@@ -306,7 +299,7 @@ class ReferenceEstimation(Estimation):
 
     def _train(self) -> dict[str, Any]:
         """Nothing is left to do after the last round."""
-        self._save_network()
+        self._save_networks(Networks(self.brdf, self.mask), self.emitting)
         return {}
 
     def _optimise(self, index: int, steps: int, progress: Callable[[float], None]) -> None:
@@ -342,11 +335,11 @@ class ReferenceEstimation(Estimation):
 
     def _masked_triangles(self) -> np.ndarray:
         """(T,) bool, triangles whose mean mask is above the threshold, without any further test."""
-        return find_emitters(
+        return masked_triangles(
             self.room,
             lambda positions: mask_at(self.mask, self.box, positions),
-            EMITTER_THRESHOLD,
-            EMITTER_SAMPLES,
+            self.settings.emitter_threshold,
+            self.settings.emitter_samples,
             np.random.default_rng([self.settings.seed, 3, 0]),
         )
 

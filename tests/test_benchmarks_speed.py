@@ -11,7 +11,6 @@ import pytest
 import torch
 
 from benchmarks import curves, resampled, scaling, shading_error, speed, speed_table
-from benchmarks.emission_mask import find_emitters
 from benchmarks.reference import AUTHORS, bake_apart, batch_means, reference_settings
 from benchmarks.speed_engine import kept_path
 from benchmarks.turns import merged, take_turns
@@ -19,6 +18,7 @@ from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
 from fipt_blender.core.light.cache import SurfaceLookup, make_grid, pool
 from fipt_blender.core.light.radiance import CachedRadiance
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
+from fipt_blender.core.material.emission_mask import masked_triangles
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.run.checkpoints import stage_names
 from fipt_blender.core.run.documents import read_json
@@ -114,11 +114,11 @@ def test_the_references_mask_finds_a_bulb_of_five_centimetres_and_nothing_else()
         inside = np.linalg.norm(positions - [0.5, 0.3, 1.0], axis=1) < 0.06
         return np.where(inside, 0.6, 0.0) + 1e-4  # a trained mask is never quite zero
 
-    found = find_emitters(room, mask, 0.01, 100, np.random.default_rng(0))
+    found = masked_triangles(room, mask, 0.01, 100, np.random.default_rng(0))
     assert np.flatnonzero(found).tolist() == list(range(12, 20))
     # The threshold is on the mean: three quarters of a wall's upper triangle at 0.012 are not enough.
     for alpha, expected in ((0.012, False), (0.02, True)):
-        found = find_emitters(
+        found = masked_triangles(
             room, lambda p, a=alpha: a * (p[:, 2] > 1.5), 0.01, 100, np.random.default_rng(0)
         )
         assert found[5] == expected and not found[4] and found[[2, 3]].all()

@@ -72,8 +72,8 @@ def learn_from(seen: Observations, pieces: np.ndarray | None) -> None:
     data, estimate = training_input(seen, pieces, shadings, levels, lambda position: position, SETTINGS)
     assert len(estimate.roughness) == len(estimate.rows) < len(data.pool) <= len(seen.pixels)
     assert 400 < len(estimate.rows) < 600
-    cells, marked = fit_cells(seen, data)
-    assert len(marked) == len(seen.parts.triangle_part) and 0 < len(cells.keys) < len(seen.pixels)
+    cells, bright = fit_cells(seen, data)
+    assert len(bright) == len(seen.parts.triangle_part) and 0 < len(cells.keys) < len(seen.pixels)
     units = material_units(seen, pieces, data)
     assert len(units.triangle) == len(seen.parts.triangle_part)
 

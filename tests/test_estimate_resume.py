@@ -114,7 +114,8 @@ def arrays(folder: Path) -> dict[str, bytes]:
 def tensors(run: RunFolder, name: str) -> dict[str, bytes]:
     """What a closed-form estimate or the training has found."""
     state = torch.load(run.stage / f"{name}.pt", weights_only=True)
-    return {name: value.numpy().tobytes() for name, value in state.items()}
+    groups = {key: value if isinstance(value, dict) else {"": value} for key, value in state.items()}
+    return {f"{key}.{k}": v.numpy().tobytes() for key, group in groups.items() for k, v in group.items()}
 
 
 def outcome(run: RunFolder) -> dict[str, bytes]:

@@ -6,13 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.emission_mask import (
-    EmissionNetwork,
-    emission_mask,
-    masked_rendering_loss,
-    positional_encoding,
-)
 from fipt_blender.core.material import losses
+from fipt_blender.core.material.emission_mask import EmissionNetwork, emission_mask, positional_encoding
 from fipt_blender.core.material.hashgrid import HashGrid
 from fipt_blender.core.material.networks import (
     BrdfNetwork,
@@ -230,21 +225,17 @@ def test_tone_mapping_and_rendering_loss() -> None:
     assert losses.tone_map(x).tolist() == pytest.approx(curve.tolist())
     photographed = torch.full((6, 3), 2.0, dtype=torch.float64)
     ones = torch.ones(6, dtype=torch.float64)
-    # Pixels that see emitters do not count.
-    assert float(losses.rendering_loss(LIGHT, photographed, ones < 0)) == 0.0
     squared = (losses.tone_map(LIGHT) - losses.tone_map(photographed)).square().sum(dim=1)
-    half = torch.arange(6) < 3
-    expected = float(squared[:3].sum() / 6)
-    assert float(losses.rendering_loss(LIGHT, photographed, half)) == pytest.approx(expected)
     # With alpha = 1 emission explains the photograph; with 0 only the rendering counts.
-    assert float(masked_rendering_loss(LIGHT, ones, photographed)) == 0.0
-    masked = float(masked_rendering_loss(LIGHT, ones * 0, photographed))
-    assert masked == pytest.approx(float(squared.mean()))
+    assert float(losses.rendering_loss(LIGHT, ones, photographed)) == 0.0
+    assert float(losses.rendering_loss(LIGHT, ones * 0, photographed)) == pytest.approx(float(squared.mean()))
     rendered = LIGHT.clone().requires_grad_()
-    assert torch.autograd.gradcheck(lambda r: losses.rendering_loss(r, photographed, half), (rendered,))
+    alpha = torch.linspace(0.0, 0.9, 6, dtype=torch.float64).requires_grad_()
+    assert torch.autograd.gradcheck(lambda r, a: losses.rendering_loss(r, a, photographed), (rendered, alpha))
 
 
-def test_diffuse_term() -> None:
+def test_emission_and_diffuse_terms() -> None:
+    assert float(losses.emission_loss(torch.tensor([1.0, -2.0, 0.0, 0.0]))) == pytest.approx(0.75)
     values = prediction(3)
     expected = ((1 - values[1]) + values[2]).mean()
     assert float(losses.diffuse_loss(Prediction(*values))) == pytest.approx(float(expected.detach()))

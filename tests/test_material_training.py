@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 import torch
 
+from fipt_blender.core.material.emission_mask import EmissionNetwork, emission_mask
 from fipt_blender.core.material.networks import BrdfNetwork
 from fipt_blender.core.material.training import (
+    Networks,
     Resume,
     Surfaces,
     TrainingData,
@@ -67,11 +69,11 @@ def make_surfaces(data: TrainingData) -> Surfaces:
 
 
 def do_train(
-    network: BrdfNetwork, steps: int, resume: Resume | None = None, progress=lambda _: None, **changes
+    networks: Networks, steps: int, resume: Resume | None = None, progress=lambda _: None, **changes
 ) -> None:
     data = make_data()
     train(
-        network,
+        networks,
         data,
         make_surfaces(data),
         replace(SETTINGS, training_steps=steps, **changes),
@@ -89,27 +91,28 @@ def one_thread():
     torch.set_num_threads(threads)
 
 
-def make_network() -> BrdfNetwork:
+def make_networks() -> Networks:
     generator = torch.Generator().manual_seed(1)
-    return BrdfNetwork(SETTINGS, 4, np.full((3, 5), 0.5), generator, CPU)
+    brdf = BrdfNetwork(SETTINGS, 4, np.full((3, 5), 0.5), generator, CPU)
+    return Networks(brdf, EmissionNetwork(generator, CPU, width=32, depth=2))
 
 
-def weights(network: BrdfNetwork) -> list[bytes]:
-    return [value.numpy().tobytes() for value in network.state_dict().values()]
+def weights(networks: Networks) -> list[bytes]:
+    return [value.numpy().tobytes() for state in networks.state().values() for value in state.values()]
 
 
 def test_the_same_seed_gives_the_same_weights_on_all_threads() -> None:
     results = []
     for seed in (0, 0, 1):
-        network = make_network()
-        do_train(network, 6, seed=seed)
-        results.append(weights(network))
+        networks = make_networks()
+        do_train(networks, 6, seed=seed)
+        results.append(weights(networks))
     assert results[0] == results[1]
     assert results[2] != results[0]
 
 
 def test_an_interrupted_training_ends_with_the_same_weights(one_thread, tmp_path: Path) -> None:
-    uninterrupted = make_network()
+    uninterrupted = make_networks()
     do_train(uninterrupted, 12)
 
     def interrupt(share: float) -> None:
@@ -118,9 +121,9 @@ def test_an_interrupted_training_ends_with_the_same_weights(one_thread, tmp_path
 
     checkpoint = tmp_path / "unfinished.pt"
     with pytest.raises(KeyboardInterrupt):
-        do_train(make_network(), 12, Resume(checkpoint), interrupt)
+        do_train(make_networks(), 12, Resume(checkpoint), interrupt)
     assert checkpoint.exists()
-    resumed = make_network()
+    resumed = make_networks()
     shares: list[float] = []
     do_train(resumed, 12, Resume(checkpoint, read_checkpoint(checkpoint, resumed, 12)), shares.append)
     assert shares[0] == pytest.approx(11 / 12)  # from the checkpoint after step 10
@@ -132,6 +135,7 @@ def test_an_interrupted_training_ends_with_the_same_weights(one_thread, tmp_path
     [
         {"brdf": None},
         {"brdf": {}},
+        {"emission": {}},
         {"step": 12},
         {"step": "5"},
         {"optimiser": {}},
@@ -140,27 +144,27 @@ def test_an_interrupted_training_ends_with_the_same_weights(one_thread, tmp_path
 )
 def test_a_checkpoint_that_does_not_fit_is_refused(change, tmp_path: Path) -> None:
     checkpoint = tmp_path / "unfinished.pt"
-    do_train(make_network(), 6, Resume(checkpoint))
-    assert read_checkpoint(checkpoint, make_network(), 6)["step"] == 5
+    do_train(make_networks(), 6, Resume(checkpoint))
+    assert read_checkpoint(checkpoint, make_networks(), 6)["step"] == 5
     save_tensors(checkpoint, {**torch.load(checkpoint, weights_only=True), **change})
     with pytest.raises(FiptError) as caught:
-        read_checkpoint(checkpoint, make_network(), 6)
+        read_checkpoint(checkpoint, make_networks(), 6)
     assert caught.value.code == "file-damaged"
 
 
 @pytest.mark.parametrize("glow", [False, True])
 def test_colours_are_found_beside_a_lamp_that_does_not_count(glow: bool, one_thread) -> None:
     """Emission of the red half that is known is subtracted."""
-    network, data = make_network(), make_data()
+    networks, data = make_networks(), make_data()
     surfaces = make_surfaces(data)
     if glow:
         emission = np.array([[0.4, 0.3, 0.2], [0.0] * 3, [0.0] * 3], np.float32)
         data.radiance += emission[surfaces.triangle]
-        surfaces = replace(surfaces, emission=emission)
-    train(network, data, surfaces, replace(SETTINGS, training_steps=400), None, lambda _: None)
+        surfaces, networks.emission = replace(surfaces, emission=emission), None
+    train(networks, data, surfaces, replace(SETTINGS, training_steps=400), None, lambda _: None)
     inputs = torch.from_numpy(data.normalise(data.position))
     with torch.no_grad():
-        prediction = network(inputs, torch.from_numpy(surfaces.unit[surfaces.triangle]))
+        prediction = networks.brdf(inputs, torch.from_numpy(surfaces.unit[surfaces.triangle]))
     kd = (prediction.base_color * (1 - prediction.metallic[:, None])).numpy()
     expected = np.where(data.label[:, None] == 0, [0.7, 0.2, 0.1], [0.1, 0.3, 0.6])
     on_lamp = surfaces.triangle == 2
@@ -170,24 +174,40 @@ def test_colours_are_found_beside_a_lamp_that_does_not_count(glow: bool, one_thr
     assert error[~on_lamp & at_border].mean() < 0.06
 
 
+def test_the_mask_finds_a_lamp_that_nothing_has_found_before(one_thread) -> None:
+    """Reflection can't explain the lamp's pixels, so the mask takes them; l_e keeps it zero elsewhere."""
+    networks, data = make_networks(), make_data()
+    surfaces = replace(make_surfaces(data), emitting=np.zeros(3, bool))
+    train(networks, data, surfaces, replace(SETTINGS, training_steps=400), None, lambda _: None)
+    with torch.no_grad():
+        raw = networks.emission(torch.from_numpy(data.normalise(data.position)))
+    alpha, on_lamp = emission_mask(raw).numpy(), surfaces.triangle == 2
+    assert np.median(alpha[on_lamp]) > 0.5 and np.quantile(alpha[~on_lamp], 0.9) < 0.01
+
+
 @pytest.mark.parametrize("kind", ["part", "semantic", "none"])
 def test_every_term_is_in_the_total(kind: str) -> None:
     """Raising the weight of a term raises the total, unless the data have no such term."""
     data = make_data(kind)
     batch = gather_batch(data, make_surfaces(data), np.arange(0, 400), CPU)
-    partners, network = torch.arange(0, 400, 2), make_network()
+    partners, networks = torch.arange(0, 400, 2), make_networks()
     with torch.no_grad():  # it starts with hardly any detail
-        network.mlp[-1].weight.mul_(1000.0)
-    terms = ("lambda_diffuse", "lambda_part", "lambda_semantic")
+        networks.brdf.mlp[-1].weight.mul_(1000.0)
+    terms = ("lambda_emission", "lambda_diffuse", "lambda_part", "lambda_semantic")
 
     def total(**changes: float) -> float:
         settings = Settings(**{**dict.fromkeys(terms, 0.0), **changes})
         with torch.no_grad():
-            return float(total_loss(network, batch, settings, partners))
+            return float(total_loss(networks, batch, settings, partners))
 
     base = total()
     raised = {name: total(**{name: 1.0}) > base + 1e-6 for name in terms}
-    expected = {"lambda_diffuse": True, "lambda_part": kind != "none", "lambda_semantic": kind == "semantic"}
+    expected = {
+        "lambda_emission": True,
+        "lambda_diffuse": True,
+        "lambda_part": kind != "none",
+        "lambda_semantic": kind == "semantic",
+    }
     assert raised == expected
 
 

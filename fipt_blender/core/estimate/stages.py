@@ -7,7 +7,7 @@
     estimate-0      closed-form estimate of the BRDF (Eq. 5); find the emitters (Sec. 4.4)
     refinement-i    stage 3: bake the shadings anew by path tracing (Sec. 4.3, Eq. 10 and 11)
     estimate-i      closed form and emitters with the refined shadings
-    training        stage 2: fit the BRDF network, once (Sec. 4.5, Eq. 14 to 20)
+    training        stage 2: fit BRDF and emission mask, once, and find the emitters (Sec. 4.5, Eq. 12 to 20)
 
 Stage 3 and the closed form are repeated `rounds` times. A run that is resumed loads the stages that it has
 finished. The computations are in `light/`, `views/` and `material/`, the data that stages share in
@@ -30,13 +30,15 @@ from ..light.observations import observe
 from ..light.reflecting import separate
 from ..light.shadings import SampleCounts
 from ..material.cell_errors import cell_errors
-from ..material.closed_form import CellEstimate, fit_cells, render_rows, triangle_emission
+from ..material.closed_form import MARKED_SHARE, CellEstimate, fit_cells, render_rows, triangle_emission
+from ..material.emission_mask import EmissionNetwork, mask_at, masked_triangles
 from ..material.groups import numbered
 from ..material.networks import typical_values, useful_hash_levels
 from ..material.pixel_samples import lamp_pixels
 from ..material.projection import InitialEstimate
 from ..material.training import (
     PRETRAINING_STEPS,
+    Networks,
     Resume,
     Surfaces,
     TrainingData,
@@ -118,7 +120,7 @@ class Estimation(EstimationState):
                     partial(self._resume_estimate, index),
                 )
                 self._show(f"estimate-{index}")
-            self._stage("training", "Stage 2: training materials", self._train, self._load_network)
+            self._stage("training", "Stage 2: training materials", self._train, self._load_networks)
             self._show("training")
             self._write_results()
 
@@ -246,13 +248,13 @@ class Estimation(EstimationState):
         self._input = None  # that of the round before
         data, initial = self._closed_form()
         joint = self.settings.emission == "joint"
-        cells, marked = fit_cells(self.observations, data, self.settings.lambda_joint if joint else None)
+        cells, bright = fit_cells(self.observations, data, self.settings.lambda_joint if joint else None)
         self._find_cells(material_units(self.observations, self._pieces, data))
         emitting = self._constant_triangles(initial)
         if joint:
             self.emission = triangle_emission(cells, self.observations, data)
         else:
-            emitting = self._find_emitters(data, cells, marked, emitting)
+            emitting = self._find_emitters(data, cells, bright > MARKED_SHARE, emitting)
         self._group_fixtures(emitting)
         # Kept for stage 3, which writes over the shadings from which these are made.
         self.diffuse = self.observations.means(data.diffuse).astype(np.float16)
@@ -293,10 +295,10 @@ class Estimation(EstimationState):
         # Emitters are read, not found anew: the shadings they were found with may have been refined since.
         self._group_fixtures(self._load_estimate(index))
 
-    # ---- Stage 2: the BRDF network (Sec. 4.5, Eq. 12, 14 to 20) --------------------------------------------
+    # ---- Stage 2: BRDF and emission mask (Sec. 4.5, Eq. 12, 14 to 20); emitters (Sec. 4.4, Eq. 13) ---------
 
     def _train(self) -> Facts:
-        """Fit the network to the closed-form estimate, then to the photographs."""
+        """Fit the networks to the closed-form estimate, then to the photographs; find the emitters."""
         data, initial = self._closed_form()
         _, emitting = self._emitters()
         joint = len(self.emission) > 0
@@ -311,23 +313,47 @@ class Estimation(EstimationState):
         self.brdf = self._new_network(
             hash_levels, typical_values(initial.values, unit, len(self.units.single))
         )
+        networks = Networks(self.brdf, None if joint else self._new_mask())
         checkpoint = self.folder.stage / f"{UNFINISHED}.pt"
         state = None
         if checkpoint.exists():
             try:
-                state = read_checkpoint(checkpoint, self.brdf, self.settings.training_steps)
+                state = read_checkpoint(checkpoint, networks, self.settings.training_steps)
             except FiptError as error:
                 self._warn_of_damage(error.text)
                 checkpoint.unlink()
         fitted = PRETRAINING_STEPS / (PRETRAINING_STEPS + self.settings.training_steps)
         if state is None:
             progress = self._progress_within(0.0, fitted)
-            pretrain(self.brdf, data, surfaces, initial, self.settings, progress)
+            pretrain(networks, data, surfaces, initial, self.settings, progress)
         progress = self._progress_within(fitted, 1.0)
-        train(self.brdf, data, surfaces, self.settings, Resume(checkpoint, state), progress)
-        self._save_network()
+        train(networks, data, surfaces, self.settings, Resume(checkpoint, state), progress)
+        if networks.emission is not None:
+            emitting = self._masked_emitters(networks.emission, data, initial)
+            self._group_fixtures(emitting)
+        self._save_networks(networks, emitting)
         checkpoint.unlink(missing_ok=True)
         return {"steps": self.settings.training_steps, "hash_levels": hash_levels}
+
+    def _masked_emitters(
+        self, mask: EmissionNetwork, data: TrainingData, initial: InitialEstimate
+    ) -> np.ndarray:
+        """(T,) bool, triangles that emit, after the emission mask has been trained.
+
+        Triangles emit that the mask or the closed form marks, and whose radiance reflection can't explain.
+        """
+        settings = self.settings
+        cells, bright = fit_cells(self.observations, data)
+        marked = masked_triangles(
+            self.room,
+            partial(mask_at, mask, self.box),
+            settings.emitter_threshold,
+            settings.emitter_samples,
+            np.random.default_rng([settings.seed, 3]),
+            candidates=bright > 0.0,
+        )
+        marked |= bright > MARKED_SHARE
+        return self._find_emitters(data, cells, marked, self._constant_triangles(initial))
 
     # ---- Stage 3: shadings by path tracing (Sec. 4.3, Eq. 10 and 11) ---------------------------------------
 

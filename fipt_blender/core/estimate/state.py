@@ -23,13 +23,14 @@ from ..light.joint import joint_fixtures
 from ..light.observations import Observations
 from ..light.shadings import roughness_levels
 from ..material.closed_form import CellEstimate
+from ..material.emission_mask import EmissionNetwork
 from ..material.fields import RoomFields
 from ..material.groups import Units
 from ..material.inference import Fields
 from ..material.networks import BrdfNetwork, network_generator
 from ..material.projection import InitialEstimate
 from ..material.seen import SeenCells, fallback_values, find_seen_cells, room_box, seen_statistics
-from ..material.training import TrainingData
+from ..material.training import Networks, TrainingData
 from ..optics.lights import EmitterTable
 from ..run.arrays import check_layouts
 from ..run.checkpoints import Checkpoints, stage_keys
@@ -76,7 +77,7 @@ class EstimationState:
         view_check: views that were left out or corrected.
         parts: of the room's triangles.
         observations: what the pixels tell before anything is estimated: cache, environment.
-        brdf: the network of stage 2.
+        brdf: the BRDF network of stage 2.
         units, cells: surfaces of one material, and where pixels saw them.
         fixtures: the emitters found so far.
         emission: (T, 3) float32 L_e of each triangle if it is fitted jointly, else (0, 3).
@@ -195,22 +196,30 @@ class EstimationState:
     def _new_network(self, hash_levels: int, typical: np.ndarray) -> BrdfNetwork:
         return BrdfNetwork(self.settings, hash_levels, typical, network_generator(self.settings), self.device)
 
-    def _save_network(self) -> None:
-        self.checkpoints.save_tensors("training", self.brdf.state_dict())
+    def _new_mask(self) -> EmissionNetwork:
+        return EmissionNetwork(network_generator(self.settings), self.device)
 
-    def _load_network(self) -> None:
-        """Read back what the training has found.
+    def _save_networks(self, networks: Networks, emitting: np.ndarray) -> None:
+        """Keep what the training has found; `emitting` (T,) bool."""
+        tensors = {**networks.state(), "emitting": torch.from_numpy(emitting)}
+        self.checkpoints.save_tensors("training", tensors)
+
+    def _load_networks(self) -> None:
+        """Read back the materials and the emitters that the training has found.
 
         Raises:
             FiptError: ``file-damaged``.
         """
         state = self.checkpoints.load_tensors("training", self.device)
         try:
-            levels = state["mlp.0.weight"].shape[1] // self.settings.hash_features
+            levels = state["brdf"]["mlp.0.weight"].shape[1] // self.settings.hash_features
             self.brdf = self._new_network(levels, np.zeros((len(self.units.single) + 1, 5)))
-            self.brdf.load_state_dict(state)
+            self.brdf.load_state_dict(state["brdf"])
+            emitting = state["emitting"].cpu().numpy()
+            check_layouts({"emitting": emitting}, {"emitting": ("b", (len(self.room.triangles),))})
         except (KeyError, AttributeError, IndexError, TypeError, ValueError, RuntimeError) as error:
             raise _unreadable("training", error) from None
+        self._group_fixtures(emitting)
 
     def _find_cells(self, units: Units) -> None:
         """Take the units of the last estimate, and find where pixels saw them; known parts never change."""

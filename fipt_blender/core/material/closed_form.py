@@ -86,14 +86,14 @@ class CellEstimate:
 def fit_cells(
     observations: Observations, data: TrainingData, joint: float | None = None
 ) -> tuple[CellEstimate, np.ndarray]:
-    """The base colours of all cells, and the triangles that look like emitters.
+    """The base colours of all cells, and how much each triangle looks like an emitter.
 
     Args:
         data: pixels, their shadings, and the roughness and metallic of their groups.
         joint: fit an emission of each cell too, with this weight of its L1 norm (ablation).
 
     Returns:
-        The estimate, and (T,) bool, triangles of which most pixels are brighter than a white surface.
+        The estimate, and (T,) the share of each triangle's pixels that are brighter than a white surface.
     """
     groups = len(data.group_roughness)
     roughness, metallic = np.append(data.group_roughness, 1.0), np.append(data.group_metallic, 0.0)
@@ -131,7 +131,7 @@ def fit_cells(
         roughness,
         metallic,
     )
-    return cells, bright > MARKED_SHARE * np.maximum(count, 1e-6)
+    return cells, bright / np.maximum(count, 1e-6)
 
 
 def _added(

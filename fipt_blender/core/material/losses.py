@@ -52,17 +52,20 @@ def tone_map(radiance: torch.Tensor) -> torch.Tensor:
     return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x.clamp_min(1e-7) ** (1.0 / 2.4) - 0.055)
 
 
-def rendering_loss(
-    rendered: torch.Tensor, photographed: torch.Tensor, reflects: torch.Tensor
-) -> torch.Tensor:
-    """Tone-mapped L2, mean over pixels (paper Eq. 15, where the emission mask is that of known emitters).
+def rendering_loss(rendered: torch.Tensor, alpha: torch.Tensor, photographed: torch.Tensor) -> torch.Tensor:
+    """Tone-mapped L2 with the emission mask (paper Eq. 15), mean over pixels.
 
     Args:
         rendered, photographed: (N, 3).
-        reflects: (N,) bool; the others see emitters and do not count.
+        alpha: (N,) emission mask; 1 where an emitter is known, which then does not count.
     """
-    squared = (tone_map(rendered) - tone_map(photographed)).square().sum(dim=1)
-    return (squared * reflects).mean()
+    mixed = torch.lerp(rendered, photographed, alpha[:, None])
+    return (tone_map(mixed) - tone_map(photographed)).square().sum(dim=1).mean()
+
+
+def emission_loss(raw: torch.Tensor) -> torch.Tensor:
+    """l_e without its weight: mean |MLP_emit| (paper Eq. 16)."""
+    return raw.abs().mean()
 
 
 def diffuse_loss(prediction: Prediction) -> torch.Tensor:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Stage 2: fitting the network to the photographs with fixed shadings (paper Sec. 4.5).
+"""Stage 2: fitting the networks to the photographs with fixed shadings (paper Sec. 4.5).
 
 Every random choice depends only on (seed, step), so an interrupted training continues from its last
 checkpoint and ends with the same weights.
@@ -16,10 +16,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..light.emitters import pixels_on
 from ..run.checkpoints import load_tensors, save_tensors
 from ..run.errors import FiptError
 from ..run.settings import Settings
 from . import losses
+from .emission_mask import EmissionNetwork, emission_mask
 from .networks import BrdfNetwork
 from .projection import InitialEstimate
 
@@ -27,7 +29,45 @@ from .projection import InitialEstimate
 _FINAL_RATE = 0.1
 PRETRAINING_STEPS = 200
 _PRETRAINING_RATE = 1e-2
+_EMISSION_PRETRAINING_RATE = 3e-3
+# Raw emission mask to which pixels on emitters are fitted in pretraining.
+_EMITTING_RAW_MASK = 1.0
+# One in so many pixels trains the emission network, which costs as much per pixel as all else together.
+_EMISSION_STRIDE = 4
 _PARTNERS = 1024
+
+
+@dataclass
+class Networks:
+    """MLP_brdf, and MLP_emit unless emission is fitted jointly (ablation)."""
+
+    brdf: BrdfNetwork
+    emission: EmissionNetwork | None
+
+    @property
+    def device(self) -> torch.device:
+        """Where both are."""
+        return self.brdf.grid.table.device
+
+    def state(self) -> dict[str, Any]:
+        """Weights of both."""
+        emission = {} if self.emission is None else self.emission.state_dict()
+        return {"brdf": self.brdf.state_dict(), "emission": emission}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Take weights of :meth:`state`.
+
+        Raises:
+            KeyError, RuntimeError, TypeError: where they are those of other networks.
+        """
+        self.brdf.load_state_dict(state["brdf"])
+        if self.emission is not None:
+            self.emission.load_state_dict(state["emission"])
+
+    def trained(self) -> list[torch.nn.Parameter]:
+        """All parameters in the optimiser's order, the hash grid's table first."""
+        emission = [] if self.emission is None else list(self.emission.parameters())
+        return [self.brdf.grid.table, *self.brdf.mlp.parameters(), *emission]
 
 
 @dataclass
@@ -140,17 +180,24 @@ def gather_batch(data: TrainingData, surfaces: Surfaces, rows: np.ndarray, devic
     )
 
 
-def total_loss(
-    network: BrdfNetwork, batch: Batch, settings: Settings, partners: torch.Tensor
-) -> torch.Tensor:
-    """l + l_d + l_p of one batch (paper Eq. 15 and 17 to 20); emitters are known, so there is no l_e.
+def total_loss(networks: Networks, batch: Batch, settings: Settings, partners: torch.Tensor) -> torch.Tensor:
+    """l + l_e + l_d + l_p of one batch (paper Eq. 15 to 20).
+
+    The emission mask is trained by every fourth pixel. The others take the mask of the emitters that the
+    closed form has found: 0 or 1.
 
     Args:
         partners: (P,) int64 rows of the batch that serve as x' of Eq. 20.
     """
-    prediction = network(batch.position, batch.unit)
+    prediction = networks.brdf(batch.position, batch.unit)
     rendered = losses.factorised_rendering(prediction, batch.diffuse, batch.specular, batch.levels)
-    loss = losses.rendering_loss(rendered, batch.radiance, batch.reflects)
+    alpha = 1.0 - batch.reflects.to(rendered.dtype)
+    emission_loss = rendered.new_zeros(())
+    if networks.emission is not None:
+        raw = networks.emission(batch.position[::_EMISSION_STRIDE])
+        alpha[::_EMISSION_STRIDE] = emission_mask(raw)
+        emission_loss = losses.emission_loss(raw) * (len(raw) / len(alpha))
+    loss = losses.rendering_loss(rendered, alpha, batch.radiance) + settings.lambda_emission * emission_loss
     loss = loss + settings.lambda_diffuse * losses.diffuse_loss(prediction)
     loss = loss + settings.lambda_part * losses.part_loss(
         prediction, batch.group_roughness, batch.group_metallic, batch.grouped
@@ -168,20 +215,24 @@ def total_loss(
 
 
 def pretrain(
-    network: BrdfNetwork,
+    networks: Networks,
     data: TrainingData,
     surfaces: Surfaces,
     estimate: InitialEstimate,
     settings: Settings,
     progress: Callable[[float], None],
 ) -> None:
-    """Fit the network to the closed-form estimate before it is fitted to the photographs.
+    """Fit the networks to the closed-form estimate and its emitters, before the photographs are used.
 
     Args:
         progress: called with the share of steps done.
     """
-    device = network.grid.table.device
-    optimiser = _Adam([(list(network.parameters()), _PRETRAINING_RATE)], PRETRAINING_STEPS)
+    brdf, emission, device = networks.brdf, networks.emission, networks.device
+    rates = [(list(brdf.parameters()), _PRETRAINING_RATE)]
+    if emission is not None:
+        rates.append((list(emission.parameters()), _EMISSION_PRETRAINING_RATE))
+    optimiser = _Adam(rates, PRETRAINING_STEPS)
+    emitters = pixels_on(surfaces.triangle, surfaces.emitting)
     size = min(settings.batch_size, len(estimate.rows))
     # Inside the range of the sigmoid, so that the rendering loss can still move values away from 0 and 1.
     values = estimate.values.clip(0.02, 0.98)
@@ -191,13 +242,26 @@ def pretrain(
         rows = estimate.rows[chosen]
         position = torch.from_numpy(data.normalise(np.asarray(data.position[rows]))).to(device)
         unit = torch.from_numpy(surfaces.unit[surfaces.triangle[rows]].astype(np.int64)).to(device)
-        prediction = network(position, unit)
+        prediction = brdf(position, unit)
         outputs = torch.cat(
             [prediction.base_color, prediction.roughness[:, None], prediction.metallic[:, None]], dim=1
         )
         loss = (outputs - torch.from_numpy(values[chosen]).to(device)).square().sum(dim=1).mean()
+        if emission is not None:
+            asked = _emission_rows(rows[::_EMISSION_STRIDE], emitters, rng)
+            target = torch.from_numpy(surfaces.emitting[surfaces.triangle[asked]]).to(device)
+            raw = emission(torch.from_numpy(data.normalise(np.asarray(data.position[asked]))).to(device))
+            loss = loss + (raw - _EMITTING_RAW_MASK * target).square().mean()
         optimiser.step(step, loss)
         progress((step + 1) / PRETRAINING_STEPS)
+
+
+def _emission_rows(rows: np.ndarray, emitters: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Pixels `rows` (R,), a quarter of them replaced by pixels on emitters: a bulb may have only a few."""
+    if not len(emitters):
+        return rows
+    quarter = max(len(rows) // 4, 1)
+    return np.concatenate([rows[quarter:], emitters[rng.integers(0, len(emitters), quarter)]])
 
 
 class _Adam:
@@ -235,26 +299,26 @@ class Resume:
     state: dict[str, Any] | None = None
 
 
-def read_checkpoint(path: Path, network: BrdfNetwork, steps: int) -> dict[str, Any]:
+def read_checkpoint(path: Path, networks: Networks, steps: int) -> dict[str, Any]:
     """The state of an unfinished training.
 
     Args:
         path: of the checkpoint that `train` wrote.
-        network: which is to continue; it is not changed.
+        networks: which are to continue; they are not changed.
         steps: of the training.
 
     Raises:
         FiptError: ``file-damaged``.
     """
-    table, *dense = _trained(network)
+    table, *dense = networks.trained()
     state = load_tensors(path, table.device)
     problem = ""
-    shapes = {key: value.shape for key, value in network.state_dict().items()}
-    weights = state.get("brdf")
-    if not isinstance(weights, dict) or shapes != {
-        key: getattr(value, "shape", None) for key, value in weights.items()
-    }:
-        problem = "its network is another one"
+    for name, expected in networks.state().items():
+        weights = state.get(name)
+        if not isinstance(weights, dict) or {key: value.shape for key, value in expected.items()} != {
+            key: getattr(value, "shape", None) for key, value in weights.items()
+        }:
+            problem = f"its {name} network is another one"
     step = state.get("step")
     if not isinstance(step, int) or not 0 < step < steps:
         problem = f"its step is {step} of {steps}"
@@ -271,31 +335,26 @@ def read_checkpoint(path: Path, network: BrdfNetwork, steps: int) -> dict[str, A
     return state
 
 
-def _trained(network: BrdfNetwork) -> list[torch.nn.Parameter]:
-    """The parameters in the optimiser's order."""
-    return [network.grid.table, *network.mlp.parameters()]
-
-
 def train(
-    network: BrdfNetwork,
+    networks: Networks,
     data: TrainingData,
     surfaces: Surfaces,
     settings: Settings,
     resume: Resume | None,
     progress: Callable[[float], None],
 ) -> None:
-    """Optimise the network in place with Adam.
+    """Optimise the networks in place with Adam.
 
     Args:
         resume: the checkpoint file, and where the training continues; None writes no file.
         progress: called with the share of steps done.
     """
-    table, *dense = _trained(network)
+    table, *dense = networks.trained()
     steps = settings.training_steps
     optimiser = _Adam([([table], settings.hash_learning_rate), (dense, settings.learning_rate)], steps)
     start = 0
     if resume is not None and resume.state is not None:
-        network.load_state_dict(resume.state["brdf"])
+        networks.load(resume.state)
         optimiser.optimiser.load_state_dict(resume.state["optimiser"])
         start = int(resume.state["step"])
     size = min(settings.batch_size, len(data.pool))
@@ -304,11 +363,11 @@ def train(
         rows = data.pool[rng.integers(0, len(data.pool), size)]
         batch = gather_batch(data, surfaces, rows, table.device)
         partners = torch.from_numpy(rng.integers(0, size, min(_PARTNERS, size))).to(table.device)
-        optimiser.step(step, total_loss(network, batch, settings, partners))
+        optimiser.step(step, total_loss(networks, batch, settings, partners))
         progress((step + 1) / steps)
         if resume is not None and (step + 1) % settings.checkpoint_steps == 0 and step + 1 < steps:
             state = {
-                "brdf": network.state_dict(),
+                **networks.state(),
                 "optimiser": optimiser.optimiser.state_dict(),
                 "step": step + 1,
             }

@@ -118,6 +118,7 @@ class Settings:
         "stage 2: initial learning rate of the hash grid, of which few pixels reach each entry (paper: 1e-3)",
         TRAINING,
     )
+    lambda_emission: float = _setting(1.0, "weight of l_e, the L1 norm of the emission mask", TRAINING)
     lambda_diffuse: float = _setting(5e-4, "weight of l_d, the preference for diffuse surfaces", TRAINING)
     residual_degrees: float = _setting(
         3.0,
@@ -165,8 +166,8 @@ class Settings:
     checkpoint_steps: int = _setting(500, "stage 2: steps between checkpoints of a training", None)
 
     emission: str = _setting(
-        "evidence",
-        "evidence: find the triangles that emit; joint: fit emission together with base colour (ablation)",
+        "mask",
+        "mask: find emitters by an emission mask; joint: fit emission together with base colour (ablation)",
         ESTIMATE,
     )
     lambda_joint: float = _setting(
@@ -176,6 +177,12 @@ class Settings:
     )
     joint_threshold: float = _setting(
         0.01, "joint emission: triangles of which it is less do not emit, in the same units", ESTIMATE
+    )
+    emitter_threshold: float = _setting(
+        0.01, "a triangle whose mean emission mask is above this may be an emitter", TRAINING
+    )
+    emitter_samples: int = _setting(
+        100, "positions per triangle at which the emission mask is sampled", TRAINING
     )
     environment_width: int = _setting(256, "width of the estimated environment map in pixels", SHADINGS)
 
@@ -261,7 +268,7 @@ def _check(settings: Settings) -> None:
         "atlas_mode": ("uv", "color_attribute"),
         "write_back": ("cycles", "paper"),
         "masking": ("schlick", "smith"),
-        "emission": ("evidence", "joint"),
+        "emission": ("mask", "joint"),
     }
     for name, allowed in choices.items():
         if getattr(settings, name) not in allowed:
@@ -306,6 +313,7 @@ _MAY_BE_ZERO = {
     "rounds",
     "lambda_joint",
     "lambda_diffuse",
+    "lambda_emission",
     "lambda_part",
     "lambda_semantic",
     "joint_threshold",

@@ -1,9 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The paper's emission mask (Eq. 12 to 16) for the reference of the speed.
-
-The product finds emitters by other evidence.
-"""
+"""The emission mask of stage 2 (paper Eq. 12 to 14), and the triangles that it marks (Sec. 4.4)."""
 
 from __future__ import annotations
 
@@ -12,11 +9,10 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from fipt_blender.core.material.inference import CHUNK
-from fipt_blender.core.material.losses import tone_map
-from fipt_blender.core.material.networks import linear
-from fipt_blender.core.material.seen import Box
-from fipt_blender.core.scene.room import Room
+from ..scene.room import Room
+from .inference import CHUNK
+from .networks import linear
+from .seen import Box
 
 
 class EmissionNetwork(torch.nn.Module):
@@ -63,14 +59,6 @@ def positional_encoding(positions: torch.Tensor, bands: int) -> torch.Tensor:
     return torch.cat([positions, torch.sin(angles), torch.cos(angles)], dim=1)
 
 
-def masked_rendering_loss(
-    rendered: torch.Tensor, alpha: torch.Tensor, photographed: torch.Tensor
-) -> torch.Tensor:
-    """Tone-mapped L2 with the emission mask (paper Eq. 15), mean over pixels."""
-    mixed = torch.lerp(rendered, photographed, alpha[:, None])
-    return (tone_map(mixed) - tone_map(photographed)).square().sum(dim=1).mean()
-
-
 @torch.no_grad()
 def mask_at(network: EmissionNetwork, box: Box, positions: np.ndarray) -> np.ndarray:
     """(N,) float32 emission mask alpha at world positions (N, 3)."""
@@ -82,25 +70,28 @@ def mask_at(network: EmissionNetwork, box: Box, positions: np.ndarray) -> np.nda
     return np.concatenate(values)
 
 
-def find_emitters(
+def masked_triangles(
     room: Room,
     mask: Callable[[np.ndarray], np.ndarray],
     threshold: float,
     samples: int,
     rng: np.random.Generator,
+    candidates: np.ndarray | None = None,
 ) -> np.ndarray:
     """(T,) bool, triangles whose mean emission mask over random points exceeds the threshold.
 
     Args:
         mask: (N, 3) world positions to (N,) alpha.
         samples: points per triangle.
+        candidates: (T,) bool, triangles that are asked; all without.
     """
-    emits = np.zeros(len(room.triangles), bool)
-    for start in range(0, len(emits), 4096):
-        chunk = np.arange(start, min(start + 4096, len(emits)))
+    marked = np.zeros(len(room.triangles), bool)
+    asked = np.arange(len(marked)) if candidates is None else np.flatnonzero(candidates)
+    for start in range(0, len(asked), 4096):
+        chunk = asked[start : start + 4096]
         mean = mask(random_points(room, chunk, samples, rng)).reshape(-1, samples).mean(axis=1)
-        emits[chunk] = mean > threshold
-    return emits
+        marked[chunk] = mean > threshold
+    return marked
 
 
 def random_points(room: Room, triangles: np.ndarray, samples: int, rng: np.random.Generator) -> np.ndarray:
