@@ -85,8 +85,10 @@ def test_textures_and_maps_follow_every_estimate(
         for entry in listed[1:]
     ]
     seen = np.stack([of_view["roughness"][..., 0] > 0.0 for of_view in maps])
-    emission = np.stack([of_view["emission"].any(axis=2) for of_view in maps])
-    assert seen.any() and emission.any() == (fixtures > 0) and not (seen & emission).any()
-    assert (seen | emission).all() != open_mesh
+    emission = np.stack([of_view["emission"].max(axis=2) for of_view in maps])
+    assert seen.any() and emission.any() == (fixtures > 0)
+    # A pixel that shows both a lamp and a wall has at most three of its four places on the lamp.
+    assert (emission[seen] < 0.8 * emission.max() + 1e-6).all()
+    assert (seen | (emission > 0.0)).all() != open_mesh
     for of_view, reflecting in zip(maps, seen, strict=True):
         assert not of_view["base_color"][~reflecting].any() and not of_view["confidence"][~reflecting].any()
