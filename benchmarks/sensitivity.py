@@ -22,6 +22,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks import metrics, truth
+from benchmarks.metrics import ClosedForm
 from fipt_blender.core.device.variant import set_variant
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
@@ -37,22 +38,6 @@ class Variant:
 
     label: str
     settings: Settings
-
-
-@dataclass(frozen=True)
-class ClosedForm:
-    """A closed-form estimate of pixels.
-
-    Attributes:
-        rows: (N,) pixels with an estimate of kd.
-        kd: (N, 3) of these.
-        roughness, metallic: (P,) of all pixels.
-    """
-
-    rows: np.ndarray
-    kd: np.ndarray
-    roughness: np.ndarray
-    metallic: np.ndarray
 
 
 def variants(settings: Settings, names: Sequence[str], seeds: int) -> list[Variant]:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.sensitivity import ClosedForm
+from benchmarks.metrics import ClosedForm
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.estimate.state import spread_views
 from fipt_blender.core.light.baking import open_shadings
