@@ -246,9 +246,8 @@ class Estimation(EstimationState):
 
     def _estimate(self, index: int) -> Facts:
         self._input = None  # that of the round before
-        data, initial = self._closed_form()
+        data, initial, cells, bright = self._closed_form()
         joint = self.settings.emission == "joint"
-        cells, bright = fit_cells(self.observations, data, self.settings.lambda_joint if joint else None)
         self._find_cells(material_units(self.observations, self._pieces, data))
         emitting = self._constant_triangles(initial)
         if joint:
@@ -262,10 +261,11 @@ class Estimation(EstimationState):
         self._save_estimate(index, emitting)
         return {"cells": len(cells.keys)}
 
-    def _closed_form(self) -> tuple[TrainingData, InitialEstimate]:
-        """The data to train on with the last shadings, and the closed-form estimate of a sample of them."""
+    def _closed_form(self) -> tuple[TrainingData, InitialEstimate, CellEstimate, np.ndarray]:
+        """The data to train on with the last shadings, the closed-form estimate of a sample of them, and
+        that of all cells with the share of each triangle's pixels that are brighter than white (T,)."""
         if self._input is None:
-            self._input = training_input(
+            data, initial = training_input(
                 self.observations,
                 self._pieces,
                 self._open_shadings(),
@@ -273,6 +273,8 @@ class Estimation(EstimationState):
                 self.box.normalise,
                 self.settings,
             )
+            joint = self.settings.lambda_joint if self.settings.emission == "joint" else None
+            self._input = (data, initial, *fit_cells(self.observations, data, joint))
         return self._input
 
     def _constant_triangles(self, initial: InitialEstimate) -> np.ndarray:
@@ -299,7 +301,7 @@ class Estimation(EstimationState):
 
     def _train(self) -> Facts:
         """Fit the networks to the closed-form estimate, then to the photographs; find the emitters."""
-        data, initial = self._closed_form()
+        data, initial, _, _ = self._closed_form()
         _, emitting = self._emitters()
         joint = len(self.emission) > 0
         surfaces = Surfaces(
@@ -329,21 +331,19 @@ class Estimation(EstimationState):
         progress = self._progress_within(fitted, 1.0)
         train(networks, data, surfaces, self.settings, Resume(checkpoint, state), progress)
         if networks.emission is not None:
-            emitting = self._masked_emitters(networks.emission, data, initial)
+            emitting = self._masked_emitters(networks.emission)
             self._group_fixtures(emitting)
         self._save_networks(networks, emitting)
         checkpoint.unlink(missing_ok=True)
         return {"steps": self.settings.training_steps, "hash_levels": hash_levels}
 
-    def _masked_emitters(
-        self, mask: EmissionNetwork, data: TrainingData, initial: InitialEstimate
-    ) -> np.ndarray:
+    def _masked_emitters(self, mask: EmissionNetwork) -> np.ndarray:
         """(T,) bool, triangles that emit, after the emission mask has been trained.
 
         Triangles emit that the mask or the closed form marks, and whose radiance reflection can't explain.
         """
         settings = self.settings
-        cells, bright = fit_cells(self.observations, data)
+        data, initial, cells, bright = self._closed_form()
         marked = masked_triangles(
             self.room,
             partial(mask_at, mask, self.box),

@@ -118,7 +118,7 @@ class EstimationState:
         self.emission = np.zeros((0, 3), np.float32)
         self.diffuse: np.ndarray
         self.materials: np.ndarray
-        self._input: tuple[TrainingData, InitialEstimate] | None = None
+        self._input: tuple[TrainingData, InitialEstimate, CellEstimate, np.ndarray] | None = None
 
     # Pixels and shadings
 
