@@ -241,9 +241,11 @@ def lock() -> int:
     return 0
 
 
+# A file's tests share what its fixtures make, therefore they run in one process.
+TEST_PROCESSES = ("--numprocesses", "logical", "--maxprocesses", "4", "--dist", "loadfile")
 COMMANDS = {
     "demo": lambda extra: call(str(PRODUCT), *DEMO, *extra),
-    "test": lambda extra: call("-m", "pytest", "-q", *extra),
+    "test": lambda extra: call("-m", "pytest", "-q", *TEST_PROCESSES, *extra),
     "run": lambda extra: call(str(PRODUCT), *extra),
     "accuracy": lambda extra: call(str(ROOT / "benchmarks" / "accuracy.py"), *extra),
     "speed": lambda extra: call(str(ROOT / "benchmarks" / "speed.py"), *extra),
