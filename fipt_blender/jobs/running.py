@@ -14,12 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 
 from .. import machine
 from ..core.run.errors import FiptError
 from . import previews, runstate
 from .job_scene import find_scene, scene_context, uses_run_folder
-from .window import redraw
+from .window import redraw, show_notice
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
@@ -257,6 +258,10 @@ def _end() -> None:
             info.state = "failed"
     runstate.forget(info.run_folder)
     redraw()
+    if info.error is not None:
+        show_notice(iface_("{} failed: {}").format(iface_(info.title), info.error["text"]), "ERROR")
+    elif info.state == "finished":
+        show_notice(iface_("{}: finished").format(iface_(info.title)), "INFO")
 
 
 def _as_message(error: FiptError) -> Message:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a job's timer has to tell Blender's windows: redraw the panels, add an undo step."""
+"""What a job's timer has to tell Blender's windows: redraw what shows the job, a notice, an undo step."""
 
 from __future__ import annotations
 
@@ -8,13 +8,24 @@ import bpy
 
 
 def redraw() -> None:
-    """Redraw the sidebars and preferences that show jobs."""
+    """Redraw the sidebars, preferences and status bars, which show jobs."""
     for window in bpy.context.window_manager.windows:
+        if not bpy.app.background and not window.modal_operators:  # their status text would be cleared
+            # The status bar is not among the screen's areas; this also redraws it.
+            window.workspace.status_text_set_internal(None)
         for area in window.screen.areas:
             if area.type in ("VIEW_3D", "PREFERENCES"):
                 for region in area.regions:
                     if region.type in ("UI", "WINDOW") and (area.type, region.type) != ("VIEW_3D", "WINDOW"):
                         region.tag_redraw()
+
+
+def show_notice(text: str, level: str) -> None:
+    """Show a report in the status bar, whatever tab is open; level is "INFO", "WARNING" or "ERROR"."""
+    windows = bpy.context.window_manager.windows
+    if windows and not bpy.app.background:
+        with bpy.context.temp_override(window=windows[0]):
+            bpy.ops.fipt.notice("INVOKE_DEFAULT", text=text, level=level)
 
 
 def push_undo(text: str) -> None:

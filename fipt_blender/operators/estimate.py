@@ -130,6 +130,37 @@ class FIPT_OT_resume(_Estimation, bpy.types.Operator):
         return attached or super().make_job(context)
 
 
+class FIPT_OT_notice(bpy.types.Operator):
+    """Show a text in the status bar and the Info editor"""
+
+    bl_idname = "fipt.notice"
+    bl_label = "Show Notice"
+    bl_options = {"INTERNAL"}
+
+    text: bpy.props.StringProperty(name="Text", options={"HIDDEN", "SKIP_SAVE"})
+    level: bpy.props.EnumProperty(
+        name="Level",
+        items=(("INFO", "Info", ""), ("WARNING", "Warning", ""), ("ERROR", "Error", "")),
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        self.report({self.level}, self.text)
+        return {"FINISHED"}
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Report from a window's event: Blender only prints what an operator reports to a script."""
+        self._timer = context.window_manager.event_timer_add(0.05, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        context.window_manager.event_timer_remove(self._timer)
+        return self.execute(context)
+
+
 class FIPT_OT_cancel(bpy.types.Operator):
     """Stop the running job within two seconds. Finished stages are kept, and Resume continues from there"""
 
@@ -287,6 +318,7 @@ CLASSES = (
     FIPT_OT_estimate,
     FIPT_OT_resume,
     FIPT_OT_cancel,
+    FIPT_OT_notice,
     FIPT_OT_smaller_preset,
     FIPT_OT_reset_setting,
 )

@@ -6,16 +6,23 @@ from __future__ import annotations
 
 import bpy
 
-from . import capture, check, estimate, insert, lights, materials, parts, photographs, swatches
+from . import capture, check, estimate, insert, lights, materials, parts, photographs, statusbar, swatches
 
 _MODULES = (photographs, capture, parts, estimate, materials, lights, insert, check)
 
-register, _unregister = bpy.utils.register_classes_factory(
+_register, _unregister = bpy.utils.register_classes_factory(
     [panel for module in _MODULES for panel in module.CLASSES]
 )
 
 
+def register() -> None:
+    """Register the panels, and the job's place in the status bar."""
+    _register()
+    statusbar.register()
+
+
 def unregister() -> None:
     """Unregister the panels and free their icons."""
+    statusbar.unregister()
     _unregister()
     swatches.clear()
