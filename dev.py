@@ -11,6 +11,7 @@
   lock      write engine.lock from the pins in pyproject.toml
   lint      run ruff and mypy
   build     make the extension's zip in dist/ (needs no set-up)
+  index     build, and make dist/ a repository of extensions that a web server can offer to Blender
   setup     only set up
 
 Standard library only. The set-up creates the virtual environment .venv with the packages pinned in
@@ -172,6 +173,13 @@ def build_extension(folder: Path = ROOT / "dist") -> Path:
     return target
 
 
+def index_extensions(folder: Path = ROOT / "dist") -> int:
+    """Build the zip, and write index.json and index.html for all zips in the folder with Blender's own tool."""
+    build_extension(folder)
+    tool = next(VENV.rglob("bl_pkg/cli/blender_ext.py"))  # part of bpy
+    return call(str(tool), "server-generate", f"--repo-dir={folder}", "--html")
+
+
 def call(*arguments: str) -> int:
     """Run the environment's Python; returns its exit status as a shell does (128 + signal)."""
     child = subprocess.Popen([str(VENV_PYTHON), *arguments], cwd=ROOT, env=child_environment())
@@ -251,6 +259,7 @@ COMMANDS = {
     "speed": lambda extra: call(str(ROOT / "benchmarks" / "speed.py"), *extra),
     "lint": lambda extra: lint(),
     "lock": lambda extra: lock(),
+    "index": lambda extra: index_extensions(),
     "setup": lambda extra: 0,
 }
 

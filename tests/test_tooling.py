@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import json
 import re
@@ -69,6 +70,21 @@ def test_zip_is_the_extension_and_reproducible(dev: ModuleType, tmp_path: Path) 
     for name in names:
         assert "__pycache__" not in name and not name.endswith(".pyc") and not name.startswith(".")
         assert name.split("/")[0] not in foreign
+
+
+def test_the_index_offers_the_zip_to_blender(
+    dev: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import bpy
+
+    monkeypatch.setattr(dev, "VENV", Path(bpy.__file__).parent)
+    monkeypatch.setattr(dev, "VENV_PYTHON", Path(sys.executable))
+    assert dev.index_extensions(tmp_path) == 0
+    (entry,) = json.loads((tmp_path / "index.json").read_text(encoding="utf-8"))["data"]
+    archive = tmp_path / entry["archive_url"]
+    assert entry["id"] == "fipt_blender" and entry["version"] in archive.name
+    assert entry["archive_hash"] == "sha256:" + hashlib.sha256(archive.read_bytes()).hexdigest()
+    assert (tmp_path / "index.html").is_file()
 
 
 def test_build_refuses_versions_that_disagree(
