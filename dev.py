@@ -174,7 +174,7 @@ def build_extension(folder: Path = ROOT / "dist") -> Path:
 
 
 def index_extensions(folder: Path = ROOT / "dist") -> int:
-    """Build the zip, and write index.json and index.html for all zips in the folder with Blender's own tool."""
+    """Build the zip, and write an index of all zips in the folder with Blender's own tool."""
     build_extension(folder)
     tool = next(VENV.rglob("bl_pkg/cli/blender_ext.py"))  # part of bpy
     return call(str(tool), "server-generate", f"--repo-dir={folder}", "--html")

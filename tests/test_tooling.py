@@ -77,7 +77,7 @@ def test_the_index_offers_the_zip_to_blender(
 ) -> None:
     import bpy
 
-    monkeypatch.setattr(dev, "VENV", Path(bpy.__file__).parent)
+    monkeypatch.setattr(dev, "VENV", Path(bpy.utils.resource_path("LOCAL")))
     monkeypatch.setattr(dev, "VENV_PYTHON", Path(sys.executable))
     assert dev.index_extensions(tmp_path) == 0
     (entry,) = json.loads((tmp_path / "index.json").read_text(encoding="utf-8"))["data"]
