@@ -16,7 +16,8 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.scene import survey
-from fipt_blender.core.scene.labels import loose_pieces, weld
+from fipt_blender.core.scene.adjacency import weld
+from fipt_blender.core.scene.labels import loose_pieces
 from fipt_blender.core.scene.room import Room
 from samples.small_captures import look_at
 from samples.small_rooms import BOX, bulb, make_room, mesh_room

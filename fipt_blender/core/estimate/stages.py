@@ -53,6 +53,7 @@ from ..run.errors import FiptError
 from ..run.finished_views import FinishedViews
 from ..run.runfolder import explained_write_errors, write_json
 from ..run.settings import Settings
+from ..scene.disagreement import doubt_pixels
 from ..scene.fragments import SUBPIXELS
 from ..scene.mixed_pixels import mark_pure
 from ..scene.pixels import fill_pixels, open_pixels
@@ -166,6 +167,7 @@ class Estimation(EstimationState):
         unmix_pixels(
             self.pixels, self.room, self._surface_labels(), self._progress_within(0.8, 1.0), self.workers
         )
+        doubt_pixels(self.pixels, self.room, self.parts)
         self.checkpoints.remember("scale", self.scale)
         self.checkpoints.remember("view_check", self.view_check.facts())
         rows = (self.pixels.rows(index) for index in range(len(self.views)))

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..optics.lights import LUMINANCE, EmitterTable
+from ..scene.adjacency import weld
 from ..scene.components import graph_components
 from ..scene.grouped import grouped_weighted_median
-from ..scene.labels import weld
 from ..scene.pixels import PixelStore
 from ..scene.room import Room
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..optics.lights import LUMINANCE
-from ..scene.labels import weld
+from ..scene.adjacency import weld
 from ..scene.room import Room
 from .emitters import Fixture, emitter_components
 

@@ -9,16 +9,22 @@ majority so that all views agree (paper, supplementary "Semantic segmentation ac
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from ..capture.views import View
+from .adjacency import weld
 from .components import mesh_components
 from .room import Room
+from .segments import scan_segments
+from .smooth_parts import Votes, smooth_labels
 
 NO_PART = -1
 _IDS = 1 << 32  # larger than any id
+# Weight of pixels at borders of masks on a scan, whose borders lie elsewhere by about a pixel.
+BORDER_VOTE = 0.1
 
 
 @dataclass(frozen=True)
@@ -28,10 +34,12 @@ class Parts:
     Attributes:
         triangle_part: (T,) int32 from 0, NO_PART without one.
         kind: ``part`` (one material each), ``semantic`` (classes, each of several materials) or ``none``.
+        ids: (P,) int64 id that each part has in the masks, if it comes from masks; else empty.
     """
 
     triangle_part: np.ndarray
     kind: str
+    ids: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
 def choose_parts(room: Room, views: Sequence[View], triangles: Sequence[np.ndarray]) -> Parts:
@@ -88,14 +96,33 @@ def label_parts(
     if source == "loose":
         return Parts(room_pieces(room), "part")
     if source in ("masks", "semantics"):
-        fused = fuse_masks(images, triangles, len(room.triangles))
-        spread = spread_labels(fused, weld(room.vertices)[room.triangles])
-        return Parts(_compact(spread), "part" if source == "masks" else "semantic")
+        spread = _fused_labels(room, images, triangles)
+        kind = "part" if source == "masks" else "semantic"
+        return Parts(_compact(spread), kind, np.unique(spread[spread >= 0]))
     return Parts(np.full(len(room.triangles), NO_PART, np.int32), "none")
 
 
+def _fused_labels(
+    room: Room, images: Iterable[np.ndarray | None], triangles: Iterable[np.ndarray]
+) -> np.ndarray:
+    """(T,) int64 id of each triangle, negative without: by its pixels; on a scan by those around it, too."""
+    count = len(room.triangles)
+    scan = room.scan
+    if scan is None:
+        fused = fuse_masks(images, triangles, count)
+    else:
+        votes = count_votes(images, triangles, BORDER_VOTE)
+        fused = smooth_labels(votes, scan.adjacency, scan.cross)
+    return spread_labels(fused, weld(room.vertices)[room.triangles])
+
+
 def room_pieces(room: Room) -> np.ndarray:
-    """(T,) int32 connected piece of each triangle of a room; takes seconds for millions of triangles."""
+    """(T,) int32 connected piece of each triangle of a room, of a scan its segments.
+
+    Takes seconds for millions of triangles.
+    """
+    if (scan := room.scan) is not None:
+        return scan_segments(scan.adjacency, scan.centers, scan.cross).astype(np.int32)
     return loose_pieces(weld(room.vertices)[room.triangles], room.triangle_object)
 
 
@@ -118,32 +145,54 @@ def fuse_masks(masks: Iterable[np.ndarray | None], triangles: Iterable[np.ndarra
     """The id that most pixels of each triangle have.
 
     Args:
-        masks: (H, W) int ids of each view, or None; negative ids and 0 (nothing hit) do not count.
-        triangles: for each view the (H * W,) triangle that each pixel sees, negative where none.
+        masks, triangles: as of :func:`count_votes`.
         count: number of triangles.
 
     Returns:
         (count,) int64 ids, NO_PART where no labelled pixel saw the triangle. Ties go to the lower id.
     """
-    key, votes = np.zeros(0, np.int64), np.zeros(0, np.int64)
+    votes = count_votes(masks, triangles)
+    label = np.full(count, NO_PART, np.int64)
+    # The last assignment to a triangle wins, so sort by votes, then by descending id.
+    order = np.lexsort((-votes.label, votes.weight))
+    label[votes.triangle[order]] = votes.label[order]
+    return label
+
+
+def count_votes(
+    masks: Iterable[np.ndarray | None], triangles: Iterable[np.ndarray], border_vote: float = 1.0
+) -> Votes:
+    """How many pixels of each id see each triangle.
+
+    Args:
+        masks: (H, W) int ids of each view, or None; negative ids and 0 (nothing hit) do not count.
+        triangles: for each view the (H * W,) triangle that each pixel sees, negative where none.
+        border_vote: weight of pixels beside those of another id.
+    """
+    key, votes = np.zeros(0, np.int64), np.zeros(0)
     pending: list[tuple[np.ndarray, np.ndarray]] = []
     for mask, triangle in zip(masks, triangles, strict=True):
         if mask is None:
             continue
         ids = mask.reshape(-1).astype(np.int64)
         valid = (ids > 0) & (triangle >= 0)
+        weight = np.ones(int(valid.sum()))
+        if border_vote < 1.0:
+            weight[at_border(mask).reshape(-1)[valid]] = border_vote
         pixel_keys = triangle[valid].astype(np.int64) * _IDS + ids[valid]
-        pending.append(np.unique(pixel_keys, return_counts=True))
+        keys, place = np.unique(pixel_keys, return_inverse=True)
+        pending.append((keys, np.bincount(place.reshape(-1), weight, minlength=len(keys))))
         # Merging costs a sort of all keys, so that it waits until the pending ones are as many.
         if sum(len(keys) for keys, _ in pending) > len(key):
             key, votes = _summed(key, votes, pending)
             pending = []
     key, votes = _summed(key, votes, pending)
-    label = np.full(count, NO_PART, np.int64)
-    # The last assignment to a triangle wins, so sort by votes, then by descending id.
-    order = np.lexsort((-(key % _IDS), votes))
-    label[key[order] // _IDS] = key[order] % _IDS
-    return label
+    return Votes(key // _IDS, key % _IDS, votes)
+
+
+def at_border(mask: np.ndarray) -> np.ndarray:
+    """(H, W) bool, pixels with another id among the eight beside them."""
+    return np.asarray(maximum_filter(mask, 3) != minimum_filter(mask, 3))
 
 
 def _summed(
@@ -152,9 +201,7 @@ def _summed(
     """Each key once, ascending, and the sum of its votes."""
     keys, counts = zip((key, votes), *more, strict=True)
     key, inverse = np.unique(np.concatenate(keys), return_inverse=True)
-    total = np.zeros(len(key), np.int64)
-    np.add.at(total, inverse.reshape(-1), np.concatenate(counts))
-    return key, total
+    return key, np.bincount(inverse.reshape(-1), np.concatenate(counts), minlength=len(key))
 
 
 def spread_labels(labels: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -185,13 +232,6 @@ def spread_labels(labels: np.ndarray, triangles: np.ndarray) -> np.ndarray:
         ring = np.unique(neighbours[labels[neighbours] < 0])
         labels[ring] = vertex_label[triangles[ring]].max(axis=1)
     return labels
-
-
-def weld(vertices: np.ndarray) -> np.ndarray:
-    """(V,) int64 index of each vertex after merging those at the same position (to 1e-6 of the extent)."""
-    extent = float(np.ptp(vertices, axis=0).max(initial=0.0)) or 1.0
-    cells = np.round(vertices.astype(np.float64) / (1e-6 * extent)).astype(np.int64)
-    return np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def _compact(labels: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ import numpy as np
 from ..run.errors import FiptError
 from ..run.run_files import read_room_files
 from ..run.runfolder import RunFolder
+from .adjacency import Scan, find_scan
 
 
 @dataclass  # not frozen: Dr.Jit's loops write their state back to it
@@ -91,6 +92,11 @@ class Room:
     def areas(self) -> np.ndarray:
         """(T,) float64 triangle areas in square metres."""
         return 0.5 * np.linalg.norm(_edge_cross(self.vertices, self.triangles), axis=1)
+
+    @cached_property
+    def scan(self) -> Scan | None:
+        """The surface of a scanned mesh, None for a modelled one; takes seconds for a million triangles."""
+        return find_scan(self.vertices, self.triangles)
 
     @cached_property
     def scene(self) -> mi.Scene:

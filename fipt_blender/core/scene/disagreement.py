@@ -1,0 +1,61 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pixels of a scan whose image mask and mesh disagree: what they show is not the surface that they hit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..capture.views import View
+from .labels import Parts, at_border
+from .pixels import PixelStore
+from .room import Room
+
+# Weight of pixels beside those of another id: the photograph shows a mixture there, wherever the mesh has its
+# border.
+BESIDE = 0.1
+
+
+def doubt_pixels(store: PixelStore, room: Room, parts: Parts) -> int:
+    """Lower the weight of the pixels whose masks and mesh disagree; they are mixed pixels from then on.
+
+    Modelled rooms are left as they are.
+
+    Args:
+        store: changed in place, after unmixing.
+
+    Returns:
+        Number of pixels that show another part than they hit.
+    """
+    if room.scan is None or not len(parts.ids):
+        return 0
+    total = 0
+    for index, view in enumerate(store.views):
+        mask = mask_of(view, parts.kind)
+        if mask is None:
+            continue
+        rows = store.rows(index)
+        other, beside = disagreeing(mask, np.asarray(store.triangle[rows]), parts)
+        store.weight[rows] = np.where(other, 0.0, np.where(beside, BESIDE, 1.0)) * store.weight[rows]
+        store.pure[rows] = store.pure[rows] & ~(other | beside)
+        total += int(np.count_nonzero(other))
+    return total
+
+
+def mask_of(view: View, kind: str) -> np.ndarray | None:
+    """(H, W) ids of the view's image from which parts of this kind come, or None."""
+    return view.part_ids() if kind == "part" else view.semantic_ids()
+
+
+def disagreeing(mask: np.ndarray, triangle: np.ndarray, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
+    """Two (H * W,) bool: pixels that show another part than they hit, and pixels at a border of the mask.
+
+    Args:
+        mask: (H, W) int ids; 0 and negative ones say nothing.
+        triangle: (H * W,) triangle of each pixel, negative where none.
+    """
+    ids = mask.reshape(-1).astype(np.int64)
+    part = np.append(parts.triangle_part, np.int32(-1))[np.maximum(triangle, -1)]
+    known = (triangle >= 0) & (part >= 0) & (ids > 0)
+    other = known & (np.append(parts.ids, 0)[part] != ids)
+    return other, (triangle >= 0) & at_border(mask).reshape(-1)

@@ -1,0 +1,141 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Scans: telling them from modelled rooms, parts by a random walk, segments, and pixels to doubt."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.capture.views import View
+from fipt_blender.core.scene.adjacency import find_adjacency
+from fipt_blender.core.scene.disagreement import disagreeing
+from fipt_blender.core.scene.labels import Parts, label_parts, room_pieces
+from fipt_blender.core.scene.segments import absorb_small
+from fipt_blender.core.scene.smooth_parts import Votes, smooth_labels, without_specks
+from samples.scans import scanned_box
+from samples.small_rooms import BOX, make_room
+
+STRIP = np.array([[i, i + 1, i + 2] for i in range(40)])
+
+
+def strip_adjacency():
+    vertices = np.array([[0.5 * i, i % 2, 0.0] for i in range(42)])
+    return find_adjacency(vertices, STRIP)
+
+
+def test_triangles_that_share_an_edge_are_neighbours() -> None:
+    adjacency = strip_adjacency()
+    pairs = {tuple(sorted(pair)) for pair in adjacency.pairs.tolist()}
+    assert pairs == {(i, i + 1) for i in range(39)}
+    assert np.allclose(adjacency.length, np.hypot(0.5, 1.0))
+    assert (adjacency.matrix(adjacency.length) - adjacency.matrix(adjacency.length).T).nnz == 0
+
+
+def test_an_edge_of_three_triangles_connects_them_in_turn() -> None:
+    adjacency = find_adjacency(np.eye(5)[:, :3], np.array([[0, 1, 2], [0, 1, 3], [1, 0, 4]]))
+    assert {tuple(sorted(pair)) for pair in adjacency.pairs.tolist()} == {(0, 1), (1, 2)}
+
+
+def test_scans_are_rough_and_modelled_rooms_are_not() -> None:
+    assert scanned_box(noise=0.002)[0].scan is not None
+    assert scanned_box(noise=0.0)[0].scan is None  # finely divided, but flat
+    assert scanned_box(cells=10)[0].scan is None  # too few triangles to be a scan
+    assert make_room(BOX).scan is None
+
+
+def test_parts_of_a_scan_follow_the_walk_of_the_votes() -> None:
+    """Half of the triangles are seen, by one pixel each, which is off by a fifth of a metre."""
+    room, side = scanned_box(cells=60, noise=0.003)
+    assert room.scan is not None
+    rng = np.random.default_rng(1)
+    seen = np.flatnonzero(rng.random(len(side)) < 0.5)
+
+    def part_at(points: np.ndarray) -> np.ndarray:
+        """The floor has a rug; every other side is one part."""
+        return np.where((side[seen] == 0) & (np.abs(points[:, :2]) < 1.0).all(axis=1), 9, side[seen] + 1)
+
+    shown = part_at(room.scan.centers[seen] + rng.normal(0.0, 0.2, (len(seen), 3)))
+    centers = room.scan.centers
+    true = np.where((side == 0) & (np.abs(centers[:, :2]) < 1.0).all(axis=1), 9, side + 1)
+    found = smooth_labels(Votes(seen, shown, np.ones(len(seen))), room.scan.adjacency, room.scan.cross)
+    wrong_before = np.count_nonzero(shown != true[seen])
+    assert wrong_before > 0.01 * len(seen)
+    assert np.count_nonzero(found[seen] != true[seen]) < 0.6 * wrong_before
+    away = np.abs(np.abs(centers[:, :2]) - 1.0).min(axis=1) > 0.3
+    assert (found[away] == true[away]).all()  # corners of the room included
+
+
+def test_modelled_rooms_keep_the_majority(tmp_path: Path) -> None:
+    """No vote walks there, however many pixels of the neighbour disagree."""
+    room = make_room(BOX, parts="masks")
+    mask = np.array([[1, 2, 2, 2, 2, 2, 2, 2]])
+    found = label_parts(room, "masks", [mask], [np.array([0, 1, 1, 1, 2, 2, 2, 2])])
+    assert found.triangle_part[:3].tolist() == [0, 1, 1] and found.ids.tolist() == [1, 2]
+
+
+def test_specks_join_the_part_around_them_and_small_parts_stay() -> None:
+    label = np.zeros(40, np.int64)
+    label[10] = 1  # a speck of the part that the end of the strip has
+    label[30:] = 1
+    label[20:22] = 2  # a part of its own
+    kept = without_specks(label, strip_adjacency(), np.where(label == 1, 2.0, 1.0))
+    kept_more = without_specks(np.where(np.arange(40) == 11, 1, label), strip_adjacency(), np.ones(40))
+    assert kept[10] == 0 and np.array_equal(np.delete(kept, 10), np.delete(label, 10))
+    assert kept_more[10] == kept_more[11] == 1  # two of twelve are more than a tenth
+
+
+def test_segments_of_a_scan_are_its_sides() -> None:
+    room, side = scanned_box()
+    segment = room_pieces(room)
+    for index in range(6):
+        count = np.bincount(segment[side == index])
+        assert count.max() >= 0.97 * count.sum()
+    assert len(np.unique(segment)) == 6
+    flat, _ = scanned_box(noise=0.0)
+    assert len(np.unique(room_pieces(flat))) == 1  # connected pieces, as for any modelled room
+
+
+def test_small_components_join_the_neighbour_with_the_longest_border() -> None:
+    component = np.zeros(40, np.int64)
+    component[5:7], component[7:] = 1, 2
+    joined = absorb_small(component, strip_adjacency(), np.ones(40), 4.0)
+    assert len(np.unique(joined)) == 2 and len(np.unique(joined[5:7])) == 1
+    alone = absorb_small(np.zeros(40, np.int64), strip_adjacency(), np.ones(40), 100.0)
+    assert not alone.any()  # without a neighbour it stays
+
+
+@pytest.fixture
+def parts() -> Parts:
+    return Parts(np.array([0, 0, 1, -1], np.int32), "part", np.array([40, 70]))
+
+
+def test_pixels_that_show_another_part_than_they_hit(parts: Parts) -> None:
+    mask = np.array([[40, 40, 40, 40, 70], [40, 40, 40, 40, 70]])
+    triangle = np.array([0, 2, 3, -1, 2, 1, 0, 2, 0, 0])
+    other, beside = disagreeing(mask, triangle, parts)
+    assert np.flatnonzero(other).tolist() == [1, 7, 9]  # no part and no surface: nothing to say
+    assert np.flatnonzero(beside).tolist() == [4, 8, 9]
+
+
+def test_doubted_pixels_lose_their_weight_on_scans_only(tmp_path: Path) -> None:
+    from fipt_blender.core.scene.disagreement import doubt_pixels
+    from fipt_blender.core.scene.pixels import open_pixels
+
+    room, side = scanned_box()
+    write_exr(tmp_path / "parts.exr", np.array([[1, 1, 1, 2], [1, 1, 1, 2]], np.float32))
+    view = View(
+        name="a", split="train", image=tmp_path / "none.exr", width=4, height=2, fx=1.0, fy=1.0, cx=2.0,
+        cy=1.0, camera_to_world=np.eye(4), parts=tmp_path / "parts.exr",
+    )  # fmt: skip
+    store = open_pixels(tmp_path / "pixels", [view], create=True)
+    store.triangle[:] = [0, 0, 0, 0, 0, np.flatnonzero(side == 1)[0], 0, -1]
+    parts = Parts(np.minimum(side, 1).astype(np.int32), "part", np.array([1, 2]))
+    store.weight[:], store.pure[:] = 0.5, True
+    assert doubt_pixels(store, replace(room), replace(parts, ids=np.zeros(0, np.int64))) == 0
+    assert doubt_pixels(store, make_room(BOX), parts) == 0 and store.pure.all()
+    assert doubt_pixels(store, room, parts) == 2
+    assert np.allclose(store.weight, [0.5, 0.5, 0.05, 0.0, 0.5, 0.0, 0.05, 0.5])
+    assert store.pure.tolist() == [True, True, False, False, True, False, False, True]
