@@ -12,6 +12,7 @@
   lint      run ruff and mypy
   build     make the extension's zip in dist/ (needs no set-up)
   index     build, and make dist/ a repository of extensions that a web server can offer to Blender
+  docs      write the documentation site to out/site
   setup     only set up
 
 Standard library only. The set-up creates the virtual environment .venv with the packages pinned in
@@ -259,6 +260,7 @@ COMMANDS = {
     "speed": lambda extra: call(str(ROOT / "benchmarks" / "speed.py"), *extra),
     "lint": lambda extra: lint(),
     "lock": lambda extra: lock(),
+    "docs": lambda extra: call("-m", "mkdocs", "build", "--strict", *extra),
     "index": lambda extra: index_extensions(),
     "setup": lambda extra: 0,
 }

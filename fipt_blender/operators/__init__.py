@@ -25,7 +25,7 @@ from . import (
     views,
 )
 
-_MODULES = (
+MODULES = (
     environment,
     storage,
     photographs,
@@ -41,5 +41,5 @@ _MODULES = (
 
 
 register, unregister = bpy.utils.register_classes_factory(
-    [operator for module in _MODULES for operator in module.CLASSES]
+    [operator for module in MODULES for operator in module.CLASSES]
 )
