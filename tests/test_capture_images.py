@@ -107,9 +107,10 @@ def test_files_that_are_no_radiance(tmp_path):
     assert error_code(read_radiance, cut) == "image-unreadable"
     write_channels(depth, {"Z": PIXELS[..., 0].copy()})
     assert error_code(read_radiance, depth) == "image-channels"
-    for name in ("a.png", "a.jpg", "a.hdr"):
+    for name in ("a.png", "a.jpg", "a.tif", "a.hdr"):
         (tmp_path / name).write_bytes(b"x")
-        assert error_code(read_radiance, tmp_path / name) == "image-ldr"
+        code = "image-format" if name == "a.hdr" else "image-unreadable"
+        assert error_code(read_radiance, tmp_path / name) == code
 
 
 IDS = RNG.integers(0, 200, (5, 7))

@@ -220,11 +220,11 @@ def nan_pose(frame):
     frame["transform_matrix"][0][3] = float("nan")
 
 
-def name_png(tmp_path):
+def rename(tmp_path, suffix):
     path = tmp_path / "in" / "images" / "001_0001"
     path.with_suffix(".exr").unlink()
-    path.with_suffix(".png").write_bytes(b"x")
-    change_frame(tmp_path, lambda frame: frame.update(file_path="images/001_0001.png"))
+    path.with_suffix(suffix).write_bytes(b"x")
+    change_frame(tmp_path, lambda frame: frame.update(file_path=f"images/001_0001{suffix}"))
 
 
 def black(tmp_path):
@@ -238,7 +238,8 @@ BAD = {
     "nan": ("image-not-finite", lambda p: set_pixels(p, lambda x: put(x, np.nan))),
     "inf": ("image-not-finite", lambda p: set_pixels(p, lambda x: put(x, np.inf))),
     "negative": ("image-negative", lambda p: set_pixels(p, lambda x: put(x, -0.1))),
-    "ldr": ("image-ldr", name_png),
+    "other format": ("image-format", lambda p: rename(p, ".hdr")),
+    "damaged png": ("image-unreadable", lambda p: rename(p, ".png")),
     "black": ("image-black", black),
     "unreadable": ("image-unreadable", lambda p: (p / "in/images/001_0001.exr").write_text("x")),
     "scaled": ("pose-not-rotation", lambda p: change_frame(p, scale_pose)),

@@ -204,3 +204,27 @@ def judge_pixels(
             )
         )
     return notes
+
+
+def judge_encoded(encoded: Sequence[bool], exposures: Sequence[float | None]) -> list[Note]:
+    """What is assumed of photographs that are not HDR.
+
+    Args:
+        encoded: whether each photograph is one of these.
+        exposures: that each file tells, or None.
+    """
+    count = sum(encoded)
+    if not count:
+        return []
+    told = sum(exposure is not None for exposure in exposures)
+    some = f"{count} of {len(encoded)}" if count < len(encoded) else f"The {count}"
+    known = f"{told} files tell their exposure" if told else "their files tell no exposures"
+    return [
+        Note(
+            "images-not-hdr",
+            f"{some} photographs are not HDR ({known}). The camera's response, the exposures and the white"
+            " balances are estimated from what several photographs show. Lamps and windows are clipped in them.",
+            "Where you have brackets of exposures, merge them into HDR instead (section Photographs > Prepare):"
+            " the result is more accurate.",
+        )
+    ]

@@ -12,7 +12,7 @@ from ..conventions import fipt_to_opencv_camera
 from ..run.documents import Fields, Items, Maybe, Number
 from ..run.shapes import MOST_SIDE
 from .images import read_size
-from .rig import Lens, ReadOptions, Rig, RigView, damaged, find_mesh, read_json_rig, read_pose
+from .rig import PHOTO_SUFFIXES, Lens, ReadOptions, Rig, RigView, damaged, find_mesh, read_json_rig, read_pose
 
 NAME = "fipt-synthetic"
 LOOKS_FOR = "train/transforms.json beside train/Image/"
@@ -74,7 +74,7 @@ def _view(json_path: Path, split: str, index: int, frame: dict[str, Any], data: 
         focal = 0.5 * width / math.tan(0.5 * float(data["camera_angle_x"]))
     except (ValueError, ZeroDivisionError) as error:
         raise damaged(json_path, error) from None
-    parts = root / "IndexMA" / image.name
+    parts = root / "IndexMA" / f"{image.stem}.exr"
     semantics = root / "segmentation" / f"{number}.exr"
     return RigView(
         name=f"{root.name}/{number}",
@@ -90,8 +90,8 @@ def _view(json_path: Path, split: str, index: int, frame: dict[str, Any], data: 
 
 
 def _image(root: Path, index: int, frame: dict[str, Any]) -> Path:
-    """The frame's file_path where it is an EXR, else the authors' name, numbered by position in the list."""
+    """The frame's file_path where it names an image, else the authors' name by position in the list."""
     file_path = frame.get("file_path")
-    if isinstance(file_path, str) and file_path.lower().endswith(".exr"):
+    if isinstance(file_path, str) and file_path.lower().endswith(PHOTO_SUFFIXES):
         return root / file_path
     return root / "Image" / f"{index:03d}_0001.exr"

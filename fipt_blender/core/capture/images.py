@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reading and writing image files: linear radiance (EXR), id images (EXR or PNG). The first row is the top.
 
-OpenEXR reads and writes EXR; Pillow reads PNG masks.
+OpenEXR reads and writes EXR; Pillow reads PNG masks, and photographs that are not HDR (:mod:`.encoded`).
 """
 
 from __future__ import annotations
@@ -15,20 +15,17 @@ from typing import Any
 
 import numpy as np
 import OpenEXR
-from PIL import Image, PngImagePlugin, UnidentifiedImageError
+from PIL import PngImagePlugin
 
 from ..run.errors import FiptError
 from ..run.runfolder import atomic_path
-from ..run.shapes import MOST_SIDE
+from .encoded import check_pixels, is_encoded, missing, pillow_size, read_encoded, unreadable
 
 EXR_SUFFIX = ".exr"
 MASK_SUFFIXES = (".exr", ".png")
-PILLOW_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF"}
 HALF_MAX = 65504.0
 REC709 = np.array([0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290])
 BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
-# A float image of three channels takes 2 GB; the largest cameras have 151 megapixels.
-MOST_PIXELS = 160_000_000
 # A display window above the first size must hold data in this share of its pixels.
 _LARGE_PIXELS, _LEAST_DATA = 16_000_000, 1.0 / 16.0
 MAX_ID = 2**24 - 1  # highest id of a colour mask; 32-bit floats represent all of them exactly
@@ -41,21 +38,21 @@ def read_size(path: Path) -> tuple[int, int]:
         FiptError: ``image-missing`` or ``image-unreadable``.
     """
     if path.suffix.lower() != EXR_SUFFIX:
-        return _pillow_size(path)
+        return pillow_size(path)
     return _window_size(_open_exr(path, header_only=True).header()["displayWindow"])
 
 
 def is_rec709(path: Path) -> bool:
-    """Whether an EXR's values are stored in Rec.709, so that `read_radiance` does not convert them.
+    """Whether an image's values are stored in Rec.709, so that `read_radiance` does not convert them.
 
     Raises:
         FiptError: ``image-missing`` or ``image-unreadable``.
     """
-    return _other_primaries(path, _open_exr(path, header_only=True).header()) is None
+    return is_encoded(path) or _other_primaries(path, _open_exr(path, header_only=True).header()) is None
 
 
 def read_radiance(path: Path) -> np.ndarray:
-    """Scene-linear radiance of an EXR image.
+    """Scene-linear radiance of an EXR image; of JPEG, PNG and TIFF the values by sRGB's curve.
 
     Reads R, G, B, or one channel Y, of the first layer that has them, half or float. An image whose data
     window differs from its display window is cropped or padded with black to the display window. If the
@@ -65,16 +62,19 @@ def read_radiance(path: Path) -> np.ndarray:
         (height, width, 3) float32, units as stored.
 
     Raises:
-        FiptError: ``image-missing``, ``image-unreadable``, ``image-ldr`` for formats other than EXR,
+        FiptError: ``image-missing``, ``image-unreadable``, ``image-format`` for other formats,
             ``image-channels`` where it has none of these channels.
     """
+    if is_encoded(path):
+        return read_encoded(path)
     if path.suffix.lower() != EXR_SUFFIX:
         if not path.is_file():
-            raise _missing(path)
+            raise missing(path)
         raise FiptError(
-            "image-ldr",
-            f"{path} is not an OpenEXR file; photographs must contain scene-linear HDR radiance.",
-            "Merge exposures and save OpenEXR (.exr) files; 8-bit photographs and .hdr files can't be used.",
+            "image-format",
+            f"{path} is no OpenEXR, JPEG, PNG or TIFF file.",
+            "Save OpenEXR (.exr) files, or prepare the photographs (section Photographs), which reads RAW,"
+            " HEIC and .hdr files, too.",
         )
     file = _open_exr(path)
     for index in range(len(file.parts)):
@@ -151,46 +151,20 @@ def write_exr(path: Path, array: np.ndarray, half: bool = False) -> None:
         temporary.write_bytes(buffer.getbuffer())
 
 
-def _missing(path: Path) -> FiptError:
-    return FiptError("image-missing", f"The image {path} does not exist.", "Restore it, or correct its path.")
-
-
-def _unreadable(path: Path, reason: object) -> FiptError:
-    return FiptError("image-unreadable", f"{path} can't be read ({reason}).", "Export the image again.")
-
-
 def _window_size(window: Any) -> tuple[int, int]:
     """Width and height of an EXR's data or display window."""
     low, high = window
     return int(high[0]) - int(low[0]) + 1, int(high[1]) - int(low[1]) + 1
 
 
-def _check_pixels(path: Path, width: int, height: int) -> None:
-    """Refuse images that would not fit into memory, whatever their header says.
-
-    Raises:
-        FiptError: ``image-too-large`` or ``image-unreadable``.
-    """
-    if width < 1 or height < 1:
-        raise _unreadable(path, f"its size is {width} x {height}")
-    if max(width, height) > MOST_SIDE or width * height > MOST_PIXELS:
-        raise FiptError(
-            "image-too-large",
-            f"{path} has {width} x {height} pixels; the limit is {MOST_PIXELS / 1e6:.0f} megapixels.",
-            "Scale the photographs and masks down; 1 to 2 megapixels per view are enough.",
-        )
-
-
 def _check_header(path: Path, header: dict[str, Any]) -> None:
     """Check the sizes that an EXR's header announces, before any pixel is read."""
     width, height = _window_size(header["displayWindow"])
-    _check_pixels(path, width, height)
+    check_pixels(path, width, height)
     data_width, data_height = _window_size(header["dataWindow"])
-    _check_pixels(path, data_width, data_height)
+    check_pixels(path, data_width, data_height)
     if width * height > _LARGE_PIXELS and data_width * data_height < _LEAST_DATA * width * height:
-        raise _unreadable(
-            path, f"{width} x {height} pixels, of which {data_width} x {data_height} are stored"
-        )
+        raise unreadable(path, f"{width} x {height} pixels, of which {data_width} x {data_height} are stored")
 
 
 def _open_exr(path: Path, header_only: bool = False) -> OpenEXR.File:
@@ -207,13 +181,13 @@ def _open_exr(path: Path, header_only: bool = False) -> OpenEXR.File:
 
 def _exr_file(path: Path, header_only: bool) -> OpenEXR.File:
     if not path.is_file():
-        raise _missing(path)
+        raise missing(path)
     try:
         file = OpenEXR.File(str(path), separate_channels=True, header_only=header_only)
     except (RuntimeError, ValueError, TypeError) as error:
-        raise _unreadable(path, error) from None
+        raise unreadable(path, error) from None
     if not file.parts:  # OpenEXR only prints a warning where pixels are missing
-        raise _unreadable(path, "the file is truncated or damaged")
+        raise unreadable(path, "the file is truncated or damaged")
     return file
 
 
@@ -237,7 +211,7 @@ def _other_primaries(path: Path, header: dict[str, Any]) -> np.ndarray | None:
     try:
         values = np.asarray(header["chromaticities"], np.float64).reshape(8)
     except (TypeError, ValueError):
-        raise _unreadable(path, "its chromaticities are not eight numbers") from None
+        raise unreadable(path, "its chromaticities are not eight numbers") from None
     return None if np.abs(values - REC709).max() < 1e-3 else values  # programs round them differently
 
 
@@ -256,14 +230,14 @@ def _to_rec709(path: Path, pixels: np.ndarray, chromaticities: np.ndarray) -> np
         adaptation = np.linalg.solve(BRADFORD, adapted[:, None] * BRADFORD)
         matrix = np.linalg.solve(target, adaptation @ source)
     except (np.linalg.LinAlgError, ValueError) as error:
-        raise _unreadable(path, f"its chromaticities are invalid: {error}") from None
+        raise unreadable(path, f"its chromaticities are invalid: {error}") from None
     return pixels @ matrix.T.astype(np.float32)
 
 
 def _display_plane(path: Path, header: dict[str, Any], channel: OpenEXR.Channel) -> np.ndarray:
     """One channel (height, width) on the display window."""
     if channel.xSampling != 1 or channel.ySampling != 1:
-        raise _unreadable(path, f"channel {channel.name} is subsampled")
+        raise unreadable(path, f"channel {channel.name} is subsampled")
     pixels = np.asarray(channel.pixels)
     data_low, data_high = header["dataWindow"]
     low, high = header["displayWindow"]
@@ -279,24 +253,6 @@ def _display_plane(path: Path, header: dict[str, Any], channel: OpenEXR.Channel)
     return plane
 
 
-def _pillow_size(path: Path) -> tuple[int, int]:
-    """Size of an image that is no EXR, from its header, if it is in the format that its suffix names."""
-    if not path.is_file():
-        raise _missing(path)
-    kind = PILLOW_FORMATS.get(path.suffix.lower())
-    if kind is None:
-        raise _unreadable(path, "its format is not known")
-    try:
-        with Image.open(path, formats=[kind]) as image:
-            size = image.size
-    except Image.DecompressionBombError:
-        size = (MOST_SIDE + 1, MOST_SIDE + 1)
-    except (UnidentifiedImageError, OSError, ValueError, SyntaxError) as error:
-        raise _unreadable(path, error) from None
-    _check_pixels(path, *size)
-    return size
-
-
 def _png_ids(path: Path) -> np.ndarray:
     if path.suffix.lower() != ".png":
         raise FiptError(
@@ -305,15 +261,15 @@ def _png_ids(path: Path) -> np.ndarray:
             "Save id images as PNG or EXR.",
         )
     if not path.is_file():
-        raise _missing(path)
+        raise missing(path)
     try:
         # As PNG whatever its content is: for some formats Pillow starts other programs. Not through
         # Image.open, whose limit refuses legitimate masks.
         image = PngImagePlugin.PngImageFile(path)
-        _check_pixels(path, *image.size)
+        check_pixels(path, *image.size)
         values = np.asarray(image)
     except (OSError, ValueError, SyntaxError, struct.error, zlib.error) as error:
-        raise _unreadable(path, error) from None
+        raise unreadable(path, error) from None
     values = values.astype(np.int32)
     if values.ndim == 2:
         return values

@@ -23,8 +23,9 @@ from ..run.settings import make_settings
 from . import checks
 from .align_mesh import aligned_to_mesh
 from .distortion import is_distorted, lens_pinhole, undistorted_pinhole, undistortion
+from .encoded import file_exposure, is_encoded
 from .formats import FORMATS, read_rig
-from .images import is_rec709, read_ids, read_radiance, read_size, write_exr
+from .images import EXR_SUFFIX, is_rec709, read_ids, read_radiance, read_size, write_exr
 from .rig import Pinhole, ReadOptions, Rig, RigView
 from .views import CAPTURE_FORMAT, CAPTURE_VERSION
 
@@ -240,7 +241,7 @@ def _check_files(views: list[RigView]) -> None:
     """Check that all files exist and have the right format and size.
 
     Raises:
-        FiptError: ``image-missing``, ``image-ldr``, ``image-size``, ``mask-size`` or ``image-unreadable``.
+        FiptError: ``image-missing``, ``image-format``, ``image-size``, ``mask-size`` or ``image-unreadable``.
     """
     files = [path for view in views for path in (view.image, view.mask) if path is not None]
     missing = [path for path in files if not path.is_file()]
@@ -251,7 +252,7 @@ def _check_files(views: list[RigView]) -> None:
             "Restore them, or set their folder (Photographs in the import settings, --images).",
         )
     for view in views:
-        if view.image.suffix.lower() != ".exr":
+        if view.image.suffix.lower() != EXR_SUFFIX and not is_encoded(view.image):
             read_radiance(view.image)  # raises the error
     for view in views:
         for path, code in (
@@ -302,12 +303,17 @@ def _check_pixels(
     """
     statistics = []
     for index, view in enumerate(views):
-        statistics.append(checks.pixel_statistics(view.image, read_radiance(view.image)))
+        found = checks.pixel_statistics(view.image, read_radiance(view.image))
+        if is_encoded(view.image):  # clipped and of 8 bits, as is said of all of them at once
+            found = replace(found, looks_ldr=False, clipped=0.0)
+        statistics.append(found)
         for ids in (view.parts, view.semantics, view.mask):
             if ids is not None:
                 read_ids(ids)
         reporter.progress((index + 1) / len(views))
-    for note in checks.judge_pixels([view.name for view in views], statistics, clamp_negative):
+    notes = checks.judge_pixels([view.name for view in views], statistics, clamp_negative)
+    encoded = [is_encoded(view.image) for view in views]
+    for note in [*notes, *checks.judge_encoded(encoded, [file_exposure(view.image) for view in views])]:
         reporter.warning(note.code, note.text, note.remedy)
     return statistics
 
@@ -396,6 +402,7 @@ def _entry(
         **asdict(checked.pinhole),
         "camera_to_world": conventions.transform_poses(world_from_source, view.camera_to_world).tolist(),
         **{kind: _stored_path(run_folder, path) for kind, path in files.items()},
+        **({"encoded": True, "exposure": file_exposure(view.image)} if is_encoded(view.image) else {}),
     }
 
 

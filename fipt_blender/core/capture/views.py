@@ -31,12 +31,14 @@ class View:
     Attributes:
         name: unique in the capture, e.g. ``"train/000"``.
         split: ``"train"`` or ``"held_back"`` (never shown to the estimation).
-        image: scene-linear radiance (EXR), undistorted, free of negative values.
+        image: scene-linear radiance (EXR; see `encoded`), undistorted, free of negative values.
         width, height: size in pixels.
         fx, fy, cx, cy: pinhole intrinsics in pixels; the centre of the first pixel is (0.5, 0.5).
         camera_to_world: (4, 4) float64, OpenCV axes, Blender world in metres.
         parts, semantics: id images of the same size, or None.
         mask: id image of the same size, 0 where the photograph must not be used, or None.
+        encoded: whether the photograph is not HDR: the image holds a camera's codes by sRGB's curve.
+        exposure: of such a photograph, the relative exposure that its file tells, or None.
     """
 
     name: str
@@ -52,6 +54,8 @@ class View:
     parts: Path | None = None
     semantics: Path | None = None
     mask: Path | None = None
+    encoded: bool = False
+    exposure: float | None = None
 
     @property
     def files(self) -> list[Path]:
@@ -185,4 +189,6 @@ def _view(run: RunFolder, entry: dict[str, Any]) -> View:
         parts=None if entry["parts"] is None else run.resolve(entry["parts"]),
         semantics=None if entry["semantics"] is None else run.resolve(entry["semantics"]),
         mask=run.resolve(entry["mask"]) if entry.get("mask") else None,
+        encoded=entry.get("encoded", False),
+        exposure=entry.get("exposure"),
     )

@@ -21,7 +21,8 @@ import rawpy
 from exifread.core.exceptions import ExifError
 from PIL import Image, UnidentifiedImageError
 
-from ..capture.images import EXR_SUFFIX, MOST_PIXELS, read_size
+from ..capture.encoded import MOST_PIXELS
+from ..capture.images import EXR_SUFFIX, read_size
 from ..run.errors import FiptError
 from . import radiance_hdr
 from .extras import optional

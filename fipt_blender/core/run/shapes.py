@@ -23,7 +23,7 @@ _VIEW = Fields(
         "camera_to_world": Numbers(4, 4),
         **dict.fromkeys(("parts", "semantics"), Maybe(str)),
     },
-    {"mask": Maybe(str)},
+    {"mask": Maybe(str), "encoded": bool, "exposure": Maybe(Number(low=1e-12, high=1e12))},
 )
 CAPTURE = Fields(
     {"source": str, "world_from_source": Numbers(4, 4), "mesh": Maybe(str), "views": Items(_VIEW)}

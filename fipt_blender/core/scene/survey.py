@@ -105,7 +105,8 @@ def photograph_facts(view: View) -> dict[str, Any]:
     except FiptError as error:
         missing = error.code == "image-missing"
         return facts | {"image_missing": missing, "image_problem": "" if missing else error.text}
-    return facts | {"clipped_share": statistics.clipped, "looks_ldr": statistics.looks_ldr}
+    looks_ldr = statistics.looks_ldr or view.encoded
+    return facts | {"clipped_share": statistics.clipped, "looks_ldr": looks_ldr}
 
 
 def view_warning(facts: dict[str, Any]) -> str:

@@ -1,0 +1,153 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Photographs that are not HDR: codes of JPEG, PNG and TIFF files, and the exposures that their EXIF tells.
+
+Their response is unknown. They are read as if it were sRGB's curve, which can be undone without loss; the
+radiometric adjustment does so.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+from ..run.errors import FiptError
+from ..run.shapes import MOST_SIDE
+
+PILLOW_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF"}
+# A float image of three channels takes 2 GB; the largest cameras have 151 megapixels.
+MOST_PIXELS = 160_000_000
+_DAMAGE = (UnidentifiedImageError, OSError, ValueError, SyntaxError, struct.error, EOFError, OverflowError)
+_EXIF, _SHUTTER, _APERTURE, _ISO = 0x8769, 0x829A, 0x829D, 0x8827
+
+
+def is_encoded(path: Path) -> bool:
+    """Whether a photograph's file has a format of codes instead of radiance, by its suffix."""
+    return path.suffix.lower() in PILLOW_FORMATS
+
+
+def read_encoded(path: Path) -> np.ndarray:
+    """A photograph's values as if its response were sRGB's curve.
+
+    Of files with 16 bits in each of three channels Pillow reads the upper 8. Alpha is ignored.
+
+    Returns:
+        (height, width, 3) float32 from 0 to 1.
+
+    Raises:
+        FiptError: ``image-missing``, ``image-unreadable`` or ``image-too-large``.
+    """
+    check_pixels(path, *pillow_size(path))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            with Image.open(path, formats=[PILLOW_FORMATS[path.suffix.lower()]]) as image:
+                codes = _codes(image)
+    except (*_DAMAGE, Image.DecompressionBombError) as error:
+        raise unreadable(path, error) from None
+    return srgb_decoded(codes)
+
+
+def file_exposure(path: Path) -> float | None:
+    """The relative exposure that a file's EXIF tells, shutter time * ISO / (100 * aperture²); None without.
+
+    A missing aperture or ISO counts as one that does not change.
+    """
+    if not is_encoded(path):
+        return None
+    try:
+        with Image.open(path, formats=[PILLOW_FORMATS[path.suffix.lower()]]) as image:
+            tags = image.getexif().get_ifd(_EXIF)
+            shutter, aperture, iso = (_number(tags.get(tag)) for tag in (_SHUTTER, _APERTURE, _ISO))
+    except (*_DAMAGE, Image.DecompressionBombError, KeyError, TypeError):
+        return None
+    if shutter is None:
+        return None
+    return shutter * (iso or 100.0) / 100.0 / (aperture or 1.0) ** 2
+
+
+def srgb_decoded(values: np.ndarray) -> np.ndarray:
+    """Linear values of sRGB's values, both 0 to 1, in the same type."""
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).astype(values.dtype)
+
+
+def srgb_encoded(linear: np.ndarray) -> np.ndarray:
+    """The inverse of `srgb_decoded`; negative values are 0."""
+    positive = np.maximum(linear, 0.0)
+    low = positive <= 0.0031308
+    return np.where(low, 12.92 * positive, 1.055 * positive ** (1.0 / 2.4) - 0.055).astype(linear.dtype)
+
+
+def missing(path: Path) -> FiptError:
+    """The error for a file that does not exist."""
+    return FiptError("image-missing", f"The image {path} does not exist.", "Restore it, or correct its path.")
+
+
+def unreadable(path: Path, reason: object) -> FiptError:
+    """The error for a file that can't be read."""
+    return FiptError("image-unreadable", f"{path} can't be read ({reason}).", "Export the image again.")
+
+
+def check_pixels(path: Path, width: int, height: int) -> None:
+    """Refuse images that would not fit into memory, whatever their header says.
+
+    Raises:
+        FiptError: ``image-too-large`` or ``image-unreadable``.
+    """
+    if width < 1 or height < 1:
+        raise unreadable(path, f"its size is {width} x {height}")
+    if max(width, height) > MOST_SIDE or width * height > MOST_PIXELS:
+        raise FiptError(
+            "image-too-large",
+            f"{path} has {width} x {height} pixels; the limit is {MOST_PIXELS / 1e6:.0f} megapixels.",
+            "Scale the photographs and masks down; 1 to 2 megapixels per view are enough.",
+        )
+
+
+def pillow_size(path: Path) -> tuple[int, int]:
+    """Size of an image that is no EXR, from its header, if it is in the format that its suffix names.
+
+    Raises:
+        FiptError: ``image-missing``, ``image-unreadable`` or ``image-too-large``.
+    """
+    if not path.is_file():
+        raise missing(path)
+    kind = PILLOW_FORMATS.get(path.suffix.lower())
+    if kind is None:
+        raise unreadable(path, "its format is not known")
+    try:
+        with Image.open(path, formats=[kind]) as image:
+            size = image.size
+    except Image.DecompressionBombError:
+        size = (MOST_SIDE + 1, MOST_SIDE + 1)
+    except _DAMAGE as error:
+        raise unreadable(path, error) from None
+    check_pixels(path, *size)
+    return size
+
+
+def _codes(image: Image.Image) -> np.ndarray:
+    """(height, width, 3) float32 codes from 0 to 1."""
+    if image.mode.startswith(("I", "F")):
+        grey = np.asarray(image)
+        if grey.dtype != np.uint16:
+            raise ValueError(f"its values are {grey.dtype}, not of 8 or 16 bits")
+        return np.repeat((grey / np.float32(65535.0))[..., None], 3, axis=-1).astype(np.float32)
+    return np.asarray(image.convert("RGB"), np.float32) / np.float32(255.0)
+
+
+def _number(value: Any) -> float | None:
+    """A positive number of an EXIF tag, None where there is none."""
+    if isinstance(value, (tuple, list)):
+        value = value[0] if value else None
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
+        return None
+    return number if math.isfinite(number) and 1e-9 <= number <= 1e9 else None

@@ -1,0 +1,107 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Photographs that are not HDR: their codes, their EXIF, and what `ingest` keeps and says of them."""
+
+from __future__ import annotations
+
+import io
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fipt_blender.core.capture.encoded import file_exposure, read_encoded, srgb_decoded, srgb_encoded
+from fipt_blender.core.capture.images import read_radiance, read_size, write_exr
+from fipt_blender.core.capture.ingest import IngestOptions, ingest
+from fipt_blender.core.capture.views import load_capture
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.messages import Reporter, parse_message
+from fipt_blender.core.run.runfolder import RunFolder
+from samples.capture_files import make_samples, write_transforms
+from samples.photographs import exif, write_jpeg
+
+CODES = np.random.default_rng(3).integers(0, 256, (6, 8, 3)).astype(np.uint8)
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.tif", "a.TIFF"])
+def test_codes_come_back(tmp_path, name):
+    Image.fromarray(CODES).save(tmp_path / name)
+    pixels = read_radiance(tmp_path / name)
+    assert pixels.dtype == np.float32 and read_size(tmp_path / name) == (8, 6)
+    assert np.array_equal(np.round(srgb_encoded(pixels) * 255.0), CODES)
+
+
+def test_grey_alpha_palette_and_sixteen_bits(tmp_path):
+    grey = CODES[..., 0]
+    alpha = np.dstack([CODES, grey])
+    Image.fromarray(alpha).save(tmp_path / "alpha.png")
+    Image.fromarray(grey).save(tmp_path / "grey.png")
+    Image.fromarray(grey.astype(np.uint16) * 257).save(tmp_path / "deep.png")
+    Image.fromarray(CODES).convert("P").save(tmp_path / "palette.png")
+    assert np.array_equal(np.round(srgb_encoded(read_encoded(tmp_path / "alpha.png")) * 255), CODES)
+    wanted = np.repeat(grey[..., None], 3, axis=-1)
+    for name in ("grey.png", "deep.png"):
+        assert np.array_equal(np.round(srgb_encoded(read_encoded(tmp_path / name)) * 255), wanted)
+    assert read_encoded(tmp_path / "palette.png").shape == (6, 8, 3)
+
+
+def test_values_of_other_depths_are_refused(tmp_path):
+    Image.fromarray(CODES[..., 0].astype(np.float32)).save(tmp_path / "a.tif")
+    with pytest.raises(FiptError, match="float32") as error:
+        read_encoded(tmp_path / "a.tif")
+    assert error.value.code == "image-unreadable"
+
+
+def test_srgb_is_undone():
+    values = np.linspace(0.0, 1.0, 1001)
+    assert np.abs(srgb_encoded(srgb_decoded(values)) - values).max() < 1e-6
+    assert srgb_decoded(np.float32([0.0, 1.0])).tolist() == [0.0, 1.0]
+
+
+def test_exposures_of_files(tmp_path):
+    path = write_jpeg(tmp_path / "a.jpg", CODES, exif(1.0 / 50.0, aperture=4.0, iso=400))
+    assert file_exposure(path) == pytest.approx(4.0 / 50.0 / 16.0, rel=1e-3)
+    assert file_exposure(write_jpeg(tmp_path / "b.jpg", CODES, exif(None))) is None
+    (tmp_path / "c.jpg").write_bytes(path.read_bytes()[:40])
+    assert file_exposure(tmp_path / "c.jpg") is None
+    assert file_exposure(tmp_path / "d.exr") is None
+
+
+def test_captures_of_both_kinds(tmp_path):
+    """A photograph of codes stays where it is; one with distortion is resampled and stays marked."""
+    samples = make_samples(3)
+    samples[1] = make_samples(2, model="OPENCV")[1]
+    write_transforms(tmp_path / "in", samples)
+    path = tmp_path / "in" / "transforms.json"
+    data = json.loads(path.read_text())
+    for index in (0, 1):
+        old = tmp_path / "in" / data["frames"][index]["file_path"]
+        pixels = np.full((*read_radiance(old).shape[:2], 3), 100 + index, np.uint8)
+        old.unlink()
+        write_jpeg(old.with_suffix(".jpg"), pixels, exif(1.0 / 60.0))
+        data["frames"][index]["file_path"] = str(
+            old.with_suffix(".jpg").relative_to(tmp_path / "in").as_posix()
+        )
+    path.write_text(json.dumps(data))
+    run, stream = RunFolder(tmp_path / "run"), io.StringIO()
+    ingest(tmp_path / "in", run, IngestOptions(hold_back=0), Reporter(stream))
+    views = load_capture(run).views
+    assert [view.encoded for view in views] == [True, True, False]
+    assert views[0].exposure == pytest.approx(1.0 / 60.0 / 64.0, rel=1e-3) and views[2].exposure is None
+    assert views[0].image.suffix == ".jpg" and views[1].image.suffix == ".exr"
+    middle = read_radiance(views[1].image)[20, 20]
+    assert np.abs(srgb_encoded(middle) * 255.0 - 101.0).max() < 1.0
+    assert "encoded" not in json.loads(run.capture_json.read_text())["views"][2]
+    messages = [parse_message(line) for line in stream.getvalue().splitlines()]
+    (warning,) = [m for m in messages if m["type"] == "warning" and m["code"] == "images-not-hdr"]
+    assert warning["text"].startswith("2 of 3 photographs") and "Prepare" in warning["remedy"]
+
+
+def test_hdr_captures_say_nothing_of_it(tmp_path):
+    write_transforms(tmp_path / "in", make_samples(2))
+    stream = io.StringIO()
+    ingest(tmp_path / "in", RunFolder(tmp_path / "run"), IngestOptions(hold_back=0), Reporter(stream))
+    assert "not HDR" not in stream.getvalue()
+    write_exr(tmp_path / "x.exr", np.ones((2, 2, 3)))
+    assert file_exposure(tmp_path / "x.exr") is None
