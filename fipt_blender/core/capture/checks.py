@@ -223,8 +223,8 @@ def judge_encoded(encoded: Sequence[bool], exposures: Sequence[float | None]) ->
         Note(
             "images-not-hdr",
             f"{some} photographs are not HDR ({known}). The camera's response, the exposures and the white"
-            " balances are estimated from what several photographs show. Lamps and windows are clipped in them.",
-            "Where you have brackets of exposures, merge them into HDR instead (section Photographs > Prepare):"
-            " the result is more accurate.",
+            " balances are estimated from what several photographs show. Lamps are clipped in them.",
+            "Where you have brackets of exposures, merge them into HDR (section Photographs, Prepare):"
+            " that is more accurate.",
         )
     ]
