@@ -22,7 +22,7 @@ def register() -> None:
     import bpy
 
     from . import machine, operators, panels, properties
-    from .blend.capture import other_cameras
+    from .blend.capture import other_cameras, pair_marks
     from .jobs import session
     from .panels import preferences
 
@@ -32,7 +32,7 @@ def register() -> None:
             _undo.append(partial(bpy.utils.unregister_class, preferences_class))
         machine.recall()
         _undo.append(_hide_overlay)
-        for module in (properties, operators, panels, session, other_cameras):
+        for module in (properties, operators, panels, session, other_cameras, pair_marks):
             module.register()
             _undo.append(module.unregister)
         command = bpy.utils.register_cli_command("fipt", _run_command_line)

@@ -18,6 +18,9 @@ CORE = PACKAGE / "core"
 HEAVY = ("mitsuba", "drjit", "torch", "OpenEXR", "pycolmap", "pyoidn", "rawpy", "exifread", "lensfunpy")
 # What Blender's side may import of the engine: the standard library and numpy are enough for these.
 SHARED = (
+    "alignment.pairs",
+    "alignment.sights",
+    "alignment.turns",
     "conventions",
     "device.cuda",
     "optics.factorised",

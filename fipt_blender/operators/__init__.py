@@ -12,6 +12,7 @@ from __future__ import annotations
 import bpy
 
 from . import (
+    alignment,
     capture,
     check,
     environment,
@@ -31,6 +32,7 @@ MODULES = (
     photographs,
     capture,
     views,
+    alignment,
     parts,
     estimate,
     materials,

@@ -6,9 +6,21 @@ from __future__ import annotations
 
 import bpy
 
-from . import capture, check, estimate, insert, lights, materials, parts, photographs, statusbar, swatches
+from . import (
+    alignment,
+    capture,
+    check,
+    estimate,
+    insert,
+    lights,
+    materials,
+    parts,
+    photographs,
+    statusbar,
+    swatches,
+)
 
-_MODULES = (photographs, capture, parts, estimate, materials, lights, insert, check)
+_MODULES = (photographs, capture, alignment, parts, estimate, materials, lights, insert, check)
 
 _register, _unregister = bpy.utils.register_classes_factory(
     [panel for module in _MODULES for panel in module.CLASSES]

@@ -125,27 +125,6 @@ class FIPT_PT_capture_room(SubSection, bpy.types.Panel):
         row.operator("fipt.import_mesh", text="Import Mesh", icon="MESH_DATA")
 
 
-class FIPT_PT_capture_alignment(SubSection, bpy.types.Panel):
-    """Move, rotate and scale the cameras and the imported mesh together, to match the scene"""
-
-    bl_label = "Alignment"
-    bl_parent_id = "FIPT_PT_capture"
-    bl_order = 3
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return context.scene.fipt.capture.alignment is not None
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout = self.fields()
-        settings = context.scene.fipt.capture
-        column = layout.column(align=True)
-        column.prop(settings.alignment, "location", text="Location")
-        column = layout.column(align=True)
-        column.prop(settings.alignment, "rotation_euler", text="Rotation")
-        layout.prop(settings, "alignment_scale")
-
-
 class FIPT_PT_capture_views(SubSection, bpy.types.Panel):
     """The photographs with their cameras, and how each is used"""
 
@@ -261,6 +240,5 @@ CLASSES = (
     FIPT_PT_capture,
     FIPT_PT_capture_import,
     FIPT_PT_capture_room,
-    FIPT_PT_capture_alignment,
     FIPT_PT_capture_views,
 )

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import bpy
 
-from . import capture, check, estimate, insert, lights, materials, parts, photographs
+from . import alignment, capture, check, estimate, insert, lights, materials, parts, photographs
 
-_MODULES = (photographs, capture, parts, estimate, materials, lights, insert, check)
+_MODULES = (photographs, capture, alignment, parts, estimate, materials, lights, insert, check)
 
 
 class FIPT_SceneSettings(bpy.types.PropertyGroup):
@@ -25,6 +25,7 @@ class FIPT_SceneSettings(bpy.types.PropertyGroup):
     )
     photographs: bpy.props.PointerProperty(type=photographs.FIPT_PhotographsSettings)
     capture: bpy.props.PointerProperty(type=capture.FIPT_CaptureSettings)
+    alignment: bpy.props.PointerProperty(type=alignment.FIPT_AlignmentSettings)
     parts: bpy.props.PointerProperty(type=parts.FIPT_PartsSettings)
     estimate: bpy.props.PointerProperty(type=estimate.FIPT_EstimateSettings)
     materials: bpy.props.PointerProperty(type=materials.FIPT_MaterialsSettings)

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..run.errors import FiptError
 from .surface import Surface, main_axes
+from .turns import even_turns, rotation_between
 
 LEAST_POINTS = 50
 _SCALES = np.array([0.6, 0.75, 0.9, 1.05, 1.25, 1.5])  # of the extents' ratio: points miss part of the room
@@ -144,49 +145,14 @@ def _starts(source: np.ndarray, target: np.ndarray, axes: np.ndarray, up: np.nda
 def _turns(axes: np.ndarray, up: np.ndarray | None) -> list[np.ndarray]:
     """Rotations (3, 3) from the solve to the mesh."""
     if up is None:
-        return list(_even_turns(_TURNS))
-    upright = _rotation_between(np.asarray(up, np.float64), np.array([0.0, 0.0, 1.0]))
+        return list(even_turns(_TURNS))
+    upright = rotation_between(np.asarray(up, np.float64), np.array([0.0, 0.0, 1.0]))
     angles = 2.0 * np.pi * np.arange(_YAWS) / _YAWS
     yaws = [
         np.array([[np.cos(a), -np.sin(a), 0.0], [np.sin(a), np.cos(a), 0.0], [0.0, 0.0, 1.0]]) for a in angles
     ]
-    ups = [_rotation_between(np.array([0.0, 0.0, 1.0]), sign * axis) for axis in axes for sign in (1.0, -1.0)]
+    ups = [rotation_between(np.array([0.0, 0.0, 1.0]), sign * axis) for axis in axes for sign in (1.0, -1.0)]
     return [to_axis @ yaw @ upright for to_axis in ups for yaw in yaws]
-
-
-def _rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """The shortest rotation (3, 3) from one direction to another."""
-    start, end = start / np.linalg.norm(start), end / np.linalg.norm(end)
-    axis, cosine = np.cross(start, end), float(start @ end)
-    if cosine < -1.0 + 1e-9:
-        side = np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))])
-        side /= np.linalg.norm(side)
-        return np.asarray(2.0 * np.outer(side, side) - np.eye(3))
-    cross = _cross_matrix(axis)
-    return np.asarray(np.eye(3) + cross + cross @ cross / (1.0 + cosine))
-
-
-def _even_turns(count: int) -> np.ndarray:
-    """(count, 3, 3) rotations spread evenly: super-Fibonacci spirals (Alexa, CVPR 2022)."""
-    index = np.arange(count) + 0.5
-    share, first, second = (
-        index / count,
-        2.0 * np.pi * index / np.sqrt(2.0),
-        2.0 * np.pi * index / 1.533751168755,
-    )
-    inner, outer = np.sqrt(share), np.sqrt(1.0 - share)
-    x, y, z, w = inner * np.sin(first), inner * np.cos(first), outer * np.sin(second), outer * np.cos(second)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
-
-
-def _cross_matrix(vector: np.ndarray) -> np.ndarray:
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 # ----------------------------------------------------------------------------------------------- improvement

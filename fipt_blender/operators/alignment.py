@@ -1,0 +1,248 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators of the panel Alignment: points of the mesh and of photographs; the cameras moved by them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from .pointer import NAVIGATION, view_under_pointer
+from .polls import has_views, in_object_mode
+from .reporting import reports_errors
+
+if TYPE_CHECKING:
+    from mathutils import Vector
+
+    from ..blend.capture.pairs import PickedSight
+
+_MESH_TEXT = "Click: Point of the mesh   Ctrl: Do not snap to corners   Esc, Right Click: Cancel"
+_PHOTO_TEXT = "Click: The same point in the photograph   Page Up, Page Down: Other view   Esc: Cancel"
+_SECOND_TEXT = (
+    "Click: The same point in a second photograph   Page Up, Page Down: Other view"
+    "   Enter: Finish with one photograph   Esc: Cancel"
+)
+_WHEEL = ("WHEELUPMOUSE", "WHEELDOWNMOUSE", "WHEELINMOUSE", "WHEELOUTMOUSE")
+_CONFIRM = ("RET", "NUMPAD_ENTER", "SPACE")
+_STEPS = {"PAGE_UP": -1, "PAGE_DOWN": 1}
+
+
+class FIPT_OT_pick_pair(bpy.types.Operator):
+    """Pick a point on the mesh, then the same point in one or two photographs"""
+
+    bl_idname = "fipt.pick_pair"
+    bl_label = "Pick Points"
+    bl_options = {"REGISTER", "UNDO"}
+
+    object: bpy.props.StringProperty(name="Object", description="Mesh object", options={"SKIP_SAVE"})
+    location: bpy.props.FloatVectorProperty(
+        name="Location", description="Point on the mesh in world space", subtype="XYZ", options={"SKIP_SAVE"}
+    )
+    view: bpy.props.StringProperty(
+        name="View", description="Name of the view with the photograph", options={"SKIP_SAVE"}
+    )
+    pixel: bpy.props.FloatVectorProperty(
+        name="Pixel", description="The point in its photograph", size=2, options={"SKIP_SAVE"}
+    )
+    second_view: bpy.props.StringProperty(
+        name="Second View", description="Name of another view, or empty", options={"SKIP_SAVE"}
+    )
+    second_pixel: bpy.props.FloatVectorProperty(
+        name="Second Pixel", description="The point in its photograph", size=2, options={"SKIP_SAVE"}
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return has_views(cls, context) and in_object_mode(cls, context)
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from mathutils import Vector
+
+        from ..blend.capture.pairs import PickedSight, add_pair
+
+        item = context.scene.objects.get(self.object)
+        if item is None or item.type != "MESH":
+            self.report({"ERROR"}, f"There is no mesh object '{self.object}'. Use the name of one.")
+            return {"CANCELLED"}
+        sights = [PickedSight(self.view, *self.pixel)]
+        if self.second_view:
+            sights.append(PickedSight(self.second_view, *self.second_pixel))
+        add_pair(context.scene, item, Vector(self.location), sights)
+        return {"FINISHED"}
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if self.properties.is_property_set("location"):
+            return self.execute(context)
+        if context.area is None or context.area.type != "VIEW_3D":
+            self.report({"ERROR"}, "Run this operator in a 3D Viewport.")
+            return {"CANCELLED"}
+        self._picked: tuple[str, Vector] | None = None
+        self._sights: list[PickedSight] = []
+        settings = context.scene.fipt.capture
+        self._before = (settings.active_view, settings.photograph_opacity, self._leave_camera(context))
+        context.window.cursor_modal_set("CROSSHAIR")
+        self._say(context, _MESH_TEXT)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if event.type in {"ESC", "RIGHTMOUSE"} and event.value == "PRESS":
+            self.cancel(context)
+            return {"CANCELLED"}
+        if event.type in (*NAVIGATION, *_WHEEL):
+            return {"PASS_THROUGH"}
+        if event.value != "PRESS":
+            return {"RUNNING_MODAL"}
+        if self._picked is not None and event.type in _STEPS:
+            self._look(context, context.scene.fipt.capture.active_view + _STEPS[event.type])
+        elif self._sights and event.type in _CONFIRM:
+            return self._finish(context)
+        elif event.type == "LEFTMOUSE" and view_under_pointer(context, event) is not None:
+            pick = self._pick_mesh if self._picked is None else self._pick_photograph
+            return pick(context, event)
+        return {"RUNNING_MODAL"}
+
+    def _pick_mesh(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        from ..blend.capture.picking import mesh_under
+
+        self._picked = mesh_under(context, *_place(context, event), snap=not event.ctrl)
+        if self._picked is None:
+            self.report({"WARNING"}, "There is no mesh under the mouse pointer")
+            return {"RUNNING_MODAL"}
+        context.scene.fipt.capture.photograph_opacity = 1.0
+        self._look(context, context.scene.fipt.capture.active_view)
+        self._say(context, _PHOTO_TEXT)
+        return {"RUNNING_MODAL"}
+
+    def _pick_photograph(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        from ..blend.capture.pairs import MOST_SIGHTS
+        from ..blend.capture.picking import photograph_under
+
+        sight = photograph_under(context, *_place(context, event))
+        if sight is None:
+            self.report({"WARNING"}, "Click inside the photograph of a view")
+            return {"RUNNING_MODAL"}
+        self._sights = [other for other in self._sights if other.view != sight.view] + [sight]
+        if len(self._sights) >= min(MOST_SIGHTS, len(context.scene.fipt.capture.views)):
+            return self._finish(context)
+        self._say(context, _SECOND_TEXT)
+        return {"RUNNING_MODAL"}
+
+    def _finish(self, context: bpy.types.Context) -> set[str]:
+        assert self._picked is not None
+        self.object, self.location = self._picked
+        self.view, self.pixel = self._sights[0].view, (self._sights[0].u, self._sights[0].v)
+        if len(self._sights) > 1:
+            self.second_view = self._sights[1].view
+            self.second_pixel = (self._sights[1].u, self._sights[1].v)
+        self.cancel(context)
+        return self.execute(context)
+
+    def _look(self, context: bpy.types.Context, index: int) -> None:
+        """Look through a view of the list, in the viewport in which picking started."""
+        from ..blend.capture.look import look_through
+
+        settings = context.scene.fipt.capture
+        settings.active_view = index % len(settings.views)
+        look_through(context.scene, settings.views[settings.active_view], context)
+
+    def _leave_camera(self, context: bpy.types.Context) -> bool:
+        """Turn from a camera to a free view, in which the mesh can be seen; whether it was one."""
+        region = context.space_data.region_3d
+        was_camera = region.view_perspective == "CAMERA"
+        if was_camera:
+            region.view_perspective = "PERSP"
+        return bool(was_camera)
+
+    def _say(self, context: bpy.types.Context, text: str) -> None:
+        context.workspace.status_text_set(iface_(text))
+        context.area.header_text_set(iface_(text))
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Restore the viewport; Blender calls this too, when the window closes."""
+        context.window.cursor_modal_restore()
+        context.workspace.status_text_set(None)
+        settings = context.scene.fipt.capture
+        active, opacity, was_camera = self._before
+        settings.photograph_opacity = opacity
+        if context.area is None:
+            return
+        context.area.header_text_set(None)
+        if was_camera and settings.views:
+            self._look(context, active)
+        elif self._picked is not None:
+            context.space_data.region_3d.view_perspective = "PERSP"
+
+
+class FIPT_OT_remove_pair(bpy.types.Operator):
+    """Remove this pair of points"""
+
+    bl_idname = "fipt.remove_pair"
+    bl_label = "Remove Pair"
+    bl_options = {"REGISTER", "UNDO"}
+
+    index: bpy.props.IntProperty(
+        name="Index",
+        description="Number of the pair in the list, from 0; the active one if negative",
+        default=-1,
+        options={"SKIP_SAVE"},
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _has_pairs(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.capture.pairs import remove_pair
+
+        settings = context.scene.fipt.alignment
+        index = settings.active_pair if self.index < 0 else self.index
+        if index >= len(settings.pairs):
+            self.report({"ERROR"}, f"There is no pair {index}. The list has {len(settings.pairs)}.")
+            return {"CANCELLED"}
+        remove_pair(context.scene, index)
+        return {"FINISHED"}
+
+
+class FIPT_OT_align_by_pairs(bpy.types.Operator):
+    """Move all cameras to the mesh, with any rotation and scale, so that the picked points agree"""
+
+    bl_idname = "fipt.align_by_pairs"
+    bl_label = "Align Cameras by Pairs"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _has_pairs(cls, context) and in_object_mode(cls, context)
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.capture.pairs import align_by_pairs
+
+        fit = align_by_pairs(context.scene)
+        text = iface_("The cameras were aligned by {} pairs, which are off by {:.3g} m")
+        self.report({"INFO"}, text.format(len(fit.residuals), fit.error))
+        return {"FINISHED"}
+
+
+def _has_pairs(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    if not context.scene.fipt.alignment.pairs:
+        cls.poll_message_set("Pick points first")
+        return False
+    return True
+
+
+def _place(
+    context: bpy.types.Context, event: bpy.types.Event
+) -> tuple[bpy.types.Region, bpy.types.SpaceView3D, tuple[float, float]]:
+    """The viewport under the pointer, and the pointer's position in it."""
+    found = view_under_pointer(context, event)
+    assert found is not None
+    region, space = found
+    return region, space, (event.mouse_x - region.x, event.mouse_y - region.y)
+
+
+CLASSES = (FIPT_OT_pick_pair, FIPT_OT_remove_pair, FIPT_OT_align_by_pairs)

@@ -1,0 +1,83 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panel Alignment of the section Capture: capture and scene, cameras and mesh."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from .sidebar import SubSection, draw_text
+
+
+class FIPT_UL_pairs(bpy.types.UIList):
+    """The pairs of points, each with its error"""
+
+    def draw_item(
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        data: bpy.types.PropertyGroup,
+        item: bpy.types.PropertyGroup,
+        icon: int,
+        active_data: bpy.types.PropertyGroup,
+        active_property: str,
+        index: int = 0,
+        flt_flag: int = 0,
+    ) -> None:
+        row = layout.row(align=True)
+        views = ", ".join(sight.name for sight in item.sights)
+        row.label(text=f"{index + 1}: {views}", translate=False)
+        missing = item.name not in context.scene.objects
+        text = f"{1000.0 * item.error:.3g} mm" if item.error >= 0.0 else ""
+        row.label(text=text, icon="CANCEL" if missing else "NONE", translate=False)
+        row.operator("fipt.remove_pair", text="", icon="X", emboss=False).index = index
+
+
+class FIPT_PT_capture_alignment(SubSection, bpy.types.Panel):
+    """Move the cameras and the imported mesh together, or the cameras to the mesh"""
+
+    bl_label = "Alignment"
+    bl_parent_id = "FIPT_PT_capture"
+    bl_order = 3
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return context.scene.fipt.capture.alignment is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        settings = context.scene.fipt.capture
+        column = layout.column(align=True)
+        column.prop(settings.alignment, "location", text="Location")
+        column = layout.column(align=True)
+        column.prop(settings.alignment, "rotation_euler", text="Rotation")
+        layout.prop(settings, "alignment_scale")
+
+
+class FIPT_PT_capture_pairs(SubSection, bpy.types.Panel):
+    """Move the cameras to a mesh from another program, by points that you pick"""
+
+    bl_label = "Cameras to Mesh"
+    bl_parent_id = "FIPT_PT_capture_alignment"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        settings = context.scene.fipt.alignment
+        layout.operator("fipt.pick_pair", icon="EYEDROPPER")
+        if not settings.pairs:
+            text = "Pick three or more points of the mesh, each in two photographs."
+            draw_text(layout, context, text, icon="INFO")
+            return
+        layout.template_list("FIPT_UL_pairs", "", settings, "pairs", settings, "active_pair", rows=4)
+        if settings.error >= 0.0:
+            text = iface_("The pairs are off by {:.3g} mm").format(1000.0 * settings.error)
+            layout.label(text=text, icon="CHECKMARK", translate=False)
+        if settings.problem:
+            draw_text(layout, context, settings.problem, icon="ERROR")
+        row = layout.row(align=True)
+        row.operator("fipt.align_by_pairs", icon="CON_CAMERASOLVER")
+        row.prop(settings, "show_marks", text="", icon="HIDE_OFF")
+
+
+CLASSES = (FIPT_UL_pairs, FIPT_PT_capture_alignment, FIPT_PT_capture_pairs)

@@ -1,0 +1,74 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""State of the panel Alignment: picked points, and placements of the cameras that were found."""
+
+from __future__ import annotations
+
+import bpy
+
+
+def _marks_changed(self: FIPT_AlignmentSettings, context: bpy.types.Context) -> None:
+    from ..blend.capture.pair_marks import redraw
+
+    redraw()
+
+
+class FIPT_AlignmentSight(bpy.types.PropertyGroup):
+    """Where a point of the mesh appears in a photograph. `name` is the view's name."""
+
+    pixel: bpy.props.FloatVectorProperty(
+        name="Pixel", description="Position in the photograph in pixels from its top left corner", size=2
+    )
+
+
+class FIPT_AlignmentPair(bpy.types.PropertyGroup):
+    """A point of the mesh and the same point in photographs. `name` is the object's name."""
+
+    point: bpy.props.FloatVectorProperty(
+        name="Point", description="Point in the space of the mesh object", size=3, subtype="XYZ"
+    )
+    sights: bpy.props.CollectionProperty(type=FIPT_AlignmentSight)
+    error: bpy.props.FloatProperty(
+        name="Error",
+        description="Distance between the point of the mesh and the one in the photographs; negative where it"
+        " is not known",
+        default=-1.0,
+        subtype="DISTANCE",
+    )
+
+
+class FIPT_AlignmentCandidate(bpy.types.PropertyGroup):
+    """A placement of the cameras that the engine has found."""
+
+    matrix: bpy.props.FloatVectorProperty(
+        description="Similarity from the coordinates of ingest.json to the world, row by row", size=16
+    )
+    error: bpy.props.FloatProperty(description="Median distance of the points from the mesh in meters")
+    inliers: bpy.props.FloatProperty(description="Share of the points that lie near the mesh")
+
+
+class FIPT_AlignmentSettings(bpy.types.PropertyGroup):
+    """The panel Alignment."""
+
+    pairs: bpy.props.CollectionProperty(type=FIPT_AlignmentPair)
+    active_pair: bpy.props.IntProperty(name="Pair", description="A point of the mesh and of photographs")
+    error: bpy.props.FloatProperty(
+        name="Error",
+        description="Root mean square of the pairs' errors; negative where they do not decide a placement",
+        default=-1.0,
+        subtype="DISTANCE",
+    )
+    problem: bpy.props.StringProperty(description="Why the pairs do not decide a placement")
+    show_marks: bpy.props.BoolProperty(
+        name="Show Marks",
+        description="Draw the picked points in the viewport and over the photographs",
+        default=True,
+        update=_marks_changed,
+    )
+    candidates: bpy.props.CollectionProperty(type=FIPT_AlignmentCandidate)
+    active_candidate: bpy.props.IntProperty(
+        name="Placement", description="Placement of the cameras, the best one first"
+    )
+
+
+CLASSES = (FIPT_AlignmentSight, FIPT_AlignmentPair, FIPT_AlignmentCandidate, FIPT_AlignmentSettings)

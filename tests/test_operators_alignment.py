@@ -1,0 +1,159 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pairs of points as scripts pick them: the cameras come to the mesh; bad picks are refused."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix
+
+import fipt_blender
+from fipt_blender.blend.capture import cameras
+from fipt_blender.blend.capture.exporting import camera_pose
+from fipt_blender.blend.capture.importing import find_alignment
+from fipt_blender.blend.capture.view_geometry import view_geometry
+from fipt_blender.core import conventions
+from fipt_blender.core.run.runfolder import RunFolder
+
+ops = bpy.ops.fipt
+POINTS = np.array([[2.0, 2.0, 0.0], [-2.0, 1.5, 0.2], [1.0, -2.0, 2.4], [-1.5, -1.0, 1.0], [0.5, 2.0, 2.0]])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def registered():
+    fipt_blender.register()
+    yield
+    fipt_blender.unregister()
+
+
+def toward_the_middle(angle: float) -> np.ndarray:
+    """A level camera 5 m beside the mesh, which looks at it."""
+    forward = -np.array([np.cos(angle), np.sin(angle), 0.0])
+    pose, down = np.eye(4), np.array([0.0, 0.0, -1.0])
+    pose[:3, :3] = np.stack([np.cross(down, forward), down, forward], axis=1)
+    pose[:3, 3] = np.array([1.0, 0.0, 1.2 + 0.2 * np.sin(angle)]) - 5.0 * forward
+    return pose
+
+
+@pytest.fixture
+def truth(tmp_path):
+    """Four views of a mesh in the scene, whose cameras stand elsewhere, at another scale; the true views."""
+    scene = bpy.context.scene
+    run = RunFolder(tmp_path)
+    off = np.eye(4)
+    off[:3, :3] = 0.3 * np.array(Matrix.Rotation(2.0, 3, (0.2, 0.5, 1.0)))
+    off[:3, 3] = (4.0, -1.0, 0.5)
+    mesh = bpy.data.meshes.new("Wall")
+    mesh.from_pydata([tuple(point) for point in POINTS], [], [(0, 1, 2)])
+    item = bpy.data.objects.new("Wall", mesh)
+    item.location = (1.0, 0.0, 0.0)
+    scene.collection.objects.link(item)
+    views = []
+    for index in range(4):
+        lens = {"width": 200, "height": 100, "fx": 40.0, "fy": 42.0, "cx": 103.0, "cy": 49.0}
+        pose = toward_the_middle(1.5 * index + 0.3)
+        view = {"name": f"{index:03d}", "split": "train", "image": "a.exr", **lens}
+        views.append({**view, "camera_to_world": pose.tolist()})
+        solved = {**views[-1], "camera_to_world": conventions.transform_poses(off, pose).tolist()}
+        parent = find_alignment(scene)
+        cameras.add_camera(scene, run, solved, photograph=False, parent=parent)
+        listed = scene.fipt.capture.views.add()
+        listed.name = listed.camera = view["name"]
+    scene.fipt.capture.alignment.scale = (2.0, 2.0, 2.0)  # the artist's own; the mesh is not its child
+    return views
+
+
+def sights(point: np.ndarray, views: list[dict]) -> list[tuple[str, tuple[float, float]]]:
+    """The views that see a point, with its pixels."""
+    found = []
+    for view in views:
+        geometry = view_geometry(view)
+        (pixel,), _ = conventions.project(point[None], geometry)
+        if np.isfinite(pixel).all() and (pixel >= 0.0).all() and (pixel <= (200.0, 100.0)).all():
+            found.append((view["name"], tuple(pixel)))
+    return found
+
+
+def pick(point: np.ndarray, views: list[dict], most: int = 2) -> None:
+    chosen = sights(point, views)[:most]
+    values = dict(zip(("view", "second_view"), (name for name, _ in chosen), strict=False))
+    pixels = dict(zip(("pixel", "second_pixel"), (pixel for _, pixel in chosen), strict=False))
+    assert ops.pick_pair(object="Wall", location=tuple(point), **values, **pixels) == {"FINISHED"}
+
+
+def test_cameras_come_to_the_mesh(truth):
+    scene = bpy.context.scene
+    settings = scene.fipt.alignment
+    seen = [point + (1.0, 0.0, 0.0) for point in POINTS if len(sights(point + (1.0, 0.0, 0.0), truth)) > 1]
+    assert len(seen) >= 3
+    pick(seen[0], truth)
+    assert settings.error < 0.0 and "too few" in settings.problem
+    with pytest.raises(RuntimeError, match="too few"):
+        ops.align_by_pairs()
+    for point in seen[1:]:
+        pick(point, truth)
+    assert 0.0 <= settings.error < 1e-3 and settings.problem == ""
+    assert ops.align_by_pairs() == {"FINISHED"}
+    for view in truth:
+        pose = camera_pose(scene.objects[view["name"]])
+        np.testing.assert_allclose(pose, np.array(view["camera_to_world"]), atol=1e-3)
+    assert tuple(scene.objects["Wall"].location) == (1.0, 0.0, 0.0)
+    assert 0.0 <= settings.error < 1e-3
+
+
+def test_the_wrong_pair_is_seen_in_the_list_and_removed(truth):
+    settings = bpy.context.scene.fipt.alignment
+    seen = [point + (1.0, 0.0, 0.0) for point in POINTS if len(sights(point + (1.0, 0.0, 0.0), truth)) > 1]
+    for point in seen:
+        pick(point, truth)
+    good = settings.error
+    name, (u, v) = sights(seen[0], truth)[0]
+    ops.pick_pair(object="Wall", location=tuple(seen[0]), view=name, pixel=(min(u + 30.0, 199.0), v))
+    errors = [pair.error for pair in settings.pairs]
+    assert settings.error > 20.0 * good + 0.01 and max(errors) == pytest.approx(max(errors[0], errors[-1]))
+    assert ops.remove_pair(index=len(seen)) == {"FINISHED"}
+    assert len(settings.pairs) == len(seen) and settings.error == pytest.approx(good, abs=1e-6)
+    with pytest.raises(RuntimeError, match="no pair 9"):
+        ops.remove_pair(index=9)
+
+
+def test_pairs_follow_the_mesh_and_survive_its_deletion(truth):
+    scene = bpy.context.scene
+    seen = [point + (1.0, 0.0, 0.0) for point in POINTS if len(sights(point + (1.0, 0.0, 0.0), truth)) > 1]
+    for point in seen:
+        pick(point, truth)
+    scene.objects["Wall"].location.x += 5.0
+    ops.align_by_pairs()
+    pose = camera_pose(scene.objects[truth[0]["name"]])
+    np.testing.assert_allclose(pose[0, 3], truth[0]["camera_to_world"][0][3] + 5.0, atol=1e-3)
+    bpy.data.objects.remove(scene.objects["Wall"])
+    with pytest.raises(RuntimeError, match="too few"):
+        ops.align_by_pairs()
+
+
+def test_bad_picks_are_refused(truth):
+    with pytest.raises(RuntimeError, match="no mesh object 'Gone'"):
+        ops.pick_pair(object="Gone", location=(0.0, 0.0, 0.0), view="000", pixel=(1.0, 1.0))
+    with pytest.raises(RuntimeError, match="no view 'x'"):
+        ops.pick_pair(object="Wall", location=(0.0, 0.0, 0.0), view="x", pixel=(1.0, 1.0))
+    with pytest.raises(RuntimeError, match="outside the photograph"):
+        ops.pick_pair(object="Wall", location=(0.0, 0.0, 0.0), view="000", pixel=(300.0, 1.0))
+    assert not bpy.context.scene.fipt.alignment.pairs
+    assert not ops.align_by_pairs.poll() and not ops.remove_pair.poll()
+
+
+def test_the_artists_own_cameras_stay(truth):
+    scene = bpy.context.scene
+    for view in truth:
+        item = scene.objects[view["name"]]
+        scene.collection.objects.link(item)
+        bpy.data.collections["FIPT Cameras"].objects.unlink(item)
+    seen = [point + (1.0, 0.0, 0.0) for point in POINTS if len(sights(point + (1.0, 0.0, 0.0), truth)) > 1]
+    for point in seen:
+        pick(point, truth)
+    before = [tuple(scene.objects[view["name"]].location) for view in truth]
+    with pytest.raises(RuntimeError, match="your own"):
+        ops.align_by_pairs()
+    assert [tuple(scene.objects[view["name"]].location) for view in truth] == before
