@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,7 +33,7 @@ FULL_WELL, READ_ELECTRONS = 20_000.0, 4.0  # of a camera with large pixels at IS
 VIGNETTING = 0.35  # loss of light in the corners
 BRIGHT = 4.0  # lamps: this many times the median and more
 WELL_EXPOSED = (0.05, 0.9)  # shares of the ceiling
-ENLARGEMENT = 4  # pixels of the camera along each pixel of the capture
+CEILING_EXPOSURE = 100.0  # a simulated exposure, which saturates a radiance of 1, over that of the header
 LONGEST = 0.5  # where the longest exposure puts the median, as a share of the ceiling
 
 
@@ -45,19 +46,30 @@ class Camera:
         bits: of the sensor.
         exposures: ceiling's inverse radiance of each exposure of a bracket.
         shake: largest shift between exposures in pixels of the camera, and turn of as many milliradians.
+        enlargement: pixels of the camera along each pixel of the capture.
+        falloff: loss of light in the corners; of JPEGs only.
     """
 
     kind: str
     bits: int
     exposures: tuple[float, ...]
-    shake: float
+    shake: float = 0.0
+    enlargement: int = 4
+    falloff: float = VIGNETTING
 
 
-def vignette(height: int, width: int) -> np.ndarray:
+def vignette(height: int, width: int, falloff: float) -> np.ndarray:
     """(height, width, 1) share of the light."""
     y, x = np.mgrid[:height, :width] + 0.5
     squared = ((x - width / 2) ** 2 + (y - height / 2) ** 2) / ((width / 2) ** 2 + (height / 2) ** 2)
-    return (1.0 - VIGNETTING * squared)[..., None]
+    return (1.0 - falloff * squared)[..., None]
+
+
+def mean_vignette(height: int, width: int, camera: Camera) -> np.ndarray:
+    """`vignette` of a capture's image: means over the camera's pixels."""
+    factor = camera.enlargement
+    full = vignette(height * factor, width * factor, camera.falloff)
+    return full.reshape(height, factor, width, factor, 1).mean(axis=(1, 3))
 
 
 def response(linear: np.ndarray) -> np.ndarray:
@@ -75,7 +87,7 @@ def sensor(light: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def write_bracket(folder: Path, index: int, radiance: np.ndarray, camera: Camera, seed: int) -> None:
     """Write the exposures of one view."""
     rng = np.random.default_rng([seed, index])
-    scene = radiance.repeat(ENLARGEMENT, 0).repeat(ENLARGEMENT, 1)
+    scene = radiance.repeat(camera.enlargement, 0).repeat(camera.enlargement, 1)
     scene = scene[: len(scene) // 2 * 2, : scene.shape[1] // 2 * 2]
     for place, exposure in enumerate(camera.exposures):
         light = scene * exposure
@@ -83,7 +95,7 @@ def write_bracket(folder: Path, index: int, radiance: np.ndarray, camera: Camera
             light = shaken(light, rng.uniform(-1.0, 1.0, 3) * camera.shake)
         seconds = index * 30 + place
         clock = f"2026:05:01 {12 + seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"
-        shot = Shot(shutter=exposure / 100.0, aperture=1.0, time=clock)
+        shot = Shot(shutter=exposure / CEILING_EXPOSURE, aperture=1.0, time=clock)
         name = folder / f"IMG_{index * len(camera.exposures) + place:05d}"
         if camera.kind == "raw":
             white = 2**camera.bits - 1
@@ -91,7 +103,7 @@ def write_bracket(folder: Path, index: int, radiance: np.ndarray, camera: Camera
             values = sensor(mosaic_of(light), rng) * (white - black) + black
             write_dng(name.with_suffix(".dng"), np.clip(np.round(values), 0, white), shot, black, white)
         else:
-            values = sensor(light * vignette(*light.shape[:2]), rng)
+            values = sensor(light * vignette(*light.shape[:2], camera.falloff), rng)
             codes = np.round(255.0 * response(np.clip(values, 0.0, 1.0))).astype(np.uint8)
             _write_jpeg(name.with_suffix(".jpg"), codes, shot)
 
@@ -135,46 +147,68 @@ def score(images: list[np.ndarray], truths: list[np.ndarray], camera: Camera) ->
     }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("images", type=Path, help="folder of EXR images")
-    parser.add_argument("out", type=Path)
+def add_camera_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options that describe the simulated camera."""
     parser.add_argument("--kind", choices=("raw", "jpeg"), default="raw")
     parser.add_argument("--bits", type=int, choices=(12, 14), default=14)
     parser.add_argument("--frames", type=int, default=5)
     parser.add_argument("--stops", type=float, default=1.0)
+    parser.add_argument("--reach", type=float, default=0.0, metavar="FACTOR",
+                        help="the darkest exposure clips at so many times the brightest pixel; otherwise the"
+                        " longest one puts the median at half the ceiling")  # fmt: skip
     parser.add_argument("--shake", type=float, default=0.0)
-    parser.add_argument("--views", type=int, default=0, help="only the first N")
+    parser.add_argument("--enlargement", type=int, default=4)
+    parser.add_argument("--falloff", type=float, default=VIGNETTING)
     parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
-    files = sorted(arguments.images.glob("*.exr"))[: arguments.views or None]
-    truths = [read_radiance(file) for file in files]
-    longest = LONGEST / float(np.median([np.median(truth) for truth in truths]))
+
+
+def make_camera(truths: Sequence[np.ndarray], arguments: argparse.Namespace) -> Camera:
+    """The camera that the options describe."""
     count, stops = arguments.frames, arguments.stops
-    exposures = tuple(longest * 2.0 ** (-stops * (count - 1 - place)) for place in range(count))
-    camera = Camera(arguments.kind, arguments.bits, exposures, arguments.shake)
-    for index, truth in enumerate(truths):
-        write_bracket(arguments.out / "photographs", index, truth, camera, arguments.seed)
-    started = time.monotonic()
-    side = max(truths[0].shape[:2])
+    shortest = (
+        LONGEST / float(np.median([np.median(truth) for truth in truths])) * 2.0 ** (-stops * (count - 1))
+    )
+    if arguments.reach:
+        shortest = 1.0 / (arguments.reach * max(float(truth.max()) for truth in truths))
+    exposures = tuple(shortest * 2.0 ** (stops * place) for place in range(count))
+    kind, bits, shake = arguments.kind, arguments.bits, arguments.shake
+    return Camera(kind, bits, exposures, shake, arguments.enlargement, arguments.falloff)
+
+
+def merge(photographs: Path, folder: Path, side: int, camera: Camera) -> tuple[Path, list[dict[str, str]]]:
+    """Merge brackets to images of a size; returns the folder and the warnings."""
     settings = [f"working_width={side}", f"align={'true' if camera.shake else 'false'}"]
     options = argparse.Namespace(
-        photographs=(arguments.out / "photographs").absolute(),
-        run=arguments.out / "capture",
-        steps="read,merge",
-        set=settings,
+        photographs=photographs.absolute(), run=folder, steps="read,merge", set=settings
     )
     reporter = Reporter()
     command.run(options, reporter)
-    for message in reporter.warnings:
+    return folder, reporter.warnings
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("images", type=Path, help="folder of EXR images")
+    parser.add_argument("out", type=Path)
+    add_camera_arguments(parser)
+    parser.add_argument("--views", type=int, default=0, help="only the first N")
+    arguments = parser.parse_args()
+    files = sorted(arguments.images.glob("*.exr"))[: arguments.views or None]
+    truths = [read_radiance(file) for file in files]
+    camera = make_camera(truths, arguments)
+    for index, truth in enumerate(truths):
+        write_bracket(arguments.out / "photographs", index, truth, camera, arguments.seed)
+    started = time.monotonic()
+    folder, warnings = merge(
+        arguments.out / "photographs", arguments.out / "capture", max(truths[0].shape[:2]), camera
+    )
+    for message in warnings:
         print(f"warning: {message['text']}")
-    merged = [read_radiance(file) for file in sorted((arguments.out / "capture" / "images").glob("*.exr"))]
+    merged = [read_radiance(file) for file in sorted((folder / "images").glob("*.exr"))]
     print(f"{len(files)} views of {truths[0].shape[1]} x {truths[0].shape[0]}, {camera.kind},"
-          f" {count} x {stops:g} EV, {time.monotonic() - started:.0f} s")  # fmt: skip
+          f" {arguments.frames} x {arguments.stops:g} EV, {time.monotonic() - started:.0f} s")  # fmt: skip
     if camera.kind == "jpeg":  # the lens is another step's work
-        shade = [vignette(*(ENLARGEMENT * np.array(truth.shape[:2]))) for truth in truths]
-        shade = [s.reshape(t.shape[0], ENLARGEMENT, t.shape[1], ENLARGEMENT, 1).mean((1, 3)) for s, t in
-                 zip(shade, truths, strict=True)]  # fmt: skip
+        shade = [mean_vignette(*truth.shape[:2], camera) for truth in truths]
         print("with the vignetting:", score(merged, truths, camera))
         truths = [truth * part for truth, part in zip(truths, shade, strict=True)]
     print(score(merged, truths, camera))

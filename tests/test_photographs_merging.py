@@ -23,6 +23,8 @@ from fipt_blender.core.photographs.calibration import Survey, correct_exposures
 from fipt_blender.core.photographs.exif import describe
 from fipt_blender.core.photographs.frames import (
     NEAR_TOP,
+    binned_rows,
+    block_mean,
     common_ceiling,
     demosaiced_rows,
     find_ceiling,
@@ -340,6 +342,34 @@ def test_demosaicing_keeps_a_plane_and_spreads_clipping() -> None:
     for start in (0, 5, 11):
         rows, _ = demosaiced_rows(mosaic, colors, 0.95, start, start + 5)
         np.testing.assert_array_equal(rows, values[start : start + 5])
+
+
+@pytest.mark.parametrize("factor", [3, 4, 5, 8])
+def test_squares_of_a_mosaic_are_means_of_their_own_places(factor: int) -> None:
+    """Exact on slopes, and nothing comes from beside a square."""
+    y, x = np.mgrid[: 6 * factor, : 8 * factor].astype(np.float32)
+    slopes = np.stack([0.1 + 0.002 * x + 0.003 * y, 0.2 + 0.001 * (x - y), 0.3 - 0.002 * x], -1)
+    mosaic, colors = mosaic_of(slopes).astype(np.float32), np.array([[0, 1], [1, 2]])
+    values, clipped = binned_rows(mosaic, colors, 0.95, 0, factor)
+    np.testing.assert_allclose(values, block_mean(slopes, factor), atol=1e-6)
+    assert not clipped.any()
+    mosaic[2 * factor : 3 * factor, 3 * factor : 4 * factor] = 1.0
+    bright, clipped = binned_rows(mosaic, colors, 0.95, 0, factor)
+    assert clipped[2, 3].all() and clipped.sum() == 3
+    changed = np.abs(bright - values).max(axis=-1) > 1e-6
+    assert changed[2, 3] and changed.sum() == 1
+    later, _ = binned_rows(mosaic[2 * factor :], colors, 0.95, 2 * factor, factor)
+    np.testing.assert_array_equal(later, bright[2:])
+
+
+def test_a_bracket_of_borders_is_merged_without_blur(tmp_path: Path) -> None:
+    """Squares of one radiance, four pixels of the sensor long, become the pixels of the merged image."""
+    squares = np.exp(np.random.default_rng(4).uniform(-1.0, 1.0, (48, 64, 3)))
+    write_raw(tmp_path / "in", squares.repeat(4, 0).repeat(4, 1))
+    prepare(tmp_path / "in", tmp_path / "out", ("working_width=64",))
+    image = read_radiance(next((tmp_path / "out" / "images").glob("*.exr")))
+    assert image.shape == squares.shape
+    assert np.quantile(np.abs(image / squares / np.median(image / squares) - 1.0), 0.99) < 0.02
 
 
 def test_white_stays_white_in_the_cameras_colors() -> None:

@@ -75,7 +75,7 @@ def measure(reference: np.ndarray, exposure: np.ndarray) -> Motion:
         No motion for bare walls, on which nothing can be followed. A `similarity` of -1 says that too few
         pixels are usable in both.
     """
-    pyramids = [_pyramid(_log_values(image)) for image in (reference, exposure)]
+    pyramids = [_pyramid(log_values(image)) for image in (reference, exposure)]
     coarse = pyramids[0][0][np.isfinite(pyramids[0][0])]
     if len(coarse) and coarse.std() < LEAST_CONTRAST:
         return Motion()
@@ -120,7 +120,7 @@ def warped(values: np.ndarray, motion: Motion, start: int, stop: int) -> np.ndar
     return result.reshape(stop - start, width, -1)
 
 
-def _log_values(image: np.ndarray) -> np.ndarray:
+def log_values(image: np.ndarray) -> np.ndarray:
     """Log of usable values, NaN elsewhere."""
     usable = (image > DARKEST) & (image < BRIGHTEST)
     return np.where(usable, np.log(np.where(usable, image, 1.0)), np.nan)

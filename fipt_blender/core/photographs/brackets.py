@@ -1,23 +1,30 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which photographs belong together: exposures of one view, found by EXIF and time, or by folders."""
+"""Which photographs belong together: exposures of one view, by EXIF, time, content or folders."""
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
 
 from .preparation import Group, Photograph
 
-# Cameras take a bracket in one go: the next photograph begins within this after the one before has ended.
-GAP_SECONDS = 5.0
+# Seconds from the end of a photograph to the next one. Cameras take a bracket in one go, within the first. By
+# hand it takes up to the last, but so do photographs of different views: their content decides.
+CERTAIN_SECONDS, GAP_SECONDS, LONGEST_SECONDS = 2.0, 5.0, 60.0
+CERTAIN_STOPS = 0.6  # between exposures of a bracket; automatic exposure changes by less from view to view
 # EXIF rounds shutter times (1/60 stands for 1/64); brackets differ by a third of a stop or more.
 SAME_STOPS = 0.2
 _FORBIDDEN = re.compile(r'[\\/:*?"<>|\x00-\x1f]')
+
+
+# Whether two photographs show one view; None if that can't be told.
+SameView = Callable[[Photograph, Photograph], bool | None]
 
 
 @dataclass(frozen=True)
@@ -29,14 +36,18 @@ class Remark:
     remedy: str
 
 
-def find_groups(photographs: Sequence[Photograph], grouping: str) -> list[Group]:
+def find_groups(
+    photographs: Sequence[Photograph], grouping: str, same_view: SameView = lambda first, second: None
+) -> list[Group]:
     """Group photographs.
 
     Args:
         photographs: any order.
-        grouping: ``auto``: consecutive photographs of one camera with different exposures and without a pause
+        grouping: ``auto``: consecutive photographs of one camera and one view with different exposures
             (by folders where headers have no exposures, and the folders hold several photographs each);
             ``folders``: each folder is a group; ``single``: each photograph is one.
+        same_view: tells by their content whether two photographs show one view; asked only where time and
+            exposures are not enough.
 
     Returns:
         Groups in the order of time and name, photographs in theirs.
@@ -53,7 +64,7 @@ def find_groups(photographs: Sequence[Photograph], grouping: str) -> list[Group]
     else:
         lists = []
         for photograph in ordered:
-            if lists and continues(lists[-1], photograph):
+            if lists and continues(lists[-1], photograph, same_view):
                 lists[-1].append(photograph)
             else:
                 lists.append([photograph])
@@ -73,20 +84,36 @@ def in_order(photographs: Iterable[Photograph]) -> list[Photograph]:
     return sorted(photographs, key=rank)
 
 
-def continues(group: Sequence[Photograph], photograph: Photograph) -> bool:
+def continues(group: Sequence[Photograph], photograph: Photograph, same_view: SameView) -> bool:
     """Whether a photograph is a further exposure of the bracket that a group has begun."""
     last = group[-1]
     if PurePath(last.path).parent != PurePath(photograph.path).parent or not _same_camera(last, photograph):
         return False
     if photograph.exposure is None or any(item.exposure is None for item in group):
         return False
-    if any(abs(stops_between(item, photograph)) < SAME_STOPS for item in group):
+    steps = [stops_between(item, photograph) for item in group]
+    if min(map(abs, steps)) < SAME_STOPS:
         return False
+    pause = None
     if last.time is not None and photograph.time is not None:
         # Clocks without fractions of seconds are up to one second off.
         pause = photograph.time - last.time - (last.shutter or 0.0)
-        return -1.0 <= pause <= GAP_SECONDS
-    return True
+        if not -1.0 <= pause <= LONGEST_SECONDS:
+            return False
+        if pause <= CERTAIN_SECONDS and min(map(abs, steps)) >= CERTAIN_STOPS:
+            return True
+    # Exposures that are near each other have most in common.
+    nearest = min(range(len(group)), key=lambda index: abs(steps[index]))
+    verdict = same_view(group[nearest], photograph)
+    if verdict is not None:
+        return verdict
+    return pause is None or pause <= GAP_SECONDS or _goes_on(group, steps[-1])
+
+
+def _goes_on(group: Sequence[Photograph], step: float) -> bool:
+    """Whether a step of exposure goes the way of those before, as the ends of a long bracket do."""
+    steps = [stops_between(first, second) for first, second in itertools.pairwise(group)]
+    return bool(steps) and all(before * step > 0.0 for before in steps)
 
 
 def stops_between(first: Photograph, second: Photograph) -> float:

@@ -107,10 +107,14 @@ def linear_frame(stored: Stored, curve: np.ndarray | None, factor: int) -> Frame
     rows = max(BAND_ROWS // factor, 1)
     for start in range(0, height, rows):
         stop = min(start + rows, height)
-        values, clipped = linear_rows(stored, curve, start * factor, stop * factor)
-        values, clipped = values[:, : width * factor], clipped[:, : width * factor]
-        frame.values[start:stop] = block_mean(values, factor)
-        frame.clipped[start:stop] = block_any(clipped, factor)
+        if stored.colors is not None and factor > max(stored.colors.shape):
+            band = stored.values[start * factor : stop * factor, : width * factor]
+            values, clipped = binned_rows(band, stored.colors, stored.ceiling, start * factor, factor)
+        else:
+            values, clipped = linear_rows(stored, curve, start * factor, stop * factor)
+            values, clipped = values[:, : width * factor], clipped[:, : width * factor]
+            values, clipped = block_mean(values, factor), block_any(clipped, factor)
+        frame.values[start:stop], frame.clipped[start:stop] = values, clipped
     return frame
 
 
@@ -165,6 +169,60 @@ def demosaiced_rows(
         high = own & (rows >= ceiling)
         clipped[..., channel] = ndimage.maximum_filter(high, 2 * radius + 1) if high.any() else False
     return values[start - first : stop - first], clipped[start - first : stop - first]
+
+
+def binned_rows(
+    mosaic: np.ndarray, colors: np.ndarray, ceiling: float, start: int, factor: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Means of a mosaic over squares larger than its pattern, of each channel's own places in the square.
+
+    Interpolating first would mix in what lies beside the square, and blur borders. Weights put the mean's
+    place into the square's middle, so that channels agree on slopes.
+
+    Args:
+        mosaic: (rows, width) values, whole squares.
+        colors: the channel of each place of the pattern.
+        ceiling: value at which pixels count as clipped.
+        start: number of the first row, for the pattern.
+        factor: edge of the squares.
+
+    Returns:
+        Values (rows, width, 3) float32, and bool (rows, width, 3): a clipped place contributes; of squares.
+    """
+    rows, columns = np.arange(start, start + len(mosaic)), np.arange(mosaic.shape[1])
+    pattern = colors[rows % colors.shape[0]][:, columns % colors.shape[1]]
+    down = _centering_weights(len(mosaic), start, colors.shape[0], factor)
+    across = _centering_weights(mosaic.shape[1], 0, colors.shape[1], factor)
+    weighted = mosaic * down[:, None] * across[None, :]
+    shape = len(mosaic) // factor, factor, mosaic.shape[1] // factor, factor
+    high = mosaic >= ceiling
+    values = np.empty((shape[0], shape[2], 3), np.float32)
+    clipped = np.empty(values.shape, bool)
+    for channel in range(3):
+        own = pattern == channel
+        total = np.where(own, weighted, np.float32(0.0)).reshape(shape).sum(axis=(1, 3))
+        values[..., channel] = total / np.float32((colors == channel).sum())
+        clipped[..., channel] = (own & high).reshape(shape).any(axis=(1, 3)) if high.any() else False
+    return values, clipped
+
+
+def _centering_weights(count: int, start: int, period: int, factor: int) -> np.ndarray:
+    """(count,) float32 weights of rows; those of a square's rows at one place of the pattern add up to 1.
+
+    Their weighted mean is the square's middle where two rows or more allow that.
+    """
+    places = np.arange(count)
+    square = places // factor
+    weights = np.empty(count)
+    for phase in range(period):
+        own = (start + places) % period == phase
+        position = (places - square * factor - 0.5 * (factor - 1))[own]  # from the square's middle
+        number = np.bincount(square[own])[square[own]]
+        mean = np.bincount(square[own], position)[square[own]] / number
+        spread = np.bincount(square[own], (position - mean) ** 2)[square[own]]
+        tilt = np.divide(mean, spread, out=np.zeros_like(mean), where=spread > 0.0)
+        weights[own] = 1.0 / number - tilt * (position - mean)
+    return weights.astype(np.float32)
 
 
 def block_mean(values: np.ndarray, factor: int) -> np.ndarray:

@@ -14,9 +14,11 @@ from ..run.errors import FiptError
 from ..run.messages import Reporter
 from .brackets import find_groups, in_order, remarks
 from .exif import describe, kind_of
+from .likeness import Likeness
 from .preparation import Group, Photograph, Preparation, PreparationFolder, write_preparation
 
 MOST_PHOTOGRAPHS = 20_000
+_HEADERS_SHARE = 0.7  # of the time; the rest compares photographs
 
 
 def key(folder: PreparationFolder, preparation: Preparation) -> Any:
@@ -48,7 +50,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
             skipped.append({"path": name, "reason": error.text})
             if error.code == "package-optional":
                 skipped[-1]["reason"] += f" {error.remedy}"
-        reporter.progress((index + 1) / len(names))
+        reporter.progress(_HEADERS_SHARE * (index + 1) / len(names))
     photographs, doubles = without_doubles(in_order(photographs))
     skipped += [
         {"path": item.path, "reason": "the RAW photograph of the same name is used"} for item in doubles
@@ -56,7 +58,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     if not photographs:
         raise _none_usable(preparation.source, skipped)
     photographs = with_entered_exposures(photographs, preparation.photographs)
-    groups = find_groups(photographs, preparation.settings.grouping)
+    groups = find_groups(photographs, preparation.settings.grouping, Likeness(preparation.source))
     _warn(reporter, skipped[: len(skipped) - len(doubles)], photographs, groups)
     write_preparation(folder, replace(preparation, photographs=tuple(photographs), groups=tuple(groups)))
     return {"skipped": skipped, "photographs": len(photographs), "groups": len(groups)}
