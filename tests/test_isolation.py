@@ -50,6 +50,7 @@ FLOORS = (
     "core.conventions",
     "core.device",
     "core.alignment",
+    "core.depth",
     "core.capture",
     "core.scene",
     "core.optics",

@@ -1,0 +1,87 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The benchmark's scanner: its noise and losses are those that it states; the capture keeps the rest."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.scan import MESH, Scanner, disturbed, link_capture, read_truth, turned, write_ply
+from fipt_blender.core.alignment.mesh_file import read_mesh
+from fipt_blender.core.depth.extraction import FusedMesh
+from fipt_blender.core.run.errors import FiptError
+
+
+def test_ranges_of_a_wall_have_the_noise_that_the_scanner_states() -> None:
+    scanner = Scanner(noise=0.004, relative_noise=0.002)
+    distance = np.full((200, 200), 3.0)
+    found = disturbed(distance, distance > 0.0, scanner, np.random.default_rng(0)) - distance
+    assert found.std() == pytest.approx(0.004 + 0.002 * 3.0, rel=0.05) and abs(found.mean()) < 2e-4
+
+
+def test_flying_pixels_lie_between_both_sides_of_a_depth_edge_and_nowhere_else() -> None:
+    distance = np.full((100, 100), 2.0)
+    distance[:, 50:] = 3.0
+    scanner = Scanner(noise=0.0, relative_noise=0.0, flying=0.5)
+    found = disturbed(distance, distance > 0.0, scanner, np.random.default_rng(0))
+    flying = (found > 2.0) & (found < 3.0)
+    assert 25 < flying[:, 50].sum() < 75
+    away = np.ones(100, bool)
+    away[[0, 50]] = False  # the first column's neighbour is the last one, as images are rolled
+    assert np.array_equal(found[:, away], distance[:, away])
+
+
+def test_what_does_not_return_is_not_measured() -> None:
+    returns = np.random.default_rng(1).random((40, 40)) < 0.5
+    found = disturbed(np.full((40, 40), 2.0), returns, Scanner(), np.random.default_rng(0))
+    assert np.array_equal(found > 0.0, returns)
+
+
+def test_a_turn_by_a_vector_keeps_the_vector() -> None:
+    vector = np.array([0.2, -0.4, 0.3])
+    rotation = turned(vector)
+    assert np.allclose(rotation @ vector, vector) and np.allclose(rotation @ rotation.T, np.eye(3))
+    assert np.degrees(np.arccos((np.trace(turned(np.array([0.0, 0.1, 0.0]))) - 1.0) / 2.0)) == pytest.approx(
+        np.degrees(0.1)
+    )
+
+
+def write_small_truth(folder: Path, first_id: int) -> None:
+    """Two triangles: the first of a dark material, the second of a textured shiny one."""
+    folder.mkdir()
+    (folder / "scene.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n")
+    emits, material = np.array([False, True]), np.array([first_id, first_id + 1])
+    np.savez(folder / "scene.npz", material=material, is_emitter=emits)
+    materials = [
+        {"id": 1, "base_color": [0.01, 0.02, 0.01], "texture": None, "roughness": 1.0},
+        {"id": 2, "base_color": [0.5, 0.5, 0.5], "texture": "a.png", "roughness": 0.1},
+    ]
+    (folder / "materials.json").write_text(json.dumps({"materials": materials}))
+
+
+@pytest.mark.parametrize("first_id", [0, 1], ids=["places in the list", "ids"])
+def test_materials_are_found_by_either_numbering(tmp_path: Path, first_id: int) -> None:
+    write_small_truth(tmp_path / "room", first_id)
+    truth = read_truth(tmp_path / "room")
+    assert truth.reflectance.tolist() == [0.02, 1.0] and truth.roughness.tolist() == [1.0, 0.1]
+    assert truth.emits.tolist() == [False, True]
+
+
+def test_a_capture_without_truth_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FiptError, match=r"scene\.obj does not exist"):
+        read_truth(tmp_path)
+
+
+def test_the_new_capture_has_all_files_but_the_true_mesh(tmp_path: Path) -> None:
+    write_small_truth(tmp_path / "room", 1)
+    (tmp_path / "room" / "train").mkdir()
+    mesh = FusedMesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32))
+    link_capture(tmp_path / "room", tmp_path / "scan")
+    write_ply(tmp_path / "scan" / MESH, mesh)
+    assert sorted(path.name for path in (tmp_path / "scan").iterdir()) == ["materials.json", MESH, "train"]
+    vertices, triangles = read_mesh(tmp_path / "scan" / MESH)
+    assert np.array_equal(vertices, np.eye(3)) and triangles.tolist() == [[0, 1, 2]]

@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Fusion of range images: the surface lies where it was measured, is welded, and open where nothing was."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fipt_blender.core.depth.extraction import FusedMesh, extract
+from fipt_blender.core.depth.range_image import RangeImage
+from fipt_blender.core.depth.volume import SIDE, BlockVolume, pack, unpack
+
+VOXEL = 0.04
+RADIUS = 0.5
+
+
+def looking(origin: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """A pose (4, 4) with OpenCV axes at `origin` that looks at `target`."""
+    forward = (target - origin) / np.linalg.norm(target - origin)
+    side = np.cross(forward, [0.3, 0.2, 0.9])
+    side /= np.linalg.norm(side)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([side, np.cross(forward, side), forward], axis=1)
+    pose[:3, 3] = origin
+    return pose
+
+
+def sphere_image(origin: np.ndarray, color: np.ndarray | None = None) -> RangeImage:
+    """What a camera at `origin` measures of a sphere around the world's origin."""
+    pose, size, focal = looking(origin, np.zeros(3)), 96, 96.0
+    y, x = np.mgrid[:size, :size] + 0.5
+    local = np.stack([(x - 48.0) / focal, (y - 48.0) / focal, np.ones_like(x)], axis=2)
+    direction = local @ pose[:3, :3].T
+    square, middle = (direction**2).sum(axis=2), direction @ origin
+    root = middle**2 - square * (origin @ origin - RADIUS**2)
+    depth = np.where(root > 0.0, (-middle - np.sqrt(np.maximum(root, 0.0))) / square, 0.0)
+    colors = None if color is None else np.broadcast_to(color, (size, size, 3)).astype(np.float32)
+    return RangeImage(depth.astype(np.float32), focal, focal, 48.0, 48.0, pose, colors)
+
+
+def around() -> np.ndarray:
+    """(14, 3) camera positions on all sides of the sphere."""
+    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T / np.sqrt(3.0)
+    return 1.5 * np.concatenate([corners, np.eye(3), -np.eye(3)])
+
+
+def fused(images: list[RangeImage], voxel: float = VOXEL) -> FusedMesh:
+    volume = BlockVolume(voxel, with_color=images[0].color is not None)
+    for image in images:
+        volume.integrate(image)
+    return extract(volume)
+
+
+def directed_edges(mesh: FusedMesh) -> np.ndarray:
+    """(3 T, 2) edges in the direction in which triangles walk along them."""
+    return np.stack([mesh.triangles, np.roll(mesh.triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
+
+
+def is_closed(mesh: FusedMesh) -> bool:
+    """Whether every edge is walked once in each direction for each pair of triangles there."""
+    edges = directed_edges(mesh)
+    there, back = (
+        np.unique(edges, axis=0, return_counts=True),
+        np.unique(edges[:, ::-1], axis=0, return_counts=True),
+    )
+    return np.array_equal(there[0], back[0]) and np.array_equal(there[1], back[1])
+
+
+def test_a_sphere_seen_from_all_sides_is_one_closed_surface_at_its_place() -> None:
+    mesh = fused([sphere_image(origin) for origin in around()])
+    radius = np.linalg.norm(mesh.vertices, axis=1)
+    # Distances along the rays of slanting views are too long where the surface is curved.
+    assert abs(radius.mean() - RADIUS) < 0.2 * VOXEL and np.abs(radius - RADIUS).max() < 0.5 * VOXEL
+    assert is_closed(mesh)
+    edges = np.unique(np.sort(directed_edges(mesh), axis=1), axis=0)
+    assert len(mesh.vertices) - len(edges) + len(mesh.triangles) == 2  # Euler
+    corners = mesh.vertices[mesh.triangles].astype(np.float64)
+    volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0
+    assert volume == pytest.approx(4.0 / 3.0 * np.pi * RADIUS**3, rel=0.03)  # positive: normals point outward
+
+
+def test_neighbouring_blocks_share_their_vertices_exactly() -> None:
+    mesh = fused([sphere_image(origin) for origin in around()])
+    assert len(np.unique(mesh.vertices, axis=0)) == len(mesh.vertices)
+
+
+def test_every_pattern_of_signs_gives_a_surface_without_gaps() -> None:
+    volume = BlockVolume(1.0)
+    volume.allocate(pack(np.array(np.meshgrid(*[np.arange(-2, 3)] * 3)).reshape(3, -1).T))
+    volume.weight[:] = 1.0
+    inner = (np.abs(unpack(volume.keys)) < 2).all(axis=1)
+    noise = np.random.default_rng(1).normal(size=volume.distance.shape)
+    volume.distance[:] = np.where(inner[:, None], noise, 1.0)
+    mesh = extract(volume)
+    assert len(mesh.triangles) > 10_000 and is_closed(mesh)
+
+
+def test_what_no_camera_sees_stays_open() -> None:
+    mesh = fused([sphere_image(np.array([0.0, 0.0, 1.5]))])
+    assert mesh.vertices[:, 2].min() > -2.0 * VOXEL and not is_closed(mesh)
+
+
+def test_a_wrong_measurement_in_the_air_is_removed_by_cameras_that_look_through_it() -> None:
+    origins = around()
+    clean = [sphere_image(origin) for origin in origins]
+    wrong = clean[0].depth.copy()
+    wrong[20:24, 40:44] = 0.6
+    flying = RangeImage(wrong, 96.0, 96.0, 48.0, 48.0, clean[0].camera_to_world)
+    alone = np.linalg.norm(fused([flying]).vertices, axis=1)
+    assert alone.max() > RADIUS + 4.0 * VOXEL
+    together = np.linalg.norm(fused([flying, *clean[:1], *clean]).vertices, axis=1)
+    assert together.max() < RADIUS + 2.0 * VOXEL
+
+
+def test_colors_are_means_of_the_views() -> None:
+    views = [sphere_image(np.array([0.0, 0.0, 1.5]), np.array([value, 0.5, 0.0])) for value in (0.2, 0.4)]
+    mesh = fused(views)
+    assert mesh.colors is not None
+    assert np.abs(mesh.colors - [0.3, 0.5, 0.0]).max() < 1e-5
+
+
+def test_nothing_measured_gives_no_surface() -> None:
+    image = RangeImage(np.zeros((8, 8), np.float32), 8.0, 8.0, 4.0, 4.0, np.eye(4))
+    mesh = fused([image])
+    assert mesh.vertices.shape == (0, 3) and mesh.triangles.shape == (0, 3)
+
+
+def test_keys_hold_positions_of_both_signs() -> None:
+    positions = np.random.default_rng(0).integers(-(1 << 19), 1 << 19, (1000, 3))
+    assert np.array_equal(unpack(pack(positions)), positions)
+    assert SIDE**3 == BlockVolume(1.0).distance.shape[1]
