@@ -52,6 +52,7 @@ FLOORS = (
     "core.alignment",
     "core.depth",
     "core.capture",
+    "core.geometry",
     "core.scene",
     "core.optics",
     "core.light",

@@ -16,6 +16,7 @@ import torch
 
 from ..capture.views import View, load_capture
 from ..device.variant import torch_device
+from ..geometry.stored import prepare_geometry
 from ..light.baking import ShadingStore, open_shadings
 from ..light.cache import pool
 from ..light.emitters import EmitterPixels, Fixture, emitter_table, group_fixtures
@@ -95,6 +96,7 @@ class EstimationState:
         self.workers = workers or LocalWorkers()
         self.device = torch.device(torch_device())
         self.capture = load_capture(folder)
+        prepare_geometry(folder, settings.clean_scan)
         self.room = load_room(folder)
         if not self.capture.train:
             raise FiptError("views-none", "The capture has no training views.", "Add photographs.")

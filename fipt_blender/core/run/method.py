@@ -15,7 +15,10 @@ from pathlib import Path
 
 _CORE = Path(__file__).resolve().parent.parent
 # The rooms whose code determines the results of an estimation; the others only start, watch or show it.
-ROOMS = ("capture", "scene", "optics", "light", "views", "material", "estimate", "textures", "conventions.py")
+ROOMS = (
+    *("capture", "geometry", "scene", "optics", "light", "views", "material", "estimate", "textures"),
+    "conventions.py",
+)
 
 
 @cache

@@ -38,6 +38,7 @@ class RunFolder:
         self.images = self.root / "images"
         self.room_npz = self.root / "room.npz"
         self.room_json = self.root / "room.json"
+        self.geometry_npz = self.root / "geometry.npz"
         self.stage = self.root / "stage"
         self.results = self.root / "results"
         self.fields_npz = self.results / "fields.npz"

@@ -48,6 +48,12 @@ class Settings:
         True, "correct photographs whose exposure differs from the others' (not in the paper)", PIXELS
     )
 
+    clean_scan: bool = _setting(
+        True,
+        "work on a cleaned copy of a scanned mesh; exact meshes stay as they are (not in the paper)",
+        PIXELS,
+    )
+
     masking: str = _setting(
         "schlick", "G of the BRDF: schlick as in the authors' code, smith as in Cycles", SHADINGS
     )

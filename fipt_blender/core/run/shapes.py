@@ -171,6 +171,13 @@ ROOM_ARRAYS: dict[str, Layout] = {
     "triangle_material": ("i", ("T",)),
     "triangle_polygon": ("i", ("T",)),
 }
+GEOMETRY_ARRAYS: dict[str, Layout] = {
+    "vertices": ("f", ("V", 3)),
+    "corner_normals": ("f", ("T", 3, 3)),
+    "plane": ("i", ("T",)),
+    "noise": ("f", ()),
+    "source": ("i", (32,)),
+}
 ATLAS_ARRAYS: dict[str, Layout] = {"corner_uv": ("f", ("T", 3, 2)), "triangle_image": ("i", ("T",))}
 CORNER_FIELDS_ARRAYS: dict[str, Layout] = {
     "base_color": ("f", ("T", 3, 3)),

@@ -103,11 +103,12 @@ class Scan:
     cross: np.ndarray
 
 
-def find_scan(vertices: np.ndarray, triangles: np.ndarray) -> Scan | None:
+def find_scan(vertices: np.ndarray, triangles: np.ndarray, cleaned: bool = False) -> Scan | None:
     """The surface of a mesh that is a scan, None for a modelled mesh.
 
     Args:
         vertices: (V, 3) metres. triangles: (T, 3) int.
+        cleaned: the mesh is a scan that is no longer rough.
     """
     places = np.asarray(vertices, np.float64)
     corners = places[triangles]
@@ -116,7 +117,7 @@ def find_scan(vertices: np.ndarray, triangles: np.ndarray) -> Scan | None:
     of_welded = np.zeros((int(welded.max(initial=-1)) + 1, 3))
     of_welded[welded] = places
     adjacency = find_adjacency(of_welded, welded[triangles])
-    if not is_scan(adjacency, cross):
+    if not cleaned and not is_scan(adjacency, cross):
         return None
     return Scan(adjacency, corners.mean(axis=1), cross)
 

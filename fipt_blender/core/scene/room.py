@@ -16,10 +16,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..geometry.stored import stored_geometry
 from ..run.errors import FiptError
 from ..run.run_files import read_room_files
 from ..run.runfolder import RunFolder
 from .adjacency import Scan, find_scan
+
+# Distance at which rays start above a scan, in units of its noise.
+OFFSET_NOISE = 2.0
 
 
 @dataclass  # not frozen: Dr.Jit's loops write their state back to it
@@ -67,6 +71,8 @@ class Room:
         objects: object names.
         materials: material names.
         parts: source of part ids: auto, masks, semantics, materials, objects, loose or none.
+        noise: standard deviation of a scan's distance from its smooth fit, metres; 0 for an exact mesh.
+        plane: (T,) int32 plane of each triangle of a scan, -1 without one; None for an exact mesh.
     """
 
     vertices: np.ndarray
@@ -77,6 +83,8 @@ class Room:
     objects: tuple[str, ...] = ()
     materials: tuple[str, ...] = ()
     parts: str = "masks"
+    noise: float = 0.0
+    plane: np.ndarray | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """Without the cached Mitsuba objects, which belong to one process."""
@@ -96,7 +104,7 @@ class Room:
     @cached_property
     def scan(self) -> Scan | None:
         """The surface of a scanned mesh, None for a modelled one; takes seconds for a million triangles."""
-        return find_scan(self.vertices, self.triangles)
+        return find_scan(self.vertices, self.triangles, cleaned=self.noise > 0.0)
 
     @cached_property
     def scene(self) -> mi.Scene:
@@ -151,9 +159,12 @@ class Room:
 
     @cached_property
     def offset(self) -> float:
-        """Distance in metres by which secondary rays start above a surface (5e-5 of the room's diagonal)."""
+        """Distance in metres by which secondary rays start above a surface.
+
+        5e-5 of the room's diagonal; on a scan more, so that rays do not hit the bump beside them.
+        """
         low, high = self.bounds
-        return float(5e-5 * np.linalg.norm(high - low))
+        return max(float(5e-5 * np.linalg.norm(high - low)), OFFSET_NOISE * self.noise)
 
 
 def triangle_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -170,7 +181,7 @@ def _edge_cross(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def load_room(run: RunFolder) -> Room:
-    """Read room.npz and room.json.
+    """Read room.npz, room.json and, where the mesh is a scan that was cleaned, geometry.npz.
 
     Raises:
         FiptError: ``mesh-missing``, ``mesh-damaged``, ``mesh-empty``, ``file-missing`` or ``file-damaged``.
@@ -178,8 +189,13 @@ def load_room(run: RunFolder) -> Room:
     if not run.room_npz.exists():
         raise FiptError("mesh-missing", f"{run.room_npz} does not exist.", "Export the room's mesh first.")
     arrays, names = read_room_files(run, "mesh-damaged")
+    scan = stored_geometry(run, arrays)
+    if scan is not None:
+        arrays |= {"vertices": scan.vertices, "corner_normals": scan.corner_normals}
     room = Room(
         **{name: np.asarray(arrays[name], kind) for name, kind in _ARRAYS.items()},
+        noise=scan.noise if scan else 0.0,
+        plane=scan.plane.astype(np.int32) if scan else None,
         objects=tuple(names["objects"]),
         materials=tuple(names["materials"]),
         parts=names.get("parts", "masks"),

@@ -18,6 +18,7 @@ import numpy as np
 
 from ..capture.views import load_capture
 from ..device.variant import set_variant
+from ..geometry.stored import stored_geometry
 from ..run.messages import Reporter
 from ..run.run_files import read_atlas, read_room_files
 from ..run.runfolder import RunFolder, atomic_path, write_json
@@ -91,7 +92,8 @@ def bake(
     """
     room, _ = read_room_files(folder)
     atlas, arrays = read_atlas(folder, len(room["triangles"]))
-    corners = room["vertices"][room["triangles"]]
+    scan = stored_geometry(folder, room)
+    corners = (scan.vertices if scan else room["vertices"])[room["triangles"]]
     if atlas["mode"] == "color_attribute":
         return [_bake_corners(folder, fields, corners, progress)]
     entries = atlas["images"]

@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Neighbours in triangle meshes: triangles that share an edge, vertices that an edge connects, and the
+triangles around each vertex.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_array
+
+NONE = -1
+# Vertices closer than this share of the mesh's extent are one.
+_WELD = 1e-6
+_BITS = 21  # of each coordinate in a packed position
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A triangle mesh whose coincident vertices are one.
+
+    Attributes:
+        vertices: (V, 3) float64, metres.
+        triangles: (T, 3) int64.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+
+    @cached_property
+    def neighbours(self) -> np.ndarray:
+        """(T, 3) int64 triangle on the other side of each edge (from corner i to corner i + 1).
+
+        NONE at open edges, and where more than two triangles meet.
+        """
+        first, second = self.triangles, np.roll(self.triangles, -1, axis=1)
+        count = len(self.vertices)
+        key = (np.minimum(first, second) * count + np.maximum(first, second)).reshape(-1)
+        order = np.argsort(key, kind="stable")
+        ordered = key[order]
+        change = np.concatenate([[True], ordered[1:] != ordered[:-1], [True]])
+        start = np.flatnonzero(change)
+        pairs = start[:-1][np.diff(start) == 2]
+        one, other = order[pairs], order[pairs + 1]
+        result = np.full(len(key), NONE, np.int64)
+        result[one], result[other] = other // 3, one // 3
+        return result.reshape(-1, 3)
+
+    @cached_property
+    def dual_edges(self) -> np.ndarray:
+        """(E, 2) int64 pairs of triangles that share an edge, each pair once."""
+        triangle = np.repeat(np.arange(len(self.triangles)), 3)
+        other = self.neighbours.reshape(-1)
+        once = other > triangle
+        return np.stack([triangle[once], other[once]], axis=1)
+
+    @cached_property
+    def around(self) -> csr_array:
+        """(V, T) sparse float32: 1 where a triangle has the vertex as a corner."""
+        rows = self.triangles.reshape(-1)
+        columns = np.repeat(np.arange(len(self.triangles)), 3)
+        shape = len(self.vertices), len(self.triangles)
+        return csr_array((np.ones(len(rows), np.float32), (rows, columns)), shape)
+
+    @cached_property
+    def ring(self) -> csr_array:
+        """(V, V) sparse float64: rows of equal weights with the sum 1 on the vertices that edges connect."""
+        first, second = self.triangles.reshape(-1), np.roll(self.triangles, -1, axis=1).reshape(-1)
+        rows, columns = np.concatenate([first, second]), np.concatenate([second, first])
+        count = len(self.vertices)
+        graph = csr_array((np.ones(len(rows)), (rows, columns)), (count, count))
+        graph.sum_duplicates()
+        degree = np.diff(graph.indptr)
+        graph.data = np.repeat(1.0 / np.maximum(degree, 1), degree)
+        return graph
+
+
+def make_mesh(vertices: np.ndarray, triangles: np.ndarray) -> tuple[Mesh, np.ndarray]:
+    """The mesh with coincident vertices welded, and (V,) int64 the welded vertex of each.
+
+    Args:
+        vertices: (V, 3) floats.
+        triangles: (T, 3) int.
+    """
+    low = vertices.min(axis=0).astype(np.float64)
+    extent = float(np.ptp(vertices, axis=0).max(initial=0.0)) or 1.0
+    cell = np.round((vertices - low) / (_WELD * extent)).astype(np.int64)
+    key = (cell[:, 0] << 2 * _BITS) | (cell[:, 1] << _BITS) | cell[:, 2]
+    _, first, welded = np.unique(key, return_index=True, return_inverse=True)
+    welded = welded.reshape(-1)
+    return Mesh(vertices[first].astype(np.float64), welded[triangles]), welded
+
+
+def face_vectors(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(T, 3) float64 unit normals, (0, 0, 1) for triangles without area, and (T,) areas."""
+    a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
+    cross = np.cross(b - a, c - a)
+    length = np.linalg.norm(cross, axis=1)
+    flat = length <= 1e-30
+    normals = cross / np.where(flat, 1.0, length)[:, None]
+    normals[flat] = (0.0, 0.0, 1.0)
+    return normals, 0.5 * length
+
+
+def unit(vectors: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+    """Vectors (N, 3) scaled to length 1; those of no length become `otherwise` (N, 3)."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.where(length > 1e-12, vectors / np.maximum(length, 1e-12), otherwise)
