@@ -290,7 +290,9 @@ def _load_raw(path: Path) -> Stored:
             np.arange(mosaic.shape[0]) % len(colors), np.arange(mosaic.shape[1]) % colors.shape[1]
         )
         span = np.float32(white - below.mean())
-        values = (mosaic - below[places]) / span
+        values = mosaic.astype(np.float32)
+        values -= below[places]
+        values /= span
     channels = np.where(colors == 3, 1, colors)  # the second green
     return Stored(values, channels, find_ceiling(values), float(values.max()), balance, matrix)
 

@@ -27,7 +27,7 @@ from .calibration import (
     survey_group,
     with_correction,
 )
-from .frames import Stored, common_ceiling, linear_frame, load, upright
+from .frames import Frame, Stored, common_ceiling, linear_frame, load, upright
 from .lens import vignetting
 from .merging import Noise, code_noise, in_rec709, merge_group, resized, sensor_noise
 from .preparation import Group, Photograph, Preparation, PreparationFolder
@@ -227,14 +227,10 @@ def _merged_group(
     exposures = [(item.exposure or 1.0) / calibration.scale for item in items]
     curve = calibration.curve if items[0].kind == "ldr" else None
     factor = _factor(items[0], preparation.settings.working_width)
-    frames = []
-    for item in items:
-        stored = load(preparation.file(item), item)
-        stored = replace(stored, ceiling=calibration.ceiling) if item.kind == "raw" else stored
-        frames.append(linear_frame(stored, curve, factor))
+    frames = [_frame(preparation, item, calibration.ceiling, curve, factor) for item in items]
     motions = [survey.motions[index] for index in kept]
     radiance, clipped, moved = merge_group(frames, exposures, motions, calibration.noise[items[0].kind])
-    del frames, stored  # of 24 megapixels each, they are most of the memory
+    del frames  # of 24 megapixels each, they are most of the memory
     if items[0].kind == "raw":
         radiance = in_rec709(radiance, clipped, calibration.balance, calibration.matrix)
     if preparation.settings.vignetting == "auto" and items[0].kind != "linear":
@@ -258,6 +254,14 @@ def _merged_group(
     }
     write_json(note, {"key": digest, "facts": facts})
     return facts
+
+
+def _frame(
+    preparation: Preparation, item: Photograph, ceiling: float, curve: np.ndarray | None, factor: int
+) -> Frame:
+    """One exposure at the size at which it is merged; what is stored of it is not kept."""
+    stored = load(preparation.file(item), item)
+    return linear_frame(replace(stored, ceiling=ceiling) if item.kind == "raw" else stored, curve, factor)
 
 
 def _factor(photograph: Photograph, side: int) -> int:

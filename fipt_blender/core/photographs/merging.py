@@ -261,7 +261,7 @@ def _band(frame: Frame, motion: Motion, start: int, stop: int) -> tuple[np.ndarr
     if motion == Motion():
         return frame.values[start:stop].astype(np.float32), frame.clipped[start:stop]
     values = warped(frame.values, motion, start, stop)
-    flags = warped(frame.clipped.astype(np.float16), motion, start, stop)
+    flags = warped(frame.clipped, motion, start, stop)
     return values, ~(flags <= 0.0)
 
 
