@@ -180,6 +180,8 @@ def _draw_active(
     elif view.checked:
         text = iface_("{}: {:.0f}% of the pixels show the room, {:.1f}% look overexposed")
         text = text.format(view.name, 100.0 * view.room_share, 100.0 * view.clipped_share)
+        if view.misfit >= 0.0:
+            text += iface_(", the mesh is {:.1f} pixels off").format(view.misfit)
         draw_text(layout, context, text, icon="CHECKMARK")
 
 
@@ -190,6 +192,9 @@ def _draw_survey(
     if settings.warning_count:
         text = iface_("{} ticked views have warnings").format(settings.warning_count)
         layout.label(text=text, icon="ERROR", translate=False)
+    if settings.misfit >= 0.0:
+        text = iface_("The mesh is {:.1f} pixels off in the median view").format(settings.misfit)
+        draw_text(layout, context, text, icon="INFO")
     shown = shown_colors(context.scene) == "coverage"
     text = iface_("{:.0f}% of the room's surface is not seen by any ticked view").format(
         100.0 * settings.unseen_share

@@ -101,6 +101,10 @@ class FIPT_CaptureView(bpy.types.PropertyGroup):
     image_missing: bpy.props.BoolProperty(description="Whether the photograph's file is missing")
     room_share: bpy.props.FloatProperty(description="Share of the pixels that show the room")
     clipped_share: bpy.props.FloatProperty(description="Share of the pixels that look overexposed")
+    misfit: bpy.props.FloatProperty(
+        description="Pixels between the edges of the mesh and of the photograph; negative if unknown",
+        default=-1.0,
+    )
     warning: bpy.props.StringProperty(description="Problem with the view; empty if there is none")
 
     def camera_object(self) -> bpy.types.Object | None:
@@ -213,6 +217,9 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
     train_count: bpy.props.IntProperty(description="Number of ticked views for estimation")
     held_back_count: bpy.props.IntProperty(description="Number of ticked views that are held back")
     warning_count: bpy.props.IntProperty(description="Number of ticked views with a warning")
+    misfit: bpy.props.FloatProperty(
+        description="Median of the views' misfits in pixels; negative if unknown", default=-1.0
+    )
     unseen_share: bpy.props.FloatProperty(
         description="Share of the room's surface that no ticked view sees; negative before a check",
         default=-1.0,

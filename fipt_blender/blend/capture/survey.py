@@ -123,6 +123,10 @@ def take_survey(scene: bpy.types.Scene, run: RunFolder) -> None:
         view.image_missing = bool(entry and entry["image_missing"])
         view.room_share = entry["room_share"] if entry else 0.0
         view.clipped_share = entry["clipped_share"] if entry else 0.0
+        misfit = entry.get("misfit") if entry else None
+        view.misfit = -1.0 if misfit is None else misfit
+    known = [view.misfit for view in settings.views if view.misfit >= 0.0]
+    settings.misfit = float(np.median(known)) if known else -1.0
     settings.unseen_share = 0.0
     settings.count_views()
     parts = scene.fipt.parts

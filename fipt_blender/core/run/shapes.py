@@ -153,7 +153,8 @@ SURVEY = Fields(
                     **dict.fromkeys(("name", "warning"), str),
                     "image_missing": bool,
                     **dict.fromkeys(("room_share", "clipped_share"), Number()),
-                }
+                },
+                {"misfit": Maybe(_NOT_NEGATIVE)},
             )
         ),
         "parts": Fields({"auto": str, "counts": Entries(Number(low=0, whole=True))}),

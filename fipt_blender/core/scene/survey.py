@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,10 +21,14 @@ from ..run.errors import FiptError
 from ..run.messages import Reporter
 from ..run.runfolder import RunFolder, atomic_path, write_json
 
+if TYPE_CHECKING:
+    from .room import Room
+
 SURVEY_FORMAT = "fipt-survey"
 SURVEY_VERSION = 1
 LITTLE_SEEN = 0.5  # share of a photograph's pixels that see the room
 MUCH_CLIPPED = 0.002  # share of a photograph's pixels
+MUCH_OFF = 2.0  # pixels between the edges of mesh and photograph; chance gives up to 1.5 in a poor view
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,7 +61,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         coverage = view_coverage(room, view)
         seen[index] = coverage.seen
         in_sight |= coverage.in_sight
-        facts = {"name": view.name, "room_share": coverage.room_share, **photograph_facts(view)}
+        facts = {"name": view.name, "room_share": coverage.room_share, **photograph_facts(view, room)}
         entries.append({**facts, "warning": view_warning(facts)})
         reporter.progress((index + 1) / len(capture.views))
 
@@ -93,9 +97,14 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     reporter.done([str(folder.root / name) for name in ("survey.json", "survey.npz")])
 
 
-def photograph_facts(view: View) -> dict[str, Any]:
-    """Whether the photograph is missing or unusable, its over-exposed share, and whether it looks 8-bit."""
-    facts = {"image_missing": False, "image_problem": "", "clipped_share": 0.0, "looks_ldr": False}
+def photograph_facts(view: View, room: Room) -> dict[str, Any]:
+    """Whether the photograph is missing or unusable, its over-exposed share, whether it looks 8-bit, and how
+    many pixels the mesh's edges are off its own, None where that can't be told.
+    """
+    from .misfit import view_misfit
+
+    facts: dict[str, Any] = {"image_missing": False, "image_problem": "", "clipped_share": 0.0}
+    facts |= {"looks_ldr": False, "misfit": None, "much_off": False}
     try:
         pixels = read_radiance(view.image)
         if pixels.shape[:2] != (view.height, view.width):
@@ -106,7 +115,12 @@ def photograph_facts(view: View) -> dict[str, Any]:
         missing = error.code == "image-missing"
         return facts | {"image_missing": missing, "image_problem": "" if missing else error.text}
     looks_ldr = statistics.looks_ldr or view.encoded
-    return facts | {"clipped_share": statistics.clipped, "looks_ldr": looks_ldr}
+    facts |= {"clipped_share": statistics.clipped, "looks_ldr": looks_ldr}
+    found = view_misfit(room, view, pixels)
+    if found is None:
+        return facts
+    fit, factor = found
+    return facts | {"misfit": round(fit.misfit * factor, 2), "much_off": fit.misfit > MUCH_OFF}
 
 
 def view_warning(facts: dict[str, Any]) -> str:
@@ -123,6 +137,8 @@ def view_warning(facts: dict[str, Any]) -> str:
         return "sees nothing of the room"
     if facts["room_share"] < LITTLE_SEEN:
         return f"sees the room in only {100.0 * facts['room_share']:.0f} % of its pixels"
+    if facts["much_off"]:
+        return f"the mesh is {facts['misfit']:.1f} pixels off in this view"
     if facts["looks_ldr"]:
         return "looks like an 8-bit photograph, without the true radiance of lamps"
     if facts["clipped_share"] > MUCH_CLIPPED:

@@ -1,0 +1,72 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How many pixels the mesh is off in a view: its edges, traced with subpixels, against the photograph's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..alignment.edges import EdgeFit, MeshEdges, fit_edges, mesh_edges
+from ..capture.views import View
+from .camera_rays import trace_pixels
+from .room import Room
+
+TRACED = 960  # pixels along the longer side that are traced at least, and at most twice as many
+COMPARED = 1280  # pixels along the longer side of the photograph that is compared, at most
+_SEED = 0
+
+
+def view_misfit(room: Room, view: View, pixels: np.ndarray) -> tuple[EdgeFit, int] | None:
+    """Compare the mesh's edges with those of a photograph; None without a verdict.
+
+    Args:
+        room: the mesh.
+        view: the camera.
+        pixels: (H, W, 3) radiance of its photograph.
+
+    Returns:
+        The fit in pixels of the photograph made smaller by a whole factor, and this factor.
+    """
+    factor = -(-max(view.width, view.height) // COMPARED)
+    height, width = view.height // factor, view.width // factor
+    gray = pixels[: height * factor, : width * factor].mean(axis=2, dtype=np.float64)
+    gray = np.maximum(gray.reshape(height, factor, width, factor).mean(axis=(1, 3)), 0.0)
+    lit = gray[gray > 0.0]
+    if not lit.size:
+        return None
+    image = np.log(gray + 1e-2 * float(np.median(lit)))
+    intrinsics = np.diag([1.0 / factor, 1.0 / factor, 1.0]) @ view.intrinsics
+    fit = fit_edges(image, view_edges(room, view).over(factor), intrinsics)
+    return None if fit is None else (fit, factor)
+
+
+def view_edges(room: Room, view: View) -> MeshEdges:
+    """The mesh's edges in a view, in pixels of its photograph."""
+    scale: float = max(round(TRACED / max(view.width, view.height)), 1)
+    if max(view.width, view.height) > 2 * TRACED:
+        scale = TRACED / max(view.width, view.height)
+    width, height = round(view.width * scale), round(view.height * scale)
+    x, y = width / view.width, height / view.height
+    finer = replace(
+        view, width=width, height=height, fx=view.fx * x, fy=view.fy * y, cx=view.cx * x, cy=view.cy * y
+    )
+    surface = trace_pixels(room, finer)
+    valid = np.array(surface.valid, bool)
+    position, normal = (
+        np.array(values).T.astype(np.float64) for values in (surface.position, surface.normal)
+    )
+    pose = np.asarray(view.camera_to_world, np.float64)
+    points = np.where(
+        valid[:, None], (np.where(valid[:, None], position, 0.0) - pose[:3, 3]) @ pose[:3, :3], 0.0
+    )
+    normals = np.where(valid[:, None], normal @ pose[:3, :3], 0.0)
+    shape = (height, width)
+    edges = mesh_edges(
+        points.reshape(*shape, 3),
+        normals.reshape(*shape, 3),
+        valid.reshape(shape),
+        np.random.default_rng(_SEED),
+    )
+    return edges.over(x)
