@@ -62,7 +62,7 @@ def test_zip_is_the_extension_and_reproducible(dev: ModuleType, tmp_path: Path) 
         written = json.loads(archive.read(pins.PINS_NAME))
     groups = pins.read_pins()
     assert written == {name: groups[name] for name in ("engine", "llvm", "pip", "lock")}
-    assert first.stat().st_size < 2e6, "the heavy packages live in the engine's environment"
+    assert first.stat().st_size < 4e6, "the heavy packages live in the engine's environment"
     assert first.name == f"fipt_blender-{manifest['version']}.zip"
     assert {"__init__.py", "__main__.py", "LICENSE", "core/__main__.py", "cli.py"} <= set(names)
     assert names == sorted(names)

@@ -77,6 +77,7 @@ class FIPT_PT_capture(Section, bpy.types.Panel):
             if not settings.path:
                 text = "Select the folder that contains your HDR photographs and their solved cameras."
                 draw_text(layout, context, text, icon="INFO")
+                layout.operator("fipt.try_example", icon="HOME")
         _draw_import(layout, context)
 
 

@@ -1,0 +1,113 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From an empty panel to an estimated room in one click: a small capture that comes with the extension."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bpy
+
+from .. import machine
+from ..core.run.runfolder import RunFolder, explained_write_errors
+from ..jobs import running
+from . import estimate, materials
+from .job_operator import JobOperator
+from .polls import in_object_mode
+
+if TYPE_CHECKING:
+    from ..bridge.process import Message
+    from ..bridge.sequence import Job
+    from ..bridge.step import Slices
+
+NAME = "Example Room"
+FOLDER = "example"  # of the package, and of the data folder that gets its copy
+
+
+class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
+    """Import a small room, estimate it and apply the results, in a scene of its own; takes about a minute"""
+
+    bl_idname = "fipt.try_example"
+    bl_label = "Try the Example"
+    bl_options = {"REGISTER", "UNDO"}
+    title = "Example"
+    kind = "capture"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.scene.fipt.capture.views:
+            cls.poll_message_set("The scene has a capture already. Use a new scene")
+            return False
+        return in_object_mode(cls, context) and super().poll(context)
+
+    def _begin(self, context: bpy.types.Context, wait: bool) -> running.RunningJob:
+        machine.engine_python()  # raises before anything is created
+        if context.scene.objects and context.window is not None:
+            context.window.scene = bpy.data.scenes.new(NAME)
+        return super()._begin(context, wait)
+
+    def make_job(self, context: bpy.types.Context) -> Job:
+        from ..bridge.step import Step
+        from ..jobs.options import CaptureOptions, ingest_arguments
+        from ..jobs.run_job import open_job
+
+        scene = context.scene
+        path = copy_example(machine.data_folder())
+        scene.fipt.capture.path = str(path)
+        scene.fipt.estimate.preset = "draft"
+        settings = estimate.scene_settings(scene)
+        run = RunFolder(machine.new_run_folder(NAME))
+        run.create(settings)
+        scene.fipt.run_folder = str(run.root)
+
+        def add_to_scene() -> Slices[list[Message]]:
+            from ..blend.capture.importing import import_capture
+
+            return import_capture(run, str(path))
+
+        steps = [
+            Step(
+                "ingest",
+                "Reading the example",
+                2.0,
+                command=["ingest", str(path), str(run.root), *ingest_arguments(CaptureOptions())],
+                outputs=[run.ingest_json],
+            ),
+            Step("import", "Adding cameras and mesh", 1.0, function=add_to_scene),
+            *estimate.make_steps(run, settings, resume=False),
+            *materials.make_steps(scene.name, run, settings),
+        ]
+        return open_job(run, steps, record="example.json")
+
+    @staticmethod
+    def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
+        """Show the estimated room as the first view sees it."""
+        from ..blend.capture.cameras import use_view
+        from ..blend.capture.look import enter_camera, view_spaces
+        from ..blend.results.scene_state import finish
+
+        finish(scene, run)
+        use_view(scene, scene.fipt.capture.views[0].camera_object())
+        enter_camera(bpy.context, scene)
+        for space in view_spaces(bpy.context, scene):
+            space.shading.type = "RENDERED"
+
+
+def copy_example(data: Path) -> Path:
+    """Copy the example to the data folder, since upgrades of the extension delete its own; returns its place.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    import shutil
+
+    from ..bridge.places import PACKAGE_FOLDER
+
+    target = data / FOLDER
+    with explained_write_errors(target):
+        shutil.copytree(PACKAGE_FOLDER / FOLDER, target, dirs_exist_ok=True)
+    return target
+
+
+CLASSES = (FIPT_OT_try_example,)

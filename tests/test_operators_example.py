@@ -1,0 +1,62 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Try the Example: one click to a room with estimated materials, with the real engine at quick settings."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import bpy
+import pytest
+
+from fipt_blender import machine
+from fipt_blender.bridge.places import PACKAGE_FOLDER
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.settings import make_settings
+from fipt_blender.operators import estimate
+from fipt_blender.operators.example import copy_example
+from samples.small_captures import QUICK
+
+pytestmark = pytest.mark.usefixtures("registered")
+
+
+@pytest.fixture
+def data(tmp_path, monkeypatch) -> Path:
+    """The data folder."""
+    folder = tmp_path / "data"
+    monkeypatch.setattr(machine.DEFAULTS, "data_folder", str(folder))
+    monkeypatch.setattr(machine.DEFAULTS, "device", "llvm")
+    return folder
+
+
+def test_the_example_is_copied_and_repaired(tmp_path):
+    first = copy_example(tmp_path)
+    (first / "scene.obj").write_text("damaged")
+    shutil.rmtree(first / "val")
+    again = copy_example(tmp_path)
+    assert again == first
+    names = {path.relative_to(PACKAGE_FOLDER / "example") for path in (PACKAGE_FOLDER / "example").rglob("*")}
+    assert names == {path.relative_to(first) for path in first.rglob("*")}
+    assert (first / "scene.obj").stat().st_size > 1e6
+
+
+def test_a_data_folder_that_cannot_be_written_is_told(tmp_path):
+    (tmp_path / "example").write_text("a file is in the way")
+    with pytest.raises(FiptError):
+        copy_example(tmp_path)
+
+
+def test_one_click_estimates_the_room_in_a_scene_of_its_own(data, monkeypatch):
+    changes = {**QUICK, "training_steps": 20, "texture_size": 256, "texel_density": 10.0}
+    monkeypatch.setattr(estimate, "scene_settings", lambda scene: make_settings("draft", changes))
+    own = bpy.context.scene
+    own.collection.objects.link(bpy.data.objects.new("Cube", bpy.data.meshes.new("Cube")))
+    assert bpy.ops.fipt.try_example() == {"FINISHED"}
+    scene = bpy.data.scenes["Example Room"]
+    assert [each.name for each in own.objects] == ["Cube"] and not own.fipt.run_folder
+    assert len(scene.fipt.capture.views) == 22 and scene.fipt.capture.held_back_count == 2
+    assert scene.camera.name == scene.fipt.capture.views[0].camera
+    assert scene.fipt.materials.object_count == 42 and len(scene.fipt.lights.lights) >= 1
+    with bpy.context.temp_override(scene=scene):
+        assert not bpy.ops.fipt.try_example.poll()
