@@ -10,6 +10,7 @@ import torch
 
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.light.baking import ShadingStore
+from fipt_blender.core.light.emitter_surfaces import emitter_surfaces
 from fipt_blender.core.light.evidence import (
     extend_to_components,
     find_emission,
@@ -20,6 +21,7 @@ from fipt_blender.core.light.evidence import (
 )
 from fipt_blender.core.material.losses import factorised_rendering
 from fipt_blender.core.material.networks import Prediction
+from fipt_blender.core.scene.labels import Parts
 from fipt_blender.core.scene.pixels import NO_TRIANGLE, PixelStore, open_pixels
 from samples.small_rooms import make_room
 
@@ -68,6 +70,7 @@ def emission(
         np.isin(ids, marked),
         np.isin(ids, constant),
         lambda rows: np.full((len(rows), 3), estimate),
+        emitter_surfaces(ROOM, Parts(ids, "none"), 0.01),
     )
     return np.flatnonzero(found).tolist()
 

@@ -14,12 +14,12 @@ from fipt_blender.core.material.groups import (
     NO_GROUP,
     color_class,
     material_groups,
-    numbered,
     part_units,
     piece_units,
     similarity,
 )
 from fipt_blender.core.material.training_input import training_input
+from fipt_blender.core.scene.grouped import numbered
 from fipt_blender.core.scene.labels import NO_PART, Parts
 from samples.panel_pixels import ROOM, SETTINGS, make_pixels
 

@@ -32,7 +32,6 @@ from ..light.shadings import SampleCounts
 from ..material.cell_errors import cell_errors
 from ..material.closed_form import MARKED_SHARE, CellEstimate, fit_cells, render_rows, triangle_emission
 from ..material.emission_mask import EmissionNetwork, mask_at, masked_triangles
-from ..material.groups import numbered
 from ..material.networks import typical_values, useful_hash_levels
 from ..material.pixel_samples import lamp_pixels
 from ..material.projection import InitialEstimate
@@ -55,6 +54,7 @@ from ..run.runfolder import explained_write_errors, write_json
 from ..run.settings import Settings
 from ..scene.disagreement import doubt_pixels
 from ..scene.fragments import SUBPIXELS
+from ..scene.grouped import numbered
 from ..scene.mixed_pixels import mark_pure
 from ..scene.pixels import fill_pixels, open_pixels
 from ..scene.unmixing import unmix_pixels
@@ -293,7 +293,8 @@ class Estimation(EstimationState):
     ) -> np.ndarray:
         """(T,) bool, triangles that emit; those of `constant` ((T,) bool) do in any case."""
         estimate = partial(render_rows, cells, self.observations, data)
-        return find_emission(self.room, self.pixels, self._open_shadings(), marked, constant, estimate)
+        shadings, surfaces = self._open_shadings(), self._emitter_surfaces
+        return find_emission(self.room, self.pixels, shadings, marked, constant, estimate, surfaces)
 
     def _resume_estimate(self, index: int) -> None:
         # Emitters are read, not found anew: the shadings they were found with may have been refined since.

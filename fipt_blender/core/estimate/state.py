@@ -19,6 +19,7 @@ from ..device.variant import torch_device
 from ..geometry.stored import prepare_geometry
 from ..light.baking import ShadingStore, open_shadings
 from ..light.cache import pool
+from ..light.emitter_surfaces import EmitterSurfaces, emitter_surfaces
 from ..light.emitters import EmitterPixels, Fixture, emitter_table, group_fixtures
 from ..light.joint import joint_fixtures
 from ..light.observations import Observations
@@ -236,7 +237,8 @@ class EstimationState:
         if len(self.emission):
             self.fixtures = joint_fixtures(self.room, self.emission, self.settings.joint_threshold)
         else:
-            self.fixtures = group_fixtures(self.room, emitting, EmitterPixels.of(self.pixels))
+            surface = self.parts.triangle_part if self.parts.kind == "part" else None
+            self.fixtures = group_fixtures(self.room, emitting, EmitterPixels.of(self.pixels), surface)
 
     def _emitters(self) -> tuple[EmitterTable, np.ndarray]:
         """The fixtures as a table of triangles, and the triangles that emit, (T,) bool."""
@@ -251,6 +253,11 @@ class EstimationState:
     def _room_fields(self, errors: np.ndarray | None = None) -> RoomFields:
         """The estimate on all surfaces; with `errors` (:func:`cell_errors`) shrunk towards its units."""
         return RoomFields(self._fields(), self.units, self.cells, errors)
+
+    @cached_property
+    def _emitter_surfaces(self) -> EmitterSurfaces:
+        """What emits as a whole."""
+        return emitter_surfaces(self.room, self.parts, self.observations.footprint)
 
     @cached_property
     def _places(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -8,16 +8,17 @@ of paper Eq. 13). Connected triangles of similar radiance form a fixture.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..optics.lights import LUMINANCE, EmitterTable
-from ..scene.adjacency import weld
+from ..scene.adjacency import Scan, weld
 from ..scene.components import graph_components
 from ..scene.grouped import grouped_weighted_median
 from ..scene.pixels import PixelStore
 from ..scene.room import Room
+from .scan_fixtures import scan_groups, seen_sides, shining_sides
 
 # A side of a fixture emits if its luminance is at least this share of the brighter side's.
 DIM_SIDE = 0.1
@@ -111,8 +112,14 @@ def side_medians(pixels: EmitterPixels, group: np.ndarray) -> tuple[np.ndarray, 
     return np.stack(medians, axis=1).reshape(groups, 2, 3), weights.reshape(groups, 2)
 
 
-def group_fixtures(room: Room, emitting: np.ndarray, pixels: EmitterPixels) -> list[Fixture]:
-    """Fixtures of the emitting triangles ((T,) bool), in descending order of power."""
+def group_fixtures(
+    room: Room, emitting: np.ndarray, pixels: EmitterPixels, surface: np.ndarray | None = None
+) -> list[Fixture]:
+    """Fixtures of the emitting triangles ((T,) bool), in descending order of power.
+
+    Args:
+        surface: (T,) int, on a scan a fixture belongs to one of these surfaces; None: all are one.
+    """
     corners = weld(room.vertices)[room.triangles]
     ids = np.flatnonzero(emitting)
     if not len(ids):
@@ -125,9 +132,14 @@ def group_fixtures(room: Room, emitting: np.ndarray, pixels: EmitterPixels) -> l
     luminance = (medians @ LUMINANCE).max(axis=1)
     measured = weights.sum(axis=1) >= LEAST_MEASURED
     group = np.full(len(emitting), -1, np.int64)
-    group[ids] = emitter_components(corners[ids], luminance, measured)
-    medians, weights = side_medians(pixels, group)
-    known = weights >= np.minimum(weights.max(axis=1, keepdims=True, initial=0.0), LEAST_MEASURED)
+    if room.scan is None:
+        group[ids] = emitter_components(corners[ids], luminance, measured)
+    else:
+        group[ids] = scan_groups(room.scan, ids, surface)
+    medians, total = side_medians(pixels, group)
+    known = total >= np.minimum(total.max(axis=1, keepdims=True, initial=0.0), LEAST_MEASURED)
+    if room.scan is not None:
+        known &= seen_sides(room.areas[ids], weights > 0.0, group[ids])
     fixtures = []
     for index in range(len(medians)):
         members = np.flatnonzero(group == index)
@@ -142,7 +154,23 @@ def group_fixtures(room: Room, emitting: np.ndarray, pixels: EmitterPixels) -> l
         middle = room.vertices[room.triangles[members]].mean(axis=1)
         centroid = (middle * area[:, None]).sum(axis=0) / area.sum()
         fixtures.append(Fixture(members, sides[0], sides[1], float(area.sum()), centroid))
+    if room.scan is not None:
+        fixtures = _shining(room.scan, fixtures)
     return sorted(fixtures, key=lambda f: -f.area * float((f.radiance + f.back_radiance) @ LUMINANCE))
+
+
+def _shining(scan: Scan, fixtures: list[Fixture]) -> list[Fixture]:
+    """The fixtures of a scan whose light is not that of brighter ones close by; of others dark sides."""
+    lights = [
+        (each.triangles, float(each.radiance @ LUMINANCE), float(each.back_radiance @ LUMINANCE))
+        for each in fixtures
+    ]
+    shines = shining_sides(scan, lights)
+    return [
+        replace(each, radiance=each.radiance * front, back_radiance=each.back_radiance * back)
+        for each, (front, back) in zip(fixtures, shines, strict=True)
+        if front or back
+    ]
 
 
 def emitter_components(corners: np.ndarray, luminance: np.ndarray, measured: np.ndarray) -> np.ndarray:

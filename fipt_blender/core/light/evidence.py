@@ -17,14 +17,12 @@ from scipy.ndimage import maximum_filter
 
 from ..optics.factorised import DIELECTRIC_REFLECTANCE
 from ..optics.lights import LUMINANCE
-from ..scene.labels import room_pieces
 from ..scene.pixels import PixelStore
 from ..scene.room import Room
 from ..scene.unmixing import standard_error
 from .baking import ShadingStore
+from .emitter_surfaces import LEAST_RESIDUAL, EmitterSurfaces
 
-# Least relative residual of a surface that emits: the share of its radiance that reflection can't explain.
-LEAST_RESIDUAL = 0.3
 # Share of a pure pixel's light that may spill over from its neighbours: half where coplanar surfaces meet at
 # its centre, 16 to 30 % by a camera's blur (a Gaussian of half a pixel).
 SPILL = 0.5
@@ -44,6 +42,7 @@ def find_emission(
     marked: np.ndarray,
     constant: np.ndarray,
     estimate: Callable[[np.ndarray], np.ndarray],
+    surfaces: EmitterSurfaces,
 ) -> np.ndarray:
     """(T,) bool, triangles that emit, by the majority of their pixels or of their connected component.
 
@@ -56,27 +55,31 @@ def find_emission(
         marked: (T,) bool, triangles that look like emitters (:func:`.material.closed_form.fit_cells`).
         constant: (T,) bool, triangles of parts of view-independent radiance: they emit in any case.
         estimate: (R,) pixels to their (R, 3) reflected radiance L_r of the estimate.
+        surfaces: what emits as a whole.
     """
-    evidence = Evidence.none(len(marked))
+    least, unit = surfaces.least_residual, surfaces.unit
+    marked = surfaces.most(marked, pixels)
+    evidence = Evidence.none(int(unit.max(initial=-1)) + 1)
     for index in range(len(pixels.views)):
         rows = pixels.rows(index)
         triangle, own, weight = (np.asarray(a[rows]) for a in (pixels.triangle, pixels.own, pixels.weight))
         reflected = _reflected(shadings, rows, triangle, own, marked, estimate)
         error = _doubt(own, weight)
         hit = (triangle >= 0) & (weight > 0.0)
-        dark = relative_residual(own * (1.0 + error[:, None]), reflected) < LEAST_RESIDUAL
-        evidence.oppose(triangle[hit & dark], weight[hit & dark])
+        dark = relative_residual(own * (1.0 + error[:, None]), reflected) < least
+        evidence.oppose(unit[triangle[hit & dark]], weight[hit & dark])
         size = pixels.views[index].height, pixels.views[index].width
         brightest = neighbourhood_maximum(np.asarray(pixels.radiance[rows]) @ LUMINANCE, size)
-        least = own * np.maximum(1.0 - error, 0.0)[:, None]
-        fraction = spill_free_fraction(least @ LUMINANCE, brightest)
-        bright = relative_residual(least * fraction[:, None], reflected) >= LEAST_RESIDUAL
+        sure = own * np.maximum(1.0 - error, 0.0)[:, None]
+        fraction = spill_free_fraction(sure @ LUMINANCE, brightest)
+        bright = relative_residual(sure * fraction[:, None], reflected) >= least
         evidence.support(
-            triangle[hit & bright], weight[hit & bright], np.asarray(pixels.pure[rows])[hit & bright]
+            unit[triangle[hit & bright]], weight[hit & bright], np.asarray(pixels.pure[rows])[hit & bright]
         )
-    emits = evidence.majority & ((marked & evidence.pure) | (evidence.views >= LEAST_VIEWS))
-    decided = emits | (evidence.exists & ~evidence.majority)
-    return extend_to_components(room.areas, room_pieces(room), emits | constant, decided | constant)
+    seen_once = (marked & evidence.pure[unit]) | (evidence.views >= LEAST_VIEWS)[unit]
+    emits = evidence.majority[unit] & seen_once
+    decided = emits | (evidence.exists & ~evidence.majority)[unit]
+    return extend_to_components(room.areas, surfaces.component, emits | constant, decided | constant)
 
 
 def _doubt(own: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -86,13 +89,13 @@ def _doubt(own: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Sums for each triangle.
+    """Sums for each of U surfaces.
 
     Attributes:
-        supporting: (T,) weight of the pixels that support emission.
-        opposing: (T,) weight of the pixels that reflection explains.
-        views: (T,) number of views with supporting pixels.
-        pure: (T,) bool, whether a pure pixel supports emission.
+        supporting: (U,) weight of the pixels that support emission.
+        opposing: (U,) weight of the pixels that reflection explains.
+        views: (U,) number of views with supporting pixels.
+        pure: (U,) bool, whether a pure pixel supports emission.
     """
 
     supporting: np.ndarray
@@ -101,29 +104,29 @@ class Evidence:
     pure: np.ndarray
 
     @classmethod
-    def none(cls, triangles: int) -> Evidence:
-        """No evidence for any of so many triangles."""
-        supporting, opposing = np.zeros((2, triangles))
-        return cls(supporting, opposing, np.zeros(triangles, np.int64), np.zeros(triangles, bool))
+    def none(cls, surfaces: int) -> Evidence:
+        """No evidence for any of so many surfaces."""
+        supporting, opposing = np.zeros((2, surfaces))
+        return cls(supporting, opposing, np.zeros(surfaces, np.int64), np.zeros(surfaces, bool))
 
-    def support(self, triangle: np.ndarray, weight: np.ndarray, pure: np.ndarray) -> None:
-        """Add supporting pixels of one view: the triangles that they see, their weights, whether pure."""
-        np.add.at(self.supporting, triangle, weight)
-        self.views[np.unique(triangle)] += 1
-        self.pure[triangle[pure]] = True
+    def support(self, surface: np.ndarray, weight: np.ndarray, pure: np.ndarray) -> None:
+        """Add supporting pixels of one view: the surfaces that they see, their weights, whether pure."""
+        np.add.at(self.supporting, surface, weight)
+        self.views[np.unique(surface)] += 1
+        self.pure[surface[pure]] = True
 
-    def oppose(self, triangle: np.ndarray, weight: np.ndarray) -> None:
-        """Add opposing pixels: the triangles that they see, and their weights."""
-        np.add.at(self.opposing, triangle, weight)
+    def oppose(self, surface: np.ndarray, weight: np.ndarray) -> None:
+        """Add opposing pixels: the surfaces that they see, and their weights."""
+        np.add.at(self.opposing, surface, weight)
 
     @property
     def majority(self) -> np.ndarray:
-        """(T,) bool, most pixels support emission."""
+        """(U,) bool, most pixels support emission."""
         return self.supporting > self.opposing
 
     @property
     def exists(self) -> np.ndarray:
-        """(T,) bool, there is a pixel for or against emission."""
+        """(U,) bool, there is a pixel for or against emission."""
         return self.supporting + self.opposing > 0
 
 

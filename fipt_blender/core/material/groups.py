@@ -8,12 +8,11 @@ paper's kernel for semantic masks (Eq. 20) rests on the same idea.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.grouped import grouped_weighted_median
+from ..scene.grouped import grouped_weighted_median, numbered
 from ..scene.labels import Parts
 
 NO_GROUP = -1
@@ -62,15 +61,6 @@ def color_class(color: np.ndarray) -> np.ndarray:
     brightness = np.round(np.log2(lifted.mean(axis=1)) / BRIGHTNESS_STEP)
     chroma = np.round(lifted[:, :2] / lifted.sum(axis=1, keepdims=True) / CHROMA_STEP)
     return (brightness * 10_000 + chroma[:, 0] * 100 + chroma[:, 1]).astype(np.int64)
-
-
-def numbered(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """(N,) int64 from 0, a number for each combination of the values of int columns (N,)."""
-    number = np.zeros(len(columns[0]), np.int64)
-    for column in columns:
-        values = np.unique(column, return_inverse=True)[1]
-        number = np.unique(number * (int(values.max(initial=0)) + 1) + values, return_inverse=True)[1]
-    return number
 
 
 def material_groups(

@@ -13,6 +13,7 @@ from ..light.cache import SIDES
 from ..light.observations import Observations
 from ..optics.factorised import color_line
 from ..run.settings import Settings
+from ..scene.grouped import numbered
 from ..scene.pixels import PixelStore, open_array
 from .groups import (
     LEAST_PIXELS,
@@ -21,7 +22,6 @@ from .groups import (
     Units,
     color_class,
     material_groups,
-    numbered,
     part_units,
     piece_units,
     similarity,

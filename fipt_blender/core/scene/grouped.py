@@ -1,12 +1,22 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Medians of groups of values, all groups at once."""
+"""Numbers of groups, and medians of their values, all groups at once."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+
+
+def numbered(columns: Sequence[np.ndarray]) -> np.ndarray:
+    """(N,) int64 from 0, a number for each combination of the values of int columns (N,)."""
+    number = np.zeros(len(columns[0]), np.int64)
+    for column in columns:
+        values = np.unique(column, return_inverse=True)[1]
+        number = np.unique(number * (int(values.max(initial=0)) + 1) + values, return_inverse=True)[1]
+    return number
 
 
 def grouped_median(
