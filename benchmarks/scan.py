@@ -20,12 +20,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks.disturb import read_obj, smooth_normals
+from benchmarks.disturb import read_obj
 from fipt_blender.core.capture.distortion import lens_pinhole
 from fipt_blender.core.capture.formats import read_rig
 from fipt_blender.core.capture.rig import ReadOptions
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.depth.extraction import FusedMesh, extract
+from fipt_blender.core.depth.ply import write_ply
 from fipt_blender.core.depth.range_image import RangeImage
 from fipt_blender.core.depth.volume import BlockVolume
 from fipt_blender.core.device.variant import set_variant
@@ -204,18 +205,6 @@ def scanned(capture: Path, voxel: float, scanner: Scanner, seed: int) -> FusedMe
     for image in range_images(read_truth(capture), views, scanner, rng):
         volume.integrate(image)
     return extract(volume, least_weight=2.0)
-
-
-def write_ply(path: Path, mesh: FusedMesh) -> None:
-    """Write a binary PLY with smooth normals."""
-    normals = smooth_normals(mesh.vertices.astype(np.float64), mesh.triangles)
-    vertices = np.concatenate([mesh.vertices, normals], axis=1).astype("<f4")
-    faces = np.zeros(len(mesh.triangles), [("count", "u1"), ("corners", "<i4", 3)])
-    faces["count"], faces["corners"] = 3, mesh.triangles
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
-    header += [f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz")]
-    header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
-    path.write_bytes("\n".join(header).encode() + vertices.tobytes() + faces.tobytes())
 
 
 def link_capture(capture: Path, target: Path) -> None:

@@ -31,7 +31,7 @@ from .jobs.run_job import find_launch
 
 FORMATS = (
     *("auto", "fipt-synthetic", "fipt-real", "scannetpp", "transforms", "colmap", "metashape", "realityscan"),
-    *("meshroom", "opensfm", "openmvg", "bundler", "nvm", "polycam", "record3d"),
+    *("meshroom", "opensfm", "openmvg", "bundler", "nvm", "polycam", "record3d", "rgbd"),
 )
 _LINE_SECONDS = 5.0
 _REFRESH_SECONDS = 0.2
@@ -67,6 +67,17 @@ def make_parser() -> argparse.ArgumentParser:
     add("--scale", type=float, default=1.0, metavar="S", help="meters per unit of the capture (default: 1)")
     add("--hold-back", type=int, metavar="N", help="hold back every N-th view for comparison; 0 for none")
     add("--images", type=Path, metavar="DIR", help="folder of the HDR photographs")
+    add("--views", type=int, default=0, metavar="N", help="use N photographs, evenly spread (default: all)")
+    add("--voxel", type=float, metavar="M", help="meters, of a mesh fused from depth images (default: 0.02)")
+    add(
+        "--close-holes",
+        type=float,
+        metavar="M",
+        help="close holes of a fused mesh up to this width in meters",
+    )
+    add(
+        "--depth-unit", type=float, metavar="M", help="unit of 16-bit depth images in meters (default: 0.001)"
+    )
     add("--clamp-negative", action="store_true", help="treat negative radiance in photographs as zero")
     add("--align-mesh", action="store_true", help="align the cameras to a mesh from another program")
     add(
@@ -156,6 +167,10 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
         images=arguments.images,
         clamp_negative=arguments.clamp_negative,
         align_mesh=arguments.align_mesh,
+        views=arguments.views,
+        voxel=arguments.voxel,
+        close_holes=arguments.close_holes,
+        depth_unit=arguments.depth_unit,
         undo_applied_transform=arguments.undo_applied_transform,
         parts=arguments.parts,
         renders=() if arguments.no_renders else RENDER_KINDS,

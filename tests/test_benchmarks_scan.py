@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.scan import MESH, Scanner, disturbed, link_capture, read_truth, turned, write_ply
+from benchmarks.scan import MESH, Scanner, disturbed, link_capture, read_truth, turned
 from fipt_blender.core.alignment.mesh_file import read_mesh
 from fipt_blender.core.depth.extraction import FusedMesh
+from fipt_blender.core.depth.ply import write_ply
 from fipt_blender.core.run.errors import FiptError
 
 

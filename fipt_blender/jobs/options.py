@@ -30,6 +30,10 @@ class CaptureOptions:
         images: folder in which the photographs are looked for first.
         clamp_negative: whether negative radiance is read as zero.
         align_mesh: whether the cameras are moved to the mesh by the solve's sparse points.
+        views: number of photographs that are used, evenly spread; 0 for all.
+        voxel: metres, of meshes that are fused from depth images; None for the engine's default.
+        close_holes: metres; holes of fused meshes that are not wider are closed; None for none.
+        depth_unit: metres per unit of 16-bit depth images, or None for the engine's default.
         undo_applied_transform: transforms.json only; whether the mesh has the coordinates from before
             nerfstudio's `applied_transform`.
     """
@@ -42,6 +46,10 @@ class CaptureOptions:
     images: Path | None = None
     clamp_negative: bool = False
     align_mesh: bool = False
+    views: int = 0
+    voxel: float | None = None
+    close_holes: float | None = None
+    depth_unit: float | None = None
     undo_applied_transform: bool = False
 
 
@@ -84,6 +92,12 @@ def ingest_arguments(options: CaptureOptions) -> list[str]:
         arguments.append(f"--hold-back={options.hold_back}")
     if options.images is not None:
         arguments.append(f"--images={options.images.absolute()}")
+    if options.views:
+        arguments.append(f"--views={options.views}")
+    for name in ("voxel", "close_holes", "depth_unit"):
+        value = getattr(options, name)
+        if value is not None:
+            arguments.append(f"--{name.replace('_', '-')}={value!r}")
     if options.clamp_negative:
         arguments.append("--clamp-negative")
     if options.align_mesh:

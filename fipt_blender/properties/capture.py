@@ -28,6 +28,7 @@ FORMATS = (
     ("nvm", "VisualSFM", "An .nvm file"),
     ("polycam", "Polycam", "The raw data that Polycam exports"),
     ("record3d", "Record3D", "A file metadata.json beside the folder rgb or rgbd"),
+    ("rgbd", "RGB-D Frames", "Photographs, depth images and poses of 7-Scenes, tsdf-fusion or ScanNet"),
     ("scannetpp", "ScanNet++", "The DSLR photographs of a ScanNet++ scene"),
     ("fipt-synthetic", "FIPT Synthetic", "Folders train and val with Image, IndexMA and segmentation"),
     ("fipt-real", "FIPT Real", "Files cam.txt and K_list.txt beside the folder Image"),

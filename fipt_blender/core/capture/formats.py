@@ -23,6 +23,7 @@ from . import (
     polycam,
     realityscan,
     record3d,
+    rgbd,
     scannetpp,
     transforms,
 )
@@ -46,6 +47,7 @@ FORMATS: dict[str, ModuleType] = {
         nvm,
         polycam,
         record3d,
+        rgbd,
     )
 }
 

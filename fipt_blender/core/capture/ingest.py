@@ -22,6 +22,7 @@ from ..run.runfolder import RunFolder, write_json
 from ..run.settings import make_settings
 from . import checks
 from .align_mesh import aligned_to_mesh
+from .depth_images import DEFAULT_VOXEL, Fusion, FusionOptions
 from .distortion import is_distorted, lens_pinhole, undistorted_pinhole, undistortion
 from .encoded import file_exposure, is_encoded
 from .formats import FORMATS, read_rig
@@ -46,6 +47,8 @@ class IngestOptions:
         hold_back: every Nth view is held back in captures that have no held-back views; 0 for none.
         clamp_negative: set negative radiance of any size to zero.
         align_mesh: move the cameras to the mesh by the solve's sparse points.
+        most_views: photographs that are used, evenly spread over all of a capture; 0 for all.
+        fusion: how depth images are fused where the capture has no mesh.
         read: options of the readers.
     """
 
@@ -56,6 +59,8 @@ class IngestOptions:
     hold_back: int = DEFAULT_HOLD_BACK
     clamp_negative: bool = False
     align_mesh: bool = False
+    most_views: int = 0
+    fusion: FusionOptions = field(default_factory=FusionOptions)
     read: ReadOptions = field(default_factory=ReadOptions)
 
 
@@ -95,6 +100,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="transforms.json: the mesh has the coordinates before nerfstudio's applied_transform",
     )
+    parser.add_argument(
+        "--views", type=int, default=0, metavar="N", help="use N photographs, evenly spread; 0 for all"
+    )
+    parser.add_argument(
+        "--voxel",
+        type=float,
+        default=DEFAULT_VOXEL,
+        help="meters, of meshes that are fused from depth images",
+    )
+    parser.add_argument(
+        "--close-holes",
+        type=float,
+        default=0.0,
+        metavar="METRES",
+        help="close holes of fused meshes up to that",
+    )
+    parser.add_argument(
+        "--depth-unit", type=float, default=0.001, metavar="METRES", help="unit of 16-bit depth images"
+    )
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
@@ -107,7 +131,9 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         hold_back=arguments.hold_back,
         clamp_negative=arguments.clamp_negative,
         align_mesh=arguments.align_mesh,
-        read=ReadOptions(arguments.images, arguments.undo_applied_transform),
+        most_views=arguments.views,
+        fusion=FusionOptions(arguments.voxel, arguments.close_holes),
+        read=ReadOptions(arguments.images, arguments.undo_applied_transform, arguments.depth_unit),
     )
     ingest(arguments.capture, RunFolder(arguments.run), options, reporter)
 
@@ -129,7 +155,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
         rig = aligned_to_mesh(capture.absolute(), rig, mesh)
     for note in rig.notes:
         reporter.warning(note.code, note.text, note.remedy)
-    views = _assign_splits(unique_names(rig.views), options.hold_back)
+    views = _assign_splits(_chosen(unique_names(rig.views), options.most_views), options.hold_back)
     _check_files(views)
     up_axis = options.up_axis if options.up_axis != "auto" else rig.up_axis or guess_up_axis(views)
     world_from_source = _world_from_source(up_axis, options.scale)
@@ -139,6 +165,10 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     ]
     pinholes = [_checked_pinhole(view) for view in views]
 
+    fusion = None
+    if mesh is None and rig.depths:
+        fusion = Fusion(run_folder, rig.depths, options.fusion, options.scale)
+        reporter.plan([0.2, 0.7, 0.1])
     reporter.stage("images", "Checking photographs")
     statistics = _check_pixels(views, options.clamp_negative, reporter)
     checked_views = [
@@ -146,9 +176,16 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
         for view, pinhole, item in zip(views, pinholes, statistics, strict=True)
     ]
 
+    fused = None
+    if fusion is not None:
+        reporter.stage("fuse", "Fusing the depth images")
+        fused = None if fusion.is_kept else fusion.mesh(reporter.progress)
+
     reporter.stage("write", "Writing the capture")
     if not run_folder.run_json.exists():
         run_folder.create(make_settings())
+    if fusion is not None:
+        mesh = run_folder.fused_ply if fused is None else fusion.keep(fused)
     data = {
         "format": CAPTURE_FORMAT,
         "version": CAPTURE_VERSION,
@@ -188,6 +225,22 @@ def _check_options(options: IngestOptions) -> None:
             f"Every Nth view can't be held back with N = {options.hold_back}.",
             "Set it to 0 (none) or to at least 2.",
         )
+    if options.most_views < 0 or not 0.0 < options.read.depth_unit <= 1.0:
+        raise FiptError(
+            "setting-invalid",
+            f"{options.most_views} views or depth units of {options.read.depth_unit:g} m are impossible.",
+            "Set a number of photographs of at least 0, and a unit above 0 and up to 1 m.",
+        )
+    options.fusion.check()
+
+
+def _chosen(views: list[RigView], count: int) -> list[RigView]:
+    """At most `count` views, evenly spread over those that are not held back; all with 0."""
+    if not 0 < count < len(views):
+        return views
+    held_back = [view for view in views if view.split == "held_back"]
+    rest = [view for view in views if view.split != "held_back"]
+    return [rest[index * len(rest) // count] for index in range(min(count, len(rest)))] + held_back
 
 
 def _world_from_source(up_axis: str, scale: float) -> np.ndarray:

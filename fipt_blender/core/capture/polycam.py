@@ -14,6 +14,7 @@ import numpy as np
 
 from ..conventions import opengl_to_opencv_camera, transform_poses
 from ..run.documents import Fields, Maybe, Number, Numbers
+from .depth_images import registered_depth
 from .rig import Lens, ReadOptions, Rig, RigView, damaged, read_json_rig, read_pose
 from .rig_files import Places, pixel_size, similarity
 
@@ -37,10 +38,10 @@ def detect(path: Path) -> bool:
 
 
 def read(path: Path, options: ReadOptions) -> Rig:
-    """Read all cameras. The world is Y up, as in the mesh.
+    """Read all cameras, and the depth images of the folder depth. The world is Y up, as in the mesh.
 
     Raises:
-        FiptError: ``rig-damaged``.
+        FiptError: ``rig-damaged`` or ``depth-unreadable``.
     """
     found = _cameras(path)
     if found is None:
@@ -52,7 +53,13 @@ def read(path: Path, options: ReadOptions) -> Rig:
     files = sorted(file for file in cameras.iterdir() if file.suffix.lower() == ".json")
     alignment = _alignment(keyframes.parent)
     views = tuple(_view(file, places, alignment) for file in files)
-    return Rig(NAME, views, "y", places.mesh(("raw", "mesh", "scene")))
+    images = [keyframes / "depth" / f"{file.stem}.png" for file in files]
+    depths = tuple(
+        registered_depth(view, image, options.depth_unit)
+        for view, image in zip(views, images, strict=True)
+        if image.is_file()
+    )
+    return Rig(NAME, views, "y", places.mesh(("raw", "mesh", "scene")), depths=depths)
 
 
 def _cameras(path: Path) -> tuple[Path, str] | None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..conventions import opengl_to_opencv_camera
 from ..run.documents import Fields, Items, Maybe, Number, Numbers
+from .depth_images import registered_depth
 from .rig import Lens, ReadOptions, Rig, damaged, read_json_rig
 from .rig_files import IMAGE_FOLDERS, Places, pixel_size, quaternion_rotation
 
@@ -31,10 +32,12 @@ def detect(path: Path) -> bool:
 
 
 def read(path: Path, options: ReadOptions) -> Rig:
-    """Read all frames, with the intrinsics of each where the file has them. The world is Y up.
+    """Read all frames, with the intrinsics of each where the file has them, and depth images in EXR.
+
+    The world is Y up.
 
     Raises:
-        FiptError: ``rig-damaged``.
+        FiptError: ``rig-damaged`` or ``depth-unreadable``.
     """
     file = _file(path)
     if file is None:
@@ -59,7 +62,13 @@ def read(path: Path, options: ReadOptions) -> Rig:
             views.append(places.view(str(index), size, lens, opengl_to_opencv_camera(pose)))
     except ValueError as error:
         raise damaged(file, error) from None
-    return Rig(NAME, tuple(views), "y", places.mesh())
+    images = [file.parent / "depth" / f"{index}.exr" for index in range(count)]
+    depths = tuple(
+        registered_depth(view, image, options.depth_unit)
+        for view, image in zip(views, images, strict=True)
+        if image.is_file()
+    )
+    return Rig(NAME, tuple(views), "y", places.mesh(), depths=depths)
 
 
 def _file(path: Path) -> Path | None:

@@ -74,6 +74,31 @@ class RigView:
     mask: Path | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class DepthView:
+    """One depth image as its source describes it.
+
+    Attributes:
+        path: 16-bit PNG or EXR, depths along the camera's axis; it need not exist.
+        width, height: size in pixels that the intrinsics are for.
+        fx, fy, cx, cy: pinhole intrinsics in pixels.
+        unit: metres per stored unit.
+        camera_to_world: (4, 4) float64, OpenCV axes, source world.
+        photograph: of the same camera and field of view, for colors, or None.
+    """
+
+    path: Path
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    unit: float
+    camera_to_world: np.ndarray
+    photograph: Path | None = None
+
+
 @dataclass(frozen=True)
 class Note:
     """A warning about the source."""
@@ -94,6 +119,7 @@ class Rig:
             define it.
         mesh: mesh file in the same coordinates as the poses, or None where none was found.
         notes: warnings.
+        depths: depth images, from which a mesh can be fused.
     """
 
     source: str
@@ -101,6 +127,7 @@ class Rig:
     up_axis: str | None
     mesh: Path | None
     notes: tuple[Note, ...] = ()
+    depths: tuple[DepthView, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -111,10 +138,12 @@ class ReadOptions:
         images: folder in which photographs are searched first.
         undo_applied_transform: transforms.json only: convert the poses to the coordinates from before
             nerfstudio's ``applied_transform`` and ``applied_scale``.
+        depth_unit: metres per unit of 16-bit depth images.
     """
 
     images: Path | None = None
     undo_applied_transform: bool = False
+    depth_unit: float = 0.001
 
 
 def damaged(path: Path, reason: object) -> FiptError:

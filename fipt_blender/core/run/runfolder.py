@@ -36,6 +36,8 @@ class RunFolder:
         self.ingest_json = self.root / "ingest.json"
         self.capture_json = self.root / "capture.json"
         self.images = self.root / "images"
+        self.fused_ply = self.root / "fused.ply"
+        self.fused_json = self.root / "fused.json"
         self.room_npz = self.root / "room.npz"
         self.room_json = self.root / "room.json"
         self.geometry_npz = self.root / "geometry.npz"

@@ -1,0 +1,265 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Depth images of captures (16-bit PNG or EXR), and the mesh that is fused from them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from ..depth.cleaning import with_closed_holes, without_specks
+from ..depth.extraction import FusedMesh, extract
+from ..depth.ply import write_ply
+from ..depth.range_image import RangeImage
+from ..depth.volume import BlockVolume
+from ..run.documents import read_json
+from ..run.errors import FiptError
+from ..run.runfolder import PRODUCT_VERSION, RunFolder, write_json
+from .encoded import is_encoded, srgb_encoded
+from .images import read_radiance, read_size
+from .rig import DepthView, RigView
+
+DEFAULT_VOXEL = 0.02
+SMALLEST_VOXEL, LARGEST_VOXEL = 0.002, 1.0
+NO_DEPTH = 65535  # of 16-bit images, besides 0
+# Beyond this, depth cameras of phones and consoles measure little but noise.
+FARTHEST = 8.0
+# Medians outside of this are no distances in a room: the unit of the depth images is another one.
+PLAUSIBLE_MEDIAN = (0.1, 20.0)
+SPECK_VOXELS = 10.0  # pieces of less area than a square of this side are dropped
+LEAST_MEASUREMENTS = 2.0
+
+
+@dataclass(frozen=True)
+class FusionOptions:
+    """How depth images are fused.
+
+    Attributes:
+        voxel: metres.
+        close_holes: metres; holes that are not wider are closed, none with 0.
+    """
+
+    voxel: float = DEFAULT_VOXEL
+    close_holes: float = 0.0
+
+    def check(self) -> None:
+        """Refuse impossible values.
+
+        Raises:
+            FiptError: ``setting-invalid``.
+        """
+        if not SMALLEST_VOXEL <= self.voxel <= LARGEST_VOXEL or not 0.0 <= self.close_holes <= 100.0:
+            raise FiptError(
+                "setting-invalid",
+                f"Voxels of {self.voxel:g} m or closed holes of {self.close_holes:g} m are impossible.",
+                f"Set voxels from {SMALLEST_VOXEL:g} to {LARGEST_VOXEL:g} meters.",
+            )
+
+
+def read_depth(view: DepthView, scale: float) -> RangeImage:
+    """The range image of one view, with the photograph's colors where it has one.
+
+    Args:
+        scale: metres per unit of the capture's coordinates; the result is in metres.
+
+    Raises:
+        FiptError: ``depth-unreadable``, ``depth-format`` or ``depth-size``.
+    """
+    stored = _read_exr(view.path) if view.path.suffix.lower() == ".exr" else _read_png(view.path)
+    if stored.shape != (view.height, view.width):
+        raise FiptError(
+            "depth-size",
+            f"{view.path} is {stored.shape[1]} x {stored.shape[0]} pixels, not {view.width} x {view.height}.",
+            "Use depth images of the size for which the camera was calibrated.",
+        )
+    depth = stored * np.float32(view.unit)
+    depth = np.where(np.isfinite(depth) & (depth > 0.0) & (depth < FARTHEST), depth, 0.0)
+    pose = view.camera_to_world.copy()
+    pose[:3, 3] *= scale
+    intrinsics = (view.fx, view.fy, view.cx, view.cy)
+    return RangeImage(depth.astype(np.float32), *intrinsics, pose, _colors(view))
+
+
+def _read_png(path: Path) -> np.ndarray:
+    """(H, W) float32 values, 0 where nothing was measured."""
+    try:
+        with warnings.catch_warnings(), Image.open(path, formats=["PNG"]) as image:
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            mode, values = image.mode, np.asarray(image)
+    except (OSError, ValueError, SyntaxError, EOFError, Warning) as error:
+        raise _unreadable(path, error) from None
+    if values.ndim != 2 or not mode.startswith("I"):
+        raise FiptError(
+            "depth-format",
+            f"{path} is not a 16-bit grayscale PNG, so that it holds no depth.",
+            "Export depth images as 16-bit PNG.",
+        )
+    return np.where(values == NO_DEPTH, 0, values).astype(np.float32)
+
+
+def _read_exr(path: Path) -> np.ndarray:
+    try:
+        return np.nan_to_num(read_radiance(path)[..., 0], nan=0.0, posinf=0.0, neginf=0.0)
+    except FiptError as error:
+        raise _unreadable(path, error.text) from None
+
+
+def _unreadable(path: Path, reason: object) -> FiptError:
+    return FiptError(
+        "depth-unreadable", f"The depth image {path} can't be read ({reason}).", "Restore the file."
+    )
+
+
+def _colors(view: DepthView) -> np.ndarray | None:
+    """The photograph's colors at the depth image's pixels, as sRGB codes from 0 to 1."""
+    if view.photograph is None or not is_encoded(view.photograph):
+        return None
+    pixels = srgb_encoded(read_radiance(view.photograph))
+    rows = (np.arange(view.height) + 0.5) * pixels.shape[0] / view.height
+    columns = (np.arange(view.width) + 0.5) * pixels.shape[1] / view.width
+    return pixels[rows.astype(np.int64)[:, None], columns.astype(np.int64)]
+
+
+def check_unit(images: Sequence[RangeImage]) -> None:
+    """Refuse depths that can't be those of a room.
+
+    Raises:
+        FiptError: ``depth-empty`` or ``depth-unit``.
+    """
+    measured = [image.depth[image.depth > 0.0] for image in images]
+    depths = np.concatenate([*measured, np.zeros(0, np.float32)])
+    if not len(depths):
+        raise FiptError(
+            "depth-empty",
+            f"The depth images have no measurement up to {FARTHEST:g} m.",
+            "Check the depth images and their unit (--depth-unit), or give a mesh (--mesh).",
+        )
+    median = float(np.median(depths))
+    if not PLAUSIBLE_MEDIAN[0] <= median <= PLAUSIBLE_MEDIAN[1]:
+        raise FiptError(
+            "depth-unit",
+            f"The median depth would be {median:.3g} m, which is no distance in a room.",
+            "Set the unit of the depth images in meters (--depth-unit; 0.001 for millimeters).",
+        )
+
+
+def fuse(
+    views: Sequence[DepthView], options: FusionOptions, scale: float, progress: Callable[[float], None]
+) -> FusedMesh:
+    """The mesh of a capture's depth images, in the capture's coordinates.
+
+    Args:
+        scale: metres per unit of these.
+        progress: called with the finished share.
+
+    Raises:
+        FiptError: those of `read_depth` and `check_unit`; ``depth-empty`` where no surface is found.
+    """
+    check_unit([read_depth(view, scale) for view in views[:: max(1, len(views) // 8)]])
+    with_color = any(view.photograph is not None and is_encoded(view.photograph) for view in views)
+    volume = BlockVolume(options.voxel, with_color)
+    for index, view in enumerate(views):
+        volume.integrate(read_depth(view, scale))
+        progress((index + 1) / (len(views) + 1))
+    mesh = extract(volume, min(LEAST_MEASUREMENTS, len(views)))
+    mesh = without_specks(mesh, (SPECK_VOXELS * options.voxel) ** 2)
+    if options.close_holes > 0.0:
+        mesh = with_closed_holes(mesh, options.close_holes)
+    if not len(mesh.triangles):
+        raise FiptError(
+            "depth-empty",
+            "The depth images agree on no surface.",
+            "Check their unit (--depth-unit) and the poses, or give a mesh (--mesh).",
+        )
+    progress(1.0)
+    return FusedMesh(mesh.vertices / np.float32(scale), mesh.triangles, mesh.colors)
+
+
+@dataclass(frozen=True, eq=False)
+class Fusion:
+    """What a mesh is fused from, and where in the run folder it is kept.
+
+    Attributes:
+        run: the run folder.
+        views: the depth images.
+        options: how they are fused.
+        scale: metres per unit of the capture's coordinates.
+    """
+
+    run: RunFolder
+    views: Sequence[DepthView]
+    options: FusionOptions
+    scale: float
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether the run folder has the mesh of this very input."""
+        if not self.run.fused_ply.is_file() or not self.run.fused_json.is_file():
+            return False
+        try:
+            return bool(read_json(self.run.fused_json).get("input") == self._key())
+        except FiptError:
+            return False
+
+    def mesh(self, progress: Callable[[float], None]) -> FusedMesh:
+        """Fuse the mesh; see `fuse`."""
+        return fuse(self.views, self.options, self.scale, progress)
+
+    def keep(self, mesh: FusedMesh) -> Path:
+        """Write the mesh to the run folder and return its path.
+
+        Raises:
+            FiptError: ``disk-full`` or ``run-unwritable``.
+        """
+        key = self._key()
+        write_ply(self.run.fused_ply, mesh)
+        write_json(self.run.fused_json, {"input": key, "voxel": self.options.voxel})
+        return self.run.fused_ply
+
+    def _key(self) -> str:
+        """A hash of everything that the mesh depends on; of files their sizes and times."""
+        entries = []
+        for view in self.views:
+            files = [path for path in (view.path, view.photograph) if path is not None]
+            states = [[str(path), path.stat().st_size, path.stat().st_mtime_ns] for path in files]
+            camera = [view.unit, view.fx, view.fy, view.cx, view.cy, *view.camera_to_world.ravel().tolist()]
+            entries.append([states, camera])
+        data = [PRODUCT_VERSION, self.options.voxel, self.options.close_holes, self.scale, entries]
+        return hashlib.sha256(json.dumps(data).encode()).hexdigest()
+
+
+def depth_size(path: Path) -> tuple[int, int]:
+    """Width and height of a depth image.
+
+    Raises:
+        FiptError: ``depth-unreadable``.
+    """
+    try:
+        return read_size(path)
+    except FiptError as error:
+        raise _unreadable(path, error.text) from None
+
+
+def registered_depth(view: RigView, path: Path, unit: float) -> DepthView:
+    """The depth image that has the camera and the field of view of a photograph, in another resolution.
+
+    Args:
+        view: with a pinhole lens.
+        unit: metres per stored unit; EXR files always hold metres.
+
+    Raises:
+        FiptError: ``depth-unreadable``.
+    """
+    width, height = depth_size(path)
+    x, y = width / view.width, height / view.height
+    fx, fy, cx, cy = view.lens.parameters
+    unit = 1.0 if path.suffix.lower() == ".exr" else unit
+    pose = view.camera_to_world
+    return DepthView(path, width, height, fx * x, fy * y, cx * x, cy * y, unit, pose, view.image)

@@ -1,0 +1,175 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reader for folders of registered RGB-D frames: photographs, depth images and a text file for each pose.
+
+Two layouts: that of 7-Scenes and tsdf-fusion (frame-000000.color.jpg, .depth.png, .pose.txt beside
+camera-intrinsics.txt), and that of ScanNet's exporter (folders color, depth, pose and intrinsic). Poses are
+camera to world with OpenCV axes, in metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..run.errors import FiptError
+from .depth_images import depth_size
+from .images import read_size
+from .rig import DepthView, Lens, Note, ReadOptions, Rig, RigView, damaged, find_image, find_mesh
+from .rig_files import MESH_STEMS, numbers, read_text_rig
+
+NAME = "rgbd"
+LOOKS_FOR = (
+    "frame-*.depth.png and frame-*.pose.txt beside camera-intrinsics.txt, or folders depth, pose, color"
+)
+INTRINSICS = "camera-intrinsics.txt"
+MOST_POSE_BYTES = 10_000
+PHOTOGRAPHS = (".jpg", ".png", ".jpeg")  # `find_image` prefers an EXR of the same name
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """The files of a frame; the photograph's need not exist."""
+
+    name: str
+    depth: Path
+    pose: Path
+    photographs: tuple[Path, ...]
+
+
+def detect(path: Path) -> bool:
+    """Whether a folder, or its folder data, has one of the layouts."""
+    return _root(path) is not None
+
+
+def read(path: Path, options: ReadOptions) -> Rig:
+    """Read all frames. Those without a photograph are used for their depth alone; lost poses are left out.
+
+    Raises:
+        FiptError: ``rig-damaged``, ``intrinsics-missing``, ``image-unreadable`` or ``depth-unreadable``.
+    """
+    root = _root(path)
+    if root is None:
+        raise damaged(path, "it contains no RGB-D frames")
+    frames = _frames(root)
+    size = depth_size(frames[0].depth)
+    depth_matrix, color_matrix = _intrinsics(root)
+    views: list[RigView] = []
+    depths: list[DepthView] = []
+    poses = [_pose(frame.pose) for frame in frames]
+    for frame, pose in zip(frames, poses, strict=True):
+        if pose is None:
+            continue
+        photograph = _photograph(frame, options)
+        if photograph is not None:
+            matrix = _scaled(depth_matrix, size, read_size(photograph))
+            matrix = color_matrix if color_matrix is not None else matrix
+            views.append(_view(frame.name, photograph, matrix, pose))
+        if frame.depth.is_file():
+            intrinsics = (depth_matrix[0, 0], depth_matrix[1, 1], depth_matrix[0, 2], depth_matrix[1, 2])
+            fx, fy, cx, cy = (float(value) for value in intrinsics)
+            depths.append(DepthView(frame.depth, *size, fx, fy, cx, cy, options.depth_unit, pose, photograph))
+    lost = sum(pose is None for pose in poses)
+    notes: tuple[Note, ...] = ()
+    if lost:
+        text = f"{lost} of {len(frames)} frames have no pose, since the tracking was lost; they are left out."
+        notes = (Note("pose-lost", text, "Nothing needs to be done."),)
+    return Rig(NAME, tuple(views), None, find_mesh([root], MESH_STEMS), notes, tuple(depths))
+
+
+def _root(path: Path) -> Path | None:
+    """The folder of the frames."""
+    for root in (path, path / "data"):
+        if not root.is_dir():
+            continue
+        if all((root / name).is_dir() for name in ("depth", "pose", "intrinsic")):
+            return root
+        if next(root.glob("*.pose.txt"), None) and next(root.glob("*.depth.png"), None):
+            return root
+    return None
+
+
+def _frames(root: Path) -> list[_Frame]:
+    """All frames with a pose, by name."""
+    if (root / "intrinsic").is_dir():
+        poses = [file for file in (root / "pose").iterdir() if file.suffix == ".txt"]
+        found = [
+            _Frame(
+                pose.stem,
+                root / "depth" / f"{pose.stem}.png",
+                pose,
+                tuple(root / "color" / f"{pose.stem}{suffix}" for suffix in PHOTOGRAPHS),
+            )
+            for pose in poses
+        ]
+        # Frames are numbered without leading zeros.
+        return sorted(found, key=lambda frame: (len(frame.name), frame.name))
+    found = []
+    for pose in sorted(root.glob("*.pose.txt")):
+        stem = pose.name.removesuffix(".pose.txt")
+        photographs = tuple(root / f"{stem}.color{suffix}" for suffix in PHOTOGRAPHS)
+        found.append(_Frame(stem, root / f"{stem}.depth.png", pose, photographs))
+    return found
+
+
+def _intrinsics(root: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """Camera matrices of the depth images, and of the photographs where they have their own.
+
+    Raises:
+        FiptError: ``intrinsics-missing`` or ``rig-damaged``.
+    """
+    if (root / "intrinsic").is_dir():
+        depth, color = (root / "intrinsic" / f"intrinsic_{kind}.txt" for kind in ("depth", "color"))
+        return _matrix(depth), _matrix(color) if color.is_file() else None
+    return _matrix(root / INTRINSICS), None
+
+
+def _matrix(path: Path) -> np.ndarray:
+    if not path.is_file():
+        raise FiptError(
+            "intrinsics-missing",
+            f"{path} does not exist.",
+            "Write the three rows of the depth camera's matrix into this file.",
+        )
+    text = read_text_rig(path, MOST_POSE_BYTES)
+    side = 4 if len(text.split()) == 16 else 3
+    try:
+        return numbers(text, side * side).reshape(side, side)[:3, :3]
+    except ValueError as error:
+        raise damaged(path, error) from None
+
+
+def _pose(path: Path) -> np.ndarray | None:
+    """A pose (4, 4), or None where the tracking was lost, which programs write as infinity or NaN.
+
+    Raises:
+        FiptError: ``rig-damaged``.
+    """
+    words = read_text_rig(path, MOST_POSE_BYTES).split()
+    try:
+        values = np.array([float(word) for word in words], np.float64).reshape(4, 4)
+    except ValueError as error:
+        raise damaged(path, error) from None
+    return values if np.isfinite(values).all() else None
+
+
+def _photograph(frame: _Frame, options: ReadOptions) -> Path | None:
+    for path in frame.photographs:
+        folders = [folder for folder in (options.images, path.parent) if folder is not None]
+        found = find_image(folders, path.name)
+        if found.is_file():
+            return found
+    return None
+
+
+def _scaled(matrix: np.ndarray, size: tuple[int, int], other: tuple[int, int]) -> np.ndarray:
+    """A camera matrix for images of another size with the same field of view."""
+    return np.diag([other[0] / size[0], other[1] / size[1], 1.0]) @ matrix
+
+
+def _view(name: str, photograph: Path, matrix: np.ndarray, pose: np.ndarray) -> RigView:
+    width, height = read_size(photograph)
+    lens = Lens("PINHOLE", (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]))
+    return RigView(name, None, photograph, width, height, lens, pose)

@@ -1,0 +1,215 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Folders of RGB-D frames: cameras, the mesh that is fused from them, and every fault said in words."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fipt_blender.core.alignment.mesh_file import read_mesh
+from fipt_blender.core.capture.depth_images import FusionOptions, fuse, read_depth
+from fipt_blender.core.capture.formats import detect_format, read_rig
+from fipt_blender.core.capture.ingest import IngestOptions, ingest
+from fipt_blender.core.capture.rig import ReadOptions
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.messages import Reporter
+from fipt_blender.core.run.runfolder import RunFolder
+
+WIDTH, HEIGHT, FOCAL = 64, 48, 48.0
+WALL = 2.0  # metres in front of the first camera
+FRAMES = 4
+
+
+def pose(index: int) -> np.ndarray:
+    """Camera to world of a frame: the cameras stand side by side and look along Z."""
+    matrix = np.eye(4)
+    matrix[0, 3] = 0.1 * index
+    return matrix
+
+
+def write_depth(path: Path, depth: float) -> None:
+    values = np.full((HEIGHT, WIDTH), round(depth * 1000.0), np.uint16)
+    values[:4] = 0
+    values[4:8] = 65535
+    Image.fromarray(values).save(path)
+
+
+def write_color(path: Path, size: tuple[int, int] = (WIDTH, HEIGHT)) -> None:
+    noise = np.random.default_rng(0).integers(60, 180, (size[1], size[0], 3), np.uint8)
+    Image.fromarray(noise).save(path)
+
+
+def write_matrix(path: Path, matrix: np.ndarray) -> None:
+    np.savetxt(path, matrix, "%.9f")
+
+
+def write_frames(folder: Path) -> Path:
+    """The layout of tsdf-fusion; the photographs have twice the resolution of the depth images."""
+    folder.mkdir(parents=True)
+    camera = np.array([[FOCAL, 0.0, WIDTH / 2], [0.0, FOCAL, HEIGHT / 2], [0.0, 0.0, 1.0]])
+    write_matrix(folder / "camera-intrinsics.txt", camera)
+    for index in range(FRAMES):
+        stem = f"frame-{index:06d}"
+        write_depth(folder / f"{stem}.depth.png", WALL)
+        write_color(folder / f"{stem}.color.png", (2 * WIDTH, 2 * HEIGHT))
+        write_matrix(folder / f"{stem}.pose.txt", pose(index))
+    return folder
+
+
+def write_exported_scan(folder: Path) -> Path:
+    """The layout of ScanNet's exporter; frame 10 follows 9 although its name sorts before."""
+    for name in ("color", "depth", "pose", "intrinsic"):
+        (folder / name).mkdir(parents=True)
+    for kind, focal in (("depth", FOCAL), ("color", 2.5 * FOCAL)):
+        matrix = np.diag([focal, focal, 1.0, 1.0])
+        matrix[:2, 2] = 30.0, 20.0
+        write_matrix(folder / "intrinsic" / f"intrinsic_{kind}.txt", matrix)
+    for index in (9, 10):
+        write_depth(folder / "depth" / f"{index}.png", WALL)
+        write_color(folder / "color" / f"{index}.jpg", (160, 120))
+        write_matrix(folder / "pose" / f"{index}.txt", pose(index))
+    return folder
+
+
+def run_ingest(capture: Path, run: Path, options: IngestOptions | None = None) -> dict:
+    ingest(capture, RunFolder(run), options or IngestOptions(hold_back=0), Reporter(io.StringIO()))
+    return json.loads((run / "capture.json").read_text())
+
+
+def test_frames_of_one_folder_are_read_with_intrinsics_of_each_size(tmp_path: Path) -> None:
+    write_frames(tmp_path / "room" / "data")
+    assert detect_format(tmp_path / "room") == "rgbd"
+    rig = read_rig(tmp_path / "room", "auto", ReadOptions())
+    assert len(rig.views) == len(rig.depths) == FRAMES and rig.mesh is None and not rig.notes
+    view, depth = rig.views[1], rig.depths[1]
+    assert (view.width, view.height) == (2 * WIDTH, 2 * HEIGHT)
+    assert view.lens.parameters == pytest.approx((2 * FOCAL, 2 * FOCAL, WIDTH, HEIGHT))
+    assert (depth.fx, depth.fy, depth.cx, depth.cy) == (FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)
+    assert np.allclose(view.camera_to_world, pose(1)) and np.allclose(depth.camera_to_world, pose(1))
+
+
+def test_frames_of_scannets_exporter_are_read_in_order_with_both_cameras(tmp_path: Path) -> None:
+    rig = read_rig(write_exported_scan(tmp_path / "scan"), "auto", ReadOptions())
+    assert [view.name for view in rig.views] == ["9", "10"]
+    assert rig.views[0].lens.parameters == (2.5 * FOCAL, 2.5 * FOCAL, 30.0, 20.0)
+    assert (rig.depths[0].fx, rig.depths[0].cx, rig.depths[0].cy) == (FOCAL, 30.0, 20.0)
+
+
+def test_zero_and_the_highest_code_are_no_measurements(tmp_path: Path) -> None:
+    rig = read_rig(write_frames(tmp_path / "room"), "auto", ReadOptions())
+    image = read_depth(rig.depths[0], 1.0)
+    assert not image.depth[:8].any() and np.allclose(image.depth[8:], WALL)
+    assert image.color is not None and image.color.shape == (HEIGHT, WIDTH, 3)
+
+
+def test_frames_without_photographs_add_their_depth_and_lost_poses_are_told(tmp_path: Path) -> None:
+    folder = write_frames(tmp_path / "room")
+    (folder / "frame-000001.color.png").unlink()
+    write_matrix(folder / "frame-000002.pose.txt", np.full((4, 4), -np.inf))
+    rig = read_rig(folder, "auto", ReadOptions())
+    assert len(rig.views) == 2 and len(rig.depths) == 3
+    assert [note.code for note in rig.notes] == ["pose-lost"] and "1 of 4" in rig.notes[0].text
+
+
+def test_ingest_fuses_the_mesh_once(tmp_path: Path) -> None:
+    capture, run = write_frames(tmp_path / "room"), tmp_path / "run"
+    data = run_ingest(capture, run)
+    assert data["mesh"] == str(run / "fused.ply")
+    vertices, triangles = read_mesh(run / "fused.ply")
+    assert np.abs(vertices[:, 2] - WALL).max() < 1e-3 and len(triangles) > 1000
+    corners = vertices[triangles]
+    facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
+    assert (facing < 0.0).all()  # towards the cameras
+    made = (run / "fused.ply").stat().st_mtime_ns
+    run_ingest(capture, run)
+    assert (run / "fused.ply").stat().st_mtime_ns == made
+    run_ingest(capture, run, IngestOptions(hold_back=0, fusion=FusionOptions(voxel=0.05)))
+    assert len(read_mesh(run / "fused.ply")[1]) < 0.3 * len(triangles)
+
+
+def test_a_mesh_beside_the_frames_is_used(tmp_path: Path) -> None:
+    capture = write_frames(tmp_path / "room")
+    (capture / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    data = run_ingest(capture, tmp_path / "run")
+    assert data["mesh"] == str(capture / "mesh.obj") and not (tmp_path / "run" / "fused.ply").exists()
+
+
+def test_some_of_the_photographs_are_used_with_all_depth_images(tmp_path: Path) -> None:
+    capture = write_frames(tmp_path / "room")
+    data = run_ingest(capture, tmp_path / "run", IngestOptions(hold_back=0, most_views=2))
+    assert [view["name"] for view in data["views"]] == ["frame-000000", "frame-000002"]
+    width = np.ptp(read_mesh(tmp_path / "run" / "fused.ply")[0][:, 0])
+    assert width > WALL * WIDTH / FOCAL  # what two of all images see; the two with photographs see less
+
+
+def test_captures_in_other_units_get_voxels_in_metres(tmp_path: Path) -> None:
+    rig = read_rig(write_frames(tmp_path / "room"), "auto", ReadOptions())
+    assert np.abs(fuse(rig.depths[:2], FusionOptions(), 0.1, lambda share: None).vertices[:, 2]).mean() == (
+        pytest.approx(10.0 * WALL, rel=1e-3)
+    )
+
+
+def truncate(folder: Path) -> None:
+    path = folder / "frame-000000.depth.png"
+    path.write_bytes(path.read_bytes()[:-40])
+
+
+def eight_bits(folder: Path) -> None:
+    Image.fromarray(np.full((HEIGHT, WIDTH), 90, np.uint8)).save(folder / "frame-000000.depth.png")
+
+
+def other_size(folder: Path) -> None:
+    Image.fromarray(np.full((HEIGHT, WIDTH // 2), 2000, np.uint16)).save(folder / "frame-000003.depth.png")
+
+
+def other_unit(folder: Path) -> None:
+    for path in folder.glob("*.depth.png"):
+        Image.fromarray(np.full((HEIGHT, WIDTH), 20, np.uint16)).save(path)
+
+
+def nothing_measured(folder: Path) -> None:
+    for path in folder.glob("*.depth.png"):
+        Image.fromarray(np.zeros((HEIGHT, WIDTH), np.uint16)).save(path)
+
+
+def no_intrinsics(folder: Path) -> None:
+    (folder / "camera-intrinsics.txt").unlink()
+
+
+def words_for_a_pose(folder: Path) -> None:
+    (folder / "frame-000001.pose.txt").write_text("1 0 0 0\nlost\n")
+
+
+@pytest.mark.parametrize(
+    ("damage", "code"),
+    [
+        (truncate, "depth-unreadable"),
+        (eight_bits, "depth-format"),
+        (other_size, "depth-size"),
+        (other_unit, "depth-unit"),
+        (nothing_measured, "depth-empty"),
+        (no_intrinsics, "intrinsics-missing"),
+        (words_for_a_pose, "rig-damaged"),
+    ],
+)
+def test_faults_are_said_and_nothing_is_written(tmp_path: Path, damage, code: str) -> None:
+    capture = write_frames(tmp_path / "room")
+    damage(capture)
+    with pytest.raises(FiptError) as caught:
+        run_ingest(capture, tmp_path / "run")
+    assert caught.value.code == code and caught.value.remedy
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("voxel", [0.0, -1.0, 5.0, float("nan")])
+def test_impossible_voxels_are_refused(tmp_path: Path, voxel: float) -> None:
+    with pytest.raises(FiptError, match="impossible"):
+        run_ingest(
+            write_frames(tmp_path / "room"), tmp_path / "run", IngestOptions(fusion=FusionOptions(voxel))
+        )
