@@ -23,6 +23,7 @@ from . import (
     materials,
     parts,
     photographs,
+    presets,
     storage,
     views,
 )
@@ -41,6 +42,7 @@ MODULES = (
     lights,
     insert,
     check,
+    presets,
 )
 
 

@@ -16,11 +16,12 @@ from . import (
     materials,
     parts,
     photographs,
+    presets,
     statusbar,
     swatches,
 )
 
-_MODULES = (photographs, capture, alignment, parts, estimate, materials, lights, insert, check)
+_MODULES = (photographs, capture, alignment, parts, estimate, materials, lights, insert, check, presets)
 
 _register, _unregister = bpy.utils.register_classes_factory(
     [panel for module in _MODULES for panel in module.CLASSES]

@@ -13,6 +13,7 @@ from ..jobs import running
 from ..jobs.job_scene import uses_run_folder
 from . import swatches
 from .job import draw_job
+from .presets import FIPT_PT_import_presets
 from .sidebar import Section, SubSection, draw_text
 
 
@@ -87,6 +88,9 @@ class FIPT_PT_capture_import(SubSection, bpy.types.Panel):
     bl_label = "Import Settings"
     bl_parent_id = "FIPT_PT_capture"
     bl_order = 1
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        FIPT_PT_import_presets.draw_panel_header(self.layout)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()

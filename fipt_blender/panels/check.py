@@ -8,6 +8,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .job import draw_job
+from .presets import FIPT_PT_check_presets
 from .sidebar import Section
 
 
@@ -43,6 +44,9 @@ class FIPT_PT_check(Section, bpy.types.Panel):
 
     bl_label = "Check"
     bl_order = 7
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        FIPT_PT_check_presets.draw_panel_header(self.layout)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()

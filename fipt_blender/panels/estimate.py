@@ -12,6 +12,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from ..core.run.runfolder import RunFolder
 from ..jobs import previews, running, runstate
 from .job import draw_error, draw_job, draw_messages
+from .presets import FIPT_PT_estimate_presets
 from .sidebar import Section, SubSection
 
 # Settings in one column belong together.
@@ -29,6 +30,9 @@ class FIPT_PT_estimate(Section, bpy.types.Panel):
 
     bl_label = "Estimate"
     bl_order = 3
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        FIPT_PT_estimate_presets.draw_panel_header(self.layout)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()

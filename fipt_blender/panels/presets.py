@@ -1,0 +1,38 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The menus of presets in the headers of three panels; see operators/presets.py."""
+
+from __future__ import annotations
+
+import bpy
+from bl_ui.utils import PresetPanel
+
+
+class FIPT_PT_import_presets(PresetPanel, bpy.types.Panel):
+    """Presets of the import settings"""
+
+    bl_label = "Import Presets"
+    preset_subdir = "fipt/import"
+    preset_operator = "script.execute_preset"
+    preset_add_operator = "fipt.add_import_preset"
+
+
+class FIPT_PT_estimate_presets(PresetPanel, bpy.types.Panel):
+    """Presets of the estimation's settings"""
+
+    bl_label = "Estimate Presets"
+    preset_subdir = "fipt/estimate"
+    preset_operator = "script.execute_preset"
+    preset_add_operator = "fipt.add_estimate_preset"
+
+
+class FIPT_PT_check_presets(PresetPanel, bpy.types.Panel):
+    """Presets of the settings of check renders"""
+
+    bl_label = "Check Presets"
+    preset_subdir = "fipt/check"
+    preset_operator = "script.execute_preset"
+    preset_add_operator = "fipt.add_check_preset"
+
+
+CLASSES = (FIPT_PT_import_presets, FIPT_PT_estimate_presets, FIPT_PT_check_presets)
