@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
-from fipt_blender.blend.room import exporting, islands, packing
+from fipt_blender.blend.room import charts, exporting, islands, packing
 from fipt_blender.blend.room.atlas import make_atlas
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
@@ -122,6 +122,37 @@ def test_too_much_surface_shrinks_instead_of_making_more_images(run):
     atlas = make_atlas(objects, run, settings, max_images=4)
     assert len(atlas.images) <= 4 and max(max(size) for size in atlas.images) <= 256
     assert atlas.texel_density < 128.0
+
+
+def test_scans_are_unwrapped_by_charts(run, monkeypatch):
+    monkeypatch.setattr(charts, "LEAST_TRIANGLES", 1000)
+    bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=5)
+    item = bpy.context.object
+    item.data.uv_layers.remove(item.data.uv_layers[0])
+    position = np.empty(len(item.data.vertices) * 3, np.float32)
+    item.data.vertices.foreach_get("co", position)
+    position += np.random.default_rng(1).normal(0.0, 0.01, position.shape)
+    item.data.vertices.foreach_set("co", position)
+    room, atlas, corner_uv, image = atlas_of([item], run)
+    assert atlas.unwrapped == [item.name] and atlas.texel_density == 128.0
+    check_layout(atlas, corner_uv, image)
+    found = islands.uv_islands(room.triangles, corner_uv)
+    assert found.max() < 60
+    assert np.array_equal(corner_uv, np.round(corner_uv * 2.0**16) / 2.0**16)
+    sizes = np.array(atlas.images)[image][:, None]
+    texels = np.bincount(found, islands.triangle_areas(corner_uv * sizes))
+    areas = np.bincount(found, islands.triangle_areas(room.vertices[room.triangles]))
+    assert np.allclose(texels / areas, 128.0**2, rtol=0.05)  # the same density for all
+
+
+def test_outlines_turn_like_whole_islands(monkeypatch):
+    random = np.random.default_rng(2)
+    corners = random.normal(size=(3000, 1, 2)) * [3.0, 1.0] + random.normal(size=(3000, 3, 2)) * 0.1
+    island = random.integers(0, 4, 3000)
+    island[:5] = 5  # a small one, and none with the number 4
+    by_outline = islands.rotate_islands(corners, island)
+    monkeypatch.setattr(islands, "LARGE_ISLAND", 10_000)
+    assert np.array_equal(by_outline, islands.rotate_islands(corners, island))
 
 
 def test_sparse_islands_are_cut():

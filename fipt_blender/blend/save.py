@@ -12,15 +12,18 @@ from pathlib import Path
 import bpy
 
 from ..core.run.errors import FiptError
-from ..core.run.runfolder import explained_write_errors
+from ..core.run.runfolder import atomic_path, explained_write_errors
 
+# Blender compresses each megabyte by itself. Below this size a second compression gains little.
+LEAST_REPACKED = 10_000_000
+_WINDOW_BITS = 27  # the largest window that Blender's reader accepts
 _PROBE_BYTES = 16_000_000
 # Below this much free space a failed write is blamed on the disk, since no file's size is known beforehand.
 _LITTLE_SPACE = 500_000_000
 
 
 def save_blend(path: Path) -> None:
-    """Save the open file under a path, atomically (Blender renames the finished file).
+    """Save the open file under a path, compressed and atomically (Blender renames the finished file).
 
     Image paths become relative to it where possible.
 
@@ -32,11 +35,34 @@ def save_blend(path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
     try:
         # The first save gives the file the name to which the paths then become relative.
-        bpy.ops.wm.save_as_mainfile(filepath=str(path), check_existing=False)
+        bpy.ops.wm.save_as_mainfile(filepath=str(path), check_existing=False, compress=True)
         bpy.ops.file.make_paths_relative()
-        bpy.ops.wm.save_mainfile()
+        bpy.ops.wm.save_mainfile(compress=True)
     except RuntimeError as error:
         raise write_error(path, error, "blend-unwritable") from None
+    _repack(path)
+
+
+def _repack(path: Path) -> None:
+    """Compress a saved file once more, as one stream: a result mesh then costs little beside its original.
+
+    The file stays as it is where this Python lacks the module zstandard, which Blender's own builds have.
+    """
+    try:
+        import zstandard
+    except ImportError:
+        return
+    if path.stat().st_size < LEAST_REPACKED:
+        return
+    parameters = zstandard.ZstdCompressionParameters.from_level(
+        1, window_log=_WINDOW_BITS, enable_ldm=True, write_checksum=True
+    )
+    try:
+        with atomic_path(path) as temporary, open(path, "rb") as source, open(temporary, "wb") as target:
+            content = zstandard.ZstdDecompressor().stream_reader(source, read_across_frames=True)
+            zstandard.ZstdCompressor(compression_params=parameters).copy_stream(content, target)
+    except FiptError:  # no space for a second file: the first one is complete
+        return
 
 
 def write_error(path: Path, error: RuntimeError, code: str) -> FiptError:

@@ -22,7 +22,7 @@ from ..marks import BACK, BASE, FIXTURE, FIXTURE_SOURCES, object_id
 from ..outliner import FIXTURES, collection
 from ..room.arrays import Room
 from ..room.mesh_arrays import is_mirrored
-from ..room.originals import original_polygons
+from ..room.originals import number_polygons, original_polygons
 from .fixture_nodes import emission_material
 
 
@@ -145,6 +145,7 @@ def _make(entry: Mapping[str, Any], pieces: list[_Piece]) -> NewFixture:
 
 
 def _remove_polygons(mesh: bpy.types.Mesh, polygons: np.ndarray) -> None:
+    number_polygons(mesh)
     bm = bmesh.new()
     bm.from_mesh(mesh)
     bm.faces.ensure_lookup_table()

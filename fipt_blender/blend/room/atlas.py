@@ -3,7 +3,7 @@
 """The atlas that the engine bakes onto: UVs of the whole room in few images, written to atlas.npz.
 
 UVs that the artist made are kept where they can hold a texture, other objects are unwrapped; all islands are
-then scaled to one texel density and packed into few images.
+then scaled to one texel density and packed into few images. Scans are unwrapped by charts.
 """
 
 from __future__ import annotations
@@ -20,12 +20,15 @@ from ...core.run.runfolder import RunFolder, atomic_path, write_json
 from ...core.run.settings import Settings
 from ..slices import find_object, run_through
 from .arrays import Room, read_room
+from .charts import chart_slices, is_scan
 from .islands import island_bounds, rotate_islands, split_sparse_islands, triangle_areas, uv_islands
-from .packing import Packing, pack_islands, place
+from .packing import PAD, Packing, pack_islands, place
 from .result_meshes import match_objects
 from .unwrapping import UnwrapSource, exported_source, read_source, unwrap, uvs_in_range, uvs_usable
 
 MAX_IMAGES = 16
+# UVs of scans are rounded to this share of an image, a 32nd of a texel or less: they compress to two thirds.
+UV_STEP = 2.0**-16
 # Face corners that are unwrapped in one slice: about 50 ms.
 BATCH_CORNERS = 20_000
 
@@ -62,11 +65,13 @@ class _RoomIslands:
         uv: (T,3,2) f64 by triangle corner, each object in its own UV space.
         island: (T,) i64, numbered within each object.
         area: (T,) f64 in the world, m².
+        is_scan: (T,) bool, whether they were unwrapped by charts.
     """
 
     uv: np.ndarray
     island: np.ndarray
     area: np.ndarray
+    is_scan: np.ndarray
 
 
 def make_atlas(
@@ -99,8 +104,11 @@ def atlas_slices(
     matches = match_objects(room, objects)
     yield None
     areas = triangle_areas(room.vertices[room.triangles])
-    islands = _RoomIslands(np.zeros((count, 3, 2)), np.full(count, -1, np.int64), areas)
+    islands = _RoomIslands(
+        np.zeros((count, 3, 2)), np.full(count, -1, np.int64), areas, np.zeros(count, bool)
+    )
     kept: list[str] = []
+    unwrapped: list[str] = []
     tasks: list[_UnwrapTask] = []
     change: FiptError | None = None
     for index, (name, match) in enumerate(zip(room.objects, matches, strict=True)):
@@ -124,6 +132,14 @@ def atlas_slices(
                 islands.island[triangles] = object_island
                 yield None
                 continue
+        if is_scan(areas[triangles]):
+            unwrapped.append(name)
+            longest = (settings.texture_size - 2 * PAD) / settings.texel_density
+            corners, polygon = room.triangles[triangles], room.triangle_polygon[triangles]
+            charts = yield from chart_slices(room.vertices, corners, polygon, longest)
+            islands.uv[triangles], islands.island[triangles] = charts.uv, charts.chart
+            islands.is_scan[triangles] = True
+            continue
         tasks.append(_UnwrapTask(name, triangles, source))
         yield None
     if change is not None and not any(matches):
@@ -135,7 +151,7 @@ def atlas_slices(
         yield None
     packing = yield from _pack_room(room, islands, run, settings, max_images)
     density = settings.texel_density * float(packing.scale.min(initial=1.0))
-    return Atlas(packing.sizes, kept, [task.name for task in tasks], density)
+    return Atlas(packing.sizes, kept, [*unwrapped, *(task.name for task in tasks)], density)
 
 
 def _batches(tasks: list[_UnwrapTask]) -> Iterator[list[_UnwrapTask]]:
@@ -193,6 +209,7 @@ def _pack_room(
     sizes = np.array(packing.sizes, np.float64).reshape(-1, 2)
     corner_uv = np.zeros_like(islands.uv)
     corner_uv[packed] = placed / sizes[image[packed]][:, None]
+    corner_uv[islands.is_scan] = np.round(corner_uv[islands.is_scan] / UV_STEP) * UV_STEP
     _write(run, corner_uv, image, "uv", packing.sizes)
     if not len(packing.scale):
         raise FiptError(

@@ -9,6 +9,7 @@ import numpy as np
 # Islands that fill less of their bounding box than this are cut, unless the box is small anyway.
 MIN_FILL = 0.4
 MIN_SPLIT_TEXELS = 4096
+LARGE_ISLAND = 100  # triangles; the outline of larger ones is found first, which is faster
 
 
 def connected_triangles(corners: np.ndarray) -> np.ndarray:
@@ -63,14 +64,28 @@ def uv_islands(vertex_ids: np.ndarray, corner_uv: np.ndarray) -> np.ndarray:
 
 
 def island_bounds(corner_uv: np.ndarray, island: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lower left corners and extents of islands, each (N,2) f64."""
+    """Lowest corners and extents of islands, each (N,D) f64, of the triangles' corners (T,3,D)."""
     count = int(island.max()) + 1 if len(island) else 0
-    low = np.full((count, 2), np.inf)
-    high = np.full((count, 2), -np.inf)
-    for axis in range(2):
-        np.minimum.at(low[:, axis], island, corner_uv[..., axis].min(axis=1))
-        np.maximum.at(high[:, axis], island, corner_uv[..., axis].max(axis=1))
+    low = np.full((count, corner_uv.shape[2]), np.inf)
+    high = np.full((count, corner_uv.shape[2]), -np.inf)
+    order, starts = _grouped(island)
+    present = island[order[starts]]
+    for axis in range(corner_uv.shape[2]):
+        first, second, third = corner_uv[..., axis].T
+        lowest = np.minimum(np.minimum(first, second), third)
+        highest = np.maximum(np.maximum(first, second), third)
+        if len(order):
+            low[present, axis] = np.minimum.reduceat(lowest[order], starts)
+            high[present, axis] = np.maximum.reduceat(highest[order], starts)
     return low, high - low
+
+
+def _grouped(island: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Order (N,) that sorts by island, and where each island starts in it."""
+    order = np.argsort(island, kind="stable")
+    sorted_island = island[order]
+    starts = np.flatnonzero(np.concatenate([[True], sorted_island[1:] != sorted_island[:-1]])[: len(order)])
+    return order, starts
 
 
 def rotate_islands(corner_uv: np.ndarray, island: np.ndarray, steps: int = 18) -> np.ndarray:
@@ -81,16 +96,51 @@ def rotate_islands(corner_uv: np.ndarray, island: np.ndarray, steps: int = 18) -
         island: (T,) of `uv_islands`.
         steps: angles tried between 0 and 90 degrees.
     """
-    best = island_bounds(corner_uv, island)[1].prod(axis=1) * 0.98  # rotate only where that gains something
+    points, owner = _outer_corners(corner_uv, island)
+    # Rotate only where that gains something.
+    best = island_bounds(corner_uv, island)[1].prod(axis=1) * 0.98
     angle = np.zeros(len(best))
     for candidate in np.arange(1, steps) * (0.5 * np.pi / steps):
-        area = island_bounds(_rotate(corner_uv, np.full(len(corner_uv), candidate)), island)[1].prod(axis=1)
+        turned = _rotate(points, np.full(len(points), candidate))
+        area = island_bounds(turned, owner)[1].prod(axis=1)
         better = area < best
         best, angle = np.where(better, area, best), np.where(better, candidate, angle)
     rotated = _rotate(corner_uv, angle[island])
     extent = island_bounds(rotated, island)[1]
     upright = extent[:, 1] > extent[:, 0]
     return _rotate(rotated, np.where(upright, 0.5 * np.pi, 0.0)[island])
+
+
+def _outer_corners(corner_uv: np.ndarray, island: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles (M,3,2) that can bound their island from any side, and their islands (M,).
+
+    Of large islands, those triangles are left out that lie inside the octagon of the outermost corners.
+    """
+    large = np.bincount(island) > LARGE_ISLAND
+    if not large.any():
+        return corner_uv, island
+    inside = large[island]
+    turns = np.arange(8) * (0.25 * np.pi)
+    order, starts = _grouped(island)
+    outermost = np.zeros((len(large), 8, 2))
+    for side, turn in enumerate(turns):
+        reach = corner_uv @ np.array([np.cos(turn), np.sin(turn)])
+        corner = reach.argmax(axis=1)
+        farthest = np.take_along_axis(reach, corner[:, None], axis=1)[:, 0]
+        best = np.repeat(np.maximum.reduceat(farthest[order], starts), np.diff(np.append(starts, len(order))))
+        at = order[farthest[order] == best]
+        outermost[island[at], side] = corner_uv[at, corner[at]]
+    size = np.ptp(outermost, axis=1).max(axis=1)
+    for side in range(8):
+        start = outermost[:, side]
+        edge = outermost[:, (side + 1) % 8] - start
+        constant = edge[:, 0] * start[:, 1] - edge[:, 1] * start[:, 0] + 1e-9 * size * size
+        constant[(edge == 0.0).all(axis=1)] = -np.inf  # one corner is the outermost in both directions
+        along, across, constant = edge[island, 0], edge[island, 1], constant[island]
+        for corner in range(3):
+            inside &= along * corner_uv[:, corner, 1] - across * corner_uv[:, corner, 0] > constant
+    outer = np.flatnonzero(~inside)
+    return corner_uv[outer], island[outer]
 
 
 def _rotate(corner_uv: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -114,7 +164,7 @@ def split_sparse_islands(corners: np.ndarray, island: np.ndarray, polygon: np.nd
         (T,) i64 islands, renumbered from 0.
     """
     area = triangle_areas(corners)
-    _, polygon = np.unique(polygon, return_inverse=True)
+    polygon = renumbered(polygon)
     triangle_count = np.bincount(polygon)
     centre = np.stack(
         [np.bincount(polygon, corners[..., axis].mean(axis=1)) / triangle_count for axis in range(2)], axis=1
@@ -129,8 +179,15 @@ def split_sparse_islands(corners: np.ndarray, island: np.ndarray, polygon: np.nd
         axis = extent.argmax(axis=1)[island]
         centre_line = (low + 0.5 * extent)[island]
         beyond = np.take_along_axis(centre > centre_line, axis[:, None], axis=1)[:, 0]
-        _, island = np.unique(island * 2 + (beyond & sparse[island]), return_inverse=True)
+        island = renumbered(island * 2 + (beyond & sparse[island]))
     return island
+
+
+def renumbered(ids: np.ndarray) -> np.ndarray:
+    """The ids (N,), none of them negative, numbered from 0 without gaps in the same order, (N,) i64."""
+    present = np.zeros(int(ids.max(initial=-1)) + 1, bool)
+    present[ids] = True
+    return (np.cumsum(present) - 1)[ids]
 
 
 def triangle_areas(corners: np.ndarray) -> np.ndarray:

@@ -31,15 +31,21 @@ POLYGON_ATTRIBUTE = "fipt_polygon"
 
 
 def number_polygons(mesh: bpy.types.Mesh) -> None:
-    """Store each polygon's index in the attribute ``fipt_polygon``, which survives splitting polygons off."""
+    """Store each polygon's index in the attribute ``fipt_polygon``, before polygons are split off the mesh.
+
+    Meshes that keep all polygons do without, since the attribute has a share in the size of the file.
+    """
     attribute = mesh.attributes.new(POLYGON_ATTRIBUTE, "INT", "FACE")
     attribute.data.foreach_set("value", np.arange(len(mesh.polygons), dtype=np.int32))
 
 
 def original_polygons(mesh: bpy.types.Mesh) -> np.ndarray:
     """Index that each polygon of a result mesh had when the room was exported, (P,) i32."""
+    attribute = mesh.attributes.get(POLYGON_ATTRIBUTE)
+    if attribute is None:
+        return np.arange(len(mesh.polygons), dtype=np.int32)
     index = np.empty(len(mesh.polygons), np.int32)
-    mesh.attributes[POLYGON_ATTRIBUTE].data.foreach_get("value", index)
+    attribute.data.foreach_get("value", index)
     return index
 
 

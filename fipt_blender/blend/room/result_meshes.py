@@ -14,7 +14,7 @@ from ..marks import object_id
 from .arrays import Room
 from .exporting import fresh_depsgraph
 from .mesh_arrays import is_mirrored, triangle_loops
-from .originals import number_polygons, original_shown
+from .originals import original_shown
 
 
 def match_objects(room: Room, objects: Iterable[bpy.types.Object]) -> list[str | None]:
@@ -83,5 +83,4 @@ def make_mesh(room: Room, index: int, item: bpy.types.Object) -> bpy.types.Mesh:
             f" ({len(polygons):,} triangles instead of {len(exported):,}).",
             "Undo the change to its mesh or modifiers, or estimate again.",
         )
-    number_polygons(mesh)
     return mesh
