@@ -222,6 +222,42 @@ def test_a_converted_fixture_follows_its_settings(scene):
     assert not [light for light in bpy.data.lights if light.name.startswith("Fixture")]
 
 
+def test_lights_that_the_artist_has_changed_survive_another_apply(scene):
+    row = scene.fipt.lights.lights[0]
+    assert ops.fixture_to_area_light() == {"FINISHED"}
+    (light,) = row.object.children
+    light.location.z -= 0.5
+    light.data.size, light.data.use_shadow = 0.3, False
+    bpy.context.view_layer.update()
+    name, place, datablocks = light.name, light.matrix_world.copy(), len(bpy.data.lights)
+    row.stops = 1.0
+    watts = light.data.energy
+    for _ in range(2):
+        assert ops.apply_results() == {"FINISHED"}
+        bpy.context.view_layer.update()
+        fixture = scene.fipt.lights.lights[0].object
+        (light,) = fixture.children
+        assert light.name == name and np.allclose(light.matrix_world, place, atol=1e-6)
+        assert light.data.size == pytest.approx(0.3) and not light.data.use_shadow
+        assert light.data.energy == pytest.approx(watts)
+        assert len(bpy.data.lights) == datablocks
+    assert ops.area_light_to_fixture() == {"FINISHED"}
+    assert not fixture.children and front(fixture).any()
+    assert not [item for item in bpy.data.objects if item.type == "LIGHT" and item.name.startswith("Fix")]
+
+
+def test_deleted_lights_stay_deleted_and_others_are_made_anew(scene):
+    assert ops.fixture_to_area_light() == {"FINISHED"}
+    (light,) = scene.fipt.lights.lights[0].object.children
+    bpy.data.objects.remove(light)
+    assert ops.apply_results() == {"FINISHED"}
+    fixture = scene.fipt.lights.lights[0].object
+    assert not fixture.children and not fixture.visible_diffuse
+    assert ops.fixture_to_area_light() == {"FINISHED"} and len(fixture.children) == 1
+    assert ops.apply_results() == {"FINISHED"}
+    assert len(scene.fipt.lights.lights[0].object.children) == 1
+
+
 def test_light_groups_sum_to_the_image(scene, tmp_path):
     ops.add_light(location=(2.5, 0.5, 2.0), size=0.5, power=30.0)
     layer = bpy.context.view_layer

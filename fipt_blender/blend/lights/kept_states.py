@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Keeps the settings of fixtures when results are applied again."""
+"""Keeps the settings of fixtures, and changed lights that stand for them, when results are applied again."""
 
 from __future__ import annotations
 
@@ -8,27 +8,54 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import bpy
+from mathutils import Matrix
 
-from ..marks import BACK, BASE, FIXTURE, fixture_lights, fixtures_of
-from .convert import fixture_to_lights
+from ..marks import (
+    AS_CONVERTED,
+    BACK,
+    BASE,
+    FIXTURE,
+    FIXTURE_SOURCES,
+    fixture_lights,
+    fixtures_of,
+    remove_marks,
+)
+from ..outliner import FIXTURES, collection, remove_object
+from .convert import fixture_to_lights, lights_as_converted
 from .light_state import SETTINGS, Setting, adopt, list_lights, refresh
 
 
 @dataclass(frozen=True)
+class _KeptLight:
+    """A copy of a light, without a parent, which is in no scene."""
+
+    copy: bpy.types.Object
+    name: str
+    inverse: Matrix  # to its parent
+
+
+@dataclass(frozen=True)
 class FixtureState:
-    """A fixture's settings and base radiances by key, and whether Blender lights stand for it."""
+    """A fixture's settings and base radiances by key, and whether Blender lights stand for it.
+
+    Attributes:
+        lights: copies of these lights if the artist has moved, reshaped or deleted some of them, else None.
+    """
 
     settings: dict[str, Setting]
     converted: bool
+    lights: list[_KeptLight] | None = None
 
 
 def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
-    """The states of all fixtures of a scene, by name."""
+    """The states of all fixtures of a scene, by name. `keep_states` must follow, which removes the copies."""
     states = {}
     for item in fixtures_of(scene):
         adopt(item)
         settings = {key: _plain(item[key]) for key in (*SETTINGS, BASE, BACK) if key in item}
-        states[item[FIXTURE]] = FixtureState(settings, bool(fixture_lights(item)))
+        changed = AS_CONVERTED in item and not lights_as_converted(scene, item)
+        lights = [_copied(light) for light in fixture_lights(item)] if changed else None
+        states[item[FIXTURE]] = FixtureState(settings, AS_CONVERTED in item, lights)
     return states
 
 
@@ -36,6 +63,7 @@ def keep_states(
     scene: bpy.types.Scene, items: Iterable[bpy.types.Object], states: Mapping[str, FixtureState]
 ) -> None:
     """Give new fixtures the settings of earlier ones with the same name and radiance; update all lights."""
+    unused = dict(states)
     for item in items:
         state = states.get(item[FIXTURE])
         if state is None or any(state.settings.get(key) != _plain(item[key]) for key in (BASE, BACK)):
@@ -45,8 +73,36 @@ def keep_states(
                 item[key] = state.settings[key]
         if state.converted:
             fixture_to_lights(scene, item)
+        if state.lights is not None:
+            _bring_back(scene, item, state.lights)
+            del unused[item[FIXTURE]]
+    for state in unused.values():
+        for light in state.lights or ():
+            remove_object(light.copy)
     refresh(scene)
     list_lights(scene)
+
+
+def _copied(light: bpy.types.Object) -> _KeptLight:
+    copy = light.copy()
+    copy.data = light.data.copy()
+    inverse = light.matrix_parent_inverse.copy()
+    copy.parent = None
+    remove_marks(copy, FIXTURE_SOURCES)  # with which it would be removed together with the fixture
+    return _KeptLight(copy, light.name, inverse)
+
+
+def _bring_back(scene: bpy.types.Scene, item: bpy.types.Object, lights: Iterable[_KeptLight]) -> None:
+    """Put kept lights in the place of those that a fixture has just been converted to."""
+    for made in fixture_lights(item):
+        remove_object(made)
+    target = collection(scene, FIXTURES)
+    for light in lights:
+        copy = light.copy
+        copy.name = copy.data.name = light.name
+        copy[FIXTURE_SOURCES] = item[FIXTURE_SOURCES]
+        target.objects.link(copy)
+        copy.parent, copy.matrix_parent_inverse = item, light.inverse
 
 
 def _plain(value: Setting) -> Setting:
