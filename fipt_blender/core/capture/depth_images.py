@@ -84,7 +84,7 @@ def read_depth(view: DepthView, scale: float) -> RangeImage:
     pose = view.camera_to_world.copy()
     pose[:3, 3] *= scale
     intrinsics = (view.fx, view.fy, view.cx, view.cy)
-    return RangeImage(depth.astype(np.float32), *intrinsics, pose, _colors(view))
+    return RangeImage(depth.astype(np.float32), *intrinsics, pose, _colors(view, depth, scale))
 
 
 def _read_png(path: Path) -> np.ndarray:
@@ -117,14 +117,24 @@ def _unreadable(path: Path, reason: object) -> FiptError:
     )
 
 
-def _colors(view: DepthView) -> np.ndarray | None:
+def _colors(view: DepthView, depth: np.ndarray, scale: float) -> np.ndarray | None:
     """The photograph's colors at the depth image's pixels, as sRGB codes from 0 to 1."""
-    if view.photograph is None or not is_encoded(view.photograph):
+    photograph = view.photograph
+    if photograph is None or not is_encoded(photograph.image):
         return None
-    pixels = srgb_encoded(read_radiance(view.photograph))
-    rows = (np.arange(view.height) + 0.5) * pixels.shape[0] / view.height
-    columns = (np.arange(view.width) + 0.5) * pixels.shape[1] / view.width
-    return pixels[rows.astype(np.int64)[:, None], columns.astype(np.int64)]
+    pixels = srgb_encoded(read_radiance(photograph.image))
+    from_depth = np.linalg.inv(photograph.camera_to_world) @ view.camera_to_world
+    y, x = np.mgrid[: view.height, : view.width] + 0.5
+    local = (
+        np.stack([(x - view.cx) / view.fx, (y - view.cy) / view.fy, np.ones_like(x)], axis=2)
+        * depth[..., None]
+    )
+    local = local @ from_depth[:3, :3].T + from_depth[:3, 3] * scale
+    fx, fy, cx, cy = photograph.lens.parameters
+    far = np.maximum(local[..., 2], 1e-3)
+    column = np.clip(local[..., 0] / far * fx + cx, 0, photograph.width - 1).astype(np.int64)
+    row = np.clip(local[..., 1] / far * fy + cy, 0, photograph.height - 1).astype(np.int64)
+    return pixels[row, column]
 
 
 def check_unit(images: Sequence[RangeImage]) -> None:
@@ -163,7 +173,7 @@ def fuse(
         FiptError: those of `read_depth` and `check_unit`; ``depth-empty`` where no surface is found.
     """
     check_unit([read_depth(view, scale) for view in views[:: max(1, len(views) // 8)]])
-    with_color = any(view.photograph is not None and is_encoded(view.photograph) for view in views)
+    with_color = any(view.photograph is not None and is_encoded(view.photograph.image) for view in views)
     volume = BlockVolume(options.voxel, with_color)
     for index, view in enumerate(views):
         volume.integrate(read_depth(view, scale))
@@ -227,9 +237,12 @@ class Fusion:
         """A hash of everything that the mesh depends on; of files their sizes and times."""
         entries = []
         for view in self.views:
-            files = [path for path in (view.path, view.photograph) if path is not None]
+            photograph = view.photograph
+            files = [view.path, *([] if photograph is None else [photograph.image])]
             states = [[str(path), path.stat().st_size, path.stat().st_mtime_ns] for path in files]
             camera = [view.unit, view.fx, view.fy, view.cx, view.cy, *view.camera_to_world.ravel().tolist()]
+            if photograph is not None:
+                camera += [*photograph.lens.parameters, *photograph.camera_to_world.ravel().tolist()]
             entries.append([states, camera])
         data = [PRODUCT_VERSION, self.options.voxel, self.options.close_holes, self.scale, entries]
         return hashlib.sha256(json.dumps(data).encode()).hexdigest()
@@ -262,4 +275,4 @@ def registered_depth(view: RigView, path: Path, unit: float) -> DepthView:
     fx, fy, cx, cy = view.lens.parameters
     unit = 1.0 if path.suffix.lower() == ".exr" else unit
     pose = view.camera_to_world
-    return DepthView(path, width, height, fx * x, fy * y, cx * x, cy * y, unit, pose, view.image)
+    return DepthView(path, width, height, fx * x, fy * y, cx * x, cy * y, unit, pose, view)

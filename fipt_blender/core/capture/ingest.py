@@ -22,6 +22,7 @@ from ..run.runfolder import RunFolder, write_json
 from ..run.settings import make_settings
 from . import checks
 from .align_mesh import aligned_to_mesh
+from .color_camera import with_color_camera
 from .depth_images import DEFAULT_VOXEL, Fusion, FusionOptions
 from .distortion import is_distorted, lens_pinhole, undistorted_pinhole, undistortion
 from .encoded import file_exposure, is_encoded
@@ -151,6 +152,8 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     _check_options(options)
     rig = read_rig(capture.absolute(), options.format, options.read)
     mesh = _mesh(rig, options)
+    if rig.one_camera:
+        rig = with_color_camera(rig, options.scale)
     if options.align_mesh:
         rig = aligned_to_mesh(capture.absolute(), rig, mesh)
     for note in rig.notes:

@@ -62,21 +62,24 @@ def read(path: Path, options: ReadOptions) -> Rig:
     for frame, pose in zip(frames, poses, strict=True):
         if pose is None:
             continue
-        photograph = _photograph(frame, options)
+        photograph, view = _photograph(frame, options), None
         if photograph is not None:
             matrix = _scaled(depth_matrix, size, read_size(photograph))
             matrix = color_matrix if color_matrix is not None else matrix
-            views.append(_view(frame.name, photograph, matrix, pose))
+            view = _view(frame.name, photograph, matrix, pose)
+            views.append(view)
         if frame.depth.is_file():
             intrinsics = (depth_matrix[0, 0], depth_matrix[1, 1], depth_matrix[0, 2], depth_matrix[1, 2])
             fx, fy, cx, cy = (float(value) for value in intrinsics)
-            depths.append(DepthView(frame.depth, *size, fx, fy, cx, cy, options.depth_unit, pose, photograph))
+            depths.append(DepthView(frame.depth, *size, fx, fy, cx, cy, options.depth_unit, pose, view))
     lost = sum(pose is None for pose in poses)
     notes: tuple[Note, ...] = ()
     if lost:
         text = f"{lost} of {len(frames)} frames have no pose, since the tracking was lost; they are left out."
         notes = (Note("pose-lost", text, "Nothing needs to be done."),)
-    return Rig(NAME, tuple(views), None, find_mesh([root], MESH_STEMS), notes, tuple(depths))
+    mesh = find_mesh([root], MESH_STEMS)
+    one_camera = color_matrix is None
+    return Rig(NAME, tuple(views), None, mesh, notes, tuple(depths), one_camera)
 
 
 def _root(path: Path) -> Path | None:

@@ -84,7 +84,7 @@ class DepthView:
         fx, fy, cx, cy: pinhole intrinsics in pixels.
         unit: metres per stored unit.
         camera_to_world: (4, 4) float64, OpenCV axes, source world.
-        photograph: of the same camera and field of view, for colors, or None.
+        photograph: the view of the same frame, with a pinhole lens, or None.
     """
 
     path: Path
@@ -96,7 +96,7 @@ class DepthView:
     cy: float
     unit: float
     camera_to_world: np.ndarray
-    photograph: Path | None = None
+    photograph: RigView | None = None
 
 
 @dataclass(frozen=True)
@@ -120,6 +120,7 @@ class Rig:
         mesh: mesh file in the same coordinates as the poses, or None where none was found.
         notes: warnings.
         depths: depth images, from which a mesh can be fused.
+        one_camera: whether photographs were assumed to have the depth images' cameras.
     """
 
     source: str
@@ -128,6 +129,7 @@ class Rig:
     mesh: Path | None
     notes: tuple[Note, ...] = ()
     depths: tuple[DepthView, ...] = ()
+    one_camera: bool = False
 
 
 @dataclass(frozen=True)

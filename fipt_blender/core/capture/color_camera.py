@@ -1,0 +1,237 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The color camera of RGB-D frames whose photographs were assumed to have the depth camera's intrinsics.
+
+Most depth cameras have a second lens for color, beside the first one and of another focal length. All frames
+share it. It is found from what several photographs show of the same measured points, which agree at the right
+camera (Gauss-Newton on the robust variance of each point over its photographs, from coarse to fine).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from PIL import Image
+from scipy.ndimage import gaussian_filter
+
+from .depth_images import read_depth
+from .images import read_radiance
+from .rig import DepthView, Lens, Note, Rig, RigView
+
+MOST_FRAMES = 64
+POINTS = 30_000  # of all frames together
+WIDTH = 320  # pixels to which photographs are reduced
+BLURS = ((8.0, 12), (4.0, 10), (2.0, 8), (1.0, 6))  # pixels of that width, and steps
+LEAST_VIEWS = 3  # that see a point
+SCALE = 0.5  # of robust residuals, in standard deviations of a photograph's details
+DARKEST = 0.02  # added to values below the logarithm: noise of 8-bit photographs
+# Expected sizes of the parameters, which count as much as this share of the measurements.
+EXPECTED = np.array([0.1, 20.0, 20.0, 0.05, 0.05])
+EXPECTED_SHARE = 1e-5
+# The depths of a point and of the depth image where it is seen differ less: metres, and share of the depth.
+VISIBLE = (0.03, 0.01)
+# The camera is changed where the photographs agree clearly better with the new one.
+CLEARLY_BETTER = 0.9
+
+
+@dataclass(frozen=True)
+class ColorCamera:
+    """How the color camera differs from the depth camera.
+
+    Attributes:
+        log_focal: logarithm of the ratio of focal lengths.
+        shift_x, shift_y: of the principal point, pixels of a photograph `WIDTH` pixels wide.
+        x, y: metres from the depth camera's points to their places before the color camera.
+        agreement: robust disagreement of the photographs, relative to that with the depth camera.
+    """
+
+    log_focal: float
+    shift_x: float
+    shift_y: float
+    x: float
+    y: float
+    agreement: float
+
+    def view(self, view: RigView, scale: float) -> RigView:
+        """A view with the color camera in place of the depth camera.
+
+        Args:
+            scale: metres per unit of the capture's coordinates.
+        """
+        fx, fy, cx, cy = view.lens.parameters
+        ratio, pixel = float(np.exp(self.log_focal)), view.width / WIDTH
+        lens = (fx * ratio, fy * ratio, cx + self.shift_x * pixel, cy + self.shift_y * pixel)
+        pose = view.camera_to_world.copy()
+        pose[:3, 3] -= pose[:3, :2] @ np.array([self.x, self.y]) / scale
+        return replace(view, lens=Lens("PINHOLE", lens), camera_to_world=pose)
+
+
+def with_color_camera(rig: Rig, scale: float) -> Rig:
+    """The rig with the color camera of its photographs, and a note of it; unchanged where none fits better.
+
+    Args:
+        rig: whose photographs have the depth images' cameras.
+        scale: metres per unit of the capture's coordinates.
+
+    Raises:
+        FiptError: an image can't be read.
+    """
+    frames = [depth for depth in rig.depths if depth.photograph is not None]
+    frames = frames[:: -(-len(frames) // MOST_FRAMES) or 1]
+    if len(frames) < LEAST_VIEWS:
+        return rig
+    camera = find_color_camera(frames, scale)
+    if camera is None or camera.agreement > CLEARLY_BETTER:
+        return rig
+    moved = {view.image: camera.view(view, scale) for view in rig.views}
+    depths = tuple(
+        depth if depth.photograph is None else replace(depth, photograph=moved[depth.photograph.image])
+        for depth in rig.depths
+    )
+    text = (
+        f"The photographs' camera is not that of the depth images: its focal length is "
+        f"{np.exp(camera.log_focal):.3f} of theirs, and it is {1000.0 * np.hypot(camera.x, camera.y):.0f} mm"
+        f" beside them. The photographs agree to {1.0 / camera.agreement:.1f} times as well with it."
+    )
+    note = Note("color-camera", text, "Nothing needs to be done. Check with Check Views that edges fit.")
+    return replace(
+        rig, views=tuple(moved[view.image] for view in rig.views), depths=depths, notes=(*rig.notes, note)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Sightings:
+    """Points that depth images show to be visible from frames.
+
+    Attributes:
+        point: (N,) of each sighting.
+        frame: (N,).
+        place: (N, 3) in the frame's depth camera, metres.
+        count: number of points.
+    """
+
+    point: np.ndarray
+    frame: np.ndarray
+    place: np.ndarray
+    count: int
+
+
+def find_color_camera(frames: Sequence[DepthView], scale: float) -> ColorCamera | None:
+    """The color camera of some frames, or None where too few points are seen by several.
+
+    Args:
+        frames: with photographs.
+        scale: metres per unit of the capture's coordinates.
+    """
+    sightings = _sightings(frames, scale)
+    if len(sightings.point) < LEAST_VIEWS * 1000:
+        return None
+    details = [_details(frame, 1.0) for frame in frames]
+    height, width = details[0].shape
+    first = frames[0].photograph
+    if first is None or any(image.shape != (height, width) for image in details):
+        return None
+    fx, fy, cx, cy = (value * width / first.width for value in first.lens.parameters)
+    camera = np.array([fx, fy, cx, cy])
+    found = np.zeros(5)
+    for blur, steps in BLURS:
+        images = np.stack([_gradients(_details(frame, blur)) for frame in frames])
+        for _ in range(steps):
+            found, _ = _step(found, images, sightings, camera)
+    cost, start = (_step(values, images, sightings, camera)[1] for values in (found, np.zeros(5)))
+    log_focal, shift_x, shift_y, x, y = (float(value) for value in found)
+    return ColorCamera(log_focal, shift_x, shift_y, x, y, cost / max(start, 1e-12))
+
+
+def _sightings(frames: Sequence[DepthView], scale: float) -> _Sightings:
+    ranges = [read_depth(replace(frame, photograph=None), scale) for frame in frames]
+    rng = np.random.default_rng(0)
+    chosen = []
+    for image in ranges:
+        points = image.points(4)[0]
+        chosen.append(points[rng.permutation(len(points))[: POINTS // len(frames)]])
+    points = np.concatenate(chosen)
+    found: list[tuple[np.ndarray, np.ndarray]] = []
+    for image in ranges:
+        local = (points - image.camera_to_world[:3, 3]) @ image.camera_to_world[:3, :3]
+        depth = np.maximum(local[:, 2], 1e-3)
+        column = np.floor(local[:, 0] / depth * image.fx + image.cx).astype(np.int64)
+        row = np.floor(local[:, 1] / depth * image.fy + image.cy).astype(np.int64)
+        height, width = image.depth.shape
+        inside = (local[:, 2] > 1e-3) & (column >= 2) & (column < width - 2) & (row >= 2) & (row < height - 2)
+        index = np.flatnonzero(inside)
+        visible = np.ones(len(index), bool)
+        # Also around the place: near depth edges another camera may see another surface.
+        for x, y in ((0, 0), (2, 0), (-2, 0), (0, 2), (0, -2)):
+            difference = np.abs(image.depth[row[index] + y, column[index] + x] - depth[index])
+            visible &= difference < VISIBLE[0] + VISIBLE[1] * depth[index]
+        found.append((index[visible], local[index[visible]]))
+    frame = np.repeat(np.arange(len(frames)), [len(index) for index, _ in found])
+    point, place = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+    return _Sightings(point, frame, place, len(points))
+
+
+def _details(frame: DepthView, blur: float) -> np.ndarray:
+    """(H, W) details of a photograph at one scale in units of their local size: exposures have no effect."""
+    view = frame.photograph
+    assert view is not None
+    gray = read_radiance(view.image).mean(axis=2)
+    size = (WIDTH, max(1, round(view.height * WIDTH / view.width)))
+    reduced = np.asarray(Image.fromarray(gray.astype(np.float32), "F").resize(size, Image.Resampling.BOX))
+    logarithm = np.log(reduced + DARKEST)
+    details = gaussian_filter(logarithm, blur) - gaussian_filter(logarithm, 4.0 * blur + 10.0)
+    local = np.sqrt(gaussian_filter(details**2, 25.0)) + 0.05
+    return np.asarray(details / local, np.float32)
+
+
+def _gradients(image: np.ndarray) -> np.ndarray:
+    """(3, H, W): the image and its derivatives along x and y."""
+    return np.stack([image, np.gradient(image, axis=1), np.gradient(image, axis=0)]).astype(np.float32)
+
+
+def _step(
+    found: np.ndarray, images: np.ndarray, sightings: _Sightings, camera: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Better parameters (log focal, shift x, y, offset x, y), and the disagreement at the given ones.
+
+    Args:
+        images: (frames, 3, H, W) of `_gradients`.
+        camera: fx, fy, cx, cy of the depth camera in their pixels.
+    """
+    height, width = images.shape[2:]
+    ratio, depth = np.exp(found[0]), sightings.place[:, 2]
+    fx, fy = camera[0] * ratio, camera[1] * ratio
+    from_x, from_y = (sightings.place[:, axis] + found[3 + axis] for axis in (0, 1))
+    x, y = fx * from_x / depth, fy * from_y / depth
+    column, row = x + camera[2] + found[1] - 0.5, y + camera[3] + found[2] - 0.5
+    inside = (column >= 0) & (row >= 0) & (column < width - 1) & (row < height - 1)
+    left = np.clip(column.astype(np.int64), 0, width - 2)
+    top = np.clip(row.astype(np.int64), 0, height - 2)
+    right, down = column - left, row - top
+    value, along_x, along_y = (
+        images[sightings.frame, kind, top, left] * (1.0 - right) * (1.0 - down)
+        + images[sightings.frame, kind, top, left + 1] * right * (1.0 - down)
+        + images[sightings.frame, kind, top + 1, left] * (1.0 - right) * down
+        + images[sightings.frame, kind, top + 1, left + 1] * right * down
+        for kind in range(3)
+    )
+    slopes = [along_x * x + along_y * y, along_x, along_y, along_x * fx / depth, along_y * fy / depth]
+
+    def around_mean(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        total = np.bincount(sightings.point, weight * values, sightings.count)
+        mean = total / np.maximum(np.bincount(sightings.point, weight, sightings.count), 1e-9)
+        return np.asarray(values - mean[sightings.point])
+
+    seen = np.bincount(sightings.point, inside, sightings.count)
+    used = (inside & (seen[sightings.point] >= LEAST_VIEWS)).astype(np.float64)
+    residual = around_mean(value, used)
+    weight = used / (1.0 + (residual / SCALE) ** 2)
+    residual = around_mean(value, weight)
+    jacobian = np.stack([around_mean(slope, weight) for slope in slopes], axis=1)
+    count = max(float(used.sum()), 1.0)
+    prior = np.diag(EXPECTED_SHARE * count / EXPECTED**2)
+    normal = (jacobian * weight[:, None]).T @ jacobian + prior
+    change = np.linalg.solve(normal, (jacobian * weight[:, None]).T @ residual + prior @ found)
+    return found - change, float((used * np.log1p((residual / SCALE) ** 2)).sum() / count)
