@@ -58,6 +58,8 @@ def make_parser() -> argparse.ArgumentParser:
         default="auto",
         help="what tells materials apart: masks, semantics, none, ... (as estimate)",
     )
+    add("--mesh-scan", type=float, metavar="VOXEL", help="replace the mesh by a scan of it, voxels in meters")
+    add("--scan", action="append", default=[], metavar="OPTION", help="more options of benchmarks/scan.py")
     add("--mesh-noise", type=float, default=0.0, metavar="SIGMA", help="disturb the mesh, in its own units")
     add("--resume", action="store_true", help="keep what an earlier run in the same folder finished")
     add("--output", type=Path, metavar="RUN", help="run folder to make (default: below out/accuracy)")
@@ -125,6 +127,10 @@ def main_job_options(arguments: argparse.Namespace, output: Path) -> list[str]:
         options += ["--set", change]
     if arguments.resume:
         options.append("--resume")
+    if arguments.mesh_scan is not None:
+        mesh = output.absolute().with_name(f"{output.name}-scan.ply")
+        scan_capture(arguments.capture, mesh, ["--voxel", str(arguments.mesh_scan), *arguments.scan])
+        options += ["--mesh", str(mesh)]
     if arguments.mesh_noise > 0.0:
         source = arguments.capture / "scene.obj"
         if not source.is_file():
@@ -134,6 +140,18 @@ def main_job_options(arguments: argparse.Namespace, output: Path) -> list[str]:
         disturb.disturb_obj(source, mesh, arguments.mesh_noise)
         options += ["--mesh", str(mesh)]
     return options
+
+
+def scan_capture(capture: Path, mesh: Path, options: Sequence[str]) -> None:
+    """Write the mesh that a scan of a capture's room gives; in a process of its own, as it needs Mitsuba.
+
+    Raises:
+        FiptError: ``run-failed``.
+    """
+    mesh.parent.mkdir(parents=True, exist_ok=True)
+    command = [sys.executable, str(ROOT / "benchmarks" / "scan.py"), str(capture), "--output", str(mesh)]
+    if subprocess.run([*command, *options], check=False).returncode:
+        raise FiptError("run-failed", "The room could not be scanned.", "Mend what is reported above.")
 
 
 def run_main_job(capture: Path, output: Path, preset: str, options: Sequence[str]) -> dict[str, Any]:

@@ -25,6 +25,7 @@ from fipt_blender.core.capture.distortion import lens_pinhole
 from fipt_blender.core.capture.formats import read_rig
 from fipt_blender.core.capture.rig import ReadOptions
 from fipt_blender.core.capture.views import View
+from fipt_blender.core.depth.cleaning import with_closed_holes
 from fipt_blender.core.depth.extraction import FusedMesh, extract
 from fipt_blender.core.depth.ply import write_ply
 from fipt_blender.core.depth.range_image import RangeImage
@@ -34,6 +35,7 @@ from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
 
 MESH = "scene.ply"
+BULGE_WIDTH = 1.5  # metres
 REPLACED = ("scene.obj", "scene.npz")  # the second describes the triangles of the first
 
 
@@ -54,6 +56,8 @@ class Scanner:
         head_on: cosine of that.
         flying: share of pixels at depth edges whose range is between both sides.
         edge: metres of range between neighbouring pixels that make a depth edge.
+        drift, tilt: metres and degrees by which the poses are wrong, standard deviations.
+        bulge: metres by which surfaces without texture are wrong, smoothly, as in photogrammetry.
     """
 
     width: int = 640
@@ -69,6 +73,9 @@ class Scanner:
     head_on: float = 0.94
     flying: float = 0.5
     edge: float = 0.05
+    drift: float = 0.0
+    tilt: float = 0.0
+    bulge: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +87,7 @@ class Truth:
         triangles: (T, 3).
         reflectance: (T,) highest channel of the base color.
         roughness: (T,).
+        blank: (T,) whether the material has no texture.
         emits: (T,) whether a triangle is a lamp, which returns well.
     """
 
@@ -87,6 +95,7 @@ class Truth:
     triangles: np.ndarray
     reflectance: np.ndarray
     roughness: np.ndarray
+    blank: np.ndarray
     emits: np.ndarray
 
 
@@ -111,7 +120,8 @@ def read_truth(capture: Path) -> Truth:
     row = material if material.min() == 0 else np.argsort([entry["id"] for entry in entries])[material - 1]
     reflectance = np.array([1.0 if entry.get("texture") else max(entry["base_color"]) for entry in entries])
     roughness = np.array([entry["roughness"] for entry in entries])
-    return Truth(vertices, triangles, reflectance[row], roughness[row], emits)
+    blank = np.array([not entry.get("texture") for entry in entries])
+    return Truth(vertices, triangles, reflectance[row], roughness[row], blank[row], emits)
 
 
 def cameras(capture: Path, scanner: Scanner, rng: np.random.Generator) -> list[View]:
@@ -165,9 +175,28 @@ def range_images(
         returns = valid & (cosine > scanner.grazing)
         returns &= truth.emits[triangle] | (truth.reflectance[triangle] >= scanner.dark)
         returns &= (truth.roughness[triangle] >= scanner.shiny) | (cosine > scanner.head_on)
+        if scanner.bulge:
+            position = np.array(surface.position).T.reshape(*shape, 3)
+            distance = distance + scanner.bulge * truth.blank[triangle] * bulges(position) * valid
         measured = disturbed(distance, returns, scanner, rng) / np.linalg.norm(local, axis=2)
         pinhole = (view.fx, view.fy, view.cx, view.cy)
-        yield RangeImage(measured.astype(np.float32), *pinhole, view.camera_to_world)
+        yield RangeImage(measured.astype(np.float32), *pinhole, believed_pose(view, scanner, rng))
+
+
+def believed_pose(view: View, scanner: Scanner, rng: np.random.Generator) -> np.ndarray:
+    """The pose (4, 4) that the scanner takes for its own."""
+    pose = view.camera_to_world.copy()
+    if scanner.drift or scanner.tilt:
+        pose[:3, 3] += scanner.drift * rng.normal(size=3)
+        pose[:3, :3] = pose[:3, :3] @ turned(np.radians(scanner.tilt) * rng.normal(size=3))
+    return pose
+
+
+def bulges(position: np.ndarray) -> np.ndarray:
+    """A smooth random field of the place (..., 3), standard deviation 1; its waves are about a metre long."""
+    rng = np.random.default_rng(0)
+    waves, phases = rng.normal(0.0, 2.0 * np.pi / BULGE_WIDTH, (3, 32)), rng.uniform(0.0, 2.0 * np.pi, 32)
+    return np.asarray(np.sqrt(2.0 / 32) * np.cos(np.nan_to_num(position) @ waves + phases).sum(axis=-1))
 
 
 def axis_directions(view: View) -> np.ndarray:
@@ -207,6 +236,20 @@ def scanned(capture: Path, voxel: float, scanner: Scanner, seed: int) -> FusedMe
     return extract(volume, least_weight=2.0)
 
 
+def smoothed(mesh: FusedMesh, steps: int) -> FusedMesh:
+    """The mesh with each vertex halfway to the mean of its neighbours, some times, as scanning apps do."""
+    vertices = mesh.vertices.astype(np.float64)
+    start, end = mesh.triangles.reshape(-1), np.roll(mesh.triangles, -1, axis=1).reshape(-1)
+    start, end = np.concatenate([start, end]), np.concatenate([end, start])
+    count = np.maximum(np.bincount(start, minlength=len(vertices)), 1)[:, None]
+    for _ in range(steps):
+        total = np.stack(
+            [np.bincount(start, vertices[end, axis], len(vertices)) for axis in range(3)], axis=1
+        )
+        vertices = 0.5 * (vertices + total / count)
+    return FusedMesh(vertices.astype(np.float32), mesh.triangles, mesh.colors)
+
+
 def link_capture(capture: Path, target: Path) -> None:
     """Make a folder with links to everything in a capture but its mesh."""
     target.mkdir(parents=True, exist_ok=True)
@@ -220,17 +263,31 @@ def main(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(description="Replace a capture's mesh by a scan.")
     parser.add_argument("capture", type=Path, help="in the FIPT authors' synthetic layout, with scene.npz")
     parser.add_argument("--voxel", type=float, default=0.02, help="metres (default: 0.02)")
-    parser.add_argument("--output", type=Path, required=True, help="folder of the new capture")
+    parser.add_argument(
+        "--output", type=Path, required=True, help="folder of the new capture, or a .ply for the mesh alone"
+    )
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--pose-error", action="store_true", help="poses wrong by 2 mm and 0.1 degrees")
+    parser.add_argument("--bulge", type=float, default=0.0, help="metres of photogrammetry's bulging walls")
+    parser.add_argument("--smooth", type=int, default=0, metavar="STEPS", help="smooth the mesh, as apps do")
+    parser.add_argument(
+        "--close-holes", type=float, default=0.0, metavar="METRES", help="close smaller holes"
+    )
     arguments = parser.parse_args(list(argv))
+    wrong = {"drift": 0.002, "tilt": 0.1} if arguments.pose_error else {}
     try:
         set_variant("llvm")
-        mesh = scanned(arguments.capture, arguments.voxel, Scanner(), arguments.seed)
+        scanner = Scanner(bulge=arguments.bulge, **wrong)
+        mesh = scanned(arguments.capture, arguments.voxel, scanner, arguments.seed)
     except FiptError as error:
         print(f"error: {error.text} {error.remedy}", file=sys.stderr)
         return 1
-    link_capture(arguments.capture, arguments.output)
-    write_ply(arguments.output / MESH, mesh)
+    mesh = with_closed_holes(smoothed(mesh, arguments.smooth), arguments.close_holes)
+    if arguments.output.suffix == ".ply":
+        write_ply(arguments.output, mesh)
+    else:
+        link_capture(arguments.capture, arguments.output)
+        write_ply(arguments.output / MESH, mesh)
     print(f"{len(mesh.vertices)} vertices, {len(mesh.triangles)} triangles")
     return 0
 

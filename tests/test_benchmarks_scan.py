@@ -10,8 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.scan import MESH, Scanner, disturbed, link_capture, read_truth, turned
+from benchmarks.scan import (
+    MESH,
+    Scanner,
+    believed_pose,
+    disturbed,
+    link_capture,
+    read_truth,
+    smoothed,
+    turned,
+)
 from fipt_blender.core.alignment.mesh_file import read_mesh
+from fipt_blender.core.capture.views import View
 from fipt_blender.core.depth.extraction import FusedMesh
 from fipt_blender.core.depth.ply import write_ply
 from fipt_blender.core.run.errors import FiptError
@@ -40,6 +50,31 @@ def test_what_does_not_return_is_not_measured() -> None:
     returns = np.random.default_rng(1).random((40, 40)) < 0.5
     found = disturbed(np.full((40, 40), 2.0), returns, Scanner(), np.random.default_rng(0))
     assert np.array_equal(found > 0.0, returns)
+
+
+def test_smoothing_flattens_noise_and_keeps_the_place() -> None:
+    side = 20
+    x, y = np.meshgrid(np.arange(side), np.arange(side), indexing="ij")
+    noise = np.random.default_rng(0).normal(0.0, 0.1, side * side)
+    vertices = np.stack([x.ravel(), y.ravel(), noise], axis=1).astype(np.float32)
+    corner = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
+    first = np.stack([corner, corner + side, corner + 1], axis=1)
+    second = np.stack([corner + side, corner + side + 1, corner + 1], axis=1)
+    mesh = FusedMesh(vertices, np.concatenate([first, second]).astype(np.int32))
+    found = smoothed(mesh, 5).vertices
+    assert found[:, 2].std() < 0.5 * noise.std()
+    assert np.abs(found.mean(axis=0) - vertices.mean(axis=0)).max() < 0.05
+    assert np.array_equal(smoothed(mesh, 0).vertices, vertices)
+
+
+def test_poses_are_wrong_by_what_the_scanner_states() -> None:
+    view = View("a", "train", Path("a.exr"), 4, 4, 4.0, 4.0, 2.0, 2.0, np.eye(4))
+    rng = np.random.default_rng(0)
+    scanner = Scanner(drift=0.002, tilt=0.1)
+    poses = np.array([believed_pose(view, scanner, rng) for _ in range(2000)])
+    assert poses[:, :3, 3].std(axis=0) == pytest.approx(0.002, rel=0.1)
+    assert np.degrees(poses[:, 0, 1].std()) == pytest.approx(0.1, rel=0.1)
+    assert np.array_equal(believed_pose(view, Scanner(), rng), np.eye(4))
 
 
 def test_a_turn_by_a_vector_keeps_the_vector() -> None:

@@ -80,8 +80,6 @@ def with_color_camera(rig: Rig, scale: float) -> Rig:
     """
     frames = [depth for depth in rig.depths if depth.photograph is not None]
     frames = frames[:: -(-len(frames) // MOST_FRAMES) or 1]
-    if len(frames) < LEAST_VIEWS:
-        return rig
     camera = find_color_camera(frames, scale)
     if camera is None or camera.agreement > CLEARLY_BETTER:
         return rig
@@ -125,6 +123,8 @@ def find_color_camera(frames: Sequence[DepthView], scale: float) -> ColorCamera 
         frames: with photographs.
         scale: metres per unit of the capture's coordinates.
     """
+    if len(frames) < LEAST_VIEWS:
+        return None
     sightings = _sightings(frames, scale)
     if len(sightings.point) < LEAST_VIEWS * 1000:
         return None
