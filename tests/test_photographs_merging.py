@@ -272,6 +272,19 @@ def test_motions_follow_one_another() -> None:
     np.testing.assert_allclose(after(first, second).apply(points, 120, 80), both)
 
 
+def test_the_last_row_is_no_noisier_if_long_exposures_are_a_little_off(tmp_path: Path) -> None:
+    """A fraction of a pixel would leave it to the darkest exposure alone."""
+    rng = np.random.default_rng(5)
+    exposures, noise = (0.01, 0.1, 1.0), sensor_noise(1e-4, 1e-3)
+    values = [0.3 * e + rng.normal(0.0, 3e-3, (40, 60, 3)).astype(np.float32) for e in exposures]
+    held = [frames.Frame(v.astype(np.float32), np.zeros(v.shape, bool)) for v in values]
+    for shift in (0.7, -0.7):
+        motions = [Motion(), Motion(), Motion(y=shift / 60.0)]
+        radiance, _, _ = merging.merge_group(held, exposures, motions, noise)
+        deviation = np.abs(radiance / 0.3 - 1.0).mean(axis=(1, 2))
+        assert deviation[[0, -1]].max() < 2.5 * np.median(deviation)
+
+
 def test_warping_shifts_rows_and_marks_what_is_outside() -> None:
     values = np.arange(20.0)[:, None, None].repeat(10, 1)
     moved = warped(values, Motion(y=0.1), 0, 20)  # two rows of twenty

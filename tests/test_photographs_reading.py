@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import struct
 import sys
 import tomllib
 from dataclasses import replace
@@ -64,6 +65,21 @@ def test_the_header_of_a_jpeg(tmp_path: Path) -> None:
     assert (found.make, found.model, found.focal_length, found.kind) == ("Make", "Model X", 24.0, "ldr")
     later = describe(write_jpeg(tmp_path / "b.jpg", GREY, exif(1 / 60, 3.75)), "b.jpg")
     assert later.time - found.time == pytest.approx(3.5)
+
+
+@pytest.mark.parametrize(("value", "corrected"), [(0, False), (3, True), (None, None)])
+def test_a_maker_note_tells_whether_the_camera_corrected_vignetting(
+    tmp_path: Path, value: int | None, corrected: bool | None
+) -> None:
+    """Nikon's: a TIFF of its own, whose tag 0x002A is the vignette control (0 off, 3 normal)."""
+    tags = exif(0.01)
+    tags[0x010F] = "NIKON CORPORATION"
+    if value is not None:
+        entries = struct.pack(">H", 1) + struct.pack(">HHIHH", 0x002A, 3, 1, value, 0) + bytes(4)
+        tags.get_ifd(0x8769)[0x927C] = b"Nikon\0\x02\x10\0\0" + struct.pack(">2sHI", b"MM", 42, 8) + entries
+    found = describe(write_jpeg(tmp_path / "a.jpg", GREY, tags), "a.jpg")
+    assert found.corrected is corrected and found.shutter == pytest.approx(0.01)
+    assert found.has_vignetting is (corrected is False)
 
 
 def test_a_photograph_without_exif_has_no_exposure(tmp_path: Path) -> None:

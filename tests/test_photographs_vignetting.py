@@ -190,6 +190,26 @@ def test_radiance_files_and_known_lenses_are_left_alone(
     known = tuple(
         replace(item, focal_length=24.0, aperture=8.0, **camera) for item in preparation.photographs
     )
-    for photographs in (linear, known):
-        assert run(folder, replace(preparation, photographs=photographs))["lenses"] == []
+    assert run(folder, replace(preparation, photographs=linear))["lenses"] == []
+    # The merge has corrected RAW photographs by the database, and JPEGs that the camera has not.
+    for changes in ({"kind": "raw"}, {"corrected": False}):
+        photographs = tuple(replace(item, **changes) for item in known)
+        (found,) = run(folder, replace(preparation, photographs=photographs))["lenses"]
+        assert found["source"] == "database" and 0.1 < found["corner"] < 0.9
     assert {path.name: path.read_bytes() for path in folder.images.iterdir()} == before
+    for corrected in (True, None):
+        photographs = tuple(replace(item, corrected=corrected) for item in known)
+        (found,) = run(folder, replace(preparation, photographs=photographs))["lenses"]
+        assert found["source"] == "overlap"
+
+
+def test_vignetting_that_nothing_tells_is_said(
+    capture: tuple[PreparationFolder, Preparation, dict[str, np.ndarray]],
+) -> None:
+    folder, preparation, _ = capture
+    few = replace(preparation, groups=preparation.groups[:1])
+    write_preparation(folder, few)
+    reporter = Reporter()
+    run_steps(folder, ["vignetting"], reporter)
+    assert [warning["code"] for warning in reporter.warnings] == ["vignetting-unknown"]
+    assert "20 mm" in reporter.warnings[0]["text"]

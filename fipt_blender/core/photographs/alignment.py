@@ -94,13 +94,14 @@ def grey(values: np.ndarray, clipped: np.ndarray, side: int = FINEST_SIDE) -> np
     return mean.reshape(height // factor, factor, width // factor, factor).mean(axis=(1, 3))
 
 
-def warped(values: np.ndarray, motion: Motion, start: int, stop: int) -> np.ndarray:
+def warped(values: np.ndarray, motion: Motion, start: int, stop: int, margin: float = 0.0) -> np.ndarray:
     """Rows of an exposure in the reference's geometry, bilinear; NaN outside.
 
     Args:
         values: (height, width, channels), all rows.
         motion: of the exposure.
         start, stop: rows of the reference.
+        margin: pixels beyond the border that have its values.
     """
     height, width = values.shape[:2]
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(start, stop) + 0.5)
@@ -115,7 +116,8 @@ def warped(values: np.ndarray, motion: Motion, start: int, stop: int) -> np.ndar
     ]
     result = np.stack(channels, -1)
     # Half a pixel beyond the centres of the border's pixels still belongs to the image.
-    inside = (np.abs(places + 0.5 - [width / 2, height / 2]) <= [width / 2, height / 2]).all(axis=1)
+    reach = [width / 2 + margin, height / 2 + margin]
+    inside = (np.abs(places + 0.5 - [width / 2, height / 2]) <= reach).all(axis=1)
     result[~inside] = np.nan
     return result.reshape(stop - start, width, -1)
 

@@ -12,6 +12,7 @@ import logging
 import math
 import struct
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,11 @@ _TIMES = (
     ("EXIF DateTimeDigitized", "EXIF SubSecTimeDigitized"),
     ("Image DateTime", "EXIF SubSecTime"),
 )
+# What maker notes (Nikon, Sony, Olympus) call the correction of vignetting, and how they say that it is off.
+_CORRECTIONS = tuple(
+    f"MakerNote {name}" for name in ("VignetteControl", "VignettingCorrection", "ShadingCompensation")
+)
+_OFF, _UNKNOWN = ("off", "none", "0"), ("n/a", "unknown", "")
 # ExifRead says on its log what is wrong with a header; a missing value is all that matters here.
 logging.getLogger("exifread").setLevel(logging.CRITICAL)
 
@@ -71,6 +77,7 @@ def describe(path: Path, name: str) -> Photograph:
         if path.stat().st_size == 0:
             raise unreadable(path, "the file is empty")
         tags = _tags(path) if kind != "linear" else {}
+        corrected = _corrected(path) if kind == "ldr" else None
         width, height, other = _size(path, kind, tags)
         tags = {**other, **tags}
     except DAMAGE as error:
@@ -81,7 +88,7 @@ def describe(path: Path, name: str) -> Photograph:
             f"{path} has {width} x {height} pixels; the limit is {MOST_PIXELS / 1e6:.0f} megapixels.",
             "Scale it down, or remove it.",
         )
-    return _photograph(name, kind, (width, height), tags)
+    return replace(_photograph(name, kind, (width, height), tags), corrected=corrected)
 
 
 def unreadable(path: Path, reason: object) -> FiptError:
@@ -170,6 +177,18 @@ def _tags(path: Path) -> dict[str, Any]:
         except DAMAGE:
             return {}
     return {name: tag.values for name, tag in found.items() if hasattr(tag, "values")}
+
+
+def _corrected(path: Path) -> bool | None:
+    """Whether a camera's JPEG has no vignetting any more, as far as its maker note tells."""
+    with path.open("rb") as file:
+        try:
+            found = exifread.process_file(file, details=True, extract_thumbnail=False)
+        except DAMAGE:
+            return None
+    texts = [str(found[name].printable).strip(" []").casefold() for name in _CORRECTIONS if name in found]
+    known = [text not in _OFF for text in texts if text not in _UNKNOWN]
+    return known[0] if known else None
 
 
 def _number(tags: Mapping[str, Any], name: str, least: float = 1e-9, most: float = 1e9) -> float | None:

@@ -34,7 +34,12 @@ _FACTS: dict[str, dict[str, Any]] = {
         "reprojection_error": _SIZE,
     },
     "vignetting": {
-        "lenses": Items(Fields({"lens": str, "applied": bool}, {"corner": _SIZE, "corner_error": _SIZE}))
+        "lenses": Items(
+            Fields(
+                {"lens": str, "applied": bool},
+                {"corner": _SIZE, "corner_error": _SIZE, "source": str, "views": Number(low=0, whole=True)},
+            )
+        )
     },
     "scale": {"meters_per_unit": _SIZE},
     "masks": {"classes": Items(Fields({"name": str}, {"share": _SHARE}))},

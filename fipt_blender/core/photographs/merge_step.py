@@ -233,7 +233,7 @@ def _merged_group(
     del frames  # of 24 megapixels each, they are most of the memory
     if items[0].kind == "raw":
         radiance = in_rec709(radiance, clipped, calibration.balance, calibration.matrix)
-    if preparation.settings.vignetting == "auto" and items[0].kind != "linear":
+    if preparation.settings.vignetting == "auto" and items[0].has_vignetting:
         gain = vignetting(items[0], radiance.shape[1], radiance.shape[0])
         radiance = radiance if gain is None else radiance * gain[..., None]
     radiance, clipped = _finished(radiance, clipped, items[0], preparation.settings.working_width)

@@ -26,6 +26,9 @@ _LEAST_WEIGHT = 1e-9
 CODE_NOISE = 1.0  # standard deviation of an 8-bit code: rounding, compression and the sensor's noise
 MOVED_LOG = 0.15  # regions whose exposures differ by more than this in the logarithm have moved
 _MOVED_SIGMAS = 5.0
+# Exposures that a fraction of a pixel moved out of the image still count in the last rows and columns, which
+# would otherwise be left to the noise of darker ones.
+BORDER = 1.0
 GHOST_SIDE = 384  # the longer side of the grid on which moved regions are found
 _DARK, _BRIGHT = 0.01, 0.85  # linear values that are compared to find them
 
@@ -260,8 +263,8 @@ def _band(frame: Frame, motion: Motion, start: int, stop: int) -> tuple[np.ndarr
     """Values and clipped places of some rows in the reference's geometry."""
     if motion == Motion():
         return frame.values[start:stop].astype(np.float32), frame.clipped[start:stop]
-    values = warped(frame.values, motion, start, stop)
-    flags = warped(frame.clipped, motion, start, stop)
+    values = warped(frame.values, motion, start, stop, BORDER)
+    flags = warped(frame.clipped, motion, start, stop, BORDER)
     return values, ~(flags <= 0.0)
 
 

@@ -42,6 +42,7 @@ class Photograph:
         focal_length: mm.
         focal_35mm: mm of a 35 mm camera with the same angle of view.
         make, model, lens: of the camera and its lens; "" where unknown.
+        corrected: whether the camera has corrected the lens's vignetting; None where it does not say.
         time: seconds, only for differences between photographs.
         exposure: the light that reaches the values, relative: shutter * iso / (100 * aperture²). The user may
             set it where the header does not.
@@ -60,8 +61,14 @@ class Photograph:
     make: str = ""
     model: str = ""
     lens: str = ""
+    corrected: bool | None = None
     time: float | None = None
     exposure: float | None = None
+
+    @property
+    def has_vignetting(self) -> bool:
+        """Whether the lens's vignetting is in the values for certain; most cameras correct their JPEGs."""
+        return self.kind == "raw" or (self.kind == "ldr" and self.corrected is False)
 
     @property
     def upright_size(self) -> tuple[int, int]:

@@ -27,7 +27,13 @@ from ..run.runfolder import PRODUCT_VERSION
 from .facts import read_facts, shutter_text
 from .preparation import Group, Preparation, PreparationFolder
 
-_FACTS = ("read", "merge", "solve", "scale", "masks")
+_FACTS = ("read", "merge", "solve", "vignetting", "scale", "masks")
+_SOURCES = {
+    "database": "corrected, by the lens database",
+    "overlap": "corrected, measured where views overlap",
+    "none": "nothing to correct: measured where views overlap",
+    "unknown": "not corrected: neither the files nor the views tell it",
+}
 PICTURE_WIDTH = 400
 CLIPPED_COLOR = (1.0, 0.0, 1.0)
 MIDDLE_GRAY = 0.18  # of the median pixel in the pictures: the scale of radiance is arbitrary
@@ -125,6 +131,10 @@ def write_report(
         "meters_per_unit": facts["scale"].get("meters_per_unit"),
         "classes": [entry["name"] for entry in facts["masks"].get("classes", [])],
         "left_out": _left_out(facts),
+        "lenses": [
+            (entry["lens"], entry.get("corner"), _SOURCES.get(entry.get("source", ""), ""))
+            for entry in facts["vignetting"].get("lenses", [])
+        ],
         "plan": _plan(folder.root),
         "curves": _curves(response),
         "uncertainty": response.get("uncertainty"),

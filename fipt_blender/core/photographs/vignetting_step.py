@@ -1,8 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Step `vignetting`: corrects the merged images of lenses that lensfun does not know, by their overlap.
+"""Step `vignetting`: corrects merged images by their overlap where lensfun's database did not.
 
-stage/corrected.json tells which images are corrected and how, so that none is corrected twice.
+It does not know all lenses, and a camera may have corrected its JPEGs already: there, what is left is
+measured. stage/corrected.json tells which images are corrected and how, so that none is corrected twice.
 """
 
 from __future__ import annotations
@@ -27,26 +28,29 @@ from .vignetting import TERMS, Falloff, Observations, fit_falloff, light_share
 _PATCH = 2  # pixels on each side of a point over which radiance is averaged
 # Share of an image's pixels, the brightest ones, that tell nothing: lamps may be clipped.
 _BRIGHTEST = 0.02
+_CORNER_SIDE = 256  # pixels of the image whose corner is told
 _CORRECTED = Entries(Items(Fields({"digest": str, "coefficients": Numbers(TERMS)})))
 
 
 def key(folder: PreparationFolder, preparation: Preparation) -> Any:
     """What the correction depends on besides cameras and merged images."""
     groups = {name: [group.name for group in groups] for name, groups in _lenses(preparation).items()}
-    return {"lenses": groups, "vignetting": preparation.settings.vignetting}
+    known = list(_lenses(preparation, by_database=True))
+    return {"lenses": groups, "database": known, "vignetting": preparation.settings.vignetting}
 
 
 def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> dict[str, Any]:
-    """Fit and divide out the vignetting of each lens that lensfun does not know; returns facts.
+    """Fit and divide out the vignetting of each lens that the database did not correct; returns facts.
 
     Raises:
         FiptError: of reading the model and of reading and writing images.
     """
-    lenses = _lenses(preparation) if preparation.settings.vignetting == "auto" else {}
+    wanted = preparation.settings.vignetting == "auto"
+    lenses = _lenses(preparation) if wanted else {}
     model = read_model(model_folder(folder)) if lenses else pycolmap.Reconstruction()
     images = {image.name: image for image in model.images.values()}
     corrected = _Corrected(folder)
-    facts, done = [], 0
+    facts, done = _database_facts(preparation) if wanted else [], 0
     for name, groups in lenses.items():
         samples: list[Observations] = []
         for group in groups:
@@ -60,12 +64,20 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
         for group in groups:
             corrected.apply(group, found.coefficients if applied and found else np.zeros(TERMS))
         facts.append(_fact(name, groups, found, applied))
+        if found is None and preparation.of(groups[0])[0].corrected is None:
+            reporter.warning(
+                "vignetting-unknown",
+                f"Nothing tells the vignetting of {name}: neither the lens database nor the files, and"
+                " the views have too little in common to measure it.",
+                "Use RAW photographs, switch the camera's correction on, or take views that overlap more.",
+            )
     corrected.restore_others({group.name for groups in lenses.values() for group in groups})
     return {"lenses": facts}
 
 
 def _fact(name: str, groups: list[Group], found: Falloff | None, applied: bool) -> dict[str, Any]:
-    fact: dict[str, Any] = {"lens": name, "views": len(groups), "applied": applied}
+    source = "unknown" if found is None else "overlap" if applied else "none"
+    fact: dict[str, Any] = {"lens": name, "views": len(groups), "applied": applied, "source": source}
     if found is not None:
         fact |= {
             "corner": round(found.corner, 4),
@@ -75,15 +87,36 @@ def _fact(name: str, groups: list[Group], found: Falloff | None, applied: bool) 
     return fact
 
 
-def _lenses(preparation: Preparation) -> dict[str, list[Group]]:
-    """The used groups of each lens, focal length and aperture that lensfun does not know."""
+def _lenses(preparation: Preparation, by_database: bool = False) -> dict[str, list[Group]]:
+    """The used groups of each lens, focal length and aperture that the merge has not corrected, or has."""
     lenses: dict[str, list[Group]] = {}
     for group in preparation.used_groups:
         photograph = preparation.of(group)[0]
+        known = photograph.has_vignetting and lens.vignetting(photograph, 3, 2) is not None
         # Radiance files are renders, or were corrected by the program that merged them.
-        if photograph.kind != "linear" and lens.vignetting(photograph, 3, 2) is None:
+        if photograph.kind != "linear" and known == by_database:
             lenses.setdefault(_lens_name(photograph), []).append(group)
     return lenses
+
+
+def _database_facts(preparation: Preparation) -> list[dict[str, Any]]:
+    """What the merge has corrected by lensfun's database."""
+    facts = []
+    for name, groups in _lenses(preparation, by_database=True).items():
+        photograph = preparation.of(groups[0])[0]
+        reduction = max(1, max(photograph.width, photograph.height) // _CORNER_SIDE)
+        gain = lens.vignetting(photograph, photograph.width // reduction, photograph.height // reduction)
+        corner = 1.0 if gain is None else 1.0 / float(gain[0, 0])
+        facts.append(
+            {
+                "lens": name,
+                "views": len(groups),
+                "applied": True,
+                "source": "database",
+                "corner": round(corner, 4),
+            }
+        )
+    return facts
 
 
 def _lens_name(photograph: Photograph) -> str:

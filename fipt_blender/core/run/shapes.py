@@ -77,6 +77,7 @@ PREPARE = Fields(
                     **dict.fromkeys(("make", "model", "lens"), str),
                     **dict.fromkeys(("shutter", "aperture", "iso", "exposure"), _EXIF_NUMBER),
                     **dict.fromkeys(("focal_length", "focal_35mm"), _EXIF_NUMBER),
+                    "corrected": Maybe(bool),
                     "time": Maybe(Number()),
                 },
             )
