@@ -24,7 +24,7 @@ MOST_BYTES = 72.9
 @pytest.mark.parametrize("shift", [0, 3])
 def test_merging_five_large_photographs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shift: int) -> None:
     # The bands of rows and the grid of what has moved in the proportion of 24 megapixels.
-    monkeypatch.setattr(frames, "_LARGE_PIXELS", HEIGHT * WIDTH // 2)
+    monkeypatch.setattr(frames, "LARGE_PIXELS", HEIGHT * WIDTH // 2)
     for module in (frames, merging):
         monkeypatch.setattr(module, "BAND_ROWS", 128 * HEIGHT // 4000)
     monkeypatch.setattr(merging, "GHOST_SIDE", merging.GHOST_SIDE * WIDTH // 6000)
@@ -46,7 +46,7 @@ def test_merging_five_large_photographs(tmp_path: Path, monkeypatch: pytest.Monk
     run("read")
     del y, x, moved, plane, light, values
     peaks = []
-    merged = merge_step._merged_group
+    merged = merge_step.merged_group
 
     def measured(*arguments: object) -> object:
         tracemalloc.start()
@@ -56,6 +56,6 @@ def test_merging_five_large_photographs(tmp_path: Path, monkeypatch: pytest.Monk
             peaks.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
 
-    monkeypatch.setattr(merge_step, "_merged_group", measured)
+    monkeypatch.setattr(merge_step, "merged_group", measured)
     run("merge")
     assert peaks[0] / (HEIGHT * WIDTH) < MOST_BYTES

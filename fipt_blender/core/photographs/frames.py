@@ -28,7 +28,7 @@ _CEILING_SHARE = 1e-4
 CEILING_WIDTH = 0.002
 # Share of the nominal ceiling from which on a sensor's pixels count as clipped.
 NEAR_TOP = 0.998
-_LARGE_PIXELS = 8_000_000  # above this, linear values are kept as half floats
+LARGE_PIXELS = 8_000_000  # above this, linear values are kept as half floats
 XYZ_FROM_REC709 = np.array(
     [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
 )
@@ -101,7 +101,7 @@ def linear_frame(stored: Stored, curve: np.ndarray | None, factor: int) -> Frame
         factor: edge of the squares; rows and columns that fill no square are cut off.
     """
     height, width = (size // factor for size in stored.values.shape[:2])
-    is_large = width * height > _LARGE_PIXELS and np.isfinite(stored.ceiling)
+    is_large = width * height > LARGE_PIXELS and np.isfinite(stored.ceiling)
     kind = np.float16 if is_large else np.float32
     frame = Frame(np.empty((height, width, 3), kind), np.empty((height, width, 3), bool))
     rows = max(BAND_ROWS // factor, 1)

@@ -95,7 +95,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     _forget_others(folder, groups)
     entries = []
     for index, (group, survey) in enumerate(zip(groups, surveys, strict=True)):
-        entries.append(_merged_group(folder, preparation, group, survey, calibration))
+        entries.append(merged_group(folder, preparation, group, survey, calibration))
         reporter.progress(0.5 + 0.5 * (index + 1) / len(groups))
     _warn(reporter, entries)
     return {
@@ -204,7 +204,7 @@ def _curve(
     return (srgb_curve() if response is None else response.curve), response
 
 
-def _merged_group(
+def merged_group(
     folder: PreparationFolder,
     preparation: Preparation,
     group: Group,
