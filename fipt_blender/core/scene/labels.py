@@ -122,7 +122,7 @@ def room_pieces(room: Room) -> np.ndarray:
     Takes seconds for millions of triangles.
     """
     if (scan := room.scan) is not None:
-        return scan_segments(scan.adjacency, scan.centers, scan.cross).astype(np.int32)
+        return scan_segments(scan.adjacency, scan.cross, room.plane).astype(np.int32)
     return loose_pieces(weld(room.vertices)[room.triangles], room.triangle_object)
 
 
