@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import bpy
@@ -367,3 +368,22 @@ def test_buttons_need_results():
         assert not operator.poll()
     assert ops.add_light() == {"FINISHED"}  # a light needs no room
     assert bpy.data.objects["FIPT Light"].data.energy > 0.0
+
+
+def test_a_lamp_that_the_mesh_lacks_is_added_once(tmp_path, monkeypatch):
+    use_fake_engine(monkeypatch)
+    scene = make_scene(tmp_path / "run")
+    path = tmp_path / "run" / "results" / "emitters.json"
+    ball = {"position": [0.5, 0.25, 2.0], "radius": 0.1, "radiance": [30.0, 20.0, 10.0]}
+    dark = {**ball, "radiance": [0.0, 0.0, 0.0]}
+    path.write_text(json.dumps({**json.loads(path.read_text()), "missing": [ball, dark]}))
+    assert ops.apply_results() == {"FINISHED"}
+    assert ops.add_missing_lamps() == {"FINISHED"}
+    (item,) = [row.object for row in scene.fipt.lights.lights if row.object.type == "LIGHT"]
+    assert tuple(item.location) == (0.5, 0.25, 2.0)
+    assert item.data.type == "POINT" and item.data.shadow_soft_size == pytest.approx(0.1)
+    power = item.data.energy * np.array(item.data.color)
+    assert power == pytest.approx(4.0 * math.pi**2 * 0.01 * np.array([30.0, 20.0, 10.0]), rel=1e-4)
+    assert "lacks no lamp" in refused(ops.add_missing_lamps)
+    assert ops.apply_results() == {"FINISHED"}  # the light stays, and is not offered again
+    assert "lacks no lamp" in refused(ops.add_missing_lamps)

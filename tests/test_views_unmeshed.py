@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.tracer.surfaces import TriangleMaterials
+from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.scene.pixels import LEFT_OUT
 from fipt_blender.core.views.check import ViewCheck
 from samples.checked_views import run_check
@@ -40,8 +41,16 @@ def test_a_lamp_without_mesh_is_named_and_left_out(with_bulb: SmallCapture, tmp_
     pixels, check, messages = run_check(tmp_path, replace(with_bulb, room=make_room(BOX, parts="objects")))
     (message,) = messages
     assert message["code"] == "lamp-without-mesh" and message["remedy"]
-    (position,) = check.lamps
-    assert position == pytest.approx(PLACE, abs=0.06)
+    (lamp,) = check.lamps
+    assert lamp["position"] == pytest.approx(PLACE, abs=0.06)
+    # An octahedron's mean shadow is a quarter of its surface.
+    shadow = np.sqrt(3.0) * 0.06**2
+    assert np.pi * lamp["radius"] ** 2 == pytest.approx(shadow, rel=0.35)
+    first = pixels.rows(0)
+    image = read_radiance(pixels.views[0].image).reshape(-1, 3)
+    scale = float(image.sum() / np.asarray(pixels.radiance[first]).sum())
+    power = np.pi * lamp["radius"] ** 2 * np.array(lamp["radiance"]) * scale
+    assert power == pytest.approx(shadow * np.array([80.0, 70.0, 60.0]), rel=0.2)
     left = np.asarray(pixels.triangle) != LEFT_OUT
     # No remaining pixel is as bright as the lamp, and few are left out.
     assert np.asarray(pixels.radiance)[left].max() < 0.2 * np.asarray(pixels.radiance).max()

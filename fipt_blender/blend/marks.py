@@ -36,6 +36,7 @@ FIXTURE = "fipt_fixture"  # the fixture's name in emitters.json
 FIXTURE_SOURCES = "fipt_sources"  # ids of the objects that the fixture was split off (JSON)
 FIXTURE_LIGHT = "fipt_fixture_light"  # on a Blender light that stands for a fixture, its child
 NEW_LIGHT = "fipt_light"  # on a light that the artist added
+MISSING_LAMP = "fipt_missing_lamp"  # on a light for a lamp that the mesh lacks: the lamp's position
 BASE = "fipt_base"  # rgb as estimated or added: radiance of a fixture's front, watts of a light
 BACK = "fipt_back"  # rgb radiance of a fixture's back
 ON, SOLO, STOPS = "fipt_on", "fipt_solo", "fipt_stops"

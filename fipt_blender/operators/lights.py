@@ -10,7 +10,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from ..blend.marks import FIXTURE, has_light_groups
 from ..core.run.errors import FiptError
 from ..properties.lights import FIPT_Light
-from .new_light import FIPT_OT_add_light
+from .new_light import FIPT_OT_add_light, FIPT_OT_add_missing_lamps
 from .polls import has_results, in_object_mode
 from .reporting import reports_errors
 
@@ -298,6 +298,7 @@ CLASSES = (
     FIPT_OT_reset_light,
     FIPT_OT_select_light,
     FIPT_OT_add_light,
+    FIPT_OT_add_missing_lamps,
     FIPT_OT_fixture_to_area_light,
     FIPT_OT_area_light_to_fixture,
     FIPT_OT_make_light_groups,

@@ -1,6 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operator of the section Lights that adds an area light: at the 3D cursor, or aimed with the mouse."""
+"""Operators of the section Lights that add lights: at the 3D cursor, aimed with the mouse, or the lamps that
+the mesh lacks.
+"""
 
 from __future__ import annotations
 
@@ -126,3 +128,30 @@ class FIPT_OT_add_light(bpy.types.Operator):
         context.workspace.status_text_set(None)
         if context.area is not None:
             context.area.header_text_set(None)
+
+
+class FIPT_OT_add_missing_lamps(bpy.types.Operator):
+    """Add the lamps that the photographs show and the mesh lacks"""
+
+    bl_idname = "fipt.add_missing_lamps"
+    bl_label = "Add Missing Lamps"
+    bl_description = (
+        "Add a light for each lamp that the photographs show and the mesh lacks, with its position, size and"
+        " radiance. The estimated materials stay as they are"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not context.scene.fipt.lights.missing_lamps:
+            cls.poll_message_set("The mesh lacks no lamp, or the lamps have been added")
+            return False
+        return in_object_mode(cls, context)
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.lights.missing_lamps import add_missing
+
+        added = add_missing(context.scene)
+        self.report({"INFO"}, iface_("{} lamps added").format(len(added)))
+        return {"FINISHED"}

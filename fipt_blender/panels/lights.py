@@ -71,6 +71,10 @@ class FIPT_PT_lights(Section, bpy.types.Panel):
             draw_text(layout, context, "No lights were found in this room.", icon="INFO")
         else:
             layout.operator("fipt.list_lights", text="List Lights", icon="FILE_REFRESH")
+        if settings.missing_lamps:
+            text = "The photographs show lamps that the mesh lacks."
+            draw_text(layout, context, text, icon="ERROR")
+            layout.operator("fipt.add_missing_lamps", icon="LIGHT_POINT")
         column = layout.column(align=True)
         column.operator("fipt.add_light", text="Add Light at Cursor", icon="ADD").place = "CURSOR"
         column.operator("fipt.add_light", text="Add Light by Pointing", icon="EYEDROPPER").place = "PICK"

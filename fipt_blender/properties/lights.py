@@ -234,6 +234,10 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
         get=_get_rotation,
         set=_set_rotation,
     )
+    missing_lamps: bpy.props.StringProperty(
+        description="Lamps that the photographs show and the mesh lacks, not yet added (JSON)",
+        options={"HIDDEN"},
+    )
     median_radiance: bpy.props.FloatProperty(
         description="Median radiance of the photographs, in their unit; 0 if unknown", min=0.0
     )

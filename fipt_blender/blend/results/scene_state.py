@@ -15,6 +15,7 @@ from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import ATLAS, STATISTICS
 from ..capture.backdrop import set_backdrop
 from ..lights import light_state
+from ..lights.missing_lamps import note_missing
 from ..marks import MUTED, other_lights, remove_marks, room_with_results
 from ..room.originals import result_meshes
 from .materials import result_materials
@@ -49,6 +50,7 @@ def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:
     settings.applied_mode = str(read_json(run.atlas_json, ATLAS, "Apply the results again.")["mode"])
     settings.shown = "ESTIMATED"  # its update function shows them
     scene.fipt.lights.median_radiance = median_radiance(run)
+    note_missing(scene, run)
     light_state.list_lights(scene)
 
 

@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,21 +18,30 @@ from ..run.messages import Reporter
 from ..run.runfolder import RunFolder, write_json
 
 
+@dataclass(frozen=True)
+class RoomLight:
+    """What lights the room; radiance in units of the capture's median.
+
+    Attributes:
+        fixtures: lamps on the mesh.
+        base_colors: (F, 3) base colours of the fixtures; black reflects nothing.
+        environment: light from outside the mesh, if any.
+        missing: lamps that the mesh lacks (:class:`.views.check.ViewCheck`).
+    """
+
+    fixtures: Sequence[Fixture]
+    base_colors: np.ndarray
+    environment: Environment | None
+    missing: Sequence[Mapping[str, Any]] = ()
+
+
 def write_results(
-    folder: RunFolder,
-    fields: RoomFields,
-    fixtures: Sequence[Fixture],
-    base_colors: np.ndarray,
-    environment: Environment | None,
-    scale: float,
-    reporter: Reporter,
+    folder: RunFolder, fields: RoomFields, light: RoomLight, scale: float, reporter: Reporter
 ) -> None:
     """Write the results folder except for the statistics.
 
     Args:
-        fixtures, environment: radiance in units of the capture's median.
-        base_colors: (F, 3) base colours of the fixtures; black reflects nothing.
-        scale: the median itself, in the photographs' units.
+        scale: the capture's median radiance, in the photographs' units.
         reporter: gets the warning ``no-emitter`` if nothing lights the room.
 
     Raises:
@@ -39,16 +49,17 @@ def write_results(
     """
     folder.results.mkdir(parents=True, exist_ok=True)
     fields.save(folder)
-    described_environment = None
+    environment, described_environment = light.environment, None
     if environment is not None:
         write_exr(folder.environment_exr, environment.image * scale)
         described_environment = {
             "image": folder.environment_exr.name,
             "observed_share": environment.observed_share,
         }
+    lamps = enumerate(zip(light.fixtures, light.base_colors, strict=True), start=1)
     described = [
-        _describe(fixture, f"Fixture.{number:03d}", scale) | {"base_color": base_colors[number - 1].tolist()}
-        for number, fixture in enumerate(fixtures, start=1)
+        _describe(fixture, f"Fixture.{number:03d}", scale) | {"base_color": color.tolist()}
+        for number, (fixture, color) in lamps
     ]
     if not described and environment is None:
         reporter.warning(
@@ -56,7 +67,16 @@ def write_results(
             "No surface was found to emit light, and no view looks outside.",
             "Check that the photographs show the lamps and that the lamps are not over-exposed.",
         )
-    write_json(folder.emitters_json, {"fixtures": described, "environment": described_environment})
+    missing = [
+        {
+            "position": list(lamp["position"]),
+            "radius": lamp["radius"],
+            "radiance": [scale * value for value in lamp["radiance"]],
+        }
+        for lamp in light.missing
+    ]
+    emitters = {"fixtures": described, "environment": described_environment, "missing": missing}
+    write_json(folder.emitters_json, emitters)
 
 
 def _describe(fixture: Fixture, name: str, scale: float) -> dict[str, Any]:

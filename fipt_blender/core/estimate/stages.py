@@ -60,7 +60,7 @@ from ..scene.pixels import fill_pixels, open_pixels
 from ..scene.unmixing import unmix_pixels
 from ..views.check import check_views
 from .previews import Preview
-from .results import write_results
+from .results import RoomLight, write_results
 from .state import EstimationState
 
 Facts = dict[str, Any]  # what stages.json keeps of a stage; JSON-serialisable
@@ -389,14 +389,12 @@ class Estimation(EstimationState):
             emitting,
             self.settings.seed,
         )
-        fixtures = self.fixtures, np.zeros((len(self.fixtures), 3))
+        fixtures, colors = self.fixtures, np.zeros((len(self.fixtures), 3))
         if not len(self.emission):
             pixels = lamp_pixels(self.pixels, shadings, emitting, self.settings.seed)
-            fixtures = separate(self.fixtures, pixels)
-        environment = self.observations.environment
-        write_results(
-            self.folder, self._room_fields(errors), *fixtures, environment, self.scale, self.reporter
-        )
+            fixtures, colors = separate(self.fixtures, pixels)
+        light = RoomLight(fixtures, colors, self.observations.environment, self.view_check.lamps)
+        write_results(self.folder, self._room_fields(errors), light, self.scale, self.reporter)
         write_json(self.folder.statistics_json, self.summary())
 
     # ---- Progress ------------------------------------------------------------------------------------------

@@ -105,7 +105,10 @@ EMITTERS = Fields(
         "environment": Maybe(
             Fields({"image": Choice("environment.exr")}, {"observed_share": Number(0.0, 1.0)})
         ),
-    }
+    },
+    {
+        "missing": Items(Fields({"position": Numbers(3), "radius": _NOT_NEGATIVE, "radiance": Numbers(3)})),
+    },
 )
 STATISTICS = Fields(
     optional={

@@ -21,7 +21,7 @@ from ..scene.room import Room
 from .alignment import misaligned_views
 from .cells import SurfaceCells, surface_cells
 from .exposure import exposure_gains, unlike_exposures
-from .unmeshed import shown_by, unmeshed_lights
+from .unmeshed import measure, shown_by, unmeshed_lights
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,13 @@ class ViewCheck:
     Attributes:
         left_out: name of each misaligned view, and by how many pixels it is off.
         exposure: name of each view of another exposure, and the factor by which it was brighter.
-        lamps: positions in metres of lamps that the mesh lacks.
+        lamps: lamps that the mesh lacks, each with ``position`` and ``radius`` in metres, ``radiance`` in
+            units of the capture's median, and the number of ``views`` that show it.
     """
 
     left_out: dict[str, float] = field(default_factory=dict)
     exposure: dict[str, float] = field(default_factory=dict)
-    lamps: list[list[float]] = field(default_factory=list)
+    lamps: list[dict[str, Any]] = field(default_factory=list)
 
     def facts(self) -> dict[str, Any]:
         """For statistics.json."""
@@ -93,16 +94,18 @@ def _leave_out(pixels: PixelStore, rows: np.ndarray | slice) -> None:
     pixels.pure[rows] = False
 
 
-def _leave_out_unmeshed(cells: SurfaceCells, settings: Settings, reporter: Reporter) -> list[list[float]]:
-    """Leave out the pixels that show a lamp which the mesh lacks; return the lamps' positions in metres.
+def _leave_out_unmeshed(cells: SurfaceCells, settings: Settings, reporter: Reporter) -> list[dict[str, Any]]:
+    """Leave out the pixels that show a lamp which the mesh lacks; return these lamps (:class:`ViewCheck`).
 
     Otherwise the lamp would appear on the walls behind it, as bright albedo or as emitters that do not exist.
     """
     pixels = cells.pixels
     footprint = median_footprint(pixels)
     lamps = unmeshed_lights(cells, footprint, np.random.default_rng([settings.seed, 4]))
+    margin = 1.5 * footprint
+    balls = [measure(pixels, lamp, margin) for lamp in lamps]
     for lamp in lamps:
-        _leave_out(pixels, shown_by(pixels, lamp, 1.5 * footprint))
+        _leave_out(pixels, shown_by(pixels, lamp, margin))
     positions = [[round(float(x), 3) for x in lamp.position] for lamp in lamps]
     if lamps:
         places = "; ".join(
@@ -113,9 +116,13 @@ def _leave_out_unmeshed(cells: SurfaceCells, settings: Settings, reporter: Repor
             "lamp-without-mesh",
             f"The photographs show {len(lamps)} lamps where the mesh has nothing: {places}. These pixels are "
             "left out, but the light of these lamps is missing from the estimate.",
-            "Model each lamp there (a simple shape of its size is enough) and run again.",
+            "Model each lamp there (a simple shape of its size is enough) and run again, or use Add Missing"
+            " Lamps in the section Lights.",
         )
-    return positions
+    return [
+        {"position": place, "radius": ball.radius, "radiance": ball.radiance.tolist(), "views": lamp.views}
+        for place, ball, lamp in zip(positions, balls, lamps, strict=True)
+    ]
 
 
 def _describe(views: Sequence[View], values: dict[int, str], most: int = 8) -> str:

@@ -27,6 +27,8 @@ LEAST_VIEWS = 3
 MEET = 3.0
 # Share of the distance to the surface within which they must meet.
 IN_FRONT = 0.95
+# Quantile of the pixels around a lamp that is the radiance of what lies behind it.
+BEHIND = 0.2
 TRIES = 2000
 # Rays that are used; more only cost time.
 MOST_RAYS = 20_000
@@ -46,6 +48,19 @@ class UnmeshedLight:
     position: np.ndarray
     radius: float
     views: int
+
+
+@dataclass(frozen=True)
+class Ball:
+    """A ball that looks like a lamp in the photographs.
+
+    Attributes:
+        radius: metres.
+        radiance: (3,) in units of the pixels.
+    """
+
+    radius: float
+    radiance: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -118,6 +133,35 @@ def unmeshed_lights(cells: SurfaceCells, footprint: float, rng: np.random.Genera
             lamps.append(lamp)
         rays = rays.among(~near)
     return lamps
+
+
+def measure(pixels: PixelStore, lamp: UnmeshedLight, margin: float) -> Ball:
+    """The ball whose light is that of a lamp in the median view.
+
+    Its radiance is that of the brightest pixels. Where the lamp is smaller than a pixel, the ball is too
+    large and too dim, and its power is still right.
+
+    Args:
+        margin: metres around the lamp's radius in which pixels may show it.
+    """
+    shown = shown_by(pixels, lamp, margin)
+    brightest, sums = [], []
+    view_of = pixels.view_of(shown)
+    for index in np.unique(view_of):
+        rows, view = shown[view_of == index], pixels.views[index]
+        radiance = np.asarray(pixels.radiance[rows], np.float64)
+        grey = radiance.mean(axis=1)
+        if not grey.max() > BRIGHT:  # something hides it
+            continue
+        behind = min(float(np.quantile(grey, BEHIND)), BRIGHT)
+        width = np.linalg.norm(lamp.position - view.camera_to_world[:3, 3]) / min(view.fx, view.fy)
+        brightest.append(radiance[grey.argmax()])
+        sums.append(float(np.maximum(grey - behind, 0.0).sum() * width**2))
+    if not brightest:
+        return Ball(lamp.radius, np.zeros(3))
+    color = np.median(brightest, axis=0)
+    area = float(np.median(sums)) / max(float(color.mean()), 1e-12)
+    return Ball(float(np.sqrt(area / np.pi)), color)
 
 
 def shown_by(pixels: PixelStore, lamp: UnmeshedLight, margin: float) -> np.ndarray:
