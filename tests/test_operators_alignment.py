@@ -13,9 +13,11 @@ import fipt_blender
 from fipt_blender.blend.capture import cameras
 from fipt_blender.blend.capture.exporting import camera_pose
 from fipt_blender.blend.capture.importing import find_alignment
+from fipt_blender.blend.capture.placements import take_alignment
 from fipt_blender.blend.capture.view_geometry import view_geometry
 from fipt_blender.core import conventions
-from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder, write_json
 
 ops = bpy.ops.fipt
 POINTS = np.array([[2.0, 2.0, 0.0], [-2.0, 1.5, 0.2], [1.0, -2.0, 2.4], [-1.5, -1.0, 1.0], [0.5, 2.0, 2.0]])
@@ -157,3 +159,41 @@ def test_the_artists_own_cameras_stay(truth):
     with pytest.raises(RuntimeError, match="your own"):
         ops.align_by_pairs()
     assert [tuple(scene.objects[view["name"]].location) for view in truth] == before
+
+
+def test_placements_of_the_engine_are_taken_and_chosen(truth, tmp_path):
+    scene = bpy.context.scene
+    settings, run = scene.fipt.alignment, RunFolder(tmp_path)
+    before = {view["name"]: camera_pose(scene.objects[view["name"]]) for view in truth}
+    moves = []
+    for angle, shift in ((0.5, 1.0), (2.0, -3.0)):
+        matrix = np.eye(4)
+        matrix[:3, :3] = 1.5 * np.array(Matrix.Rotation(angle, 3, "Z"))
+        matrix[0, 3] = shift
+        moves.append(matrix)
+    entries = [
+        {"similarity": m.tolist(), "error": 0.004 * (i + 1), "inliers": 0.9} for i, m in enumerate(moves)
+    ]
+    (tmp_path / "align").mkdir()
+    data = {"format": "fipt-align", "version": 1, "candidates": entries, "text": "90% lie near", "poses": {}}
+    write_json(tmp_path / "align" / "align.json", data)
+    with pytest.raises(RuntimeError):
+        ops.choose_placement(index=1)
+    take_alignment(scene, run)
+    assert len(settings.candidates) == 2 and settings.summary == "90% lie near"
+    for chosen in (0, 1, 0):
+        assert ops.choose_placement(index=chosen) == {"FINISHED"} and settings.active_candidate == chosen
+        for name, pose in before.items():
+            expected = conventions.transform_poses(moves[chosen], pose)
+            np.testing.assert_allclose(camera_pose(scene.objects[name]), expected, atol=1e-4)
+    with pytest.raises(RuntimeError, match="no placement 2"):
+        ops.choose_placement(index=2)
+    pose = np.array(truth[0]["camera_to_world"])
+    polished = {**data, "candidates": [], "poses": {truth[0]["name"]: pose.tolist()}}
+    write_json(tmp_path / "align" / "align.json", polished)
+    take_alignment(scene, run)
+    np.testing.assert_allclose(camera_pose(scene.objects[truth[0]["name"]]), pose, atol=1e-5)
+    assert not settings.candidates
+    (tmp_path / "align" / "align.json").write_text("{}")
+    with pytest.raises(FiptError):
+        take_alignment(scene, run)

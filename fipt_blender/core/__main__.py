@@ -28,6 +28,7 @@ COMMANDS = {
     "prepare": (".photographs.command", "make a capture from a folder of photographs"),
     "ingest": (".capture.ingest", "read a capture into a run folder"),
     "survey": (".scene.survey", "find out what each view sees of the room, and which parts there are"),
+    "align": (".scene.align", "move the cameras to the mesh by the solve's points or by edges"),
     "estimate": (".estimate.command", "estimate materials and lights of the room of a run folder"),
     "textures": (".textures.bake", "bake the estimated fields onto the UVs of atlas.npz"),
     "report": (".report.page", "write the HTML report of a run folder"),

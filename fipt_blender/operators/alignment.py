@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from .. import machine
+from ..core.run.runfolder import RunFolder
+from .job_operator import JobOperator
 from .pointer import NAVIGATION, view_under_pointer
 from .polls import has_views, in_object_mode
 from .reporting import reports_errors
@@ -17,6 +20,9 @@ if TYPE_CHECKING:
     from mathutils import Vector
 
     from ..blend.capture.pairs import PickedSight
+    from ..bridge.process import Message
+    from ..bridge.sequence import Job
+    from ..bridge.step import Slices
 
 _MESH_TEXT = "Click: Point of the mesh   Ctrl: Do not snap to corners   Esc, Right Click: Cancel"
 _PHOTO_TEXT = "Click: The same point in the photograph   Page Up, Page Down: Other view   Esc: Cancel"
@@ -228,6 +234,90 @@ class FIPT_OT_align_by_pairs(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class FIPT_OT_align_cameras(JobOperator, bpy.types.Operator):
+    """Let the engine find where the cameras belong in the room, and move them there. The mesh stays"""
+
+    bl_idname = "fipt.align_cameras"
+    bl_label = "Align Cameras"
+    bl_options = {"REGISTER", "UNDO"}
+    title = "Align Cameras"
+    kind = "align"
+
+    how: bpy.props.EnumProperty(
+        name="Method",
+        description="What the cameras are aligned by",
+        items=[
+            ("points", "By Points", "By the sparse points of the camera solve, wherever the cameras are now"),
+            (
+                "near",
+                "Refine by Points",
+                "The same, if the cameras are nearly right, after pairs for example",
+            ),
+            ("edges", "Refine by Edges", "By the edges of mesh and photographs, by a few pixels at most"),
+        ],
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return has_views(cls, context) and in_object_mode(cls, context) and super().poll(context)
+
+    def make_job(self, context: bpy.types.Context) -> Job:
+        from ..blend.capture.pairs import imported_cameras
+        from ..bridge.step import Step
+        from ..jobs.run_job import open_job
+
+        scene = context.scene
+        imported_cameras(scene)  # raises before anything is written
+        run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
+        target = RunFolder(run.root / "align")
+
+        def write_input() -> Slices[list[Message]]:
+            from ..blend.capture.survey import write_views_and_room
+
+            target.root.mkdir(exist_ok=True)
+            return write_views_and_room(run, target)
+
+        settings = scene.fipt.capture
+        source = [f"--capture={settings.imported_path}", f"--format={settings.format}"]
+        command = ["align", str(target.root), self.how, f"--device={machine.device_setting()}", *source]
+        text = "Comparing edges" if self.how == "edges" else "Aligning the cameras to the mesh"
+        steps = [
+            Step("align-input", "Preparing the room", 3.0, function=write_input, repeat=True),
+            Step("align", text, 20.0, command=command, outputs=[target.root / "align.json"]),
+        ]
+        return open_job(run, steps, record="align.json")
+
+    @staticmethod
+    def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
+        from ..blend.capture.placements import take_alignment
+
+        take_alignment(scene, run)
+
+
+class FIPT_OT_choose_placement(bpy.types.Operator):
+    """Move the cameras to another place where they fit, in a room that looks alike from several sides"""
+
+    bl_idname = "fipt.choose_placement"
+    bl_label = "Choose Placement"
+    bl_options = {"REGISTER", "UNDO"}
+
+    index: bpy.props.IntProperty(name="Index", description="Number of the placement, from 0", min=0)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not context.scene.fipt.alignment.candidates:
+            cls.poll_message_set("Align the cameras by points first")
+            return False
+        return in_object_mode(cls, context)
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.capture.placements import choose_placement
+
+        choose_placement(context.scene, self.index)
+        return {"FINISHED"}
+
+
 def _has_pairs(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
     if not context.scene.fipt.alignment.pairs:
         cls.poll_message_set("Pick points first")
@@ -245,4 +335,10 @@ def _place(
     return region, space, (event.mouse_x - region.x, event.mouse_y - region.y)
 
 
-CLASSES = (FIPT_OT_pick_pair, FIPT_OT_remove_pair, FIPT_OT_align_by_pairs)
+CLASSES = (
+    FIPT_OT_pick_pair,
+    FIPT_OT_remove_pair,
+    FIPT_OT_align_by_pairs,
+    FIPT_OT_align_cameras,
+    FIPT_OT_choose_placement,
+)

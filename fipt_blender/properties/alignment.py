@@ -65,6 +65,7 @@ class FIPT_AlignmentSettings(bpy.types.PropertyGroup):
         default=True,
         update=_marks_changed,
     )
+    summary: bpy.props.StringProperty(description="How well the placement fits that the engine has found")
     candidates: bpy.props.CollectionProperty(type=FIPT_AlignmentCandidate)
     active_candidate: bpy.props.IntProperty(
         name="Placement", description="Placement of the cameras, the best one first"

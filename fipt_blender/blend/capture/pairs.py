@@ -162,6 +162,16 @@ def move_cameras(scene: bpy.types.Scene, similarity: np.ndarray) -> None:
     Raises:
         FiptError: ``alignment-own-cameras`` where the views' cameras are the artist's.
     """
+    for item in imported_cameras(scene):
+        place_camera(item, conventions.transform_poses(similarity, camera_pose(item)))
+
+
+def imported_cameras(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The views' cameras that an import has made.
+
+    Raises:
+        FiptError: ``alignment-own-cameras`` where there are none.
+    """
     items = [item for item in collection(scene, CAMERAS).objects if is_view(item)]
     if not items:
         raise FiptError(
@@ -169,9 +179,7 @@ def move_cameras(scene: bpy.types.Scene, similarity: np.ndarray) -> None:
             "The views' cameras are your own and are not moved.",
             "Move the mesh to them instead, or import the capture from its files.",
         )
-    for item in items:
-        pose = conventions.transform_poses(similarity, camera_pose(item))
-        place_camera(item, pose)
+    return items
 
 
 def place_camera(item: bpy.types.Object, pose: np.ndarray) -> None:

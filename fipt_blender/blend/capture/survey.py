@@ -87,13 +87,31 @@ def write_survey_input(run: RunFolder) -> Slices[list[Message]]:
     Raises:
         FiptError: ``room-missing``, ``mesh-empty`` and those of `view_entries`.
     """
+    for stale in (run.survey_json, run.survey_npz):  # of a room that may have changed
+        stale.unlink(missing_ok=True)
+    warnings = yield from write_views_and_room(run, RunFolder(run.survey))
+    parts = bpy.context.scene.fipt.parts
+    parts.surveyed_folder = parts.folder if parts.source == "folder" else ""
+    return warnings
+
+
+def write_views_and_room(run: RunFolder, target: RunFolder) -> Slices[list[Message]]:
+    """Write all views, the room of the context's scene, and matrices.json to a folder.
+
+    Args:
+        run: the run folder.
+        target: where to; paths of photographs become absolute.
+
+    Returns:
+        Warnings about objects in the room's collection that are not meshes.
+
+    Raises:
+        FiptError: ``room-missing``, ``mesh-empty`` and those of `view_entries`.
+    """
     scene = bpy.context.scene
     objects = scene.fipt.capture.room_objects(scene)
     if not objects:
         raise room_missing()
-    target = RunFolder(run.survey)
-    for stale in (run.survey_json, run.survey_npz):  # of a room that may have changed
-        stale.unlink(missing_ok=True)
     source = read_source(run)
     entries = view_entries(scene, run, source, ticked=False)
     for entry in entries:
@@ -105,9 +123,7 @@ def write_survey_input(run: RunFolder) -> Slices[list[Message]]:
     warnings = not_in_room(scene.fipt.capture.room_members(scene))
     matrices = {item.name: world_matrix(item).tolist() for item in objects}
     yield from export_slices(objects, target, scene.fipt.parts.engine_source)
-    scene = bpy.context.scene
-    write_json(run.survey / "matrices.json", matrices)
-    scene.fipt.parts.surveyed_folder = scene.fipt.parts.folder if scene.fipt.parts.source == "folder" else ""
+    write_json(target.root / "matrices.json", matrices)
     return warnings
 
 

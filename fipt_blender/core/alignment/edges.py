@@ -59,12 +59,14 @@ class EdgeFit:
     Attributes:
         misfit: root mean square, in pixels, of the displacement of the mesh's edges by `motion`.
         motion: (6,) turn in radians and shift of the points in the camera's axes that joins the edges.
-        count: number of edge points with a gradient nearby.
+        information: (6, 6) inverse of the motion's covariance.
+        squares: (6, 6) m' S m is the mean square displacement in pixels by a motion m.
     """
 
     misfit: float
     motion: np.ndarray
-    count: int
+    information: np.ndarray
+    squares: np.ndarray
 
 
 def mesh_edges(
@@ -140,13 +142,12 @@ def fit_edges(image: np.ndarray, edges: MeshEdges, intrinsics: np.ndarray) -> Ed
     sizes = np.sqrt((flow**2).sum(axis=1).mean(axis=0))
     start = _best_shift(profiles, chosen, flow)
     motion, information = _narrowed(profiles, across, sizes, shared, start)
-    displacement = flow @ motion
-    spread = np.einsum("kci,ij,kcj->", flow, np.linalg.inv(information), flow) / len(flow)
-    if np.sqrt(spread) > _UNSURE:
+    squares = np.einsum("kci,kcj->ij", flow, flow) / len(flow)
+    spread = float(np.trace(squares @ np.linalg.inv(information)))
+    if spread > _UNSURE**2:
         return None
-    square = float((displacement**2).sum(axis=1).mean()) - spread  # less what chance adds to it
-    misfit = float(np.sqrt(max(square, 0.0)))
-    return EdgeFit(misfit, motion, len(profiles))
+    square = float(motion @ squares @ motion) - spread  # less what chance adds to it
+    return EdgeFit(float(np.sqrt(max(square, 0.0))), motion, information, squares)
 
 
 def edge_profiles(image: np.ndarray, edges: MeshEdges) -> np.ndarray:

@@ -21,6 +21,8 @@ from .formats import read_points
 from .rig import Note, Rig
 
 MOST_POINTS = 4000  # more do not make the alignment better, only slower
+SURE = 0.97  # share of points near the mesh above which it is not tried mirrored
+MIRRORED = 0.6  # score with the mesh mirrored over that without, below which it is mirrored
 LEAST_INLIERS = 0.6  # of the points near the mesh; a wrong alignment leaves fewer
 ALIKE = 1.3  # a second alignment whose score is at most so many times the best one's is named
 _SEED = 0
@@ -52,26 +54,65 @@ def align_rig(rig: Rig, points: np.ndarray, mesh: Path) -> Rig:
     """
     rng = np.random.default_rng(_SEED)
     surface = sample_surface(*read_mesh(mesh), rng)
-    chosen = points[rng.permutation(len(points))[:MOST_POINTS]]
     up = -np.mean([view.camera_to_world[:3, 1] for view in rig.views], axis=0)
-    best, *others = register(chosen, surface, rng, up if float(np.linalg.norm(up)) > 0.3 else None)
-    if best.inliers < LEAST_INLIERS:
-        raise FiptError(
-            "alignment-failed",
-            f"Only {100.0 * best.inliers:.0f} % of the {len(chosen)} points of the camera solve lie near "
-            f"the mesh {mesh}.",
-            "Check that it shows the same room, or move the cameras to the mesh by hand with FIPT Alignment.",
-        )
+    best, *others = placements(points, surface, rng, up, f"the mesh {mesh}")
     views = tuple(
         replace(view, camera_to_world=transform_poses(best.similarity, view.camera_to_world))
         for view in rig.views
     )
-    notes = [_result(best, len(chosen))]
+    notes = [_result(best, min(len(points), MOST_POINTS))]
     alike = sum(other.score <= ALIKE * best.score and other.inliers >= LEAST_INLIERS for other in others)
     if alike:
         notes.append(_ambiguous(alike))
-    notes += _unit_notes(surface, best.similarity, up)
+    notes += unit_notes(surface, best.similarity, up)
     return replace(rig, views=views, up_axis=None, notes=(*rig.notes, *notes))
+
+
+def placements(
+    points: np.ndarray, surface: Surface, rng: np.random.Generator, up: np.ndarray, mesh: str
+) -> list[Candidate]:
+    """Placements of a solve's points on a mesh, the best first.
+
+    Args:
+        points: (N, 3) of the solve.
+        surface: of the mesh.
+        rng: chooses among many points.
+        up: (3,) mean up direction of the cameras, short where they are turned in all ways.
+        mesh: what the mesh is called in errors.
+
+    Raises:
+        FiptError: ``alignment-points``, ``alignment-failed``, or ``mesh-mirrored``.
+    """
+    chosen = points[rng.permutation(len(points))[:MOST_POINTS]]
+    known_up = up if float(np.linalg.norm(up)) > 0.3 else None
+    found = register(chosen, surface, rng, known_up)
+    if found[0].inliers < SURE:
+        mirror = np.array([-1.0, 1.0, 1.0])
+        other = register(chosen * mirror, surface, rng, None if known_up is None else known_up * mirror)[0]
+        if other.inliers >= LEAST_INLIERS and other.score < MIRRORED * found[0].score:
+            raise FiptError(
+                "mesh-mirrored",
+                f"It seems that {mesh} is mirrored: with one axis negated, {100.0 * other.inliers:.0f} % of"
+                f" the points of the camera solve lie near it, otherwise {100.0 * found[0].inliers:.0f} %.",
+                "Export it again without negated axes, or scale its object by -1 along one axis.",
+            )
+    check_fit(found[0], mesh)
+    return found
+
+
+def check_fit(best: Candidate, mesh: str) -> None:
+    """Refuse a placement that leaves many points far from the mesh.
+
+    Raises:
+        FiptError: ``alignment-failed``.
+    """
+    if best.inliers < LEAST_INLIERS:
+        raise FiptError(
+            "alignment-failed",
+            f"Only {100.0 * best.inliers:.0f} % of the points of the camera solve lie near {mesh}.",
+            "Check that it shows the same room, or align by pairs of points (Capture > Alignment), or by hand"
+            " with FIPT Alignment.",
+        )
 
 
 def _result(best: Candidate, count: int) -> Note:
@@ -92,7 +133,7 @@ def _ambiguous(alike: int) -> Note:
     )
 
 
-def _unit_notes(surface: Surface, similarity: np.ndarray, up: np.ndarray) -> list[Note]:
+def unit_notes(surface: Surface, similarity: np.ndarray, up: np.ndarray) -> list[Note]:
     """A note where the height of the mesh is that of a room in another unit than metres."""
     direction = split_similarity(similarity)[1] @ up
     axis = int(np.argmax(np.abs(direction)))

@@ -165,6 +165,16 @@ SURVEY = Fields(
     }
 )
 
+ALIGN = Fields(
+    {
+        "candidates": Items(
+            Fields({"similarity": Numbers(4, 4), "error": _NOT_NEGATIVE, "inliers": Number(0.0, 1.0)})
+        ),
+        "text": str,
+        "poses": Entries(Numbers(4, 4)),
+    }
+)
+
 # Array files: the kind of an array's numbers ("f" float, "i" whole, "b" bool), and its sizes: a number, or a
 # letter for any size, which is the same for all arrays of a file that have this letter.
 Layout = tuple[str, tuple[int | str, ...]]

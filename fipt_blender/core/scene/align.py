@@ -1,0 +1,197 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Engine command `align`: where the cameras of a capture belong in the mesh that the scene shows.
+
+By the sparse points of the camera solve, from anywhere or from a placement that is nearly right; or by the
+edges of mesh and photographs, a few pixels at most. Blender writes the input as for `survey`, and moves the
+cameras.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..alignment.polish import polish
+from ..alignment.registration import Candidate, refine
+from ..alignment.surface import sample_surface
+from ..capture.align_mesh import LEAST_INLIERS, MOST_POINTS, check_fit, placements, unit_notes
+from ..capture.formats import FORMATS, read_points, read_rig
+from ..capture.images import read_radiance
+from ..capture.ingest import unique_names
+from ..capture.rig import ReadOptions
+from ..capture.views import View, load_capture
+from ..conventions import transform_points
+from ..device.variant import set_variant
+from ..run.errors import FiptError
+from ..run.messages import Reporter
+from ..run.run_files import read_room_files
+from ..run.runfolder import RunFolder, write_json
+
+ALIGN_FORMAT = "fipt-align"
+ALIGN_VERSION = 1
+HOW = ("points", "near", "edges")
+_ROUNDS = 3  # of tracing the edges again after the cameras have moved
+_SEED = 0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("folder", type=Path, help="folder with capture.json, room.npz and room.json")
+    parser.add_argument("how", choices=HOW, help="by the solve's points, from anywhere or near; by edges")
+    parser.add_argument("--capture", type=Path, help="the capture whose camera solve holds the points")
+    parser.add_argument("--format", choices=("auto", *FORMATS), default="auto", help="layout of the capture")
+    parser.add_argument("--device", default="auto", help="auto, cuda or llvm")
+
+
+def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
+    """Find the placement of the cameras and write FOLDER/align.json.
+
+    Raises:
+        FiptError: ``alignment-points``, ``-failed``, ``-edges``, ``mesh-mirrored``, or a reader's.
+    """
+    folder = RunFolder(arguments.folder)
+    reporter.plan([1.0])
+    reporter.stage("align", "Aligning the cameras to the mesh")
+    views = list(load_capture(folder).views)
+    if arguments.how == "edges":
+        found = _by_edges(folder, views, arguments.device, reporter)
+    else:
+        if arguments.capture is None:
+            raise FiptError("alignment-points", "No capture is given.", "Import the capture from its files.")
+        points = solve_points(arguments.capture, arguments.format, views)
+        found = _by_points(folder, views, points, arguments.how == "near", reporter)
+    path = folder.root / "align.json"
+    write_json(path, {"format": ALIGN_FORMAT, "version": ALIGN_VERSION, **found})
+    reporter.done([str(path)])
+
+
+def solve_points(capture: Path, name: str, views: list[View]) -> np.ndarray:
+    """The solve's sparse points (N, 3) in the world in which the cameras are now.
+
+    Raises:
+        FiptError: ``alignment-points`` or an error of the readers.
+    """
+    rig = read_rig(capture, name, ReadOptions())
+    poses = {view.name: view.camera_to_world for view in unique_names(rig.views)}
+    common = [view for view in views if view.name in poses]
+    if len(common) < 2:
+        raise FiptError(
+            "alignment-points",
+            f"{capture} holds other views than the scene.",
+            "Import the capture again.",
+        )
+    now = np.array([view.camera_to_world for view in common], np.float64)
+    return transform_points(
+        similarity_of_poses(np.array([poses[view.name] for view in common]), now),
+        read_points(capture, rig.source),
+    )
+
+
+def similarity_of_poses(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """The similarity (4, 4) that maps poses (N, 4, 4) to others: turn by the axes, then scale and shift."""
+    u, _, vt = np.linalg.svd(np.einsum("nij,nkj->ik", target[:, :3, :3], source[:, :3, :3]))
+    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    start, end = source[:, :3, 3] @ rotation.T, target[:, :3, 3]
+    spread = np.linalg.norm(start - start.mean(axis=0))
+    scale = float(np.linalg.norm(end - end.mean(axis=0)) / spread) if spread > 0.0 else 1.0
+    result = np.eye(4)
+    result[:3, :3] = scale * rotation
+    result[:3, 3] = end.mean(axis=0) - scale * start.mean(axis=0)
+    return result
+
+
+def _by_points(
+    folder: RunFolder, views: list[View], points: np.ndarray, near: bool, reporter: Reporter
+) -> dict[str, Any]:
+    """Candidates from the points of the solve.
+
+    Raises:
+        FiptError: ``alignment-points``, ``alignment-failed`` or ``mesh-mirrored``.
+    """
+    rng = np.random.default_rng(_SEED)
+    arrays, _ = read_room_files(folder)
+    surface = sample_surface(arrays["vertices"], arrays["triangles"], rng)
+    up = -np.mean([view.camera_to_world[:3, 1] for view in views], axis=0)
+    if near:
+        candidates = [refine(points[rng.permutation(len(points))[:MOST_POINTS]], surface, np.eye(4))]
+        check_fit(candidates[0], "the mesh")
+    else:
+        candidates = placements(points, surface, rng, up, "the mesh")
+    best = candidates[0]
+    for note in unit_notes(surface, best.similarity, up):
+        reporter.warning(note.code, note.text, note.remedy)
+    return {
+        "candidates": [_entry(candidate) for candidate in candidates if candidate.inliers >= LEAST_INLIERS],
+        "text": f"{100.0 * best.inliers:.0f}% of the points of the camera solve lie near the mesh, half of"
+        f" all within {1000.0 * best.error:.3g} mm",
+        "poses": {},
+    }
+
+
+def _entry(candidate: Candidate) -> dict[str, Any]:
+    return {
+        "similarity": candidate.similarity.tolist(),
+        "error": candidate.error,
+        "inliers": candidate.inliers,
+    }
+
+
+def _by_edges(folder: RunFolder, views: list[View], device: str, reporter: Reporter) -> dict[str, Any]:
+    """Poses of all views after polishing by edges.
+
+    Raises:
+        FiptError: ``alignment-edges`` where too few views have edges, or nothing is gained.
+    """
+    set_variant(device)
+    from .misfit import view_misfit  # Mitsuba's types exist only after the variant is set
+    from .room import load_room
+
+    room = load_room(folder)
+    pixels = [_radiance(view) for view in views]
+    before: float | None = None
+    alone: set[int] = set()
+    best, least = views, np.inf
+    for index in range(_ROUNDS + 1):
+        found = [
+            None if image is None else view_misfit(room, view, image)
+            for view, image in zip(views, pixels, strict=True)
+        ]
+        known = [item[0].misfit * item[1] for item in found if item is not None]
+        misfit = float(np.median(known)) if known else np.inf
+        before = misfit if before is None else before
+        if misfit < least:
+            best, least = views, misfit
+        step = polish(
+            [view.camera_to_world for view in views], [None if item is None else item[0] for item in found]
+        )
+        if step is None:
+            break
+        alone |= set(step.alone)
+        views = [replace(view, camera_to_world=pose) for view, pose in zip(views, step.poses, strict=True)]
+        reporter.progress((index + 1) / (_ROUNDS + 1))
+    if before is None or not np.isfinite(before) or least >= before:
+        raise FiptError(
+            "alignment-edges",
+            "The edges of mesh and photographs do not say how the cameras should move.",
+            "Nothing was changed. If the mesh is far off, align by points or pairs first.",
+        )
+    return {
+        "candidates": [],
+        "text": f"The edges are off by {least:.1f} pixels in the median view, before by {before:.1f};"
+        f" {len(alone)} cameras were moved by themselves",
+        "poses": {view.name: np.asarray(view.camera_to_world).tolist() for view in best},
+    }
+
+
+def _radiance(view: View) -> np.ndarray | None:
+    """The view's photograph, None where it can't be used."""
+    try:
+        pixels = read_radiance(view.image)
+    except FiptError:
+        return None
+    return pixels if pixels.shape[:2] == (view.height, view.width) else None
