@@ -34,6 +34,7 @@ class CaptureOptions:
         voxel: metres, of meshes that are fused from depth images; None for the engine's default.
         close_holes: metres; holes of fused meshes that are not wider are closed; None for none.
         depth_unit: metres per unit of 16-bit depth images, or None for the engine's default.
+        own_paths: transforms.json only; whether its paths may lead anywhere, since we wrote it ourselves.
         undo_applied_transform: transforms.json only; whether the mesh has the coordinates from before
             nerfstudio's `applied_transform`.
     """
@@ -50,6 +51,7 @@ class CaptureOptions:
     voxel: float | None = None
     close_holes: float | None = None
     depth_unit: float | None = None
+    own_paths: bool = False
     undo_applied_transform: bool = False
 
 
@@ -102,6 +104,8 @@ def ingest_arguments(options: CaptureOptions) -> list[str]:
         arguments.append("--clamp-negative")
     if options.align_mesh:
         arguments.append("--align-mesh")
+    if options.own_paths:
+        arguments.append("--own-paths")
     if options.undo_applied_transform:
         arguments.append("--undo-applied-transform")
     return arguments

@@ -169,6 +169,7 @@ class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
             up_axis="z",
             hold_back=settings.hold_back,
             clamp_negative=settings.clamp_negative,
+            own_paths=True,
         )
 
         def adopt() -> list[Message]:

@@ -97,6 +97,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the mesh is from another program: align the cameras to it by the solve's points",
     )
     parser.add_argument(
+        "--own-paths",
+        action="store_true",
+        help="transforms.json: its paths may lead out of its folder; only for files that you wrote yourself",
+    )
+    parser.add_argument(
         "--undo-applied-transform",
         action="store_true",
         help="transforms.json: the mesh has the coordinates before nerfstudio's applied_transform",
@@ -134,7 +139,9 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         align_mesh=arguments.align_mesh,
         most_views=arguments.views,
         fusion=FusionOptions(arguments.voxel, arguments.close_holes),
-        read=ReadOptions(arguments.images, arguments.undo_applied_transform, arguments.depth_unit),
+        read=ReadOptions(
+            arguments.images, arguments.undo_applied_transform, arguments.depth_unit, arguments.own_paths
+        ),
     )
     ingest(arguments.capture, RunFolder(arguments.run), options, reporter)
 
