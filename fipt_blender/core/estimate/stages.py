@@ -24,9 +24,10 @@ from typing import Any
 import numpy as np
 
 from ..light.baking import Baking, ShadingStore, TracedLight, bake_views
-from ..light.emitters import bright_triangles
+from ..light.emitters import EmitterPixels, bright_triangles
 from ..light.evidence import find_emission
 from ..light.observations import observe
+from ..light.presumed import presume_lamps
 from ..light.reflecting import separate
 from ..light.shadings import SampleCounts
 from ..material.cell_errors import cell_errors
@@ -198,9 +199,10 @@ class Estimation(EstimationState):
     def _bake(self) -> Facts:
         settings = self.settings
         pixels = self.pixels
-        guide = bright_triangles(self.room, pixels.triangle, pixels.front, pixels.radiance)
+        bright = bright_triangles(self.room, pixels.triangle, pixels.front, pixels.radiance)
+        table, lamps = presume_lamps(self.room, EmitterPixels.of(pixels), bright)
         counts = SampleCounts(settings.diffuse_spp, settings.specular_spp, settings.light_spp)
-        return self._bake_views(self.observations.cache(), None, guide, counts, 0)
+        return self._bake_views(self.observations.cache(without=lamps), None, table, counts, 0)
 
     def _bake_views(
         self,

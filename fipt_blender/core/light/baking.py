@@ -96,7 +96,7 @@ class Baking:
         grid: voxels of the cache.
         cache: (M * 6, 3) float32 radiance of each cache entry; None only with `traced`.
         traced: input of stage 3; None in stage 1, which reads the cache at the first hit.
-        emitters: triangles to sample; in stage 3 the emitters.
+        emitters: triangles to sample; those that are not reflective have their own radiance.
         environment: (H, 2H, 3) radiance from outside, or None.
         levels: (K,) float32 roughness levels.
         denoise: denoise L_d.
@@ -131,7 +131,7 @@ class Baking:
         traced = self.traced
         if traced is None:
             assert self.cache is not None, "stage 1 needs the cache"
-            return CachedRadiance(self.room, SurfaceLookup(self.grid, self.cache), environment)
+            return CachedRadiance(self.room, SurfaceLookup(self.grid, self.cache), environment, lights)
         materials = SurfaceLookup(self.grid, traced.materials)
         return TracedRadiance(
             room=self.room,

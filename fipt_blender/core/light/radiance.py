@@ -82,10 +82,21 @@ class RadianceSource(Protocol):
 
 
 class CachedRadiance:
-    """Stage 1: the cache at the first hit (paper Eq. 9), the environment where there is none."""
+    """Stage 1: the cache at the first hit (paper Eq. 9), the environment where there is none.
 
-    def __init__(self, room: Room, cache: SurfaceLookup, environment: EnvironmentLight | None) -> None:
+    Args:
+        lights: emitters that are not reflective have their own radiance instead of the cache's.
+    """
+
+    def __init__(
+        self,
+        room: Room,
+        cache: SurfaceLookup,
+        environment: EnvironmentLight | None,
+        lights: AreaLights | None = None,
+    ) -> None:
         self._room, self._cache, self._environment = room, cache, environment
+        self._lights = lights
         self.offset = room.offset
         _make_ready(room)
 
@@ -98,9 +109,14 @@ class CachedRadiance:
     ) -> PathStep:
         """Read the cache on the side that the ray hits; the path ends."""
         side = dr.select(hit.front, hit.geometric_normal, -hit.geometric_normal)
-        cached = mi.Color3f(*self._cache(hit.position, side, active & hit.valid))
+        met = active & hit.valid
+        found = mi.Color3f(*self._cache(hit.position, side, met))
+        if self._lights is not None:
+            emits = self._lights.is_emitter(hit.triangle, met)
+            cosine = -dr.dot(hit.geometric_normal, direction)
+            found = dr.select(emits, self._lights.radiance(hit.triangle, cosine, emits), found)
         escaped = _outside(self._environment, direction, active & ~hit.valid)
-        path.radiance = dr.select(active, dr.select(hit.valid, cached, escaped), mi.Color3f(0.0))
+        path.radiance = dr.select(active, dr.select(hit.valid, found, escaped), mi.Color3f(0.0))
         return PathStep(path, direction, mi.Bool(False))
 
 

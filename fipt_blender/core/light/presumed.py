@@ -1,0 +1,84 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Presumed lamps of stage 1: bright surfaces of constant radiance, before anything is estimated.
+
+A voxel of the radiance cache that holds a bulb or a strip of light and the surfaces beside it is too dark for
+the one and too bright for the others. The radiance of presumed lamps is therefore that of their fixture.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..optics.lights import LUMINANCE, EmitterTable
+from ..scene.grouped import grouped_weighted_median
+from ..scene.labels import room_pieces
+from ..scene.room import Room
+from .emitters import CHUNK, EmitterPixels, emitter_table, group_fixtures, pixels_on
+from .evidence import extend_to_components
+
+# Largest median deviation of the radiance of a lamp, relative to its median: lamps of the test rooms are
+# below 0.03, shades that a bulb lights above 0.15.
+CONSTANT_DEVIATION = 0.08
+# Least weight of the pixels that show a lamp: the radiance of single ones is constant in any case.
+LEAST_PIXELS = 5.0
+
+
+def presume_lamps(room: Room, pixels: EmitterPixels, bright: EmitterTable) -> tuple[EmitterTable, np.ndarray]:
+    """Triangles to aim at in stage 1, and which of them have a radiance of their own.
+
+    Args:
+        bright: triangles much brighter than the room (:func:`.emitters.bright_triangles`).
+
+    Returns:
+        a table of presumed lamps and of other bright triangles, which are `reflective`: their radiance is in
+        the cache; and (T,) bool, the lamps.
+    """
+    lamps = np.zeros(len(room.triangles), bool)
+    if not len(bright.triangles):
+        return bright, lamps
+    marked = lamps.copy()
+    marked[bright.triangles] = True
+    marked = extend_to_components(room.areas, room_pieces(room), marked, _seen(pixels, len(lamps)))
+    fixtures = group_fixtures(room, marked, pixels)
+    fixture = np.full(len(lamps), -1, np.int64)
+    for index, each in enumerate(fixtures):
+        fixture[each.triangles] = index
+    on_them = pixels.rows(pixels_on(pixels.triangle, fixture >= 0))
+    shown = np.bincount(fixture[on_them.triangle], on_them.weight, minlength=len(fixtures)) >= LEAST_PIXELS
+    shown &= _deviation(on_them, fixture, len(fixtures)) < CONSTANT_DEVIATION
+    table = emitter_table([each for each, kept in zip(fixtures, shown, strict=True) if kept])
+    lamps[table.triangles] = True
+    others = ~lamps[bright.triangles]
+    joined = EmitterTable(
+        np.concatenate([table.triangles, bright.triangles[others]]),
+        np.concatenate([table.radiance, bright.radiance[others]]),
+        np.concatenate([table.back_radiance, bright.back_radiance[others]]),
+        reflective=np.arange(len(table.triangles) + int(others.sum())) >= len(table.triangles),
+    )
+    return joined, lamps
+
+
+def _seen(pixels: EmitterPixels, triangles: int) -> np.ndarray:
+    """(T,) bool, triangles that some pixel shows."""
+    seen = np.zeros(triangles, bool)
+    for start in range(0, len(pixels.triangle), CHUNK):
+        rows = slice(start, start + CHUNK)
+        triangle = np.asarray(pixels.triangle[rows])
+        seen[triangle[(triangle >= 0) & (pixels.weight[rows] > 0.0)]] = True
+    return seen
+
+
+def _deviation(pixels: EmitterPixels, fixture: np.ndarray, count: int) -> np.ndarray:
+    """(count,) weighted median deviation of luminance from the median of its side, relative to that.
+
+    Args:
+        pixels: that see fixtures; in memory.
+        fixture: (T,) int fixture of each triangle.
+    """
+    index = fixture[pixels.triangle]
+    side = index * 2 + ~pixels.front
+    luminance, weight = pixels.radiance @ LUMINANCE, pixels.weight.astype(np.float64)
+    median = grouped_weighted_median(luminance, weight, side, 2 * count)[side]
+    deviation = np.abs(luminance - median) / np.maximum(median, 1e-12)
+    return grouped_weighted_median(deviation, weight, index, count)
