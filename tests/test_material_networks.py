@@ -15,6 +15,7 @@ from fipt_blender.core.material.networks import (
     typical_values,
     useful_hash_levels,
 )
+from fipt_blender.core.optics.factorised import level_roughness
 from fipt_blender.core.run.settings import Settings
 
 CPU = torch.device("cpu")
@@ -196,7 +197,8 @@ def test_specular_shading_at_and_between_levels() -> None:
     for index, level in enumerate(LEVELS):
         s0, s1 = losses.interpolate_specular(UNIFORM, level.repeat(6), LEVELS)
         assert torch.allclose(s0, UNIFORM[:, index, 0]) and torch.allclose(s1, UNIFORM[:, index, 1])
-    s0, _ = losses.interpolate_specular(UNIFORM, torch.full((6,), 0.475, dtype=torch.float64), LEVELS)
+    quarter = level_roughness(0.25, *LEVELS[1:3])
+    s0, _ = losses.interpolate_specular(UNIFORM, quarter.repeat(6), LEVELS)
     assert torch.allclose(s0, 0.75 * UNIFORM[:, 1, 0] + 0.25 * UNIFORM[:, 2, 0])
     s0, _ = losses.interpolate_specular(UNIFORM, torch.full((6,), 0.001, dtype=torch.float64), LEVELS)
     assert torch.allclose(s0, UNIFORM[:, 0, 0])

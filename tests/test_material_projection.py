@@ -85,12 +85,12 @@ def test_parts_of_constant_radiance_under_uneven_light_are_lamps(rng: np.random.
 
 
 def test_roughness_between_levels_is_found(rng: np.random.Generator) -> None:
-    """Shadings halfway between two levels give the roughness halfway between them."""
+    """Shadings halfway between two levels give the roughness at which the levels have equal shares."""
     samples, color = synthetic(rng, [(1.0, 0.0)], 0.0, 0.0)
     middle = 0.5 * (samples.specular[:, 3] + samples.specular[:, 4])
     radiance = (color * samples.diffuse + 0.04 * middle[:, 0] + middle[:, 1]).astype(np.float32)
     roughness, metallic = materials_of(replace(samples, radiance=radiance))
-    assert roughness[0] == pytest.approx(0.5 * (LEVELS[3] + LEVELS[4]), abs=1e-6)
+    assert roughness[0] == pytest.approx((0.5 * LEVELS[3] ** -2 + 0.5 * LEVELS[4] ** -2) ** -0.5, abs=1e-6)
     assert metallic[0] < 1e-3
 
 

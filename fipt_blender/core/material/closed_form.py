@@ -15,7 +15,7 @@ import numpy as np
 
 from ..light.observations import Observations
 from ..optics.factorised import color_line
-from .projection import CLEAR_EMISSION, residual_weight
+from .projection import CLEAR_EMISSION, residual_weight, specular_at
 from .training import TrainingData
 
 # Share of a triangle's pixels that must be brighter than any reflection for the triangle to be marked.
@@ -97,7 +97,6 @@ def fit_cells(
     """
     groups = len(data.group_roughness)
     roughness, metallic = np.append(data.group_roughness, 1.0), np.append(data.group_metallic, 0.0)
-    level = np.abs(data.levels[None, :] - roughness[:, None]).argmin(axis=1)
     count, bright = np.zeros((2, len(observations.parts.triangle_part)))
     keys, triangle = np.zeros((2, 0), np.int64)
     sums = np.zeros((0, 16))
@@ -107,7 +106,7 @@ def fit_cells(
         rows = np.flatnonzero(data.donor[bounds] >= 0) + bounds.start
         donor, group = data.donor[rows], np.asarray(data.group[rows], np.int64)
         radiance, diffuse = (np.asarray(array[donor], np.float64) for array in (data.radiance, data.diffuse))
-        s0, s1 = np.moveaxis(np.asarray(data.specular[donor, level[group]], np.float64), 1, 0)
+        s0, s1 = specular_at(data.specular, donor, data.levels, roughness[group])
         slope, offset = color_line(diffuse, s0, s1, metallic[group][:, None])
         on = np.asarray(pixels.triangle[rows], np.int64)
         share = np.asarray(pixels.weight[donor], np.float64)
@@ -181,11 +180,7 @@ def render_rows(
     group = np.asarray(data.group[rows], np.int64)
     place = cells.find(observations.entry[rows], group)
     color = np.where(place[:, None] >= 0, cells.color[place], 1.0)
-    upper = np.clip(np.searchsorted(data.levels, cells.roughness), 1, len(data.levels) - 1)
-    low, high = data.levels[upper - 1], data.levels[upper]
-    share = np.clip((cells.roughness - low) / (high - low), 0.0, 1.0)[group][:, None, None]
-    below, above = (np.asarray(data.specular[rows, k[group]], np.float32) for k in (upper - 1, upper))
-    s0, s1 = np.moveaxis(below + share * (above - below), 1, 0)
+    s0, s1 = specular_at(data.specular, rows, data.levels, cells.roughness[group])
     diffuse = np.asarray(data.diffuse[rows], np.float32)
     slope, offset = color_line(diffuse, s0, s1, cells.metallic[group][:, None])
     return (slope * color + offset).astype(np.float32)

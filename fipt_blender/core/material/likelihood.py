@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..optics.factorised import color_line
+from ..optics.factorised import color_line, level_roughness
 from ..run.settings import Settings
 from ..scene.grouped import grouped_median
 from .pixel_samples import PixelSamples
@@ -41,7 +41,8 @@ class Candidates:
 def make_candidates(levels: np.ndarray) -> Candidates:
     """Dielectrics and metals every `STEP` of the roughness `levels` (K,)."""
     place = np.arange(0.0, len(levels) - 1.0 + STEP, STEP)
-    roughness = np.interp(place, np.arange(len(levels)), levels)
+    low = np.minimum(place.astype(np.int64), len(levels) - 2)
+    roughness = level_roughness(place - low, levels[low], levels[low + 1])
     return Candidates(np.tile(place, 2), np.tile(roughness, 2), np.repeat([0.0, 1.0], len(place)))
 
 
@@ -50,9 +51,10 @@ def group_log_likelihoods(
 ) -> np.ndarray:
     """(S, groups) log-likelihood of each candidate relative to the group's best; 0 in groups without pixels.
 
-    The pixels of a group in one view count as n / (`pixels_per_sample` + n t² / s²) samples, where t is
-    `view_error` and s² the variance of their residuals: a view's shadings err by t in any direction, so many
-    pixels of one view tell no more than s² / t² samples. A share `view_outliers` of the views tells nothing.
+    The pixels of a group in one view, n by their weight, count as n / (`pixels_per_sample` + n t² / s²)
+    samples, where t is `view_error` and s² the variance of their residuals: a view's shadings err by t in any
+    direction, so many pixels of one view tell no more than s² / t² samples. A share `view_outliers` of the
+    views tells nothing.
 
     Args:
         samples: N pixels; those without a group, or alone in their cell, are left out: anything fits these.
@@ -70,12 +72,13 @@ def group_log_likelihoods(
     views = int(used.view.max()) + 1
     pairs, pair = np.unique(used.group.astype(np.int64) * views + used.view, return_inverse=True)
     group = pairs // views
-    pixels = np.bincount(pair)
+    pixels = np.bincount(pair, used.weight)
     errors = settings.pixels_per_sample + pixels * settings.view_error**2 / variance[group]
     result = np.empty((len(prior), len(pairs)))
     for index, (place, metallic) in enumerate(zip(candidates.place, candidates.metallic, strict=True)):
         lines = _lines(used, place, metallic)
         pixel = _log_density(used, lines, weight, variance[used.group], settings.residual_degrees)
+        pixel *= used.weight  # mixed pixels tell less
         result[index] = np.bincount(pair, pixel) / errors
     likelihood = np.exp(result - result.max(axis=0))
     outliers = settings.view_outliers

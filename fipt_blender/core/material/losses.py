@@ -13,7 +13,7 @@ from .networks import Prediction
 def interpolate_specular(
     specular: torch.Tensor, roughness: torch.Tensor, levels: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """L_s0 and L_s1 at a roughness by linear interpolation between baked levels (paper Eq. 8).
+    """L_s0 and L_s1 at a roughness, interpolated between baked levels (after paper Eq. 8).
 
     Args:
         specular: (N, K, 2, 3) baked at `levels`.
@@ -25,7 +25,7 @@ def interpolate_specular(
     """
     upper = torch.searchsorted(levels, roughness.detach()).clamp(1, len(levels) - 1)
     low, high = levels[upper - 1], levels[upper]
-    t = ((roughness - low) / (high - low)).clamp(0.0, 1.0)[:, None, None]
+    t = factorised.level_share(roughness, low, high).clamp(0.0, 1.0)[:, None, None]
     rows = torch.arange(len(roughness), device=roughness.device)
     value = torch.lerp(specular[rows, upper - 1], specular[rows, upper], t)
     return value[:, 0], value[:, 1]

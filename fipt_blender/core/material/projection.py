@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..optics.factorised import color_line
+from ..optics.factorised import color_line, level_share
 from .pixel_samples import PixelSamples
 
 # Residuals are relative to radiance plus this, in units of the capture's median radiance.
@@ -69,6 +69,23 @@ def residual_weight(radiance: np.ndarray) -> np.ndarray:
     return 1.0 / (radiance + RADIANCE_FLOOR) ** 2
 
 
+def specular_at(
+    specular: np.ndarray, rows: np.ndarray, levels: np.ndarray, roughness: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(R, 3) L_s0 and (R, 3) L_s1, float32, of some pixels at a roughness of each.
+
+    Args:
+        specular: (N, K, 2, 3) at the `levels` (K,); may be memory-mapped.
+        rows: (R,) pixels. roughness: (R,).
+    """
+    upper = np.clip(np.searchsorted(levels, roughness), 1, len(levels) - 1)
+    low, high = levels[upper - 1], levels[upper]
+    share = level_share(np.clip(roughness, low, high), low, high).astype(np.float32)[:, None, None]
+    below, above = (np.asarray(specular[rows, level], np.float32) for level in (upper - 1, upper))
+    s0, s1 = np.moveaxis(below + share * (above - below), 1, 0)
+    return s0, s1
+
+
 def project(
     samples: PixelSamples, group_roughness: np.ndarray, group_metallic: np.ndarray, known_parts: bool = True
 ) -> InitialEstimate:
@@ -85,8 +102,7 @@ def project(
     cell = cells_of_groups(samples.cell, group)
     roughness = np.where(known, group_roughness[np.maximum(group, 0)] if groups else 1.0, 1.0)
     metallic = np.where(known, group_metallic[np.maximum(group, 0)] if groups else 0.0, 0.0)
-    level = np.abs(samples.levels[None, :] - roughness[:, None]).argmin(axis=1)
-    s0, s1 = np.moveaxis(samples.specular[np.arange(len(level)), level], 1, 0)
+    s0, s1 = specular_at(samples.specular, np.arange(len(group)), samples.levels, roughness)
     slope, offset = color_line(samples.diffuse, s0, s1, metallic[:, None])
     weight = residual_weight(samples.radiance) * samples.weight[:, None]
     color = fit_colors(samples.radiance, slope, offset, weight, cell)

@@ -49,6 +49,30 @@ def color_line(diffuse: Any, s0: Any, s1: Any, metallic: Any) -> tuple[Any, Any]
     return slope, offset
 
 
+def level_share(roughness: Any, low: Any, high: Any) -> Any:
+    """Share of the upper of two baked levels, between which shadings are interpolated (after paper Eq. 8).
+
+    The height of a lobe falls with a high power of sigma, so a sharp and a wide lobe in linear shares are too
+    bright where they meet. The shares are linear in 1 / sigma^2, which is nearly right for lobes and lamps of
+    all widths.
+
+    Args:
+        roughness: sigma, from `low` to `high`.
+        low, high: the levels, above 0.
+    """
+    return (roughness**-2 - low**-2) / (high**-2 - low**-2)
+
+
+def level_share_slope(roughness: Any, low: Any, high: Any) -> Any:
+    """Derivative of :func:`level_share` by the roughness."""
+    return -2.0 * roughness**-3 / (high**-2 - low**-2)
+
+
+def level_roughness(share: Any, low: Any, high: Any) -> Any:
+    """Roughness at which the upper of two levels has this share: the inverse of :func:`level_share`."""
+    return (low**-2 + share * (high**-2 - low**-2)) ** -0.5
+
+
 def metallic_slope(base_color: Any, diffuse: Any, s0: Any) -> Any:
     """dL_r/dm, the derivative of Eq. 5."""
     return (base_color - DIELECTRIC_REFLECTANCE) * s0 - base_color * diffuse
