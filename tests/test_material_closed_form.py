@@ -59,6 +59,7 @@ def data(seen: Observations) -> TrainingData:
         semantic=False,
         group_roughness=roughness,
         group_metallic=metallic,
+        group_errors=np.zeros((len(roughness), 2), np.float32),
         normalise=lambda positions: positions,
     )
 

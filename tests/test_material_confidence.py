@@ -98,8 +98,7 @@ def test_expected_errors_of_colour_are_the_actual_errors(monkeypatch, noise):
     monkeypatch.setattr(confidence, "FLOOR", 0.0)
     light = np.repeat([0.02, 0.1, 1.0], 300)
     pixels, color, true = synthetic(900, light, noise, np.random.default_rng(1), gloss=0.0)
-    pixels = replace(pixels, by_metallic=np.zeros_like(pixels.by_metallic))  # known to be no metal
-    expected, _, _ = standard_errors(pixels)
+    expected = standard_errors(pixels, np.zeros((900, 2)))
     actual = np.sqrt(((color - true) ** 2).mean(axis=1))
     for level in np.unique(light):
         cells = light == level
@@ -112,23 +111,24 @@ def test_expected_errors_of_colour_are_the_actual_errors(monkeypatch, noise):
     assert binned[0] > binned[1] > binned[2]
 
 
-def test_without_gloss_roughness_and_metallic_stay_unknown():
-    light = np.full(100, 0.5)
-    for gloss, low, high in ((0.0, 0.8, 1.01), (1.0, 0.0, 0.5)):
-        pixels, *_ = synthetic(100, light, 0.002, np.random.default_rng(2), gloss)
-        _, error, _ = standard_errors(pixels)
-        assert low * UNIFORM_DEVIATION <= error[0] <= high * UNIFORM_DEVIATION
+def test_colour_is_uncertain_where_it_compensates_an_uncertain_material():
+    """A metallic that is wrong by 0.1 changes the diffuse reflectance of a surface without gloss by 10 %."""
+    pixels, color, _ = synthetic(200, np.full(200, 0.5), 0.002, np.random.default_rng(2), gloss=0.0)
+    known, unknown = (standard_errors(pixels, np.tile([0.0, error], (200, 1))) for error in (0.0, 0.1))
+    added = np.sqrt(unknown**2 - known**2)
+    assert added == pytest.approx(0.1 * np.sqrt((color**2).mean(axis=1)), rel=0.1)
+    # Without gloss, roughness changes nothing.
+    assert standard_errors(pixels, np.tile([0.2, 0.0], (200, 1))) == pytest.approx(known)
 
 
 def test_errors_never_exceed_those_of_the_uniform_prior():
     pixels, *_ = synthetic(20, np.full(20, 0.5), 0.01, np.random.default_rng(3))
-    color_error, *_ = standard_errors(replace(pixels, by_color=np.zeros_like(pixels.by_color)))
+    certain = np.zeros((20, 2))
+    color_error = standard_errors(replace(pixels, by_color=np.zeros_like(pixels.by_color)), certain)
     assert color_error == pytest.approx(UNIFORM_DEVIATION, rel=1e-3)
-    one_view = replace(pixels, view=np.zeros_like(pixels.view))
-    _, roughness_error, metallic_error = standard_errors(one_view)  # one view has no spread
-    assert roughness_error[0] == UNIFORM_DEVIATION and metallic_error[0] == UNIFORM_DEVIATION
-    worse, *_ = standard_errors(replace(pixels, residual=pixels.residual + 0.2))
-    better, *_ = standard_errors(pixels)
+    assert standard_errors(pixels, np.full((20, 2), 10.0)).max() <= UNIFORM_DEVIATION
+    worse = standard_errors(replace(pixels, residual=pixels.residual + 0.2), certain)
+    better = standard_errors(pixels, certain)
     assert worse.mean() > 2 * better.mean()
 
 

@@ -56,6 +56,7 @@ def make_data(kind: str = "part") -> TrainingData:
         semantic=kind == "semantic",
         group_roughness=np.array([1.0, 1.0], np.float32),
         group_metallic=np.array([0.0, 0.0], np.float32),
+        group_errors=np.zeros((2, 2), np.float32),
         normalise=lambda world: ((world + 2.0) / 4.0).astype(np.float32),
     )
 

@@ -385,7 +385,7 @@ class Estimation(EstimationState):
             self.pixels,
             self.units,
             shadings,
-            self.levels,
+            self._closed_form()[0],
             self._fields(),
             self.cells,
             emitting,

@@ -8,11 +8,12 @@ import numpy as np
 
 from ..light.baking import ShadingStore
 from ..scene.pixels import PixelStore
-from .confidence import UNIFORM_DEVIATION, concatenate, linearise, standard_errors
+from .confidence import FLOOR, UNIFORM_DEVIATION, concatenate, linearise, standard_errors
 from .groups import Units
 from .inference import Fields
 from .pixel_samples import pure_rows, read_samples
 from .seen import RESOLUTION, SeenCells, cell_keys
+from .training import TrainingData
 
 # About so many pixels are used; more change only the time.
 PIXELS = 1_500_000
@@ -27,7 +28,7 @@ def cell_errors(
     pixels: PixelStore,
     units: Units,
     shadings: ShadingStore,
-    levels: np.ndarray,
+    data: TrainingData,
     fields: Fields,
     cells: SeenCells,
     emitting: np.ndarray,
@@ -36,7 +37,8 @@ def cell_errors(
     """(C, 3) float32 standard errors of base colour, roughness and metallic of `fields` in the C cells.
 
     Args:
-        shadings: of all pixels at the roughness `levels` (K,).
+        shadings: of all pixels.
+        data: of the last closed-form estimate: its groups and their errors.
         emitting: (T,) bool emitting triangles; their pixels are not used.
     """
     errors = np.full((len(cells.keys), 3), UNIFORM_DEVIATION, np.float32)
@@ -57,22 +59,21 @@ def cell_errors(
     chunks = []
     for start in range(0, len(rows), CHUNK):
         chunk = slice(start, start + CHUNK)
-        samples = read_samples(pixels, shadings, levels, rows[chunk], cell[chunk], group[chunk])
+        samples = read_samples(pixels, shadings, data.levels, rows[chunk], cell[chunk], group[chunk])
         chunks.append(linearise(samples, color[chunk], roughness[chunk], metallic[chunk]))
-    color_error, *group_errors = standard_errors(concatenate(chunks))
-    errors[sampled, 0] = color_error
-    sampled_groups = np.unique(group)
-    for column, values in enumerate(group_errors, start=1):
-        error_of_group = np.full(group_of_cell.max() + 1, UNIFORM_DEVIATION)
-        error_of_group[sampled_groups] = values[sampled_groups]
-        errors[:, column] = error_of_group[group_of_cell]
+    of_group = np.append(data.group_errors, [[UNIFORM_DEVIATION] * 2], axis=0)
+    of_pixel = np.sqrt(of_group[np.asarray(data.group[rows])] ** 2 + FLOOR**2)
+    count = np.bincount(cell)
+    material_errors = np.stack([np.bincount(cell, column) / count for column in of_pixel.T], axis=1)
+    errors[sampled, 0] = standard_errors(concatenate(chunks), material_errors)
+    errors[sampled, 1:] = np.minimum(material_errors, UNIFORM_DEVIATION)
     unsampled = np.ones(len(errors), bool)
     unsampled[sampled] = False
     for index in np.unique(group_of_cell[unsampled]):
         in_group = group_of_cell == index
         if (in_group & ~unsampled).any():
-            errors[in_group & unsampled, 0] = np.quantile(
-                errors[in_group & ~unsampled, 0], UNSAMPLED_QUANTILE
+            errors[in_group & unsampled] = np.quantile(
+                errors[in_group & ~unsampled], UNSAMPLED_QUANTILE, axis=0
             )
     return errors
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Standard errors of the estimated base colour, roughness and metallic by least squares.
+"""Standard errors of the estimated base colour by least squares, given those of roughness and metallic.
 
 The factorised rendering (paper Eq. 5) is linearised around the estimate. The spread of its residuals between
 views gives the variance of the values: it is large where little light falls, or where few views, or views
@@ -18,14 +18,15 @@ import numpy as np
 from ..optics import factorised
 from ..scene.grouped import grouped_median
 from .pixel_samples import PixelSamples
-from .projection import residual_weight
+from .projection import residual_weight, specular_at
 
 # Standard deviation of a value of which nothing is known but that it lies in [0, 1].
 UNIFORM_DEVIATION = 12.0**-0.5
 # Share of the variance of base colour that all views have in common, because the same light falls on a matt
 # surface in all of them. Calibrated on the example room.
 COMMON = 0.5
-# Error of base colour that no residual shows: detail within a cell, the overall brightness of the light.
+# Errors that nothing shows: of base colour, detail within a cell and the overall brightness of the light; of
+# roughness and metallic, what the model of the shadings' errors gets wrong.
 FLOOR = 0.02
 # Pixels whose sum of weighted squared slopes (their Fisher information) is smaller determine nothing.
 LEAST_INFORMATION = 1e-9
@@ -46,9 +47,8 @@ class LinearisedPixels:
         residual: (N, 3) photographed minus rendered radiance.
         weight: (N, 3) weight of the squared residual.
         by_color, by_roughness, by_metallic: (N, 3) derivatives of the rendered radiance.
-        roughness, metallic: (N,) the estimate.
         cell: (N,) int, from 0: surface cell, which has one base colour.
-        group: (N,) int, from 0: cells that share roughness and metallic; each cell lies in one group.
+        group: (N,) int, from 0: cells of similar residuals; each cell lies in one group.
         view: (N,) int.
     """
 
@@ -57,8 +57,6 @@ class LinearisedPixels:
     by_color: np.ndarray
     by_roughness: np.ndarray
     by_metallic: np.ndarray
-    roughness: np.ndarray
-    metallic: np.ndarray
     cell: np.ndarray
     group: np.ndarray
     view: np.ndarray
@@ -76,12 +74,11 @@ def linearise(
     """Eq. 5 linearised at the estimate: `color` (N, 3), `roughness` (N,) and `metallic` (N,)."""
     levels, specular = samples.levels, samples.specular
     low = np.clip(np.searchsorted(levels, roughness, side="right") - 1, 0, len(levels) - 2)
-    rows = np.arange(len(roughness))
-    below, above = specular[rows, low].astype(np.float32), specular[rows, low + 1].astype(np.float32)
-    step = (levels[low + 1] - levels[low]).astype(np.float32)
-    share = ((roughness - levels[low]) / step)[:, None, None]
-    slope = (above - below) / step[:, None, None]
-    s0, s1 = np.moveaxis(below + share * (above - below), 1, 0)
+    rows, above = np.arange(len(roughness)), levels[low + 1]
+    change = specular[rows, low + 1].astype(np.float32) - specular[rows, low].astype(np.float32)
+    steepness = factorised.level_share_slope(roughness, levels[low], above).astype(np.float32)
+    slope = change * steepness[:, None, None]
+    s0, s1 = specular_at(specular, rows, levels, roughness)
     m = metallic[:, None]
     kd, ks = factorised.diffuse_reflectance(color, m), factorised.specular_reflectance(color, m)
     by_color, _ = factorised.color_line(samples.diffuse, s0, s1, m)
@@ -92,49 +89,36 @@ def linearise(
         by_color=by_color,
         by_roughness=ks * slope[:, 0] + slope[:, 1],
         by_metallic=factorised.metallic_slope(color, samples.diffuse, s0),
-        roughness=roughness,
-        metallic=metallic,
         cell=samples.cell,
         group=samples.group,
         view=samples.view,
     )
 
 
-def standard_errors(pixels: LinearisedPixels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Standard errors by least squares, never above `UNIFORM_DEVIATION`.
+def standard_errors(pixels: LinearisedPixels, material_errors: np.ndarray) -> np.ndarray:
+    """(cells,) standard errors of base colour by least squares, root mean square over the channels.
 
-    Returns:
-        (cells,) of base colour, root mean square over the channels; (groups,) of roughness and of metallic.
+    They are never above `UNIFORM_DEVIATION`.
+
+    Args:
+        material_errors: (cells, 2) standard errors of roughness and metallic (:mod:`.mixture`).
     """
     cell, group = pixels.cell, pixels.group
-    cells, groups = int(cell.max(initial=-1)) + 1, int(group.max(initial=-1)) + 1
+    cells = int(cell.max(initial=-1)) + 1
     weighted = pixels.weight * pixels.by_color
     information = _sums(weighted * pixels.by_color, cell, cells)
     information = np.maximum(information, LEAST_INFORMATION)
-    remaining = _sums(weighted * pixels.residual, cell, cells) / information
-    residual = pixels.residual - pixels.by_color * remaining[cell]
-    errors, compensations = [], []
-    for value, slope in (
-        (pixels.roughness, pixels.by_roughness),
-        (pixels.metallic, pixels.by_metallic),
-    ):
-        # Base colour compensates part of each change; only the rest shows in the residuals.
-        compensation = _sums(weighted * slope, cell, cells) / information
-        uncompensated = slope - pixels.by_color * compensation[cell]
-        mean = np.bincount(group, value, minlength=groups) / np.maximum(
-            np.bincount(group, minlength=groups), 1
-        )
-        errors.append(_group_error(pixels, uncompensated, residual, mean))
-        compensations.append(compensation)
     group_of_cell = np.zeros(cells, np.int64)
     group_of_cell[cell] = group
     views, spread = _view_variance(pixels, information, group_of_cell)
     variance = spread * (views * COMMON + 1.0 - COMMON)[:, None] / information
     variance[information <= LEAST_INFORMATION] = np.inf
     variance += FLOOR**2
-    for error, compensation in zip(errors, compensations, strict=True):
-        variance += (compensation * error[group_of_cell][:, None]) ** 2
-    return _bounded(variance.mean(axis=1)), errors[0], errors[1]
+    for slope, error in zip((pixels.by_roughness, pixels.by_metallic), material_errors.T, strict=True):
+        # Base colour compensates part of a wrong roughness or metallic.
+        compensation = _sums(weighted * slope, cell, cells) / information
+        variance += (compensation * error[:, None]) ** 2
+    return np.sqrt(1.0 / (1.0 / np.maximum(variance.mean(axis=1), 1e-12) + UNIFORM_DEVIATION**-2))
 
 
 def _view_variance(
@@ -157,35 +141,6 @@ def _view_variance(
     # The median of a group: a few cells at edges are far off.
     typical = grouped_median(of_cell, group_of_cell, int(group_of_cell.max(initial=-1)) + 1)
     return views, (total + PRIOR_VIEWS * typical[group_of_cell]) / (views + PRIOR_VIEWS)[:, None]
-
-
-def _group_error(
-    pixels: LinearisedPixels, slope: np.ndarray, residual: np.ndarray, value: np.ndarray
-) -> np.ndarray:
-    """(groups,) standard error of a value in [0, 1] that each group shares.
-
-    Args:
-        slope, residual: (N, 3) after base colour has been fitted. value: (groups,) the estimate.
-    """
-    weight, group, view = pixels.weight, pixels.group, pixels.view
-    groups, views = len(value), int(view.max(initial=-1)) + 1
-    information = np.bincount(group, (weight * slope**2).sum(axis=1), minlength=groups)
-    information = np.maximum(information, LEAST_INFORMATION)
-    score = (weight * slope * residual).sum(axis=1)
-    by_view = np.bincount(group * views + view, score, minlength=groups * views).reshape(groups, views)
-    observed = np.bincount(group * views + view, minlength=groups * views).reshape(groups, views) > 0
-    number = observed.sum(axis=1)
-    # The step that the residuals would still take, within the bounds, counts as an error too.
-    change = np.clip(value + by_view.sum(axis=1) / information, 0.0, 1.0) - value
-    centred = by_view - observed * (by_view.sum(axis=1) / np.maximum(number, 1))[:, None]
-    variance = (centred**2).sum(axis=1) / information**2 * number / np.maximum(number - 1, 1) + change**2
-    determined = (number > 1) & (information > LEAST_INFORMATION)
-    return np.where(determined, _bounded(variance), UNIFORM_DEVIATION)
-
-
-def _bounded(variance: np.ndarray) -> np.ndarray:
-    """Standard errors of values whose prior is uniform in [0, 1]."""
-    return np.sqrt(1.0 / (1.0 / np.maximum(variance, 1e-12) + UNIFORM_DEVIATION**-2))
 
 
 def _sums(values: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:

@@ -87,6 +87,7 @@ class TrainingData:
         levels: (K,) roughness levels.
         semantic: whether labels are semantic classes.
         group_roughness, group_metallic: (groups,) closed-form estimates, sigma' and m' of l_p.
+        group_errors: (groups, 2) standard errors of both.
         normalise: maps world positions to the unit cube.
     """
 
@@ -102,6 +103,7 @@ class TrainingData:
     semantic: bool
     group_roughness: np.ndarray
     group_metallic: np.ndarray
+    group_errors: np.ndarray
     normalise: Callable[[np.ndarray], np.ndarray]
 
 

@@ -15,6 +15,7 @@ from ..optics.factorised import color_line
 from ..run.settings import Settings
 from ..scene.grouped import numbered
 from ..scene.pixels import PixelStore, open_array
+from .confidence import UNIFORM_DEVIATION
 from .groups import (
     LEAST_PIXELS,
     MOST_GROUPS,
@@ -84,6 +85,7 @@ def training_input(
         alike = _similarity(wide.group, observations.part[wide_rows], color[observations.entry[wide_rows]])
     materials = infer_materials(wide, _light_cells(observations, wide_rows), settings, alike)
     roughness, metallic = materials.roughness, materials.metallic
+    errors = np.column_stack([materials.roughness_error, materials.metallic_error])
     cell = np.asarray(observations.entry[rows], np.int64)
     samples = read_samples(pixels, shadings, levels, rows, cell, group[rows])
     estimate = project(samples, roughness, metallic, known_parts=pieces is None)
@@ -102,6 +104,7 @@ def training_input(
         semantic=observations.parts.kind == "semantic",
         group_roughness=np.pad(roughness, (0, missing), constant_values=1.0),
         group_metallic=np.pad(metallic, (0, missing)),
+        group_errors=np.pad(errors, ((0, missing), (0, 0)), constant_values=UNIFORM_DEVIATION),
         normalise=normalise,
     )
     return data, estimate
