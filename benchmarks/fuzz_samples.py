@@ -24,7 +24,7 @@ from fipt_blender.core.run.run_files import read_atlas, read_emitters, read_room
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.run.shapes import ROOM_ARRAYS, STAGES
-from samples import rig_writers
+from samples import rgbd_frames, rig_writers
 
 
 @dataclass(frozen=True)
@@ -216,6 +216,10 @@ def _metashape(folder: Path, shots: list[rig_writers.Shot]) -> None:
     )
 
 
+def _rgbd(folder: Path) -> None:
+    rgbd_frames.write_frames(folder, 2, (12, 16), 9.0)
+
+
 PROGRAMS: dict[str, Callable[[Path, list[rig_writers.Shot]], None]] = {
     "metashape": _metashape,
     "realityscan-csv": rig_writers.write_realityscan_csv,
@@ -243,6 +247,7 @@ TARGETS = (
     Target("fipt-real", write_fipt_real, _ingest),
     Target("fipt-synthetic", write_fipt_synthetic, _ingest),
     *(Target(name, _program(write), _ingest) for name, write in PROGRAMS.items()),
+    Target("rgbd", _rgbd, _ingest),
     Target("capture", write_capture, _load_capture),
     Target("run-files", write_run_files, _read_run_files),
 )

@@ -20,61 +20,19 @@ from fipt_blender.core.capture.rig import ReadOptions
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
+from samples import rgbd_frames
+from samples.rgbd_frames import WALL, frame_pose
 
 WIDTH, HEIGHT, FOCAL = 64, 48, 48.0
-WALL = 2.0  # metres in front of the first camera
 FRAMES = 4
 
 
-def pose(index: int) -> np.ndarray:
-    """Camera to world of a frame: the cameras stand side by side and look along Z."""
-    matrix = np.eye(4)
-    matrix[0, 3] = 0.1 * index
-    return matrix
-
-
-def write_depth(path: Path, depth: float) -> None:
-    values = np.full((HEIGHT, WIDTH), round(depth * 1000.0), np.uint16)
-    values[:4] = 0
-    values[4:8] = 65535
-    Image.fromarray(values).save(path)
-
-
-def write_color(path: Path, size: tuple[int, int] = (WIDTH, HEIGHT)) -> None:
-    noise = np.random.default_rng(0).integers(60, 180, (size[1], size[0], 3), np.uint8)
-    Image.fromarray(noise).save(path)
+def write_frames(folder: Path) -> Path:
+    return rgbd_frames.write_frames(folder, FRAMES, (WIDTH, HEIGHT), FOCAL)
 
 
 def write_matrix(path: Path, matrix: np.ndarray) -> None:
     np.savetxt(path, matrix, "%.9f")
-
-
-def write_frames(folder: Path) -> Path:
-    """The layout of tsdf-fusion; the photographs have twice the resolution of the depth images."""
-    folder.mkdir(parents=True)
-    camera = np.array([[FOCAL, 0.0, WIDTH / 2], [0.0, FOCAL, HEIGHT / 2], [0.0, 0.0, 1.0]])
-    write_matrix(folder / "camera-intrinsics.txt", camera)
-    for index in range(FRAMES):
-        stem = f"frame-{index:06d}"
-        write_depth(folder / f"{stem}.depth.png", WALL)
-        write_color(folder / f"{stem}.color.png", (2 * WIDTH, 2 * HEIGHT))
-        write_matrix(folder / f"{stem}.pose.txt", pose(index))
-    return folder
-
-
-def write_exported_scan(folder: Path) -> Path:
-    """The layout of ScanNet's exporter; frame 10 follows 9 although its name sorts before."""
-    for name in ("color", "depth", "pose", "intrinsic"):
-        (folder / name).mkdir(parents=True)
-    for kind, focal in (("depth", FOCAL), ("color", 2.5 * FOCAL)):
-        matrix = np.diag([focal, focal, 1.0, 1.0])
-        matrix[:2, 2] = 30.0, 20.0
-        write_matrix(folder / "intrinsic" / f"intrinsic_{kind}.txt", matrix)
-    for index in (9, 10):
-        write_depth(folder / "depth" / f"{index}.png", WALL)
-        write_color(folder / "color" / f"{index}.jpg", (160, 120))
-        write_matrix(folder / "pose" / f"{index}.txt", pose(index))
-    return folder
 
 
 def run_ingest(capture: Path, run: Path, options: IngestOptions | None = None) -> dict:
@@ -91,11 +49,15 @@ def test_frames_of_one_folder_are_read_with_intrinsics_of_each_size(tmp_path: Pa
     assert (view.width, view.height) == (2 * WIDTH, 2 * HEIGHT)
     assert view.lens.parameters == pytest.approx((2 * FOCAL, 2 * FOCAL, WIDTH, HEIGHT))
     assert (depth.fx, depth.fy, depth.cx, depth.cy) == (FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)
-    assert np.allclose(view.camera_to_world, pose(1)) and np.allclose(depth.camera_to_world, pose(1))
+    assert np.allclose(view.camera_to_world, frame_pose(1)) and np.allclose(
+        depth.camera_to_world, frame_pose(1)
+    )
 
 
 def test_frames_of_scannets_exporter_are_read_in_order_with_both_cameras(tmp_path: Path) -> None:
-    rig = read_rig(write_exported_scan(tmp_path / "scan"), "auto", ReadOptions())
+    rig = read_rig(
+        rgbd_frames.write_exported_scan(tmp_path / "scan", (WIDTH, HEIGHT), FOCAL), "auto", ReadOptions()
+    )
     assert [view.name for view in rig.views] == ["9", "10"]
     assert rig.views[0].lens.parameters == (2.5 * FOCAL, 2.5 * FOCAL, 30.0, 20.0)
     assert (rig.depths[0].fx, rig.depths[0].cx, rig.depths[0].cy) == (FOCAL, 30.0, 20.0)
@@ -148,6 +110,15 @@ def test_some_of_the_photographs_are_used_with_all_depth_images(tmp_path: Path) 
     assert width > WALL * WIDTH / FOCAL  # what two of all images see; the two with photographs see less
 
 
+def test_poses_far_away_are_left_out_instead_of_wrapping_around(tmp_path: Path) -> None:
+    capture = write_frames(tmp_path / "room")
+    far = frame_pose(3)
+    far[:3, 3] = 1e9
+    write_matrix(capture / "frame-000003.pose.txt", far)
+    run_ingest(capture, tmp_path / "run")
+    assert np.abs(read_mesh(tmp_path / "run" / "fused.ply")[0]).max() < 10.0
+
+
 def test_captures_in_other_units_get_voxels_in_metres(tmp_path: Path) -> None:
     rig = read_rig(write_frames(tmp_path / "room"), "auto", ReadOptions())
     assert np.abs(fuse(rig.depths[:2], FusionOptions(), 0.1, lambda share: None).vertices[:, 2]).mean() == (
@@ -182,6 +153,16 @@ def no_intrinsics(folder: Path) -> None:
     (folder / "camera-intrinsics.txt").unlink()
 
 
+def sheared_pose(folder: Path) -> None:
+    matrix = frame_pose(1)
+    matrix[0, 1] = 0.5
+    write_matrix(folder / "frame-000001.pose.txt", matrix)
+
+
+def no_focal_length(folder: Path) -> None:
+    write_matrix(folder / "camera-intrinsics.txt", np.diag([0.0, FOCAL, 1.0]))
+
+
 def words_for_a_pose(folder: Path) -> None:
     (folder / "frame-000001.pose.txt").write_text("1 0 0 0\nlost\n")
 
@@ -195,6 +176,8 @@ def words_for_a_pose(folder: Path) -> None:
         (other_unit, "depth-unit"),
         (nothing_measured, "depth-empty"),
         (no_intrinsics, "intrinsics-missing"),
+        (sheared_pose, "pose-not-rotation"),
+        (no_focal_length, "intrinsics-invalid"),
         (words_for_a_pose, "rig-damaged"),
     ],
 )

@@ -8,7 +8,7 @@ import hashlib
 import json
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +22,10 @@ from ..depth.volume import BlockVolume
 from ..run.documents import read_json
 from ..run.errors import FiptError
 from ..run.runfolder import PRODUCT_VERSION, RunFolder, write_json
+from . import checks
 from .encoded import is_encoded, srgb_encoded
 from .images import read_radiance, read_size
-from .rig import DepthView, RigView
+from .rig import DepthView, Pinhole, RigView
 
 DEFAULT_VOXEL = 0.02
 SMALLEST_VOXEL, LARGEST_VOXEL = 0.002, 1.0
@@ -61,6 +62,21 @@ class FusionOptions:
                 f"Voxels of {self.voxel:g} m or closed holes of {self.close_holes:g} m are impossible.",
                 f"Set voxels from {SMALLEST_VOXEL:g} to {LARGEST_VOXEL:g} meters.",
             )
+
+
+def checked_depths(views: Sequence[DepthView]) -> tuple[DepthView, ...]:
+    """The views with poses of exact rotations.
+
+    Raises:
+        FiptError: ``intrinsics-invalid`` or ``pose-not-rotation``.
+    """
+    for view in views:
+        pinhole = Pinhole(view.width, view.height, view.fx, view.fy, view.cx, view.cy)
+        checks.check_intrinsics(view.path.name, pinhole)
+    return tuple(
+        replace(view, camera_to_world=checks.nearest_rotation(view.path.name, view.camera_to_world))
+        for view in views
+    )
 
 
 def read_depth(view: DepthView, scale: float) -> RangeImage:

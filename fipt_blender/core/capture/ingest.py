@@ -23,7 +23,7 @@ from ..run.settings import make_settings
 from . import checks
 from .align_mesh import aligned_to_mesh
 from .color_camera import with_color_camera
-from .depth_images import DEFAULT_VOXEL, Fusion, FusionOptions
+from .depth_images import DEFAULT_VOXEL, Fusion, FusionOptions, checked_depths
 from .distortion import is_distorted, lens_pinhole, undistorted_pinhole, undistortion
 from .encoded import file_exposure, is_encoded
 from .formats import FORMATS, read_rig
@@ -159,6 +159,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     _check_options(options)
     rig = read_rig(capture.absolute(), options.format, options.read)
     mesh = _mesh(rig, options)
+    rig = replace(rig, depths=checked_depths(rig.depths))
     if rig.one_camera:
         rig = with_color_camera(rig, options.scale)
     if options.align_mesh:

@@ -102,7 +102,9 @@ class BlockVolume:
         points, direction = image.points(step)
         shifts = (-self.truncation, 0.0, self.truncation)
         blocks = [np.floor((points + shift * direction) / size).astype(np.int64) for shift in shifts]
-        return np.unique(pack(np.concatenate(blocks)))
+        found = np.concatenate(blocks)
+        # Poses that are kilometres away are wrong; keys have no room for them.
+        return np.unique(pack(found[(np.abs(found) < _AXIS_OFFSET // SIDE - 1).all(axis=1)]))
 
     def allocate(self, keys: np.ndarray) -> None:
         """Add the blocks of packed positions that do not exist yet; nothing is known of their voxels."""
