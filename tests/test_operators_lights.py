@@ -387,3 +387,17 @@ def test_a_lamp_that_the_mesh_lacks_is_added_once(tmp_path, monkeypatch):
     assert "lacks no lamp" in refused(ops.add_missing_lamps)
     assert ops.apply_results() == {"FINISHED"}  # the light stays, and is not offered again
     assert "lacks no lamp" in refused(ops.add_missing_lamps)
+
+
+def test_a_fixture_takes_its_simple_shape(scene):
+    (fixture,) = [row.object for row in scene.fipt.lights.lights if row.object.type == "MESH"]
+    radiance, before = front(fixture), fixture.data.name
+    center = fixture.matrix_world @ (sum((v.co for v in fixture.data.vertices), Vector()) / 4)
+    bpy.ops.mesh.primitive_cube_add()  # what is selected does not matter
+    assert ops.clean_fixture(fixture=fixture.name) == {"FINISHED"}
+    assert len(fixture.data.polygons) == 1 and fixture.data.name == before
+    assert front(fixture) == pytest.approx(radiance)
+    after = fixture.matrix_world @ (sum((v.co for v in fixture.data.vertices), Vector()) / 4)
+    assert (after - center).length < 1e-3
+    assert ops.fixture_to_area_light(fixture=fixture.name) == {"FINISHED"}
+    assert "Convert Back" in refused(ops.clean_fixture, fixture=fixture.name)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..blend.marks import FIXTURE, has_light_groups
+from ..blend.marks import FIXTURE, VISIBILITY, has_light_groups
 from ..core.run.errors import FiptError
 from ..properties.lights import FIPT_Light
 from .new_light import FIPT_OT_add_light, FIPT_OT_add_missing_lamps
@@ -195,6 +195,36 @@ class FIPT_OT_area_light_to_fixture(_OnFixture, bpy.types.Operator):
         lights_to_fixture(context.scene, fixture)
 
 
+_SHAPES = {"RECTANGLE": "rectangle", "ELLIPSE": "disc", "TUBE": "tube", "BALL": "ball"}
+
+
+class FIPT_OT_clean_fixture(_OnFixture, bpy.types.Operator):
+    """Replace the mesh of the fixture by the simple shape that fits it"""
+
+    bl_idname = "fipt.clean_fixture"
+    bl_label = "Clean Shape"
+    bl_description = (
+        "Replace the mesh of the fixture, which is ragged on a scan, by the rectangle, disc, tube or ball"
+        " that fits it. The radiance stays as it is"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    fixture: _name_property("fixture")
+
+    def convert(self, context: bpy.types.Context, fixture: bpy.types.Object) -> None:
+        from ..blend.lights.convert import world_triangles
+        from ..blend.lights.lamp_shapes import clean_fixture
+
+        if VISIBILITY in fixture:
+            raise FiptError(
+                "fixture-converted",
+                f"'{fixture.name}' was converted to Blender lights.",
+                "Use Convert Back first.",
+            )
+        shape = clean_fixture(fixture, *world_triangles(fixture))
+        self.report({"INFO"}, iface_("The shape is a {}").format(iface_(_SHAPES[shape.kind])))
+
+
 class FIPT_OT_make_light_groups(_NeedsLights, bpy.types.Operator):
     """Create light groups for the estimated lights, the environment and your own lights"""
 
@@ -300,6 +330,7 @@ CLASSES = (
     FIPT_OT_add_light,
     FIPT_OT_add_missing_lamps,
     FIPT_OT_fixture_to_area_light,
+    FIPT_OT_clean_fixture,
     FIPT_OT_area_light_to_fixture,
     FIPT_OT_make_light_groups,
     FIPT_OT_remove_light_groups,

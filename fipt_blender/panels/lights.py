@@ -97,6 +97,7 @@ def _draw_light(layout: bpy.types.UILayout, light: bpy.types.PropertyGroup | Non
         if VISIBILITY in light.object:
             layout.operator("fipt.area_light_to_fixture", icon="LOOP_BACK")
         else:
+            layout.operator("fipt.clean_fixture", icon="MESH_PLANE")
             layout.operator("fipt.fixture_to_area_light", icon="LIGHT_AREA")
 
 

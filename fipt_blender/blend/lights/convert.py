@@ -79,7 +79,7 @@ def fixture_to_lights(scene: bpy.types.Scene, item: bpy.types.Object) -> tuple[l
         FiptError: ``fixture-empty`` where it has no surface.
     """
     lights_to_fixture(scene, item)
-    shapes = fit_shapes(*_world_triangles(item))
+    shapes = fit_shapes(*world_triangles(item))
     if not shapes:
         raise FiptError("fixture-empty", f"'{item.name}' has no surface.", "Choose another fixture.")
     target = collection(scene, FIXTURES)
@@ -180,7 +180,7 @@ def _add_light(
     return light
 
 
-def _world_triangles(item: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
+def world_triangles(item: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     """World positions of a fixture's vertices (V,3) and its triangles (T,3)."""
     mesh = item.data
     loops, _ = triangle_loops(mesh, mirrored=False)

@@ -1,0 +1,123 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Simple shapes of scanned lamps: found in spite of noise and a ragged border, and made as meshes."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix
+
+from fipt_blender.blend.lights.lamp_shapes import LampShape, fit_lamp_shape, shape_mesh
+from fipt_blender.blend.room.mesh_arrays import corner_vertices, triangle_loops, vertex_positions
+from fipt_blender.core.run.errors import FiptError
+
+TURN = np.array(Matrix.Rotation(0.7, 3, (1.0, 2.0, 0.5)))
+PLACE = np.array([1.0, -2.0, 1.5])
+
+
+@pytest.fixture(autouse=True)
+def empty_file() -> None:
+    bpy.ops.wm.read_homefile(use_empty=True)
+
+
+def grid(mapping, rows: int = 40, columns: int = 60) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles of a mapping of the unit square, turned and moved into the room."""
+    u, v = np.meshgrid(np.linspace(0, 1, rows + 1), np.linspace(0, 1, columns + 1), indexing="ij")
+    index = np.arange(u.size).reshape(u.shape)
+    quads = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], axis=-1).reshape(-1, 4)
+    points = np.stack(mapping(u.ravel(), v.ravel()), axis=1)
+    return points @ TURN.T + PLACE, quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+
+
+def ragged(vertices: np.ndarray, triangles: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
+    """As a scan has them: with noise, and without a tenth of the triangles."""
+    rng = np.random.default_rng(0)
+    kept = rng.random(len(triangles)) < 0.9
+    return vertices + rng.normal(0.0, noise, vertices.shape), triangles[kept]
+
+
+def rectangle(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, ...]:
+    return 0.6 * (u - 0.5), 1.0 * (v - 0.5), 0.0 * u
+
+
+def square(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, ...]:
+    return 0.8 * (u - 0.5), 0.8 * (v - 0.5), 0.0 * u
+
+
+def disc(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, ...]:
+    return 0.3 * u * np.cos(2 * np.pi * v), 0.3 * u * np.sin(2 * np.pi * v), 0.0 * u
+
+
+def tube(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, ...]:
+    return 0.04 * np.cos(2 * np.pi * u), 0.04 * np.sin(2 * np.pi * u), 1.2 * (v - 0.5)
+
+
+def ball(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, ...]:
+    radius = 0.1 * np.sin(np.pi * u)
+    return radius * np.cos(2 * np.pi * v), radius * np.sin(2 * np.pi * v), -0.1 * np.cos(np.pi * u)
+
+
+@pytest.mark.parametrize(
+    ("mapping", "kind", "size", "noise"),
+    [
+        (rectangle, "RECTANGLE", [0.6, 1.0, 0.0], 0.003),
+        (square, "RECTANGLE", [0.8, 0.8, 0.0], 0.003),
+        (disc, "ELLIPSE", [0.6, 0.6, 0.0], 0.002),
+        (tube, "TUBE", [0.08, 0.08, 1.2], 0.002),
+        (ball, "BALL", [0.2, 0.2, 0.2], 0.002),
+    ],
+)
+def test_ragged_lamps_have_simple_shapes(mapping, kind: str, size: list[float], noise: float) -> None:
+    vertices, triangles = ragged(*grid(mapping), noise)
+    shape = fit_lamp_shape(vertices, triangles)
+    assert shape.kind == kind
+    assert sorted(shape.size) == pytest.approx(sorted(size), rel=0.06, abs=1e-9)
+    assert shape.matrix[:3, 3] == pytest.approx(PLACE, abs=0.02)
+    assert shape.matrix[:3, :3] @ shape.matrix[:3, :3].T == pytest.approx(np.eye(3), abs=1e-9)
+    assert np.linalg.det(shape.matrix[:3, :3]) == pytest.approx(1.0)
+    if kind == "RECTANGLE":
+        along = np.abs(shape.matrix[:3, :2].T @ TURN[:, :2])
+        assert np.sort(along, axis=1)[:, 1] == pytest.approx(1.0, abs=0.005)
+    if kind != "BALL":
+        assert abs(shape.matrix[:3, 2] @ TURN[:, 2]) == pytest.approx(1.0, abs=0.01)
+
+
+def test_few_large_triangles_are_enough() -> None:
+    shape = fit_lamp_shape(*grid(rectangle, rows=1, columns=1))
+    assert shape.kind == "RECTANGLE" and sorted(shape.size) == pytest.approx([0.0, 0.6, 1.0], rel=0.02)
+
+
+def test_no_shape_fits_two_lamps_apart_or_nothing() -> None:
+    vertices, triangles = grid(square)
+    both = np.concatenate([vertices, vertices + TURN @ [3.0, 0.0, 0.0]])
+    with pytest.raises(FiptError) as error:
+        fit_lamp_shape(both, np.concatenate([triangles, triangles + len(vertices)]))
+    assert error.value.code == "shape-unclear"
+    with pytest.raises(FiptError) as error:
+        fit_lamp_shape(np.zeros((3, 3)), np.array([[0, 1, 2]]))
+    assert error.value.code == "fixture-empty"
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "area"),
+    [
+        ("RECTANGLE", [0.6, 1.0, 0.0], 0.6),
+        ("ELLIPSE", [0.6, 0.4, 0.0], np.pi * 0.06),
+        ("TUBE", [0.1, 0.1, 1.0], np.pi * 0.1 + np.pi * 0.005),
+        ("BALL", [0.2, 0.2, 0.2], np.pi * 0.04),
+    ],
+)
+def test_meshes_of_shapes_have_their_area_and_face_outwards(
+    kind: str, size: list[float], area: float
+) -> None:
+    mesh = shape_mesh("lamp", LampShape(kind, np.array(size), np.eye(4)))
+    loops, _ = triangle_loops(mesh, mirrored=False)
+    corners = vertex_positions(mesh)[corner_vertices(mesh)[loops]].astype(float)
+    cross = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert np.linalg.norm(cross, axis=1).sum() == pytest.approx(area, rel=0.02)
+    if size[2]:
+        assert ((cross * corners.mean(axis=1)).sum(axis=1) > 0.0).all()
+    else:
+        assert (cross[:, 2] > 0.0).all()
