@@ -14,7 +14,7 @@ import numpy as np
 from .adjacency import NONE, Mesh, face_vectors, make_mesh
 from .normals import corner_normals, filter_normals, follow_normals
 from .patches import find_patches, triangle_moments
-from .planes import PlaneRegions, find_planes
+from .planes import PATCH_EDGES, PlaneRegions, find_planes
 from .roughness import MAD_SCALE, bumps
 
 # A scan is rough everywhere: this share of its area ...
@@ -24,8 +24,6 @@ _ROUGH_SHARE = 0.75
 _ROUGHNESS = 0.004
 # A scan has at least so many triangles.
 _LEAST_TRIANGLES = 2000
-# Width of patches, in edges of the mesh.
-PATCH_EDGES = 5.0
 # Angles between neighbouring triangles that count as noise, as a multiple of their median.
 _NOISE_ANGLES = 2.5
 # Rounds of the filter before the planes are known; a few, because noise is averaged over patches then.
@@ -93,7 +91,7 @@ def clean_mesh(vertices: np.ndarray, triangles: np.ndarray) -> CleanMesh | None:
     smooth = filter_normals(normals, areas, mesh.neighbours, deviation, _FIRST_ROUNDS)
     regions = find_planes(mesh, smooth, size, noise)
     flat = regions.label != NONE
-    smooth[flat] = regions.planes.normal[regions.label[flat]]
+    smooth[flat] = regions.parallel[regions.label[flat]]
     smooth = filter_normals(smooth, areas, mesh.neighbours, deviation, _ROUNDS, held=flat)
     planar, on_plane = flattened(mesh, regions, _REACH * noise)
     moved = Mesh(follow_normals(planar, smooth, _REACH * noise, on_plane), mesh.triangles)

@@ -8,7 +8,7 @@ better normal than any of its triangles, and its flatness shows the noise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -54,7 +54,8 @@ class Moments:
         xx, yy, zz, xy, xz, yz = (self.second / area).T
         moment = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
         values, vectors = np.linalg.eigh(moment - centre[:, :, None] * centre[:, None, :])
-        return Planes(vectors[:, :, 0], centre, np.sqrt(np.maximum(values[:, 0], 0.0)))
+        deviation, spread = np.sqrt(np.maximum(values[:, :2], 0.0)).T
+        return Planes(vectors[:, :, 0], centre, deviation, np.sqrt(12.0) * spread)
 
 
 @dataclass(frozen=True)
@@ -65,16 +66,18 @@ class Planes:
         normal: (G, 3) unit, of either sign.
         centre: (G, 3) a point on each: the mean of its set.
         deviation: (G,) root mean square distance of the set, metres.
+        width: (G,) shorter side of a rectangle with the second moments of the set, metres.
     """
 
     normal: np.ndarray
     centre: np.ndarray
     deviation: np.ndarray
+    width: np.ndarray
 
     def turned(self, toward: np.ndarray) -> Planes:
         """The planes with the normals on the side of the directions `toward` (G, 3)."""
         flip = np.einsum("gc,gc->g", self.normal, toward) < 0.0
-        return Planes(np.where(flip[:, None], -self.normal, self.normal), self.centre, self.deviation)
+        return replace(self, normal=np.where(flip[:, None], -self.normal, self.normal))
 
     def distance(self, plane: np.ndarray, points: np.ndarray) -> np.ndarray:
         """(N,) signed distance of points (N, 3) from the planes of index (N,)."""

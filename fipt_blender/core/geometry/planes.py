@@ -25,6 +25,10 @@ PATCH_COSINE, TRIANGLE_COSINE = 0.985, 0.7
 FLAT = 2.0
 # Patches of a plane, at least.
 LEAST_PATCHES = 4
+# A plane follows one that is larger by this factor, and that has the area of so many patches.
+LARGER, GUIDE_PATCHES = 2.0, 20.0
+# Width of patches, in edges of the mesh.
+PATCH_EDGES = 5.0
 # Rounds by which a plane grows over triangles beyond its patches.
 TRIANGLE_ROUNDS = 12
 
@@ -36,10 +40,13 @@ class PlaneRegions:
     Attributes:
         label: (T,) int64 plane of each triangle, NONE without one.
         planes: of the labels; normals on the triangles' side.
+        parallel: (G, 3) normals for shading: those of the planes, or of larger planes that are as parallel
+            to them as the scan can show.
     """
 
     label: np.ndarray
     planes: Planes
+    parallel: np.ndarray
 
 
 def find_planes(mesh: Mesh, normals: np.ndarray, size: float, noise: float) -> PlaneRegions:
@@ -62,7 +69,32 @@ def find_planes(mesh: Mesh, normals: np.ndarray, size: float, noise: float) -> P
         label = _on_plane(mesh, normals, label, planes, noise)
         label = _extended(mesh, normals, label, planes, noise)
     planes = moments.grouped(label, found).planes().turned(_mean_normals(normals, areas, label, found))
-    return PlaneRegions(label, planes)
+    area = moments.grouped(label, found).area
+    return PlaneRegions(label, planes, parallel_normals(planes, area, size / PATCH_EDGES))
+
+
+def parallel_normals(planes: Planes, area: np.ndarray, step: float) -> np.ndarray:
+    """(G, 3) normals of planes, with those of larger planes where the tilt between them is not resolved.
+
+    A scanner blurs steps: the panels of a door, which are parallel to its frame, become slopes. Furniture and
+    walls have few directions, so that a tilt by less than one step of the mesh over the width of a plane is
+    taken for such an error.
+
+    Args:
+        area: (G,) of the planes.
+        step: metres, length of the mesh's edges.
+    """
+    result = planes.normal.copy()
+    guide = GUIDE_PATCHES * (PATCH_EDGES * step) ** 2
+    order = np.argsort(-area, kind="stable")
+    resolved = np.cos(np.arctan(step / np.maximum(planes.width, step)))
+    for rank, plane in enumerate(order):
+        larger = order[:rank][area[order[:rank]] >= np.maximum(LARGER * area[plane], guide)]
+        cosine = result[larger] @ planes.normal[plane]
+        near = np.flatnonzero(np.abs(cosine) > resolved[plane])
+        if len(near):
+            result[plane] = np.sign(cosine[near[0]]) * result[larger[near[0]]]
+    return result
 
 
 def _mean_normals(normals: np.ndarray, areas: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
