@@ -11,6 +11,8 @@ import pytest
 
 from fipt_blender.core.geometry.adjacency import NONE, face_vectors, make_mesh
 from fipt_blender.core.geometry.clean import CleanMesh, clean_mesh
+from fipt_blender.core.geometry.patches import Planes
+from fipt_blender.core.geometry.planes import parallel_normals
 from fipt_blender.core.geometry.stored import prepare_geometry
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.scene.room import Room, load_room
@@ -206,3 +208,17 @@ def test_a_cleaned_copy_that_does_not_fit_is_made_again(tmp_path: Path, fault: s
     assert np.array_equal(load_room(run).vertices, scan.vertices)
     prepare_geometry(run)
     assert np.array_equal(load_room(run).vertices, good)
+
+
+def test_narrow_planes_are_shaded_parallel_to_large_ones() -> None:
+    tilts = np.radians([0.0, 6.0, 6.0, 30.0, 174.0])
+    planes = Planes(
+        normal=np.stack([np.sin(tilts), np.zeros(5), np.cos(tilts)], axis=1),
+        centre=np.zeros((5, 3)),
+        deviation=np.zeros(5),
+        # A tilt by 6 degrees is resolved over 50 cm, but not over 10 cm; 30 degrees always are.
+        width=np.array([2.0, 0.1, 0.5, 0.1, 0.1]),
+    )
+    found = parallel_normals(planes, np.array([4.0, 0.1, 0.3, 0.1, 0.1]), STEP)
+    assert np.allclose(found[[0, 2, 3]], planes.normal[[0, 2, 3]])
+    assert np.allclose(found[[1, 4]], [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])

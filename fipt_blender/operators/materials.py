@@ -94,6 +94,7 @@ def chosen_settings(scene: bpy.types.Scene, run: RunFolder) -> Settings:
         texture_size=int(panel.texture_size),
         texel_density=panel.texel_density,
         write_back=panel.write_back,
+        clean_mesh=panel.clean_mesh,
     )
 
 

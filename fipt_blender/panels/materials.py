@@ -29,6 +29,7 @@ class FIPT_PT_materials(Section, bpy.types.Panel):
             column.prop(settings, "texel_density")
         column.prop(settings, "texture_files")
         column.prop(settings, "write_back")
+        column.prop(settings, "clean_mesh")
         column = layout.column(heading="Scene")
         column.enabled = running.current() is None
         column.prop(settings, "match_exposure")

@@ -112,6 +112,13 @@ class FIPT_MaterialsSettings(bpy.types.PropertyGroup):
         ],
         default="cycles",
     )
+    clean_mesh: bpy.props.BoolProperty(
+        name="Clean Scan",
+        description="Give a scanned room the geometry on which the estimation has worked: walls are planar"
+        " and the scan's bumps are gone. Your own mesh is set aside; Revert restores it. Modelled rooms stay"
+        " as they are",
+        default=True,
+    )
     match_exposure: bpy.props.BoolProperty(
         name="Match Exposure",
         description="Set the scene's exposure so that the median of the photographs is middle gray",

@@ -18,13 +18,14 @@ import numpy as np
 from ...bridge.process import Message
 from ...core.run.arrays import read_arrays
 from ...core.run.errors import FiptError
-from ...core.run.run_files import read_atlas, read_emitters
+from ...core.run.run_files import read_atlas, read_emitters, read_geometry
 from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import CORNER_FIELDS_ARRAYS
 from ..lights import fixtures
 from ..lights.kept_states import keep_states, states_of
 from ..marks import MAP, OBJECT_ID, has_results, object_id
 from ..room.arrays import Room, read_room
+from ..room.cleaned import clean_result_mesh
 from ..room.mesh_arrays import is_mirrored, triangle_loops
 from ..room.originals import (
     original_polygons,
@@ -130,6 +131,7 @@ def apply_slices(
     """
     scene_name = scene.name
     results = _read(run)
+    geometry = _cleaned_scan(run, results.room)
     objects = list(objects)
     names = [item.name for item in objects]
     matches = match_objects(results.room, objects)
@@ -148,6 +150,8 @@ def apply_slices(
                 changed[name] = error
                 continue
             targets.append(_Target(index, name, mesh.name))
+            if geometry is not None:
+                clean_result_mesh(mesh, item, results.room, index, geometry)
             _write_maps(mesh, is_mirrored(item), results, results.room.triangle_object == index)
             yield None
         if changed and not targets:
@@ -219,6 +223,13 @@ def _read(run: RunFolder) -> _Results:
         corner_fields=corner_fields,
         emitters=read_emitters(run, count)["fixtures"],
     )
+
+
+def _cleaned_scan(run: RunFolder, room: Room) -> dict[str, np.ndarray] | None:
+    """The cleaned copy of the run's scan, None where the mesh is no scan or the scan is to be kept."""
+    if not run.read().clean_mesh:
+        return None
+    return read_geometry(run, {"vertices": room.vertices, "triangles": room.triangles})
 
 
 def _read_corner_fields(path: Path, count: int) -> dict[str, np.ndarray]:

@@ -7,6 +7,8 @@ Needs numpy alone.
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ from .arrays import read_arrays
 from .documents import read_json
 from .errors import FiptError
 from .runfolder import RunFolder
-from .shapes import ATLAS, ATLAS_ARRAYS, CAPTURE, EMITTERS, ROOM, ROOM_ARRAYS
+from .shapes import ATLAS, ATLAS_ARRAYS, CAPTURE, EMITTERS, GEOMETRY_ARRAYS, ROOM, ROOM_ARRAYS
 
 _EXPORT_AGAIN = "Export the room's mesh again (start the estimation again)."
 _ATLAS_AGAIN = "Start the run again without --resume, or apply the results again."
@@ -98,6 +100,33 @@ def read_emitters(run: RunFolder, triangles: int) -> dict[str, Any]:
             "file-damaged", f"{run.emitters_json} names triangles that the room lacks.", _ESTIMATE_AGAIN
         )
     return data
+
+
+def read_geometry(run: RunFolder, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray] | None:
+    """geometry.npz, None where there is none for this mesh: then the mesh is used as it is.
+
+    Args:
+        run: the run folder.
+        arrays: the room's vertices and triangles.
+    """
+    if not run.geometry_npz.exists():
+        return None
+    try:
+        stored = read_arrays(run.geometry_npz, GEOMETRY_ARRAYS)
+    except FiptError:
+        return None
+    pairs = (("vertices", "vertices"), ("plane", "triangles"))
+    fits = all(len(stored[one]) == len(arrays[other]) for one, other in pairs)
+    fits &= all(bool(np.isfinite(stored[name]).all()) for name in ("vertices", "corner_normals", "noise"))
+    return stored if fits and np.array_equal(stored["source"], mesh_digest(arrays)) else None
+
+
+def mesh_digest(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    """(32,) uint8 that tells meshes apart, by their vertices and triangles."""
+    digest = hashlib.sha256()
+    for name, kind in (("vertices", np.float32), ("triangles", np.int32)):
+        digest.update(np.ascontiguousarray(arrays[name], kind).tobytes())
+    return np.frombuffer(digest.digest(), np.uint8)
 
 
 def _within(values: np.ndarray, low: int, end: int) -> bool:

@@ -195,6 +195,11 @@ class Settings:
     texel_density: float = _setting(128.0, "texels per metre of the textures", None)
     texture_size: int = _setting(2048, "largest width and height of one texture image in texels", None)
     atlas_mode: str = _setting("uv", "uv, or color_attribute for meshes that can't have UVs", None)
+    clean_mesh: bool = _setting(
+        True,
+        "give the room the cleaned copy of a scan with the results; false keeps the scan's vertices",
+        None,
+    )
     write_back: str = _setting(
         "cycles", "cycles: add nodes with which Cycles shows the fitted BRDF; paper: add none", None
     )
