@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import json
 import shutil
 from dataclasses import replace
@@ -492,3 +493,31 @@ def test_a_stopped_merge_goes_on_with_the_other_groups(
     write_preparation(folder, replace(before, groups=before.groups[:1]))
     prepare(source, folder.root)
     assert [path.name for path in folder.images.iterdir()] == ["IMG_0.exr"]
+
+
+def test_a_disk_that_fills_leaves_no_half_of_an_image(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for index in range(2):
+        write_raw(tmp_path / "in", room(index), 3 * index, index)
+    plain = Path.write_bytes
+    images = []
+
+    def full(self: Path, data: bytes) -> int:
+        if ".exr" in self.name:
+            images.append(self)
+            if len(images) == 2:
+                plain(self, bytes(data)[:100])
+                raise OSError(errno.ENOSPC, "No space left on device")
+        return plain(self, data)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(FiptError) as caught:
+        prepare(tmp_path / "in", tmp_path / "out")
+    assert caught.value.code == "disk-full" and "Free some space" in caught.value.remedy
+    folder = PreparationFolder(tmp_path / "out")
+    assert [path.name for path in folder.images.iterdir()] == ["IMG_0.exr"]
+    assert not folder.facts("merge").exists()
+    monkeypatch.undo()
+    prepare(tmp_path / "in", folder.root)
+    assert len(list(folder.images.glob("*.exr"))) == 2

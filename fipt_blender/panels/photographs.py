@@ -89,9 +89,14 @@ class FIPT_PT_photographs(Section, bpy.types.Panel):
             _draw_groups(layout, context, settings)
             text = "Resume" if _was_stopped(settings) else "Prepare"
             layout.operator("fipt.prepare", text=text, icon="RENDERLAYERS")
-        _draw_job(layout, context, settings)
-        if settings.registered_count >= 0 and running.current() is None:
+        job = running.current()
+        if job is not None and job.kind == _KIND:
+            draw_progress(layout, context, job)
+            draw_messages(layout, context, job.warnings)
+            return
+        if settings.registered_count >= 0 and job is None:
             _draw_outcome(layout, settings)
+        _draw_last_job(layout, context, settings)
 
 
 class FIPT_PT_photographs_settings(SubSection, bpy.types.Panel):
@@ -148,22 +153,25 @@ def _draw_groups(
         draw_text(layout, context, text.format(group.name, 100.0 * group.clipped_share), icon="INFO")
 
 
-def _draw_job(
+def _draw_last_job(
     layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup
 ) -> None:
-    """Progress of the running job, or the outcome of the last one on these photographs."""
-    job = running.current()
-    if job is not None and job.kind == _KIND:
-        draw_progress(layout, context, job)
-        draw_messages(layout, context, job.warnings)
-        return
+    """The error of the last job on these photographs, and its warnings folded below the way on."""
     job = running.last(_KIND)
-    if job is not None and job.run_folder == settings.capture_folder():
-        if job.error is not None:
-            draw_error(layout, context, job.error, RunFolder(job.run_folder))
-            if settings.groups:
-                layout.operator("fipt.open_photographs_report", icon="URL")
-        draw_messages(layout, context, job.warnings)
+    if job is None or job.run_folder != settings.capture_folder():
+        return
+    if job.error is not None:
+        draw_error(layout, context, job.error, RunFolder(job.run_folder))
+        if settings.groups:
+            layout.operator("fipt.open_photographs_report", icon="URL")
+    if job.warnings:
+        header, body = layout.panel_prop(settings, "show_warnings")
+        text = (
+            iface_("{} warnings").format(len(job.warnings)) if len(job.warnings) > 1 else iface_("1 warning")
+        )
+        header.label(text=text, icon="ERROR", translate=False)
+        if body is not None:
+            draw_messages(body, context, job.warnings)
 
 
 def _was_stopped(settings: bpy.types.PropertyGroup) -> bool:
