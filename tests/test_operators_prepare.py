@@ -196,3 +196,29 @@ def test_dropped_photographs_have_a_handler(settings):
     handler = bpy.types.FIPT_FH_photographs
     assert handler.bl_import_operator == "fipt.choose_photographs"
     assert {".cr2", ".nef", ".dng", ".jpg", ".exr"} <= set(handler.bl_file_extensions.split(";"))
+
+
+def test_two_points_are_picked_in_merged_images(settings, commands):
+    from fipt_blender.core.photographs.scale import parse_picks
+
+    ops.find_brackets()
+    with pytest.raises(RuntimeError, match="not merged yet"):
+        ops.show_merged()
+    ops.prepare()
+    assert ops.show_merged() == {"FINISHED"}
+    shown = bpy.path.abspath(bpy.data.images[-1].filepath)
+    assert shown == str(PreparationFolder(settings.capture_folder()).images / "IMG_1.exr")
+    assert ops.pick_scale_points(view="IMG_1", points=(10, 20, 30, 40.25)) == {"FINISHED"}
+    assert settings.scale == "points" and settings.scale_picks == "IMG_1 10.0 20.0; IMG_1 30.0 40.2"
+    ops.pick_scale_points(view="IMG_4", points=(1, 2, 3, 4), extend=True)
+    ops.pick_scale_points(view="IMG_1", points=(5, 6, 7, 8), extend=True)
+    first, second = parse_picks(settings.scale_picks)
+    assert [(pick.view, pick.x, pick.y) for pick in first] == [("IMG_4", 1.0, 2.0), ("IMG_1", 5.0, 6.0)]
+    assert [(pick.view, pick.x, pick.y) for pick in second] == [("IMG_4", 3.0, 4.0), ("IMG_1", 7.0, 8.0)]
+    ops.pick_scale_points(view="IMG_4", points=(1, 2, 3, 4))
+    assert settings.scale_picks == "IMG_4 1.0 2.0; IMG_4 3.0 4.0"
+    before = settings.scale_picks
+    for wrong in ({"view": "other", "points": (1, 2, 3, 4)}, {"view": "IMG_4", "points": (1, 2, 1, 2)}):
+        with pytest.raises(RuntimeError):
+            ops.pick_scale_points(**wrong)
+    assert settings.scale_picks == before

@@ -24,6 +24,7 @@ from . import (
     parts,
     photographs,
     presets,
+    scale_points,
     storage,
     views,
 )
@@ -32,6 +33,7 @@ MODULES = (
     environment,
     storage,
     photographs,
+    scale_points,
     capture,
     views,
     alignment,

@@ -123,7 +123,32 @@ class FIPT_PT_photographs_settings(SubSection, bpy.types.Panel):
             column.prop(settings, "scale_length")
         if settings.scale == "points":
             column.prop(settings, "scale_picks")
+            column.operator("fipt.show_merged", icon="IMAGE_DATA")
         layout.prop(settings, "masks")
+
+
+class FIPT_PT_scale_points(bpy.types.Panel):
+    """Two points of a known distance, in the merged image that is shown"""
+
+    bl_label = "Scale of the Photographs"
+    bl_space_type = "IMAGE_EDITOR"
+    bl_region_type = "UI"
+    bl_category = "FIPT"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        from ..blend.capture.scale_picks import shown_group
+
+        return bool(shown_group(context.space_data, context.scene.fipt.photographs))
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        settings = context.scene.fipt.photographs
+        layout.operator("fipt.pick_scale_points", icon="EYEDROPPER")
+        row = layout.row()
+        row.enabled = bool(settings.scale_picks)
+        row.operator("fipt.pick_scale_points", text="Add This View", icon="ADD").extend = True
+        layout.prop(settings, "scale_length")
 
 
 def _draw_groups(
@@ -196,4 +221,5 @@ CLASSES = (
     FIPT_UL_photographs,
     FIPT_PT_photographs,
     FIPT_PT_photographs_settings,
+    FIPT_PT_scale_points,
 )

@@ -1,0 +1,172 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators that pick the two points of a known distance in merged photographs, in an Image Editor."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from ..core.photographs.preparation import Group, PreparationFolder
+from ..core.run.errors import FiptError
+from .reporting import reports_errors
+
+if TYPE_CHECKING:
+    from ..properties.photographs import FIPT_PhotographsSettings
+
+_TEXTS = ("Click: First point   Esc, Right Click: Cancel", "Click: Second point   Esc, Right Click: Cancel")
+_NAVIGATION = {"MIDDLEMOUSE", "WHEELUPMOUSE", "WHEELDOWNMOUSE", "MOUSEMOVE", "TRACKPADPAN", "TRACKPADZOOM"}
+
+
+class FIPT_OT_show_merged(bpy.types.Operator):
+    """Show the merged image of the active group in an Image Editor, to pick points in it"""
+
+    bl_idname = "fipt.show_merged"
+    bl_label = "Show Merged Image"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _has_groups(cls, context)
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        settings = context.scene.fipt.photographs
+        image = bpy.data.images.load(str(_merged(settings)), check_existing=True)
+        area = _image_editor(context)
+        if area is not None:
+            area.spaces.active.image = image
+            area.spaces.active.show_region_ui = True
+        return {"FINISHED"}
+
+
+class FIPT_OT_pick_scale_points(bpy.types.Operator):
+    """Click two points whose distance you know in the merged image that is shown"""
+
+    bl_idname = "fipt.pick_scale_points"
+    bl_label = "Pick Two Points"
+    bl_options = {"REGISTER", "UNDO"}
+
+    view: bpy.props.StringProperty(name="View", description="Name of the group", options={"SKIP_SAVE"})
+    points: bpy.props.FloatVectorProperty(
+        name="Points",
+        description="Both points in pixels from the top left corner of the image: x, y, x, y",
+        size=4,
+        options={"SKIP_SAVE"},
+    )
+    extend: bpy.props.BoolProperty(
+        name="Extend",
+        description="Add another view of the same points, which makes their distance more exact",
+        options={"SKIP_SAVE"},
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _has_groups(cls, context)
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        settings = context.scene.fipt.photographs
+        if self.view not in settings.groups:
+            raise FiptError("scale-view", f"There is no group '{self.view}'.", "Name one of the list.")
+        first, second = tuple(self.points)[:2], tuple(self.points)[2:]
+        if first == second:
+            raise FiptError("scale-point", "The two picked points are the same.", "Pick two points.")
+        from ..blend.capture.scale_picks import with_picks
+
+        before = settings.scale_picks if self.extend else ""
+        settings.scale_picks = with_picks(before, self.view, first, second)
+        settings.scale = "points"
+        return {"FINISHED"}
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if self.properties.is_property_set("points"):
+            return self.execute(context)
+        from ..blend.capture.scale_picks import shown_group
+
+        name = shown_group(context.space_data, context.scene.fipt.photographs)
+        if not name:
+            self.report({"ERROR"}, "Use Show Merged Image, and pick in the Image Editor.")
+            return {"CANCELLED"}
+        self.view = name
+        self._clicks: list[tuple[float, float]] = []
+        context.window.cursor_modal_set("CROSSHAIR")
+        context.area.header_text_set(iface_(_TEXTS[0]))
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if event.type in {"ESC", "RIGHTMOUSE"} and event.value == "PRESS":
+            self.cancel(context)
+            return {"CANCELLED"}
+        if event.type in _NAVIGATION:
+            return {"PASS_THROUGH"}
+        if event.type != "LEFTMOUSE" or event.value != "PRESS":
+            return {"RUNNING_MODAL"}
+        place = _pixel_under(context, event)
+        if place is None:
+            self.report({"WARNING"}, "Click inside the image")
+            return {"RUNNING_MODAL"}
+        self._clicks.append(place)
+        if len(self._clicks) < 2:
+            context.area.header_text_set(iface_(_TEXTS[1]))
+            return {"RUNNING_MODAL"}
+        self.points = (*self._clicks[0], *self._clicks[1])
+        self.cancel(context)
+        return self.execute(context)
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Restore pointer and header; Blender calls this too, when the window closes."""
+        context.window.cursor_modal_restore()
+        if context.area is not None:
+            context.area.header_text_set(None)
+
+
+def _merged(settings: FIPT_PhotographsSettings) -> str:
+    """The merged image of the active group.
+
+    Raises:
+        FiptError: ``image-missing``.
+    """
+    folder = settings.capture_folder()
+    if folder is not None and 0 <= settings.active_group < len(settings.groups):
+        path = PreparationFolder(folder).image(Group(settings.groups[settings.active_group].name, ()))
+        if path.is_file():
+            return str(path)
+    raise FiptError("image-missing", "The active group is not merged yet.", "Use Prepare first.")
+
+
+def _image_editor(context: bpy.types.Context) -> bpy.types.Area | None:
+    """An Image Editor of an open window, or a new window with one; None in background."""
+    windows = context.window_manager.windows
+    for window in windows:
+        for area in window.screen.areas:
+            if area.ui_type == "IMAGE_EDITOR":
+                return area
+    if bpy.app.background:
+        return None
+    bpy.ops.wm.window_new()
+    area = windows[-1].screen.areas[0]
+    area.ui_type = "IMAGE_EDITOR"
+    return area
+
+
+def _pixel_under(context: bpy.types.Context, event: bpy.types.Event) -> tuple[float, float] | None:
+    """Pixels from the top left corner of the shown image under the pointer, None outside of it."""
+    area, image = context.area, context.space_data.image
+    region = next(item for item in area.regions if item.type == "WINDOW")
+    u, v = region.view2d.region_to_view(event.mouse_x - region.x, event.mouse_y - region.y)
+    if not (0.0 <= u <= 1.0 and 0.0 <= v <= 1.0):
+        return None
+    return u * image.size[0], (1.0 - v) * image.size[1]
+
+
+def _has_groups(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    if not context.scene.fipt.photographs.groups:
+        cls.poll_message_set("Use Find Brackets and Prepare first")
+        return False
+    return True
+
+
+CLASSES = (FIPT_OT_show_merged, FIPT_OT_pick_scale_points)
