@@ -20,7 +20,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks import cycles_views, disturb, metrics, picture_page, truth
+from benchmarks import cycles_views, disturb, ldr, metrics, picture_page, truth
 from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.capture.views import View, load_capture
 from fipt_blender.core.device.variant import set_variant
@@ -249,6 +249,7 @@ def score(run: RunFolder, scope: Scope, page: picture_page.PicturePage) -> Score
         true = [truth.read_maps(view) for view in chosen[split]]
         filtered = truth.maps_are_filtered(true)
         predicted = [predict.predict_maps(lit, view, filtered) for view in chosen[split]]
+        predicted = ldr.in_true_units(predicted, run, scope.capture)
         figures: dict[str, Any] = dict.fromkeys(METRICS)
         strict: dict[str, Any] = dict.fromkeys(METRICS)
         borders: dict[str, Any] = {"edge": {}, "inside": {}, "edge_share": None}
@@ -257,6 +258,7 @@ def score(run: RunFolder, scope: Scope, page: picture_page.PicturePage) -> Score
             strict |= metrics.map_metrics(predicted, true, strict=True)
             borders = metrics.border_metrics(predicted, true)
         images = [render_view(lit, view, settings, stream) for stream, view in enumerate(rendered[split])]
+        images = ldr.as_photographed(images, run, rendered[split])
         truths = [view.radiance() for view in rendered[split]]
         enter(figures, strict, "view_synthesis_psnr", images, truths)
         result[split] = {**figures, "strict": strict, **borders, "maps_are_filtered": filtered}
@@ -271,7 +273,7 @@ def score(run: RunFolder, scope: Scope, page: picture_page.PicturePage) -> Score
                 page.add_images(view.name, "Photograph, re-render", image, other)
                 if scope.maps:
                     folder = scope.maps / truth.split_folder(view).name / "Image"
-                    write_exr(folder / view.image.name, image)
+                    write_exr(folder / truth.file_names(view)[0], image)
     if relight is not None:
         dark = predict.relit(lit, table, relight)
         images = [render_view(dark, view, settings, stream) for stream, view in enumerate(relight.views)]

@@ -44,8 +44,8 @@ class Relight:
 
 
 def file_names(view: View) -> tuple[str, str]:
-    """Names of a view's maps, and of its albedo: "000_0001.exr", "000.exr"."""
-    return view.image.name, f"{view.image.stem.removesuffix('_0001')}.exr"
+    """Names of a view's maps, and of its albedo: "000_0001.exr", "000.exr"; the photograph may be a JPEG."""
+    return f"{view.image.stem}.exr", f"{view.image.stem.removesuffix('_0001')}.exr"
 
 
 def split_folder(view: View) -> Path:

@@ -53,6 +53,7 @@ FLOORS = (
     "core.depth",
     "core.capture",
     "core.geometry",
+    "core.radiometry",
     "core.scene",
     "core.optics",
     "core.light",

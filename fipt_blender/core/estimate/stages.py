@@ -60,6 +60,7 @@ from ..scene.mixed_pixels import mark_pure
 from ..scene.pixels import fill_pixels, open_pixels
 from ..scene.unmixing import unmix_pixels
 from ..views.check import check_views
+from ..views.photometry import adjust_photographs
 from .previews import Preview
 from .results import RoomLight, write_results
 from .state import EstimationState
@@ -160,6 +161,7 @@ class Estimation(EstimationState):
         self.pixels = open_pixels(self.folder.stage / "pixels", self.views, create=True)
         self.scale = fill_pixels(self.pixels, self.room, self._progress_within(0.0, 0.4), self.workers)
         self._sort_pixels(0.4, 0.7)
+        weight = self._adjust_photographs()
         self.view_check = check_views(
             self.pixels, self.room, self.parts.triangle_part, self.settings, self.reporter
         )
@@ -169,11 +171,29 @@ class Estimation(EstimationState):
             self.pixels, self.room, self._surface_labels(), self._progress_within(0.8, 1.0), self.workers
         )
         doubt_pixels(self.pixels, self.room, self.parts)
+        if weight is not None:
+            self._weigh(weight)
         self.checkpoints.remember("scale", self.scale)
+        self.checkpoints.remember("photometry", self.photometry)
         self.checkpoints.remember("view_check", self.view_check.facts())
         rows = (self.pixels.rows(index) for index in range(len(self.views)))
         pure = sum(int(np.count_nonzero(self.pixels.pure[view])) for view in rows)
         return {"rays": 6 * len(self.pixels) + len(SUBPIXELS) * (len(self.pixels) - pure)}
+
+    def _weigh(self, weight: np.ndarray) -> None:
+        """Multiply the weights of the pixels by `weight` (N,), view by view."""
+        for index in range(len(self.views)):
+            rows = self.pixels.rows(index)
+            self.pixels.weight[rows] *= weight[rows]
+
+    def _adjust_photographs(self) -> np.ndarray | None:
+        """(N,) weights of the pixels' radiance where photographs are not HDR, which they are turned into."""
+        if not any(view.encoded for view in self.views):
+            return None
+        part = self.parts.triangle_part
+        found = adjust_photographs(self.pixels, self.room, part, self.scale, self.settings, self.reporter)
+        self.scale, self.photometry = found.scale, found.facts
+        return found.weight
 
     def _sort_pixels(self, begin: float, end: float) -> None:
         """Choose the parts of the triangles, and mark the pixels that see one surface of one part."""

@@ -77,6 +77,7 @@ class EstimationState:
         pixels: all pixels of the training views, with the surface points that they see.
         scale: median radiance of the photographs; all radiance below is in this unit.
         view_check: views that were left out or corrected.
+        photometry: what was found of photographs that are not HDR; empty without any.
         parts: of the room's triangles.
         observations: what the pixels tell before anything is estimated: cache, environment.
         brdf: the BRDF network of stage 2.
@@ -112,6 +113,7 @@ class EstimationState:
         self.pixels: PixelStore
         self.scale = 1.0
         self.view_check = ViewCheck()
+        self.photometry: dict[str, Any] = {}
         self.parts: Parts
         self.observations: Observations
         self.brdf: BrdfNetwork
@@ -128,6 +130,7 @@ class EstimationState:
     def _load_pixels(self) -> None:
         self.pixels = open_pixels(self.folder.stage / "pixels", self.views)
         self.scale = float(self.checkpoints.recall("scale"))
+        self.photometry = dict(self.checkpoints.recall("photometry"))
         try:
             self.view_check = ViewCheck(**self.checkpoints.recall("view_check"))
         except TypeError as error:
@@ -308,6 +311,7 @@ class EstimationState:
             "variant": mi.variant(),
             "views": self.view_check.facts() | {"used": len(self.views) - len(self.view_check.left_out)},
             "settings": asdict(self.settings),
+            **({"photometry": self.photometry} if self.photometry else {}),
         }
 
     def files(self) -> list[Path]:

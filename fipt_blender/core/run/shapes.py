@@ -52,7 +52,9 @@ STAGES = Fields(
             Fields(optional=dict.fromkeys(("seconds", "rays", "mrays_per_second"), _NOT_NEGATIVE))
         ),
         "warnings": Entries(Items(Fields(dict.fromkeys(("code", "text", "remedy"), str)))),
-        "values": Fields(optional={"scale": _NOT_NEGATIVE, "view_check": dict, "shadings": str}),
+        "values": Fields(
+            optional={"scale": _NOT_NEGATIVE, "view_check": dict, "photometry": dict, "shadings": str}
+        ),
     }
 )
 

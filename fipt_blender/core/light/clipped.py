@@ -1,0 +1,251 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The radiance of lamps that are clipped in all photographs, from the light that they cast.
+
+At points of diffuse surfaces the photographs are kd (B + sum of r_f D_f): B is the irradiance from all that
+is not clipped, which the photographs show, and D_f that from lamp f of radiance 1. kd is constant on a part.
+In logarithms the parts are eliminated; the lamps' radiances r_f and, where it is not known, the contrast of
+the camera's response are found by robust least squares: with a wrong contrast, light does not fall off over
+the walls as it should.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mitsuba as mi
+import numpy as np
+
+from ..scene.room import Room, triangle_normals
+from .cache import VoxelGrid
+
+RAYS = 32  # over the hemisphere of each point
+LAMP_SAMPLES = 32  # points on each lamp
+MOST_POINTS = 4000
+MOST_LAMPS = 12
+ON_LAMP, OUTSIDE = -1, -2  # in place of cache entries
+_ITERATIONS = 25
+_LONGEST_STEP = 0.7  # of any logarithm
+_DEGREES = 3.0
+# Standard deviation of the logarithm of a point's radiance by texture and gloss.
+_TEXTURE = 0.15
+# Neighbouring points share textures and errors of the light: about so many count as one.
+POINTS_PER_SAMPLE = 10.0
+# Standard deviation of the logarithm of a lamp's radiance before anything is known, and its expectation as a
+# multiple of the radiance at which it is clipped.
+_UNKNOWN, _EXPECTED = 2.0, 8.0
+_LEAST_PART = 8  # points of a part that are used
+
+
+@dataclass(frozen=True, eq=False)
+class LitPoints:
+    """N surface points and the light that reaches them.
+
+    Attributes:
+        value: (N, 3) logarithm of radiance over the contrast, NaN in channels that are clipped or black.
+        part: (N,) int.
+        entry: (N, RAYS) int32 cache entries that rays over the hemisphere meet, ON_LAMP or OUTSIDE.
+        direct: (N, F) irradiance over pi by each of F lamps of radiance 1; the last is what lies outside.
+    """
+
+    value: np.ndarray
+    part: np.ndarray
+    entry: np.ndarray
+    direct: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class LampLight:
+    """What the light on the points tells.
+
+    Attributes:
+        log_radiance: (F, 3) natural logarithms.
+        deviation: (F, 3) their standard deviations.
+        log_contrast: of the response, with its standard deviation.
+        spread: robust standard deviation of a point.
+    """
+
+    log_radiance: np.ndarray
+    deviation: np.ndarray
+    log_contrast: tuple[float, float]
+    spread: float
+
+
+def light_on_points(
+    room: Room, grid: VoxelGrid, points: tuple[np.ndarray, np.ndarray], lamp: np.ndarray, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The rays and the direct light of N points.
+
+    Args:
+        points: (N, 3) positions, metres, and (N, 3) normals on the seen side.
+        lamp: (T,) int32 lamp of each triangle, -1 for none.
+
+    Returns:
+        `LitPoints.entry` and `LitPoints.direct`.
+    """
+    position, normal = (np.ascontiguousarray(array, np.float32) for array in points)
+    entry = _rays(room, grid, position, normal, lamp, seed)
+    outside = (entry == OUTSIDE).mean(axis=1, keepdims=True)
+    return entry, np.concatenate([_direct(room, position, normal, lamp, seed), outside], axis=1)
+
+
+def _rays(
+    room: Room, grid: VoxelGrid, position: np.ndarray, normal: np.ndarray, lamp: np.ndarray, seed: int
+) -> np.ndarray:
+    rng = np.random.default_rng([seed, 21])
+    count = len(position)
+    number = np.arange(RAYS)
+    golden = (number * 0.6180339887498949)[None] + rng.random((count, 1))
+    height = ((number + 0.5) / RAYS)[None] + np.zeros((count, 1))
+    angle, radius = 2.0 * np.pi * (golden % 1.0), np.sqrt(height)
+    local = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1.0 - height)], axis=-1)
+    direction = np.einsum("nrc,ncd->nrd", local, _frames(normal)).reshape(-1, 3)
+    surface = room.intersect(_ray(room, np.repeat(position, RAYS, 0), np.repeat(normal, RAYS, 0), direction))
+    valid, triangle = np.array(surface.valid), np.array(surface.triangle).astype(np.int64)
+    front = np.array(surface.front)
+    side = triangle_normals(room.vertices, room.triangles)[triangle] * np.where(front, 1.0, -1.0)[:, None]
+    place = np.where(valid, np.array(surface.position), 0.0).T.astype(np.float64)
+    entry = grid.entries(place, side)
+    entry[lamp[triangle] >= 0] = ON_LAMP
+    entry[~valid] = OUTSIDE
+    return entry.astype(np.int32).reshape(count, RAYS)
+
+
+def _direct(room: Room, position: np.ndarray, normal: np.ndarray, lamp: np.ndarray, seed: int) -> np.ndarray:
+    rng = np.random.default_rng([seed, 22])
+    lamps = int(lamp.max(initial=-1)) + 1
+    direct = np.zeros((len(position), lamps))
+    normals = triangle_normals(room.vertices, room.triangles)
+    for index in range(lamps):
+        members = np.flatnonzero(lamp == index)
+        area = np.maximum(room.areas[members].astype(np.float64), 1e-12)
+        chosen = members[rng.choice(len(members), LAMP_SAMPLES, p=area / area.sum())]
+        u, v = rng.random((2, LAMP_SAMPLES))
+        root = np.sqrt(u)
+        weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=1)
+        place = np.einsum("nc,ncd->nd", weights, room.vertices[room.triangles[chosen]].astype(np.float64))
+        toward = (place[None] - position[:, None]).reshape(-1, 3)
+        distance = np.linalg.norm(toward, axis=1)
+        direction = toward / np.maximum(distance, 1e-9)[:, None]
+        here = np.repeat(normal, LAMP_SAMPLES, axis=0)
+        there = np.tile(normals[chosen], (len(position), 1))
+        cosines = np.maximum((direction * here).sum(1), 0.0) * np.abs((direction * there).sum(1))
+        surface = room.intersect(_ray(room, np.repeat(position, LAMP_SAMPLES, 0), here, direction))
+        hit = np.array(surface.triangle).astype(np.int64)
+        seen = np.array(surface.valid) & (lamp[hit] == index)
+        seen &= np.array(surface.distance) > 0.98 * distance - 0.01
+        falloff = np.where(seen, cosines / np.maximum(distance, 0.02) ** 2, 0.0).reshape(-1, LAMP_SAMPLES)
+        direct[:, index] = falloff.mean(axis=1) * area.sum() / np.pi
+    return direct
+
+
+def _ray(room: Room, position: np.ndarray, normal: np.ndarray, direction: np.ndarray) -> mi.Ray3f:
+    origin = position + room.offset * normal
+    return mi.Ray3f(
+        mi.Point3f(*np.ascontiguousarray(origin.T, np.float32)),
+        mi.Vector3f(*np.ascontiguousarray(direction.T, np.float32)),
+    )
+
+
+def _frames(normal: np.ndarray) -> np.ndarray:
+    """(N, 3, 3) two tangents and the normal of each point."""
+    helper = np.where(np.abs(normal[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    first = np.cross(helper, normal)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(normal, first), normal], axis=1)
+
+
+def solve_lamps(
+    points: LitPoints, cache: np.ndarray, bound: np.ndarray, contrast: tuple[float, float]
+) -> LampLight:
+    """Radiances of the lamps, and the contrast of the response.
+
+    Args:
+        cache: (E, 3) logarithm of the radiance of the entries over the contrast.
+        bound: (F, 3) logarithm over the contrast of the radiance at which each lamp is clipped.
+        contrast: expected logarithm of the contrast, and its standard deviation; 0 where it is known.
+    """
+    fit = _Fit(points, cache, bound, contrast)
+    lamps = bound.shape[0]
+    x = np.concatenate([[contrast[0]], np.zeros(lamps * 3)])
+    x[1:] = (np.exp(contrast[0]) * bound + np.log(_EXPECTED)).ravel()
+    normal, spread = np.eye(len(x)), _TEXTURE
+    for _ in range(_ITERATIONS):
+        residual, jacobian = fit.evaluate(x, spread)
+        spread = max(1.4826 * float(np.median(np.abs(residual))), 0.02)
+        ratio = (residual / spread) ** 2
+        weight = (_DEGREES + 1.0) / (_DEGREES + ratio) / spread**2 / POINTS_PER_SAMPLE
+        prior, pull = fit.prior(x)
+        normal = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
+        right = -jacobian.T @ (weight * residual) + pull
+        step = np.clip(np.linalg.solve(normal, right), -_LONGEST_STEP, _LONGEST_STEP)
+        x = x + step
+        if np.abs(step).max() < 1e-4:
+            break
+    deviation = np.sqrt(np.diag(np.linalg.inv(normal)))
+    return LampLight(
+        x[1:].reshape(lamps, 3), deviation[1:].reshape(lamps, 3), (float(x[0]), float(deviation[0])), spread
+    )
+
+
+class _Fit:
+    """Residuals of the points' radiance, in contrasts, and their derivatives by the unknowns."""
+
+    def __init__(
+        self, points: LitPoints, cache: np.ndarray, bound: np.ndarray, contrast: tuple[float, float]
+    ) -> None:
+        self._points, self._bound, self._contrast = points, bound, contrast
+        self._shown = points.entry >= 0
+        used, place = np.unique(np.maximum(points.entry, 0), return_inverse=True)
+        self._cache, self._entry = cache[used], place.reshape(points.entry.shape)
+        self._group = np.unique(points.part, return_inverse=True)[1].reshape(-1)
+
+    def prior(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Precisions of the unknowns (P,), and the pulls towards what is expected."""
+        expected = np.exp(self._contrast[0]) * self._bound + np.log(_EXPECTED)
+        mean = np.concatenate([[self._contrast[0]], expected.ravel()])
+        precision = np.full(len(x), _UNKNOWN**-2.0)
+        precision[0] = max(self._contrast[1], 1e-4) ** -2.0
+        return precision, precision * (mean - x)
+
+    def evaluate(self, x: np.ndarray, spread: float) -> tuple[np.ndarray, np.ndarray]:
+        """(R,) residuals and (R, P) derivatives."""
+        points, contrast = self._points, float(np.exp(x[0]))
+        radiance = np.exp(x[1:]).reshape(-1, 3)
+        residuals, rows = [], []
+        for channel in range(3):
+            logs = contrast * self._cache[:, channel]
+            light = np.exp(logs)
+            indirect = np.where(self._shown, light[self._entry], 0.0).mean(axis=1)
+            by_contrast = np.where(self._shown, (light * logs)[self._entry], 0.0).mean(axis=1)
+            cast = points.direct * radiance[:, channel]
+            total = np.maximum(indirect + cast.sum(axis=1), 1e-9)
+            good = np.isfinite(points.value[:, channel])
+            jacobian = np.zeros((len(total), len(x)))
+            jacobian[:, 0] = (np.log(total) - by_contrast / total) / contrast
+            jacobian[:, 1 + channel :: 3] = -cast / total[:, None] / contrast
+            residual = points.value[:, channel] - np.log(total) / contrast
+            residual, jacobian = residual[good], jacobian[good]
+            residual, jacobian = _without_parts(residual, jacobian, self._group[good], spread)
+            residuals.append(residual)
+            rows.append(jacobian)
+        return np.concatenate(residuals), np.concatenate(rows)
+
+
+def _without_parts(
+    residual: np.ndarray, jacobian: np.ndarray, group: np.ndarray, spread: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals and derivatives less their robust means over each part; parts of few points are left out."""
+    count = np.bincount(group)
+    enough = count[group] >= _LEAST_PART
+    residual, jacobian, group = residual[enough], jacobian[enough], group[enough]
+    size = len(count)
+    centre = np.zeros(size)
+    weight = np.ones(len(residual))
+    for _ in range(6):
+        total = np.maximum(np.bincount(group, weight, size), 1e-12)
+        centre = np.bincount(group, weight * residual, size) / total
+        weight = 1.0 / (1.0 + ((residual - centre[group]) / spread) ** 2)
+    total = np.maximum(np.bincount(group, weight, size), 1e-12)
+    means = np.stack([np.bincount(group, weight * column, size) / total for column in jacobian.T], axis=1)
+    return residual - centre[group], jacobian - means[group]

@@ -1,0 +1,183 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Response, exposures, white balances and vignetting from points that several views see."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.ldr import Camera
+from fipt_blender.core.radiometry.adjustment import Samples, adjust, falloff_terms
+from fipt_blender.core.radiometry.contrast import EXIF_DEVIATION, Source, combined, exif_contrast
+from fipt_blender.core.radiometry.inversion import BOUND_WEIGHT, Radiometry, reliability
+from fipt_blender.core.radiometry.response import (
+    HIGH_ANCHOR,
+    LOW_ANCHOR,
+    interpolated,
+    response_basis,
+    slope,
+)
+
+VIEWS, POINTS = 12, 1500
+CAMERAS = [
+    Camera(1.8, 0.0, 0.0, 0.0),
+    Camera(2.2, 0.3, 0.1, 0.25),
+    Camera(2.6, 0.1, 0.35, 0.1),
+]
+
+
+def true_curve(camera: Camera) -> np.ndarray:
+    """(256,) logarithm of the light of each code."""
+    light = np.geomspace(1e-6, 1.0, 20_000)
+    return np.interp(np.arange(256) / 255.0, camera.respond(light), np.log(light))
+
+
+def contrast_of(curve: np.ndarray) -> float:
+    return float(curve[HIGH_ANCHOR] - curve[LOW_ANCHOR])
+
+
+def make_samples(camera: Camera, seed: int = 0, outliers: float = 0.1) -> tuple[Samples, np.ndarray]:
+    """Codes of points in six views each, and the (V, 3) logarithms of the views' gains."""
+    rng = np.random.default_rng(seed)
+    log_gains = rng.normal(0.0, 0.4, (VIEWS, 1)) + rng.normal(0.0, 0.05, (VIEWS, 3))
+    point = np.repeat(np.arange(POINTS), 6)
+    view = np.concatenate([rng.permutation(VIEWS)[:6] for _ in range(POINTS)])
+    radius = rng.random(len(point))
+    radiance = np.exp(rng.uniform(np.log(0.02), np.log(0.8), (POINTS, 3)))[point]
+    highlight = rng.random(len(point)) < outliers
+    radiance = radiance * np.where(highlight, rng.uniform(1.2, 3.0, len(point)), 1.0)[:, None]
+    share = 1.0 - camera.falloff * radius**2
+    light = radiance * np.exp(log_gains[view]) * share[:, None]
+    codes = np.round(camera.respond(light) * 255.0 + rng.normal(0.0, 0.5, light.shape)).clip(0.0, 255.0)
+    return Samples(point, point // 10, view, radius, codes), log_gains
+
+
+def test_the_basis_contains_other_responses():
+    basis = response_basis()
+    for camera in CAMERAS:
+        curve = true_curve(camera)
+        contrast = contrast_of(curve)
+        usable = slice(4, 252)
+        weights = np.linalg.lstsq(
+            basis.components[:, usable].T, (curve / contrast - basis.mean)[usable], rcond=None
+        )[0]
+        found = basis.shape(weights) * contrast
+        assert np.sqrt(((np.exp(found) - np.exp(curve)) ** 2).mean()) < 3e-3
+
+
+def test_shapes_have_an_inverse_whatever_their_weights():
+    basis = response_basis()
+    assert np.array_equal(basis.mean, response_basis().mean)
+    for weights in np.random.default_rng(1).normal(0.0, 20.0, (50, len(basis.components))):
+        shape = basis.shape(weights)
+        assert np.diff(shape).min() > 0.0 and shape[-1] == 0.0
+        assert shape[HIGH_ANCHOR] - shape[LOW_ANCHOR] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("number", range(len(CAMERAS)))
+def test_views_tell_response_exposures_and_vignetting(number):
+    """Within 2 % and 0.05 EV once the contrast is known, with a tenth of highlights."""
+    camera = CAMERAS[number]
+    samples, log_gains = make_samples(camera, number)
+    found = adjust(samples, VIEWS, response_basis())
+    curve = true_curve(camera)
+    contrast = contrast_of(curve)
+    assert np.sqrt(((np.exp(found.shape * contrast) - np.exp(curve)) ** 2).mean()) < 0.02
+    error = found.log_gains * contrast - (log_gains - log_gains.mean(axis=0))
+    assert np.abs(error).max() < 0.05 * np.log(2.0)
+    share = np.exp((falloff_terms(np.array([1.0])) @ found.falloff)[0] * contrast)
+    assert share == pytest.approx(1.0 - camera.falloff, abs=0.02)
+    assert found.outliers.max() < 0.35
+
+
+def test_claimed_errors_cover_the_made_ones():
+    camera = CAMERAS[1]
+    contrast = contrast_of(true_curve(camera))
+    ratios = []
+    for seed in range(4):
+        samples, log_gains = make_samples(camera, seed)
+        source = Source("light", float(np.log(contrast)), 0.01)
+        found = Radiometry(adjust(samples, VIEWS, response_basis()), source, (source,))
+        grey, true = found.log_gains.mean(axis=1), log_gains.mean(axis=1)
+        error = (grey - grey.mean()) - (true - true.mean())
+        ratios.append(np.square(error / found.exposure_errors()))
+    assert 0.05 < np.mean(ratios) < 4.0
+
+
+def test_views_of_one_exposure_leave_the_prior():
+    """Without differences of exposure nothing tells the shape, which the covariance says."""
+    samples, _ = make_samples(CAMERAS[1], outliers=0.0)
+    flat = np.round(interpolated(np.arange(256.0), samples.codes[:1]).repeat(len(samples.codes), 0))
+    found = adjust(
+        Samples(samples.point, samples.cluster, samples.view, samples.radius, flat), VIEWS, response_basis()
+    )
+    assert np.isfinite(found.shape).all() and np.isfinite(found.covariance).all()
+    assert np.abs(found.log_gains).max() < 1e-6
+
+
+def test_without_shared_points_nothing_is_adjusted():
+    samples, _ = make_samples(CAMERAS[0])
+    alone = Samples(
+        np.arange(len(samples.view)), samples.cluster, samples.view, samples.radius, samples.codes
+    )
+    found = adjust(alone, VIEWS, response_basis())
+    assert np.abs(found.log_gains).max() < 1e-9 and found.shared.max() == 0
+    assert np.abs(found.shape - response_basis().shape(np.zeros(4))).max() < 1e-9
+
+
+def test_exposures_of_files_tell_the_contrast():
+    rng = np.random.default_rng(5)
+    log_gains = rng.normal(0.0, 0.2, 30)
+    exposures = np.exp(2.7 * log_gains + 1.0)
+    rounded = 2.0 ** (np.round(3.0 * np.log2(exposures)) / 3.0)
+    rounded[3] *= 4.0  # one file is wrong
+    rounded[4] = np.nan
+    found = exif_contrast(log_gains, rounded)
+    assert found is not None and abs(found.value - np.log(2.7)) < 3.0 * found.deviation < 0.3
+    assert exif_contrast(log_gains, np.full(30, np.nan)) is None
+    assert exif_contrast(np.zeros(30), exposures) is None
+    assert exif_contrast(log_gains, 1.0 / exposures) is None
+
+
+def test_sources_are_combined_by_their_errors():
+    both = combined([Source("usual", 1.0, 0.2), Source("exif", 1.2, 0.1)])
+    assert both.value == pytest.approx(1.16) and both.deviation == pytest.approx(0.2 / np.sqrt(5.0))
+    assert EXIF_DEVIATION > 0.0
+
+
+def test_errors_grow_towards_both_ends():
+    samples, _ = make_samples(CAMERAS[1])
+    source = Source("usual", 1.1, 0.2)
+    found = Radiometry(adjust(samples, VIEWS, response_basis()), source, (source,))
+    codes = np.repeat(np.array([0.0, 5.0, 30.0, 128.0, 245.0, 255.0])[:, None], 3, axis=1)
+    weight = reliability(found.errors(codes))
+    assert weight[0] == weight[-1] == np.float32(BOUND_WEIGHT)
+    assert BOUND_WEIGHT < weight[1] < weight[2] < weight[3] and weight[3] > 0.9
+    assert slope(found.log_curve, np.array([128.0]))[0] > 0.0
+    one = reliability(found.errors(np.array([[128.0, 128.0, 255.0]])))
+    assert one[0] == np.float32(BOUND_WEIGHT)
+
+
+def test_radiance_of_codes_comes_back():
+    """Two photographs of one radiance, of different exposure and place in the image, agree."""
+    camera = CAMERAS[1]
+    samples, log_gains = make_samples(camera)
+    source = Source("light", float(np.log(contrast_of(true_curve(camera)))), 0.01)
+    found = Radiometry(adjust(samples, VIEWS, response_basis()), source, (source,))
+    radius = np.array([0.2, 0.9])
+    logs = []
+    for view in (0, 1):
+        light = 0.2 * np.exp(log_gains[view]) * (1.0 - camera.falloff * radius[:, None] ** 2)
+        logs.append(found.values(view, camera.respond(light) * 255.0, radius) * found.factor)
+    assert np.ptp(np.array(logs), axis=(0, 1)).max() < 0.04
+
+
+def test_facts_are_numbers_of_views():
+    samples, _ = make_samples(CAMERAS[0])
+    source = Source("usual", 1.1, 0.2)
+    found = Radiometry(adjust(samples, VIEWS, response_basis()), source, (source,))
+    facts = found.facts([f"v{i}" for i in range(VIEWS)], np.linspace(0.0, 0.5, VIEWS))
+    assert len(facts["log_curve"]) == 256 and facts["log_curve"][-1] == 0.0
+    assert facts["views"]["v11"]["clipped"] == 0.5 and facts["views"]["v0"]["white_balance"][1] == 1.0
+    assert facts["contrast"]["usual"] == [1.1, 0.2]
