@@ -187,6 +187,32 @@ def test_every_triangle_gets_a_texel_however_thin():
     assert hit == set(range(200))
 
 
+def test_small_triangles_are_found_like_by_trying_all():
+    random = np.random.default_rng(4)
+    size = 10.0 ** random.uniform(-6, 0.5, (300, 1, 1))
+    corners = random.uniform(0, 24, (300, 1, 2)) + size * random.normal(size=(300, 3, 2))
+    texel, triangle, weights = raster.nearest_triangle_map(corners, 24, 24)
+    centers = np.stack([np.tile(np.arange(24), 24), np.repeat(np.arange(24), 24)], axis=1) + 0.5
+    distance = np.full((576, 300), np.inf)
+    for start, end in ((0, 1), (1, 2), (2, 0)):
+        edge = corners[:, end] - corners[:, start]
+        offset = centers[:, None] - corners[None, :, start]
+        along = np.clip((offset * edge).sum(axis=2) / np.maximum((edge**2).sum(axis=1), 1e-30), 0.0, 1.0)
+        away = np.linalg.norm(offset - along[..., None] * edge, axis=2)
+        distance = np.minimum(distance, away)
+    # Inside a triangle the distance is zero: a centre is on the same side of all edges.
+    sides = [
+        np.cross(corners[:, (k + 1) % 3] - corners[:, k], centers[:, None] - corners[None, :, k])
+        for k in range(3)
+    ]
+    distance[(np.sign(sides) == np.sign(sides[0])).all(axis=0)] = 0.0
+    nearest = distance.argmin(axis=1)
+    expected = np.flatnonzero(distance.min(axis=1) <= 0.75)
+    assert np.array_equal(texel, expected) and np.array_equal(triangle, nearest[expected])
+    point = np.einsum("nk,nkc->nc", weights, corners[triangle])
+    assert np.allclose(np.linalg.norm(point - centers[texel], axis=1), distance[texel, triangle], atol=1e-5)
+
+
 def test_texel_centres_are_exact_and_shared_edges_count_once():
     size = 97
     corners = np.array([[(3.2, 4.1), (90.7, 6.0), (80.3, 91.9)], [(3.2, 4.1), (80.3, 91.9), (10.0, 88.0)]])

@@ -98,11 +98,16 @@ def bake(
         return [_bake_corners(folder, fields, corners, progress)]
     entries = atlas["images"]
     listed: list[dict[str, str]] = []
-    # One image is padded and written while the next is sampled, hence at most two are in memory.
-    with ThreadPoolExecutor(1) as writer:
+    # One image is padded and written, and the surface of the next one found, while an image is sampled.
+    with ThreadPoolExecutor(1) as writer, ThreadPoolExecutor(1) as finder:
         writing: Future[dict[str, str]] | None = None
+        finding = [finder.submit(_surface_points, entry, 0, arrays, corners) for entry in entries[:1]]
         for index, entry in enumerate(entries):
-            texel, samples = _sample_image(fields, entry, index, arrays, corners)
+            texel, positions, triangles = finding.pop().result()
+            if index + 1 < len(entries):
+                following = entries[index + 1]
+                finding.append(finder.submit(_surface_points, following, index + 1, arrays, corners))
+            samples = sample_fields(fields, positions, triangles)
             if writing is not None:
                 listed.append(writing.result())
             writing = writer.submit(_write_image, folder, entry, texel, samples)
@@ -115,24 +120,27 @@ def bake(
     return [*written, folder.textures_json]
 
 
-def _sample_image(
-    fields: FieldSource, entry: dict, index: int, arrays: dict[str, np.ndarray], corners: np.ndarray
-) -> tuple[np.ndarray, Samples]:
-    """Flat indices (M,) of the texels that the triangles of an image cover, and the estimate there.
+def _surface_points(
+    entry: dict, index: int, arrays: dict[str, np.ndarray], corners: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The surface in an image of the atlas.
 
     Args:
-        fields: the estimate.
         entry: the image's entry in atlas.json.
         index: of the image.
         arrays: content of atlas.npz.
         corners: (T,3,3) f32 world.
+
+    Returns:
+        Flat indices (M,) of the texels that its triangles cover, and the surface point (M,3) f32 and the
+        triangle (M,) of each.
     """
     of_image = np.flatnonzero(arrays["triangle_image"] == index)
     width, height = int(entry["width"]), int(entry["height"])
     uv = arrays["corner_uv"][of_image] * np.array([width, height], np.float64)
     texel, triangle, weights = nearest_triangle_map(uv, width, height)
     positions = np.einsum("nk,nkc->nc", weights, corners[of_image[triangle]]).astype(np.float32)
-    return texel, sample_fields(fields, positions, of_image[triangle])
+    return texel, positions, of_image[triangle]
 
 
 def sample_fields(fields: FieldSource, positions: np.ndarray, triangles: np.ndarray) -> Samples:

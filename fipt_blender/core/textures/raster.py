@@ -14,6 +14,7 @@ import numpy as np
 
 # Candidate texels per chunk, which limits the memory of a chunk to about 0.5 GB.
 CHUNK_TEXELS = 2_000_000
+_SLACK = 0.01  # texels; more than any rounding error of the tests below
 
 
 def covered_texels(
@@ -33,11 +34,13 @@ def covered_texels(
         A texel is listed once for each triangle that covers it.
     """
     corners = np.asarray(corners, np.float64)
-    low = np.floor(corners.min(axis=1) - 0.5 - reach).astype(np.int64) + 1
-    high = np.ceil(corners.max(axis=1) - 0.5 + reach).astype(np.int64)
-    # Centres exactly on the border of a triangle count as inside, hence one more texel on each side.
-    low = np.clip(low - 1, 0, (width, height))
-    high = np.clip(high + 1, 0, (width, height))
+    # Centres exactly on the border of a triangle count as inside, hence the slack.
+    lowest = np.minimum(np.minimum(corners[:, 0], corners[:, 1]), corners[:, 2])  # faster than along an axis
+    highest = np.maximum(np.maximum(corners[:, 0], corners[:, 1]), corners[:, 2])
+    low = np.ceil(lowest - 0.5 - reach - _SLACK).astype(np.int64)
+    high = np.floor(highest - 0.5 + reach + _SLACK).astype(np.int64) + 1
+    low = np.clip(low, 0, (width, height))
+    high = np.clip(high, 0, (width, height))
     extent = np.maximum(high - low, 0)
     count = extent[:, 0] * extent[:, 1]
     for first, last in _chunks(count):
@@ -124,9 +127,12 @@ def _nearest_on_border(corners: np.ndarray, point: np.ndarray) -> tuple[np.ndarr
     for corner in range(3):
         start, end = corners[:, corner], corners[:, (corner + 1) % 3]
         edge = end - start
-        length2 = np.maximum((edge * edge).sum(axis=1), 1e-30)
-        along = np.clip(((point - start) * edge).sum(axis=1) / length2, 0.0, 1.0)
-        distance = np.linalg.norm(start + along[:, None] * edge - point, axis=1)
+        edge_x, edge_y = edge.T
+        off_x, off_y = (point - start).T
+        length2 = np.maximum(edge_x * edge_x + edge_y * edge_y, 1e-30)
+        along = np.clip((off_x * edge_x + off_y * edge_y) / length2, 0.0, 1.0)
+        away_x, away_y = (start + along[:, None] * edge - point).T
+        distance = np.sqrt(away_x * away_x + away_y * away_y)
         closer = distance < best
         best = np.where(closer, distance, best)
         weights[closer] = 0.0
@@ -153,14 +159,13 @@ def nearest_triangle_map(
     best_triangle = np.full(width * height, -1, np.int64)
     best_weights = np.zeros((width * height, 3), np.float32)
     for texel, triangle, weights, distance in covered_texels(corners, width, height, reach):
-        order = np.lexsort((triangle, distance, texel))
-        texel, first = np.unique(texel[order], return_index=True)
-        chosen = order[first]
-        closer = distance[chosen] < best_distance[texel]
-        texel, chosen = texel[closer], chosen[closer]
-        best_distance[texel] = distance[chosen]
-        best_triangle[texel] = triangle[chosen]
-        best_weights[texel] = weights[chosen]
+        closer = np.flatnonzero(distance < best_distance[texel])
+        texel, distance = texel[closer], distance[closer]
+        np.minimum.at(best_distance, texel, distance)
+        # Triangles are in order: written backwards, the lowest of equally near ones stays.
+        nearest = np.flatnonzero(distance == best_distance[texel])[::-1]
+        best_triangle[texel[nearest]] = triangle[closer[nearest]]
+        best_weights[texel[nearest]] = weights[closer[nearest]]
     texel = np.flatnonzero(best_triangle >= 0)
     return texel, best_triangle[texel], best_weights[texel]
 
