@@ -26,7 +26,7 @@ WIDTH = 320  # pixels to which photographs are reduced
 BLURS = ((8.0, 12), (4.0, 10), (2.0, 8), (1.0, 6))  # pixels of that width, and steps
 LEAST_VIEWS = 3  # that see a point
 SCALE = 0.5  # of robust residuals, in standard deviations of a photograph's details
-DARKEST = 0.02  # added to values below the logarithm: noise of 8-bit photographs
+DARKEST = 0.1  # of a photograph's median, added below the logarithm: what is darker is mostly noise
 # Expected sizes of the parameters, which count as much as this share of the measurements.
 EXPECTED = np.array([0.1, 20.0, 20.0, 0.05, 0.05])
 EXPECTED_SHARE = 1e-5
@@ -180,7 +180,8 @@ def _details(frame: DepthView, blur: float) -> np.ndarray:
     gray = read_radiance(view.image).mean(axis=2)
     size = (WIDTH, max(1, round(view.height * WIDTH / view.width)))
     reduced = np.asarray(Image.fromarray(gray.astype(np.float32), "F").resize(size, Image.Resampling.BOX))
-    logarithm = np.log(reduced + DARKEST)
+    floor = max(DARKEST * float(np.median(reduced)), 1e-12)
+    logarithm = np.log(np.maximum(reduced, 0.0) + floor)
     details = gaussian_filter(logarithm, blur) - gaussian_filter(logarithm, 4.0 * blur + 10.0)
     local = np.sqrt(gaussian_filter(details**2, 25.0)) + 0.05
     return np.asarray(details / local, np.float32)
