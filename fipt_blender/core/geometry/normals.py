@@ -37,23 +37,24 @@ def filter_normals(
     Returns:
         (T, 3) float32 unit normals.
     """
-    present = neighbours != NONE
-    index = np.where(present, neighbours, np.arange(len(neighbours))[:, None]).astype(np.int32)
+    free = np.arange(len(normals)) if held is None else np.flatnonzero(~held)
+    present = neighbours[free] != NONE
+    index = np.where(present, neighbours[free], free[:, None]).astype(np.int32)
     weight = (areas[index] * present).astype(np.float32)
-    own = areas.astype(np.float32)[:, None]
+    own = areas[free].astype(np.float32)[:, None]
     # |n - m|^2 is the squared angle, for small angles.
     sharp = np.float32(-0.5 / deviation**2)
-    current = normals.astype(np.float32)
+    result = normals.astype(np.float32)
     for _ in range(rounds):
+        current = result[free]
         total = own * current
         for side in range(3):
-            other = current[index[:, side]]
+            other = result[index[:, side]]
             step = other - current
             near = weight[:, side] * np.exp(sharp * np.einsum("tc,tc->t", step, step))
             total += near[:, None] * other
-        total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), np.float32(1e-20))
-        current = total if held is None else np.where(held[:, None], current, total)
-    return current
+        result[free] = total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), np.float32(1e-20))
+    return result
 
 
 def follow_normals(
@@ -67,29 +68,29 @@ def follow_normals(
         held: (V,) bool, vertices that stay.
     """
     start = mesh.vertices
-    areas = face_vectors(start, mesh.triangles)[1].astype(np.float32)
-    around = mesh.around
-    total = np.maximum(around @ areas, 1e-20)[:, None]
-    wanted = normals.astype(np.float32)
-    moved = np.zeros(start.shape, np.float32)
+    free = np.arange(len(start)) if held is None else np.flatnonzero(~held)
+    around = mesh.around[free]
+    # Triangles of which no vertex moves pull none either.
+    used = np.flatnonzero(np.bincount(around.indices, minlength=len(normals)))
+    around, corner = around[:, used], mesh.triangles[used]
+    areas = face_vectors(start, corner)[1].astype(np.float32)
+    wanted = normals[used].astype(np.float32)
+    total = np.maximum(around @ areas, np.float32(1e-20))[:, None]
+    # Sum over the triangles j around vertex i of A_j n_j (n_j . (c_j - x_i)): the matrices before x_i stay.
+    spread = [around @ ((areas * wanted[:, column])[:, None] * wanted) for column in range(3)]
     local = (start - start.mean(axis=0)).astype(np.float32)
-    corner = mesh.triangles
+    now = local.copy()
     for _ in range(rounds):
-        now = local + moved
         middle = (now[corner[:, 0]] + now[corner[:, 1]] + now[corner[:, 2]]) / 3.0
         height = areas * np.einsum("tc,tc->t", wanted, middle)
-        # Sum over the triangles j around vertex i of A_j n_j (n_j . (c_j - x_i)).
         lifted = around @ (height[:, None] * wanted)
-        pulled = np.zeros_like(now)
-        for column in range(3):
-            spread = around @ ((areas * wanted[:, column])[:, None] * wanted)
-            pulled[:, column] = np.einsum("vc,vc->v", spread, now)
-        moved += (lifted - pulled) / total
+        pulled = np.stack([np.einsum("vc,vc->v", row, now[free]) for row in spread], axis=1)
+        moved = now[free] - local[free] + (lifted - pulled) / total
         length = np.linalg.norm(moved, axis=1, keepdims=True)
-        moved *= np.minimum(1.0, reach / np.maximum(length, 1e-20))
-        if held is not None:
-            moved[held] = 0.0
-    return start + moved
+        now[free] = local[free] + moved * np.minimum(1.0, reach / np.maximum(length, 1e-20))
+    result = start.copy()
+    result[free] += now[free] - local[free]
+    return result
 
 
 def corner_normals(mesh: Mesh, normals: np.ndarray, crease: float) -> np.ndarray:
