@@ -164,7 +164,7 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
     align_mesh: bpy.props.BoolProperty(
         name="Align to Mesh",
         description="The mesh is from another program than the cameras. Move the cameras to it by the sparse"
-        " points of the camera solve, with any rotation and scale. The mesh must be an OBJ or PLY file",
+        " points of the camera solve, with any rotation and scale. The mesh must be an OBJ, PLY or GLB file",
     )
     undo_applied_transform: bpy.props.BoolProperty(
         name="Undo Applied Transform",

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Vertices and triangles of OBJ and PLY files, all that aligning a mesh needs of it.
+"""Vertices and triangles of OBJ, PLY and GLB files, all that aligning a mesh needs of it.
 
 Every fault of a file becomes one error, and nothing is allocated that the file does not hold.
 """
@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..run.errors import FiptError
+from .glb_file import read_glb
 
 MOST_BYTES = 4_000_000_000
 _HEADER_BYTES = 1_000_000
@@ -25,18 +26,18 @@ _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) float64 and triangles (T, 3) int64 of an OBJ or PLY file; point clouds have none.
+    """Vertices (V, 3) float64 and triangles (T, 3) int64 of an OBJ, PLY or GLB file; point clouds have none.
 
     Raises:
         FiptError: ``mesh-missing``, ``mesh-format`` or ``mesh-unreadable``.
     """
-    readers = {".obj": _read_obj, ".ply": _read_ply}
+    readers = {".obj": _read_obj, ".ply": _read_ply, ".glb": read_glb}
     reader = readers.get(path.suffix.lower())
     if reader is None:
         raise FiptError(
             "mesh-format",
             f"Cameras can't be aligned to {path.suffix or 'nameless'} files ({path}).",
-            "Export the mesh as OBJ or PLY.",
+            "Export it as OBJ, PLY or GLB, or import it and use Align by Points in the panel Alignment.",
         )
     if not path.is_file():
         raise FiptError("mesh-missing", f"The mesh {path} does not exist.", "Correct the path.")

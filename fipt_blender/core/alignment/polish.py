@@ -16,7 +16,7 @@ import numpy as np
 from .edges import EdgeFit, corrected_pose
 from .turns import cross_matrix, turn_by
 
-LEAST_ALONE = 2.0  # pixels by which a single camera must be off to be moved by itself
+LEAST_ALONE = 4.0  # pixels by which a single camera must be off to be moved by itself
 MOST = 8.0  # pixels; larger displacements are not for polishing
 _ROUNDS = 5  # of reweighting views that do not agree with the others
 _STRAY = 1.5  # pixels

@@ -47,7 +47,7 @@ def align_rig(rig: Rig, points: np.ndarray, mesh: Path) -> Rig:
     Args:
         rig: in the coordinates of the solve.
         points: (N, 3) sparse points of the solve.
-        mesh: OBJ or PLY file.
+        mesh: OBJ, PLY or GLB file.
 
     Raises:
         FiptError: ``alignment-points``, ``alignment-failed``, or one of `read_mesh` and `sample_surface`.

@@ -1,0 +1,126 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Meshes of .glb files for the alignment: those that Blender exports, small ones by hand, damaged ones."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Euler, Matrix
+
+from fipt_blender.core.alignment.mesh_file import read_mesh
+from fipt_blender.core.run.errors import FiptError
+
+POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
+
+
+def glb(content: dict, binary: bytes) -> bytes:
+    text = json.dumps(content).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
+    chunks += struct.pack("<II", len(binary), 0x004E4942) + binary
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def little(**changes) -> dict:
+    """Two triangles, with a stride of 16 bytes, shown twice."""
+    binary = 64
+    content = {
+        "scenes": [{"nodes": [0]}],
+        "nodes": [
+            {"mesh": 0, "children": [1]},
+            {
+                "mesh": 0,
+                "translation": [0.0, 0.0, 5.0],
+                "scale": [2.0, 2.0, 2.0],
+                "rotation": [0.0, 0.0, 1.0, 0.0],
+            },
+        ],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5123, "count": 6, "type": "SCALAR"},
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": binary, "byteStride": 16},
+            {"buffer": 0, "byteLength": 12, "byteOffset": binary},
+        ],
+    }
+    return {**content, **changes}
+
+
+def binary() -> bytes:
+    padded = np.hstack([POINTS, np.zeros((4, 1), np.float32)]).tobytes()
+    return padded + np.array([0, 1, 2, 0, 1, 3], np.uint16).tobytes()
+
+
+def test_nodes_place_their_meshes(tmp_path: Path) -> None:
+    path = tmp_path / "scan.glb"
+    path.write_bytes(glb(little(), binary()))
+    vertices, triangles = read_mesh(path)
+    np.testing.assert_allclose(vertices[:4], POINTS)
+    np.testing.assert_allclose(vertices[4:], 2.0 * POINTS * [-1, -1, 1] + [0, 0, 5], atol=1e-12)
+    assert triangles.tolist() == [[0, 1, 2], [0, 1, 3], [4, 5, 6], [4, 5, 7]]
+
+
+def test_files_of_blender(tmp_path: Path) -> None:
+    """In the file's own axes: glTF is Y up."""
+    parent = bpy.data.objects.new("parent", None)
+    mesh = bpy.data.meshes.new("mesh")
+    mesh.from_pydata(POINTS.tolist(), [], [(0, 1, 2), (0, 1, 3)])
+    item = bpy.data.objects.new("item", mesh)
+    item.parent = parent
+    parent.matrix_world = Matrix.LocRotScale((1, 2, 3), Euler((0.3, 0.2, 1.0)), (2, 2, 2))
+    item.matrix_local = Matrix.LocRotScale((0.1, 0.2, 0.3), Euler((1.0, -0.2, 0.4)), (1, 1, 1.5))
+    for each in (parent, item):
+        bpy.context.scene.collection.objects.link(each)
+    bpy.context.view_layer.update()
+    world = np.array([item.matrix_world @ vertex.co for vertex in mesh.vertices])
+    bpy.ops.export_scene.gltf(filepath=str(tmp_path / "scan.glb"), export_format="GLB")
+    vertices, triangles = read_mesh(tmp_path / "scan.glb")
+    assert len(triangles) == 2
+    expected = world[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
+    for corner in vertices[triangles.reshape(-1)]:
+        assert np.abs(expected - corner).max(axis=1).min() < 1e-5
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"nodes": [{"mesh": 7}]},
+        {"nodes": [{"children": [0], "mesh": 0}]},
+        {"nodes": [{"children": [1]}, {"children": [0]}]},
+        {"accessors": []},
+        {"bufferViews": [{"buffer": 1, "byteLength": 4}] * 2},
+        {"bufferViews": [{"buffer": 0, "byteLength": 4, "byteOffset": 1 << 30}] * 2},
+        {"meshes": [{"primitives": [{"attributes": {"POSITION": 1}}]}]},
+        {"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 1}]}]},
+        {"nodes": "none"},
+    ],
+)
+def test_damaged_files_are_refused(tmp_path: Path, damage: dict) -> None:
+    path = tmp_path / "scan.glb"
+    path.write_bytes(glb(little(**damage), binary()))
+    with pytest.raises(FiptError) as caught:
+        read_mesh(path)
+    assert caught.value.code == "mesh-unreadable"
+
+
+def test_any_byte_cut_off_is_refused(tmp_path: Path) -> None:
+    path, whole = tmp_path / "scan.glb", glb(little(), binary())
+    for length in range(0, len(whole), 37):
+        path.write_bytes(whole[:length])
+        with pytest.raises(FiptError):
+            read_mesh(path)
+
+
+def test_compressed_files_are_named(tmp_path: Path) -> None:
+    primitive = {"attributes": {"POSITION": 0}, "extensions": {"KHR_draco_mesh_compression": {}}}
+    (tmp_path / "scan.glb").write_bytes(glb(little(meshes=[{"primitives": [primitive]}]), binary()))
+    with pytest.raises(FiptError, match="compressed"):
+        read_mesh(tmp_path / "scan.glb")
