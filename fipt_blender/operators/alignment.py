@@ -31,6 +31,7 @@ _SECOND_TEXT = (
     "   Enter: Finish with one photograph   Esc: Cancel"
 )
 _WHEEL = ("WHEELUPMOUSE", "WHEELDOWNMOUSE", "WHEELINMOUSE", "WHEELOUTMOUSE")
+_MOUSE = ("LEFTMOUSE", "MOUSEMOVE", "INBETWEEN_MOUSEMOVE")
 _CONFIRM = ("RET", "NUMPAD_ENTER", "SPACE")
 _STEPS = {"PAGE_UP": -1, "PAGE_DOWN": 1}
 
@@ -98,7 +99,9 @@ class FIPT_OT_pick_pair(bpy.types.Operator):
         if event.type in {"ESC", "RIGHTMOUSE"} and event.value == "PRESS":
             self.cancel(context)
             return {"CANCELLED"}
-        if event.type in (*NAVIGATION, *_WHEEL):
+        # While photographs are clicked, the list of views in the sidebar stays usable.
+        beside = self._picked is not None and view_under_pointer(context, event) is None
+        if event.type in (*NAVIGATION, *_WHEEL) or (beside and event.type in _MOUSE):
             return {"PASS_THROUGH"}
         if event.value != "PRESS":
             return {"RUNNING_MODAL"}
