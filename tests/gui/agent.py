@@ -203,7 +203,7 @@ def drawn() -> list[str]:
 
 
 def panels(prefix: str = "FIPT_PT_") -> list[dict[str, Any]]:
-    """The add-on's registered panels, in the order in which they are drawn."""
+    """The add-on's panels in the viewport's sidebar, in the order in which they are drawn."""
     found = [
         {
             "name": panel.__name__,
@@ -213,6 +213,7 @@ def panels(prefix: str = "FIPT_PT_") -> list[dict[str, Any]]:
             "closed": "DEFAULT_CLOSED" in getattr(panel, "bl_options", ()),
         }
         for panel in _panels(prefix)
+        if (panel.bl_space_type, panel.bl_region_type) == ("VIEW_3D", "UI")  # others are menus of presets
     ]
     return sorted(found, key=lambda panel: panel["order"])
 
