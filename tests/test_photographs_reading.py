@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
+from PIL import Image
 
 from fipt_blender import cli
 from fipt_blender.core.photographs import command, radiance_hdr
@@ -80,6 +81,22 @@ def test_a_maker_note_tells_whether_the_camera_corrected_vignetting(
     found = describe(write_jpeg(tmp_path / "a.jpg", GREY, tags), "a.jpg")
     assert found.corrected is corrected and found.shutter == pytest.approx(0.01)
     assert found.has_vignetting is (corrected is False)
+
+
+def test_a_raw_photograph_that_is_none_is_refused_in_plain_words(tmp_path: Path) -> None:
+    (tmp_path / "a.cr2").write_bytes(b"II*\0" + bytes(200))
+    with pytest.raises(FiptError, match=r"a\.cr2 can't be read \([A-Z]"):
+        describe(tmp_path / "a.cr2", "a.cr2")
+
+
+def test_a_photograph_of_too_many_pixels_is_refused_with_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pillow has a limit of its own, which some phones' photographs exceed."""
+    path = write_jpeg(tmp_path / "a.jpg", GREY, exif(0.01))
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 20)
+    with pytest.raises(FiptError, match=r"a\.jpg can't be read \(Image size"):
+        describe(path, "a.jpg")
 
 
 def test_a_photograph_without_exif_has_no_exposure(tmp_path: Path) -> None:

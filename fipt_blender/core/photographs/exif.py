@@ -35,6 +35,7 @@ DAMAGE = (
     *(OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, AssertionError, SyntaxError),
     *(struct.error, EOFError, OverflowError, ZeroDivisionError, RecursionError, UnidentifiedImageError),
     *(rawpy.LibRawError, ExifError, RuntimeError, NotImplementedError, MemoryError),
+    Image.DecompressionBombError,
 )
 _TIMES = (
     ("EXIF DateTimeOriginal", "EXIF SubSecTimeOriginal"),
@@ -93,6 +94,8 @@ def describe(path: Path, name: str) -> Photograph:
 
 def unreadable(path: Path, reason: object) -> FiptError:
     """The error for a photograph that can't be read."""
+    if isinstance(reason, rawpy.LibRawError) and reason.args and isinstance(reason.args[0], bytes):
+        reason = reason.args[0].decode(errors="replace")
     return FiptError(
         "photograph-unreadable",
         f"{path} can't be read ({reason}).",
