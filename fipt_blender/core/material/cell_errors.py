@@ -18,7 +18,7 @@ from .training import TrainingData
 # About so many pixels are used; more change only the time.
 PIXELS = 1_500_000
 CHUNK = 1 << 16
-# Edge, in cells, of the blocks that share roughness and metallic outside units of one material.
+# Edge, in cells, of the blocks of similar residuals outside units of one material.
 BLOCK = 8
 # Quantile of the errors of a group's cells that its cells without pure pixels take.
 UNSAMPLED_QUANTILE = 0.9
