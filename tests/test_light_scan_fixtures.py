@@ -70,6 +70,11 @@ def test_specks_near_a_lamp_are_part_of_it_and_others_are_none() -> None:
     ids = np.flatnonzero(lamp | near | far)
     group = scan_groups(ROOM.scan, ids, None)
     assert (group[lamp[ids]] == 0).all() and (group[near[ids]] == 0).all() and (group[far[ids]] == -1).all()
+    small = np.linalg.norm(ROOM.scan.centers - [-1.5, -1.5, 0.0], axis=1) < 0.3
+    group = scan_groups(ROOM.scan, np.flatnonzero(lamp | small), None)
+    assert sorted(np.bincount(group)) == sorted(
+        [lamp.sum(), small.sum()]
+    )  # a small lamp far from the large one
     apart = scan_groups(ROOM.scan, ids, np.where(near, 1, 0))
     assert (apart[near[ids]] == -1).all()  # the speck is of another part
 
@@ -95,6 +100,16 @@ def test_what_a_bright_lamp_lights_close_by_does_not_shine() -> None:
         ROOM.scan, [(lamp, 1000.0, 0.0), (wall, 50.0, 0.0), (panel, 50.0, 0.0), (floor, 50.0, 0.0)]
     )
     assert lit[:, 0].tolist() == [True, False, True, True] and not lit[:, 1].any()
+
+
+def test_lamps_side_by_side_both_shine_and_the_back_of_a_thin_shell_does_not() -> None:
+    """The scan has lost the side of the shell that faces the lamp."""
+    assert ROOM.scan is not None
+    lamp, beside = (np.flatnonzero(in_square(ROOM, CEILING, low, low + 0.7)) for low in (-0.8, 0.1))
+    assert shining_sides(ROOM.scan, [(lamp, 100.0, 0.0), (beside, 60.0, 0.0)])[:, 0].all()
+    ring = np.flatnonzero(in_square(ROOM, CEILING, -1.1, 0.2) & ~in_square(ROOM, CEILING, -0.8, -0.1))
+    lit = shining_sides(ROOM.scan, [(lamp, 1000.0, 0.0), (ring, 20.0, 0.0)])
+    assert lit[:, 0].tolist() == [True, False]
 
 
 def test_fixtures_of_a_scan_are_whole_and_have_one_side() -> None:

@@ -12,17 +12,21 @@ from scipy.spatial import cKDTree
 from ..scene.adjacency import Scan
 from ..scene.components import graph_components
 
-# A connected piece of emitting triangles is a fixture of its own if it has this share of the area of the
-# largest of its surface, and so many triangles.
-FIXTURE_SHARE = 0.1
+# A connected piece of emitting triangles is a fixture if it has so many of them. If its area is less than
+# this share of the largest of its surface, and a fixture is within so many median edges, it belongs to that
+# fixture.
 LEAST_TRIANGLES = 12
-# Smaller pieces within so many median edges belong to the fixture, others to none.
+FIXTURE_SHARE = 0.1
 NEAR = 5.0
 # A side shines if pixels see it on this share of the fixture's measured area. Through holes and at rims,
 # pixels see the backs of single triangles.
 SEEN_SHARE = 0.3
 # Triangles of a fixture, evenly chosen, from which the light that it casts on others is computed.
 SAMPLES = 400
+# Factor by which a scan may make a small lamp too small, and so its light on others.
+AREA_DOUBT = 3.0
+# Least cosine of light from within so many median edges: thin shells and rims have no certain normal.
+LEAST_COSINE, CLOSE = 0.3, 15.0
 
 
 def scan_groups(scan: Scan, ids: np.ndarray, surface: np.ndarray | None) -> np.ndarray:
@@ -45,21 +49,32 @@ def scan_groups(scan: Scan, ids: np.ndarray, surface: np.ndarray | None) -> np.n
     largest = np.zeros(int(surface_of.max(initial=0)) + 2)
     np.maximum.at(largest, surface_of, size)
     large = (size >= FIXTURE_SHARE * largest[surface_of]) & (number >= LEAST_TRIANGLES)
-    fixture = np.where(large, np.cumsum(large) - 1, -1)[component]
+    fixture = np.where(large, np.cumsum(large) - 1, -1)
     reach = NEAR * float(np.median(scan.adjacency.length))
-    return _joined(scan.centers[ids], of, fixture, reach)
+    beside = _fixture_beside(scan.centers[ids], component, surface_of, fixture, reach)
+    alone = (beside < 0) & (number >= LEAST_TRIANGLES)
+    return np.where(alone, large.sum() + np.cumsum(alone) - 1, beside)[component]
 
 
-def _joined(centers: np.ndarray, surface: np.ndarray, fixture: np.ndarray, reach: float) -> np.ndarray:
-    """(n,) fixtures; triangles without one (-1) take the nearest of their surface within reach (metres)."""
+def _fixture_beside(
+    centers: np.ndarray, component: np.ndarray, surface: np.ndarray, fixture: np.ndarray, reach: float
+) -> np.ndarray:
+    """(C,) fixture of each component: its own, else the nearest of its surface within reach (metres), or -1.
+
+    Args:
+        centers: (n, 3) of triangles. component: (n,) int from 0.
+        surface, fixture: (C,) int of the components; fixture is -1 where it is none.
+    """
     result = fixture.copy()
     for value in np.unique(surface[fixture < 0]):
-        lamp = np.flatnonzero((surface == value) & (fixture >= 0))
-        speck = np.flatnonzero((surface == value) & (fixture < 0))
+        of_surface = surface[component] == value
+        lamp = np.flatnonzero(of_surface & (fixture[component] >= 0))
+        small = np.flatnonzero(of_surface & (fixture[component] < 0))
         if len(lamp):
-            distance, nearest = cKDTree(centers[lamp]).query(centers[speck], distance_upper_bound=reach)
-            near = np.isfinite(distance)
-            result[speck[near]] = fixture[lamp[nearest[near]]]
+            distance, nearest = cKDTree(centers[lamp]).query(centers[small], distance_upper_bound=reach)
+            order = np.argsort(-distance, kind="stable")
+            order = order[np.isfinite(distance[order])]  # the nearest triangle of a component comes last
+            result[component[small[order]]] = fixture[component[lamp[nearest[order]]]]
     return result
 
 
@@ -102,18 +117,19 @@ def lamp_patch(scan: Scan, triangles: np.ndarray, luminance: float, front: bool)
     return Patch(scan.centers[chosen], normals, areas * (total / max(float(areas.sum()), 1e-30)), luminance)
 
 
-def most_lit(patch: Patch, lamps: list[Patch], nearest: float) -> float:
-    """Median over a surface of the luminance that it would reflect if it were white, and lamps in full view.
+def most_lit(patch: Patch, lamps: list[Patch], edge: float) -> float:
+    """Median over a surface of the most luminance that it could reflect: white, and lamps in full view.
 
     Args:
-        nearest: metres; closer distances count as this one.
+        edge: metres, median of the mesh; closer distances count as this one.
     """
     total = np.zeros(len(patch.centers))
     for lamp in lamps:
         toward = lamp.centers[None] - patch.centers[:, None]
-        squared = np.maximum((toward**2).sum(axis=2), nearest**2)
-        cosine = np.maximum(np.einsum("ijk,ik->ij", toward, patch.normals), 0.0) / np.sqrt(squared)
-        total += (cosine / squared) @ lamp.area * (lamp.luminance / np.pi)
+        squared = np.maximum((toward**2).sum(axis=2), edge**2)
+        cosine = np.einsum("ijk,ik->ij", toward, patch.normals) / np.sqrt(squared)
+        least = np.where(squared < (CLOSE * edge) ** 2, LEAST_COSINE, 0.0)
+        total += (np.maximum(cosine, least) / squared) @ lamp.area * (AREA_DOUBT * lamp.luminance / np.pi)
     return float(np.median(total))
 
 
@@ -126,7 +142,7 @@ def shining_sides(scan: Scan, lamps: list[tuple[np.ndarray, float, float]]) -> n
     Args:
         lamps: triangles (n,), and the luminances of front and back of each fixture.
     """
-    nearest = float(np.median(scan.adjacency.length))
+    edge = float(np.median(scan.adjacency.length))
     shines = np.zeros((len(lamps), 2), bool)
     found: list[tuple[int, Patch]] = []
     sides = [(light[side], index, side) for index, (_, *light) in enumerate(lamps) for side in (0, 1)]
@@ -135,7 +151,7 @@ def shining_sides(scan: Scan, lamps: list[tuple[np.ndarray, float, float]]) -> n
             continue
         patch = lamp_patch(scan, lamps[index][0], luminance, front=side == 0)
         others = [each for owner, each in found if owner != index]
-        if luminance > most_lit(patch, others, nearest):
+        if luminance > most_lit(patch, others, edge):
             shines[index, side] = True
             found.append((index, patch))
     return shines
