@@ -14,12 +14,14 @@ from PIL import Image
 from fipt_blender.core.capture.encoded import file_exposure, read_encoded, srgb_decoded, srgb_encoded
 from fipt_blender.core.capture.images import read_radiance, read_size, write_exr
 from fipt_blender.core.capture.ingest import IngestOptions, ingest
-from fipt_blender.core.capture.views import load_capture
+from fipt_blender.core.capture.views import View, load_capture
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.scene.survey import photograph_facts, view_warning
 from samples.capture_files import make_samples, write_transforms
 from samples.photographs import exif, write_jpeg
+from samples.small_rooms import BOX, make_room
 
 CODES = np.random.default_rng(3).integers(0, 256, (6, 8, 3)).astype(np.uint8)
 
@@ -96,6 +98,20 @@ def test_captures_of_both_kinds(tmp_path):
     messages = [parse_message(line) for line in stream.getvalue().splitlines()]
     (warning,) = [m for m in messages if m["type"] == "warning" and m["code"] == "images-not-hdr"]
     assert warning["text"].startswith("2 of 3 photographs") and "Prepare" in warning["remedy"]
+
+
+def test_check_views_tells_the_clipped_share(tmp_path):
+    room = make_room(BOX)
+    codes = np.full((10, 10, 3), 120, np.uint8)
+    codes[:2] = 253
+    Image.fromarray(codes).save(tmp_path / "a.png")
+    pose = np.eye(4)
+    pose[2, 3] = 1.0
+    view = View("a", "train", tmp_path / "a.png", 10, 10, 9.0, 9.0, 5.0, 5.0, pose, encoded=True)
+    facts = photograph_facts(view, room)
+    assert facts["clipped_share"] == pytest.approx(0.2) and facts["looks_ldr"]
+    text = view_warning(facts | {"room_share": 1.0, "much_off": False})
+    assert "8-bit" in text and "20.0 % of its pixels are clipped" in text
 
 
 def test_hdr_captures_say_nothing_of_it(tmp_path):

@@ -302,8 +302,13 @@ class Estimation(EstimationState):
         return self._input
 
     def _constant_triangles(self, initial: InitialEstimate) -> np.ndarray:
-        """(T,) bool, triangles of parts whose radiance is constant although the light on them varies."""
+        """(T,) bool, triangles of parts whose radiance is constant although the light on them varies.
+
+        Photographs that are not HDR show a constant radiance wherever they are clipped, on reflectors, too.
+        """
         part = self.parts.triangle_part
+        if self.photometry:
+            return np.zeros(len(part), bool)
         # Semantic classes, and parts that no pixel saw, have no estimate.
         known = (part >= 0) & (part < len(initial.part_emits))
         constant = np.zeros(len(part), bool)

@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..capture.checks import pixel_statistics
+from ..capture.encoded import srgb_encoded
 from ..capture.images import read_radiance
 from ..capture.views import View, load_capture
 from ..device.variant import set_variant
+from ..radiometry.inversion import is_clipped
 from ..run.errors import FiptError
 from ..run.messages import Reporter
 from ..run.runfolder import RunFolder, atomic_path, write_json
@@ -114,8 +116,11 @@ def photograph_facts(view: View, room: Room) -> dict[str, Any]:
     except FiptError as error:
         missing = error.code == "image-missing"
         return facts | {"image_missing": missing, "image_problem": "" if missing else error.text}
-    looks_ldr = statistics.looks_ldr or view.encoded
-    facts |= {"clipped_share": statistics.clipped, "looks_ldr": looks_ldr}
+    clipped, looks_ldr = statistics.clipped, statistics.looks_ldr
+    if view.encoded:
+        codes = srgb_encoded(pixels.reshape(-1, 3)) * 255.0
+        clipped, looks_ldr = float(is_clipped(codes).mean()), True
+    facts |= {"clipped_share": clipped, "looks_ldr": looks_ldr}
     found = view_misfit(room, view, pixels)
     if found is None:
         return facts
@@ -140,7 +145,9 @@ def view_warning(facts: dict[str, Any]) -> str:
     if facts["much_off"]:
         return f"the mesh is {facts['misfit']:.1f} pixels off in this view"
     if facts["looks_ldr"]:
-        return "looks like an 8-bit photograph, without the true radiance of lamps"
+        share = 100.0 * facts["clipped_share"]
+        clipped = f"; {share:.1f} % of its pixels are clipped" if share else ""
+        return f"looks like an 8-bit photograph, without the true radiance of lamps{clipped}"
     if facts["clipped_share"] > MUCH_CLIPPED:
         return f"{100.0 * facts['clipped_share']:.1f} % of its pixels look over-exposed"
     return ""
