@@ -177,54 +177,6 @@ def capture(window: Window, options: Options) -> None:
     window.click("fipt.show_coverage", show=False)
 
 
-def align(window: Window, options: Options) -> None:
-    """Pick three corners of the room on the mesh and in two photographs each; align, remove, undo."""
-    window.open_section("Capture", "Alignment", "Cameras to Mesh")
-    window.point_in_view()
-    window.key("KP_0", "Home")  # out of the camera, and all in the picture
-    cameras = window.ask("inside.view_cameras")
-    corners = [corner for corner in window.ask("inside.room_corners") if len(corner["views"]) >= 2]
-    assert len(corners) >= 3, corners
-    for number, corner in enumerate(corners[:3]):
-        window.click("fipt.pick_pair")
-        window.point_at(corner["aim"])
-        window.settle()
-        if number == 0:
-            window.shot("06_align_mesh")
-        window.press()
-        window.wait("inside.view_through", until=bool)
-        for index in corner["views"][:2]:
-            for _ in cameras:
-                if window.ask("inside.view_through") == cameras[index]:
-                    break
-                window.key("Next")
-                window.settle()
-            window.point_at(corner["point"])
-            window.settle()
-            if number == 0:
-                window.shot("06_align_photograph")
-            window.press()
-        window.wait("inside.pairs", until=lambda pairs: pairs["count"] == number + 1)  # noqa: B023
-    found = window.ask("inside.pairs")
-    assert found["sights"] == [2, 2, 2] and 0.0 <= found["error"] < 0.05, found
-    for picked, corner in zip(found["points"], corners, strict=False):
-        assert max(abs(a - b) for a, b in zip(picked, corner["point"], strict=True)) < 1e-3, found  # snapped
-    window.shot("06_align_pairs")
-    window.click("fipt.align_by_pairs")
-    window.wait("inside.pairs", until=lambda pairs: 0.0 <= pairs["error"] <= found["error"] + 1e-3)
-    window.click("fipt.look_through", step=1)
-    window.shot("06_align_view")
-    window.click("fipt.remove_pair", index=0)
-    window.wait("inside.pairs", until=lambda pairs: pairs["count"] == 2)
-    window.point_in_view()
-    window.key("ctrl+z")
-    window.wait("inside.pairs", until=lambda pairs: pairs["count"] == 3)
-    window.click("fipt.pick_pair")
-    window.point_in_view()
-    window.key("Escape")
-    assert window.ask("inside.pairs")["count"] == 3
-
-
 def parts(window: Window, options: Options) -> None:
     """Colour the room by its parts."""
     window.open_section("Parts")
@@ -416,7 +368,6 @@ CHAPTERS = (
     preferences,
     photographs,
     capture,
-    align,
     parts,
     estimate,
     materials,
