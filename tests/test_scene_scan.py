@@ -141,3 +141,24 @@ def test_doubted_pixels_lose_their_weight_on_scans_only(tmp_path: Path) -> None:
     assert doubt_pixels(store, room, parts) == 2
     assert np.allclose(store.weight, [0.5, 0.5, 0.05, 0.0, 0.5, 0.0, 0.05, 0.5])
     assert store.pure.tolist() == [True, True, False, False, True, False, False, True]
+
+
+def test_thin_parts_keep_the_pixels_at_their_borders(tmp_path: Path) -> None:
+    """Part 2 is one pixel wide: it has no pixel off its borders."""
+    from fipt_blender.core.scene.disagreement import doubt_pixels
+    from fipt_blender.core.scene.pixels import open_pixels
+
+    room, side = scanned_box()
+    ids = np.tile([1, 1, 1, 1, 2, 1, 1, 1, 1], (3, 1))
+    write_exr(tmp_path / "parts.exr", ids.astype(np.float32))
+    view = View(
+        name="a", split="train", image=tmp_path / "none.exr", width=9, height=3, fx=1.0, fy=1.0, cx=4.5,
+        cy=1.5, camera_to_world=np.eye(4), parts=tmp_path / "parts.exr",
+    )  # fmt: skip
+    store = open_pixels(tmp_path / "pixels", [view], create=True)
+    store.triangle[:] = np.where(ids.ravel() == 2, np.flatnonzero(side == 1)[0], 0)
+    store.weight[:], store.pure[:] = 1.0, True
+    parts = Parts(np.minimum(side, 1).astype(np.int32), "part", np.array([1, 2]))
+    assert doubt_pixels(store, room, parts) == 0
+    weight = np.tile([1.0, 1.0, 1.0, 0.1, 1.0, 0.1, 1.0, 1.0, 1.0], 3)
+    assert np.allclose(store.weight, weight) and np.array_equal(store.pure, weight == 1.0)

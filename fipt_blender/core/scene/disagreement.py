@@ -14,6 +14,9 @@ from .room import Room
 # Weight of pixels beside those of another id: the photograph shows a mixture there, wherever the mesh has its
 # border.
 BESIDE = 0.1
+# Share of a part's pixels that must lie off its borders for the others to be doubted: thin parts have hardly
+# any but those at borders.
+LEAST_INNER = 0.5
 
 
 def doubt_pixels(store: PixelStore, room: Room, parts: Parts) -> int:
@@ -29,17 +32,43 @@ def doubt_pixels(store: PixelStore, room: Room, parts: Parts) -> int:
     """
     if room.scan is None or not len(parts.ids):
         return 0
+    thin = _thin_parts(store, parts)
     total = 0
     for index, view in enumerate(store.views):
         mask = mask_of(view, parts.kind)
         if mask is None:
             continue
         rows = store.rows(index)
-        other, beside = disagreeing(mask, np.asarray(store.triangle[rows]), parts)
+        triangle = np.asarray(store.triangle[rows])
+        other, beside = disagreeing(mask, triangle, parts)
+        beside &= ~thin[_part_of(triangle, parts)]
         store.weight[rows] = np.where(other, 0.0, np.where(beside, BESIDE, 1.0)) * store.weight[rows]
         store.pure[rows] = store.pure[rows] & ~(other | beside)
         total += int(np.count_nonzero(other))
     return total
+
+
+def _thin_parts(store: PixelStore, parts: Parts) -> np.ndarray:
+    """(P + 1,) bool, parts of which few pixels lie off the borders of their masks; the last is of no part."""
+    inner, every = np.zeros((2, len(parts.ids) + 1))
+    for index, view in enumerate(store.views):
+        mask = mask_of(view, parts.kind)
+        if mask is None:
+            continue
+        triangle = np.asarray(store.triangle[store.rows(index)])
+        other, beside = disagreeing(mask, triangle, parts)
+        part = _part_of(triangle, parts)
+        every += np.bincount(part[~other], minlength=len(every))
+        inner += np.bincount(part[~other & ~beside], minlength=len(every))
+    thin: np.ndarray = inner < LEAST_INNER * every
+    thin[-1] = False
+    return thin
+
+
+def _part_of(triangle: np.ndarray, parts: Parts) -> np.ndarray:
+    """(N,) int64 part of pixels that see triangles (N,), the number of parts for none."""
+    part = np.append(parts.triangle_part, np.int32(-1))[np.maximum(triangle, -1)].astype(np.int64)
+    return np.where(part >= 0, part, len(parts.ids))
 
 
 def mask_of(view: View, kind: str) -> np.ndarray | None:
