@@ -129,13 +129,6 @@ def photographs(window: Window, options: Options) -> None:
     window.set_text("photographs.cameras", str(folder / "solve"))
     window.shot("03_photographs_settings")
     window.click("fipt.prepare")
-    window.wait(
-        "inside.job", "photographs", until=lambda job: job["state"] == "running" and job["fraction"] > 0.0
-    )
-    window.click("fipt.cancel")
-    window.wait("inside.job", "photographs", until=lambda job: job["state"] == "cancelled")
-    window.shot("03_photographs_cancelled")
-    window.click("fipt.prepare")  # its name is Resume now
     _finish(window, "photographs")
     prepared = window.ask("inside.photographs")
     assert prepared["registered"] == sum(prepared["used"]) == len(found["sizes"]) - 1, prepared
