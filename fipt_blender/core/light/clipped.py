@@ -19,9 +19,9 @@ import numpy as np
 from ..scene.room import Room, triangle_normals
 from .cache import VoxelGrid
 
-RAYS = 32  # over the hemisphere of each point
+RAYS = 128  # over the hemisphere of each point; their noise would make the contrast too high
 LAMP_SAMPLES = 32  # points on each lamp
-MOST_POINTS = 4000
+MOST_POINTS = 3000
 MOST_LAMPS = 12
 ON_LAMP, OUTSIDE = -1, -2  # in place of cache entries
 _ITERATIONS = 25

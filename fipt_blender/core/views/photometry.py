@@ -47,7 +47,7 @@ CLUSTER = 8.0
 # A triangle is a clipped surface if more than this share of its pixels is clipped.
 MOSTLY = 0.5
 # Systematic error of the contrast that light tells: by gloss, textures and the coarse cache.
-LIGHT_DEVIATION = 0.03
+LIGHT_DEVIATION = 0.06
 # Standard deviation of the logarithm of a lamp's radiance from which on it is said to be vague.
 VAGUE = 0.4
 _LEAST_POINTS = 200
