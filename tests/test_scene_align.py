@@ -184,7 +184,7 @@ def test_cameras_are_polished_together_and_alone() -> None:
     rng = np.random.default_rng(0)
     poses = [look_at(list(rng.uniform(-1.5, 1.5, 3)), list(rng.uniform(-1.5, 1.5, 3))) for _ in range(12)]
     change = np.array([1e-3, -2e-3, 1e-3, 5e-3, -4e-3, 3e-3, 4e-3])
-    own = np.array([0.02, 0.0, 0.0, 0.0, 0.0, 0.0])
+    own = np.array([0.04, 0.0, 0.0, 0.0, 0.0, 0.0])
     fits = [fit_of(pose, change, own if index == 3 else 0.0 * own) for index, pose in enumerate(poses)]
     found = polish(poses, [*fits[:-1], None])
     assert found is not None and found.alone == [3] and 0.1 < found.together < 3.0

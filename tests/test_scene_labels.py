@@ -11,7 +11,7 @@ import pytest
 
 from fipt_blender.core.capture.images import MAX_ID, write_exr
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.scene.adjacency import weld
+from fipt_blender.core.geometry.adjacency import weld
 from fipt_blender.core.scene.labels import NO_PART, choose_parts, fuse_masks, spread_labels
 from samples.small_rooms import BOX, make_room
 

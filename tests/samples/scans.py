@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from fipt_blender.core.scene.adjacency import weld
+from fipt_blender.core.geometry.adjacency import weld
 from fipt_blender.core.scene.room import Room
 from samples.small_rooms import BOX, mesh_room
 

@@ -78,6 +78,18 @@ class Mesh:
         return graph
 
 
+def weld(vertices: np.ndarray) -> np.ndarray:
+    """(V,) int64 index of each vertex after merging those at the same position (to 1e-6 of the extent).
+
+    The indices are in the order of the positions.
+    """
+    extent = float(np.ptp(vertices, axis=0).max(initial=0.0)) or 1.0
+    cell = np.round(vertices.astype(np.float64) / (_WELD * extent)).astype(np.int64)
+    cell -= cell.min(axis=0, initial=np.iinfo(np.int64).max)
+    key = (cell[:, 0] << 2 * _BITS) | (cell[:, 1] << _BITS) | cell[:, 2]
+    return np.unique(key, return_inverse=True)[1].reshape(-1)
+
+
 def make_mesh(vertices: np.ndarray, triangles: np.ndarray) -> tuple[Mesh, np.ndarray]:
     """The mesh with coincident vertices welded, and (V,) int64 the welded vertex of each.
 
@@ -85,12 +97,8 @@ def make_mesh(vertices: np.ndarray, triangles: np.ndarray) -> tuple[Mesh, np.nda
         vertices: (V, 3) floats.
         triangles: (T, 3) int.
     """
-    low = vertices.min(axis=0).astype(np.float64)
-    extent = float(np.ptp(vertices, axis=0).max(initial=0.0)) or 1.0
-    cell = np.round((vertices - low) / (_WELD * extent)).astype(np.int64)
-    key = (cell[:, 0] << 2 * _BITS) | (cell[:, 1] << _BITS) | cell[:, 2]
-    _, first, welded = np.unique(key, return_index=True, return_inverse=True)
-    welded = welded.reshape(-1)
+    welded = weld(vertices)
+    _, first = np.unique(welded, return_index=True)
     return Mesh(vertices[first].astype(np.float64), welded[triangles]), welded
 
 

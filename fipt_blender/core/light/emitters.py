@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..geometry.adjacency import weld
 from ..optics.lights import LUMINANCE, EmitterTable
-from ..scene.adjacency import Scan, weld
+from ..scene.adjacency import Scan
 from ..scene.components import graph_components
 from ..scene.grouped import grouped_weighted_median
 from ..scene.pixels import PixelStore

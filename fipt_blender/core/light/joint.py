@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..geometry.adjacency import weld
 from ..optics.lights import LUMINANCE
-from ..scene.adjacency import weld
 from ..scene.room import Room
 from .emitters import Fixture, emitter_components
 

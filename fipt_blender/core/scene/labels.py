@@ -15,7 +15,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from ..capture.views import View
-from .adjacency import weld
+from ..geometry.adjacency import weld
 from .components import mesh_components
 from .room import Room
 from .segments import scan_segments
