@@ -16,6 +16,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from ..capture.encoded import srgb_encoded
+from ..geometry.adjacency import weld
 from ..light.cache import Pool, VoxelGrid, fill_grid, grid_frame
 from ..light.clipped import MOST_LAMPS, MOST_POINTS, LampLight, LitPoints, light_on_points, solve_lamps
 from ..light.observations import median_footprint
@@ -32,7 +33,6 @@ from ..radiometry.response import response_basis
 from ..run.messages import Reporter
 from ..run.settings import Settings
 from ..scene.components import mesh_components
-from ..scene.labels import weld
 from ..scene.pixels import LEFT_OUT, NO_TRIANGLE, VIEW_LUMINANCES, PixelStore
 from ..scene.room import Room, triangle_normals
 from .cells import SurfaceCells, lattice_hits, surface_cells
