@@ -44,12 +44,11 @@ def finished(root: Path, capture: SmallCapture, **changes) -> tuple[RunFolder, l
     return run, json.loads(run.emitters_json.read_text())["fixtures"]
 
 
-def test_fitted_jointly_the_lamp_is_too_dim_and_walls_shine(capture: SmallCapture, tmp_path: Path) -> None:
-    """Some of the lamp's light is taken for reflection, and errors of the shadings for emission."""
+def test_fitted_jointly_the_lamp_is_too_dim(capture: SmallCapture, tmp_path: Path) -> None:
+    """Some of the lamp's light is taken for reflection."""
     _, fixtures = finished(tmp_path, capture, emission="joint", rounds=0)
     (lamp,) = [fixture for fixture in fixtures if set(fixture["triangles"]) & set(PANEL_TRIANGLES)]
     assert 0.0 < np.mean(lamp["radiance"]) < np.mean(PANEL_RADIANCE)
-    assert sum(len(fixture["triangles"]) for fixture in fixtures) > len(PANEL_TRIANGLES)
 
 
 def wall_error(run: RunFolder, capture: SmallCapture) -> float:

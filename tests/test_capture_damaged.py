@@ -13,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import OpenEXR
+import PIL.Image
 import pytest
 
 from benchmarks import fuzz, fuzz_samples
-from fipt_blender.core.capture import colmap_sizes, images, ingest
+from fipt_blender.core.capture import colmap_sizes, encoded, images, ingest
 from fipt_blender.core.capture.formats import read_rig
 from fipt_blender.core.capture.rig import ReadOptions, RigView, view_name
 from fipt_blender.core.capture.views import load_capture
@@ -191,10 +192,10 @@ def test_only_png_is_read_from_png_files(tmp_path: Path) -> None:
 
 def test_a_large_mask_is_read_and_a_huge_one_refused(tmp_path: Path, monkeypatch) -> None:
     path = tmp_path / "ids.png"
-    monkeypatch.setattr(images.Image, "MAX_IMAGE_PIXELS", 1000)
+    monkeypatch.setattr(PIL.Image, "MAX_IMAGE_PIXELS", 1000)
     png(path, 100, 90)
     assert images.read_ids(path).shape == (90, 100)
-    monkeypatch.setattr(images, "MOST_PIXELS", 8000)
+    monkeypatch.setattr(encoded, "MOST_PIXELS", 8000)
     assert error_of(images.read_ids, path).code == "image-too-large"
     assert error_of(images.read_size, path).code == "image-too-large"
 

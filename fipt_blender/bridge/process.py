@@ -236,7 +236,8 @@ class EngineProcess(Engine):
         if sys.platform != "win32":
             # Not by preexec_fn, which is unsafe in a process with threads such as Blender.
             try:
-                os.setpriority(os.PRIO_PGRP, self._process.pid, _NICENESS)
+                niceness = max(_NICENESS, os.getpriority(os.PRIO_PROCESS, 0))
+                os.setpriority(os.PRIO_PGRP, self._process.pid, niceness)
             except OSError:  # the child may have ended already
                 pass
 
