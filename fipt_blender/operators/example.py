@@ -42,7 +42,9 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
         return in_object_mode(cls, context) and super().poll(context)
 
     def _begin(self, context: bpy.types.Context, wait: bool) -> running.RunningJob:
-        machine.engine_python()  # raises before anything is created
+        from ..jobs.run_job import find_launch
+
+        self._launch = find_launch()  # raises before anything is created
         if context.scene.objects and context.window is not None:
             context.window.scene = bpy.data.scenes.new(NAME)
         return super()._begin(context, wait)
@@ -78,7 +80,7 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
             *estimate.make_steps(run, settings, resume=False),
             *materials.make_steps(scene.name, run, settings),
         ]
-        return open_job(run, steps, record="example.json")
+        return open_job(run, steps, record="example.json", launch=self._launch)
 
     @staticmethod
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:

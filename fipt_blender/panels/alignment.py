@@ -8,23 +8,18 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .job import draw_job
-from .sidebar import SubSection, draw_text
+from .sidebar import Rows, SubSection, draw_text
 
 
-class FIPT_UL_pairs(bpy.types.UIList):
+class FIPT_UL_pairs(Rows, bpy.types.UIList):
     """The pairs of points, each with its error"""
 
-    def draw_item(
+    def draw_row(
         self,
         context: bpy.types.Context,
         layout: bpy.types.UILayout,
-        data: bpy.types.PropertyGroup,
         item: bpy.types.PropertyGroup,
-        icon: int,
-        active_data: bpy.types.PropertyGroup,
-        active_property: str,
-        index: int = 0,
-        flt_flag: int = 0,
+        index: int,
     ) -> None:
         row = layout.row(align=True)
         views = ", ".join(sight.name for sight in item.sights)

@@ -14,23 +14,18 @@ from ..jobs.job_scene import uses_run_folder
 from . import swatches
 from .job import draw_job
 from .presets import FIPT_PT_import_presets
-from .sidebar import Section, SubSection, draw_text
+from .sidebar import Rows, Section, SubSection, draw_text
 
 
-class FIPT_UL_views(bpy.types.UIList):
+class FIPT_UL_views(Rows, bpy.types.UIList):
     """The views: whether and for what they are used, and the outcome of their check"""
 
-    def draw_item(
+    def draw_row(
         self,
         context: bpy.types.Context,
         layout: bpy.types.UILayout,
-        data: bpy.types.PropertyGroup,
         item: bpy.types.PropertyGroup,
-        icon: int,
-        active_data: bpy.types.PropertyGroup,
-        active_property: str,
-        index: int = 0,
-        flt_flag: int = 0,
+        index: int,
     ) -> None:
         row = layout.row(align=True)
         row.prop(item, "enabled", text="")

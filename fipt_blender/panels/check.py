@@ -9,23 +9,18 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from .job import draw_job
 from .presets import FIPT_PT_check_presets
-from .sidebar import Section
+from .sidebar import Rows, Section
 
 
-class FIPT_UL_checked_views(bpy.types.UIList):
+class FIPT_UL_checked_views(Rows, bpy.types.UIList):
     """Rendered views with their PSNR in dB: display values, linear values"""
 
-    def draw_item(
+    def draw_row(
         self,
         context: bpy.types.Context,
         layout: bpy.types.UILayout,
-        data: bpy.types.PropertyGroup,
         item: bpy.types.PropertyGroup,
-        icon: int,
-        active_data: bpy.types.PropertyGroup,
-        active_property: str,
-        index: int = 0,
-        flt_flag: int = 0,
+        index: int,
     ) -> None:
         icon_name = "HIDE_OFF" if item.held_back else "IMAGE_DATA"
         _draw_row(layout, item.name, f"{item.psnr:.1f}", f"{item.psnr_linear:.1f}", icon_name)

@@ -7,22 +7,18 @@ from __future__ import annotations
 import bpy
 
 from ..blend.marks import FIXTURE, VISIBILITY
-from .sidebar import Section, SubSection, draw_text
+from .sidebar import Rows, Section, SubSection, draw_text
 
 
-class FIPT_UL_lights(bpy.types.UIList):
+class FIPT_UL_lights(Rows, bpy.types.UIList):
     """Fixtures and added lights: on/off, solo, name, color, power in stops"""
 
-    def draw_item(
+    def draw_row(
         self,
         context: bpy.types.Context,
         layout: bpy.types.UILayout,
-        data: bpy.types.PropertyGroup,
         item: bpy.types.PropertyGroup,
-        icon: int,
-        active_data: bpy.types.PropertyGroup,
-        active_property: str,
-        index: int = 0,
+        index: int,
     ) -> None:
         light = item.object
         layout.use_property_split = False

@@ -10,25 +10,20 @@ from bpy.app.translations import pgettext_iface as iface_
 from ..core.run.runfolder import RunFolder
 from ..jobs import running
 from .job import draw_error, draw_messages, draw_progress
-from .sidebar import Section, SubSection, draw_text
+from .sidebar import Rows, Section, SubSection, draw_text
 
 _KIND = "photographs"
 
 
-class FIPT_UL_photograph_groups(bpy.types.UIList):
+class FIPT_UL_photograph_groups(Rows, bpy.types.UIList):
     """The groups: whether they are used, the number of photographs, and the outcome"""
 
-    def draw_item(
+    def draw_row(
         self,
         context: bpy.types.Context,
         layout: bpy.types.UILayout,
-        data: bpy.types.PropertyGroup,
         item: bpy.types.PropertyGroup,
-        icon: int,
-        active_data: bpy.types.PropertyGroup,
-        active_property: str,
-        index: int = 0,
-        flt_flag: int = 0,
+        index: int,
     ) -> None:
         row = layout.row(align=True)
         row.prop(item, "used", text="")
@@ -45,20 +40,15 @@ class FIPT_UL_photograph_groups(bpy.types.UIList):
             row.label(text="", icon="ERROR")
 
 
-class FIPT_UL_photographs(bpy.types.UIList):
+class FIPT_UL_photographs(Rows, bpy.types.UIList):
     """The photographs of a group with their exposures"""
 
-    def draw_item(
+    def draw_row(
         self,
         context: bpy.types.Context,
         layout: bpy.types.UILayout,
-        data: bpy.types.PropertyGroup,
         item: bpy.types.PropertyGroup,
-        icon: int,
-        active_data: bpy.types.PropertyGroup,
-        active_property: str,
-        index: int = 0,
-        flt_flag: int = 0,
+        index: int,
     ) -> None:
         split = layout.split(factor=0.45)
         split.label(text=item.name.rpartition("/")[2], translate=False)

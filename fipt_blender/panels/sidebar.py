@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Base of all sections of the side panel: their place, and text that wraps."""
+"""Base of all sections of the side panel: their place, lists of rows, and text that wraps."""
 
 from __future__ import annotations
 
@@ -31,6 +31,35 @@ class SubSection(Section):
     """Mix-in of a closed subpanel of a section; a subclass names the section in `bl_parent_id`."""
 
     bl_options = {"DEFAULT_CLOSED"}
+
+
+class Rows:
+    """Mix-in of a list, before `bpy.types.UIList`; a subclass draws the row of one item."""
+
+    def draw_item(
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        data: bpy.types.PropertyGroup,
+        item: bpy.types.PropertyGroup,
+        icon: int,
+        active_data: bpy.types.PropertyGroup,
+        active_property: str,
+        index: int = 0,
+        flt_flag: int = 0,
+    ) -> None:
+        """Called by Blender; most lists need no more than the item."""
+        self.draw_row(context, layout, item, index)
+
+    def draw_row(
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        item: bpy.types.PropertyGroup,
+        index: int,
+    ) -> None:
+        """Draw an item, the `index`-th of the list."""
+        raise NotImplementedError
 
 
 def draw_text(

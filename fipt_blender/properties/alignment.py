@@ -8,9 +8,9 @@ import bpy
 
 
 def _marks_changed(self: FIPT_AlignmentSettings, context: bpy.types.Context) -> None:
-    from ..blend.capture.pair_marks import redraw
+    from ..blend.capture.look import redraw_views
 
-    redraw()
+    redraw_views()
 
 
 class FIPT_AlignmentSight(bpy.types.PropertyGroup):

@@ -54,6 +54,14 @@ def view_spaces(context: bpy.types.Context, scene: bpy.types.Scene) -> list[bpy.
     return spaces
 
 
+def redraw_views() -> None:
+    """Redraw all 3D views, for what is drawn on top of them."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+
+
 def refresh_photograph(scene: bpy.types.Scene) -> None:
     """Show the photograph with the panel's opacity, if the scene's camera belongs to a view."""
     camera = scene.camera

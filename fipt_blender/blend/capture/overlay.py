@@ -18,6 +18,7 @@ from mathutils import Matrix, Vector
 
 from ..room.arrays import Room
 from ..room.mesh_arrays import transform_points
+from .look import redraw_views
 
 if TYPE_CHECKING:
     import gpu
@@ -69,7 +70,7 @@ def show(scene: bpy.types.Scene, kind: str, parts: list[Part]) -> None:
     hide()
     handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
     _shown = _Shown(scene.name, scene.fipt.run_folder, kind, parts, handle)
-    _redraw()
+    redraw_views()
 
 
 def hide() -> None:
@@ -79,7 +80,7 @@ def hide() -> None:
         return
     bpy.types.SpaceView3D.draw_handler_remove(_shown.handle, "WINDOW")
     _shown = None
-    _redraw()
+    redraw_views()
 
 
 def shown(scene: bpy.types.Scene) -> str:
@@ -151,10 +152,3 @@ def _toward_eye(region: bpy.types.RegionView3D) -> Matrix:
     else:
         nearer = Matrix.Translation((0.0, 0.0, _TOWARD * region.view_distance))
     return view.inverted() @ nearer @ view
-
-
-def _redraw() -> None:
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()

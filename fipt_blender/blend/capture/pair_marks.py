@@ -36,14 +36,6 @@ def unregister() -> None:
         bpy.types.SpaceView3D.draw_handler_remove(_handles.pop(), "WINDOW")
 
 
-def redraw() -> None:
-    """Redraw the 3D views."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
-
-
 def _draw() -> None:
     context = bpy.context
     settings = context.scene.fipt.alignment

@@ -76,10 +76,11 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
         fusion = Fusion(run_folder, rig.depths, options.fusion, options.scale)
         reporter.plan([0.2, 0.7, 0.1])
     reporter.stage("images", "Checking photographs")
-    statistics = _check_pixels(views, options.clamp_negative, reporter)
+    exposures = [file_exposure(view.image) for view in views]
+    statistics = _check_pixels(views, exposures, options.clamp_negative, reporter)
     checked_views = [
-        _CheckedView(view, pinhole, item.minimum < 0.0)
-        for view, pinhole, item in zip(views, pinholes, statistics, strict=True)
+        _CheckedView(view, pinhole, item.minimum < 0.0, exposure)
+        for view, pinhole, item, exposure in zip(views, pinholes, statistics, exposures, strict=True)
     ]
 
     fused = None
@@ -237,7 +238,7 @@ def _checked_pinhole(view: RigView) -> Pinhole:
 
 
 def _check_pixels(
-    views: list[RigView], clamp_negative: bool, reporter: Reporter
+    views: list[RigView], exposures: list[float | None], clamp_negative: bool, reporter: Reporter
 ) -> list[checks.PixelStatistics]:
     """Read all images, warn about the photographs, and return the statistics of each.
 
@@ -256,7 +257,7 @@ def _check_pixels(
         reporter.progress((index + 1) / len(views))
     notes = checks.judge_pixels([view.name for view in views], statistics, clamp_negative)
     encoded = [is_encoded(view.image) for view in views]
-    for note in [*notes, *checks.judge_encoded(encoded, [file_exposure(view.image) for view in views])]:
+    for note in [*notes, *checks.judge_encoded(encoded, exposures)]:
         reporter.warning(note.code, note.text, note.remedy)
     return statistics
 
@@ -268,11 +269,13 @@ class _CheckedView:
     Attributes:
         pinhole: of its image, undistorted where necessary.
         negative: whether the photograph contains negative values.
+        exposure: that its file tells, see `file_exposure`.
     """
 
     view: RigView
     pinhole: Pinhole
     negative: bool
+    exposure: float | None
 
 
 def _write_views(
@@ -345,7 +348,7 @@ def _entry(
         **asdict(checked.pinhole),
         "camera_to_world": conventions.transform_poses(world_from_source, view.camera_to_world).tolist(),
         **{kind: _stored_path(run_folder, path) for kind, path in files.items()},
-        **({"encoded": True, "exposure": file_exposure(view.image)} if is_encoded(view.image) else {}),
+        **({"encoded": True, "exposure": checked.exposure} if is_encoded(view.image) else {}),
     }
 
 

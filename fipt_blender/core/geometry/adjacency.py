@@ -50,12 +50,21 @@ class Mesh:
         return result.reshape(-1, 3)
 
     @cached_property
+    def _shared(self) -> np.ndarray:
+        """(E,) int64 edges that two triangles share, each once: three times the triangle plus the corner."""
+        return np.flatnonzero(self.neighbours.reshape(-1) > np.repeat(np.arange(len(self.triangles)), 3))
+
+    @cached_property
     def dual_edges(self) -> np.ndarray:
         """(E, 2) int64 pairs of triangles that share an edge, each pair once."""
-        triangle = np.repeat(np.arange(len(self.triangles)), 3)
-        other = self.neighbours.reshape(-1)
-        once = other > triangle
-        return np.stack([triangle[once], other[once]], axis=1)
+        return np.stack([self._shared // 3, self.neighbours.reshape(-1)[self._shared]], axis=1)
+
+    @cached_property
+    def dual_lengths(self) -> np.ndarray:
+        """(E,) float64 metres, of the edge that each of `dual_edges` shares."""
+        start, end = self.triangles, np.roll(self.triangles, -1, axis=1)
+        ends = (self.vertices[corner.reshape(-1)[self._shared]] for corner in (start, end))
+        return np.linalg.norm(np.subtract(*ends), axis=1)
 
     @cached_property
     def around(self) -> csr_array:

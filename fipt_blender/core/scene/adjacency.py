@@ -36,12 +36,7 @@ class Adjacency:
 
 def find_adjacency(mesh: Mesh) -> Adjacency:
     """The pairs of triangles at each edge; an edge where more than two meet connects none of them."""
-    triangle = np.repeat(np.arange(len(mesh.triangles)), 3)
-    other = mesh.neighbours.reshape(-1)
-    once = np.flatnonzero(other > triangle)
-    start, end = mesh.triangles.reshape(-1), np.roll(mesh.triangles, -1, axis=1).reshape(-1)
-    length = np.linalg.norm(mesh.vertices[start[once]] - mesh.vertices[end[once]], axis=1)
-    return Adjacency(np.stack([triangle[once], other[once]], axis=1), length, len(mesh.triangles))
+    return Adjacency(mesh.dual_edges, mesh.dual_lengths, len(mesh.triangles))
 
 
 def averaged_normals(adjacency: Adjacency, cross: np.ndarray, rings: int) -> np.ndarray:
