@@ -9,12 +9,14 @@ import argparse
 import shutil
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
 sys.path[:0] = [str(HERE), str(ROOT)]
 
+import chapters  # noqa: E402
 import story  # noqa: E402
 import x11  # noqa: E402
 from hand import SIDEBAR  # noqa: E402
@@ -43,19 +45,67 @@ def main(argv: list[str]) -> int:
     )
     parser.add_argument("--capture", type=Path, default=ROOT / "examples" / "room", help="the capture")
     parser.add_argument("--fast", action="store_true", help="few rays and steps: for work on the test itself")
-    names = [chapter.__name__ for chapter in story.CHAPTERS]
-    parser.add_argument("--from", dest="first", choices=names, help="with --open CHAPTER.blend")
+    names = [chapter.name for chapter in story.CHAPTERS]
+    chosen = parser.add_mutually_exclusive_group()
+    chosen.add_argument("--only", type=_names, default=[], metavar="CHAPTER,...", help=", ".join(names))
+    chosen.add_argument("--from", dest="first", choices=names, help="a chapter and all after it")
+    parser.add_argument("--base", type=Path, metavar="SHOTS", help="earlier run of which to continue a copy")
     options = parser.parse_args(argv)
     if options.look is None and options.engine is None:
         parser.error("--engine is needed, or --look")
     if lacking := x11.missing():
         print(f"{lacking} is needed for a window without a screen.", file=sys.stderr)
         return 2
-    arguments = [str(options.open.resolve())] if options.open else []
-    arguments += ["--python", str(options.before.resolve())] if options.before else []
+    if options.look is not None:
+        arguments = [str(options.open.resolve())] if options.open else []
+        arguments += ["--python", str(options.before.resolve())] if options.before else []
+        return _drive(options, arguments, {}, lambda window: look(window, options.look))
+    only = names[names.index(options.first) :] if options.first else options.only
+    options.shots.mkdir(parents=True, exist_ok=True)
+    if options.base is not None:
+        _copy(options.base, options.shots)
+    start, rest = chapters.plan(
+        story.CHAPTERS, only, lambda name: (options.shots / f"{name}.blend").is_file()
+    )
+    arguments, moved = [], {}
+    if start:
+        arguments = [str(options.shots.resolve() / f"{start}.blend")]
+    else:
+        shutil.rmtree(options.shots / "data", ignore_errors=True)
+    if start and options.base is not None:
+        arguments += ["--python", str(HERE / "moved.py")]
+        moved = {
+            "FIPT_GUI_BASE": str(options.base.resolve()),
+            "FIPT_GUI_SHOTS": str(options.shots.resolve()),
+        }
+    told = chapters.Options(options.capture.resolve(), options.engine, options.fast)
+    return _drive(options, arguments, moved, lambda window: chapters.act(window, told, rest))
+
+
+def _names(text: str) -> list[str]:
+    """Names of chapters, of a list with commas."""
+    names = text.split(",")
+    if unknown := set(names) - {chapter.name for chapter in story.CHAPTERS}:
+        raise argparse.ArgumentTypeError(f"there is no chapter {', '.join(sorted(unknown))}")
+    return names
+
+
+def _copy(base: Path, shots: Path) -> None:
+    """Bring an earlier run's scenes and data, in place of those that are there."""
+    shutil.rmtree(shots / "data", ignore_errors=True)
+    shutil.copytree(base / "data", shots / "data")
+    for file in base.glob("*.blend"):
+        shutil.copyfile(file, shots / file.name)
+
+
+def _drive(
+    options: argparse.Namespace,
+    arguments: list[str],
+    environment: dict[str, str],
+    act: Callable[[Window], None],
+) -> int:
+    """Open a window with the extension and act in it; the exit status."""
     data = options.shots.resolve() / "data"  # the run and the saved preferences
-    if options.look is None and not options.first:
-        shutil.rmtree(data, ignore_errors=True)
     with tempfile.TemporaryDirectory() as folder:
         extension = dev.build_extension(Path(folder))
         try:
@@ -65,13 +115,9 @@ def main(argv: list[str]) -> int:
                 extension=extension,
                 inside=[HERE / "inside.py"],
                 arguments=arguments,
-                environment={"FIPT_DATA": str(data)},
+                environment={"FIPT_DATA": str(data), **environment},
             ) as window:
-                if options.look is not None:
-                    look(window, options.look)
-                else:
-                    told = story.Options(options.capture.resolve(), options.engine, options.fast)
-                    story.tell(window, told, options.first)
+                act(window)
         except AssertionError as error:
             print(f"FAILED: {error}", file=sys.stderr)
             return 1

@@ -12,17 +12,15 @@ import shutil
 import statistics
 import subprocess
 import time
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from chapters import Chapter, Options, finish
 from hand import PREFERENCES
 from window import Window
 
 CANCEL_SECONDS = 2.0
 DRAW_SECONDS = 1e-3
 _ENGINE_SECONDS = 3600.0
-_JOB_SECONDS = 600.0
 _DRAWS = 25
 _PICTURE = ("IMAGE_EDITOR", "WINDOW")
 _PREFERENCES_PAGES = (("PREFERENCES", "NAVIGATION_BAR"), ("PREFERENCES", "UI"))  # up to 4.5, from 5.0
@@ -36,35 +34,6 @@ _FAST = {
     "roughness_levels": 3,
 }
 _MAPS = ("ORIGINAL", "BASE_COLOR", "ROUGHNESS", "METALLIC", "EMISSION", "CONFIDENCE", "ESTIMATED")
-
-
-@dataclass(frozen=True)
-class Options:
-    """Options of a run of the story.
-
-    Attributes:
-        capture: folder of the example capture.
-        engine: interpreter with the engine's packages; it is typed into the preferences.
-        fast: few rays and steps, for work on the test itself.
-    """
-
-    capture: Path
-    engine: Path
-    fast: bool = False
-
-
-def tell(window: Window, options: Options, first: str = "") -> None:
-    """The whole story, or the rest of it from a chapter on.
-
-    Raises:
-        AssertionError: something is not as it should be.
-    """
-    names = [chapter.__name__ for chapter in CHAPTERS]
-    for chapter in CHAPTERS[names.index(first) if first else 0 :]:
-        start = time.monotonic()
-        chapter(window, options)
-        print(f"{chapter.__name__}: {time.monotonic() - start:.0f} s", flush=True)
-        window.ask("save_copy", str(window.shots / f"{chapter.__name__}.blend"))
 
 
 def empty_scene(window: Window, options: Options) -> None:
@@ -112,7 +81,7 @@ def photographs(window: Window, options: Options) -> None:
     window.drop_files(sorted((folder / "card").iterdir()))
     if not window.ask("inside.photographs")["path"]:
         window.press()  # a menu under the pointer asks what to do with images
-    _finish(window, "photographs")
+    finish(window, "photographs")
     found = window.ask("inside.photographs")
     assert Path(found["path"]) == folder / "card" and set(found["sizes"]) == {3}, found
     window.shot("03_photographs_found")
@@ -129,13 +98,13 @@ def photographs(window: Window, options: Options) -> None:
     window.set_text("photographs.cameras", str(folder / "solve"))
     window.shot("03_photographs_settings")
     window.click("fipt.prepare")
-    _finish(window, "photographs")
+    finish(window, "photographs")
     prepared = window.ask("inside.photographs")
     assert prepared["registered"] == sum(prepared["used"]) == len(found["sizes"]) - 1, prepared
     assert (Path(prepared["capture"]) / "report" / "index.html").is_file()
     window.shot("03_photographs_prepared")
     window.click("fipt.import_capture")
-    _finish(window, "capture")
+    finish(window, "capture")
     counts = window.ask("inside.counts")
     assert counts["views"] == counts["cameras"] == prepared["registered"], counts
     window.point_in_view()
@@ -148,7 +117,7 @@ def capture(window: Window, options: Options) -> None:
     window.open_section("Capture")
     window.set_text("capture.path", str(options.capture))
     window.click("fipt.import_capture")
-    _finish(window, "capture")
+    finish(window, "capture")
     counts = window.ask("inside.counts")
     pictures = len(list(options.capture.glob("*/Image/*.exr")))
     assert counts["views"] == counts["cameras"] == pictures, (counts, pictures)
@@ -162,7 +131,7 @@ def capture(window: Window, options: Options) -> None:
     window.wait("inside.view_through", until=cameras[1].__eq__)
     window.shot("05_capture_view")
     window.click("fipt.check_views")
-    _finish(window, "survey")
+    finish(window, "survey")
     assert window.ask("inside.counts")["checked"] == counts["views"]
     window.click("fipt.show_coverage")
     window.settle()
@@ -212,7 +181,7 @@ def estimate(window: Window, options: Options) -> None:
     _progress(window, 0.1)
     window.shot("10_estimate_resumed")
     assert stages > 0
-    _finish(window, "estimate", _ENGINE_SECONDS)
+    finish(window, "estimate", _ENGINE_SECONDS)
     window.settle()
     window.shot("11_estimate_finished")
 
@@ -231,7 +200,7 @@ def materials(window: Window, options: Options) -> None:
     """Apply the results, and show the room's maps one after the other."""
     window.open_section("Materials")
     window.click("fipt.apply_results")
-    _finish(window, "materials")
+    finish(window, "materials")
     textured = window.ask("inside.textured")
     assert textured["objects"] == textured["textured"] > 0, textured
     window.settle()
@@ -248,7 +217,7 @@ def check(window: Window, options: Options) -> None:
     window.choose("check.which", "CURRENT")
     window.set_text("check.samples", "8" if options.fast else "32")
     window.click("fipt.render_views")
-    _finish(window, "check")
+    finish(window, "check")
     found = window.ask("inside.checks")
     assert len(found) == 1 and found[0]["psnr"] > (10.0 if options.fast else 18.0), found
     window.shot("14_check_render")
@@ -256,7 +225,7 @@ def check(window: Window, options: Options) -> None:
     window.settle()
     window.shot("15_check_error")
     window.click("fipt.write_report")
-    _finish(window, "report")
+    finish(window, "report")
     assert Path(window.ask("inside.fit_texts")["report"]).is_file()
     window.pick("check.picture", "RENDER")
 
@@ -300,7 +269,7 @@ def insert(window: Window, options: Options) -> None:
     window.shot("19_inserted")
     window.set_text("insert.samples", "8" if options.fast else "32")
     window.click("fipt.render_composite")
-    _finish(window, "insert")
+    finish(window, "insert")
     picture = window.ask("inside.fit_texts")["picture"]
     assert Path(picture).is_file(), picture
     rendered = window.ask("inside.checks")[0]["render"]
@@ -344,28 +313,16 @@ def _progress(window: Window, fraction: float) -> None:
     assert job["state"] == "running", job
 
 
-def _finish(window: Window, kind: str, seconds: float = _JOB_SECONDS) -> dict[str, Any]:
-    """Wait for a job to finish without an error, with the pointer out of the way."""
-    window.point_in_view()
-    job = window.wait(
-        "inside.job", kind, until=lambda job: job["state"] not in ("", "running"), seconds=seconds, every=0.3
-    )
-    assert job["state"] == "finished", job
-    window.wait("inside.busy", until=lambda busy: not busy)
-    window.settle()
-    return job
-
-
 CHAPTERS = (
-    empty_scene,
-    preferences,
-    photographs,
-    capture,
-    parts,
-    estimate,
-    materials,
-    check,
-    lights,
-    insert,
-    draw_times,
+    Chapter(empty_scene),
+    Chapter(preferences, "empty_scene"),
+    Chapter(photographs, "preferences"),
+    Chapter(capture, "preferences"),
+    Chapter(parts, "capture"),
+    Chapter(estimate, "capture"),
+    Chapter(materials, "estimate"),
+    Chapter(check, "materials"),
+    Chapter(lights, "check"),
+    Chapter(insert, "check"),
+    Chapter(draw_times, "insert"),
 )

@@ -1,0 +1,102 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the story's chapters share, and the order in which some of them are told."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from window import Window
+
+_JOB_SECONDS = 600.0
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of a run of the story.
+
+    Attributes:
+        capture: folder of the example capture.
+        engine: interpreter with the engine's packages; it is typed into the preferences.
+        fast: few rays and steps, for work on the test itself.
+    """
+
+    capture: Path
+    engine: Path
+    fast: bool = False
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """A part of the story.
+
+    Attributes:
+        act: drives the window, asserts on Blender's data and takes pictures.
+        after: the chapter whose scene it continues; "" for Blender's startup scene.
+    """
+
+    act: Callable[[Window, Options], None]
+    after: str = ""
+
+    @property
+    def name(self) -> str:
+        """The function's name."""
+        return self.act.__name__
+
+
+def plan(
+    chapters: Iterable[Chapter], only: Iterable[str], told: Callable[[str], bool]
+) -> tuple[str, list[Chapter]]:
+    """The chapters that must be acted, in order, so that some of them can be.
+
+    Args:
+        chapters: all, in the order of the story.
+        only: names of the chapters that are wanted; none for all.
+        told: whether the scene that a chapter has left behind is at hand.
+
+    Returns:
+        The chapter whose scene is opened first ("" for none), and the chapters to act.
+    """
+    order = list(chapters)
+    wanted = set(only) or {chapter.name for chapter in order}
+    after = {chapter.name: chapter.after for chapter in order}
+    needed = set(wanted)
+    for name in wanted:
+        while name := after[name]:
+            needed.add(name)
+    names = [chapter.name for chapter in order if chapter.name in needed]
+    first = min(names.index(name) for name in wanted)
+    # A scene will do that holds all that comes before the first wanted chapter.
+    start = next((name for name in reversed(names[:first]) if told(name)), "")
+    rest = names[names.index(start) + 1 :] if start else names
+    return start, [chapter for chapter in order if chapter.name in rest]
+
+
+def act(window: Window, options: Options, chapters: Iterable[Chapter]) -> None:
+    """Act chapters one after the other; the scene is saved after each.
+
+    Raises:
+        AssertionError: something is not as it should be.
+    """
+    for chapter in chapters:
+        start = time.monotonic()
+        chapter.act(window, options)
+        print(f"{chapter.name}: {time.monotonic() - start:.0f} s", flush=True)
+        window.ask("save_copy", str(window.shots / f"{chapter.name}.blend"))
+
+
+def finish(window: Window, kind: str, seconds: float = _JOB_SECONDS) -> dict[str, Any]:
+    """Wait for a job to finish without an error, with the pointer out of the way."""
+    window.point_in_view()
+    job = window.wait(
+        "inside.job", kind, until=lambda job: job["state"] not in ("", "running"), seconds=seconds, every=0.3
+    )
+    assert job["state"] == "finished", job
+    window.wait("inside.busy", until=lambda busy: not busy)
+    window.settle()
+    return job
