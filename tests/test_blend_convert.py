@@ -53,7 +53,7 @@ def lamp_scene(shape: str) -> tuple[bpy.types.Scene, bpy.types.Object]:
     tilt = Matrix.Rotation(math.radians(25), 4, "Y") @ Matrix.Rotation(math.radians(20), 4, "Z")
     mesh.transform(tilt @ Matrix.Diagonal((*size, 1.0)))
     entry = {"name": "Fixture.001", "radiance": RADIANCE, "back_radiance": [0.0] * 3}
-    made = fixtures.NewFixture(entry, mesh, Vector((0.1, 0.0, 0.5)), [])
+    made = fixtures.NewFixture(entry, "Fixture.001", mesh, Vector((0.1, 0.0, 0.5)), [])
     (item,) = fixtures.place(scene, [made])
     light_state.refresh(scene)
     bpy.context.view_layer.update()

@@ -94,14 +94,14 @@ def test_restoring_undoes_applying(room):
     run, objects = room
     before = [snapshot(item) for item in objects]
     applied = applying.apply_results(run, objects)
-    assert applied.fixtures == ["Fixture.001"] and len(applied.materials) == 1
+    assert applied.fixtures == ["Panel"] and len(applied.materials) == 1
     assert [slot.material.name for slot in objects[1].material_slots] == applied.materials
     assert len(objects[0].data.polygons) == 2  # the third is the fixture
     again = applying.apply_results(run, objects)
     assert again == applied and len(objects[0].data.polygons) == 2
     assert originals.restore_original(objects) == [item.name for item in objects]
     assert [snapshot(item) for item in objects] == before
-    assert "Fixture.001" not in bpy.data.objects
+    assert "Panel" not in bpy.data.objects
     assert originals.restore_original(objects) == []
 
 
@@ -161,7 +161,7 @@ def test_fixture_emits_its_radiance_on_each_side(room):
     run, objects = room
     applying.apply_results(run, objects)
     world.apply_environment(run)
-    fixture = bpy.data.objects["Fixture.001"]
+    fixture = bpy.data.objects["Panel"]
     assert [each.name for each in fixture.users_collection] == ["FIPT Fixtures"]
     normal = (fixture.matrix_world.to_3x3() @ fixture.data.polygons[0].normal).normalized()
     centre = fixture.matrix_world.translation
@@ -189,7 +189,7 @@ def test_a_reflecting_lamp_adds_reflected_to_emitted_light(room):
     background.use_nodes = True
     background.node_tree.nodes["Background"].inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
     bpy.context.scene.world = background
-    fixture = bpy.data.objects["Fixture.001"]
+    fixture = bpy.data.objects["Panel"]
     centre = fixture.matrix_world.translation
     seen = look_at(centre + Vector((0, 0, 2)), centre)
     assert np.allclose(seen, [2.6, 2.3, 2.03], atol=0.06)

@@ -144,7 +144,7 @@ def panel_is_ready(options: MainJobOptions, blend: Path) -> None:
         assert (
             state.capture.train_count == 3 and state.capture.up_axis == "z" and state.capture.hold_back == 4
         )
-        assert [light.name for light in state.lights.lights] == ["Fixture.001"]
+        assert [light.name for light in state.lights.lights] == ["Crate panel"]
         assert state.materials.object_count == 2 and state.materials.texture_size == "512"
         assert state.estimate.preset == "draft" and state.estimate.changes == ""
         assert not bpy.context.scene.camera.data.show_background_images, "the photograph hides no results"
@@ -166,7 +166,7 @@ def test_the_job_makes_a_blend_and_a_report_and_resumes(options, engine):
     panel_is_ready(options, files[0])
     bpy.ops.wm.open_mainfile(filepath=str(files[0]))
     assert {"walls", "crate"} <= set(bpy.data.objects.keys())
-    assert any("Fixture.001" in name for name in bpy.data.objects.keys())
+    assert any("Crate panel" in name for name in bpy.data.objects.keys())
     assert sum(item.type == "CAMERA" for item in bpy.data.objects) == 4
     for image in bpy.data.images:
         if image.source == "FILE" and image.packed_file is None:

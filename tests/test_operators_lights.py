@@ -161,7 +161,7 @@ def test_settings_are_saved_and_copied_with_the_object(scene, tmp_path):
 
 def test_choosing_and_bad_names(scene):
     assert ops.select_light(light="Fixture.001") == {"FINISHED"}
-    assert bpy.context.view_layer.objects.active.name == "Fixture.001"
+    assert bpy.context.view_layer.objects.active.name == "Panel"
     assert "no light 'Sun'" in refused(ops.select_light, light="Sun")
     assert "no light 'x'" in refused(ops.fixture_to_area_light, fixture="x")
     ops.add_light(location=(0, 0, 3))
@@ -264,7 +264,7 @@ def test_light_groups_sum_to_the_image(scene, tmp_path):
     layer = bpy.context.view_layer
     layer.lightgroups.add(name="mine")
     assert ops.make_light_groups() == {"FINISHED"}
-    names = ["Environment", "Fixture_001", "New Lights"]
+    names = ["Environment", "Panel", "New Lights"]
     assert sorted(group.name for group in layer.lightgroups) == sorted([*names, "mine"])
     camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
     scene.collection.objects.link(camera)
@@ -401,3 +401,14 @@ def test_a_fixture_takes_its_simple_shape(scene):
     assert (after - center).length < 1e-3
     assert ops.fixture_to_area_light(fixture=fixture.name) == {"FINISHED"}
     assert "Convert Back" in refused(ops.clean_fixture, fixture=fixture.name)
+
+
+def test_names_of_fixtures_stay_on_another_apply_and_so_do_the_artists(scene):
+    row = scene.fipt.lights.lights[0]
+    assert row.object.name == "Panel" and row.object.data.name == "Panel"
+    assert ops.apply_results() == {"FINISHED"}
+    assert [row.object.name for row in scene.fipt.lights.lights] == ["Panel"]
+    scene.fipt.lights.lights[0].object.name = "Window"
+    assert ops.apply_results() == {"FINISHED"}
+    assert [row.object.name for row in scene.fipt.lights.lights] == ["Window"]
+    assert ops.reset_light(light="Fixture.001") == {"FINISHED"}  # scripts also use the run's name

@@ -73,7 +73,7 @@ def picture(scene, position, target, size=9, ortho=0.2):
 def test_apply_puts_maps_lights_and_exposure_onto_the_scene(applied):
     settings = applied.fipt.materials
     assert (settings.object_count, settings.image_count, settings.applied_mode) == (2, 1, "uv")
-    assert [row.name for row in applied.fipt.lights.lights] == ["Fixture.001"]
+    assert [row.name for row in applied.fipt.lights.lights] == ["Panel"]
     assert applied.view_settings.exposure == pytest.approx(np.log2(0.18 / MEDIAN))
     assert applied.world.name == "FIPT World"
     sun = bpy.data.objects["sun"]
@@ -134,7 +134,7 @@ def test_maps_show_their_values(applied):
         if shown != "EMISSION":
             assert (outside < 1e-3).all()
     ops.show_map(shown="EMISSION")
-    lamp = bpy.data.objects["Fixture.001"].matrix_world.translation
+    lamp = bpy.data.objects["Panel"].matrix_world.translation
     srgb = [1.0, 1.055 * 0.5 ** (1 / 2.4) - 0.055, 1.055 * 0.25 ** (1 / 2.4) - 0.055]
     assert np.allclose(picture(applied, lamp + Vector((0, 0, 2)), lamp), srgb, atol=0.01)
     ops.show_map(shown="ESTIMATED")
@@ -225,7 +225,7 @@ def test_light_settings_survive_another_apply(applied):
     ops.apply_results()
     lamp = applied.fipt.lights.lights[0]
     assert lamp.stops == -1.0 and lamp.kelvin == 2700.0
-    assert [item.name for item in lamp.object.children] == ["Fixture.001 Light"]
+    assert [item.name for item in lamp.object.children] == ["Panel Light"]
 
 
 def warned() -> str:
@@ -242,7 +242,7 @@ def test_renamed_objects_keep_their_results(applied, density):
     assert ops.apply_results() == {"FINISHED"} and not warned()
     assert all(marks.has_results(bpy.data.objects[new]) for _, new in names)
     # The fixture of the renamed panel was replaced: a second one would double the light.
-    assert [item.name for item in applied.objects if marks.is_fixture(item)] == ["Fixture.001"]
+    assert [item.name for item in applied.objects if marks.is_fixture(item)] == ["Panel"]
     assert len(bpy.data.objects["wall"].data.polygons) == 2
     assert len(bpy.data.materials["FIPT Room.001"].node_tree.nodes)
 
@@ -258,7 +258,7 @@ def test_deleted_objects_are_left_out_with_a_warning(scene, density, mode):
     assert "'panel'" in warned() and "'cube'" not in warned()
     assert marks.has_results(bpy.data.objects["cube"])
     # Its lamp is an object of its own, which the artist has kept.
-    assert [item.name for item in scene.objects if marks.is_fixture(item)] == ["Fixture.001"]
+    assert [item.name for item in scene.objects if marks.is_fixture(item)] == ["Panel"]
     assert scene.fipt.materials.object_count == 1
 
 
@@ -452,7 +452,7 @@ def test_each_is_one_step_of_undo(scene):
     bpy.ops.ed.undo()
     # Everything works after undo: the list, the room and its maps.
     scene = bpy.context.scene
-    assert [row.object.name for row in scene.fipt.lights.lights] == ["Fixture.001"]
+    assert [row.object.name for row in scene.fipt.lights.lights] == ["Panel"]
     scene.fipt.materials.shown = "ESTIMATED"
     assert len(marks.room_with_results(scene)) == 2
 
@@ -502,5 +502,5 @@ def test_new_fixtures_belong_to_the_backdrop(applied):
     ops.set_backdrop(mode="PHOTOGRAPH")
     ops.fixture_to_area_light(fixture="Fixture.001")
     ops.apply_results()
-    lamp = bpy.data.objects["Fixture.001"]
+    lamp = bpy.data.objects["Panel"]
     assert lamp.is_shadow_catcher and lamp.children[0].is_shadow_catcher

@@ -33,6 +33,7 @@ CATCHER = "fipt_catcher"  # we made the object a shadow catcher
 
 # --- fixtures and lights -----------------------------------------------------------------------------------
 FIXTURE = "fipt_fixture"  # the fixture's name in emitters.json
+NAMED = "fipt_named"  # the name that we gave a fixture's object; any other is the artist's
 FIXTURE_SOURCES = "fipt_sources"  # ids of the objects that the fixture was split off (JSON)
 FIXTURE_LIGHT = "fipt_fixture_light"  # on a Blender light that stands for a fixture, its child
 NEW_LIGHT = "fipt_light"  # on a light that the artist added

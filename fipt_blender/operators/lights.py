@@ -232,7 +232,7 @@ class FIPT_OT_make_light_groups(_NeedsLights, bpy.types.Operator):
     bl_label = "Make Light Groups"
     bl_description = (
         "Create light groups, so that Cycles renders each fixture, the environment and your own lights"
-        " into separate passes that you can mix after rendering: Combined_Fixture_001 and so on"
+        " into separate passes that you can mix after rendering: Combined_Ceiling panel and so on"
     )
     bl_options = {"REGISTER", "UNDO"}
 

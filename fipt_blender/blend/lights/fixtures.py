@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Estimated emitters as objects "Fixture.001" ... that the artist can select, move, switch and dim.
+"""Estimated emitters as objects "Ceiling panel" ... that the artist can select, move, switch and dim.
 
 A fixture's polygons move from the room's result meshes into an object of its own;
 `originals.restore_original` undoes that.
@@ -18,11 +18,12 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ..marks import BACK, BASE, FIXTURE, FIXTURE_SOURCES, object_id
+from ..marks import BACK, BASE, FIXTURE, FIXTURE_SOURCES, NAMED, object_id
 from ..outliner import FIXTURES, collection
 from ..room.arrays import Room
 from ..room.mesh_arrays import is_mirrored
 from ..room.originals import number_polygons, original_polygons
+from .fixture_names import fixture_names, numbered
 from .fixture_nodes import emission_material
 
 
@@ -32,12 +33,14 @@ class NewFixture:
 
     Attributes:
         entry: its entry of emitters.json.
+        name: what it is called in Blender (`fixture_names`).
         mesh: its polygons, around its centre.
         center: its centre in the world.
         sources: ids of the objects that it was split off.
     """
 
     entry: Mapping[str, Any]
+    name: str
     mesh: bpy.types.Mesh
     center: Vector
     sources: list[str]
@@ -73,7 +76,10 @@ def split_off(
         fixture = polygon_fixture[original_polygons(mesh)]
         for number in np.unique(fixture[fixture >= 0]):
             pieces[number].append(_Piece(item, mesh, np.flatnonzero(fixture == number)))
-    made = [_make(entry, parts) for entry, parts in zip(entries, pieces, strict=True) if parts]
+    names = fixture_names(room, entries)
+    made = [
+        _make(entry, name, parts) for entry, name, parts in zip(entries, names, pieces, strict=True) if parts
+    ]
     for index, polygon_fixture in polygon_fixtures.items():
         mesh = targets[index][1]
         _remove_polygons(mesh, np.flatnonzero(polygon_fixture[original_polygons(mesh)] >= 0))
@@ -85,14 +91,14 @@ def place(scene: bpy.types.Scene, fixtures: Sequence[NewFixture]) -> list[bpy.ty
     target = collection(scene, FIXTURES)
     items = []
     for fixture in fixtures:
-        entry, name = fixture.entry, fixture.entry["name"]
+        entry, name = fixture.entry, numbered(fixture.name, bpy.data.objects.keys())
         fixture.mesh.name = name
         base_color = entry.get("base_color", [0.0, 0.0, 0.0])
         light = entry["radiance"], entry["back_radiance"]
         fixture.mesh.materials.append(emission_material(name, *light, base_color))
         item = bpy.data.objects.new(name, fixture.mesh)
         item.matrix_world = Matrix.Translation(fixture.center)
-        item[FIXTURE] = name
+        item[FIXTURE], item[NAMED] = entry["name"], name
         item[FIXTURE_SOURCES] = json.dumps(fixture.sources)
         item[BASE] = [float(value) for value in entry["radiance"]]
         item[BACK] = [float(value) for value in entry["back_radiance"]]
@@ -123,7 +129,7 @@ def _polygon_fixtures(room: Room, entries: Sequence[Mapping[str, Any]]) -> dict[
     return polygon_fixtures
 
 
-def _make(entry: Mapping[str, Any], pieces: list[_Piece]) -> NewFixture:
+def _make(entry: Mapping[str, Any], name: str, pieces: list[_Piece]) -> NewFixture:
     """A fixture with copies of its polygons, wound as in room.npz."""
     points: list[Vector] = []
     faces: list[list[int]] = []
@@ -139,9 +145,9 @@ def _make(entry: Mapping[str, Any], pieces: list[_Piece]) -> NewFixture:
             face = [index_of[vertex] for vertex in vertices]
             faces.append(face[::-1] if mirrored else face)
     center = sum(points, Vector()) / len(points)
-    mesh = bpy.data.meshes.new(entry["name"])
+    mesh = bpy.data.meshes.new(name)
     mesh.from_pydata([tuple(point - center) for point in points], [], faces)
-    return NewFixture(entry, mesh, center, [object_id(piece.item) for piece in pieces])
+    return NewFixture(entry, name, mesh, center, [object_id(piece.item) for piece in pieces])
 
 
 def _remove_polygons(mesh: bpy.types.Mesh, polygons: np.ndarray) -> None:

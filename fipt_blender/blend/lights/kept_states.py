@@ -16,6 +16,7 @@ from ..marks import (
     BASE,
     FIXTURE,
     FIXTURE_SOURCES,
+    NAMED,
     fixture_lights,
     fixtures_of,
     remove_marks,
@@ -39,11 +40,13 @@ class FixtureState:
     """A fixture's settings and base radiances by key, and whether Blender lights stand for it.
 
     Attributes:
+        name: the object's name if the artist has chosen it, else "".
         lights: copies of these lights if the artist has moved, reshaped or deleted some of them, else None.
     """
 
     settings: dict[str, Setting]
     converted: bool
+    name: str = ""
     lights: list[_KeptLight] | None = None
 
 
@@ -55,7 +58,7 @@ def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
         settings = {key: _plain(item[key]) for key in (*SETTINGS, BASE, BACK) if key in item}
         changed = AS_CONVERTED in item and not lights_as_converted(scene, item)
         lights = [_copied(light) for light in fixture_lights(item)] if changed else None
-        states[item[FIXTURE]] = FixtureState(settings, AS_CONVERTED in item, lights)
+        states[item[FIXTURE]] = FixtureState(settings, AS_CONVERTED in item, _chosen_name(item), lights)
     return states
 
 
@@ -71,6 +74,8 @@ def keep_states(
         for key in SETTINGS:
             if key in state.settings:
                 item[key] = state.settings[key]
+        if state.name:
+            item.name = state.name
         if state.converted:
             fixture_to_lights(scene, item)
         if state.lights is not None:
@@ -81,6 +86,11 @@ def keep_states(
             remove_object(light.copy)
     refresh(scene)
     list_lights(scene)
+
+
+def _chosen_name(item: bpy.types.Object) -> str:
+    """A fixture's name if the artist has renamed it; files of earlier versions used that of emitters.json."""
+    return "" if item.name == item.get(NAMED, item[FIXTURE]) else item.name
 
 
 def _copied(light: bpy.types.Object) -> _KeptLight:

@@ -9,7 +9,6 @@ import json
 import bpy
 
 from ..marks import (
-    FIXTURE,
     LIGHT_GROUPS,
     fixture_lights,
     has_light_groups,
@@ -40,7 +39,7 @@ def make_light_groups(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> lis
         names.append(world.lightgroup)
     for item in lights_of(scene):
         # In an EXR file, dots separate the names of layers, passes and channels.
-        name = _add(layer, item[FIXTURE].replace(".", "_") if is_fixture(item) else NEW_LIGHTS)
+        name = _add(layer, item.name.replace(".", "_") if is_fixture(item) else NEW_LIGHTS)
         for light in (item, *fixture_lights(item)):
             light.lightgroup = name
         if name not in names:
