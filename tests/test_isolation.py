@@ -35,6 +35,7 @@ SHARED = (
     "run.messages",
     "run.method",
     "run.parent",
+    "run.parts",
     "run.process_identity",
     "run.run_files",
     "run.runfolder",

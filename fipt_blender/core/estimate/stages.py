@@ -61,6 +61,7 @@ from ..scene.pixels import fill_pixels, open_pixels
 from ..scene.unmixing import unmix_pixels
 from ..views.check import check_views
 from ..views.photometry import adjust_photographs
+from .part_list import write_part_list
 from .previews import Preview
 from .results import RoomLight, write_results
 from .state import EstimationState
@@ -421,7 +422,9 @@ class Estimation(EstimationState):
             pixels = lamp_pixels(self.pixels, shadings, emitting, self.settings.seed)
             fixtures, colors = separate(self.fixtures, pixels)
         light = RoomLight(fixtures, colors, self.observations.environment, self.view_check.lamps)
-        write_results(self.folder, self._room_fields(errors), light, self.scale, self.reporter)
+        fields = self._room_fields(errors)
+        write_results(self.folder, fields, light, self.scale, self.reporter)
+        write_part_list(self.folder, self.room, self.parts, self.views, self.pixels, fields)
         write_json(self.folder.statistics_json, self.summary())
 
     # ---- Progress ------------------------------------------------------------------------------------------

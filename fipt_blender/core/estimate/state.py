@@ -317,7 +317,8 @@ class EstimationState:
     def files(self) -> list[Path]:
         """The results in open formats that exist."""
         folder = self.folder
-        results = [folder.fields_npz, folder.emitters_json, folder.environment_exr, folder.statistics_json]
+        results = [folder.fields_npz, folder.parts_json, folder.emitters_json]
+        results += [folder.environment_exr, folder.statistics_json]
         return [path for path in results if path.exists()]
 
 

@@ -45,6 +45,7 @@ class RunFolder:
         self.results = self.root / "results"
         self.fields_npz = self.results / "fields.npz"
         self.parts_npz = self.results / "parts.npz"
+        self.parts_json = self.results / "parts.json"
         self.emitters_json = self.results / "emitters.json"
         self.environment_exr = self.results / "environment.exr"
         self.statistics_json = self.results / "statistics.json"

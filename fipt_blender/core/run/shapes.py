@@ -112,6 +112,29 @@ EMITTERS = Fields(
         "missing": Items(Fields({"position": Numbers(3), "radius": _NOT_NEGATIVE, "radiance": Numbers(3)})),
     },
 )
+PARTS_FORMAT = "fipt-parts"
+PARTS_VERSION = 1
+_SHARE = Number(0.0, 1.0)
+PARTS = Fields(
+    {
+        "format": Choice(PARTS_FORMAT),
+        "version": Choice(PARTS_VERSION),
+        "source": str,
+        "parts": Items(
+            Fields(
+                {
+                    **dict.fromkeys(("id", "triangles", "pixels"), Number(low=0, whole=True)),
+                    **dict.fromkeys(("key", "name"), str),
+                    "single": bool,
+                    "class": Maybe(str),
+                    "area": _NOT_NEGATIVE,
+                    **dict.fromkeys(("base_color", "confidence"), Maybe(Numbers(3))),
+                    **dict.fromkeys(("roughness", "metallic"), Maybe(_SHARE)),
+                }
+            )
+        ),
+    }
+)
 STATISTICS = Fields(
     optional={
         "stages": Items(Fields(optional={"name": str, "seconds": Maybe(Number()), "rays": Maybe(Number())})),

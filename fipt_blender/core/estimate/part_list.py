@@ -1,0 +1,211 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""results/parts.json: what the units of an estimate are called, how large they are and what they are made of.
+
+The units themselves are in parts.npz. Blender makes one material for each of them, and lists them.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..capture.views import View
+from ..material.fields import RoomFields
+from ..run.documents import Entries, read_json
+from ..run.parts import readable, unique_names
+from ..run.runfolder import RunFolder, write_json
+from ..run.shapes import PARTS_FORMAT, PARTS_VERSION
+from ..scene.labels import Parts, choose_source, fuse_masks
+from ..scene.pixels import PixelStore
+from ..scene.room import Room, triangle_normals
+
+# Names of semantic classes by id, a file beside the masks.
+CLASS_NAMES = "classes.json"
+# Cells whose values are averaged.
+MOST_CELLS = 50_000
+# Two surfaces are one if each holds this share of the other's area; a surface has a direction or a class if
+# this share of it has.
+SAME, MOST = 0.9, 0.7
+# A surface is at the floor or the ceiling within this share of the room's height, and a wall from this share
+# of the room's area.
+END, LARGE = 0.1, 0.03
+_NAMES_OF_IDS = {"mask": "Part {}", "class": "Class {}"}
+
+
+def write_part_list(
+    run: RunFolder, room: Room, parts: Parts, views: Sequence[View], pixels: PixelStore, fields: RoomFields
+) -> None:
+    """Write results/parts.json (docs/architecture.md).
+
+    Args:
+        room, parts: of the estimation.
+        views: the training views, in the order of `pixels`.
+        pixels: their pixels.
+        fields: the estimate; its units are listed.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    unit = fields.units.triangle
+    count = len(fields.units.single)
+    classes = _semantic_classes(room, views, pixels, unit, count)
+    source = choose_source(room, views)
+    keys = [_key(source, room, parts, unit, index) for index in range(count)]
+    names = unique_names(_names(room, unit, keys, [name for _, name in classes]))
+    seen = np.zeros(count + 1, np.int64)
+    for first, last in itertools.pairwise(pixels.ranges):
+        triangle = np.asarray(pixels.triangle[first:last])
+        seen += np.bincount(unit[triangle[triangle >= 0]] + 1, minlength=count + 1)
+    size = np.bincount(unit + 1, minlength=count + 1)
+    area = np.bincount(unit + 1, room.areas, minlength=count + 1)
+    values = _mean_values(fields, count)
+    entries = [
+        {
+            "id": index,
+            "key": keys[index],
+            "name": names[index],
+            "class": classes[index][1] or None,
+            "single": bool(fields.units.single[index]),
+            "triangles": int(size[index + 1]),
+            "pixels": int(seen[index + 1]),
+            "area": round(float(area[index + 1]), 6),
+            **_described(values[index]),
+        }
+        for index in range(count)
+    ]
+    document = {"format": PARTS_FORMAT, "version": PARTS_VERSION, "source": source, "parts": entries}
+    write_json(run.parts_json, document)
+
+
+def _described(values: np.ndarray) -> dict[str, Any]:
+    """Base colour, roughness, metallic and their confidence of values (8,), null where they are NaN."""
+    if not np.isfinite(values).all():
+        return dict.fromkeys(("base_color", "roughness", "metallic", "confidence"))
+    rounded = [round(float(value), 4) for value in values]
+    color, confidence = rounded[:3], rounded[5:]
+    return {"base_color": color, "roughness": rounded[3], "metallic": rounded[4], "confidence": confidence}
+
+
+def _mean_values(fields: RoomFields, count: int) -> np.ndarray:
+    """(count, 8) means over the seen cells of each unit: base colour, roughness, metallic, confidences."""
+    cells = fields.cells
+    rows = np.arange(0, len(cells.part), max(len(cells.part) // MOST_CELLS, 1))
+    rows = rows[cells.part[rows] >= 0]
+    if not len(rows):
+        return np.full((count, 8), np.nan)
+    units, first = np.unique(fields.units.triangle, return_index=True)
+    triangle = first[np.searchsorted(units, cells.part[rows])]  # any of the unit's
+    points = cells.points[rows].astype(np.float64)
+    values = np.column_stack([*fields.query(points, triangle), fields.confidence(points, triangle)])
+    total = np.stack([np.bincount(cells.part[rows], column, minlength=count) for column in values.T], axis=1)
+    size = np.bincount(cells.part[rows], minlength=count)[:, None]
+    return np.where(size > 0, total / np.maximum(size, 1), np.nan)
+
+
+def _key(source: str, room: Room, parts: Parts, unit: np.ndarray, index: int) -> str:
+    """A text that names a unit in other estimates of the room, too, as far as its source allows."""
+    if parts.kind == "part" and index < len(parts.ids):
+        return f"mask:{parts.ids[index]}"
+    if parts.kind == "semantic" and index < len(parts.ids):
+        return f"class:{parts.ids[index]}"
+    triangle = int(np.argmax(unit == index))
+    if source == "objects":
+        return f"object:{room.objects[room.triangle_object[triangle]]}"
+    if source == "materials":
+        return f"material:{room.materials[room.triangle_material[triangle]]}"
+    return f"piece:{triangle}"
+
+
+def _semantic_classes(
+    room: Room, views: Sequence[View], pixels: PixelStore, unit: np.ndarray, count: int
+) -> list[tuple[int, str]]:
+    """(id, name) of the semantic class of each unit; (-1, "") without masks, the name "" where unknown."""
+    if not any(view.semantics for view in views):
+        return [(-1, "")] * count
+    triangles = (np.asarray(pixels.triangle[first:last]) for first, last in itertools.pairwise(pixels.ranges))
+    images = (view.semantic_ids() for view in views)
+    label = fuse_masks(images, triangles, len(room.triangles))
+    names = _class_names(next(view.semantics for view in views if view.semantics))
+    known = (label >= 0) & (unit >= 0)
+    ids, place = np.unique(label[known], return_inverse=True)
+    area = np.bincount(unit[known] * len(ids) + place, room.areas[known], minlength=count * len(ids))
+    shares = area.reshape(count, len(ids))
+    classes = []
+    for row in shares:
+        total, best = row.sum(), int(row.argmax()) if len(row) else 0
+        number = int(ids[best]) if total > 0.0 and row[best] >= MOST * total else -1
+        classes.append((number, names.get(str(number), "")))
+    return classes
+
+
+def _class_names(mask: Path) -> dict[str, str]:
+    """The names of classes by id in the file beside a mask; none without the file."""
+    path = mask.parent / CLASS_NAMES
+    return read_json(path, Entries(str), "Correct or delete it.") if path.is_file() else {}
+
+
+def _names(room: Room, unit: np.ndarray, keys: Sequence[str], classes: Sequence[str]) -> list[str]:
+    """A name of each unit: of its object, slot or class, by its place in the room, or by its key."""
+    count = len(keys)
+    whole = _same_surfaces(room, unit, count, room.triangle_object, room.objects)
+    slots = _same_surfaces(room, unit, count, room.triangle_material, room.materials)
+    mostly = _objects_of(room, unit, count) if len(room.objects) > 1 else [""] * count
+    places = _places(room, unit, count)
+    pairs = (key.split(":", 1) for key in keys)
+    ids = [_NAMES_OF_IDS.get(kind, "Surface").format(number) for kind, number in pairs]
+    choices = zip(whole, slots, classes, mostly, places, ids, strict=True)
+    return [readable(next(filter(None, choice))) for choice in choices]
+
+
+def _areas(room: Room, unit: np.ndarray, count: int, label: np.ndarray, labels: int) -> np.ndarray:
+    """(count, labels) area that units and labels (T,) have in common."""
+    known = (unit >= 0) & (label >= 0)
+    pair = unit[known].astype(np.int64) * labels + label[known]
+    return np.bincount(pair, room.areas[known], minlength=count * labels).reshape(count, labels)
+
+
+def _same_surfaces(
+    room: Room, unit: np.ndarray, count: int, label: np.ndarray, names: Sequence[str]
+) -> list[str]:
+    """The name of the label whose triangles are those of a unit, "" where none is."""
+    if len(names) < 2:
+        return [""] * count
+    shared = _areas(room, unit, count, label, len(names))
+    of_label = np.bincount(label[label >= 0], room.areas[label >= 0], minlength=len(names))
+    of_unit = np.bincount(unit[unit >= 0], room.areas[unit >= 0], minlength=count)
+    best = shared.argmax(axis=1)
+    common = shared[np.arange(count), best]
+    same = (common > 0.0) & (common >= SAME * of_unit) & (common >= SAME * of_label[best])
+    return [names[index] if is_same else "" for index, is_same in zip(best, same, strict=True)]
+
+
+def _objects_of(room: Room, unit: np.ndarray, count: int) -> list[str]:
+    """The object that holds most of each unit."""
+    shared = _areas(room, unit, count, room.triangle_object, len(room.objects))
+    return [room.objects[index] for index in shared.argmax(axis=1)]
+
+
+def _places(room: Room, unit: np.ndarray, count: int) -> list[str]:
+    """Floor, Ceiling, Wall or "", by height, direction and area of each unit."""
+    known = unit >= 0
+    area = np.maximum(np.bincount(unit[known], room.areas[known], minlength=count), 1e-12)
+    corners = room.vertices[room.triangles[known]].astype(np.float64)
+    steepness = np.abs(triangle_normals(room.vertices, room.triangles)[known, 2])
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.bincount(unit[known], values * room.areas[known], minlength=count) / area
+
+    low, high = room.bounds
+    height = (mean(corners[:, :, 2].mean(axis=1)) - low[2]) / max(high[2] - low[2], 1e-9)
+    flat, upright = mean(steepness > 0.9) > MOST, mean(steepness < 0.3) > MOST
+    large = area > LARGE * room.areas.sum()
+    names = np.full(count, "", object)
+    names[upright & large] = "Wall"
+    names[flat & large & (height < END)] = "Floor"
+    names[flat & large & (height > 1.0 - END)] = "Ceiling"
+    return list(names)

@@ -1,0 +1,159 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The parts of a finished estimate as both processes read them: results/parts.json with results/parts.npz.
+
+Needs numpy alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .arrays import read_arrays
+from .documents import read_json
+from .errors import FiptError
+from .runfolder import RunFolder
+from .shapes import PARTS, PARTS_ARRAYS
+
+_AGAIN = "Run the estimation again."
+# Parts that get a material of their own; those that fewer pixels saw go with the rest of their objects.
+MOST_PARTS = 512
+NO_UNIT = -1
+
+
+@dataclass(frozen=True)
+class RoomPart:
+    """A part of the room: a unit of the estimate, or what no unit holds of an object.
+
+    Attributes:
+        unit: index of the unit, NO_UNIT for the rest of an object.
+        key: names the part in other estimates of the room, too, as far as the source of the parts allows.
+        name: for the user; unique.
+        single: whether it is of one material.
+        class_name: of its semantic class, "" where unknown.
+        triangles, pixels: how many it has, and how many of the photographs' pixels saw it.
+        base_color, roughness, metallic: means over what was seen; None where nothing was.
+        confidence: of these three, 0 to 1.
+    """
+
+    unit: int
+    key: str
+    name: str
+    single: bool = False
+    class_name: str = ""
+    triangles: int = 0
+    pixels: int = 0
+    base_color: tuple[float, ...] | None = None
+    roughness: float | None = None
+    metallic: float | None = None
+    confidence: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class RoomParts:
+    """All parts of a room.
+
+    Attributes:
+        triangle: (T,) int32 index into `parts` of each triangle of room.npz.
+        parts: those that have triangles.
+        source: of the parts, one of `core.scene.labels.choose_parts`; "" where the run does not say.
+    """
+
+    triangle: np.ndarray
+    parts: list[RoomPart]
+    source: str = ""
+
+
+def read_parts(run: RunFolder, triangle_object: np.ndarray, objects: Sequence[str]) -> RoomParts:
+    """The parts of a run; of a run of an earlier version, which does not describe them, the objects.
+
+    Args:
+        run: the run folder.
+        triangle_object: (T,) object of each triangle of the room.
+        objects: their names.
+
+    Raises:
+        FiptError: ``file-damaged``.
+    """
+    described: list[RoomPart] = []
+    unit = np.full(len(triangle_object), NO_UNIT, np.int64)
+    source = ""
+    if run.parts_json.is_file():
+        data = read_json(run.parts_json, PARTS, _AGAIN)
+        arrays = read_arrays(run.parts_npz, PARTS_ARRAYS, remedy=_AGAIN)
+        source, described = data["source"], [_part(entry) for entry in data["parts"]]
+        unit = arrays["triangle_part"].astype(np.int64)
+        fits = len(unit) == len(triangle_object) and len(described) == len(arrays["single"])
+        fits &= [part.unit for part in described] == list(range(len(described)))
+        if not fits or int(unit.max(initial=NO_UNIT)) >= len(described):
+            text = f"{run.parts_json}, {run.parts_npz} and the room do not fit each other."
+            raise FiptError("file-damaged", text, _AGAIN)
+    return _compact(described, unit, triangle_object, objects, source)
+
+
+def _part(entry: dict) -> RoomPart:
+    color, confidence = entry["base_color"], entry["confidence"]
+    return RoomPart(
+        unit=entry["id"],
+        key=entry["key"],
+        name=entry["name"],
+        single=entry["single"],
+        class_name=entry["class"] or "",
+        triangles=entry["triangles"],
+        pixels=entry["pixels"],
+        base_color=None if color is None else tuple(color),
+        roughness=entry["roughness"],
+        metallic=entry["metallic"],
+        confidence=None if confidence is None else tuple(confidence),
+    )
+
+
+def _compact(
+    described: list[RoomPart],
+    unit: np.ndarray,
+    triangle_object: np.ndarray,
+    objects: Sequence[str],
+    source: str,
+) -> RoomParts:
+    """The parts that have triangles, those of few pixels merged into the rest of their objects."""
+    pixels = np.array([part.pixels for part in described] or [0])
+    kept = np.zeros(len(pixels) + 1, bool)  # the last: no unit
+    kept[np.argsort(-pixels, kind="stable")[:MOST_PARTS]] = len(described) > 0
+    unit = np.where(unit >= 0, unit, len(pixels))
+    # The rest of object i has the number len(pixels) + i.
+    number = np.where(kept[unit], unit, len(pixels) + triangle_object)
+    used, triangle = np.unique(number, return_inverse=True)
+    size = np.bincount(triangle.ravel(), minlength=len(used))
+    parts = []
+    for index, triangles in zip(used.tolist(), size.tolist(), strict=True):
+        if index < len(pixels):
+            parts.append(replace(described[index], triangles=triangles))
+        else:
+            name = objects[index - len(pixels)]
+            parts.append(RoomPart(NO_UNIT, f"rest:{name}", readable(name), triangles=triangles))
+    names = unique_names([part.name for part in parts])
+    named = [replace(part, name=name) for part, name in zip(parts, names, strict=True)]
+    return RoomParts(triangle.ravel().astype(np.int32), named, source)
+
+
+def readable(name: str) -> str:
+    """A name of a file's object as a text: spaces in place of underscores, a capital at its beginning."""
+    text = " ".join(name.replace("_", " ").split()) or "Surface"
+    return text[0].upper() + text[1:]
+
+
+def unique_names(names: Sequence[str]) -> list[str]:
+    """The names, with numbers behind those that occur again."""
+    taken: set[str] = set()
+    result = []
+    for name in names:
+        number, free = 1, name
+        while free in taken:
+            number += 1
+            free = f"{name} {number}"
+        taken.add(free)
+        result.append(free)
+    return result
