@@ -42,9 +42,12 @@ BASE = "fipt_base"  # rgb as estimated or added: radiance of a fixture's front, 
 BACK = "fipt_back"  # rgb radiance of a fixture's back
 ON, SOLO, STOPS = "fipt_on", "fipt_solo", "fipt_stops"
 TINT, COLOR, KELVIN = "fipt_tint", "fipt_color", "fipt_kelvin"
+ANIMATED = "fipt_animated"  # drivers lead the settings to the strengths
+GATE = "fipt_gate"  # on an animated light: 0 without solo, 1 where it is soloed, -1 where others are
 WRITTEN = "fipt_written"  # the strength that we wrote last; any other was set by the artist
 VISIBILITY = "fipt_visibility"  # original ray visibility of a fixture that Blender lights stand for (JSON)
 AS_CONVERTED = "fipt_as_converted"  # on these lights: shape and place as made; on the fixture: their number
+PROFILE = "fipt_profile"  # on a light with an IES profile: its type before (JSON)
 MUTED = "fipt_muted"  # on the scene's other lights: whether they were hidden in viewports and renders
 
 # --- worlds, scenes and view layers ------------------------------------------------------------------------

@@ -15,7 +15,8 @@ from .polls import has_results, in_object_mode
 from .reporting import reports_errors
 
 
-def _name_property(what: str) -> object:
+def light_name_property(what: str) -> object:
+    """The property by which an operator on a light names it."""
     return bpy.props.StringProperty(
         name="Light",
         description=f"Name of the {what}. If empty, the active light of the list is used",
@@ -23,7 +24,7 @@ def _name_property(what: str) -> object:
     )
 
 
-def _find_light(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
+def find_light(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
     """The light of that name, or the list's active one for "".
 
     Raises:
@@ -40,7 +41,7 @@ def _find_light(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
     return row.object
 
 
-class _NeedsLights:
+class NeedsLights:
     """Mix-in of operators on the list of lights."""
 
     @classmethod
@@ -85,31 +86,31 @@ class FIPT_OT_list_lights(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FIPT_OT_reset_light(_NeedsLights, bpy.types.Operator):
+class FIPT_OT_reset_light(NeedsLights, bpy.types.Operator):
     """Reset the light to its estimated power and color"""
 
     bl_idname = "fipt.reset_light"
     bl_label = "Reset Light"
     bl_options = {"REGISTER", "UNDO"}
 
-    light: _name_property("light")
+    light: light_name_property("light")
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.lights.light_state import reset
 
-        reset(context.scene, _find_light(context.scene, self.light))
+        reset(context.scene, find_light(context.scene, self.light))
         return {"FINISHED"}
 
 
-class FIPT_OT_select_light(_NeedsLights, bpy.types.Operator):
+class FIPT_OT_select_light(NeedsLights, bpy.types.Operator):
     """Select the object of the light and bring it into view"""
 
     bl_idname = "fipt.select_light"
     bl_label = "Select Light"
     bl_options = {"REGISTER", "UNDO"}
 
-    light: _name_property("light")
+    light: light_name_property("light")
     frame: bpy.props.BoolProperty(name="Frame", description="Bring the light into view", default=True)
 
     @classmethod
@@ -121,7 +122,7 @@ class FIPT_OT_select_light(_NeedsLights, bpy.types.Operator):
         from ..blend.outliner import select_only
 
         layer = context.view_layer
-        light = _find_light(context.scene, self.light)
+        light = find_light(context.scene, self.light)
         if not light.visible_get(view_layer=layer):
             raise FiptError("light-hidden", f"'{light.name}' is hidden.", "Show it in the Outliner.")
         select_only(layer, light)
@@ -132,12 +133,12 @@ class FIPT_OT_select_light(_NeedsLights, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class _OnFixture(_NeedsLights):
+class _OnFixture(NeedsLights):
     """Mix-in of operators on one fixture."""
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
-        fixture = _find_light(context.scene, self.fixture)  # type: ignore[attr-defined]
+        fixture = find_light(context.scene, self.fixture)  # type: ignore[attr-defined]
         if FIXTURE not in fixture:
             raise FiptError(
                 "fixture-missing",
@@ -167,7 +168,7 @@ class FIPT_OT_fixture_to_area_light(_OnFixture, bpy.types.Operator):
     )
     bl_options = {"REGISTER", "UNDO"}
 
-    fixture: _name_property("fixture")
+    fixture: light_name_property("fixture")
 
     def convert(self, context: bpy.types.Context, fixture: bpy.types.Object) -> None:
         from ..blend.lights.convert import fixture_to_lights
@@ -187,7 +188,7 @@ class FIPT_OT_area_light_to_fixture(_OnFixture, bpy.types.Operator):
     bl_label = "Convert Back"
     bl_options = {"REGISTER", "UNDO"}
 
-    fixture: _name_property("fixture")
+    fixture: light_name_property("fixture")
 
     def convert(self, context: bpy.types.Context, fixture: bpy.types.Object) -> None:
         from ..blend.lights.convert import lights_to_fixture
@@ -209,7 +210,7 @@ class FIPT_OT_clean_fixture(_OnFixture, bpy.types.Operator):
     )
     bl_options = {"REGISTER", "UNDO"}
 
-    fixture: _name_property("fixture")
+    fixture: light_name_property("fixture")
 
     def convert(self, context: bpy.types.Context, fixture: bpy.types.Object) -> None:
         from ..blend.lights.convert import world_triangles
@@ -225,7 +226,7 @@ class FIPT_OT_clean_fixture(_OnFixture, bpy.types.Operator):
         self.report({"INFO"}, iface_("The shape is a {}").format(iface_(_SHAPES[shape.kind])))
 
 
-class FIPT_OT_make_light_groups(_NeedsLights, bpy.types.Operator):
+class FIPT_OT_make_light_groups(NeedsLights, bpy.types.Operator):
     """Create light groups for the estimated lights, the environment and your own lights"""
 
     bl_idname = "fipt.make_light_groups"

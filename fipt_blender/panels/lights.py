@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 
-from ..blend.marks import FIXTURE, VISIBILITY
+from ..blend.marks import ANIMATED, FIXTURE, VISIBILITY
 from .sidebar import Rows, Section, SubSection, draw_text
 
 
@@ -80,6 +81,8 @@ def _draw_light(layout: bpy.types.UILayout, light: bpy.types.PropertyGroup | Non
     """The settings of the active light."""
     if light is None:
         return
+    if FIXTURE in light.object:
+        layout.label(text=iface_("In the report: {}").format(light.object[FIXTURE]), translate=False)
     column = layout.column(align=True)
     column.prop(light, "stops")
     column.prop(light, "factor")
@@ -89,12 +92,66 @@ def _draw_light(layout: bpy.types.UILayout, light: bpy.types.PropertyGroup | Non
         column.prop(light, "color")
     else:
         column.prop(light, "kelvin")
+    row = layout.row(align=True)
+    row.operator("fipt.keyframe_lights", text="Keyframe", icon="KEY_HLT")
+    if ANIMATED in light.object:
+        row.operator("fipt.clear_light_keyframes", text="", icon="X")
     if FIXTURE in light.object:
         if VISIBILITY in light.object:
             layout.operator("fipt.area_light_to_fixture", icon="LOOP_BACK")
+            _draw_profile(layout)
         else:
             layout.operator("fipt.clean_fixture", icon="MESH_PLANE")
             layout.operator("fipt.fixture_to_area_light", icon="LIGHT_AREA")
+    else:
+        _draw_profile(layout)
+
+
+def _draw_profile(layout: bpy.types.UILayout) -> None:
+    """The buttons of a Blender light's IES profile."""
+    row = layout.row(align=True)
+    row.operator("fipt.set_ies_profile", icon="LIGHT_POINT")
+    row.operator("fipt.remove_ies_profile", text="", icon="X")
+
+
+class FIPT_UL_light_states(Rows, bpy.types.UIList):
+    """Saved states of all lights"""
+
+    def draw_row(
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        item: bpy.types.PropertyGroup,
+        index: int,
+    ) -> None:
+        row = layout.row(align=True)
+        row.prop(item, "name", text="", emboss=False, icon="LIGHT")
+        row.operator("fipt.recall_light_state", text="", icon="PLAY", emboss=False).state = item.name
+
+
+class FIPT_PT_light_states(SubSection, bpy.types.Panel):
+    """Save and recall the state of all lights, and blend between two"""
+
+    bl_label = "Light States"
+    bl_parent_id = "FIPT_PT_lights"
+    bl_order = 1
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        settings = context.scene.fipt.lights
+        row = layout.row()
+        row.template_list("FIPT_UL_light_states", "", settings, "states", settings, "active_state", rows=3)
+        column = row.column(align=True)
+        column.operator_menu_enum("fipt.save_light_state", "kind", text="", icon="ADD")
+        column.operator("fipt.remove_light_state", text="", icon="REMOVE")
+        column = layout.column(align=True)
+        column.prop_search(settings, "blend_from", settings, "states")
+        column.prop_search(settings, "blend_to", settings, "states")
+        column = layout.column()
+        column.enabled = settings.can_blend()
+        column.prop(settings, "blend", slider=True)
+        row = layout.row()
+        row.operator("fipt.keyframe_lights", text="Keyframe All Lights", icon="KEY_HLT").everything = True
 
 
 class FIPT_PT_environment(SubSection, bpy.types.Panel):
@@ -102,6 +159,7 @@ class FIPT_PT_environment(SubSection, bpy.types.Panel):
 
     bl_label = "Environment"
     bl_parent_id = "FIPT_PT_lights"
+    bl_order = 2
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -129,6 +187,7 @@ class FIPT_PT_light_output(SubSection, bpy.types.Panel):
 
     bl_label = "Scene and Passes"
     bl_parent_id = "FIPT_PT_lights"
+    bl_order = 3
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
@@ -144,4 +203,11 @@ class FIPT_PT_light_output(SubSection, bpy.types.Panel):
         row.operator("fipt.remove_light_groups", text="", icon="X")
 
 
-CLASSES = (FIPT_UL_lights, FIPT_PT_lights, FIPT_PT_environment, FIPT_PT_light_output)
+CLASSES = (
+    FIPT_UL_lights,
+    FIPT_UL_light_states,
+    FIPT_PT_lights,
+    FIPT_PT_light_states,
+    FIPT_PT_environment,
+    FIPT_PT_light_output,
+)

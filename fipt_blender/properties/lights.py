@@ -100,12 +100,14 @@ class FIPT_Light(bpy.types.PropertyGroup):
     on: bpy.props.BoolProperty(
         name="On",
         description="Switch the light on or off. A fixture that is off is black and still blocks light",
+        options=set(),  # keyframes are the object's, see blend/lights/light_drivers.py
         get=_get(ON, True),
         set=_set(ON),
     )
     solo: bpy.props.BoolProperty(
         name="Solo",
         description="Switch off the environment and all lights that are not solo",
+        options=set(),
         get=_get(SOLO, False),
         set=_set(SOLO),
     )
@@ -118,6 +120,7 @@ class FIPT_Light(bpy.types.PropertyGroup):
         soft_max=5.0,
         step=10,
         precision=2,
+        options=set(),
         get=_get(STOPS, 0.0),
         set=_set(STOPS),
     )
@@ -129,6 +132,7 @@ class FIPT_Light(bpy.types.PropertyGroup):
         max=2.0**_MAX_STOPS,
         step=10,
         precision=3,
+        options=set(),
         get=_get_factor,
         set=_set_factor,
     )
@@ -136,6 +140,7 @@ class FIPT_Light(bpy.types.PropertyGroup):
         name="Color From",
         description="Source of the light's color. The brightness does not change",
         items=TINTS,
+        options=set(),
         get=_get(TINT, 0),
         set=_set(TINT),
     )
@@ -146,6 +151,7 @@ class FIPT_Light(bpy.types.PropertyGroup):
         size=3,
         min=0.0,
         max=1.0,
+        options=set(),
         get=_get_color,
         set=_set_color,
     )
@@ -159,6 +165,7 @@ class FIPT_Light(bpy.types.PropertyGroup):
         soft_max=12000.0,
         step=5000,
         precision=0,
+        options=set(),
         get=_get_kelvin,
         set=_set_kelvin,
     )
@@ -203,6 +210,25 @@ def _set_rotation(self: FIPT_LightsSettings, value: float) -> None:
         node.inputs["Rotation"].default_value[2] = value
 
 
+class FIPT_LightState(bpy.types.PropertyGroup):
+    """A saved state of all lights and the environment, under its name."""
+
+    data: bpy.props.StringProperty(description="The state (JSON)", options={"HIDDEN"})
+
+
+def _blend_changed(self: FIPT_LightsSettings, context: bpy.types.Context) -> None:
+    if self.can_blend():
+        from ..blend.lights import light_states
+        from ..core.run.errors import FiptError
+
+        names = (self.blend_from, self.blend_to)
+        try:
+            first, second = (light_states.read(self.states[name].data) for name in names)
+        except FiptError:  # told by Recall
+            return
+        light_states.blend(self.id_data, first, second, self.blend)
+
+
 class FIPT_LightsSettings(bpy.types.PropertyGroup):
     """The section Lights."""
 
@@ -213,6 +239,7 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
     environment_on: bpy.props.BoolProperty(
         name="Environment",
         description="Switch the light from outside the room on or off",
+        options=set(),
         get=_world_value(WORLD_ON, True),
         set=_set_world_value(WORLD_ON),
     )
@@ -222,6 +249,7 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
         min=0.0,
         soft_max=10.0,
         precision=3,
+        options=set(),
         get=_world_value(WORLD_FACTOR, 1.0),
         set=_set_world_value(WORLD_FACTOR),
     )
@@ -231,8 +259,33 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
         subtype="ANGLE",
         soft_min=-math.pi,
         soft_max=math.pi,
+        options=set(),
         get=_get_rotation,
         set=_set_rotation,
+    )
+    states: bpy.props.CollectionProperty(type=FIPT_LightState)
+    active_state: bpy.props.IntProperty(
+        name="Light State", description="Saved states of all lights and the environment", options=set()
+    )
+    blend_from: bpy.props.StringProperty(
+        name="From", description="State of the lights at 0", options=set(), update=_blend_changed
+    )
+    blend_to: bpy.props.StringProperty(
+        name="To", description="State of the lights at 1", options=set(), update=_blend_changed
+    )
+    blend: bpy.props.FloatProperty(
+        name="Blend",
+        description="Light between two states, as radiance adds up",
+        subtype="FACTOR",
+        min=0.0,
+        max=1.0,
+        options=set(),
+        update=_blend_changed,
+    )
+    show_outline: bpy.props.BoolProperty(
+        name="Outline",
+        description="Outline the active light of the list in 3D viewports",
+        default=True,
     )
     missing_lamps: bpy.props.StringProperty(
         description="Lamps that the photographs show and the mesh lacks, not yet added (JSON)",
@@ -245,6 +298,10 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
     def result_world(self) -> bpy.types.World | None:
         """The world that applying results created for the scene, whether it is shown or not."""
         return result_world(self.id_data)
+
+    def can_blend(self) -> bool:
+        """Whether two states are chosen, between which the lights can be blended."""
+        return self.blend_from in self.states and self.blend_to in self.states
 
     def needs_cycles(self) -> bool:
         """Whether the engine is EEVEE and a fixture's surface emits, which lights nothing there."""
@@ -271,4 +328,4 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
         return None
 
 
-CLASSES = (FIPT_Light, FIPT_LightsSettings)
+CLASSES = (FIPT_Light, FIPT_LightState, FIPT_LightsSettings)

@@ -23,7 +23,8 @@ from ..marks import (
 )
 from ..outliner import FIXTURES, collection, remove_object
 from .convert import fixture_to_lights, lights_as_converted
-from .light_state import SETTINGS, Setting, adopt, list_lights, refresh
+from .light_drivers import action_of, take_action
+from .light_state import SETTINGS, Setting, adopt, list_lights, plain, refresh
 
 
 @dataclass(frozen=True)
@@ -40,12 +41,14 @@ class FixtureState:
     """A fixture's settings and base radiances by key, and whether Blender lights stand for it.
 
     Attributes:
+        action: names of the action and the slot with its keyframes, "" without keyframes.
         name: the object's name if the artist has chosen it, else "".
         lights: copies of these lights if the artist has moved, reshaped or deleted some of them, else None.
     """
 
     settings: dict[str, Setting]
     converted: bool
+    action: tuple[str, str] = ("", "")
     name: str = ""
     lights: list[_KeptLight] | None = None
 
@@ -55,10 +58,12 @@ def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
     states = {}
     for item in fixtures_of(scene):
         adopt(item)
-        settings = {key: _plain(item[key]) for key in (*SETTINGS, BASE, BACK) if key in item}
+        settings = {key: plain(item[key]) for key in (*SETTINGS, BASE, BACK) if key in item}
         changed = AS_CONVERTED in item and not lights_as_converted(scene, item)
         lights = [_copied(light) for light in fixture_lights(item)] if changed else None
-        states[item[FIXTURE]] = FixtureState(settings, AS_CONVERTED in item, _chosen_name(item), lights)
+        states[item[FIXTURE]] = FixtureState(
+            settings, AS_CONVERTED in item, action_of(item), _chosen_name(item), lights
+        )
     return states
 
 
@@ -69,11 +74,12 @@ def keep_states(
     unused = dict(states)
     for item in items:
         state = states.get(item[FIXTURE])
-        if state is None or any(state.settings.get(key) != _plain(item[key]) for key in (BASE, BACK)):
+        if state is None or any(state.settings.get(key) != plain(item[key]) for key in (BASE, BACK)):
             continue
         for key in SETTINGS:
             if key in state.settings:
                 item[key] = state.settings[key]
+        take_action(item, *state.action)
         if state.name:
             item.name = state.name
         if state.converted:
@@ -113,8 +119,3 @@ def _bring_back(scene: bpy.types.Scene, item: bpy.types.Object, lights: Iterable
         copy[FIXTURE_SOURCES] = item[FIXTURE_SOURCES]
         target.objects.link(copy)
         copy.parent, copy.matrix_parent_inverse = item, light.inverse
-
-
-def _plain(value: Setting) -> Setting:
-    """A custom property's value, arrays as lists."""
-    return value if isinstance(value, bool | int | float | str) else list(value)

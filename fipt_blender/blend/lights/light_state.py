@@ -17,6 +17,7 @@ from ..marks import (
     BACKGROUND,
     BASE,
     COLOR,
+    GATE,
     KELVIN,
     ON,
     SOLO,
@@ -33,6 +34,8 @@ from ..marks import (
     result_world,
 )
 from .fixture_nodes import node_strength, write_radiance, write_shown
+from .light_drivers import clear as clear_animation
+from .light_drivers import drive, is_animated, take_color
 from .tint import base_of, powered, shown_color, shown_temperature, split, tinted
 
 SETTINGS = (ON, SOLO, STOPS, TINT, COLOR, KELVIN)
@@ -63,12 +66,11 @@ def change(scene: bpy.types.Scene, item: bpy.types.Object, values: Mapping[str, 
             item.get(COLOR, shown_color(item)),
             item.get(KELVIN, shown_temperature(item)),
         )
-    for key, value in values.items():
-        item[key] = value
+    apply_settings(item, values)
     if SOLO in values:
         refresh(scene)
     else:
-        _write(item, shines(item, _any_solo(scene)), _shown(scene))
+        _write(item, _any_solo(scene), _shown(scene))
 
 
 def change_all(
@@ -77,9 +79,21 @@ def change_all(
     """Change settings of several lights and update all strengths of the scene."""
     for item in items:
         adopt(item)
-        for key, value in values.items():
-            item[key] = value
+        apply_settings(item, values)
     refresh(scene)
+
+
+def apply_settings(item: bpy.types.Object, values: Mapping[str, Setting]) -> None:
+    """Write settings of a light; `refresh` must follow."""
+    for key, value in values.items():
+        item[key] = value
+    if is_animated(item):
+        take_color(item)
+
+
+def plain(value: Setting) -> Setting:
+    """A custom property's value, arrays as lists."""
+    return value if isinstance(value, bool | int | float | str) else list(value)
 
 
 def set_estimated_lights(on: bool, scene: bpy.types.Scene | None = None) -> None:
@@ -96,7 +110,8 @@ def set_estimated_lights(on: bool, scene: bpy.types.Scene | None = None) -> None
 
 
 def reset(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
-    """Reset a light to its estimated power and colour, switched on."""
+    """Reset a light to its estimated power and colour, switched on and without keyframes."""
+    clear_animation(item)
     remove_marks(item, *SETTINGS)
     item[WRITTEN] = _strength(item)
     refresh(scene)
@@ -108,7 +123,7 @@ def refresh(scene: bpy.types.Scene) -> None:
     solo, shown = any(item.get(SOLO, False) for item in items), _shown(scene)
     for item in items:
         adopt(item)
-        _write(item, shines(item, solo), shown)
+        _write(item, solo, shown)
     refresh_world(scene)
 
 
@@ -119,6 +134,8 @@ def shines(item: bpy.types.Object, any_solo: bool) -> bool:
 
 def adopt(item: bpy.types.Object) -> None:
     """Turn a strength that the artist entered in a node or a light's properties into settings."""
+    if is_animated(item):
+        return
     written, strength = item.get(WRITTEN), _strength(item)
     if written is None or strength is None or math.isclose(strength, written, rel_tol=1e-4, abs_tol=1e-9):
         return
@@ -131,6 +148,8 @@ def adopt(item: bpy.types.Object) -> None:
 
 def has_set_power(scene: bpy.types.Scene, item: bpy.types.Object, light: bpy.types.Object) -> bool:
     """Whether a Blender light of a fixture has the power and colour that the fixture's settings give it."""
+    if is_animated(item):
+        return True
     color, watts = _color_and_watts(light, item, shines(item, _any_solo(scene)))
     values = zip((*light.data.color, light.data.energy), (*color, watts), strict=True)
     return all(math.isclose(value, target, rel_tol=1e-4, abs_tol=1e-6) for value, target in values)
@@ -166,8 +185,10 @@ def _strength(item: bpy.types.Object) -> float | None:
     return node_strength(item.data.materials[0], back=max(item.get(BASE, (1.0,))) <= 0.0)
 
 
-def _write(item: bpy.types.Object, on: bool, shown: str) -> None:
-    off = (0.0, 0.0, 0.0)
+def _write(item: bpy.types.Object, any_solo: bool, shown: str) -> None:
+    on, off = shines(item, any_solo), (0.0, 0.0, 0.0)
+    if is_animated(item):
+        item[GATE] = (1 if on else -1) if any_solo else 0
     if item.type == "LIGHT":
         _write_light(item, item, on)
     elif item.type == "MESH" and item.data.materials and item.data.materials[0] is not None:
@@ -178,6 +199,8 @@ def _write(item: bpy.types.Object, on: bool, shown: str) -> None:
         write_shown(material, shown)
         for light in fixture_lights(item):
             _write_light(light, item, on)
+    if is_animated(item):
+        drive(item)
     strength = _strength(item)
     if strength is not None:
         item[WRITTEN] = strength
