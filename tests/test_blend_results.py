@@ -94,8 +94,8 @@ def test_restoring_undoes_applying(room):
     run, objects = room
     before = [snapshot(item) for item in objects]
     applied = applying.apply_results(run, objects)
-    assert applied.fixtures == ["Panel"] and len(applied.materials) == 1
-    assert [slot.material.name for slot in objects[1].material_slots] == applied.materials
+    assert applied.fixtures == ["Panel"] and applied.materials == ["Panel FIPT", "Cube FIPT"]
+    assert [slot.material.name for slot in objects[1].material_slots] == applied.materials[1:]
     assert len(objects[0].data.polygons) == 2  # the third is the fixture
     again = applying.apply_results(run, objects)
     assert again == applied and len(objects[0].data.polygons) == 2
@@ -111,7 +111,9 @@ def test_material_tree(room):
     nodes = bpy.data.materials[name].node_tree.nodes
     principled = nodes["FIPT Principled"]
     for label in ("Base Color", "Roughness", "Metallic"):
-        assert principled.inputs[label].links[0].from_node == nodes[f"FIPT {label}"]
+        adjust = principled.inputs[label].links[0].from_node
+        assert adjust == nodes["FIPT Adjust"] and principled.inputs[label].links[0].from_socket.name == label
+        assert adjust.inputs[label].links[0].from_node == nodes[f"FIPT {label}"]
     assert not nodes["FIPT Confidence"].outputs["Color"].is_linked
     for label, is_data in materials.MAPS.values():
         image = nodes[f"FIPT {label}"].image

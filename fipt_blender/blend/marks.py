@@ -64,6 +64,9 @@ MOVED = "fipt_inserted_from"  # the artist's own: "Remove Inserted" moves it bac
 
 # --- materials, node groups and images ---------------------------------------------------------------------
 MATERIAL = "fipt_material"  # marks a material as ours; its value is the name of the atlas image
+PART = "fipt_part"  # on our materials: key of the part, see `core.run.parts`
+PART_NAME = "fipt_part_name"  # on our materials: the part's name, for parts whose key has changed
+ADJUSTMENT = "fipt_adjustment"  # on the node group of the artist's adjustments: its version
 SURFACE = "fipt_surface"  # what fed the output before a map was shown: node and socket, a line each
 TABLE = "fipt_table"  # on the node group that corrects Principled: digest of its table
 PICTURE = "fipt_picture"  # marks an image that we showed in an editor

@@ -15,14 +15,17 @@ UNCHANGED = ("ESTIMATED", "ORIGINAL")  # what is shown of a material other than 
 
 
 def write_surface(
-    material: bpy.types.Material, shown: str, source: bpy.types.Node | None, constant: Sequence[float]
+    material: bpy.types.Material,
+    shown: str,
+    source: bpy.types.NodeSocket | None,
+    constant: Sequence[float],
 ) -> None:
     """Let one of our materials show itself or a map.
 
     Args:
         material: its output node is "FIPT Output"; nothing happens without it.
         shown: one of `UNCHANGED` for the material itself, otherwise a map.
-        source: the node whose colour is the map; None for a constant.
+        source: the output whose colour is the map; None for a constant.
         constant: rgba of a map without a source.
     """
     nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -54,4 +57,4 @@ def write_surface(
     node.inputs["Strength"].default_value = 1.0
     color.default_value = constant
     if source is not None:
-        links.new(source.outputs["Color"], color)
+        links.new(source, color)

@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import bpy
+from mathutils import Vector
 
 if TYPE_CHECKING:
     from ..blend.insert.surfaces import Surface
@@ -33,11 +34,17 @@ def view_under_pointer(
     return None
 
 
-def surface_under_pointer(context: bpy.types.Context, event: bpy.types.Event) -> Surface | None:
-    """The visible surface under the pointer, in world coordinates; None where there is none."""
-    from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_3d
+class PointerRay(NamedTuple):
+    """The ray through the pointer: origin and unit direction in the world, whether backs are not drawn."""
 
-    from ..blend.insert.surfaces import find_surface
+    origin: Vector
+    direction: Vector
+    skip_backs: bool
+
+
+def ray_under_pointer(context: bpy.types.Context, event: bpy.types.Event) -> PointerRay | None:
+    """The ray from the eye through the pointer; None where it is not over a 3D viewport."""
+    from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_3d
 
     view = view_under_pointer(context, event)
     if view is None:
@@ -46,10 +53,18 @@ def surface_under_pointer(context: bpy.types.Context, event: bpy.types.Event) ->
     # In quad view each region has its own matrix; the space's is that of the last one.
     data = getattr(region, "data", None) or space.region_3d
     position = (event.mouse_x - region.x, event.mouse_y - region.y)
-    return find_surface(
-        context.scene,
-        context.evaluated_depsgraph_get(),
+    return PointerRay(
         region_2d_to_origin_3d(region, data, position),
         region_2d_to_vector_3d(region, data, position),
-        skip_backs=space.shading.type == "SOLID" and space.shading.show_backface_culling,
+        space.shading.type == "SOLID" and space.shading.show_backface_culling,
     )
+
+
+def surface_under_pointer(context: bpy.types.Context, event: bpy.types.Event) -> Surface | None:
+    """The visible surface under the pointer, in world coordinates; None where there is none."""
+    from ..blend.insert.surfaces import find_surface
+
+    ray = ray_under_pointer(context, event)
+    if ray is None:
+        return None
+    return find_surface(context.scene, context.evaluated_depsgraph_get(), *ray)

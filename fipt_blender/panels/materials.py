@@ -9,7 +9,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..jobs import running
 from .job import draw_job
-from .sidebar import Section, draw_text
+from .sidebar import Rows, Section, SubSection, draw_text
 
 
 class FIPT_PT_materials(Section, bpy.types.Panel):
@@ -55,4 +55,58 @@ class FIPT_PT_materials(Section, bpy.types.Panel):
         layout.operator("fipt.revert", icon="LOOP_BACK")
 
 
-CLASSES = (FIPT_PT_materials,)
+class FIPT_UL_part_materials(Rows, bpy.types.UIList):
+    """The parts of the room: mean base color, name, and whether its material is adjusted"""
+
+    def draw_row(
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        item: bpy.types.PropertyGroup,
+        index: int,
+    ) -> None:
+        layout.use_property_split = False
+        row = layout.split(factor=0.15, align=True)
+        color = row.row()
+        color.enabled = False
+        color.prop(item, "base_color", text="")
+        row.label(text=item.name, translate=False)
+
+
+class FIPT_PT_part_materials(SubSection, bpy.types.Panel):
+    """Adjust the estimated material of a part of the room"""
+
+    bl_label = "Materials of Parts"
+    bl_parent_id = "FIPT_PT_materials"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return bool(context.scene.fipt.materials.object_count)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        settings = context.scene.fipt.materials
+        row = layout.row()
+        row.template_list("FIPT_UL_part_materials", "", settings, "parts", settings, "active_part", rows=5)
+        column = row.column(align=True)
+        column.operator("fipt.pick_part", text="", icon="EYEDROPPER")
+        column.operator("fipt.select_part_faces", text="", icon="FACESEL")
+        column.operator("fipt.reset_part", text="", icon="LOOP_BACK").all_parts = False
+        column.separator()
+        column.operator("fipt.mark_part_assets", text="", icon="ASSET_MANAGER").all_parts = False
+        part = settings.part()
+        if part is None:
+            return
+        if part.known:
+            text = iface_("Estimated: roughness {:.2f}, metallic {:.2f}; {:,} pixels")
+            text = text.format(part.roughness, part.metallic, part.pixels)
+        else:
+            text = iface_("No photograph saw it; {:,} faces").format(part.faces)
+        draw_text(layout, context, text)
+        column = layout.column(align=True)
+        column.enabled = settings.shown != "ORIGINAL"
+        for name in ("roughness_offset", "metallic_offset", "hue", "saturation", "value"):
+            column.prop(part, name, slider=True)
+
+
+CLASSES = (FIPT_PT_materials, FIPT_UL_part_materials, FIPT_PT_part_materials)

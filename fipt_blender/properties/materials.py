@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import bpy
 
 SHOWN = (
@@ -34,6 +37,76 @@ def _shown_changed(self: FIPT_MaterialsSettings, context: bpy.types.Context) -> 
     from ..blend.results.maps import show
 
     show(self.id_data, self.shown)
+
+
+def _adjustment(field: str) -> dict[str, Callable[..., Any]]:
+    """Getter and setter of a property that is stored in the materials of a part."""
+
+    def read(self: FIPT_Part) -> float:
+        from ..blend.results.part_list import adjustment
+
+        return float(getattr(adjustment(self.id_data, self.key), field))
+
+    def write(self: FIPT_Part, value: float) -> None:
+        from ..blend.results.part_list import set_adjustment
+
+        set_adjustment(self.id_data, self.key, **{field: value})
+
+    return {"get": read, "set": write}
+
+
+class FIPT_Part(bpy.types.PropertyGroup):
+    """A part of the room with applied results; its name is unique."""
+
+    key: bpy.props.StringProperty(description="Names the part in other estimates, see core.run.parts")
+    unit: bpy.props.IntProperty(description="Index of the part in the run; -1 for the rest of an object")
+    class_name: bpy.props.StringProperty(name="Class", description="Semantic class")
+    faces: bpy.props.IntProperty(name="Faces", description="Number of faces in the room")
+    pixels: bpy.props.IntProperty(name="Pixels", description="Number of pixels that saw it")
+    known: bpy.props.BoolProperty(description="Whether photographs saw the part")
+    base_color: bpy.props.FloatVectorProperty(
+        name="Base Color", description="Mean estimated base color", subtype="COLOR", size=3, min=0.0, max=1.0
+    )
+    roughness: bpy.props.FloatProperty(name="Roughness", description="Mean estimated roughness")
+    metallic: bpy.props.FloatProperty(name="Metallic", description="Mean estimated metallic")
+    confidence: bpy.props.FloatVectorProperty(
+        name="Confidence", description="Mean confidence of base color, roughness and metallic", size=3
+    )
+    roughness_offset: bpy.props.FloatProperty(
+        name="Roughness",
+        description="Added to the estimated roughness of the part",
+        min=-1.0,
+        max=1.0,
+        **_adjustment("roughness"),
+    )
+    metallic_offset: bpy.props.FloatProperty(
+        name="Metallic",
+        description="Added to the estimated metallic of the part",
+        min=-1.0,
+        max=1.0,
+        **_adjustment("metallic"),
+    )
+    hue: bpy.props.FloatProperty(
+        name="Hue",
+        description="Turn of the estimated base color's hue; 0.5 is the opposite color",
+        min=-0.5,
+        max=0.5,
+        **_adjustment("hue"),
+    )
+    saturation: bpy.props.FloatProperty(
+        name="Saturation",
+        description="Factor of the estimated base color's saturation",
+        min=0.0,
+        max=2.0,
+        **_adjustment("saturation"),
+    )
+    value: bpy.props.FloatProperty(
+        name="Value",
+        description="Factor of the estimated base color's brightness",
+        min=0.0,
+        max=2.0,
+        **_adjustment("value"),
+    )
 
 
 class FIPT_MaterialsSettings(bpy.types.PropertyGroup):
@@ -135,6 +208,8 @@ class FIPT_MaterialsSettings(bpy.types.PropertyGroup):
         " onto the room. Revert restores the engine",
         default=True,
     )
+    parts: bpy.props.CollectionProperty(type=FIPT_Part)
+    active_part: bpy.props.IntProperty(name="Part", description="The part whose material is adjusted")
     object_count: bpy.props.IntProperty(description="Number of objects with applied results")
     image_count: bpy.props.IntProperty(
         description="Number of images or attribute materials of the applied results"
@@ -148,5 +223,15 @@ class FIPT_MaterialsSettings(bpy.types.PropertyGroup):
     )
     kept_before: bpy.props.StringProperty(description="State of the scene that Revert restores, as JSON")
 
+    def part(self) -> FIPT_Part | None:
+        """The active part; None without one."""
+        index = self.active_part
+        return self.parts[index] if 0 <= index < len(self.parts) else None
 
-CLASSES = (FIPT_MaterialsSettings,)
+    def active_part_key(self) -> str:
+        """Its key; "" without one."""
+        part = self.part()
+        return part.key if part is not None else ""
+
+
+CLASSES = (FIPT_Part, FIPT_MaterialsSettings)

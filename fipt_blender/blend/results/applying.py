@@ -18,7 +18,8 @@ import numpy as np
 from ...bridge.process import Message
 from ...core.run.arrays import read_arrays
 from ...core.run.errors import FiptError
-from ...core.run.run_files import read_atlas, read_emitters, read_geometry
+from ...core.run.parts import read_parts
+from ...core.run.run_files import read_atlas, read_emitters, read_geometry, read_left_alone
 from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import CORNER_FIELDS_ARRAYS
 from ..lights import fixtures
@@ -28,7 +29,6 @@ from ..room.arrays import Room, read_room
 from ..room.cleaned import clean_result_mesh
 from ..room.mesh_arrays import is_mirrored, triangle_loops
 from ..room.originals import (
-    original_polygons,
     remove_fixtures,
     restore_original,
     result_meshes,
@@ -38,17 +38,12 @@ from ..room.result_meshes import list_names, make_mesh, match_objects
 from ..room.uv_layer import write_layer
 from ..slices import Slices, find_object, run_through
 from ..texture_files import IN_RUN_FOLDER, TextureFiles
-from .materials import (
-    MAPS,
-    attribute_material,
-    image_material,
-    read_textures,
-    remove_unused,
-    result_materials,
-)
+from .materials import MAPS, load_maps, read_textures, remove_unused, result_materials
+from .part_materials import PartFaces, PartMaterials
 from .write_back_nodes import agree_with_model
 
 _AGAIN = "Apply the results again."
+ATTRIBUTES = "Room"  # in place of an atlas image's name
 
 
 @dataclass(frozen=True)
@@ -80,7 +75,7 @@ class _Results:
 
     Attributes:
         room: the exported room.
-        triangle_image: (T,) atlas image of each triangle, -1 for none.
+        faces: atlas image and part of each triangle.
         corner_uv: (T,3,2) of the atlas.
         entries: the entries of textures.json; empty for colour attributes.
         corner_fields: values of colour attributes by map; empty for UVs.
@@ -88,7 +83,7 @@ class _Results:
     """
 
     room: Room
-    triangle_image: np.ndarray
+    faces: PartFaces
     corner_uv: np.ndarray
     entries: list[dict[str, str]]
     corner_fields: dict[str, np.ndarray]
@@ -215,9 +210,10 @@ def _read(run: RunFolder) -> _Results:
         entries = read_textures(run)
         if len(entries) != len(atlas["images"]):
             raise FiptError("file-damaged", f"{run.textures_json} does not fit {run.atlas_json}.", _AGAIN)
+    parts = read_parts(run, room.triangle_object, room.objects)
     return _Results(
         room=room,
-        triangle_image=image,
+        faces=PartFaces(parts, image, read_left_alone(run, count)),
         corner_uv=arrays["corner_uv"],
         entries=entries,
         corner_fields=corner_fields,
@@ -273,18 +269,17 @@ def _swap_in(
         if OBJECT_ID not in item and item.library is None:  # undone since, or a run of an earlier version
             item[OBJECT_ID] = (room.object_ids or room.objects)[index]
     earlier = result_materials(result_meshes(item for item, _ in targets.values()))
-    if results.entries:
-        materials = [
-            image_material(run, entry, earlier.get(entry["name"]), files) for entry in results.entries
-        ]
-    else:
-        materials = [attribute_material(earlier.get("Room"))]
+    entries = results.entries
+    images = [load_maps(run, entry, files) for entry in entries] if entries else None
+    names = [entry["name"] for entry in entries] or [ATTRIBUTES]
+    materials = PartMaterials(results.faces, images, names, earlier)
+    for index, (_, mesh) in targets.items():
+        materials.assign(mesh, room, index)
+    warnings = [*warnings, *materials.finish()]
     settings = run.read()
     if settings.write_back == "cycles":
-        for material in materials:
+        for material in materials.made.values():
             agree_with_model(material, settings.masking)
-    for index, (_, mesh) in targets.items():
-        _assign_materials(mesh, room, index, results.triangle_image, materials)
     new_fixtures = fixtures.split_off(room, results.emitters, targets)
     kept = states_of(scene)
     remove_fixtures({object_id(item) for item, _ in targets.values()})
@@ -295,30 +290,5 @@ def _swap_in(
     remove_unused(earlier.values())
     placed = fixtures.place(scene, new_fixtures)
     keep_states(scene, placed, kept)
-    names = [item.name for item in placed]
-    return Applied([material.name for material in materials], names, warnings)
-
-
-def _assign_materials(
-    mesh: bpy.types.Mesh,
-    room: Room,
-    index: int,
-    triangle_image: np.ndarray,
-    materials: list[bpy.types.Material],
-) -> None:
-    """Give a result mesh one slot for each atlas image that it uses."""
-    of_object = room.triangle_object == index
-    polygon, image = room.triangle_polygon[of_object], triangle_image[of_object]
-    original = original_polygons(mesh)
-    polygon_image = np.full(max(int(polygon.max(initial=-1)), int(original.max(initial=-1))) + 1, -1)
-    # Triangles without area have no image (-1); the polygon takes that of its other triangles.
-    order = np.argsort(image, kind="stable")
-    polygon_image[polygon[order]] = image[order]
-    used = [int(number) for number in np.unique(polygon_image[original]) if number >= 0] or [0]
-    slot = np.zeros(len(materials) + 1, np.int32)
-    slot[used] = np.arange(len(used))
-    mesh.materials.clear()
-    for number in used:
-        mesh.materials.append(materials[number])
-    mesh.polygons.foreach_set("material_index", slot[polygon_image[original]])
-    mesh.update()
+    placed_names = [item.name for item in placed]
+    return Applied([material.name for material in materials.made.values()], placed_names, warnings)

@@ -20,6 +20,7 @@ from ..marks import MAP, room_with_results
 from ..outliner import FIXTURES, find_collection
 from ..room.originals import result_meshes, show_original
 from ..shown import write_surface
+from . import adjust
 from .materials import MAPS, result_materials
 
 # Colours are shown as in Blender's colour fields, other values as plain numbers.
@@ -67,9 +68,9 @@ def show(scene: bpy.types.Scene, shown: str) -> None:
 
 def _show_in_material(material: bpy.types.Material, shown: str) -> None:
     nodes = material.node_tree.nodes
-    source = nodes.get(MAP.format(_LABELS.get(shown, "")))
-    write_surface(material, shown, source, _BLACK)
-    active = source or nodes.get(MAP.format("Base Color"))
+    label = _LABELS.get(shown, "")
+    write_surface(material, shown, adjust.output(material, label) if label else None, _BLACK)
+    active = nodes.get(MAP.format(label)) or nodes.get(MAP.format("Base Color"))
     if active is not None:
         nodes.active = active  # solid shading draws the active texture
     material.diffuse_color = _BLACK if shown == "EMISSION" else (0.8, 0.8, 0.8, 1.0)

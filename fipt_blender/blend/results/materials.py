@@ -1,13 +1,15 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The estimated materials: one Principled material per atlas image, its maps in nodes with fixed names.
+"""The estimated materials: a Principled material for each part, its maps in nodes with fixed names.
 
-The artist's materials stay in the original meshes, which `room.originals` sets aside.
+Parts share the atlas images. A part that lies on several of them has as many materials. The artist's
+materials stay in the original meshes, which `room.originals` sets aside.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 import bpy
 
@@ -16,10 +18,11 @@ from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import TEXTURES
 from ..image_datablocks import remove_unused_images
-from ..marks import MAP, MATERIAL, OUTPUT, PRINCIPLED, TABLE
+from ..marks import MAP, MATERIAL, OUTPUT, PART, PART_NAME, PRINCIPLED, TABLE
 from ..node_trees import node_tree
 from ..room.uv_layer import UV_LAYER
-from ..texture_files import IN_RUN_FOLDER, TextureFiles
+from ..texture_files import TextureFiles
+from . import adjust
 
 # With IOR 1.5 and level 0.5, Principled reflects 4 % at normal incidence, like the paper's dielectrics.
 IOR = 1.5
@@ -33,21 +36,39 @@ MAPS = {
 }
 
 
-def result_materials(meshes: Iterable[bpy.types.Mesh]) -> dict[str, bpy.types.Material]:
-    """The estimated materials of meshes, by the name of their atlas image."""
+@dataclass(frozen=True)
+class Surface:
+    """What a material shows: a part's texels of an atlas image.
+
+    Attributes:
+        image: name of the atlas image; of colour attributes the same for all.
+        key, name: of the part, see `core.run.parts`.
+    """
+
+    image: str
+    key: str
+    name: str
+
+
+def result_materials(meshes: Iterable[bpy.types.Mesh]) -> dict[tuple[str, str], bpy.types.Material]:
+    """The estimated materials of meshes, by their atlas image and the key of their part."""
     materials = (material for mesh in meshes for material in mesh.materials if material is not None)
-    return {material[MATERIAL]: material for material in materials if MATERIAL in material}
+    return {
+        (material[MATERIAL], material.get(PART, "")): material
+        for material in materials
+        if MATERIAL in material
+    }
 
 
 def remove_unused(materials: Iterable[bpy.types.Material]) -> None:
     """Remove those materials that nothing uses any more, and their textures."""
     unused = [material for material in materials if material.users == 0]
-    images = {image for material in unused for image in _images(material.node_tree)}
+    images = images_of(unused)
     groups = {
         node.node_tree
         for material in unused
         for node in material.node_tree.nodes
-        if node.bl_idname == "ShaderNodeGroup" and node.node_tree is not None and TABLE in node.node_tree
+        if node.bl_idname == "ShaderNodeGroup" and node.node_tree is not None and _is_ours(node.node_tree)
     }
     bpy.data.batch_remove(unused)
     remove_unused_images(images)
@@ -56,6 +77,15 @@ def remove_unused(materials: Iterable[bpy.types.Material]) -> None:
             tables = _images(group)
             bpy.data.node_groups.remove(group)
             remove_unused_images(tables)
+
+
+def _is_ours(group: bpy.types.NodeTree) -> bool:
+    return TABLE in group or adjust.is_adjustment(group)
+
+
+def images_of(materials: Iterable[bpy.types.Material]) -> set[bpy.types.Image]:
+    """The images of the materials' own texture nodes."""
+    return {image for material in materials for image in _images(material.node_tree)}
 
 
 def _images(tree: bpy.types.NodeTree) -> set[bpy.types.Image]:
@@ -82,72 +112,45 @@ def read_textures(run: RunFolder) -> list[dict[str, str]]:
     return entries
 
 
-def image_material(
-    run: RunFolder,
-    entry: Mapping[str, str],
+def load_maps(run: RunFolder, entry: Mapping[str, str], files: TextureFiles) -> dict[str, bpy.types.Image]:
+    """The images of an entry of textures.json, by the labels of their maps."""
+    return {label: files.load(run.resolve(entry[key]), is_data) for key, (label, is_data) in MAPS.items()}
+
+
+def part_material(
+    surface: Surface,
+    images: Mapping[str, bpy.types.Image] | None,
+    adjustment: adjust.Adjustment,
     reuse: bpy.types.Material | None = None,
-    files: TextureFiles = IN_RUN_FOLDER,
 ) -> bpy.types.Material:
-    """The Principled material of one atlas image.
+    """The Principled material of a part, with the artist's adjustment between its maps and the shader.
 
     Args:
-        run: the run folder with the textures.
-        entry: an entry of textures.json: name and paths of the maps.
+        surface: what it shows.
+        images: of an atlas image by the labels of their maps (`load_maps`); None for colour attributes.
+        adjustment: of the part.
         reuse: an estimated material to rebuild instead of making a new one.
-        files: where the textures are kept.
     """
-    earlier = set() if reuse is None else _images(reuse.node_tree)
-    material, nodes = _new_material(entry["name"], reuse)
-    links = material.node_tree.links
-    principled = nodes[PRINCIPLED]
-    uv = nodes.new("ShaderNodeUVMap")
-    uv.name, uv.label, uv.uv_map = "FIPT UV", "Atlas UVs", UV_LAYER
-    uv.location = (-760, 0)
-    frame = _maps_frame(nodes)
-    for row, (key, (label, is_data)) in enumerate(MAPS.items()):
-        node = nodes.new("ShaderNodeTexImage")
-        node.name = MAP.format(label)
-        node.label = "Confidence (color, roughness, metallic)" if key == "confidence" else label
-        node.image = files.load(run.resolve(entry[key]), is_data)
-        node.extension = "EXTEND"
-        node.location = (-480, 300 - 290 * row)
-        node.parent = frame
-        links.new(uv.outputs["UV"], node.inputs["Vector"])
-        if label in principled.inputs:
-            links.new(node.outputs["Color"], principled.inputs[label])
-    remove_unused_images(earlier)
-    for label, _ in MAPS.values():
-        nodes[MAP.format(label)].image.name = f"{material.name} {label}"
-    return material
-
-
-def attribute_material(reuse: bpy.types.Material | None = None) -> bpy.types.Material:
-    """The Principled material that reads the colour attributes."""
-    material, nodes = _new_material("Room", reuse)
-    principled = nodes[PRINCIPLED]
-    frame = _maps_frame(nodes)
-    for row, (label, _) in enumerate(MAPS.values()):
-        node = nodes.new("ShaderNodeAttribute")
-        node.name, node.label = MAP.format(label), label
-        node.attribute_type, node.attribute_name = "GEOMETRY", MAP.format(label)
-        node.location = (-400, 300 - 200 * row)
-        node.parent = frame
-        if label in principled.inputs:
-            material.node_tree.links.new(node.outputs["Color"], principled.inputs[label])
-    return material
-
-
-def _maps_frame(nodes: bpy.types.Nodes) -> bpy.types.Node:
+    material = reuse or bpy.data.materials.new(f"{surface.name} FIPT")
+    material[MATERIAL], material[PART], material[PART_NAME] = surface.image, surface.key, surface.name
+    nodes, links = node_tree(material).nodes, node_tree(material).links
+    nodes.clear()
+    _add_shader(material)
     frame = nodes.new("NodeFrame")
     frame.name, frame.label = "FIPT Maps", "Estimated from photographs"
-    return frame
+    if images is None:
+        _add_attributes(material, frame)
+    else:
+        _add_textures(material, frame, images)
+    node = adjust.add_adjustment(material, adjustment)
+    node.location = (-220, 300)
+    for label in adjust.MAPS:
+        links.new(node.outputs[label], nodes[PRINCIPLED].inputs[label])
+    return material
 
 
-def _new_material(name: str, reuse: bpy.types.Material | None) -> tuple[bpy.types.Material, bpy.types.Nodes]:
-    material = reuse or bpy.data.materials.new(f"FIPT {name}")
-    material[MATERIAL] = name
-    nodes = node_tree(material).nodes
-    nodes.clear()
+def _add_shader(material: bpy.types.Material) -> None:
+    nodes = material.node_tree.nodes
     output = nodes.new("ShaderNodeOutputMaterial")
     output.name, output.location = OUTPUT, (320, 300)
     principled = nodes.new("ShaderNodeBsdfPrincipled")
@@ -157,4 +160,31 @@ def _new_material(name: str, reuse: bpy.types.Material | None) -> tuple[bpy.type
     principled.inputs["IOR"].default_value = IOR
     principled.inputs["Specular IOR Level"].default_value = SPECULAR_LEVEL
     material.node_tree.links.new(principled.outputs["BSDF"], output.inputs["Surface"])
-    return material, nodes
+
+
+def _add_textures(
+    material: bpy.types.Material, frame: bpy.types.Node, images: Mapping[str, bpy.types.Image]
+) -> None:
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    uv = nodes.new("ShaderNodeUVMap")
+    uv.name, uv.label, uv.uv_map = "FIPT UV", "Atlas UVs", UV_LAYER
+    uv.location = (-860, 0)
+    for row, (label, image) in enumerate(images.items()):
+        node = nodes.new("ShaderNodeTexImage")
+        node.name = MAP.format(label)
+        node.label = "Confidence (color, roughness, metallic)" if label == "Confidence" else label
+        node.image = image
+        node.extension = "EXTEND"
+        node.location = (-580, 300 - 290 * row)
+        node.parent = frame
+        links.new(uv.outputs["UV"], node.inputs["Vector"])
+
+
+def _add_attributes(material: bpy.types.Material, frame: bpy.types.Node) -> None:
+    nodes = material.node_tree.nodes
+    for row, (label, _) in enumerate(MAPS.values()):
+        node = nodes.new("ShaderNodeAttribute")
+        node.name, node.label = MAP.format(label), label
+        node.attribute_type, node.attribute_name = "GEOMETRY", MAP.format(label)
+        node.location = (-580, 300 - 200 * row)
+        node.parent = frame

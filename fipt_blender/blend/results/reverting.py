@@ -48,7 +48,8 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> list[str]:
         bpy.data.collections.remove(target)
     mute_other_lights(scene, False)
     restore_scene(scene)
-    for name in ("object_count", "image_count", "applied_mode", "kept_before", "kept_view"):
+    settings.parts.clear()
+    for name in ("active_part", "object_count", "image_count", "applied_mode", "kept_before", "kept_view"):
         settings.property_unset(name)
     scene.fipt.lights.property_unset("median_radiance")
     restore_solid_views(scene)

@@ -19,6 +19,7 @@ from ..lights.missing_lamps import note_missing
 from ..marks import MUTED, other_lights, remove_marks, room_with_results
 from ..room.originals import result_meshes
 from .materials import result_materials
+from .part_list import note_parts
 
 
 def finish(scene: bpy.types.Scene, run: RunFolder) -> None:
@@ -46,11 +47,12 @@ def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:
     settings = scene.fipt.materials
     room = room_with_results(scene)
     settings.object_count = len(room)
-    settings.image_count = len(result_materials(result_meshes(room)))
+    settings.image_count = len({image for image, _ in result_materials(result_meshes(room))})
     settings.applied_mode = str(read_json(run.atlas_json, ATLAS, "Apply the results again.")["mode"])
     settings.shown = "ESTIMATED"  # its update function shows them
     scene.fipt.lights.median_radiance = median_radiance(run)
     note_missing(scene, run)
+    note_parts(scene, run)
     light_state.list_lights(scene)
 
 

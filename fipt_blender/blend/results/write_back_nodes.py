@@ -16,7 +16,7 @@ import numpy as np
 
 from ...core.optics.factorised import DIELECTRIC_REFLECTANCE
 from ...core.textures import write_back
-from ..marks import MAP, OUTPUT, PRINCIPLED, TABLE
+from ..marks import OUTPUT, PRINCIPLED, TABLE
 
 GROUP = "FIPT Agreement"
 _LABELS = ("Base Color", "Roughness", "Metallic")
@@ -40,7 +40,7 @@ def agree_with_model(material: bpy.types.Material, masking: str = write_back.MAS
     node.location = (principled.location.x + 320.0, principled.location.y)
     output.location = (node.location.x + 260.0, principled.location.y)
     for label in _LABELS:
-        links.new(nodes[MAP.format(label)].outputs["Color"], node.inputs[label])
+        links.new(principled.inputs[label].links[0].from_socket, node.inputs[label])
     links.new(principled.outputs["BSDF"], node.inputs["BSDF"])
     links.new(node.outputs["BSDF"], output.inputs["Surface"])
 

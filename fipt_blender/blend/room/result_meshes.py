@@ -73,6 +73,8 @@ def make_mesh(room: Room, index: int, item: bpy.types.Object) -> bpy.types.Mesh:
         mesh = bpy.data.meshes.new_from_object(
             item.evaluated_get(depsgraph), preserve_all_data_layers=True, depsgraph=depsgraph
         )
+        for index_of_slot, slot in enumerate(item.material_slots):
+            mesh.materials[index_of_slot] = slot.material  # it may be linked to the object
     _, polygons = triangle_loops(mesh, is_mirrored(item))
     exported = room.triangle_polygon[room.triangle_object == index]
     if not np.array_equal(polygons, exported):

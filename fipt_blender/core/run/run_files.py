@@ -18,7 +18,16 @@ from .arrays import read_arrays
 from .documents import read_json
 from .errors import FiptError
 from .runfolder import RunFolder
-from .shapes import ATLAS, ATLAS_ARRAYS, CAPTURE, EMITTERS, GEOMETRY_ARRAYS, ROOM, ROOM_ARRAYS
+from .shapes import (
+    ATLAS,
+    ATLAS_ARRAYS,
+    CAPTURE,
+    EMITTERS,
+    GEOMETRY_ARRAYS,
+    LEFT_ALONE_ARRAYS,
+    ROOM,
+    ROOM_ARRAYS,
+)
 
 _EXPORT_AGAIN = "Export the room's mesh again (start the estimation again)."
 _ATLAS_AGAIN = "Start the run again without --resume, or apply the results again."
@@ -100,6 +109,24 @@ def read_emitters(run: RunFolder, triangles: int) -> dict[str, Any]:
             "file-damaged", f"{run.emitters_json} names triangles that the room lacks.", _ESTIMATE_AGAIN
         )
     return data
+
+
+def read_left_alone(run: RunFolder, triangles: int) -> np.ndarray:
+    """(T,) bool, triangles that were not estimated on the artist's request; none where the run has no file.
+
+    Args:
+        run: the run folder.
+        triangles: how many the room has.
+
+    Raises:
+        FiptError: ``file-damaged``.
+    """
+    if not run.left_alone_npz.is_file():
+        return np.zeros(triangles, bool)
+    left = read_arrays(run.left_alone_npz, LEFT_ALONE_ARRAYS, remedy=_ESTIMATE_AGAIN)["left_alone"]
+    if len(left) != triangles:
+        raise FiptError("file-damaged", f"{run.left_alone_npz} does not fit the room.", _ESTIMATE_AGAIN)
+    return left
 
 
 def read_geometry(run: RunFolder, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray] | None:

@@ -46,6 +46,7 @@ class RunFolder:
         self.fields_npz = self.results / "fields.npz"
         self.parts_npz = self.results / "parts.npz"
         self.parts_json = self.results / "parts.json"
+        self.left_alone_npz = self.results / "left_alone.npz"
         self.emitters_json = self.results / "emitters.json"
         self.environment_exr = self.results / "environment.exr"
         self.statistics_json = self.results / "statistics.json"

@@ -236,3 +236,4 @@ FIELDS_ARRAYS: dict[str, Layout] = {
     "seen_errors": ("f", ("C", 3)),
 }
 PARTS_ARRAYS: dict[str, Layout] = {"triangle_part": ("i", ("T",)), "single": ("b", ("U",))}
+LEFT_ALONE_ARRAYS: dict[str, Layout] = {"left_alone": ("b", ("T",))}

@@ -1,0 +1,194 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The list of parts in the panel: what it shows, the adjustments of its rows, and the faces of a part.
+
+The adjustments themselves are in the materials; the list has none of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import replace
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from ...core.run.errors import FiptError
+from ...core.run.parts import read_parts
+from ...core.run.runfolder import RunFolder
+from ..marks import PART, has_results, room_with_results
+from ..room.arrays import read_room
+from ..room.mesh_arrays import polygon_slots
+from ..room.originals import result_meshes
+from . import adjust
+from .materials import result_materials
+from .part_materials import materials_by_part
+
+_MAX_HITS = 64
+_UNKNOWN = (0.5, 0.5, 0.5)
+
+
+def note_parts(scene: bpy.types.Scene, run: RunFolder) -> None:
+    """List the parts that have faces in the scene's results, those that most pixels saw first."""
+    settings = scene.fipt.materials
+    room = read_room(run)
+    faces = _face_counts(scene)
+    active = settings.active_part_key()
+    parts = [
+        part for part in read_parts(run, room.triangle_object, room.objects).parts if faces.get(part.key)
+    ]
+    settings.parts.clear()
+    for part in sorted(parts, key=lambda part: -part.pixels):
+        row = settings.parts.add()
+        row.name, row.key, row.unit = part.name, part.key, part.unit
+        row.class_name, row.faces, row.pixels = part.class_name, faces[part.key], part.pixels
+        row.known = part.base_color is not None
+        row.base_color = part.base_color or _UNKNOWN
+        row.roughness, row.metallic = part.roughness or 0.0, part.metallic or 0.0
+        row.confidence = part.confidence or (0.0, 0.0, 0.0)
+    keys = [row.key for row in settings.parts]
+    settings.active_part = keys.index(active) if active in keys else 0
+
+
+def _face_counts(scene: bpy.types.Scene) -> dict[str, int]:
+    """How many faces each part has, by its key."""
+    counts: dict[str, int] = {}
+    for mesh in result_meshes(room_with_results(scene)):
+        for key, count in zip(_slot_parts(mesh), _slot_counts(mesh), strict=True):
+            if key and count:
+                counts[key] = counts.get(key, 0) + int(count)
+    return counts
+
+
+def _slot_parts(mesh: bpy.types.Mesh) -> list[str]:
+    """The key of the part of each slot, "" for the artist's materials."""
+    return ["" if material is None else material.get(PART, "") for material in mesh.materials]
+
+
+def _slot_counts(mesh: bpy.types.Mesh) -> np.ndarray:
+    return np.bincount(polygon_slots(mesh), minlength=len(mesh.materials))[: len(mesh.materials)]
+
+
+def part_materials(scene: bpy.types.Scene, key: str) -> list[bpy.types.Material]:
+    """The materials of a part in a scene: as many as atlas images on which it lies."""
+    materials = result_materials(result_meshes(room_with_results(scene))).values()
+    return materials_by_part(materials).get(key, [])
+
+
+def adjustment(scene: bpy.types.Scene, key: str) -> adjust.Adjustment:
+    """The adjustment of a part."""
+    return next(map(adjust.read, part_materials(scene, key)), adjust.NO_ADJUSTMENT)
+
+
+def set_adjustment(scene: bpy.types.Scene, key: str, **changes: float) -> None:
+    """Change values of a part's adjustment in all its materials."""
+    materials = part_materials(scene, key)
+    if materials:
+        values = replace(adjust.read(materials[0]), **changes)
+        for material in materials:
+            adjust.write(material, values)
+
+
+def reset_adjustments(scene: bpy.types.Scene, keys: Collection[str]) -> int:
+    """Remove the adjustments of parts; returns how many parts had one."""
+    changed = 0
+    for key in keys:
+        if adjustment(scene, key) != adjust.NO_ADJUSTMENT:
+            changed += 1
+            for material in part_materials(scene, key):
+                adjust.write(material, adjust.NO_ADJUSTMENT)
+    return changed
+
+
+def select_faces(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, key: str) -> list[bpy.types.Object]:
+    """Select the faces of a part, and the objects that have some; nothing else stays selected.
+
+    Args:
+        scene: in Object Mode; its results are shown.
+        layer: the view layer in which the objects are selected.
+        key: of the part.
+
+    Returns:
+        The selected objects, the one with the most of these faces active.
+
+    Raises:
+        FiptError: ``part-missing``.
+    """
+    found: list[tuple[int, bpy.types.Object]] = []
+    for item in room_with_results(scene):
+        if item.data is None or item.name not in layer.objects:
+            continue
+        mesh = item.data
+        slots = np.array([part == key for part in _slot_parts(mesh)] or [False])
+        chosen = slots[np.minimum(polygon_slots(mesh), len(slots) - 1)]
+        if chosen.any():
+            _select(mesh, chosen)
+            found.append((int(chosen.sum()), item))
+    if not found:
+        raise FiptError(
+            "part-missing",
+            "No visible object of the room has faces of this part.",
+            "Choose Estimated as Show, or apply the results again.",
+        )
+    for item in layer.objects:
+        if item.select_get(view_layer=layer):
+            item.select_set(False, view_layer=layer)
+    for _, item in found:
+        item.select_set(True, view_layer=layer)
+    layer.objects.active = max(found, key=lambda pair: pair[0])[1]
+    return [item for _, item in found]
+
+
+def _select(mesh: bpy.types.Mesh, chosen: np.ndarray) -> None:
+    """Select these polygons ((P,) bool) with their edges and vertices, and nothing else."""
+    sizes = np.empty(len(mesh.polygons), np.int32)
+    mesh.polygons.foreach_get("loop_total", sizes)
+    corners = np.repeat(chosen, sizes)  # the corners of polygons follow each other
+    for name, elements in (("vertex_index", mesh.vertices), ("edge_index", mesh.edges)):
+        index = np.empty(len(mesh.loops), np.int32)
+        mesh.loops.foreach_get(name, index)
+        selected = np.zeros(len(elements), bool)
+        selected[index[corners]] = True
+        elements.foreach_set("select", selected)
+    mesh.polygons.foreach_set("select", chosen)
+    mesh.update()
+
+
+def part_under(
+    scene: bpy.types.Scene,
+    depsgraph: bpy.types.Depsgraph,
+    origin: Vector,
+    direction: Vector,
+    skip_backs: bool = False,
+) -> str:
+    """The key of the part that a ray hits, "" where it hits no estimated surface.
+
+    Args:
+        scene, depsgraph: the scene and its dependency graph.
+        origin, direction: of the ray, in the world.
+        skip_backs: whether the ray passes through surfaces that it hits from behind.
+    """
+    for item, face, normal in _hits(scene, depsgraph, origin, direction):
+        if skip_backs and normal.dot(direction) > 0.0:
+            continue
+        if not has_results(item.original):
+            return ""
+        mesh = item.evaluated_get(depsgraph).data
+        keys = _slot_parts(mesh)
+        return keys[min(mesh.polygons[face].material_index, len(keys) - 1)] if keys else ""
+    return ""
+
+
+def _hits(
+    scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, origin: Vector, direction: Vector
+) -> Iterator[tuple[bpy.types.Object, int, Vector]]:
+    """Object, polygon and normal of each mesh that a ray passes through, the nearest first."""
+    nudge = 1e-5 * max(1.0, max(abs(value) for value in origin))
+    for _ in range(_MAX_HITS):
+        hit, position, normal, face, item, _ = scene.ray_cast(depsgraph, origin, direction)
+        if not hit:
+            return
+        if item.type == "MESH" and face >= 0:
+            yield item, face, normal
+        origin = position + nudge * direction.normalized()

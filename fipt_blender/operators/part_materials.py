@@ -1,0 +1,171 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators on the materials of parts: pick a part, select its faces, reset its adjustment, make assets."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+from mathutils import Vector
+
+from .pointer import NAVIGATION, ray_under_pointer
+from .polls import has_results, in_object_mode
+from .reporting import reports_errors
+
+
+class _NeedsParts:
+    """Mix-in of operators on the list of parts."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not has_results(cls, context) or not in_object_mode(cls, context):
+            return False
+        settings = context.scene.fipt.materials
+        if not settings.parts:
+            cls.poll_message_set("Apply the results again: they have no parts yet")  # type: ignore[attr-defined]
+            return False
+        if settings.shown == "ORIGINAL":
+            cls.poll_message_set("Choose Estimated as Show first")  # type: ignore[attr-defined]
+            return False
+        return True
+
+
+class FIPT_OT_pick_part(_NeedsParts, bpy.types.Operator):
+    """Click on the room to choose the part under the mouse pointer"""
+
+    bl_idname = "fipt.pick_part"
+    bl_label = "Pick Part"
+    bl_options = {"REGISTER", "UNDO"}
+
+    origin: bpy.props.FloatVectorProperty(
+        name="Origin", description="Start of the ray, for scripts", subtype="XYZ", unit="LENGTH"
+    )
+    direction: bpy.props.FloatVectorProperty(
+        name="Direction", description="Direction of the ray, for scripts", default=(0.0, 0.0, -1.0)
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        context.window.cursor_modal_set("EYEDROPPER")
+        context.workspace.status_text_set(iface_("Click: Choose the Part   Esc, Right Click: Cancel"))
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if event.type in ("ESC", "RIGHTMOUSE") and event.value == "PRESS":
+            self.cancel(context)
+            return {"CANCELLED"}
+        if event.type != "LEFTMOUSE" or event.value != "PRESS":
+            passes = event.type in (*NAVIGATION, "MOUSEMOVE", "WHEELUPMOUSE", "WHEELDOWNMOUSE")
+            return {"PASS_THROUGH"} if passes else {"RUNNING_MODAL"}
+        ray = ray_under_pointer(context, event)
+        if ray is None:  # a click on another part of the window
+            return {"PASS_THROUGH"}
+        self.origin, self.direction = ray.origin, ray.direction
+        if self._pick(context, ray.skip_backs):
+            self.cancel(context)
+            return {"FINISHED"}
+        self.report({"INFO"}, "There is no estimated surface under the mouse pointer")
+        return {"RUNNING_MODAL"}
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Blender calls this too, when the window closes or another file is loaded."""
+        context.workspace.status_text_set(None)
+        if context.window is not None:
+            context.window.cursor_modal_restore()
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        if self._pick(context, False):
+            return {"FINISHED"}
+        self.report({"WARNING"}, "The ray hits no estimated surface")
+        return {"CANCELLED"}
+
+    def _pick(self, context: bpy.types.Context, skip_backs: bool) -> bool:
+        """Make the part that the ray hits active; whether there is one."""
+        from ..blend.results.part_list import part_under
+
+        scene, direction = context.scene, Vector(self.direction)
+        if direction.length == 0.0:
+            return False
+        depsgraph = context.evaluated_depsgraph_get()
+        key = part_under(scene, depsgraph, Vector(self.origin), direction, skip_backs)
+        settings = scene.fipt.materials
+        index = next((i for i, row in enumerate(settings.parts) if key and row.key == key), None)
+        if index is None:
+            return False
+        settings.active_part = index
+        if context.area is not None:
+            context.area.tag_redraw()
+        return True
+
+
+class FIPT_OT_select_part_faces(_NeedsParts, bpy.types.Operator):
+    """Select the faces of the active part in Edit Mode"""
+
+    bl_idname = "fipt.select_part_faces"
+    bl_label = "Select Faces"
+    bl_options = {"REGISTER", "UNDO"}
+
+    edit: bpy.props.BoolProperty(
+        name="Edit Mode", description="Switch to Edit Mode, which shows the selected faces", default=True
+    )
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.results.part_list import select_faces
+
+        part = context.scene.fipt.materials.part()
+        if part is None:
+            self.report({"ERROR"}, "Choose a part in the list first.")
+            return {"CANCELLED"}
+        select_faces(context.scene, context.view_layer, part.key)
+        if self.edit:
+            context.tool_settings.mesh_select_mode = (False, False, True)
+            bpy.ops.object.mode_set(mode="EDIT")
+        return {"FINISHED"}
+
+
+class FIPT_OT_reset_part(_NeedsParts, bpy.types.Operator):
+    """Remove the adjustment of the active part, or of all parts"""
+
+    bl_idname = "fipt.reset_part"
+    bl_label = "Reset Adjustment"
+    bl_options = {"REGISTER", "UNDO"}
+
+    all_parts: bpy.props.BoolProperty(name="All Parts", description="Remove the adjustments of all parts")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.results.part_list import reset_adjustments
+
+        settings = context.scene.fipt.materials
+        keys = [row.key for row in settings.parts] if self.all_parts else [settings.active_part_key()]
+        count = reset_adjustments(context.scene, keys)
+        self.report({"INFO"}, iface_("{} adjustments removed").format(count))
+        return {"FINISHED"}
+
+
+class FIPT_OT_mark_part_assets(_NeedsParts, bpy.types.Operator):
+    """Mark the material of the active part, or of all parts, as an asset with a preview"""
+
+    bl_idname = "fipt.mark_part_assets"
+    bl_label = "Mark as Asset"
+    bl_options = {"REGISTER", "UNDO"}
+
+    all_parts: bpy.props.BoolProperty(name="All Parts", description="Mark the materials of all parts")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.results.part_assets import mark_part
+
+        settings = context.scene.fipt.materials
+        active = settings.part()
+        rows = list(settings.parts) if self.all_parts or active is None else [active]
+        count = sum(len(mark_part(context.scene, row)) for row in rows)
+        self.report({"INFO"}, iface_("{} materials are assets").format(count))
+        return {"FINISHED"}
+
+
+CLASSES = (
+    FIPT_OT_pick_part,
+    FIPT_OT_select_part_faces,
+    FIPT_OT_reset_part,
+    FIPT_OT_mark_part_assets,
+)

@@ -1,0 +1,242 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One material a part: faces, the artist's adjustments, picking, selecting, assets, applying again."""
+
+from __future__ import annotations
+
+from dataclasses import astuple
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix, Vector
+
+from fipt_blender.blend import marks
+from fipt_blender.blend.pictures.image_files import read_pixels
+from fipt_blender.blend.results import adjust
+from fipt_blender.blend.results.part_assets import ball
+from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.jobs import running
+from samples.applied_rooms import ConstantFields, fingerprint, make_scene, use_fake_engine
+
+ops = bpy.ops.fipt
+
+
+pytestmark = pytest.mark.usefixtures("registered")
+# The panel's quads, the last of which is a lamp; the first three faces of the cube.
+NAMES = ["Sill", "Frame", "Box"]
+
+
+def describe(scene, names=NAMES, prefix="mask"):
+    """Parts of the run: a quad of the panel, the other two, three faces of the cube; not the rest of it."""
+    run = RunFolder(scene.fipt.run_folder)
+    with np.load(run.room_npz) as room:
+        item, polygon = room["triangle_object"], room["triangle_polygon"]
+    unit = np.where(item == 0, np.minimum(polygon, 1), np.where(polygon < 3, 2, -1)).astype(np.int32)
+    np.savez(run.parts_npz, triangle_part=unit, single=np.ones(3, bool))
+    parts = [
+        {
+            "id": index, "key": f"{prefix}:{index}", "name": name, "single": True, "class": None,
+            "triangles": 1, "pixels": 100 * index + 1, "area": 1.0, "base_color": [0.6, 0.3, 0.1],
+            "roughness": 0.7, "metallic": 0.25, "confidence": [1.0, 1.0, 1.0],
+        }
+        for index, name in enumerate(names)
+    ]  # fmt: skip
+    document = {"format": "fipt-parts", "version": 1, "source": "masks", "parts": parts}
+    write_json(run.parts_json, document)
+    return run
+
+
+@pytest.fixture
+def scene(tmp_path, monkeypatch):
+    use_fake_engine(monkeypatch)
+    scene = make_scene(tmp_path / "run")
+    describe(scene)
+    return scene
+
+
+@pytest.fixture
+def applied(scene):
+    assert ops.apply_results("EXEC_DEFAULT") == {"FINISHED"}
+    return scene
+
+
+def row(scene, name):
+    return scene.fipt.materials.parts[name]
+
+
+def make_active(scene, name):
+    scene.fipt.materials.active_part = scene.fipt.materials.parts.find(name)
+
+
+def face_materials(name):
+    item = bpy.data.objects[name]
+    return [item.material_slots[polygon.material_index].material.name for polygon in item.data.polygons]
+
+
+def shown(scene, position, target):
+    """Colour of a spot by Cycles, with the view transform of the map that is shown."""
+    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
+    scene.collection.objects.link(camera)
+    camera.data.type, camera.data.ortho_scale = "ORTHO", 0.1
+    turn = (target - position).to_track_quat("-Z", "Y").to_matrix().to_4x4()
+    camera.matrix_world = Matrix.Translation(position) @ turn
+    scene.camera = camera
+    scene.render.resolution_x = scene.render.resolution_y = 3
+    scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 1, False
+    scene.render.image_settings.file_format, scene.render.dither_intensity = "PNG", 0.0
+    scene.render.filepath = path = bpy.app.tempdir + "part.png"
+    bpy.ops.render.render(write_still=True, scene=scene.name)
+    bpy.data.objects.remove(camera)
+    return read_pixels(path).mean(axis=(0, 1))
+
+
+def test_faces_have_the_materials_of_their_parts(applied):
+    assert face_materials("panel") == ["Sill FIPT", "Frame FIPT"]  # the third is the lamp
+    cube = face_materials("cube")
+    assert cube[:3] == ["Box FIPT"] * 3 and set(cube[3:]) == {"Cube FIPT"}
+    names = [part.name for part in applied.fipt.materials.parts]
+    assert names == ["Box", "Frame", "Sill", "Cube"]  # by their pixels
+    assert row(applied, "Box").faces == 3 and not row(applied, "Cube").known
+    images = {
+        node.image.name
+        for material in bpy.data.materials
+        if marks.PART in material
+        for node in material.node_tree.nodes
+        if node.bl_idname == "ShaderNodeTexImage"
+    }
+    assert len(images) == 4  # shared
+
+
+def test_an_adjustment_changes_its_part_alone(applied):
+    part = row(applied, "Sill")
+    part.hue, part.saturation, part.value, part.roughness_offset = 0.2, 0.5, 0.8, -0.3
+    part.metallic_offset = 0.9
+    wanted = adjust.Adjustment(-0.3, 0.9, 0.2, 0.5, 0.8)
+    assert astuple(adjust.read(bpy.data.materials["Sill FIPT"])) == pytest.approx(astuple(wanted))
+    estimate = np.array([[*ConstantFields.base_color, ConstantFields.roughness, ConstantFields.metallic]])
+    sill, frame = Vector((4.5, 0.5, 0.0)), Vector((3.5, 0.5, 0.0))
+    for place, values in ((sill, adjust.adjusted(wanted, estimate)), (frame, estimate)):
+        (red, green, blue, roughness, metallic) = values[0]
+        ops.show_map(shown="BASE_COLOR")
+        linear = np.array([red, green, blue])
+        srgb = np.where(linear < 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+        assert np.allclose(shown(applied, place + Vector((0, 0, 2)), place), srgb, atol=0.01)
+        ops.show_map(shown="ROUGHNESS")
+        assert np.allclose(shown(applied, place + Vector((0, 0, 2)), place), roughness, atol=0.01)
+        ops.show_map(shown="METALLIC")
+        assert np.allclose(shown(applied, place + Vector((0, 0, 2)), place), min(metallic, 1.0), atol=0.01)
+
+
+def test_adjusted_colours_of_arrays():
+    maps = np.array([[0.6, 0.3, 0.1, 0.7, 0.2], [0.5, 0.5, 0.5, 0.0, 1.0], [0.0, 0.0, 0.0, 1.0, 0.0]])
+    assert adjust.adjusted(adjust.NO_ADJUSTMENT, maps) is maps
+    nearly = adjust.Adjustment(saturation=1.0 + 1e-12)
+    assert np.allclose(adjust.adjusted(nearly, maps), maps, atol=1e-9)
+    turned = adjust.adjusted(adjust.Adjustment(hue=1.0 / 3.0), maps)
+    assert np.allclose(turned[:, :3], maps[:, [2, 0, 1]])  # red becomes green
+    grey = adjust.adjusted(adjust.Adjustment(saturation=0.0, value=2.0), maps)
+    assert np.allclose(grey[:, :3], [[1.0] * 3, [1.0] * 3, [0.0] * 3])
+    offset = adjust.adjusted(adjust.Adjustment(roughness=0.5, metallic=-0.5), maps)
+    assert np.allclose(offset[:, 3:], [[1.0, 0.0], [0.5, 0.5], [1.0, 0.0]])
+
+
+def test_applying_again_keeps_adjustments_and_names(applied):
+    row(applied, "Sill").value = 0.5
+    bpy.data.materials["Sill FIPT"].name = "My sill"
+    before = fingerprint(applied)
+    assert ops.apply_results() == {"FINISHED"}
+    assert fingerprint(applied) == before
+    assert row(applied, "Sill").value == pytest.approx(0.5) and face_materials("panel")[0] == "My sill"
+    # Other parts with other keys: the name finds it; what is gone is told.
+    row(applied, "Box").roughness_offset = 0.25
+    describe(applied, ["Sill", "Frame", "Crate"], "piece")
+    assert ops.apply_results() == {"FINISHED"}
+    assert row(applied, "Sill").value == pytest.approx(0.5)
+    (warning,) = running.last("materials").warnings
+    assert warning["code"] == "adjustments-lost" and "'Box'" in warning["text"]
+
+
+def test_resetting_one_and_all(applied):
+    for name in NAMES:
+        row(applied, name).metallic_offset = 0.5
+    make_active(applied, "Frame")
+    ops.reset_part()
+    assert row(applied, "Frame").metallic_offset == 0.0 and row(applied, "Sill").metallic_offset == 0.5
+    ops.reset_part(all_parts=True)
+    assert all(part.metallic_offset == 0.0 for part in applied.fipt.materials.parts)
+
+
+def test_picking_makes_the_part_under_the_ray_active(applied):
+    assert ops.pick_part(origin=(3.5, 0.5, 2.0), direction=(0.0, 0.0, -1.0)) == {"FINISHED"}
+    assert applied.fipt.materials.part().name == "Frame"
+    assert ops.pick_part(origin=(4.5, 0.5, 2.0), direction=(0.0, 0.0, -1.0)) == {"FINISHED"}
+    assert applied.fipt.materials.part().name == "Sill"
+    assert ops.pick_part(origin=(2.5, 0.5, 2.0), direction=(0.0, 0.0, -1.0)) == {"CANCELLED"}  # the lamp
+    assert ops.pick_part(origin=(90.0, 0.0, 2.0)) == {"CANCELLED"}
+    assert applied.fipt.materials.part().name == "Sill"
+
+
+def test_selecting_faces(applied):
+    make_active(applied, "Box")
+    bpy.data.objects["panel"].select_set(True)
+    assert ops.select_part_faces(edit=False) == {"FINISHED"}
+    cube = bpy.data.objects["cube"]
+    assert [polygon.select for polygon in cube.data.polygons][:4] == [True, True, True, False]
+    assert sum(polygon.select for polygon in cube.data.polygons) == 3
+    corners = {vertex for polygon in list(cube.data.polygons)[:3] for vertex in polygon.vertices}
+    assert {vertex.index for vertex in cube.data.vertices if vertex.select} == corners
+    assert bpy.context.selected_objects == [cube] and bpy.context.object == cube
+    assert ops.select_part_faces() == {"FINISHED"} and bpy.context.mode == "EDIT_MESH"
+    assert not ops.select_part_faces.poll()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert sum(polygon.select for polygon in cube.data.polygons) == 3
+    ops.show_map(shown="ORIGINAL")
+    assert not ops.select_part_faces.poll() and not ops.pick_part.poll()
+
+
+def test_assets_have_previews_and_survive_revert(applied):
+    make_active(applied, "Sill")
+    assert ops.mark_part_assets() == {"FINISHED"}
+    material = bpy.data.materials["Sill FIPT"]
+    assert material.asset_data is not None and "FIPT" in material.asset_data.tags
+    assert tuple(material.preview.image_size) == (128, 128)
+    assert bpy.data.materials["Frame FIPT"].asset_data is None
+    ops.mark_part_assets(all_parts=True)
+    assert bpy.data.materials["Frame FIPT"].asset_data is not None
+    ops.revert()
+    assert not len(applied.fipt.materials.parts) and "Sill FIPT" in bpy.data.materials
+
+
+def test_a_preview_shows_colour_and_gloss():
+    matt, glossy, metal = (
+        ball((0.8, 0.1, 0.1), 1.0, 0.0),
+        ball((0.8, 0.1, 0.1), 0.2, 0.0),
+        ball((0.8, 0.1, 0.1), 0.2, 1.0),
+    )
+    assert matt[64, 64, 0] > 2.0 * matt[64, 64, 1] and matt[0, 0, 3] == 0.0
+    assert glossy[..., 1].max() > matt[..., 1].max() + 0.2  # a white highlight
+    assert metal[64, 100, 0] < glossy[64, 100, 0]  # a metal has no diffuse reflection
+
+
+@pytest.mark.parametrize("mode", ["uv", "color_attribute"])
+def test_faces_that_were_left_alone_keep_their_material(scene, mode):
+    run = RunFolder(scene.fipt.run_folder)
+    with np.load(run.room_npz) as room:
+        left = (room["triangle_object"] == 1) & (room["triangle_polygon"] >= 3)
+    np.savez(run.left_alone_npz, left_alone=left)
+    scene.fipt.materials.atlas_mode = mode
+    assert ops.apply_results() == {"FINISHED"}
+    own = face_materials("cube")
+    assert own[:3] == ["Box FIPT"] * 3 and set(own[3:]) == {"red", "own", "blue"}
+    row(scene, "Box").value = 0.5
+    assert ops.apply_results() == {"FINISHED"} and face_materials("cube") == own
+    assert row(scene, "Box").value == pytest.approx(0.5)
+
+
+def test_revert_leaves_nothing(scene):
+    before = fingerprint(scene)
+    ops.apply_results()
+    row(scene, "Sill").hue = 0.25
+    ops.revert()
+    assert fingerprint(scene) == before
