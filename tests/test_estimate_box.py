@@ -113,7 +113,7 @@ def test_it_speaks_of_every_stage_and_names_its_files(finished) -> None:
     assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] <= 1.0
     assert messages[-1]["type"] == "done"
     assert {Path(file).name for file in messages[-1]["files"]} == {
-        "fields.npz", "emitters.json", "statistics.json",
+        "fields.npz", "parts.json", "emitters.json", "statistics.json",
     }  # fmt: skip
     assert all(Path(file).exists() for file in messages[-1]["files"])
     statistics = json.loads(run.statistics_json.read_text())

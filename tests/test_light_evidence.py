@@ -68,7 +68,7 @@ def emission(
         pixels,
         shadings,
         np.isin(ids, marked),
-        np.isin(ids, constant),
+        np.isin(ids, constant).astype(np.int8),
         lambda rows: np.full((len(rows), 3), estimate),
         emitter_surfaces(ROOM, Parts(ids, "none"), 0.01),
     )

@@ -36,6 +36,18 @@ def make_keys(changed: str = "") -> dict[str, str]:
     return {name: f"{name} {index >= first}" for index, name in enumerate(STAGES)}
 
 
+def test_hints_change_the_keys_from_the_stage_that_honours_them() -> None:
+    """Hints of a run from its first estimate on; those of a re-estimate only the two stages that they add."""
+    plain = stage_keys(SMALL, [])
+    hinted = stage_keys(SMALL, [], hints="a")
+    kept = [name for name in plain if plain[name] == hinted[name]]
+    assert kept == ["pixels", "shadings"]
+    again, other = (stage_keys(SMALL, [], hints_again=digest) for digest in ("a", ""))
+    assert {name: again[name] for name in plain} == plain
+    assert list(again) == stage_names(SMALL.rounds, hinted=True)
+    assert not {again[name] for name in list(again)[-2:]} & {other[name] for name in list(other)[-2:]}
+
+
 def do(checkpoints: Checkpoints, names: list[str], folder: Path) -> None:
     """Do the stages and write the files that the engine would write."""
     for name in names:

@@ -8,6 +8,8 @@
     refinement-i    stage 3: bake the shadings anew by path tracing (Sec. 4.3, Eq. 10 and 11)
     estimate-i      closed form and emitters with the refined shadings
     training        stage 2: fit BRDF and emission mask, once, and find the emitters (Sec. 4.5, Eq. 12 to 20)
+    hinted-estimate, hinted-training
+                    closed form and a short training again, with hints that were given since
 
 Stage 3 and the closed form are repeated `rounds` times. A run that is resumed loads the stages that it has
 finished. The computations are in `light/`, `views/` and `material/`, the data that stages share in
@@ -17,7 +19,8 @@ finished. The computations are in `light/`, `views/` and `material/`, the data t
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -33,6 +36,7 @@ from ..light.shadings import SampleCounts
 from ..material.cell_errors import cell_errors
 from ..material.closed_form import MARKED_SHARE, CellEstimate, fit_cells, render_rows, triangle_emission
 from ..material.emission_mask import EmissionNetwork, mask_at, masked_triangles
+from ..material.hints import SurfaceHints
 from ..material.networks import typical_values, useful_hash_levels
 from ..material.pixel_samples import lamp_pixels
 from ..material.projection import InitialEstimate
@@ -46,11 +50,12 @@ from ..material.training import (
     read_checkpoint,
     train,
 )
-from ..material.training_input import material_units, training_input
+from ..material.training_input import training_input
 from ..optics.lights import EmitterTable
-from ..run.checkpoints import UNFINISHED, DamagedStage, stage_names
+from ..run.checkpoints import HINTED_ESTIMATE, HINTED_TRAINING, UNFINISHED, DamagedStage, stage_names
 from ..run.errors import FiptError
 from ..run.finished_views import FinishedViews
+from ..run.hints import Hint
 from ..run.runfolder import explained_write_errors, write_json
 from ..run.settings import Settings
 from ..scene.disagreement import doubt_pixels
@@ -61,6 +66,8 @@ from ..scene.pixels import fill_pixels, open_pixels
 from ..scene.unmixing import unmix_pixels
 from ..views.check import check_views
 from ..views.photometry import adjust_photographs
+from .doubts import write_doubts
+from .hinted import write_left_alone
 from .part_list import write_part_list
 from .previews import Preview
 from .results import RoomLight, write_results
@@ -69,7 +76,16 @@ from .state import EstimationState
 Facts = dict[str, Any]  # what stages.json keeps of a stage; JSON-serialisable
 
 # Expected time of each kind of stage relative to stage 1, for the progress bar only.
-_WEIGHTS = {"pixels": 0.1, "shadings": 1.0, "estimate": 0.4, "refinement": 1.2, "training": 1.2}
+_WEIGHTS = {
+    "pixels": 0.1,
+    "shadings": 1.0,
+    "estimate": 0.4,
+    "refinement": 1.2,
+    "training": 1.2,
+    "hinted": 0.4,
+}
+# Steps of a training that continues with hints, as a share of the first one's.
+AGAIN_SHARE = 1.0 / 3.0
 
 
 class Estimation(EstimationState):
@@ -98,7 +114,7 @@ class Estimation(EstimationState):
 
     def _do_stages(self) -> None:
         rounds = self.settings.rounds
-        self.reporter.plan(_stage_weights(self.settings))
+        self.reporter.plan(_stage_weights(self.settings, self.told_again is not None))
         with explained_write_errors(self.folder.stage):
             self._stage("pixels", "Tracing the photographs' pixels", self._trace, self._load_pixels)
             self._prepare()
@@ -120,12 +136,15 @@ class Estimation(EstimationState):
                 self._stage(
                     f"estimate-{index}",
                     f"Estimating materials and lamps (round {index + 1} of {rounds + 1})",
-                    partial(self._estimate, index),
-                    partial(self._resume_estimate, index),
+                    partial(self._estimate, f"estimate-{index}"),
+                    partial(self._resume_estimate, f"estimate-{index}"),
                 )
                 self._show(f"estimate-{index}")
-            self._stage("training", "Stage 2: training materials", self._train, self._load_networks)
+            load = partial(self._load_networks, "training")
+            self._stage("training", "Stage 2: training materials", self._train, load)
             self._show("training")
+            if self.told_again is not None:
+                self._estimate_again(self.told_again)
             self._write_results()
 
     def _stage(self, name: str, text: str, work: Callable[[], Facts], load: Callable[[], None]) -> None:
@@ -211,9 +230,10 @@ class Estimation(EstimationState):
 
     def _prepare(self) -> None:
         """Everything that follows from the pixels and is quick to make again."""
-        self.observations = observe(
+        self._observed = observe(
             self.room, self.pixels, self.parts, self.settings, self.folder.stage / "observed"
         )
+        self._use_hints(self.told)
 
     # ---- Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9) ---------------------------------------
 
@@ -269,22 +289,41 @@ class Estimation(EstimationState):
 
     # ---- Closed form (Eq. 5) and emitters (Sec. 4.4) -------------------------------------------------------
 
-    def _estimate(self, index: int) -> Facts:
+    def _estimate(self, name: str) -> Facts:
         self._input = None  # that of the round before
         data, initial, cells, bright = self._closed_form()
         joint = self.settings.emission == "joint"
-        self._find_cells(material_units(self.observations, self._pieces, data))
-        emitting = self._constant_triangles(initial)
+        self._find_cells(self._material_units(data))
+        known = self._known_emission(initial)
         if joint:
+            emitting = known > 0
             self.emission = triangle_emission(cells, self.observations, data)
+            self.emission[known < 0] = 0.0
         else:
-            emitting = self._find_emitters(data, cells, bright > MARKED_SHARE, emitting)
+            emitting = self._find_emitters(data, cells, bright > MARKED_SHARE, known)
+        if self.hints is not None:
+            self._warn_of_hints(name, self.hints, emitting)
         self._group_fixtures(emitting)
         # Kept for stage 3, which writes over the shadings from which these are made.
         self.diffuse = self.observations.means(data.diffuse).astype(np.float16)
         self.materials = self._entry_values(cells)
-        self._save_estimate(index, emitting)
+        self._save_estimate(name, emitting)
         return {"cells": len(cells.keys)}
+
+    def _warn_of_hints(self, name: str, hints: SurfaceHints, emitting: np.ndarray) -> None:
+        """Say which hints could not be honoured, and whether the shadings are those of other lamps."""
+        if hints.problems and name in ("estimate-0", HINTED_ESTIMATE):
+            text = "Some hints could not be honoured: " + " ".join(hints.problems)
+            self.reporter.warning("hints-unclear", text, "Correct or remove these hints.")
+        if (
+            name == HINTED_ESTIMATE
+            and (self._emitters()[1] != emitting)[hints.of_triangles(hints.emits) != 0].any()
+        ):
+            self.reporter.warning(
+                "hints-lamps",
+                "The hints change which surfaces are lamps, but the light in the room is that of before.",
+                "Use Estimate: it computes the light anew with the hints.",
+            )
 
     def _closed_form(self) -> tuple[TrainingData, InitialEstimate, CellEstimate, np.ndarray]:
         """The data to train on with the last shadings, the closed-form estimate of a sample of them, and
@@ -297,56 +336,64 @@ class Estimation(EstimationState):
                 self.levels,
                 self.box.normalise,
                 self.settings,
+                self.hints,
             )
             joint = self.settings.lambda_joint if self.settings.emission == "joint" else None
             self._input = (data, initial, *fit_cells(self.observations, data, joint))
         return self._input
 
-    def _constant_triangles(self, initial: InitialEstimate) -> np.ndarray:
-        """(T,) bool, triangles of parts whose radiance is constant although the light on them varies.
+    def _known_emission(self, initial: InitialEstimate) -> np.ndarray:
+        """(T,) int8, 1 on triangles that emit in any case, -1 on those that do not, 0 elsewhere.
 
-        Photographs that are not HDR show a constant radiance wherever they are clipped, on reflectors, too.
+        Parts emit whose radiance is constant although the light on them varies. Photographs that are not HDR
+        show a constant radiance wherever they are clipped, on reflectors, too. Hints go before.
         """
-        part = self.parts.triangle_part
-        if self.photometry:
-            return np.zeros(len(part), bool)
-        # Semantic classes, and parts that no pixel saw, have no estimate.
-        known = (part >= 0) & (part < len(initial.part_emits))
-        constant = np.zeros(len(part), bool)
-        constant[known] = initial.part_emits[part[known]]
-        return constant
+        part = self.observations.parts.triangle_part
+        known = np.zeros(len(part), np.int8)
+        if not self.photometry:
+            # Semantic classes, and parts that no pixel saw, have no estimate.
+            has_part = (part >= 0) & (part < len(initial.part_emits))
+            known[has_part] = initial.part_emits[part[has_part]]
+        if self.hints is not None:
+            told = self.hints.of_triangles(
+                self.hints.emits - (self.hints.left_alone & (self.hints.emits == 0))
+            )
+            known = np.where(told != 0, told, known).astype(np.int8)
+        return known
 
     def _find_emitters(
-        self, data: TrainingData, cells: CellEstimate, marked: np.ndarray, constant: np.ndarray
+        self, data: TrainingData, cells: CellEstimate, marked: np.ndarray, known: np.ndarray
     ) -> np.ndarray:
-        """(T,) bool, triangles that emit; those of `constant` ((T,) bool) do in any case."""
+        """(T,) bool, triangles that emit; `known`: :meth:`_known_emission`."""
         estimate = partial(render_rows, cells, self.observations, data)
         shadings, surfaces = self._open_shadings(), self._emitter_surfaces
-        return find_emission(self.room, self.pixels, shadings, marked, constant, estimate, surfaces)
+        return find_emission(self.room, self.pixels, shadings, marked, known, estimate, surfaces)
 
-    def _resume_estimate(self, index: int) -> None:
+    def _resume_estimate(self, name: str) -> None:
         # Emitters are read, not found anew: the shadings they were found with may have been refined since.
-        self._group_fixtures(self._load_estimate(index))
+        self._group_fixtures(self._load_estimate(name))
+
+    def _estimate_again(self, told: Sequence[Hint]) -> None:
+        """Closed form and training again with these hints; pixels and shadings stay as they are."""
+        self._units_before = self.units
+        self._use_hints(told)
+        self._stage(
+            HINTED_ESTIMATE,
+            "Estimating materials with the hints",
+            partial(self._estimate, HINTED_ESTIMATE),
+            partial(self._resume_estimate, HINTED_ESTIMATE),
+        )
+        load = partial(self._load_networks, HINTED_TRAINING)
+        self._stage(HINTED_TRAINING, "Training materials with the hints", self._train_again, load)
+        self._show(HINTED_TRAINING)
 
     # ---- Stage 2: BRDF and emission mask (Sec. 4.5, Eq. 12, 14 to 20); emitters (Sec. 4.4, Eq. 13) ---------
 
     def _train(self) -> Facts:
         """Fit the networks to the closed-form estimate, then to the photographs; find the emitters."""
         data, initial, _, _ = self._closed_form()
-        _, emitting = self._emitters()
-        joint = len(self.emission) > 0
-        surfaces = Surfaces(
-            self.pixels.triangle,
-            self.units.triangle,
-            np.zeros_like(emitting) if joint else emitting,
-            self.emission,
-        )
-        unit = self.units.triangle[self.pixels.triangle[initial.rows]]
-        hash_levels = useful_hash_levels(self.settings, self.box.extent, self.observations.footprint)
-        self.brdf = self._new_network(
-            hash_levels, typical_values(initial.values, unit, len(self.units.single))
-        )
-        networks = Networks(self.brdf, None if joint else self._new_mask())
+        surfaces = self._surfaces()
+        networks = self._new_networks(initial)
         checkpoint = self.folder.stage / f"{UNFINISHED}.pt"
         state = None
         if checkpoint.exists():
@@ -361,12 +408,50 @@ class Estimation(EstimationState):
             pretrain(networks, data, surfaces, initial, self.settings, progress)
         progress = self._progress_within(fitted, 1.0)
         train(networks, data, surfaces, self.settings, Resume(checkpoint, state), progress)
+        facts = self._keep_training("training", networks, self.settings.training_steps)
+        checkpoint.unlink(missing_ok=True)
+        return facts
+
+    def _train_again(self) -> Facts:
+        """Continue from the networks that were trained without these hints.
+
+        The networks add detail to the typical values of the units, which are those of the new closed form.
+        """
+        data, initial, _, _ = self._closed_form()
+        networks = self._new_networks(initial)
+        try:
+            state = self.checkpoints.load_tensors("training", self.device)
+            state["brdf"]["typical"] = networks.brdf.state_dict()["typical"]
+            networks.load(state)
+        except (FiptError, KeyError, TypeError, RuntimeError) as error:
+            raise DamagedStage("training", f"The checkpoint training can't be read ({error}).") from error
+        steps = max(round(AGAIN_SHARE * self.settings.training_steps), 1)
+        shorter = replace(self.settings, training_steps=steps)
+        train(networks, data, self._surfaces(), shorter, None, self.reporter.progress)
+        return self._keep_training(HINTED_TRAINING, networks, steps)
+
+    def _surfaces(self) -> Surfaces:
+        """What is known of the surfaces before a training."""
+        _, emitting = self._emitters()
+        masked = np.zeros_like(emitting) if len(self.emission) else emitting
+        return Surfaces(self.pixels.triangle, self.units.triangle, masked, self.emission)
+
+    def _new_networks(self, initial: InitialEstimate) -> Networks:
+        """Networks that are not trained yet, with the typical values of the units."""
+        unit = self.units.triangle[self.pixels.triangle[initial.rows]]
+        hash_levels = useful_hash_levels(self.settings, self.box.extent, self.observations.footprint)
+        typical = typical_values(initial.values, unit, len(self.units.single))
+        self.brdf = self._new_network(hash_levels, typical)
+        return Networks(self.brdf, None if len(self.emission) else self._new_mask())
+
+    def _keep_training(self, name: str, networks: Networks, steps: int) -> Facts:
+        """Find the emitters by trained networks, and keep both."""
+        _, emitting = self._emitters()
         if networks.emission is not None:
             emitting = self._masked_emitters(networks.emission)
             self._group_fixtures(emitting)
-        self._save_networks(networks, emitting)
-        checkpoint.unlink(missing_ok=True)
-        return {"steps": self.settings.training_steps, "hash_levels": hash_levels}
+        self._save_networks(name, networks, emitting)
+        return {"steps": steps, "hash_levels": len(networks.brdf.grid.resolutions)}
 
     def _masked_emitters(self, mask: EmissionNetwork) -> np.ndarray:
         """(T,) bool, triangles that emit, after the emission mask has been trained.
@@ -384,7 +469,7 @@ class Estimation(EstimationState):
             candidates=bright > 0.0,
         )
         marked |= bright > MARKED_SHARE
-        return self._find_emitters(data, cells, marked, self._constant_triangles(initial))
+        return self._find_emitters(data, cells, marked, self._known_emission(initial))
 
     # ---- Stage 3: shadings by path tracing (Sec. 4.3, Eq. 10 and 11) ---------------------------------------
 
@@ -407,6 +492,7 @@ class Estimation(EstimationState):
     def _write_results(self) -> None:
         _, emitting = self._emitters()
         shadings = self._open_shadings()
+        left_alone = self.observations.left_alone
         errors = cell_errors(
             self.pixels,
             self.units,
@@ -414,7 +500,7 @@ class Estimation(EstimationState):
             self._closed_form()[0],
             self._fields(),
             self.cells,
-            emitting,
+            emitting if left_alone is None else emitting | left_alone,
             self.settings.seed,
         )
         fixtures, colors = self.fixtures, np.zeros((len(self.fixtures), 3))
@@ -425,7 +511,17 @@ class Estimation(EstimationState):
         fields = self._room_fields(errors)
         write_results(self.folder, fields, light, self.scale, self.reporter)
         write_part_list(self.folder, self.room, self.parts, self.views, self.pixels, fields)
+        write_left_alone(self.folder, left_alone)
+        self._write_doubts()
         write_json(self.folder.statistics_json, self.summary())
+
+    def _write_doubts(self) -> None:
+        data, initial, _, bright = self._closed_form()
+        decided = np.zeros(len(bright), bool)
+        if self.hints is not None:
+            decided = self.hints.of_triangles(self.hints.emits) != 0
+        colors = _means(initial.base_color.mean(axis=1), data.group[initial.rows], len(data.group_errors))
+        write_doubts(self.folder, self.pixels, data, bright, decided, colors)
 
     # ---- Progress ------------------------------------------------------------------------------------------
 
@@ -440,12 +536,19 @@ class Estimation(EstimationState):
         if not paths and name == "shadings":
             paths = preview.first_guess(name, self._open_shadings())
         elif not paths:
-            colors = self._network_colors if name == "training" else self._closed_form_colors
+            colors = self._network_colors if name.endswith("training") else self._closed_form_colors
             paths = preview.estimate(name, colors, self._emitters()[0])
         relative = [path.relative_to(self.folder.root).as_posix() for path in paths]
         self.reporter.progress(1.0, force=True, pictures=relative)
 
 
-def _stage_weights(settings: Settings) -> list[float]:
+def _stage_weights(settings: Settings, hinted: bool) -> list[float]:
     """Expected share of time of each stage, in no unit; for the progress bar."""
-    return [_WEIGHTS[name.partition("-")[0]] for name in stage_names(settings.rounds)]
+    return [_WEIGHTS[name.partition("-")[0]] for name in stage_names(settings.rounds, hinted)]
+
+
+def _means(values: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:
+    """(groups,) mean of values (N,) by group (N,), negative for none; 0 without any."""
+    known = group >= 0
+    count = np.bincount(group[known], minlength=groups)
+    return np.bincount(group[known], values[known], minlength=groups) / np.maximum(count, 1)

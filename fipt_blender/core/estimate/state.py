@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -28,15 +28,18 @@ from ..material.closed_form import CellEstimate
 from ..material.emission_mask import EmissionNetwork
 from ..material.fields import RoomFields
 from ..material.groups import Units
+from ..material.hints import SurfaceHints, place_hints
 from ..material.inference import Fields
 from ..material.networks import BrdfNetwork, network_generator
 from ..material.projection import InitialEstimate
 from ..material.seen import SeenCells, fallback_values, find_seen_cells, room_box, seen_statistics
 from ..material.training import Networks, TrainingData
+from ..material.training_input import hinted_units, material_units
 from ..optics.lights import EmitterTable
 from ..run.arrays import check_layouts
 from ..run.checkpoints import Checkpoints, stage_keys
 from ..run.errors import FiptError
+from ..run.hints import Hint, hints_digest, read_hints
 from ..run.messages import Reporter, peak_memory_gb
 from ..run.per_view import LocalWorkers, Workers
 from ..run.runfolder import RunFolder
@@ -46,6 +49,7 @@ from ..scene.labels import NO_PART, Parts, choose_parts, room_pieces
 from ..scene.pixels import LEFT_OUT, PixelStore, open_pixels
 from ..scene.room import load_room
 from ..views.check import ViewCheck
+from .hinted import hint_facts
 
 # What the checkpoint of a closed-form estimate holds; see `EstimationState._save_estimate`.
 _ESTIMATE_ARRAYS: dict[str, Layout] = {
@@ -55,6 +59,7 @@ _ESTIMATE_ARRAYS: dict[str, Layout] = {
     "materials": ("f", ("M", 5)),
     "unit": ("i", ("T",)),
     "single": ("b", ("U",)),
+    "fixed": ("f", ("F", 2)),
 }
 
 
@@ -79,7 +84,10 @@ class EstimationState:
         view_check: views that were left out or corrected.
         photometry: what was found of photographs that are not HDR; empty without any.
         parts: of the room's triangles.
-        observations: what the pixels tell before anything is estimated: cache, environment.
+        told, told_again: hints that all stages honour, and those that the hinted stages honour instead; None
+            where there are no hinted stages.
+        hints: those that are honoured now, on the mesh; None without any.
+        observations: what the pixels tell before anything is estimated: cache, environment; divided by hints.
         brdf: the BRDF network of stage 2.
         units, cells: surfaces of one material, and where pixels saw them.
         fixtures: the emitters found so far.
@@ -109,12 +117,19 @@ class EstimationState:
         self.box = room_box(self.room.bounds)
         files = [folder.capture_json, folder.room_npz, folder.room_json]
         images = [path for view in self.views for path in view.files]
-        self.checkpoints = Checkpoints(folder.stage, stage_keys(settings, files, images))
+        self.told = read_hints(folder.hints_json)
+        again = folder.hints_again_json
+        self.told_again = read_hints(again) if again.exists() else None
+        digest_again = None if self.told_again is None else hints_digest(self.told_again)
+        keys = stage_keys(settings, files, images, hints_digest(self.told), digest_again)
+        self.checkpoints = Checkpoints(folder.stage, keys)
+        self.hints: SurfaceHints | None = None
         self.pixels: PixelStore
         self.scale = 1.0
         self.view_check = ViewCheck()
         self.photometry: dict[str, Any] = {}
         self.parts: Parts
+        self._observed: Observations
         self.observations: Observations
         self.brdf: BrdfNetwork
         self.units = Units(np.zeros(0, np.int32), np.zeros(0, bool))
@@ -123,6 +138,7 @@ class EstimationState:
         self.emission = np.zeros((0, 3), np.float32)
         self.diffuse: np.ndarray
         self.materials: np.ndarray
+        self._units_before: Units | None = None
         self._input: tuple[TrainingData, InitialEstimate, CellEstimate, np.ndarray] | None = None
 
     # Pixels and shadings
@@ -164,10 +180,38 @@ class EstimationState:
         """(T,) int32 connected piece of each triangle; None where parts are known, which need no pieces."""
         return None if self.parts.kind == "part" else room_pieces(self.room)
 
+    # Hints
+
+    def _use_hints(self, told: Sequence[Hint]) -> None:
+        """Honour these hints from here on, instead of those before."""
+        self._input = None
+        self.hints, self.observations = None, self._observed
+        if not told:
+            return
+        room, parts = self.room, self.parts
+        self.hints = hints = place_hints(told, room.vertices, room.triangles, parts, self._pieces)
+        left_alone = hints.of_triangles(hints.left_alone)
+        self.observations = replace(
+            self._observed,
+            parts=hints.split_parts(parts),
+            left_alone=left_alone if left_alone.any() else None,
+        )
+
+    def _material_units(self, data: TrainingData) -> Units:
+        """The units of a closed-form estimate."""
+        units = self._units_before  # the network knows them by these numbers
+        if units is None or self._pieces is None:
+            units = material_units(self.observations, self._pieces, data)
+        if self.hints is None:
+            return units
+        values = data.group_roughness, data.group_metallic
+        return hinted_units(units, self.observations.parts, self.hints, *values)
+
     # Closed form and network
 
-    def _save_estimate(self, index: int, emitting: np.ndarray) -> None:
-        """Keep what closed-form estimate number `index` has found; `emitting` (T,) bool."""
+    def _save_estimate(self, name: str, emitting: np.ndarray) -> None:
+        """Keep what the closed-form estimate of this name has found; `emitting` (T,) bool."""
+        fixed = self.units.fixed
         arrays = {
             "emitting": emitting,
             "emission": self.emission,
@@ -175,17 +219,17 @@ class EstimationState:
             "materials": self.materials,
             "unit": self.units.triangle,
             "single": self.units.single,
+            "fixed": np.zeros((0, 2), np.float32) if fixed is None else fixed,
         }
-        tensors = {name: torch.from_numpy(array) for name, array in arrays.items()}
-        self.checkpoints.save_tensors(f"estimate-{index}", tensors)
+        tensors = {key: torch.from_numpy(array) for key, array in arrays.items()}
+        self.checkpoints.save_tensors(name, tensors)
 
-    def _load_estimate(self, index: int) -> np.ndarray:
-        """Read back closed-form estimate number `index`; returns the triangles that emit, (T,) bool.
+    def _load_estimate(self, name: str) -> np.ndarray:
+        """Read back the closed-form estimate of this name; returns the triangles that emit, (T,) bool.
 
         Raises:
             FiptError: ``file-damaged``.
         """
-        name = f"estimate-{index}"
         state = self.checkpoints.load_tensors(name, torch.device("cpu"))
         try:
             arrays = {key: state[key].numpy() for key in _ESTIMATE_ARRAYS}
@@ -196,7 +240,8 @@ class EstimationState:
             raise _unreadable(name, error) from None
         self.emission, self.diffuse = arrays["emission"], arrays["diffuse"]
         self.materials = arrays["materials"]
-        self._find_cells(Units(arrays["unit"], arrays["single"]))
+        fixed = arrays["fixed"] if len(arrays["fixed"]) else None
+        self._find_cells(Units(arrays["unit"], arrays["single"], fixed))
         return arrays["emitting"]
 
     def _new_network(self, hash_levels: int, typical: np.ndarray) -> BrdfNetwork:
@@ -205,18 +250,18 @@ class EstimationState:
     def _new_mask(self) -> EmissionNetwork:
         return EmissionNetwork(network_generator(self.settings), self.device)
 
-    def _save_networks(self, networks: Networks, emitting: np.ndarray) -> None:
-        """Keep what the training has found; `emitting` (T,) bool."""
+    def _save_networks(self, name: str, networks: Networks, emitting: np.ndarray) -> None:
+        """Keep what the training of this name has found; `emitting` (T,) bool."""
         tensors = {**networks.state(), "emitting": torch.from_numpy(emitting)}
-        self.checkpoints.save_tensors("training", tensors)
+        self.checkpoints.save_tensors(name, tensors)
 
-    def _load_networks(self) -> None:
-        """Read back the materials and the emitters that the training has found.
+    def _load_networks(self, name: str) -> None:
+        """Read back the materials and the emitters that the training of this name has found.
 
         Raises:
             FiptError: ``file-damaged``.
         """
-        state = self.checkpoints.load_tensors("training", self.device)
+        state = self.checkpoints.load_tensors(name, self.device)
         try:
             levels = state["brdf"]["mlp.0.weight"].shape[1] // self.settings.hash_features
             self.brdf = self._new_network(levels, np.zeros((len(self.units.single) + 1, 5)))
@@ -224,7 +269,7 @@ class EstimationState:
             emitting = state["emitting"].cpu().numpy()
             check_layouts({"emitting": emitting}, {"emitting": ("b", (len(self.room.triangles),))})
         except (KeyError, AttributeError, IndexError, TypeError, ValueError, RuntimeError) as error:
-            raise _unreadable("training", error) from None
+            raise _unreadable(name, error) from None
         self._group_fixtures(emitting)
 
     def _find_cells(self, units: Units) -> None:
@@ -240,7 +285,8 @@ class EstimationState:
         if len(self.emission):
             self.fixtures = joint_fixtures(self.room, self.emission, self.settings.joint_threshold)
         else:
-            surface = self.parts.triangle_part if self.parts.kind == "part" else None
+            parts = self.observations.parts
+            surface = parts.triangle_part if parts.kind == "part" else None
             self.fixtures = group_fixtures(self.room, emitting, EmitterPixels.of(self.pixels), surface)
 
     def _emitters(self) -> tuple[EmitterTable, np.ndarray]:
@@ -312,6 +358,7 @@ class EstimationState:
             "views": self.view_check.facts() | {"used": len(self.views) - len(self.view_check.left_out)},
             "settings": asdict(self.settings),
             **({"photometry": self.photometry} if self.photometry else {}),
+            **({"hints": hint_facts(self.hints, self.units)} if self.hints else {}),
         }
 
     def files(self) -> list[Path]:

@@ -40,7 +40,7 @@ def find_emission(
     pixels: PixelStore,
     shadings: ShadingStore,
     marked: np.ndarray,
-    constant: np.ndarray,
+    known: np.ndarray,
     estimate: Callable[[np.ndarray], np.ndarray],
     surfaces: EmitterSurfaces,
 ) -> np.ndarray:
@@ -53,7 +53,8 @@ def find_emission(
     Args:
         shadings: of all pixels.
         marked: (T,) bool, triangles that look like emitters (:func:`.material.closed_form.fit_cells`).
-        constant: (T,) bool, triangles of parts of view-independent radiance: they emit in any case.
+        known: (T,) int8, 1 on triangles that emit in any case (parts of view-independent radiance, hints), -1
+            on those that hints say do not; 0 elsewhere.
         estimate: (R,) pixels to their (R, 3) reflected radiance L_r of the estimate.
         surfaces: what emits as a whole.
     """
@@ -78,8 +79,9 @@ def find_emission(
         )
     seen_once = (marked & evidence.pure[unit]) | (evidence.views >= LEAST_VIEWS)[unit]
     emits = evidence.majority[unit] & seen_once
-    decided = emits | (evidence.exists & ~evidence.majority)[unit]
-    return extend_to_components(room.areas, surfaces.component, emits | constant, decided | constant)
+    decided = emits | (evidence.exists & ~evidence.majority)[unit] | (known != 0)
+    emits = (emits | (known > 0)) & (known >= 0)
+    return extend_to_components(room.areas, surfaces.component, emits, decided)
 
 
 def _doubt(own: np.ndarray, weight: np.ndarray) -> np.ndarray:

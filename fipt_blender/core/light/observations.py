@@ -47,6 +47,8 @@ class Observations:
         environment: in units of the capture's median, None where no pixel looks outside.
         footprint: median width of a pixel on the surfaces, metres.
         folder: for memory-mapped arrays.
+        left_alone: (T,) bool triangles that are not estimated: nothing is found from their pixels but the
+            light that they send; None for none.
     """
 
     pixels: PixelStore
@@ -56,6 +58,7 @@ class Observations:
     environment: Environment | None
     footprint: float
     folder: Path
+    left_alone: np.ndarray | None = None
 
     def hits(self) -> Iterator[np.ndarray]:
         """(n,) int64 pixels that see the mesh, view by view."""
@@ -143,6 +146,8 @@ class Observations:
             known = np.asarray(self.pixels.weight[hit]) >= LEAST_WEIGHT
             alone = hit[known & (found[hit - rows.start] < 0)]
             found[alone - rows.start] = alone
+            if self.left_alone is not None:
+                found[hit[self.left_alone[self.pixels.triangle[hit]]] - rows.start] = -1
             donors[rows] = found
         return donors
 

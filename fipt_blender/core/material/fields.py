@@ -15,7 +15,7 @@ import torch
 
 from ..device.variant import torch_device
 from ..optics.brdf import set_masking
-from ..run.arrays import read_arrays
+from ..run.arrays import check_layouts, read_arrays
 from ..run.errors import FiptError
 from ..run.runfolder import RunFolder, atomic_path
 from ..run.shapes import FIELDS_ARRAYS, PARTS_ARRAYS
@@ -87,6 +87,9 @@ class RoomFields:
         values = np.empty((len(positions), seen_values.shape[1]), np.float32)
         values[seen] = seen_values
         values[~seen] = fallback_values(positions[~seen], part[~seen], self._statistics)
+        if self.units.fixed is not None:
+            fixed = np.append(self.units.fixed, [[np.nan] * 2], axis=0)[np.maximum(part, NO_PART)]
+            values[:, MATERIAL] = np.where(np.isnan(fixed), values[:, MATERIAL], fixed)
         return values[:, :3], values[:, 3], values[:, 4]
 
     def confidence(self, positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -123,6 +126,7 @@ class RoomFields:
             hash_levels = int(arrays["hash_levels"])
             if not 1 <= hash_levels <= settings.hash_levels:
                 raise ValueError(f"it has {hash_levels} levels, the settings {settings.hash_levels}")
+            check_layouts(parts, PARTS_ARRAYS | ({"fixed": ("f", ("U", 2))} if "fixed" in parts else {}))
             if parts["triangle_part"].max(initial=NO_PART) >= len(parts["single"]):
                 raise ValueError(f"{run.parts_npz.name} names parts that it lacks")
             typical = np.zeros((len(parts["single"]) + 1, 5))
@@ -138,7 +142,7 @@ class RoomFields:
             raise FiptError("results-damaged", f"{run.fields_npz} can't be read ({error}).", again) from None
         box = Box(arrays["box_low"].astype(np.float64), float(arrays["box_extent"]))
         cells = SeenCells(arrays["seen_keys"], arrays["seen_points"], arrays["seen_part"])
-        units = Units(parts["triangle_part"], parts["single"])
+        units = Units(parts["triangle_part"], parts["single"], parts.get("fixed"))
         return cls(Fields(network, box), units, cells, arrays["seen_errors"])
 
     def save(self, run: RunFolder) -> None:
@@ -158,7 +162,8 @@ class RoomFields:
                 **state,
             )
         with atomic_path(run.parts_npz) as temporary:
-            np.savez(temporary, triangle_part=self.units.triangle, single=self.units.single)
+            fixed = {} if self.units.fixed is None else {"fixed": self.units.fixed}
+            np.savez(temporary, triangle_part=self.units.triangle, single=self.units.single, **fixed)
 
 
 def _color_errors(errors: np.ndarray) -> np.ndarray:

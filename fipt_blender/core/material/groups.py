@@ -40,10 +40,12 @@ class Units:
     Attributes:
         triangle: (T,) int32 unit of each triangle from 0, NO_PART without one.
         single: (units,) bool, whether it is of one material.
+        fixed: (units, 2) roughness and metallic that hints have decided, NaN elsewhere; None without hints.
     """
 
     triangle: np.ndarray
     single: np.ndarray
+    fixed: np.ndarray | None = None
 
     def is_single(self, unit: np.ndarray) -> np.ndarray:
         """Whether units (any shape; negative for none) are of one material."""

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..run.settings import Settings
+from .confidence import UNIFORM_DEVIATION
+from .hints import KnownMaterials
 from .likelihood import Candidates, group_log_likelihoods, make_candidates
 from .pixel_samples import PixelSamples
 
@@ -33,9 +35,35 @@ class GroupMaterials:
     roughness_error: np.ndarray
     metallic_error: np.ndarray
 
+    def padded(self, groups: int) -> GroupMaterials:
+        """So many groups: those without a sampled pixel, at the end, are diffuse."""
+        missing = max(groups - len(self.roughness), 0)
+        filling = (1.0, 0.0, UNIFORM_DEVIATION, UNIFORM_DEVIATION)
+        values = (self.roughness, self.metallic, self.roughness_error, self.metallic_error)
+        return GroupMaterials(
+            *(np.pad(of, (0, missing), constant_values=to) for of, to in zip(values, filling, strict=True))
+        )
+
+    def within(self, known: KnownMaterials) -> GroupMaterials:
+        """With values within what is known, the same in groups of one material."""
+        moments = []
+        for mean, error, bounds in (
+            (self.roughness, self.roughness_error, known.roughness),
+            (self.metallic, self.metallic_error, known.metallic),
+        ):
+            low, high = bounds.T.astype(np.float32)
+            mean, error = mean[known.same], error[known.same]
+            moments.append((np.clip(mean, low, high), np.minimum(error, (high - low) * UNIFORM_DEVIATION)))
+        (roughness, roughness_error), (metallic, metallic_error) = moments
+        return GroupMaterials(roughness, metallic, roughness_error, metallic_error)
+
 
 def infer_materials(
-    samples: PixelSamples, light_cell: np.ndarray, settings: Settings, similarity: np.ndarray | None = None
+    samples: PixelSamples,
+    light_cell: np.ndarray,
+    settings: Settings,
+    similarity: np.ndarray | None = None,
+    known: KnownMaterials | None = None,
 ) -> GroupMaterials:
     """Roughness and metallic of each group: those with which its cells look most alike in all views.
 
@@ -47,11 +75,16 @@ def infer_materials(
         settings: `residual_degrees`, `pixels_per_sample`, `view_error`, `view_outliers`, `prior_weight`.
         similarity: (groups, groups) prior probability that two groups are of one material
             (:func:`.groups.similarity`); None where each group is known to be one material of its own.
+        known: what is known of the groups, of all that have pixels at least; None for nothing.
     """
     candidates = make_candidates(samples.levels)
     broad = broad_prior(candidates)
     likelihood = group_log_likelihoods(samples, light_cell, broad, settings)
-    posterior = group_posterior(likelihood, candidates, broad, settings.prior_weight, similarity)
+    if known is None:
+        posterior = group_posterior(likelihood, candidates, broad, settings.prior_weight, similarity)
+    else:
+        known = known.first(likelihood.shape[1])
+        posterior = _known_posterior(likelihood, candidates, settings.prior_weight, similarity, known)
     moments = []
     for values in (candidates.roughness, candidates.metallic):
         mean = values @ posterior
@@ -59,6 +92,23 @@ def infer_materials(
     (roughness, roughness_error), (metallic, metallic_error) = moments
     result = roughness, metallic, roughness_error, metallic_error
     return GroupMaterials(*(values.astype(np.float32) for values in result))
+
+
+def _known_posterior(
+    log_likelihood: np.ndarray,
+    candidates: Candidates,
+    weight: float,
+    similarity: np.ndarray | None,
+    known: KnownMaterials,
+) -> np.ndarray:
+    """:func:`group_posterior` where something is known: groups of one material count as one."""
+    lowest, member = np.unique(known.same, return_inverse=True)
+    joint = np.zeros((len(log_likelihood), len(lowest)))
+    np.add.at(joint.T, member.reshape(-1), log_likelihood.T)
+    alike = None if similarity is None else similarity[np.ix_(lowest, lowest)]
+    allowed = known.allows(candidates.roughness, candidates.metallic)[:, lowest]
+    broad = broad_prior(candidates)
+    return group_posterior(joint, candidates, broad, weight, alike, allowed)[:, member.reshape(-1)]
 
 
 def broad_prior(candidates: Candidates) -> np.ndarray:
@@ -75,6 +125,7 @@ def group_posterior(
     broad: np.ndarray,
     weight: float,
     similarity: np.ndarray | None = None,
+    allowed: np.ndarray | None = None,
 ) -> np.ndarray:
     """(S, groups) probability of each candidate.
 
@@ -83,9 +134,12 @@ def group_posterior(
         broad: (S,) prior of the room's distribution.
         weight: of a prior, as a number of groups.
         similarity: as in :func:`infer_materials`.
+        allowed: (S, groups) bool, candidates that are possible, one at least of each group; None for all.
     """
-    likelihood = np.exp(log_likelihood - log_likelihood.max(axis=0))
     shown = (log_likelihood != 0.0).any(axis=0)
+    if allowed is not None:
+        log_likelihood = np.where(allowed, log_likelihood, -np.inf)
+    likelihood = np.exp(log_likelihood - log_likelihood.max(axis=0))
     kernel = _kernel(candidates)
     others = None
     if similarity is not None:

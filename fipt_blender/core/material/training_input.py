@@ -14,8 +14,8 @@ from ..light.observations import Observations
 from ..optics.factorised import color_line
 from ..run.settings import Settings
 from ..scene.grouped import numbered
+from ..scene.labels import Parts
 from ..scene.pixels import PixelStore, open_array
-from .confidence import UNIFORM_DEVIATION
 from .groups import (
     LEAST_PIXELS,
     MOST_GROUPS,
@@ -27,6 +27,7 @@ from .groups import (
     piece_units,
     similarity,
 )
+from .hints import NO_HINT, SurfaceHints, values_of_hints
 from .mixture import infer_materials
 from .pixel_samples import PixelSamples, read_samples, window_means
 from .projection import RADIANCE_FLOOR, InitialEstimate, project
@@ -53,20 +54,27 @@ def training_input(
     levels: np.ndarray,
     normalise: Callable[[np.ndarray], np.ndarray],
     settings: Settings,
+    hints: SurfaceHints | None = None,
 ) -> tuple[TrainingData, InitialEstimate]:
     """The data to train on, and the closed-form estimate at a sample of its pixels.
 
     Args:
         pieces: (T,) int connected piece of each triangle; None where parts are known.
+        hints: what the artist knows; the parts of the observations are divided by them.
         shadings: of all pixels at the roughness `levels` (K,).
         normalise: maps world positions to the unit cube.
     """
     pixels = observations.pixels
     rows = _sample_rows(pixels, observations.donor, np.random.default_rng([settings.seed, 2]))
     group, color = observations.part, np.zeros((0, 3))
+    groups = int(observations.parts.triangle_part.max(initial=-1)) + 1
     if pieces is not None:
         color = _diffuse_colors(observations, shadings)
-        group = _assign_groups(observations, pieces, color)
+        group, groups = _assign_groups(observations, pieces, color, None if hints is None else hints.triangle)
+    known = None
+    if hints is not None:
+        groups += 0 if pieces is None else len(hints.names)
+        known = hints.known(groups_of_hints(hints, observations.parts, groups), groups)
     pure = np.asarray(pixels.pure)
     wide_rows = rows[_pure_where_possible(pure[rows], group[rows])]
     wide_cell = _wide_cells(observations, wide_rows)
@@ -83,14 +91,15 @@ def training_input(
     alike = None
     if pieces is not None:
         alike = _similarity(wide.group, observations.part[wide_rows], color[observations.entry[wide_rows]])
-    materials = infer_materials(wide, _light_cells(observations, wide_rows), settings, alike)
+    materials = infer_materials(wide, _light_cells(observations, wide_rows), settings, alike, known)
+    materials = materials.padded(groups)
+    if known is not None:
+        materials = materials.within(known)
     roughness, metallic = materials.roughness, materials.metallic
     errors = np.column_stack([materials.roughness_error, materials.metallic_error])
     cell = np.asarray(observations.entry[rows], np.int64)
     samples = read_samples(pixels, shadings, levels, rows, cell, group[rows])
     estimate = project(samples, roughness, metallic, known_parts=pieces is None)
-    # Groups without a sampled pixel are diffuse.
-    missing = max(int(group.max(initial=-1)) + 1 - len(roughness), 0)
     data = TrainingData(
         pool=observations.pool,
         donor=observations.donor,
@@ -102,12 +111,41 @@ def training_input(
         specular=shadings.specular,
         levels=levels,
         semantic=observations.parts.kind == "semantic",
-        group_roughness=np.pad(roughness, (0, missing), constant_values=1.0),
-        group_metallic=np.pad(metallic, (0, missing)),
-        group_errors=np.pad(errors, ((0, missing), (0, 0)), constant_values=UNIFORM_DEVIATION),
+        group_roughness=roughness,
+        group_metallic=metallic,
+        group_errors=errors,
         normalise=normalise,
     )
     return data, estimate
+
+
+def groups_of_hints(hints: SurfaceHints, parts: Parts, groups: int) -> np.ndarray:
+    """(H,) int group of each hint among so many, -1 for none: its part; else the hints' are the last ones."""
+    if parts.kind == "part":
+        return values_of_hints(hints, parts.triangle_part)
+    return groups - len(hints.names) + np.arange(len(hints.names))
+
+
+def hinted_units(
+    units: Units, parts: Parts, hints: SurfaceHints, roughness: np.ndarray, metallic: np.ndarray
+) -> Units:
+    """Units divided by hints, with the values of those of which the hints know something.
+
+    Args:
+        units: without the hints on triangles of their own, where parts are not known.
+        parts: divided by the hints.
+        roughness, metallic: (G,) of the groups.
+    """
+    triangle, single = units.triangle, units.single
+    if parts.kind != "part":
+        triangle = hints.split(triangle, len(single))
+        single = np.append(single, np.ones(int(hints.own.sum()), bool))
+    group = groups_of_hints(hints, parts, len(roughness))
+    fixed = np.full((len(single), 2), np.nan, np.float32)
+    unit = values_of_hints(hints, triangle)
+    chosen = (unit >= 0) & (group >= 0) & hints.about_material & ~hints.left_alone
+    fixed[unit[chosen], 0], fixed[unit[chosen], 1] = roughness[group[chosen]], metallic[group[chosen]]
+    return Units(triangle, single, fixed)
 
 
 def material_units(observations: Observations, pieces: np.ndarray | None, data: TrainingData) -> Units:
@@ -171,15 +209,20 @@ def _rows_with_donor(pixels: PixelStore, donor: np.ndarray, view: int) -> np.nda
     return np.flatnonzero(donor[rows] >= 0) + rows.start
 
 
-def _assign_groups(observations: Observations, pieces: np.ndarray, color: np.ndarray) -> np.ndarray:
-    """(N,) int32 group of each pixel with a donor, NO_GROUP for the others; memory-mapped.
+def _assign_groups(
+    observations: Observations, pieces: np.ndarray, color: np.ndarray, hint: np.ndarray | None
+) -> tuple[np.ndarray, int]:
+    """(N,) int32 group of each pixel with a donor, NO_GROUP for the others; memory-mapped. And their number.
 
-    Only the combinations of label, piece and colour are counted, which are few, not the pixels.
+    Only the combinations of label, piece and colour are counted, which are few, not the pixels. The pixels of
+    a hint are a group of their own, numbered after the others.
 
     Args:
         color: (M * 6, 3) base colour of each cache entry.
+        hint: (T,) int hint of each triangle, negative for none; None without hints.
     """
     pixels = observations.pixels
+    of_triangle = np.full(len(pieces), NO_HINT) if hint is None else hint
     classes, class_of_entry = np.unique(color_class(color), return_inverse=True)
     shape = (
         int(observations.parts.triangle_part.max(initial=-1)) + 2,
@@ -188,8 +231,9 @@ def _assign_groups(observations: Observations, pieces: np.ndarray, color: np.nda
     )
 
     def combinations(view: int) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels of a view with a donor, and a key for the label, piece and colour of each."""
+        """Pixels of a view with a donor and no hint, and a key for the label, piece and colour of each."""
         rows = _rows_with_donor(pixels, observations.donor, view)
+        rows = rows[of_triangle[pixels.triangle[rows]] < 0]
         columns = (
             observations.part[rows] + 1,
             pieces[pixels.triangle[rows]],
@@ -203,13 +247,18 @@ def _assign_groups(observations: Observations, pieces: np.ndarray, color: np.nda
     label_of_key, piece, color_of_key = np.unravel_index(keys, shape)
     least = max(LEAST_PIXELS, int(count.sum()) // MOST_GROUPS)
     group_of_key = material_groups(label_of_key, piece, color_of_key, count, least)
+    groups = int(group_of_key.max(initial=NO_GROUP)) + 1
     group = open_array(observations.folder / "group.npy", (len(pixels),), np.int32, create=True)
     for view in range(len(pixels.views)):
         of_view = np.full(pixels.views[view].height * pixels.views[view].width, NO_GROUP, np.int32)
         rows, key = combinations(view)
         of_view[rows - pixels.ranges[view]] = group_of_key[np.searchsorted(keys, key)]
+        if hint is not None:
+            rows = _rows_with_donor(pixels, observations.donor, view)
+            rows = rows[hint[pixels.triangle[rows]] >= 0]
+            of_view[rows - pixels.ranges[view]] = groups + hint[pixels.triangle[rows]]
         group[pixels.rows(view)] = of_view
-    return group
+    return group, groups
 
 
 def _similarity(group: np.ndarray, label: np.ndarray, color: np.ndarray) -> np.ndarray:

@@ -27,16 +27,25 @@ from .runfolder import atomic_path, write_json
 from .settings import Settings
 from .shapes import STAGES
 
+# The stages of Re-estimate with Hints.
+HINTED_ESTIMATE, HINTED_TRAINING = "hinted-estimate", "hinted-training"
 
-def stage_names(rounds: int) -> list[str]:
-    """The stages of an estimation in order."""
+
+def stage_names(rounds: int, hinted: bool = False) -> list[str]:
+    """The stages of an estimation in order; those that honour further hints, where it is `hinted`, last."""
     names = ["pixels", "shadings", "estimate-0"]
     for index in range(1, rounds + 1):
         names += [f"refinement-{index}", f"estimate-{index}"]
-    return [*names, "training"]
+    return [*names, "training", *((HINTED_ESTIMATE, HINTED_TRAINING) if hinted else ())]
 
 
-def stage_keys(settings: Settings, files: Sequence[Path], images: Sequence[Path] = ()) -> dict[str, str]:
+def stage_keys(
+    settings: Settings,
+    files: Sequence[Path],
+    images: Sequence[Path] = (),
+    hints: str = "",
+    hints_again: str | None = None,
+) -> dict[str, str]:
     """The key of each stage, in the order of the stages.
 
     Args:
@@ -44,6 +53,8 @@ def stage_keys(settings: Settings, files: Sequence[Path], images: Sequence[Path]
         files: input files; their content is hashed.
         images: input files of which size and time of change are hashed: reading all photographs takes too
             long.
+        hints: digest of the hints that all estimates honour (`hints.hints_digest`); "" without any.
+        hints_again: digest of those that the hinted stages honour instead; None without such stages.
     """
     digest = hashlib.sha256(method_digest().encode())
     for path in files:
@@ -52,7 +63,9 @@ def stage_keys(settings: Settings, files: Sequence[Path], images: Sequence[Path]
         status = path.stat() if path.exists() else None
         digest.update(f"{status.st_size} {status.st_mtime_ns}".encode() if status else b"missing")
     keys = {}
-    for stage in stage_names(settings.rounds):
+    read_hints = {"estimate-0": hints, HINTED_ESTIMATE: hints_again or ""}
+    for stage in stage_names(settings.rounds, hints_again is not None):
+        digest.update(read_hints.get(stage, "").encode())
         read = [item.name for item in fields(Settings) if item.metadata["stage"] == stage]
         values = {name: getattr(settings, name) for name in read}
         digest.update(json.dumps([stage, values], sort_keys=True).encode())
@@ -143,7 +156,7 @@ class Checkpoints:
 
         These are estimates, the network, the checkpoint of an unfinished training, and preview pictures.
         """
-        for pattern in ("estimate-*.pt", "training.pt", f"{UNFINISHED}.pt", "previews/*-*"):
+        for pattern in ("estimate-*.pt", "training.pt", "hinted-*.pt", f"{UNFINISHED}.pt", "previews/*-*"):
             for path in self._folder.glob(pattern):
                 stage = path.stem if path.suffix == ".pt" else path.stem.rpartition("-")[0]
                 if stage.replace(UNFINISHED, "training") not in stages:

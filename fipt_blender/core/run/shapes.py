@@ -135,6 +135,28 @@ PARTS = Fields(
         ),
     }
 )
+DOUBTS_FORMAT = "fipt-doubts"
+DOUBTS_VERSION = 1
+DOUBTS = Fields(
+    {
+        "format": Choice(DOUBTS_FORMAT),
+        "version": Choice(DOUBTS_VERSION),
+        "doubts": Items(
+            Fields(
+                {
+                    **dict.fromkeys(("name", "text", "view"), str),
+                    "question": Choice("metal", "gloss", "lamp"),
+                    "point": Numbers(3),
+                    "pixels": Number(low=0, whole=True),
+                    **dict.fromkeys(("share", "roughness", "metallic"), _SHARE),
+                    **dict.fromkeys(("roughness_error", "metallic_error"), _SHARE),
+                    "box": Numbers(4),
+                    "picture": FileName(),
+                }
+            )
+        ),
+    }
+)
 STATISTICS = Fields(
     optional={
         "stages": Items(Fields(optional={"name": str, "seconds": Maybe(Number()), "rays": Maybe(Number())})),

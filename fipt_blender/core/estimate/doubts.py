@@ -1,0 +1,206 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""results/doubts.json: the parts of which a hint would help most, each with a question and a picture.
+
+The posterior of the closed form says how uncertain roughness and metallic of a part are; the number of its
+pixels, how much that matters.
+"""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..material.training import TrainingData
+from ..report.comparison import to_display
+from ..report.pictures import write_png
+from ..run.documents import read_json
+from ..run.runfolder import RunFolder, write_json
+from ..run.shapes import DOUBTS_FORMAT, DOUBTS_VERSION, PARTS
+from ..scene.pixels import PixelStore
+
+MOST_DOUBTS = 20
+# Standard deviation of roughness or metallic, or of whether a part emits, from which a part is doubtful.
+LEAST_DOUBT = 0.1
+# Parts with a smaller share of all pixels are not worth a question.
+LEAST_SHARE = 2e-4
+# Share of a part's pixels that are brighter than a white surface from which it may be a lamp.
+MAYBE_LAMP = 0.1
+DARK = 0.2  # base color of dark surfaces
+# A picture shows the part's box and so much around it, as a share of the box; at least so many pixels.
+MARGIN, LEAST_PIXELS = 0.5, 24
+PICTURE_SIZE = 192  # about, by repeating pixels
+EXPOSURE = 0.4  # the capture's median is mid-gray then
+DIMMED = 0.35  # brightness of what does not belong to the part
+
+
+@dataclass(frozen=True)
+class GroupDoubts:
+    """What is uncertain in each of G groups.
+
+    Attributes:
+        material: (G,) standard deviation of roughness and metallic, root of the sum of squares.
+        lamp: (G,) standard deviation of whether it emits.
+        share: (G,) of all pixels.
+    """
+
+    material: np.ndarray
+    lamp: np.ndarray
+    share: np.ndarray
+
+    @property
+    def score(self) -> np.ndarray:
+        """(G,) what a hint is worth; 0 where nothing is in doubt."""
+        spread = np.maximum(self.material, self.lamp)
+        return np.where((spread >= LEAST_DOUBT) & (self.share >= LEAST_SHARE), spread * self.share, 0.0)
+
+
+def group_doubts(
+    errors: np.ndarray, pixels: np.ndarray, bright: np.ndarray, decided: np.ndarray
+) -> GroupDoubts:
+    """The doubts of G groups.
+
+    Args:
+        errors: (G, 2) standard deviation of roughness and metallic.
+        pixels: (G,) number of pixels.
+        bright: (G,) share of them that are brighter than white surfaces.
+        decided: (G,) bool, whether hints say if it emits; else bright groups may be lamps.
+    """
+    maybe = np.where((bright > MAYBE_LAMP) & (bright < 1.0 - MAYBE_LAMP) & ~decided, bright, 0.0)
+    material = np.sqrt((errors**2).sum(axis=1))
+    # Of a lamp roughness and metallic do not matter.
+    material = np.where(bright >= 0.5, 0.0, material)
+    return GroupDoubts(material, np.sqrt(maybe * (1.0 - maybe)), pixels / max(pixels.sum(), 1))
+
+
+def question(metallic: float, errors: np.ndarray, color: float, lamp: bool) -> tuple[str, str]:
+    """What to ask about a part, as a word for programs and as words for the artist.
+
+    Args:
+        metallic: of the part. errors: (2,) of roughness and metallic. color: mean base color.
+    """
+    if lamp:
+        return "lamp", "Lamp or white surface?"
+    if errors[1] >= LEAST_DOUBT and errors[1] >= 0.5 * errors[0] and 0.0 < metallic < 1.0:
+        return "metal", "Dark metal or plastic?" if color < DARK else "Metal or paint?"
+    return "gloss", "Glossy or matt?"
+
+
+def write_doubts(
+    folder: RunFolder,
+    pixels: PixelStore,
+    data: TrainingData,
+    bright: np.ndarray,
+    decided: np.ndarray,
+    colors: np.ndarray,
+) -> None:
+    """Write results/doubts.json and its pictures, the most doubtful part first.
+
+    Args:
+        data: of the last closed-form estimate.
+        bright: (T,) share of each triangle's pixels that are brighter than a white surface.
+        decided: (T,) bool, triangles of which hints say whether they emit.
+        colors: (G,) mean base color of the groups.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    counts, bright_of, decided_of = _counts(pixels, data, bright, decided)
+    total = counts.sum(axis=0)
+    doubts = group_doubts(data.group_errors, total, bright_of, decided_of)
+    order = np.argsort(-doubts.score, kind="stable")[:MOST_DOUBTS]
+    names = _unit_names(folder)
+    shutil.rmtree(folder.doubts, ignore_errors=True)
+    entries = []
+    for number, group in enumerate(order[doubts.score[order] > 0.0].tolist(), start=1):
+        lamp = bool(doubts.lamp[group] >= doubts.material[group])
+        errors, metallic = data.group_errors[group], float(data.group_metallic[group])
+        word, text = question(metallic, errors, float(colors[group]), lamp)
+        view = int(counts[:, group].argmax())
+        place, box, picture = _picture(pixels, data, view, group)
+        path = folder.doubts / f"{number:02d}.png"
+        write_png(path, picture)
+        triangle = int(pixels.triangle[place])
+        entries.append(
+            {
+                "name": names[1].get(int(names[0][triangle]), f"Part {group}"),
+                "question": word,
+                "text": text,
+                "point": [round(float(value), 5) for value in pixels.position[place]],
+                "pixels": int(total[group]),
+                "share": round(float(doubts.share[group]), 5),
+                "roughness": round(float(data.group_roughness[group]), 4),
+                "metallic": round(metallic, 4),
+                "roughness_error": round(float(errors[0]), 4),
+                "metallic_error": round(float(errors[1]), 4),
+                "view": pixels.views[view].name,
+                "box": box,
+                "picture": path.name,
+            }
+        )
+    write_json(folder.doubts_json, {"format": DOUBTS_FORMAT, "version": DOUBTS_VERSION, "doubts": entries})
+
+
+def _counts(
+    pixels: PixelStore, data: TrainingData, bright: np.ndarray, decided: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(V, G) pixels of each view and group; (G,) share that is bright; (G,) bool, most are decided."""
+    groups, views = len(data.group_roughness), len(pixels.views)
+    counts = np.zeros((views, groups), np.int64)
+    sums = np.zeros((2, groups))
+    for view in range(views):
+        rows = _rows(pixels, data, view)
+        group, triangle = np.asarray(data.group[rows]), np.asarray(pixels.triangle[rows])
+        counts[view] = np.bincount(group, minlength=groups)
+        for total, of_triangle in zip(sums, (bright, decided), strict=True):
+            total += np.bincount(group, of_triangle[triangle], minlength=groups)
+    share = sums / np.maximum(counts.sum(axis=0), 1)
+    return counts, share[0], share[1] > 0.5
+
+
+def _rows(pixels: PixelStore, data: TrainingData, view: int) -> np.ndarray:
+    """(n,) pixels of a view that have a donor and a group."""
+    bounds = pixels.rows(view)
+    used = (np.asarray(data.donor[bounds]) >= 0) & (np.asarray(data.group[bounds]) >= 0)
+    return np.flatnonzero(used) + bounds.start
+
+
+def _picture(
+    pixels: PixelStore, data: TrainingData, view: int, group: int
+) -> tuple[int, list[int], np.ndarray]:
+    """A pixel of a group in a view, near the middle of its pixels; their box; and a picture of it.
+
+    The box is left, top, right, bottom in pixels, the last two not included; the picture (h, w, 3) in [0, 1].
+    """
+    bounds = pixels.rows(view)
+    width, height = pixels.views[view].width, pixels.views[view].height
+    rows = _rows(pixels, data, view)
+    rows = rows[np.asarray(data.group[rows]) == group]
+    y, x = np.divmod(rows - bounds.start, width)
+    low, high = np.quantile([x, y], [0.02, 0.98], axis=1)
+    middle = np.argmin((x - np.median(x)) ** 2 + (y - np.median(y)) ** 2)
+    size = np.maximum((1.0 + MARGIN) * (high - low + 1.0), LEAST_PIXELS)
+    center = 0.5 * (low + high + 1.0)
+    left, top = (int(max(value, 0)) for value in center - 0.5 * size)
+    right, bottom = (
+        int(min(value, most)) for value, most in zip(center + 0.5 * size, (width, height), strict=True)
+    )
+    radiance = np.asarray(pixels.radiance[bounds], np.float32).reshape(height, width, 3)
+    shown = np.full(height * width, DIMMED, np.float32)
+    shown[rows - bounds.start] = 1.0
+    crop = radiance[top:bottom, left:right] * shown.reshape(height, width, 1)[top:bottom, left:right]
+    repeat = max(PICTURE_SIZE // max(crop.shape[:2]), 1)
+    picture = to_display(crop, EXPOSURE).repeat(repeat, axis=0).repeat(repeat, axis=1)
+    box = [int(low[0]), int(low[1]), int(high[0]) + 1, int(high[1]) + 1]
+    return int(rows[middle]), box, picture
+
+
+def _unit_names(folder: RunFolder) -> tuple[np.ndarray, dict[int, str]]:
+    """(T,) unit of each triangle, and the names of the units that results/parts.json tells."""
+    with np.load(folder.parts_npz, allow_pickle=False) as arrays:
+        unit = arrays["triangle_part"]
+    entries: list[dict[str, Any]] = read_json(folder.parts_json, PARTS)["parts"]
+    return unit, {entry["id"]: entry["name"] for entry in entries}

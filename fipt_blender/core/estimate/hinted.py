@@ -1,0 +1,46 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a run tells of the hints that it has honoured."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..material.groups import Units
+from ..material.hints import SurfaceHints, values_of_hints
+from ..run.runfolder import RunFolder, atomic_path
+
+
+def hint_facts(hints: SurfaceHints, units: Units) -> list[dict[str, Any]]:
+    """One entry per hint for the statistics: its surface, and the values that it has decided."""
+    triangles = np.bincount(hints.triangle[hints.triangle >= 0], minlength=len(hints.names))
+    unit = values_of_hints(hints, units.triangle)
+    none = np.full((1, 2), np.nan)
+    fixed = np.concatenate([none[:0] if units.fixed is None else units.fixed, none])
+    fixed = fixed[np.where(unit < len(fixed) - 1, unit, -1)]
+    return [
+        {
+            "name": name,
+            "triangles": int(triangles[row]),
+            "roughness": None if np.isnan(fixed[row, 0]) else round(float(fixed[row, 0]), 4),
+            "metallic": None if np.isnan(fixed[row, 1]) else round(float(fixed[row, 1]), 4),
+            "emits": {0: None, 1: True, -1: False}[int(hints.emits[row])],
+            "left_alone": bool(hints.left_alone[row]),
+        }
+        for row, name in enumerate(hints.names)
+    ]
+
+
+def write_left_alone(folder: RunFolder, left_alone: np.ndarray | None) -> None:
+    """Write which triangles ((T,) bool) keep their own material; no file where there are none.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    if left_alone is None:
+        folder.left_alone_npz.unlink(missing_ok=True)
+        return
+    with atomic_path(folder.left_alone_npz) as temporary:
+        np.savez_compressed(temporary, left_alone=left_alone)

@@ -1,0 +1,138 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Hints in estimations of a tiny box: honoured by every stage, again in seconds, and nothing else changes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fipt_blender.core.material.fields import RoomFields
+from fipt_blender.core.run.hints import Hint, write_hints
+from fipt_blender.core.run.runfolder import RunFolder
+from samples.small_captures import PANEL_TRIANGLES, SmallCapture, panel_capture, run_here, write_run
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+FLOOR, BACK, LEFT = (0.3, 0.2, 0.0), (0.0, 2.0, 1.5), (-2.0, 0.0, 1.5)
+AGAIN = ["hinted-estimate", "hinted-training"]
+
+
+@pytest.fixture(scope="module")
+def capture() -> SmallCapture:
+    return panel_capture()
+
+
+@pytest.fixture(scope="module")
+def finished(capture: SmallCapture, tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    run = write_run(tmp_path_factory.mktemp("finished") / "run", capture)
+    run_here(run)
+    return run
+
+
+def copy_of(run: RunFolder, folder: Path) -> RunFolder:
+    return RunFolder(shutil.copytree(run.root, folder / "run"))
+
+
+def stages(messages: list[dict]) -> list[str]:
+    return [message["name"] for message in messages if message["type"] == "stage"]
+
+
+def warnings(messages: list[dict]) -> list[str]:
+    return [message["code"] for message in messages if message["type"] == "warning"]
+
+
+def wall_values(run: RunFolder, room) -> np.ndarray:
+    """(14, 2) roughness and metallic at the center of each triangle."""
+    points = room.vertices[room.triangles].mean(axis=1)
+    _, roughness, metallic = RoomFields.load(run).query(points, np.arange(len(points)))
+    return np.stack([roughness, metallic], axis=1)
+
+
+def again(run: RunFolder, *hints: Hint) -> list[dict]:
+    write_hints(run.hints_again_json, hints)
+    return run_here(run)
+
+
+def test_hints_are_honoured_again_and_reuse_all_stages(
+    finished: RunFolder, capture: SmallCapture, tmp_path: Path
+) -> None:
+    run = copy_of(finished, tmp_path)
+    before = wall_values(run, capture.room)
+    metal = Hint((FLOOR,), "Floor", material="metal", roughness=(0.35, 0.35))
+    messages = again(run, metal, Hint((BACK,), "Back", same_as=LEFT))
+    assert stages(messages) == AGAIN and warnings(messages) == []
+    after = wall_values(run, capture.room)
+    np.testing.assert_allclose(after[:2], [[0.35, 1.0]] * 2, atol=1e-6)
+    np.testing.assert_array_equal(after[4], after[6])  # back and left are of one material
+    # The front and right walls, of which nothing was said, are diffuse as before.
+    np.testing.assert_allclose(after[8:12], before[8:12], atol=0.05)
+    facts = json.loads(run.statistics_json.read_text())["hints"]
+    assert facts[0]["name"] == "Floor" and facts[0]["roughness"] == 0.35 and facts[0]["metallic"] == 1.0
+    # The same hints once more: nothing is left to do. Other hints: only the last stages.
+    assert stages(run_here(run)) == []
+    assert stages(again(run, Hint((FLOOR,), material="dielectric"))) == AGAIN
+    assert wall_values(run, capture.room)[:2, 1].max() == 0.0
+    # Without any, the run's own results come back.
+    run.hints_again_json.unlink()
+    assert stages(run_here(run)) == []
+    np.testing.assert_array_equal(wall_values(run, capture.room), before)
+
+
+def test_lamps_and_left_alone(finished: RunFolder, capture: SmallCapture, tmp_path: Path) -> None:
+    run = copy_of(finished, tmp_path)
+    panel = Hint(((0.0, 0.0, 2.9),), "Panel", emits=False)
+    messages = again(run, panel, Hint((LEFT,), "Left", emits=True), Hint((FLOOR,), "Floor", leave_alone=True))
+    assert warnings(messages).count("hints-lamps") == 1
+    fixtures = json.loads(run.emitters_json.read_text())["fixtures"]
+    lamps = {triangle for fixture in fixtures for triangle in fixture["triangles"]}
+    assert not lamps & {*PANEL_TRIANGLES, 0, 1} and {6, 7} <= lamps
+    with np.load(run.left_alone_npz) as file:
+        assert np.flatnonzero(file["left_alone"]).tolist() == [0, 1]
+    again(run, panel)
+    assert not run.left_alone_npz.exists()
+
+
+def test_an_area_becomes_a_part_of_its_own(
+    finished: RunFolder, capture: SmallCapture, tmp_path: Path
+) -> None:
+    run = copy_of(finished, tmp_path)
+    room = capture.room
+    center = tuple(room.vertices[room.triangles[0]].mean(axis=0).tolist())
+    area = Hint((center,), "Rug", area=True, material="metal", roughness=(0.2, 0.3))
+    again(run, area, Hint(((-0.5, 0.5, 0.0),), "Floor", roughness=(0.9, 1.0)))
+    values = wall_values(run, capture.room)
+    assert values[0, 1] == 1.0 and 0.2 <= values[0, 0] <= 0.3
+    assert values[1, 1] < 0.5 and 0.9 <= values[1, 0] <= 1.0
+    with np.load(run.parts_npz) as parts:
+        assert parts["triangle_part"][0] == parts["triangle_part"].max() != parts["triangle_part"][1]
+
+
+def test_a_run_with_hints_without_parts(capture: SmallCapture, tmp_path: Path) -> None:
+    """The piece of the mesh at a hint becomes a part of its own; an empty file of later hints lifts them."""
+    run = write_run(tmp_path / "run", capture)
+    names = json.loads(run.room_json.read_text())
+    run.room_json.write_text(json.dumps({**names, "parts": "none"}))
+    write_hints(run.hints_json, [Hint(((0.0, 0.0, 2.9),), "Panel", emits=False, material="metal")])
+    run_here(run)
+    assert json.loads(run.emitters_json.read_text())["fixtures"] == []
+    values = wall_values(run, capture.room)
+    assert (values[PANEL_TRIANGLES, 1] == 1.0).all() and (values[:12, 1] < 1.0).all()
+    # A name does not matter.
+    write_hints(run.hints_json, [Hint(((0.0, 0.0, 2.9),), "Other", emits=False, material="metal")])
+    assert stages(run_here(run)) == []
+    messages = again(run)
+    assert stages(messages) == AGAIN
+    (fixture,) = json.loads(run.emitters_json.read_text())["fixtures"]
+    assert fixture["triangles"] == PANEL_TRIANGLES
+
+
+def test_hints_that_are_about_nothing_are_named(finished: RunFolder, tmp_path: Path) -> None:
+    run = copy_of(finished, tmp_path)
+    messages = again(run, Hint((FLOOR,), "One", material="metal"), Hint((FLOOR,), "Two", material="metal"))
+    (text,) = [message["text"] for message in messages if message.get("code") == "hints-unclear"]
+    assert "'One' is on the same part as 'Two'" in text
