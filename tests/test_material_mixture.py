@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fipt_blender.core.material import training_input
+from fipt_blender.core.material import likelihood, training_input
 from fipt_blender.core.material.likelihood import make_candidates
 from fipt_blender.core.material.mixture import GroupMaterials, broad_prior, group_posterior, infer_materials
 from fipt_blender.core.material.pixel_samples import PixelSamples
@@ -178,3 +178,16 @@ def test_large_groups_are_sampled_by_complete_cells(monkeypatch: pytest.MonkeyPa
     assert kept[part == 0].all()
     assert kept[part == 1].sum() == pytest.approx(1000, rel=0.2)
     assert set(np.bincount(cell, kept)) == {0.0, 5.0}
+
+
+def test_blocks_of_pixels_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    samples, _ = synthetic(np.random.default_rng(3), [(0.3, 0.0), (1.0, 0.0), (0.4, 1.0)], 0.02, 0.0)
+    mixed = np.random.default_rng(4).permutation(len(samples.rows))  # cells are in no order
+    samples = PixelSamples(
+        **{name: values if name == "levels" else values[mixed] for name, values in vars(samples).items()}
+    )
+    whole = infer(samples)
+    monkeypatch.setattr(likelihood, "BLOCK", 37)
+    blocks = infer(samples)
+    for name, values in vars(whole).items():
+        assert (values == getattr(blocks, name)).all(), name

@@ -7,7 +7,7 @@ import statistics
 import numpy as np
 import pytest
 
-from fipt_blender.core.scene.grouped import grouped_median, grouped_weighted_median
+from fipt_blender.core.scene.grouped import grouped_median, grouped_weighted_median, numbered
 
 
 @pytest.mark.parametrize("dtype", (np.float32, np.float64))
@@ -29,3 +29,12 @@ def test_weights_count_as_repeated_values(rng: np.random.Generator) -> None:
     repeated = grouped_median(np.repeat(values, weight), np.repeat(group, weight), 10, "low")
     assert (grouped_weighted_median(values, weight, group, 10) == repeated).all()
     assert not grouped_weighted_median(np.zeros(0), np.zeros(0), np.zeros(0, int), 2).any()
+
+
+@pytest.mark.parametrize("scale", (1, 1 << 40))
+def test_numbers_follow_the_order_of_the_combinations(rng: np.random.Generator, scale: int) -> None:
+    columns = [rng.integers(-1, 2, 200) * scale for _ in range(4)]
+    combinations, expected = np.unique(np.stack(columns), axis=1, return_inverse=True)
+    assert combinations.shape[1] < 200
+    assert (numbered(columns) == expected.reshape(-1)).all()
+    assert not len(numbered([np.zeros(0, np.int32)] * 2))

@@ -100,8 +100,11 @@ def fill_grid(room: Room, frame: VoxelGrid, seen: np.ndarray, rng: np.random.Gen
     """
     samples, triangle = sample_surface(room, float(np.median(frame.size)), rng)
     sample_normals = triangle_normals(room.vertices, room.triangles)[triangle]
-    flat = [seen, *(frame.flat_index(samples, sign * sample_normals) for sign in (1.0, -1.0))]
-    voxels = np.unique(np.concatenate(flat))
+    holds_surface = np.zeros(frame.resolution**3, bool)
+    holds_surface[seen] = True
+    for sign in (1.0, -1.0):
+        holds_surface[frame.flat_index(samples, sign * sample_normals)] = True
+    voxels = np.flatnonzero(holds_surface)
     rows = np.full(frame.resolution**3, -1, np.int32)
     rows[voxels] = np.arange(len(voxels), dtype=np.int32)
     _point_to_neighbours(rows.reshape((frame.resolution,) * 3))
@@ -137,10 +140,13 @@ def unseen_points(
     points, triangle = sample_surface(room, float(np.median(grid.size)), rng)
     normals = triangle_normals(room.vertices, room.triangles)[triangle]
     entries = np.concatenate([grid.entries(points, sign * normals) for sign in (1.0, -1.0)])
-    entries, first = np.unique(entries, return_index=True)
-    unseen = count[entries] == 0
+    of_unseen = np.flatnonzero(count[entries] == 0)
+    entries = entries[of_unseen]
+    first = np.full(len(count), -1, np.int64)
+    first[entries[::-1]] = of_unseen[::-1]  # the last value that is written stays
+    unseen = np.flatnonzero(first >= 0)
     place = first[unseen] % len(points)
-    return entries[unseen], points[place].astype(np.float32), triangle[place]
+    return unseen, points[place].astype(np.float32), triangle[place]
 
 
 def _point_to_neighbours(rows: np.ndarray) -> None:
@@ -191,48 +197,53 @@ class Pool:
         for sums, column in zip(self._sums, values.T, strict=True):
             np.add.at(sums, entries, factor * column)
 
-    def mean(self) -> tuple[np.ndarray, np.ndarray]:
-        """(M * 6, C) float32 mean of each entry, 0 without values, and (M * 6,) sum of weights."""
-        return self._mean().T.astype(np.float32, order="C"), self._weight
+    def mean(self, missing: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """(M * 6, C) float32 mean of each entry, `missing` without values, and (M * 6,) sum of weights."""
+        mean = np.full((len(self._weight), len(self._sums)), missing, np.float32)
+        observed, values = self._observed()
+        mean[observed] = values
+        return mean, self._weight
 
     def filled(self) -> tuple[np.ndarray, np.ndarray]:
         """The same with missing means filled; see :func:`pool`."""
-        grid, mean = self._grid, self._mean()
-        observed = self._weight > 0
-        missing = np.flatnonzero(~observed)
+        grid, mean = self._grid, self.mean()[0]
+        observed, values = self._observed()
+        missing = np.flatnonzero(self._weight <= 0.0)
         side = missing % SIDES
-        # Sums over the sides of ever coarser voxels, and the coarse voxel of each row of the grid.
-        sums = mean.reshape(len(mean), -1, SIDES)
-        number = observed.reshape(-1, SIDES).astype(np.int64)
+        # Means that the coarser voxels add up, how many each is the sum of, and the coarse entry of each.
+        number, entry = np.ones(len(observed), np.int64), observed
         voxel, size = grid.voxels, grid.resolution
         holder = np.arange(len(voxel))
         while len(missing) and size > 1:
             x, y, z = np.unravel_index(voxel, (size,) * 3)
             size = (size + 1) // 2
-            voxel, parent = np.unique(((x >> 1) * size + (y >> 1)) * size + (z >> 1), return_inverse=True)
-            sums, number, holder = _added(sums, parent), _added(number, parent), parent[holder]
-            coarse = holder[missing // SIDES]
-            filled = number[coarse, side] > 0
-            source = coarse[filled], side[filled]
-            mean[:, missing[filled]] = sums[:, *source] / number[source]
+            coarse = ((x >> 1) * size + (y >> 1)) * size + (z >> 1)
+            exists = np.zeros(size**3, bool)
+            exists[coarse] = True
+            voxel, parent = np.flatnonzero(exists), (np.cumsum(exists) - 1)[coarse]
+            holder = parent[holder]
+            key = parent[entry // SIDES] * SIDES + entry % SIDES
+            totals = len(voxel) * SIDES
+            number = np.bincount(key, number, minlength=totals).astype(np.int64)
+            entry = np.flatnonzero(number)
+            values = np.stack([np.bincount(key, column, minlength=totals)[entry] for column in values.T], 1)
+            number = number[entry]
+            place = np.full(totals, -1)
+            place[entry] = np.arange(len(entry))
+            source = place[holder[missing // SIDES] * SIDES + side]
+            filled = source >= 0
+            means = (values / number[:, None]).astype(np.float32)
+            mean[missing[filled]] = means[source[filled]]
             missing, side = missing[~filled], side[~filled]
         if len(missing):
             total = float(self._weight.sum())
-            mean[:, missing] = self._sums.sum(axis=1, keepdims=True) / (total if total > 0.0 else 1.0)
-        return mean.T.astype(np.float32, order="C"), self._weight
+            mean[missing] = self._sums.sum(axis=1) / (total if total > 0.0 else 1.0)
+        return mean, self._weight
 
-    def _mean(self) -> np.ndarray:
-        """(C, M * 6) float64, 0 without values."""
-        return self._sums / np.where(self._weight > 0.0, self._weight, 1.0)
-
-
-def _added(values: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Sums (..., G, 6) of the rows of values (..., R, 6) that have the same group (R,) from 0."""
-    count = int(group.max(initial=-1)) + 1
-    key = (group[:, None] * SIDES + np.arange(SIDES)).reshape(-1)
-    rows = values.reshape(-1, len(key))
-    sums = np.stack([np.bincount(key, row, minlength=count * SIDES) for row in rows])
-    return sums.reshape(*values.shape[:-2], count, SIDES).astype(values.dtype)
+    def _observed(self) -> tuple[np.ndarray, np.ndarray]:
+        """(O,) entries with values, ascending, and their (O, C) float64 means."""
+        observed = np.flatnonzero(self._weight > 0.0)
+        return observed, (self._sums[:, observed] / self._weight[observed]).T
 
 
 class SurfaceLookup:

@@ -87,8 +87,7 @@ class Observations:
         Args:
             values: (N, C); may be memory-mapped.
         """
-        mean, count = self._pooled(values)
-        return np.where(count[:, None] > 0, mean, np.float32(-1.0))
+        return self._pooled(values).mean(missing=-1.0)[0]
 
     def places(self, room: Room, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """A surface point in each cache entry that contains surface.
@@ -97,7 +96,7 @@ class Observations:
             (E,) int64 entries, (E, 3) float32 points, metres, and (E,) int64 triangles on which they lie; -1
             in entries with pixels, where the point is the mean of the pixels' positions.
         """
-        points, count = self._pooled(self.pixels.position)
+        points, count = self._pooled(self.pixels.position).mean()
         seen = np.flatnonzero(count)
         unseen, others, triangles = unseen_points(self.grid, room, count, rng)
         return (
@@ -106,12 +105,12 @@ class Observations:
             np.concatenate([np.full(len(seen), -1, np.int64), triangles]),
         )
 
-    def _pooled(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean of per-pixel values (N, C) in each cache entry and how many there are; see `Pool.mean`."""
+    def _pooled(self, values: np.ndarray) -> Pool:
+        """Per-pixel values (N, C) in each cache entry."""
         pooled = Pool(self.grid, values.shape[1])
         for rows in self.hits():
             pooled.add(self.entry[rows], values[rows])
-        return pooled.mean()
+        return pooled
 
     def _near(self, index: int, marked: np.ndarray) -> np.ndarray:
         """(n,) bool, pixels of a view that see a marked triangle ((T,) bool), and their neighbours."""

@@ -9,12 +9,15 @@ squares.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from ..light.observations import Observations
 from ..optics.factorised import color_line
+from ..run.threads import in_threads
 from .projection import CLEAR_EMISSION, residual_weight, specular_at
 from .training import TrainingData
 
@@ -22,6 +25,8 @@ from .training import TrainingData
 MARKED_SHARE = 0.5
 # Emission is not looked for in pixels darker than the capture's median.
 LEAST_EMISSION = 1.0
+# Keys of the cells of single views that are kept before they are merged.
+MERGED_KEYS = 1 << 22
 
 
 @dataclass(frozen=True)
@@ -97,28 +102,15 @@ def fit_cells(
     """
     groups = len(data.group_roughness)
     roughness, metallic = np.append(data.group_roughness, 1.0), np.append(data.group_metallic, 0.0)
-    count, bright = np.zeros((2, len(observations.parts.triangle_part)))
-    keys, triangle = np.zeros((2, 0), np.int64)
-    sums = np.zeros((0, 16))
-    pixels = observations.pixels
-    for view in range(len(pixels.views)):
-        bounds = pixels.rows(view)
-        rows = np.flatnonzero(data.donor[bounds] >= 0) + bounds.start
-        donor, group = data.donor[rows], np.asarray(data.group[rows], np.int64)
-        radiance, diffuse = (np.asarray(array[donor], np.float64) for array in (data.radiance, data.diffuse))
-        s0, s1 = specular_at(data.specular, donor, data.levels, roughness[group])
-        slope, offset = color_line(diffuse, s0, s1, metallic[group][:, None])
-        on = np.asarray(pixels.triangle[rows], np.int64)
-        share = np.asarray(pixels.weight[donor], np.float64)
-        white = CLEAR_EMISSION * (np.maximum(diffuse, slope) + offset)
-        emits = (radiance > white).all(axis=1) & (radiance.mean(axis=1) > LEAST_EMISSION)
-        count += np.bincount(on, share, minlength=len(count))
-        bright += np.bincount(on, share * emits, minlength=len(count))
-        weight, rest = share[:, None] * residual_weight(radiance), radiance - offset
-        moments = (weight * slope * rest, weight * slope**2, weight * slope, weight * rest, weight)
-        columns = np.column_stack([*moments, share])
-        key = np.asarray(observations.entry[rows], np.int64) * (groups + 1) + group + 1
-        keys, sums, triangle = _added(keys, sums, triangle, key, columns, on)
+    views = range(len(observations.pixels.views))
+    triangles = len(observations.parts.triangle_part)
+    found = in_threads(partial(_cells_of_view, observations, data), views)
+    keys, triangle = _first_triangles(found)
+    count, bright, sums = np.zeros(triangles), np.zeros(triangles), np.zeros((len(keys), 16))
+    for seen in in_threads(partial(_moments_of_view, observations, data, roughness, metallic), views):
+        count += np.bincount(seen.triangle, seen.share, minlength=triangles)
+        bright += np.bincount(seen.triangle, seen.share * seen.emits, minlength=triangles)
+        sums[np.searchsorted(keys, seen.keys)] += seen.sums
     color, emission = _solve(sums, joint)
     cells = CellEstimate(
         keys,
@@ -133,22 +125,78 @@ def fit_cells(
     return cells, bright / np.maximum(count, 1e-6)
 
 
-def _added(
-    keys: np.ndarray,
-    sums: np.ndarray,
-    triangle: np.ndarray,
-    key: np.ndarray,
-    columns: np.ndarray,
-    on: np.ndarray,
+@dataclass(frozen=True)
+class _ViewMoments:
+    """What the n pixels of a view add to the C cells in which they lie.
+
+    Attributes:
+        keys: (C,) int64, ascending.
+        sums: (C, 16) weighted moments of :func:`_solve`, and the sum of the weights.
+        triangle: (n,) int64 that each pixel sees. share: (n,) weight. emits: (n,) bool, brighter than white.
+    """
+
+    keys: np.ndarray
+    sums: np.ndarray
+    triangle: np.ndarray
+    share: np.ndarray
+    emits: np.ndarray
+
+
+def _keyed_rows(
+    observations: Observations, data: TrainingData, view: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ascending keys with their sums and one triangle each, after pixels (n,) have been added."""
-    all_triangles = np.concatenate([triangle, on])
-    keys, first, place = np.unique(np.concatenate([keys, key]), return_index=True, return_inverse=True)
-    total = np.zeros((len(keys), columns.shape[1]))
-    total[place[: len(sums)]] = sums
-    for index, column in enumerate(columns.T):
-        total[:, index] += np.bincount(place[len(sums) :], column, minlength=len(keys))
-    return keys, total, all_triangles[first]
+    """(n,) pixels of a view that have a donor, their groups, and the keys of their cells; int64."""
+    bounds = observations.pixels.rows(view)
+    rows = np.flatnonzero(data.donor[bounds] >= 0) + bounds.start
+    group = np.asarray(data.group[rows], np.int64)
+    key = np.asarray(observations.entry[rows], np.int64) * (len(data.group_roughness) + 1) + group + 1
+    return rows, group, key
+
+
+def _cells_of_view(
+    observations: Observations, data: TrainingData, view: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """(C,) ascending keys of the cells that a view sees, and (C,) the triangle of the first pixel in each."""
+    rows, _, key = _keyed_rows(observations, data, view)
+    keys, first = np.unique(key, return_index=True)
+    return keys, np.asarray(observations.pixels.triangle[rows[first]], np.int64)
+
+
+def _first_triangles(views: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """Ascending keys of all views, and for each the triangle of the first view that has it."""
+    keys, triangle = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    for key, on in views:
+        keys.append(key)
+        triangle.append(on)
+        if sum(map(len, keys[1:])) > max(len(keys[0]), MERGED_KEYS):
+            keys, triangle = ([array] for array in _merged(keys, triangle))
+    return _merged(keys, triangle)
+
+
+def _merged(keys: list[np.ndarray], triangle: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    merged, first = np.unique(np.concatenate(keys), return_index=True)
+    return merged, np.concatenate(triangle)[first]
+
+
+def _moments_of_view(
+    observations: Observations, data: TrainingData, roughness: np.ndarray, metallic: np.ndarray, view: int
+) -> _ViewMoments:
+    """The moments of one view; roughness and metallic (groups + 1,)."""
+    rows, group, key = _keyed_rows(observations, data, view)
+    donor = data.donor[rows]
+    radiance, diffuse = (np.asarray(array[donor], np.float64) for array in (data.radiance, data.diffuse))
+    s0, s1 = specular_at(data.specular, donor, data.levels, roughness[group])
+    slope, offset = color_line(diffuse, s0, s1, metallic[group][:, None])
+    share = np.asarray(observations.pixels.weight[donor], np.float64)
+    white = CLEAR_EMISSION * (np.maximum(diffuse, slope) + offset)
+    emits = (radiance > white).all(axis=1) & (radiance.mean(axis=1) > LEAST_EMISSION)
+    weight, rest = share[:, None] * residual_weight(radiance), radiance - offset
+    moments = (weight * slope * rest, weight * slope**2, weight * slope, weight * rest, weight)
+    keys, place = np.unique(key, return_inverse=True)
+    columns = [*np.concatenate(moments, axis=1).T, share]
+    sums = np.stack([np.bincount(place, column, minlength=len(keys)) for column in columns], axis=1)
+    triangle = np.asarray(observations.pixels.triangle[rows], np.int64)
+    return _ViewMoments(keys, sums, triangle, share, emits)
 
 
 def _solve(sums: np.ndarray, joint: float | None) -> tuple[np.ndarray, np.ndarray]:

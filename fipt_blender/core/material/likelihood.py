@@ -8,13 +8,14 @@ shadings, which neighbouring pixels and whole views share; docs/method.md states
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..optics.factorised import color_line, level_roughness
 from ..run.settings import Settings
-from ..scene.grouped import grouped_median
+from ..run.threads import in_threads
 from .pixel_samples import PixelSamples
 from .projection import cells_of_groups, fit_colors, residual_weight
 
@@ -22,6 +23,8 @@ from .projection import cells_of_groups, fit_colors, residual_weight
 STEP = 0.25
 # Median of a squared standard normal variable: variances follow from medians, which outliers hardly change.
 MEDIAN_OF_SQUARE = 0.4549
+# Pixels of which the materials are compared at a time.
+BLOCK = 1 << 13
 
 
 @dataclass(frozen=True)
@@ -67,19 +70,22 @@ def group_log_likelihoods(
     if not len(used.rows):
         return np.zeros((len(prior), groups))
     used = replace(used, diffuse=_shared_light(used.diffuse, light_cell))
-    weight = residual_weight(used.radiance) * used.weight[:, None]
-    variance = _residual_variance(used, weight, groups, settings.view_error)
+    blocks = _blocks(used)
+    variance = _residual_variance(blocks, used.group, groups, settings.view_error)
     views = int(used.view.max()) + 1
     pairs, pair = np.unique(used.group.astype(np.int64) * views + used.view, return_inverse=True)
     group = pairs // views
     pixels = np.bincount(pair, used.weight)
     errors = settings.pixels_per_sample + pixels * settings.view_error**2 / variance[group]
-    result = np.empty((len(prior), len(pairs)))
-    for index, (place, metallic) in enumerate(zip(candidates.place, candidates.metallic, strict=True)):
-        lines = _lines(used, place, metallic)
-        pixel = _log_density(used, lines, weight, variance[used.group], settings.residual_degrees)
-        pixel *= used.weight  # mixed pixels tell less
-        result[index] = np.bincount(pair, pixel) / errors
+
+    def densities(block: _Block) -> tuple[_Block, np.ndarray]:
+        scale = (settings.residual_degrees * variance[block.samples.group]).astype(np.float32)
+        return block, _log_densities(block, candidates, scale, settings.residual_degrees)
+
+    by_pixel = np.empty((len(prior), len(used.rows)))
+    for block, found in in_threads(densities, blocks):
+        by_pixel[:, block.rows] = found
+    result = np.stack([np.bincount(pair, row) for row in by_pixel]) / errors
     likelihood = np.exp(result - result.max(axis=0))
     outliers = settings.view_outliers
     by_view = np.log((1.0 - outliers) * likelihood + outliers * (prior @ likelihood))
@@ -119,16 +125,44 @@ def _lines(samples: PixelSamples, place: float, metallic: float) -> tuple[np.nda
     return color_line(samples.diffuse, specular[:, 0], specular[:, 1], np.float32(metallic))
 
 
-def _squared(
-    samples: PixelSamples, lines: tuple[np.ndarray, np.ndarray], weight: np.ndarray, robust: np.ndarray | None
-) -> np.ndarray:
-    """(N,) squared weighted residuals, mean over the channels, with the least-squares base colours.
+@dataclass(frozen=True)
+class _Block:
+    """The pixels of some cells: few enough for their arrays to stay in the processor's cache.
+
+    Attributes:
+        rows: (n,) their places among all pixels.
+        samples: n pixels; cells are numbered within the block.
+        weight: (n, 3) of the squared residuals.
+    """
+
+    rows: np.ndarray
+    samples: PixelSamples
+    weight: np.ndarray
+
+
+def _blocks(samples: PixelSamples) -> list[_Block]:
+    """All pixels in blocks of complete cells; those of a cell keep their order."""
+    order = np.argsort(samples.cell, kind="stable")
+    first = np.searchsorted(samples.cell[order], np.arange(int(samples.cell[order[-1]]) + 1))
+    begins = first[np.unique(np.searchsorted(first, np.arange(0, len(order), BLOCK), side="right") - 1)]
+    found = []
+    for rows in np.split(order, begins[1:]):
+        names = ("rows", "radiance", "diffuse", "specular", "group", "view", "weight")
+        arrays = {name: getattr(samples, name)[rows] for name in names}
+        cell = samples.cell[rows] - samples.cell[rows[0]]
+        weight = residual_weight(arrays["radiance"]) * arrays["weight"][:, None]
+        found.append(_Block(rows, PixelSamples(levels=samples.levels, cell=cell, **arrays), weight))
+    return found
+
+
+def _squared(block: _Block, lines: tuple[np.ndarray, np.ndarray], robust: np.ndarray | None) -> np.ndarray:
+    """(n,) squared weighted residuals, mean over the channels, with the least-squares base colours.
 
     Args:
         lines: slope and offset (:func:`_lines`).
-        weight: (N, 3) of the squared residuals.
-        robust: (N,) factors of the weights for the base colours; None for 1.
+        robust: (n,) factors of the weights for the base colours; None for 1.
     """
+    samples, weight = block.samples, block.weight
     slope, offset = lines
     color_weight = weight if robust is None else weight * robust[:, None]
     color = fit_colors(samples.radiance, slope, offset, color_weight, samples.cell).astype(np.float32)
@@ -136,28 +170,43 @@ def _squared(
     return np.einsum("nc,nc,nc->n", residual, residual, weight) / np.float32(3.0)
 
 
-def _residual_variance(samples: PixelSamples, weight: np.ndarray, groups: int, least: float) -> np.ndarray:
-    """(groups,) variance of the relative residuals with the best material, at least `least` squared."""
+def _residual_variance(blocks: list[_Block], group: np.ndarray, groups: int, least: float) -> np.ndarray:
+    """(groups,) variance of the relative residuals with the best material, at least `least` squared.
+
+    Args:
+        group: (N,) of all pixels.
+    """
+    materials = list(itertools.product(range(len(blocks[0].samples.levels)), (0.0, 1.0)))
+
+    def squares(block: _Block) -> tuple[_Block, np.ndarray]:
+        lines = (_lines(block.samples, *material) for material in materials)
+        return block, np.stack([_squared(block, line, None) for line in lines])
+
+    squared = np.empty((len(materials), len(group)), np.float32)
+    for block, found in in_threads(squares, blocks):
+        squared[:, block.rows] = found
     median = np.full(groups, np.inf)
-    for place in range(len(samples.levels)):
-        for metallic in (0.0, 1.0):
-            squared = _squared(samples, _lines(samples, place, metallic), weight, None)
-            median = np.minimum(median, grouped_median(squared, samples.group, groups, "high"))
+    order = np.argsort(group, kind="stable")
+    for index, rows in enumerate(np.split(order, np.searchsorted(group[order], np.arange(1, groups)))):
+        if len(rows):
+            middle = len(rows) // 2
+            median[index] = np.partition(squared[:, rows], middle, axis=1)[:, middle].min()
     return np.maximum(median / MEDIAN_OF_SQUARE, least**2)
 
 
-def _log_density(
-    samples: PixelSamples,
-    lines: tuple[np.ndarray, np.ndarray],
-    weight: np.ndarray,
-    variance: np.ndarray,
-    degrees: float,
-) -> np.ndarray:
-    """(N,) logarithm of Student's t-density of the residuals, up to a constant.
+def _log_densities(block: _Block, candidates: Candidates, scale: np.ndarray, degrees: float) -> np.ndarray:
+    """(S, n) logarithm of Student's t-density of the residuals, up to a constant, times the pixels' weights.
 
     Base colours are fitted twice, the second time with the weights of the t-distribution.
+
+    Args:
+        scale: (n,) float32 degrees of freedom times the variance of the residuals.
     """
-    scale = (degrees * variance).astype(np.float32)
-    robust = 1.0 / (scale + _squared(samples, lines, weight, None))
-    squared = _squared(samples, lines, weight, robust)
-    return -0.5 * (degrees + 1.0) * np.log1p(squared / scale)
+    result = np.empty((len(candidates.place), len(scale)))
+    for row, place, metallic in zip(result, candidates.place, candidates.metallic, strict=True):
+        lines = _lines(block.samples, place, metallic)
+        robust = 1.0 / (scale + _squared(block, lines, None))
+        squared = _squared(block, lines, robust)
+        # Mixed pixels tell less.
+        row[:] = -0.5 * (degrees + 1.0) * np.log1p(squared / scale) * block.samples.weight
+    return result

@@ -11,11 +11,14 @@ import numpy as np
 
 from ..light.baking import ShadingStore
 from ..light.reflecting import LampPixels
+from ..run.threads import in_threads
 from ..scene.pixels import PixelStore
 
 # Number of pixels that sample all lamps, and the least number for each emitting triangle.
 LAMP_PIXELS = 200_000
 LEAST_LAMP_PIXELS = 100
+# Pixels whose windows are averaged at a time, so that their arrays stay in the processor's cache.
+WINDOW_BLOCK = 1 << 13
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,19 @@ def window_means(
     Returns:
         (M, ...) float32 each.
     """
+    blocks = [rows[start : start + WINDOW_BLOCK] for start in range(0, max(len(rows), 1), WINDOW_BLOCK)]
+    means = list(in_threads(lambda block: _window_means(arrays, block, pure, group, ranges, widths), blocks))
+    return [np.concatenate(found) for found in zip(*means, strict=True)]
+
+
+def _window_means(
+    arrays: Sequence[np.ndarray],
+    rows: np.ndarray,
+    pure: np.ndarray,
+    group: np.ndarray,
+    ranges: np.ndarray,
+    widths: np.ndarray,
+) -> list[np.ndarray]:
     sums = [np.zeros((len(rows), *array.shape[1:]), np.float32) for array in arrays]
     count = np.zeros(len(rows), np.float32)
     view = np.searchsorted(ranges, rows, side="right") - 1

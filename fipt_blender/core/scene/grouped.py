@@ -9,14 +9,25 @@ from typing import Literal
 
 import numpy as np
 
+MOST_KEYS = 1 << 62  # so that keys fit into 64 bits
+
 
 def numbered(columns: Sequence[np.ndarray]) -> np.ndarray:
     """(N,) int64 from 0, a number for each combination of the values of int columns (N,)."""
-    number = np.zeros(len(columns[0]), np.int64)
+    number, count = np.zeros(len(columns[0]), np.int64), 1
     for column in columns:
-        values = np.unique(column, return_inverse=True)[1]
-        number = np.unique(number * (int(values.max(initial=0)) + 1) + values, return_inverse=True)[1]
-    return number
+        values = column.astype(np.int64) - int(column.min(initial=0))
+        range_ = int(values.max(initial=0)) + 1
+        if count * range_ >= MOST_KEYS:
+            number, count = _ranks(number), len(number)
+        if count * range_ >= MOST_KEYS:
+            values, range_ = _ranks(values), len(number)
+        number, count = number * range_ + values, count * range_
+    return _ranks(number)
+
+
+def _ranks(values: np.ndarray) -> np.ndarray:
+    return np.unique(values, return_inverse=True)[1].astype(np.int64)
 
 
 def grouped_median(
