@@ -23,6 +23,7 @@ def register() -> None:
 
     from . import machine, operators, panels, properties
     from .blend.capture import other_cameras, pair_marks
+    from .blend.lights import outline
     from .jobs import session
     from .panels import preferences
 
@@ -31,10 +32,10 @@ def register() -> None:
             bpy.utils.register_class(preferences_class)
             _undo.append(partial(bpy.utils.unregister_class, preferences_class))
         machine.recall()
-        _undo.append(_hide_overlay)
-        for module in (properties, operators, panels, session, other_cameras, pair_marks):
+        for module in (properties, operators, panels, session, other_cameras, pair_marks, outline):
             module.register()
             _undo.append(module.unregister)
+        _undo.append(_hide_overlay)  # while the scenes still have their settings
         command = bpy.utils.register_cli_command("fipt", _run_command_line)
         _undo.append(partial(bpy.utils.unregister_cli_command, command))
     except BaseException:
@@ -56,7 +57,8 @@ def _run_command_line(arguments: Sequence[str]) -> int:
 
 
 def _hide_overlay() -> None:
-    """Hide the colours drawn over the room, if that module was ever imported."""
-    overlay = sys.modules.get(f"{__package__}.blend.capture.overlay")
-    if overlay is not None:
-        overlay.hide()
+    """Hide the colours drawn over the room and the comparison, if these modules were ever imported."""
+    for name, function in (("overlay", "hide"), ("compare", "forget")):
+        module = sys.modules.get(f"{__package__}.blend.capture.{name}")
+        if module is not None:
+            getattr(module, function)()

@@ -48,6 +48,7 @@ WRITTEN = "fipt_written"  # the strength that we wrote last; any other was set b
 VISIBILITY = "fipt_visibility"  # original ray visibility of a fixture that Blender lights stand for (JSON)
 AS_CONVERTED = "fipt_as_converted"  # on these lights: shape and place as made; on the fixture: their number
 PROFILE = "fipt_profile"  # on a light with an IES profile: its type before (JSON)
+PROBE = "fipt_probe"  # marks our light probe volume
 MUTED = "fipt_muted"  # on the scene's other lights: whether they were hidden in viewports and renders
 
 # --- worlds, scenes and view layers ------------------------------------------------------------------------

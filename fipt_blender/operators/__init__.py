@@ -12,12 +12,16 @@ from __future__ import annotations
 import bpy
 
 from . import (
+    aim,
     alignment,
     capture,
     check,
+    compare,
+    eevee,
     environment,
     estimate,
     example,
+    help,
     insert,
     light_states,
     lights,
@@ -46,9 +50,13 @@ MODULES = (
     part_materials,
     lights,
     light_states,
+    eevee,
+    aim,
     insert,
     check,
+    compare,
     presets,
+    help,
 )
 
 

@@ -14,6 +14,7 @@ from . import (
     insert,
     lights,
     materials,
+    menus,
     parts,
     photographs,
     presets,
@@ -21,7 +22,19 @@ from . import (
     swatches,
 )
 
-_MODULES = (photographs, capture, alignment, parts, estimate, materials, lights, insert, check, presets)
+_MODULES = (
+    photographs,
+    capture,
+    alignment,
+    parts,
+    estimate,
+    materials,
+    lights,
+    insert,
+    check,
+    presets,
+    menus,
+)
 
 _register, _unregister = bpy.utils.register_classes_factory(
     [panel for module in _MODULES for panel in module.CLASSES]
@@ -29,13 +42,15 @@ _register, _unregister = bpy.utils.register_classes_factory(
 
 
 def register() -> None:
-    """Register the panels, and the job's place in the status bar."""
+    """Register the panels, the job's place in the status bar, menus and keys."""
     _register()
     statusbar.register()
+    menus.register()
 
 
 def unregister() -> None:
     """Unregister the panels and free their icons."""
+    menus.unregister()
     statusbar.unregister()
     _unregister()
     swatches.clear()

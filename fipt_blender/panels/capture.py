@@ -83,9 +83,7 @@ class FIPT_PT_capture_import(SubSection, bpy.types.Panel):
     bl_label = "Import Settings"
     bl_parent_id = "FIPT_PT_capture"
     bl_order = 1
-
-    def draw_header_preset(self, context: bpy.types.Context) -> None:
-        FIPT_PT_import_presets.draw_panel_header(self.layout)
+    presets = FIPT_PT_import_presets
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()

@@ -7,6 +7,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from ..properties.check import COMPARISONS
 from .job import draw_job
 from .presets import FIPT_PT_check_presets
 from .sidebar import Rows, Section
@@ -39,9 +40,7 @@ class FIPT_PT_check(Section, bpy.types.Panel):
 
     bl_label = "Check"
     bl_order = 7
-
-    def draw_header_preset(self, context: bpy.types.Context) -> None:
-        FIPT_PT_check_presets.draw_panel_header(self.layout)
+    presets = FIPT_PT_check_presets
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()
@@ -53,6 +52,7 @@ class FIPT_PT_check(Section, bpy.types.Panel):
         draw_job(layout, context, "check")
         if settings.views:
             self._draw_views(context, settings)
+        _draw_comparison(layout, settings)
         row = layout.row(align=True)
         row.operator("fipt.write_report", icon="FILE_TEXT")
         row.operator("fipt.open_report", text="", icon="URL")
@@ -77,6 +77,21 @@ class FIPT_PT_check(Section, bpy.types.Panel):
             for index in range(6):
                 row.prop(settings, f"color_{index}", text="")
             row.label(text="0.25")
+
+
+def _draw_comparison(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
+    """The buttons and the divider of the comparison."""
+    column = layout.column(align=True)
+    column.label(text="Compare with Photograph")
+    row = column.row(align=True)
+    for mode, text, _, icon, _ in COMPARISONS:
+        row.operator("fipt.compare", text=text, icon=icon, depress=settings.compare == mode).mode = mode
+    if settings.compare != "OFF":
+        row = column.row(align=True)
+        row.use_property_split = False
+        row.prop(settings, "divider", slider=True)
+        button = row.operator("fipt.compare", text="", icon="WINDOW")
+        button.mode, button.window = settings.compare, True
 
 
 CLASSES = (FIPT_UL_checked_views, FIPT_PT_check)

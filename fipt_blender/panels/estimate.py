@@ -30,9 +30,7 @@ class FIPT_PT_estimate(Section, bpy.types.Panel):
 
     bl_label = "Estimate"
     bl_order = 3
-
-    def draw_header_preset(self, context: bpy.types.Context) -> None:
-        FIPT_PT_estimate_presets.draw_panel_header(self.layout)
+    presets = FIPT_PT_estimate_presets
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()

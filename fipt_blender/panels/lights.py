@@ -60,6 +60,7 @@ class FIPT_PT_lights(Section, bpy.types.Panel):
             column.operator("fipt.select_light", text="", icon="ZOOM_SELECTED")
             column.operator("fipt.reset_light", text="", icon="LOOP_BACK")
             column.operator("fipt.list_lights", text="", icon="FILE_REFRESH")
+            column.prop(settings, "show_outline", text="", icon="MOD_WIREFRAME")
             row = layout.row(align=True)
             row.operator("fipt.switch_lights", text="All Off", icon="OUTLINER_DATA_LIGHT").on = False
             row.operator("fipt.switch_lights", text="All On", icon="LIGHT").on = True
@@ -68,6 +69,8 @@ class FIPT_PT_lights(Section, bpy.types.Panel):
             draw_text(layout, context, "No lights were found in this room.", icon="INFO")
         else:
             layout.operator("fipt.list_lights", text="List Lights", icon="FILE_REFRESH")
+        if settings.needs_cycles():
+            draw_engine_choice(layout, context)
         if settings.missing_lamps:
             text = "The photographs show lamps that the mesh lacks."
             draw_text(layout, context, text, icon="ERROR")
@@ -75,6 +78,15 @@ class FIPT_PT_lights(Section, bpy.types.Panel):
         column = layout.column(align=True)
         column.operator("fipt.add_light", text="Add Light at Cursor", icon="ADD").place = "CURSOR"
         column.operator("fipt.add_light", text="Add Light by Pointing", icon="EYEDROPPER").place = "PICK"
+
+
+def draw_engine_choice(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """What is wrong in EEVEE, and what can be done about it."""
+    text = "The room is lit by the surfaces of its lamps, whose light EEVEE does not render: it is dark."
+    draw_text(layout, context, iface_(text), icon="ERROR")
+    row = layout.row(align=True)
+    row.operator("fipt.use_cycles", icon="SHADING_RENDERED")
+    row.operator("fipt.prepare_eevee", icon="OUTLINER_OB_LIGHTPROBE")
 
 
 def _draw_light(layout: bpy.types.UILayout, light: bpy.types.PropertyGroup | None) -> None:
@@ -196,8 +208,11 @@ class FIPT_PT_light_output(SubSection, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("fipt.hide_other_lights", text="Hide", icon="HIDE_ON").hide = True
         row.operator("fipt.hide_other_lights", text="Show", icon="HIDE_OFF").hide = False
+        row = layout.row(align=True)
         if context.scene.render.engine != "CYCLES":
-            layout.operator("fipt.use_cycles", icon="SHADING_RENDERED")
+            row.operator("fipt.use_cycles", icon="SHADING_RENDERED")
+        row.operator("fipt.prepare_eevee", icon="OUTLINER_OB_LIGHTPROBE")
+        row.operator("fipt.bake_probe", text="", icon="RENDER_STILL")
         row = layout.row(align=True)
         row.operator("fipt.make_light_groups", icon="RENDERLAYERS")
         row.operator("fipt.remove_light_groups", text="", icon="X")

@@ -9,6 +9,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..jobs import running
 from .job import draw_job
+from .lights import draw_engine_choice
 from .sidebar import Rows, Section, SubSection, draw_text
 
 
@@ -49,9 +50,7 @@ class FIPT_PT_materials(Section, bpy.types.Panel):
         text = iface_(text).format(settings.object_count, 4 * settings.image_count)
         layout.label(text=text, icon="CHECKMARK", translate=False)
         if settings.shown == "ESTIMATED" and context.scene.fipt.lights.needs_cycles():
-            text = "EEVEE renders no light from the lamps' surfaces: the room is dark."
-            draw_text(layout, context, iface_(text), icon="ERROR")
-            layout.operator("fipt.use_cycles", icon="SHADING_RENDERED")
+            draw_engine_choice(layout, context)
         layout.operator("fipt.revert", icon="LOOP_BACK")
 
 

@@ -19,6 +19,7 @@ from ..core.run.runfolder import PRODUCT_VERSION
 from ..jobs import running
 from ..properties.estimate import DEVICES
 from .job import time_text
+from .menus import draw_shortcut
 from .sidebar import draw_text
 
 if TYPE_CHECKING:
@@ -137,6 +138,7 @@ def draw(
     _draw_engine(layout.box(), context, preferences, facts)
     _draw_device(layout.box(), preferences, facts)
     _draw_data(layout.box(), context, preferences, facts)
+    draw_shortcut(layout.box(), context)
 
 
 @dataclass(frozen=True)

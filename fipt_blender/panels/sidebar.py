@@ -8,6 +8,8 @@ import textwrap
 
 import bpy
 
+from .manual import chapter_of
+
 CATEGORY = "FIPT"
 _CHARACTER_PIXELS = 7.0  # mean width of the default font at scale 1
 
@@ -18,6 +20,15 @@ class Section:
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = CATEGORY
+    presets: type[bpy.types.Panel] | None = None  # the menu of presets in the header
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        """Called by Blender: presets, and the button that opens the guide's chapter."""
+        layout = self.layout  # type: ignore[attr-defined]
+        if self.presets is not None:
+            self.presets.draw_panel_header(layout)
+        name = getattr(self, "bl_parent_id", "") or type(self).__name__
+        layout.operator("fipt.help", text="", icon="QUESTION", emboss=False).chapter = chapter_of(name)
 
     def fields(self) -> bpy.types.UILayout:
         """The panel's layout for properties: names on the left, values on the right, no animation buttons."""

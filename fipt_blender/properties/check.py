@@ -33,6 +33,17 @@ PICTURES = (
         2,
     ),
 )
+COMPARISONS = (
+    ("OFF", "Off", "Show no comparison", "X", 0),
+    ("VIEWPORT", "Viewport", "Wipe the photograph over the viewport", "VIEW3D", 1),
+    ("RENDER", "Render", "Wipe the photograph over the view's render", "RENDER_STILL", 2),
+)
+
+
+def _move_divider(self: FIPT_CheckSettings, context: bpy.types.Context) -> None:
+    from ..blend.capture import compare
+
+    compare.move(self.id_data)
 
 
 def _show(self: FIPT_CheckSettings, context: bpy.types.Context) -> None:
@@ -104,6 +115,22 @@ class FIPT_CheckSettings(bpy.types.PropertyGroup):
     color_3: _error_color(3)
     color_4: _error_color(4)
     color_5: _error_color(5)
+    compare: bpy.props.EnumProperty(
+        name="Compare",
+        description="What the photograph is compared with; set by Compare with Photograph",
+        items=COMPARISONS,
+        options=set(),
+    )
+    divider: bpy.props.FloatProperty(
+        name="Divider",
+        description="Where the photograph ends and the render begins; drag it in the picture",
+        subtype="FACTOR",
+        min=0.0,
+        max=1.0,
+        default=0.5,
+        options=set(),
+        update=_move_divider,
+    )
     report: bpy.props.StringProperty(description="HTML page of the last report")
 
 

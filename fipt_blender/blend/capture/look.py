@@ -9,6 +9,7 @@ import bpy
 from ...core.run.errors import FiptError
 from .backdrop import show_photograph
 from .cameras import use_view
+from .compare import follow
 from .other_cameras import watch
 
 
@@ -21,6 +22,7 @@ def look_through(
         return None
     use_view(scene, camera)
     show_photograph(scene, camera)
+    follow(scene)
     enter_camera(context, scene)
     return camera
 
@@ -65,5 +67,7 @@ def redraw_views() -> None:
 def refresh_photograph(scene: bpy.types.Scene) -> None:
     """Show the photograph with the panel's opacity, if the scene's camera belongs to a view."""
     camera = scene.camera
+    if scene.fipt.check.compare != "OFF":
+        return
     if camera is not None and any(view.camera == camera.name for view in scene.fipt.capture.views):
         show_photograph(scene, camera)

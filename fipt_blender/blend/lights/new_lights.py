@@ -102,3 +102,26 @@ def aim(
     free = (position - start).length if hit else math.inf
     location = start + outwards * min(distance, 0.8 * free)
     return location, (point - location).normalized()
+
+
+def turn_to(item: bpy.types.Object, target: Vector) -> None:
+    """Turn a light, which shines along its -Z axis, towards a point of the world.
+
+    Raises:
+        FiptError: ``direction-missing``.
+    """
+    place, _, scale = item.matrix_world.decompose()
+    direction = target - place
+    if direction.length <= 1e-6:
+        raise FiptError("direction-missing", "The light is at this point.", "Choose another point.")
+    item.matrix_world = Matrix.LocRotScale(place, direction.to_track_quat("-Z", "Y"), scale)
+
+
+def beam_end(
+    scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, item: bpy.types.Object, distance: float
+) -> Vector:
+    """Where a light's axis meets the room; `distance` metres away where it meets nothing."""
+    place, rotation, _ = item.matrix_world.decompose()
+    direction = rotation @ Vector((0.0, 0.0, -1.0))
+    hit, position, *_ = scene.ray_cast(depsgraph, place + 1e-3 * direction, direction)
+    return position if hit else place + distance * direction

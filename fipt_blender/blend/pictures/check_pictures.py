@@ -12,6 +12,7 @@ from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
 from ..capture.backdrop import show_photograph, show_picture
 from ..capture.cameras import find_camera, use_view
+from ..capture.compare import end
 from ..capture.look import enter_camera
 from ..image_datablocks import LINEAR
 from ..marks import PICTURE
@@ -54,6 +55,7 @@ def show_active(scene: bpy.types.Scene, context: bpy.types.Context) -> bpy.types
     if settings.picture != "PHOTOGRAPH":
         image = load_picture(Path(view.render if settings.picture == "RENDER" else view.error))
     if camera is not None:
+        end(scene)
         use_view(scene, camera)
         show_photograph(scene, camera)
         backgrounds = camera.data.background_images

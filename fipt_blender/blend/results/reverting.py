@@ -8,6 +8,7 @@ import bpy
 
 from ..capture.backdrop import clear_view
 from ..lights import light_state
+from ..lights.eevee import volume_of
 from ..lights.light_groups import remove_light_groups
 from ..lights.world import restore_world
 from ..marks import added_lights, is_split_off, room_with_results
@@ -35,6 +36,9 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> list[str]:
     room = room_with_results(scene)
     materials = result_materials(result_meshes(room))
     restored = restore_original(room)
+    probe = volume_of(scene)
+    if probe is not None:
+        remove_object(probe)
     # Fixtures can be left over whose source objects were deleted or renamed.
     for item in [item for item in scene.objects if is_split_off(item)]:
         remove_object(item)

@@ -1,0 +1,99 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A room that looks right in EEVEE: fixtures as Blender lights, and a light probe volume of the room's size.
+
+EEVEE renders neither the light of emissive surfaces nor, without a baked volume, light that was reflected.
+"""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ...core.run.errors import FiptError
+from ..marks import PROBE, VISIBILITY, fixtures_of
+from ..outliner import LIGHTS, collection
+from ..room.mesh_arrays import world_bounds
+from .convert import fixture_to_lights
+
+SPACING = 0.4  # metres between the samples of the volume
+_MIN, _MAX = 4, 32  # samples along an axis
+_MARGIN = 0.02  # of each extent by which the volume exceeds the room
+ENGINES = ("BLENDER_EEVEE_NEXT", "BLENDER_EEVEE")  # 4.2 to 4.5; from 5.0
+
+
+def prepare(scene: bpy.types.Scene) -> list[str]:
+    """Make EEVEE the scene's engine, with its lights and a volume; `bake` must follow.
+
+    Returns:
+        Names of the fixtures whose Blender lights differ from them in shape.
+
+    Raises:
+        FiptError: ``room-missing``, ``engine-missing``.
+    """
+    bounds = world_bounds(scene.fipt.capture.room_objects(scene))
+    if bounds is None:
+        raise FiptError("room-missing", "There is no room.", "Import a capture, or set the room first.")
+    use_eevee(scene)
+    inexact = []
+    for item in fixtures_of(scene):
+        if VISIBILITY not in item:
+            _, exact = fixture_to_lights(scene, item)
+            if not exact:
+                inexact.append(item.name)
+    place_volume(scene, *bounds)
+    return inexact
+
+
+def use_eevee(scene: bpy.types.Scene) -> None:
+    """Make EEVEE the scene's engine, with ray tracing and soft shadows.
+
+    Raises:
+        FiptError: ``engine-missing``.
+    """
+    for engine in ENGINES:
+        try:
+            scene.render.engine = engine
+        except TypeError:  # of another version
+            continue
+        break
+    else:
+        raise FiptError("engine-missing", "This Blender has no EEVEE.", "Use Cycles.")
+    scene.eevee.use_raytracing = True
+    scene.eevee.use_shadows = True
+    scene.eevee.use_shadow_jitter_viewport = True
+    for light in (item.data for item in scene.objects if item.type == "LIGHT"):
+        light.use_shadow_jitter = True  # soft shadows
+
+
+def place_volume(scene: bpy.types.Scene, low: np.ndarray, high: np.ndarray) -> bpy.types.Object:
+    """The light probe volume around a room's bounds (3,); an earlier one of ours is moved."""
+    item = volume_of(scene)
+    if item is None:
+        data = bpy.data.lightprobes.new("FIPT Light Probe", "VOLUME")
+        item = bpy.data.objects.new(data.name, data)
+        item[PROBE] = 1
+        collection(scene, LIGHTS).objects.link(item)
+    extent = np.maximum(high - low, 0.1) * (1.0 + 2.0 * _MARGIN)
+    item.matrix_world = Matrix.LocRotScale((0.5 * (low + high)).tolist(), None, (0.5 * extent).tolist())
+    data = item.data
+    data.resolution_x, data.resolution_y, data.resolution_z = resolution(extent)
+    data.capture_distance = float(np.linalg.norm(extent))
+    # What lights the room shines as Blender lights; the fixtures' surfaces would light it twice.
+    data.capture_world, data.capture_indirect, data.capture_emission = True, True, False
+    data.clamp_direct = data.clamp_indirect = 0.0
+    return item
+
+
+def resolution(extent: np.ndarray) -> tuple[int, int, int]:
+    """Samples of a volume of these extents (3,) in metres along each axis."""
+    x, y, z = (min(max(math.ceil(float(size) / SPACING), _MIN), _MAX) for size in extent)
+    return x, y, z
+
+
+def volume_of(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    """Our light probe volume of a scene."""
+    return next((item for item in scene.objects if PROBE in item), None)

@@ -1,0 +1,105 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Lights in viewports: outlines, rows that follow the selection, aiming, and the set-up for EEVEE."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Vector
+
+from fipt_blender.blend.lights import eevee, new_lights, outline
+from fipt_blender.blend.marks import VISIBILITY
+from samples.applied_rooms import make_scene, use_fake_engine
+
+ops = bpy.ops.fipt
+
+pytestmark = pytest.mark.usefixtures("registered")
+
+
+@pytest.fixture
+def scene(tmp_path, monkeypatch):
+    use_fake_engine(monkeypatch)
+    scene = make_scene(tmp_path / "run")
+    assert ops.apply_results() == {"FINISHED"}
+    return scene
+
+
+def test_the_outline_of_an_open_mesh_is_its_border():
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=3, y_subdivisions=3, size=2.0)
+    points = np.array(outline.outline(bpy.context.object))
+    assert len(points) == 2 * 12 and (np.abs(points[:, :2]).max(axis=1) == 1.0).all()
+    bpy.ops.mesh.primitive_cube_add(size=2.0)
+    assert len(outline.outline(bpy.context.object)) == 2 * 12
+
+
+@pytest.mark.parametrize(("shape", "reach"), [("RECTANGLE", (0.5, 1.0, 0.0)), ("ELLIPSE", (0.5, 1.0, 0.0))])
+def test_the_outline_of_an_area_light_is_its_shape(shape, reach):
+    bpy.ops.object.light_add(type="AREA")
+    light = bpy.context.object.data
+    light.shape, light.size, light.size_y = shape, 1.0, 2.0
+    assert np.allclose(np.abs(outline.outline(bpy.context.object)).max(axis=0), reach)
+
+
+def test_selecting_a_light_activates_its_row(scene):
+    ops.add_light(location=(0, 0, 3))
+    fixture = scene.fipt.lights.lights[0].object
+    assert scene.fipt.lights.active == 1
+    bpy.context.view_layer.objects.active = fixture
+    outline.follow_selection()
+    assert scene.fipt.lights.active == 0
+    bpy.context.view_layer.objects.active = bpy.data.objects["cube"]
+    outline.follow_selection()
+    assert scene.fipt.lights.active == 0
+    ops.fixture_to_area_light(fixture=fixture.name)
+    scene.fipt.lights.active = 1
+    bpy.context.view_layer.objects.active = fixture.children[0]
+    outline.follow_selection()
+    assert scene.fipt.lights.active == 0
+
+
+def test_a_light_is_aimed_and_its_beam_ends_on_the_room():
+    bpy.ops.mesh.primitive_plane_add(size=10.0)
+    ops.add_light(location=(1.0, 0.0, 3.0))
+    light, scene = bpy.context.object, bpy.context.scene
+    bpy.context.view_layer.update()
+    graph = bpy.context.evaluated_depsgraph_get()
+    assert (new_lights.beam_end(scene, graph, light, 2.0) - Vector((1, 0, 0))).length < 1e-5
+    assert ops.aim_light(target=(-2.0, 1.0, 0.0)) == {"FINISHED"}
+    bpy.context.view_layer.update()
+    assert (light.location - Vector((1, 0, 3))).length < 1e-6
+    assert (new_lights.beam_end(scene, graph, light, 2.0) - Vector((-2, 1, 0))).length < 1e-4
+    ops.aim_light(target=(1.0, 0.0, 9.0))
+    bpy.context.view_layer.update()
+    assert (new_lights.beam_end(scene, graph, light, 2.0) - Vector((1, 0, 5))).length < 1e-4
+    with pytest.raises(RuntimeError, match="at this point"):
+        ops.aim_light(target=(1.0, 0.0, 3.0))
+    bpy.context.view_layer.objects.active = bpy.data.objects["Plane"]
+    assert not ops.aim_light.poll()
+
+
+def test_the_room_is_set_up_for_eevee_and_reverted(scene):
+    assert scene.render.engine == "CYCLES" and not scene.fipt.lights.needs_cycles()
+    assert ops.prepare_eevee() == {"FINISHED"}
+    assert "EEVEE" in scene.render.engine and not scene.fipt.lights.needs_cycles()
+    (fixture,) = [row.object for row in scene.fipt.lights.lights]
+    assert VISIBILITY in fixture and len(fixture.children) == 1
+    volume = eevee.volume_of(scene)
+    bpy.context.view_layer.update()
+    corners = np.array([volume.matrix_world @ Vector(sign) for sign in ((-1, -1, -1), (1, 1, 1))])
+    assert (corners[0] < (-1, 0, -1)).all() and (corners[1] > (5, 6, 1)).all()
+    assert np.allclose(corners.mean(axis=0), (2, 3, 0), atol=1e-5)
+    assert tuple(eevee.resolution(np.array([0.1, 4.0, 100.0]))) == (4, 10, 32)
+    assert ops.prepare_eevee() == {"FINISHED"} and len(bpy.data.lightprobes) == 1
+    with pytest.raises(RuntimeError, match="only in a window"):
+        ops.bake_probe()
+    ops.revert()
+    assert not bpy.data.lightprobes and not ops.bake_probe.poll() and not ops.prepare_eevee.poll()
+
+
+def test_a_room_is_needed_for_eevee(scene):
+    bpy.data.batch_remove(list(bpy.data.collections["FIPT Room"].objects))
+    with pytest.raises(RuntimeError, match="no room"):
+        ops.prepare_eevee()
+    assert scene.render.engine == "CYCLES"

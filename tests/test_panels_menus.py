@@ -1,0 +1,95 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Menus, the key of the pie menu, and links to the documentation. tests/gui opens them in a window."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import bpy
+import pytest
+
+from fipt_blender import operators
+from fipt_blender.panels import manual, menus
+
+pytestmark = pytest.mark.usefixtures("registered")
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def test_every_item_of_the_menus_is_an_operator():
+    idnames = {
+        operator.bl_idname
+        for module in operators.MODULES
+        for operator in module.CLASSES
+        if issubclass(operator, bpy.types.Operator)
+    }
+    listed = {f"fipt.{name}" for section in menus._SECTIONS.values() for name, _ in section}
+    assert listed <= idnames
+
+
+def test_each_section_has_a_chapter():
+    guide = (ROOT / "docs" / "guide.md").read_text(encoding="utf-8")
+    for menu in menus.MENUS:
+        chapter = manual.chapter_of(f"FIPT_PT_{menu.bl_label.lower()}")
+        assert chapter and f'<a id="{chapter}"></a>' in guide
+        assert manual.chapter_url(chapter) == f"{manual.SITE}guide.html#{chapter}"
+    assert '<a id="install"></a>' in guide
+    assert manual.chapter_of("FIPT_PT_capture_alignment") == "capture" and manual.chapter_of("X") == ""
+    assert manual.chapter_url("") == f"{manual.SITE}guide.html"
+
+
+def test_the_manifest_names_the_site():
+    with (ROOT / "blender_manifest.toml").open("rb") as file:
+        assert tomllib.load(file)["website"] == manual.SITE
+
+
+@pytest.mark.parametrize(
+    ("name", "page"),
+    [
+        ("bpy.ops.fipt.estimate", "operators.html"),
+        ("bpy.types.FIPT_LightsSettings.blend", "guide.html#lights"),
+        ("bpy.types.FIPT_Light.stops", "guide.html#lights"),
+        ("bpy.types.FIPT_CaptureSettings.path", "guide.html#capture"),
+    ],
+)
+def test_the_online_manual_finds_operators_and_properties(name, page):
+    import fnmatch
+
+    assert manual.manual_map in bpy.utils._manual_map
+    site, pages = manual.manual_map()
+    found = next(url for pattern, url in pages if fnmatch.fnmatchcase(name.lower(), pattern))
+    assert site + found == manual.SITE + page
+
+
+def test_help_opens_the_chapter(monkeypatch):
+    opened = []
+
+    class Recorder(bpy.types.Operator):
+        """Stands for the browser"""
+
+        bl_idname = "wm.url_open"
+        bl_label = "Open"
+        url: bpy.props.StringProperty()
+
+        def execute(self, context):
+            opened.append(self.url)
+            return {"FINISHED"}
+
+    original = bpy.types.WM_OT_url_open
+    bpy.utils.unregister_class(original)
+    bpy.utils.register_class(Recorder)
+    try:
+        assert bpy.ops.fipt.help(chapter="lights") == {"FINISHED"}
+    finally:
+        bpy.utils.unregister_class(Recorder)
+        bpy.utils.register_class(original)
+    assert opened == [f"{manual.SITE}guide.html#lights"]
+
+
+def test_the_pie_menu_has_a_key_that_no_other_shortcut_of_the_viewport_has():
+    keymap = bpy.context.window_manager.keyconfigs.addon.keymaps["3D View"]
+    items = [item for item in keymap.keymap_items if item.idname == "wm.call_menu_pie"]
+    assert [item.properties.name for item in items] == ["FIPT_MT_pie"]
+    assert (items[0].type, items[0].shift, items[0].alt, items[0].ctrl) == ("F", True, True, False)
