@@ -102,4 +102,4 @@ def test_a_missing_photograph_and_other_cameras_are_told(scene):
 
 def test_a_wide_picture_is_made_smaller(scene):
     image = bpy.data.images.new("wide", 4000, 4, float_buffer=True)
-    assert compare._pixels(image).shape == (2, 1920, 4) and tuple(image.size) == (4000, 4)
+    assert compare.pixels_of(image).shape == (2, 1920, 4) and tuple(image.size) == (4000, 4)

@@ -78,7 +78,7 @@ class FIPT_GT_divider(bpy.types.Gizmo):
     __slots__ = ("before",)
 
     def draw(self, context: bpy.types.Context) -> None:
-        frame = _frame(context)
+        frame = frame_of(context)
         if frame is None:
             return
         import gpu
@@ -102,7 +102,7 @@ class FIPT_GT_divider(bpy.types.Gizmo):
         gpu.state.blend_set("NONE")
 
     def test_select(self, context: bpy.types.Context, location: tuple[float, float]) -> int:
-        frame = _frame(context)
+        frame = frame_of(context)
         if frame is None:
             return -1
         left, bottom, right, top = frame
@@ -115,7 +115,7 @@ class FIPT_GT_divider(bpy.types.Gizmo):
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event, tweak: set[str]) -> set[str]:
-        frame = _frame(context)
+        frame = frame_of(context)
         if frame is not None and event.type == "MOUSEMOVE":
             left, _, right, _ = frame
             share = (event.mouse_region_x - left) / max(right - left, 1.0)
@@ -127,7 +127,7 @@ class FIPT_GT_divider(bpy.types.Gizmo):
             context.scene.fipt.check.divider = self.before
 
 
-def _frame(context: bpy.types.Context) -> tuple[float, float, float, float] | None:
+def frame_of(context: bpy.types.Context) -> tuple[float, float, float, float] | None:
     """Left, bottom, right and top of the compared picture in the region, in pixels; None where it is not."""
     from ..blend.capture import compare
 
@@ -162,7 +162,7 @@ class _Divider:
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return context.scene.fipt.check.compare != "OFF" and _frame(context) is not None
+        return context.scene.fipt.check.compare != "OFF" and frame_of(context) is not None
 
     def setup(self, context: bpy.types.Context) -> None:
         """Make the gizmo."""

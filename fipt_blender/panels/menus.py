@@ -12,7 +12,7 @@ from .manual import manual_map
 
 KEY = {"type": "F", "value": "PRESS", "shift": True, "alt": True}
 # Operators of each section, with texts where the operators' own names do not tell enough.
-_SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
+SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
     "Photographs": (("find_brackets", ""), ("prepare", "")),
     "Capture": (
         ("import_capture", ""),
@@ -67,7 +67,7 @@ class FIPT_MT_main(bpy.types.Menu):
     bl_label = "FIPT"
 
     def draw(self, context: bpy.types.Context) -> None:
-        for label in _SECTIONS:
+        for label in SECTIONS:
             self.layout.menu(f"FIPT_MT_{label.lower()}")
         self.layout.separator()
         self.layout.operator("fipt.help", text="Guide", icon="HELP").chapter = ""
@@ -131,7 +131,7 @@ class FIPT_MT_pie(bpy.types.Menu):
         pie.operator("fipt.look_through", text="Next View", icon="TRIA_RIGHT").step = 1
 
 
-MENUS = tuple(_section_menu(label, operators) for label, operators in _SECTIONS.items())
+MENUS = tuple(_section_menu(label, operators) for label, operators in SECTIONS.items())
 CLASSES = (*MENUS, FIPT_MT_main, FIPT_MT_maps, FIPT_MT_pie_lights, FIPT_MT_pie)
 
 

@@ -191,3 +191,57 @@ def _blocks(path: str, size: int = 8) -> Any:
     gray = values.reshape(height, width, -1)[: rows * size, : columns * size, :3].mean(2)
     blocks = gray.reshape(rows, size, columns, size).swapaxes(1, 2).reshape(-1, size * size)
     return np.maximum(np.median(blocks, 1), 1e-4)
+
+
+def states() -> dict[str, Any]:
+    """The saved states of the lights, the first light's power, and how many keyframes all lights have."""
+    lights = bpy.context.scene.fipt.lights
+    actions = [row.object.animation_data for row in lights.lights if row.object.animation_data]
+    return {
+        "names": [state.name for state in lights.states],
+        "stops": lights.lights[0].stops,
+        "keyframes": sum(data.action is not None for data in actions),
+    }
+
+
+def comparison() -> dict[str, Any]:
+    """What is compared, and where the divider is."""
+    check = bpy.context.scene.fipt.check
+    return {"mode": check.compare, "divider": check.divider}
+
+
+def divider_pixel() -> list[float]:
+    """The middle of the divider in the 3D view's region."""
+    with bpy.context.temp_override(**_view()):
+        left, bottom, right, top = _ours("operators.compare").frame_of(bpy.context)
+    return [left + bpy.context.scene.fipt.check.divider * (right - left), 0.5 * (bottom + top)]
+
+
+def beam() -> dict[str, Any]:
+    """Where the active light's beam ends, in the 3D view's region, and the light's rotation."""
+    from bpy_extras.view3d_utils import location_3d_to_region_2d
+
+    item = bpy.context.view_layer.objects.active
+    graph = bpy.context.evaluated_depsgraph_get()
+    end = _ours("blend.lights.new_lights").beam_end(bpy.context.scene, graph, item, 2.0)
+    view = _view()
+    pixel = location_3d_to_region_2d(view["region"], view["area"].spaces.active.region_3d, end)
+    return {"pixel": list(pixel), "turn": [round(value, 4) for value in item.matrix_world.to_euler()]}
+
+
+def engine() -> dict[str, Any]:
+    """The render engine, whether there is a light probe volume, and whether Blender bakes it."""
+    scene = bpy.context.scene
+    return {
+        "engine": scene.render.engine,
+        "volume": any(item.type == "LIGHT_PROBE" for item in scene.objects),
+        "baking": bpy.app.is_job_running("LIGHT_BAKE") if hasattr(bpy.app, "is_job_running") else False,
+    }
+
+
+def _view() -> dict[str, Any]:
+    """The first 3D view of the first window, for `temp_override`."""
+    window = bpy.context.window_manager.windows[0]
+    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+    region = next(region for region in area.regions if region.type == "WINDOW")
+    return {"window": window, "area": area, "region": region}

@@ -14,6 +14,7 @@ import subprocess
 import time
 from pathlib import Path
 
+import story_lights
 from chapters import Chapter, Options, finish
 from hand import PREFERENCES
 from window import Window
@@ -323,6 +324,11 @@ CHAPTERS = (
     Chapter(materials, "estimate"),
     Chapter(check, "materials"),
     Chapter(lights, "check"),
+    Chapter(story_lights.light_states, "check"),
+    Chapter(story_lights.seeing, "light_states"),
+    Chapter(story_lights.menus, "light_states"),
+    Chapter(story_lights.aim, "light_states"),
+    Chapter(story_lights.eevee, "light_states"),
     Chapter(insert, "check"),
     Chapter(draw_times, "insert"),
 )

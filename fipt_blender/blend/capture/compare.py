@@ -63,11 +63,11 @@ def start(scene: bpy.types.Scene, mode: str) -> bpy.types.Image:
             "The photograph of this view is missing.",
             "Import the capture again, from the folder where its photographs are now.",
         )
-    left = _pixels(photograph)
+    left = pixels_of(photograph)
     right = np.zeros_like(left)
     if mode == "RENDER":
         image = _render(scene, camera[VIEW])
-        right = resize_to(_pixels(image), left.shape[1], left.shape[0]).astype(np.float32)
+        right = resize_to(pixels_of(image), left.shape[1], left.shape[0]).astype(np.float32)
         right[..., 3] = 1.0
     _pair = _Pair(scene.name, camera.name, left, right)
     image = bpy.data.images.new(NAME, left.shape[1], left.shape[0], alpha=True, float_buffer=True)
@@ -158,7 +158,7 @@ def _loads(image: bpy.types.Image | None) -> bool:
     return image is not None and min(image.size) > 0
 
 
-def _pixels(image: bpy.types.Image) -> np.ndarray:
+def pixels_of(image: bpy.types.Image) -> np.ndarray:
     """An image's linear values (H,W,4), made smaller where it is wider than the picture may be."""
     width, height = image.size
     if width <= _MAX_WIDTH:

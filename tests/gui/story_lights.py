@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The story's chapters on lights and seeing: states, keyframes, aiming, EEVEE, the comparison, menus."""
+
+from __future__ import annotations
+
+from chapters import Options, finish
+from hand import SIDEBAR, VIEW
+from window import Window
+
+_PICTURE = ("IMAGE_EDITOR", "WINDOW")
+
+
+def light_states(window: Window, options: Options) -> None:
+    """Apply the results again, select a lamp, save states, recall and keyframe them."""
+    window.open_section("Materials")
+    window.click("fipt.apply_results")
+    finish(window, "materials")
+    window.open_section("Capture")
+    window.click_row("capture.active_view", 1)
+    window.open_section("Lights")
+    rows = window.ask("inside.light_rows")
+    names = [row["name"] for row in rows]
+    assert not any(name.startswith("Fixture") for name in names), names
+    window.shot("30_lights_named")
+    window.click_row("lights.active", 0)
+    window.click("fipt.select_light")
+    window.settle()
+    window.shot("30_lights_outlined")
+    window.open_section("Lights", "Light States")
+    window.shot("31_states_empty")
+    window.click("fipt.save_light_state")
+    window.key("Home", "Return")
+    window.wait("inside.states", until=lambda states: len(states["names"]) == 1)
+    window.open_section("Lights")
+    window.set_text("lights.lights[0].stops", "2")
+    window.open_section("Lights", "Light States")
+    window.click("fipt.save_light_state")
+    window.key("Home", "Down", "Down", "Return")
+    states = window.wait("inside.states", until=lambda states: len(states["names"]) == 2)
+    window.shot("31_states_saved")
+    window.click("fipt.recall_light_state", state=states["names"][0])
+    window.wait("inside.states", until=lambda now: now["stops"] == 0.0)
+    window.click("fipt.keyframe_lights", everything=True)
+    window.wait("inside.states", until=lambda now: now["keyframes"] > 0)
+    window.shot("31_states_keyframes")
+
+
+def seeing(window: Window, options: Options) -> None:
+    """Compare the view with its photograph, and drag the divider in the viewport."""
+    window.open_section("Check")
+    window.click("fipt.compare", mode="VIEWPORT")
+    window.wait("inside.comparison", until=lambda now: now["mode"] == "VIEWPORT")
+    window.point_in_view(0.9, 0.9)
+    window.settle()
+    window.shot("32_compare_viewport")
+    window.click("fipt.compare", mode="RENDER")
+    window.wait("inside.comparison", until=lambda now: now["mode"] == "RENDER")
+    window.settle()
+    window.shot("32_compare_render")
+    place = window.ask("inside.divider_pixel")
+    before = window.ask("inside.comparison")["divider"]
+    _drag(window, place, (-120, 0))
+    window.wait("inside.comparison", until=lambda now: now["divider"] < before - 0.02)
+    window.settle()
+    window.shot("32_compare_dragged")
+    window.click("fipt.compare", mode="RENDER", window=True)
+    window.wait("is_open", *_PICTURE)
+    window.display.arrange()
+    window.settle()
+    window.shot("32_compare_picture")
+    window.ask("close_window", _PICTURE[0])
+    window.settle()
+    window.click("fipt.compare", mode="OFF")
+    window.wait("inside.comparison", until=lambda now: now["mode"] == "OFF")
+
+
+def menus(window: Window, options: Options) -> None:
+    """The pie menu on its key, the menu search, and the shortcut in the preferences."""
+    window.point_in_view(0.45, 0.5)
+    window.key("shift+alt+f")
+    window.settle()
+    window.shot("33_pie")
+    window.key("Escape")
+    window.point_in_view(0.45, 0.5)
+    window.search("Exposure from Photographs")
+    window.shot("33_searched")
+    window.open_section("Lights")
+    window.shot("33_help_buttons", SIDEBAR)
+
+
+def aim(window: Window, options: Options) -> None:
+    """Drag the end of a new light's beam over the room."""
+    window.open_section("Lights")
+    window.click("fipt.add_light", place="PICK")
+    window.point_in_view(0.45, 0.4)
+    window.settle()
+    window.press()
+    window.wait("inside.light_rows", until=lambda now: now[-1]["kind"] == "LIGHT")
+    window.settle()
+    before = window.ask("inside.beam")
+    window.shot("34_light_to_aim")
+    _drag(window, before["pixel"], (90, 40))
+    window.wait("inside.beam", until=lambda now: now["turn"] != before["turn"])
+    window.settle()
+    window.shot("34_light_aimed")
+    window.point_in_view(0.9, 0.9)
+    window.key("ctrl+z")
+    window.wait("inside.beam", until=lambda now: now["turn"] == before["turn"])
+
+
+def eevee(window: Window, options: Options) -> None:
+    """Set the room up for EEVEE and look at it."""
+    window.open_section("Lights", "Scene and Passes")
+    window.click("fipt.prepare_eevee")
+    window.wait("inside.engine", until=lambda now: "EEVEE" in now["engine"] and now["volume"])
+    window.wait("inside.engine", until=lambda now: not now["baking"], seconds=300.0, every=0.5)
+    window.settle()
+    window.shot("35_eevee_set_up")
+
+
+def _drag(window: Window, place: tuple[int, int], by: tuple[int, int]) -> None:
+    """Drag with the left button from a place of the 3D viewport, in pixels of its region."""
+    window.point(VIEW, *place)
+    x, y = window.display.pointer
+    window.settle()
+    window.display.button(1, True)
+    for step in range(1, 9):
+        window.display.move(x + by[0] * step // 8, y + by[1] * step // 8)
+        window.settle()
+    window.display.button(1, False)
+    window.settle()
