@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Baked shadings: the factorisation is the rendering equation, furnaces, emitters."""
 
+import itertools
+from dataclasses import replace
 from functools import cache
 
 import drjit as dr
@@ -152,6 +154,33 @@ def test_direct_light_of_a_rectangle_is_lambert_formula(aimed: int) -> None:
     exact = [rectangle_irradiance(p.astype(float), up, np.array(LAMP)) / np.pi for p in points.position]
     agree(mean - np.outer(exact, [5.0, 4.0, 3.0]), error)
     assert np.median(error / mean) < (0.02 if aimed else 0.06)
+
+
+def test_a_lamp_of_small_triangles_is_hit_from_high_above_a_scan() -> None:
+    """Rays start 2 cm above the surface, and the lamp's triangles are 5 cm wide."""
+    cells = np.linspace(-0.5, 0.5, 21)
+    tiles = [
+        [[x, y, 2.6], [x, v, 2.6], [u, v, 2.6], [u, y, 2.6]]
+        for x, u in itertools.pairwise(cells)
+        for y, v in itertools.pairwise(cells)
+    ]
+    wall = [[-2.0, 2.0, 0.0], [2.0, 2.0, 0.0], [2.0, 2.0, 2.0], [-2.0, 2.0, 2.0]]
+    room = replace(make_room([wall, *tiles]), noise=0.01)
+    grid = grid_of(room)
+    lights = area_lights(room, table(list(range(2, 2 + 2 * len(tiles))), [5.0, 4.0, 3.0]))
+    count = len(room.triangles)
+    materials = lookup_by_triangle(room, grid, np.tile([0.5, 0.5, 0.5, 1.0, 0.0], (count, 1)))
+    source = TracedRadiance(room, dark_cache(room, grid), materials, None, lights, None, 0.6, 5)
+    points = points_on(room, 6, [0, 1])
+    diffuse, _ = baked(points, source, lights, LEVELS[2:], SampleCounts(4, 4, 64), 64)
+    mean, error = mean_and_error(diffuse)
+    lifted = points.position + room.offset * points.normal
+    exact = [
+        rectangle_irradiance(p.astype(float), n.astype(float), np.array(LAMP)) / np.pi
+        for p, n in zip(lifted, points.normal, strict=True)
+    ]
+    agree(mean - np.outer(exact, [5.0, 4.0, 3.0]), error)
+    assert np.median(error / mean) < 0.04
 
 
 def test_starts_of_a_pixel_are_averaged() -> None:

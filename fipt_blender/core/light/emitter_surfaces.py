@@ -33,11 +33,13 @@ class EmitterSurfaces:
         unit: (T,) int64 surface of each triangle, from 0.
         component: (T,) int of larger surfaces, from 0: what no pixel judged emits if most around it does.
         least_residual: share of its radiance that reflection must leave unexplained.
+        footprint: median width of a pixel on the surfaces, metres.
     """
 
     unit: np.ndarray
     component: np.ndarray
     least_residual: float
+    footprint: float
 
     @cached_property
     def single(self) -> bool:
@@ -65,13 +67,13 @@ def emitter_surfaces(room: Room, parts: Parts, footprint: float) -> EmitterSurfa
     """
     pieces = room_pieces(room)
     if room.scan is None:
-        return EmitterSurfaces(np.arange(len(room.triangles)), pieces, LEAST_RESIDUAL)
+        return EmitterSurfaces(np.arange(len(room.triangles)), pieces, LEAST_RESIDUAL, footprint)
     patch = _patches(room, pieces, PATCH * footprint)
     if parts.kind == "part":
         known = parts.triangle_part >= 0
         patch = numbered([known, np.where(known, parts.triangle_part, patch)])
-        return EmitterSurfaces(patch, patch, LEAST_RESIDUAL_SCAN)
-    return EmitterSurfaces(patch, pieces, LEAST_RESIDUAL_SCAN)
+        return EmitterSurfaces(patch, patch, LEAST_RESIDUAL_SCAN, footprint)
+    return EmitterSurfaces(patch, pieces, LEAST_RESIDUAL_SCAN, footprint)
 
 
 def _patches(room: Room, pieces: np.ndarray, edge: float) -> np.ndarray:

@@ -165,7 +165,9 @@ def _bake_kernel(
     pass after a path's end starts the next sample.
     """
     # A loop can't carry frozen dataclasses.
-    position, geometric_normal = points.position, points.geometric_normal
+    geometric_normal = points.geometric_normal
+    # Rays start above the surface, and aim from there: small triangles of a lamp would be missed otherwise.
+    lifted = points.position + mi.Vector3f(geometric_normal) * source.offset
     cosine_count, level_count, light_count = counts.diffuse, counts.specular, counts.light
     brdf_count = cosine_count + level_count * len(levels)
     total = brdf_count + light_count
@@ -174,7 +176,7 @@ def _bake_kernel(
     wo.z = dr.maximum(wo.z, 1e-3)  # interpolated normals may tip just over the horizon
     wo = dr.normalize(wo)
     # All starts of a point share one low-discrepancy sequence.
-    lane = dr.arange(mi.UInt32, dr.width(position))
+    lane = dr.arange(mi.UInt32, dr.width(lifted))
     point = lane // starts_per_point
     shift_rng, rng = _generator(point, 2 * seed), _generator(lane, 2 * seed + 1)
     shift = mi.Point2f(shift_rng.next_float32(), shift_rng.next_float32())
@@ -186,7 +188,7 @@ def _bake_kernel(
     wi = mi.Vector3f(0.0, 0.0, 1.0)
     direction = mi.Vector3f(0.0, 0.0, 1.0)
     density = mi.Float(1.0)
-    path = new_path(dr.width(position))
+    path = new_path(dr.width(lifted))
     while i < total:
         # --------------- First direction: cosine, visible normals or emitter sampling ---------------
 
@@ -201,14 +203,14 @@ def _bake_kernel(
         to_emitter = starts & (i >= brdf_count)
         if dr.hint(light_count > 0, mode="scalar"):
             target = lights.sample(rng.next_float32(), u.x, u.y)
-            first = dr.select(to_emitter, frame.to_local(dr.normalize(target.position - position)), first)
+            first = dr.select(to_emitter, frame.to_local(dr.normalize(target.position - lifted)), first)
         wi = dr.select(starts, first, wi)
         direction = dr.select(starts, frame.to_world(wi), direction)
 
         # ------------------------------------ Ray intersection --------------------------------------
 
         path = dr.select(starts, new_path(), path)
-        path.origin = dr.select(starts, position + mi.Vector3f(geometric_normal) * source.offset, path.origin)
+        path.origin = dr.select(starts, lifted, path.origin)
         alive = ~starts | ((wi.z > 0.0) & (dr.dot(direction, geometric_normal) > 0.0))
         hit = source.intersect(mi.Ray3f(path.origin, direction), alive)
 
