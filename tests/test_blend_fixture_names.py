@@ -9,6 +9,7 @@ import pytest
 
 from fipt_blender.blend.lights.fixture_names import fixture_names, numbered, words
 from fipt_blender.blend.room.arrays import Room
+from fipt_blender.core.run.parts import RoomPart, RoomParts
 
 SHELL = ((0.0, 0.0, 0.0), (6.0, 5.0, 3.0))
 _FACES = [
@@ -99,3 +100,14 @@ def test_lamps_in_a_part_of_the_shell_are_numbered_in_order():
     entries = [{"triangles": piece.tolist()} for piece in pieces[2:]]
     assert fixture_names(room, entries) == ["Ceiling panel", "Ceiling panel 2"]
     assert fixture_names(room, [{"triangles": []}]) == ["Lamp"]
+
+
+@pytest.mark.parametrize(
+    ("class_name", "name"), [("floor lamp", "Floor lamp"), ("walls", "Wall bulb"), ("", "Table bulb")]
+)
+def test_classes_of_parts_tell_where_objects_do_not(class_name, name):
+    room, pieces = room_of(("scan", *SHELL), ("scan", (2, 2, 0.9), (2.1, 2.1, 1.0)))
+    triangle = np.zeros(len(room.triangles), np.int32)
+    triangle[pieces[1]] = 1
+    parts = RoomParts(triangle, [RoomPart(0, "a", "A"), RoomPart(1, "b", "B", class_name=class_name)])
+    assert fixture_names(room, [{"triangles": pieces[1].tolist()}], parts) == [name]

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ...core.run.parts import RoomParts
 from ..room.arrays import Room
 
 _LAMPS = frozenset(
@@ -33,18 +34,21 @@ _TABLE_SHARE = 0.55  # of the room's height: lamps above hang
 _STRIP, _FLAT, _BULB = 4.0, 0.15, 0.3  # length by width; thickness by width; metres
 
 
-def fixture_names(room: Room, entries: Sequence[Mapping[str, Any]]) -> list[str]:
+def fixture_names(
+    room: Room, entries: Sequence[Mapping[str, Any]], parts: RoomParts | None = None
+) -> list[str]:
     """A name for each fixture; equal ones are numbered in the order of the entries.
 
     Args:
         room: the run's room.
         entries: the fixtures of emitters.json.
+        parts: the room's parts, whose semantic classes tell where objects do not.
     """
     names: list[str] = []
     areas = _triangle_areas(room)
     for entry in entries:
         triangles = np.array(entry["triangles"], np.int64)
-        name = _belonging(room, triangles, areas) if len(triangles) else ""
+        name = _belonging(room, triangles, areas, parts) if len(triangles) else ""
         names.append(numbered(name or "Lamp", names))
     return names
 
@@ -64,8 +68,8 @@ def words(name: str) -> list[str]:
     return [word.lower() for word in re.findall(r"[^\W\d_]+", parted)]
 
 
-def _belonging(room: Room, triangles: np.ndarray, areas: np.ndarray) -> str:
-    """The name of the lamp's object or material where these tell of it, else its place and shape."""
+def _belonging(room: Room, triangles: np.ndarray, areas: np.ndarray, parts: RoomParts | None) -> str:
+    """The name of the lamp's object, material or class where these tell of it, else its place and shape."""
     index, share = _main(room.triangle_object, triangles, areas)
     own = words(room.objects[index])
     is_told = bool(_LAMPS & set(own)) or (share >= _OWN_SHARE and not set(own) <= _BARE)
@@ -74,6 +78,12 @@ def _belonging(room: Room, triangles: np.ndarray, areas: np.ndarray) -> str:
         material_words = words(room.materials[material]) if material >= 0 else []
         if _LAMPS & set(material_words):
             own, is_told = material_words, True
+    class_words: list[str] = []
+    if parts is not None and not is_told:
+        part, _ = _main(parts.triangle, triangles, areas)
+        class_words = words(parts.parts[part].class_name)
+        if _LAMPS & set(class_words):
+            own, is_told = class_words, True
     points = room.vertices[np.unique(room.triangles[triangles])].astype(np.float64)
     if is_told and not set(own) <= _BARE:
         return _sentence(own)
@@ -84,6 +94,8 @@ def _belonging(room: Room, triangles: np.ndarray, areas: np.ndarray) -> str:
     place = _place(room, points, _mean_normal(room, triangles))
     if not is_told and _tells_place(room, index, own):
         place = [*own[:-1], _SHELL.get(own[-1], own[-1])]
+    elif not is_told and class_words:
+        place = [*class_words[:-1], _SHELL.get(class_words[-1], class_words[-1])]
     shape = kind or _shape(points)
     return _sentence([*place, *([shape] if shape != place[-1] else [])])
 

@@ -18,6 +18,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from ...core.run.parts import RoomParts
 from ..marks import BACK, BASE, FIXTURE, FIXTURE_SOURCES, NAMED, object_id
 from ..outliner import FIXTURES, collection
 from ..room.arrays import Room
@@ -59,6 +60,7 @@ def split_off(
     room: Room,
     entries: Sequence[Mapping[str, Any]],
     targets: Mapping[int, tuple[bpy.types.Object, bpy.types.Mesh]],
+    parts: RoomParts | None = None,
 ) -> list[NewFixture]:
     """Move the emitters' polygons out of the result meshes.
 
@@ -66,6 +68,7 @@ def split_off(
         room: the run's room.
         entries: the fixtures of emitters.json.
         targets: objects with their new result meshes, by their indices in the room.
+        parts: the room's parts, for the fixtures' names.
     """
     polygon_fixtures = {
         index: fixture for index, fixture in _polygon_fixtures(room, entries).items() if index in targets
@@ -76,7 +79,7 @@ def split_off(
         fixture = polygon_fixture[original_polygons(mesh)]
         for number in np.unique(fixture[fixture >= 0]):
             pieces[number].append(_Piece(item, mesh, np.flatnonzero(fixture == number)))
-    names = fixture_names(room, entries)
+    names = fixture_names(room, entries, parts)
     made = [
         _make(entry, name, parts) for entry, name, parts in zip(entries, names, pieces, strict=True) if parts
     ]

@@ -280,7 +280,7 @@ def _swap_in(
     if settings.write_back == "cycles":
         for material in materials.made.values():
             agree_with_model(material, settings.masking)
-    new_fixtures = fixtures.split_off(room, results.emitters, targets)
+    new_fixtures = fixtures.split_off(room, results.emitters, targets, results.faces.parts)
     kept = states_of(scene)
     remove_fixtures({object_id(item) for item, _ in targets.values()})
     # Earlier results of theirs would show the new textures at the UVs of the old ones.
