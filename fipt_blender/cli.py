@@ -111,10 +111,22 @@ def make_parser() -> argparse.ArgumentParser:
     add("--steps", default="", metavar="NAMES", help="only some steps, separated by commas (default: all)")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one setting of prepare.json")
 
+    export = commands.add_parser(
+        "export",
+        help="write an estimated room as glTF or USD",
+        description="Write the room of a .blend file with applied results, such as a run's room.blend, as"
+        " glTF or USD. What the format can't hold is said in warnings.",
+    )
+    add = export.add_argument
+    add("blend", type=Path, metavar="BLEND", help="the .blend file")
+    add("file", type=Path, metavar="FILE", help="the file to write: .glb, .gltf, .usdc, .usda, .usd or .usdz")
+
     check = commands.add_parser("check", help="check whether the engine works, and on which device")
     for command in (estimate, prepare, check):
         add = command.add_argument
         add("--engine-python", metavar="PATH", help="Python interpreter with the engine's packages")
+    for command in (estimate, prepare, export, check):
+        add = command.add_argument
         add("--quiet", action="store_true", help="print only warnings and errors")
         add("--json", action="store_true", help="print the messages as JSON, one per line")
     return parser
@@ -126,7 +138,7 @@ def main(argv: Sequence[str]) -> int:
         arguments = make_parser().parse_args(list(argv))
     except SystemExit as end:  # argparse; Blender would print a traceback
         return end.code if isinstance(end.code, int) else 2
-    commands = {"estimate": _estimate, "prepare": _prepare, "check": _check}
+    commands = {"estimate": _estimate, "prepare": _prepare, "export": _export, "check": _check}
     return commands[arguments.command](arguments)
 
 
@@ -222,6 +234,30 @@ def _prepare(arguments: argparse.Namespace) -> int:
     display = _Display(sys.stdout, arguments.json, arguments.quiet)
     command = ["prepare", *options, "--", str(photographs), str(capture)]
     return _run_engine(arguments, command, capture / "log.txt", display.show)[0]
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    import bpy
+
+    from .blend.export.exporting import export_room
+
+    display = _Display(sys.stdout, arguments.json, arguments.quiet)
+    blend = arguments.blend.absolute()
+    try:
+        if not blend.is_file():
+            raise FiptError("file-missing", f"{blend} does not exist.", "Give a .blend file with results.")
+        try:
+            bpy.ops.wm.open_mainfile(filepath=str(blend), load_ui=False)
+        except RuntimeError as error:
+            text = f"{blend} can't be opened ({str(error).strip()})."
+            raise FiptError("file-damaged", text, "Give a .blend file with results.") from None
+        exported = export_room(bpy.context.scene, arguments.file.absolute())
+    except FiptError as error:
+        return _report_error(arguments, error)
+    for warning in exported.warnings:
+        display.show(warning)
+    display.show({"type": "done", "files": [str(exported.path)], "data": {"objects": exported.objects}})
+    return 0
 
 
 def _check(arguments: argparse.Namespace) -> int:

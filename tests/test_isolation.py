@@ -73,6 +73,7 @@ FLOORS = (
     "blend.capture",
     "blend.lights",
     "blend.results",
+    "blend.export",
     "blend.insert",
     "blend.pictures",
     "properties",

@@ -11,6 +11,7 @@ from . import (
     capture,
     check,
     estimate,
+    export_menu,
     insert,
     lights,
     materials,
@@ -45,12 +46,14 @@ def register() -> None:
     """Register the panels, the job's place in the status bar, menus and keys."""
     _register()
     statusbar.register()
+    export_menu.register()
     menus.register()
 
 
 def unregister() -> None:
     """Unregister the panels and free their icons."""
     menus.unregister()
+    export_menu.unregister()
     statusbar.unregister()
     _unregister()
     swatches.clear()

@@ -51,6 +51,7 @@ class FIPT_PT_materials(Section, bpy.types.Panel):
         layout.label(text=text, icon="CHECKMARK", translate=False)
         if settings.shown == "ESTIMATED" and context.scene.fipt.lights.needs_cycles():
             draw_engine_choice(layout, context)
+        layout.operator("fipt.export_room", text="Export Room...", icon="EXPORT")
         layout.operator("fipt.revert", icon="LOOP_BACK")
 
 

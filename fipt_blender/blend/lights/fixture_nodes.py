@@ -116,3 +116,25 @@ def write_shown(material: bpy.types.Material, shown: str) -> None:
     constant = {"CONFIDENCE": white, "EMISSION": color, "BASE_COLOR": base_color}.get(shown, black)
     write_surface(material, shown, None, constant)
     material.diffuse_color = color if shown in UNCHANGED else constant
+
+
+def is_emission_material(material: bpy.types.Material) -> bool:
+    """Whether a material was made by `emission_material`, and still has its nodes."""
+    nodes = material.node_tree.nodes if material.node_tree is not None else {}
+    return any(name in nodes for name, _ in _SIDES)
+
+
+def side_radiance(
+    material: bpy.types.Material,
+) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    """Radiance of the front and the back, and base colour, rgb each, of an emission material as it is."""
+    nodes = material.node_tree.nodes
+    sides = []
+    for name, _ in _SIDES:
+        node = nodes.get(name)
+        strength = 0.0 if node is None else node.inputs["Strength"].default_value
+        color = (0.0, 0.0, 0.0) if node is None else node.inputs["Color"].default_value[:3]
+        sides.append(tuple(float(strength * value) for value in color))
+    reflection = nodes.get(_REFLECTION)
+    base = (0.0, 0.0, 0.0) if reflection is None else reflection.inputs["Base Color"].default_value[:3]
+    return sides[0], sides[1], tuple(float(value) for value in base)

@@ -1,0 +1,184 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Materials in the form that exporters understand: plain Principled with images, or with an emission."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..lights.fixture_nodes import side_radiance
+from ..marks import MAP, MATERIAL, PART, PART_NAME
+from ..node_trees import node_tree
+from ..results import adjust
+from ..results.materials import SPECULAR_LEVEL
+from ..room.mesh_arrays import polygon_slots, triangle_loops
+from ..room.uv_layer import UV_LAYER
+from .textures import adjusted_maps, read_maps, texel_parts, write_png
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """The exported textures of an atlas image.
+
+    Attributes:
+        base_color: sRGB. roughness_metallic: green and blue, as in glTF.
+        roughness, metallic: grey, where the format has an image for each.
+    """
+
+    base_color: bpy.types.Image
+    roughness_metallic: bpy.types.Image | None = None
+    roughness: bpy.types.Image | None = None
+    metallic: bpy.types.Image | None = None
+
+    @property
+    def images(self) -> list[bpy.types.Image]:
+        """All of them."""
+        images = (self.base_color, self.roughness_metallic, self.roughness, self.metallic)
+        return [image for image in images if image is not None]
+
+
+def make_atlases(objects: list[bpy.types.Object], folder: Path, packed: bool) -> dict[str, Atlas]:
+    """Write the textures of all atlas images that objects with results use, by the images' names.
+
+    Args:
+        objects: that show their result meshes.
+        folder: for the files.
+        packed: roughness and metallic in one image, as glTF has them; otherwise in two.
+    """
+    materials: dict[str, dict[str, bpy.types.Material]] = {}
+    for item in objects:
+        for material in item.data.materials:
+            if material is not None and MATERIAL in material:
+                materials.setdefault(material[MATERIAL], {})[material.get(PART, "")] = material
+    atlases = {}
+    for name, by_part in materials.items():
+        first = next(iter(by_part.values()))
+        maps = read_maps(first)
+        keys = list(by_part)
+        changed = {
+            index: adjust.read(by_part[key])
+            for index, key in enumerate(keys)
+            if adjust.read(by_part[key]) != adjust.NO_ADJUSTMENT
+        }
+        if changed:
+            corner_uv, part = _triangles(objects, name, keys)
+            size = (maps.shape[1], maps.shape[0])
+            maps = adjusted_maps(maps, texel_parts(corner_uv, part, size), changed)
+        atlases[name] = _write(maps, name, folder, packed)
+    return atlases
+
+
+def _write(maps: np.ndarray, name: str, folder: Path, packed: bool) -> Atlas:
+    base_color = write_png(maps[..., :3], folder / f"{name}_base_color.png", False)
+    if packed:
+        values = np.stack([np.ones_like(maps[..., 3]), maps[..., 3], maps[..., 4]], axis=2)
+        path = folder / f"{name}_roughness_metallic.png"
+        return Atlas(base_color, roughness_metallic=write_png(values, path, True))
+    grey = [
+        write_png(np.repeat(maps[..., 3 + index, None], 3, axis=2), folder / f"{name}_{label}.png", True)
+        for index, label in enumerate(("roughness", "metallic"))
+    ]
+    return Atlas(base_color, roughness=grey[0], metallic=grey[1])
+
+
+def _triangles(objects: list[bpy.types.Object], name: str, keys: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """(T, 3, 2) UVs and (T,) indices into `keys` of all triangles on an atlas image."""
+    uvs, parts = [np.zeros((0, 3, 2))], [np.zeros(0, np.int64)]
+    for item in objects:
+        mesh = item.data
+        of_slot = np.array(
+            [
+                keys.index(material[PART]) if material is not None and material.get(MATERIAL) == name else -1
+                for material in mesh.materials
+            ]
+            or [-1]
+        )
+        loops, polygons = triangle_loops(mesh, False)
+        part = of_slot[np.minimum(polygon_slots(mesh), len(of_slot) - 1)][polygons]
+        layer = np.empty(len(mesh.loops) * 2, np.float32)
+        mesh.uv_layers[UV_LAYER].uv.foreach_get("vector", layer)
+        uvs.append(layer.reshape(-1, 2)[loops[part >= 0]])
+        parts.append(part[part >= 0])
+    return np.concatenate(uvs), np.concatenate(parts)
+
+
+def plain_material(material: bpy.types.Material, atlas: Atlas) -> bpy.types.Material:
+    """A new Principled material of a part with the exported textures."""
+    made = bpy.data.materials.new(material.get(PART_NAME, "") or material.name)
+    principled = _principled(made)
+    tree = node_tree(made)
+    uv = tree.nodes.new("ShaderNodeUVMap")
+    uv.uv_map = UV_LAYER
+
+    def texture(image: bpy.types.Image) -> bpy.types.NodeSocket:
+        node = tree.nodes.new("ShaderNodeTexImage")
+        node.image, node.extension = image, "EXTEND"
+        tree.links.new(uv.outputs["UV"], node.inputs["Vector"])
+        return node.outputs["Color"]
+
+    tree.links.new(texture(atlas.base_color), principled.inputs["Base Color"])
+    if atlas.roughness_metallic is not None:
+        parts = tree.nodes.new("ShaderNodeSeparateColor")
+        tree.links.new(texture(atlas.roughness_metallic), parts.inputs["Color"])
+        tree.links.new(parts.outputs["Green"], principled.inputs["Roughness"])
+        tree.links.new(parts.outputs["Blue"], principled.inputs["Metallic"])
+    else:
+        tree.links.new(texture(atlas.roughness), principled.inputs["Roughness"])
+        tree.links.new(texture(atlas.metallic), principled.inputs["Metallic"])
+    return made
+
+
+def glowing_material(
+    name: str, radiance: tuple[float, ...], base_color: tuple[float, ...], one_sided: bool
+) -> bpy.types.Material:
+    """A new Principled material that emits a radiance (rgb, W/(m² sr)).
+
+    Args:
+        name: of the material.
+        radiance: rgb.
+        base_color: of the rough surface; black reflects nothing.
+        one_sided: only its front is drawn, where the other program heeds that.
+    """
+    made = bpy.data.materials.new(name)
+    principled = _principled(made)
+    strength = max(radiance)
+    color = [value / strength for value in radiance] if strength > 0.0 else [0.0, 0.0, 0.0]
+    for socket, value in (
+        ("Base Color", (*base_color, 1.0)),
+        ("Roughness", 1.0),
+        ("Specular IOR Level", SPECULAR_LEVEL if max(base_color) > 0.0 else 0.0),
+        ("Emission Color", (*color, 1.0)),
+        ("Emission Strength", strength),
+    ):
+        principled.inputs[socket].default_value = value
+    made.use_backface_culling = one_sided
+    return made
+
+
+def lamp_material(material: bpy.types.Material) -> tuple[bpy.types.Material, bool]:
+    """A new material of a fixture's material, and whether its two sides emit differently."""
+    front, back, base_color = side_radiance(material)
+    brighter = max((front, back), key=max)
+    one_sided = max(back) <= 0.0 < max(front)
+    made = glowing_material(material.name, brighter, base_color, one_sided)
+    return made, not np.allclose(front, back, rtol=1e-3)
+
+
+def _principled(material: bpy.types.Material) -> bpy.types.Node:
+    nodes = node_tree(material).nodes
+    nodes.clear()
+    principled, output = nodes.new("ShaderNodeBsdfPrincipled"), nodes.new("ShaderNodeOutputMaterial")
+    node_tree(material).links.new(principled.outputs["BSDF"], output.inputs["Surface"])
+    return principled
+
+
+def has_maps(material: bpy.types.Material | None) -> bool:
+    """Whether a material is an estimated one with images."""
+    if material is None or MATERIAL not in material:
+        return False
+    node = node_tree(material).nodes.get(MAP.format("Base Color"))
+    return node is not None and node.bl_idname == "ShaderNodeTexImage"

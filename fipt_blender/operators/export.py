@@ -1,0 +1,75 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Export of the estimated room as glTF or USD."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from ..core.run.errors import FiptError
+from .polls import has_results, in_object_mode
+from .reporting import reports_errors
+
+FORMATS = (
+    (".glb", "glTF Binary", "One file with textures"),
+    (".gltf", "glTF", "A .gltf file with its textures beside it"),
+    (".usdc", "USD", "A .usdc file with its textures beside it"),
+    (".usdz", "USDZ", "One file with textures"),
+)
+
+
+class FIPT_OT_export_room(bpy.types.Operator):
+    """Export the estimated room with its lights as glTF or USD"""
+
+    bl_idname = "fipt.export_room"
+    bl_label = "Export Room"
+    bl_description = (
+        "Export the estimated room and its lights as glTF or USD, in a form that other programs understand:"
+        " plain materials with your adjustments in their textures, and surfaces that emit light"
+    )
+    bl_options = {"REGISTER"}
+
+    filepath: bpy.props.StringProperty(name="File", description="The file to write", subtype="FILE_PATH")
+    filter_glob: bpy.props.StringProperty(
+        default="*.glb;*.gltf;*.usd;*.usda;*.usdc;*.usdz", options={"HIDDEN"}
+    )
+    file_format: bpy.props.EnumProperty(
+        name="Format", description="Format of a file whose name has none", items=FORMATS, default=".glb"
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not has_results(cls, context) or not in_object_mode(cls, context):
+            return False
+        if context.scene.fipt.materials.shown != "ESTIMATED":
+            cls.poll_message_set("Choose Estimated as Show first")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if not self.filepath:
+            blend = bpy.data.filepath
+            self.filepath = str(Path(blend).with_suffix("")) if blend else iface_("room")
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.export.exporting import SUFFIXES, export_room
+
+        if not self.filepath:
+            raise FiptError("export-file", "No file is chosen.", "Choose the file to write.")
+        path = Path(bpy.path.abspath(self.filepath))
+        if path.suffix.lower() not in SUFFIXES:
+            path = path.with_name(path.name + self.file_format)
+        exported = export_room(context.scene, path)
+        for warning in exported.warnings:
+            self.report({"WARNING"}, f"{warning['text']} {warning['remedy']}")
+        self.report({"INFO"}, iface_("{} objects written to {}").format(exported.objects, path.name))
+        return {"FINISHED"}
+
+
+CLASSES = (FIPT_OT_export_room,)

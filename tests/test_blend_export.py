@@ -1,0 +1,225 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Export as glTF and USD: what the files hold, opened again in an empty Blender, what stays unchanged."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+import subprocess
+
+import bpy
+import numpy as np
+import pytest
+
+from fipt_blender import cli
+from fipt_blender.blend.export.exporting import export_room
+from fipt_blender.blend.export.textures import texel_parts
+from fipt_blender.core.run.errors import FiptError
+from samples.applied_rooms import RADIANCE, ConstantFields, fingerprint, make_scene, use_fake_engine
+
+ops = bpy.ops.fipt
+
+
+pytestmark = pytest.mark.usefixtures("registered")
+VALIDATE = """
+const validator = require('gltf-validator');
+const bytes = new Uint8Array(require('fs').readFileSync(process.argv[1]));
+validator.validateBytes(bytes).then(report => console.log(JSON.stringify(report.issues)));
+"""
+
+
+@pytest.fixture
+def scene(tmp_path, monkeypatch):
+    use_fake_engine(monkeypatch)
+    scene = make_scene(tmp_path / "run")
+    assert ops.apply_results("EXEC_DEFAULT") == {"FINISHED"}
+    return scene
+
+
+def gltf_json(path):
+    """The JSON chunk of a .glb file (glTF 2.0, chapter 4)."""
+    content = path.read_bytes()
+    magic, version, length = struct.unpack("<4sII", content[:12])
+    size, kind = struct.unpack("<I4s", content[12:20])
+    assert (magic, version, length, kind) == (b"glTF", 2, len(content), b"JSON")
+    return json.loads(content[20 : 20 + size])
+
+
+def encoded(linear):
+    linear = np.asarray(linear)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
+
+
+def pixels(image):
+    values = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(values)
+    return values.reshape(-1, 4)[:, :3]
+
+
+def opened(path):
+    """The objects and materials of an exported file in an empty Blender."""
+    bpy.ops.wm.read_homefile(use_empty=True)
+    if path.suffix == ".glb":
+        bpy.ops.import_scene.gltf(filepath=str(path))
+    else:
+        bpy.ops.wm.usd_import(filepath=str(path))
+    return bpy.data.objects, bpy.data.materials
+
+
+def principled(material):
+    return next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
+
+
+def texture_behind(socket):
+    """The image that feeds an input, through other nodes."""
+    node = socket.links[0].from_node
+    while node.bl_idname != "ShaderNodeTexImage":
+        node = node.inputs[0].links[0].from_node
+    return node.image
+
+
+def test_gltf_has_textures_emission_and_names_and_is_valid(scene, tmp_path):
+    before = fingerprint(scene)
+    exported = export_room(scene, tmp_path / "out" / "room.glb")
+    assert exported.objects == 3
+    assert [warning["code"] for warning in exported.warnings] == ["export-two-sided", "export-environment"]
+    assert fingerprint(scene) == before and len(bpy.data.scenes) == 1
+    document = gltf_json(exported.path)
+    assert {node["name"] for node in document["nodes"]} == {"panel", "cube", "Panel"}
+    surfaces = [material for material in document["materials"] if "emissiveFactor" not in material]
+    assert [material["name"].split(".")[0] for material in surfaces] == ["Panel", "Cube"]
+    for material in surfaces:
+        values = material["pbrMetallicRoughness"]
+        assert values["baseColorTexture"]["index"] != values["metallicRoughnessTexture"]["index"]
+    (lamp,) = (material for material in document["materials"] if "emissiveFactor" in material)
+    strength = lamp["extensions"]["KHR_materials_emissive_strength"]["emissiveStrength"]
+    assert np.allclose(strength * np.array(lamp["emissiveFactor"]), RADIANCE, rtol=1e-4)
+    assert len(document["images"]) == 2
+    accessors = {
+        key for mesh in document["meshes"] for each in mesh["primitives"] for key in each["attributes"]
+    }
+    assert "TEXCOORD_0" in accessors and "TEXCOORD_1" not in accessors
+
+
+def test_the_khronos_validator_finds_no_errors(scene, tmp_path):
+    if shutil.which("node") is None:
+        pytest.skip("needs node")
+    if subprocess.run(["node", "-e", "require('gltf-validator')"], capture_output=True).returncode:
+        pytest.skip("needs the package gltf-validator, found by NODE_PATH")
+    path = export_room(scene, tmp_path / "room.glb").path
+    result = subprocess.run(["node", "-e", VALIDATE, str(path)], capture_output=True, text=True, check=True)
+    issues = json.loads(result.stdout)
+    assert issues["numErrors"] == 0, issues
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".usdc"])
+def test_an_empty_blender_shows_the_estimate_with_its_adjustments(scene, tmp_path, suffix):
+    part = scene.fipt.materials.parts["Cube"]
+    part.value, part.roughness_offset = 0.5, 0.2
+    export_room(scene, tmp_path / f"room{suffix}")
+    objects, _ = opened(tmp_path / f"room{suffix}")
+    cube = objects["cube"].data
+    assert len(cube.uv_layers) == 1
+    material = cube.materials[0]
+    shader = principled(material)
+    color, rough, metal = (
+        texture_behind(shader.inputs[name]) for name in ("Base Color", "Roughness", "Metallic")
+    )
+    channels = (1, 2) if suffix == ".glb" else (0, 0)
+    wanted = np.array(ConstantFields.base_color)
+    uv = np.empty(len(cube.loops) * 2, np.float32)
+    cube.uv_layers[0].uv.foreach_get("vector", uv)
+    middle = uv.reshape(-1, 2)[list(cube.polygons[0].loop_indices)].mean(axis=0)
+
+    def at(image, place):
+        width, height = image.size
+        return pixels(image)[int(place[1] * height) * width + int(place[0] * width)]
+
+    assert np.allclose(at(color, middle), encoded(0.5 * wanted), atol=0.004)
+    assert at(rough, middle)[channels[0]] == pytest.approx(ConstantFields.roughness + 0.2, abs=0.004)
+    assert at(metal, middle)[channels[1]] == pytest.approx(ConstantFields.metallic, abs=0.004)
+    # USD's names may not differ by case alone.
+    named = {item.name.removesuffix("_001"): item for item in objects}
+    panel = named["panel"].data
+    panel_uv = np.empty(len(panel.loops) * 2, np.float32)
+    panel.uv_layers[0].uv.foreach_get("vector", panel_uv)
+    other = panel_uv.reshape(-1, 2)[list(panel.polygons[0].loop_indices)].mean(axis=0)
+    assert np.allclose(at(color, other), encoded(wanted), atol=0.004)
+    lamp = principled(named["Panel"].data.materials[0])
+    emitted = np.array(lamp.inputs["Emission Color"].default_value[:3])
+    assert np.allclose(emitted * lamp.inputs["Emission Strength"].default_value, RADIANCE, rtol=1e-3)
+    # The world axes are Blender's again.
+    corners = [named["panel"].matrix_world @ vertex.co for vertex in panel.vertices]
+    assert max(abs(corner.z) for corner in corners) < 1e-5 and max(corner.x for corner in corners) > 4.0
+
+
+def test_area_lights_of_gltf_are_surfaces_of_the_same_radiance(scene, tmp_path):
+    light = bpy.data.lights.new("Softbox", "AREA")
+    light.shape, light.size, light.size_y, light.energy = "RECTANGLE", 2.0, 0.5, 10.0
+    light.color = (1.0, 0.5, 0.25)
+    item = bpy.data.objects.new("Softbox", light)
+    item.location = (0.0, 0.0, 2.0)
+    scene.collection.objects.link(item)
+    bpy.context.view_layer.update()
+    before = fingerprint(scene)
+    export_room(scene, tmp_path / "room.glb")
+    assert fingerprint(scene) == before
+    objects, _ = opened(tmp_path / "room.glb")
+    shader = principled(objects["Softbox"].data.materials[0])
+    emitted = np.array(shader.inputs["Emission Color"].default_value[:3])
+    emitted *= shader.inputs["Emission Strength"].default_value
+    assert np.allclose(emitted, 10.0 / (np.pi * 1.0) * np.array([1.0, 0.5, 0.25]), rtol=1e-3)
+    normal = objects["Softbox"].matrix_world.to_3x3() @ objects["Softbox"].data.polygons[0].normal
+    assert normal.z < -0.99 and objects["Softbox"].matrix_world.translation.z == pytest.approx(2.0)
+
+
+def test_texels_belong_to_the_nearest_part():
+    left = [[0.0, 0.0], [0.5, 0.0], [0.5, 1.0]], [[0.0, 0.0], [0.5, 1.0], [0.0, 1.0]]
+    right = [[0.5, 0.0], [0.75, 0.0], [0.75, 1.0]], [[0.5, 0.0], [0.75, 1.0], [0.5, 1.0]]
+    found = texel_parts(np.array([*left, *right]), np.array([0, 0, 1, 1]), (32, 16))
+    assert (found[:, :16] == 0).all() and (found[:, 16:24] == 1).all()
+    assert (found[:, 24:27] == 1).all() and (found[:, 29:] == -1).all()  # filters reach beyond the border
+
+
+def test_what_can_not_be_exported_is_refused_and_changes_nothing(scene, tmp_path):
+    before = fingerprint(scene)
+    with pytest.raises(FiptError) as error:
+        export_room(scene, tmp_path / "room.obj")
+    assert error.value.code == "export-format"
+    ops.show_map(shown="ORIGINAL")
+    with pytest.raises(FiptError) as error:
+        export_room(scene, tmp_path / "room.glb")
+    assert error.value.code == "export-nothing" and not ops.export_room.poll()
+    ops.show_map(shown="ESTIMATED")
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(FiptError) as error:
+        export_room(scene, tmp_path / "file" / "room.glb")
+    assert error.value.code == "run-unwritable"
+    assert fingerprint(scene) == before
+    scene.fipt.materials.atlas_mode = "color_attribute"
+    ops.apply_results()
+    with pytest.raises(FiptError) as error:
+        export_room(scene, tmp_path / "room.glb")
+    assert error.value.code == "export-attributes" and not (tmp_path / "room.glb").exists()
+
+
+def test_the_operator_adds_the_suffix(scene, tmp_path):
+    assert ops.export_room(filepath=str(tmp_path / "a.b"), file_format=".gltf") == {"FINISHED"}
+    assert (tmp_path / "a.b.gltf").is_file()
+    ops.revert()
+    assert not ops.export_room.poll()
+
+
+def test_the_command_line(scene, tmp_path, capfd):
+    blend = tmp_path / "kitchen.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+    assert cli.main(["export", str(blend), str(tmp_path / "kitchen.glb")]) == 0
+    output = capfd.readouterr()
+    assert "kitchen.glb" in output.out and gltf_json(tmp_path / "kitchen.glb")["materials"]
+    assert cli.main(["export", str(tmp_path / "none.blend"), str(tmp_path / "x.glb")]) == 1
+    assert "does not exist" in capfd.readouterr().err
+    blend.write_bytes(b"not a file of Blender")
+    assert cli.main(["export", str(blend), str(tmp_path / "x.glb")]) == 1
+    assert not (tmp_path / "x.glb").exists()
