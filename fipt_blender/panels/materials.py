@@ -73,7 +73,7 @@ class FIPT_UL_part_materials(Rows, bpy.types.UIList):
         row.label(text=item.name, translate=False)
 
 
-class FIPT_PT_part_materials(SubSection, bpy.types.Panel):
+class FIPT_PT_materials_parts(SubSection, bpy.types.Panel):
     """Adjust the estimated material of a part of the room"""
 
     bl_label = "Materials of Parts"
@@ -109,4 +109,4 @@ class FIPT_PT_part_materials(SubSection, bpy.types.Panel):
             column.prop(part, name, slider=True)
 
 
-CLASSES = (FIPT_PT_materials, FIPT_UL_part_materials, FIPT_PT_part_materials)
+CLASSES = (FIPT_PT_materials, FIPT_UL_part_materials, FIPT_PT_materials_parts)

@@ -26,7 +26,15 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
     ),
     "Parts": (("show_parts", ""),),
     "Estimate": (("estimate", ""), ("resume", "Resume Estimate"), ("cancel", "Cancel Job")),
-    "Materials": (("apply_results", ""), ("revert", "Revert Results")),
+    "Materials": (
+        ("apply_results", ""),
+        ("pick_part", "Pick Part of Room"),
+        ("select_part_faces", "Select Faces of Part"),
+        ("reset_part", "Reset Adjustment of Part"),
+        ("mark_part_assets", "Mark Material of Part as Asset"),
+        ("export_room", ""),
+        ("revert", "Revert Results"),
+    ),
     "Lights": (
         ("add_light", "Add Light to Room"),
         ("aim_light", ""),
