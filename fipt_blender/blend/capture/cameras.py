@@ -24,6 +24,8 @@ from ..marks import PIXEL_ASPECT, RESOLUTION, SPLIT, VIEW, view_cameras
 from ..outliner import CAMERAS, collection
 from .view_geometry import ViewGeometry
 
+_SIZE = 0.03  # display size of cameras, as a share of the extent of their positions
+
 
 def add_cameras(run: RunFolder, scene: bpy.types.Scene | None = None, photographs: bool = True) -> list[str]:
     """Add a camera for every view of the run's capture to the collection "FIPT Cameras".
@@ -43,9 +45,21 @@ def add_cameras(run: RunFolder, scene: bpy.types.Scene | None = None, photograph
         FiptError: ``file-missing`` or ``file-damaged``.
     """
     scene = scene or bpy.context.scene
-    return [
-        add_camera(scene, run, view, photographs).name for view in read_capture(run.capture_json)["views"]
-    ]
+    capture = read_capture(run.capture_json)
+    size = display_size(capture)
+    names = []
+    for view in capture["views"]:
+        item = add_camera(scene, run, view, photographs)
+        if item.name in collection(scene, CAMERAS).objects:  # not the artist's own
+            item.data.display_size = size
+        names.append(item.name)
+    return names
+
+
+def display_size(capture: dict[str, Any]) -> float:
+    """Display size of a capture's cameras in metres, small enough for cameras in a small room."""
+    positions = np.array([np.array(view["camera_to_world"])[:3, 3] for view in capture["views"]])
+    return float(np.clip(_SIZE * np.linalg.norm(np.ptp(positions, axis=0)), 1e-3, 1.0)) or 0.1
 
 
 def add_camera(

@@ -30,7 +30,6 @@ from . import cameras, mesh_import
 ALIGNMENT = "FIPT Alignment"
 # Types of objects with surfaces besides meshes.
 _SHAPES = ("CURVE", "SURFACE", "META", "FONT", "CURVES")
-_CAMERA_SIZE = 0.03  # display size of cameras, as a share of the extent of their positions
 
 
 def import_capture(run: RunFolder, path: str) -> Slices[list[Message]]:
@@ -49,7 +48,7 @@ def import_capture(run: RunFolder, path: str) -> Slices[list[Message]]:
     is_reimport = bpy.context.scene.fipt.capture.imported_path == path
     if not is_reimport:
         _remove_cameras(bpy.context.scene, {view["name"] for view in capture["views"]})
-    size = _camera_size(capture)
+    size = cameras.display_size(capture)
     for index, view in enumerate(capture["views"]):
         scene = bpy.context.scene
         item = cameras.add_camera(scene, run, view, parent=find_alignment(scene))
@@ -186,12 +185,6 @@ def _remove_cameras(scene: bpy.types.Scene, keep: set[str]) -> None:
     for item in list(collection(scene, CAMERAS).objects):
         if is_view(item) and item[VIEW] not in keep:
             remove_object(item)
-
-
-def _camera_size(capture: dict[str, Any]) -> float:
-    """Display size in metres, small enough for cameras in a small room."""
-    positions = np.array([np.array(view["camera_to_world"])[:3, 3] for view in capture["views"]])
-    return float(np.clip(_CAMERA_SIZE * np.linalg.norm(np.ptp(positions, axis=0)), 1e-3, 1.0)) or 0.1
 
 
 def _warning(code: str, text: str, remedy: str) -> Message:
