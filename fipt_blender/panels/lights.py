@@ -23,14 +23,14 @@ class FIPT_UL_lights(Rows, bpy.types.UIList):
     ) -> None:
         light = item.object
         layout.use_property_split = False
-        halves = layout.split(factor=0.6, align=True)
+        halves = layout.split(factor=0.68, align=True)
         row = halves.row(align=True)
         row.prop(item, "on", text="", icon="LIGHT" if item.on else "OUTLINER_DATA_LIGHT", emboss=False)
         row.prop(item, "solo", text="", icon="SOLO_ON" if item.solo else "SOLO_OFF", emboss=False)
         name = row.row(align=True)
         name.active = item.on
         name.prop(light, "name", text="", emboss=False)
-        values = halves.split(factor=0.3, align=True)
+        values = halves.split(factor=0.35, align=True)
         values.active = item.on
         values.prop(item, "color", text="")
         values.prop(item, "stops", text="")
@@ -141,6 +141,15 @@ class FIPT_UL_light_states(Rows, bpy.types.UIList):
         row.operator("fipt.recall_light_state", text="", icon="PLAY", emboss=False).state = item.name
 
 
+class FIPT_MT_save_light_state(bpy.types.Menu):
+    """Save a state that is made of the lights"""
+
+    bl_label = "Save Light State"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        self.layout.operator_enum("fipt.save_light_state", "kind")
+
+
 class FIPT_PT_light_states(SubSection, bpy.types.Panel):
     """Save and recall the state of all lights, and blend between two"""
 
@@ -154,8 +163,9 @@ class FIPT_PT_light_states(SubSection, bpy.types.Panel):
         row = layout.row()
         row.template_list("FIPT_UL_light_states", "", settings, "states", settings, "active_state", rows=3)
         column = row.column(align=True)
-        column.operator_menu_enum("fipt.save_light_state", "kind", text="", icon="ADD")
+        column.operator("fipt.save_light_state", text="", icon="ADD").kind = "PRESENT"
         column.operator("fipt.remove_light_state", text="", icon="REMOVE")
+        column.menu("FIPT_MT_save_light_state", text="", icon="DOWNARROW_HLT")
         column = layout.column(align=True)
         column.prop_search(settings, "blend_from", settings, "states")
         column.prop_search(settings, "blend_to", settings, "states")
@@ -221,6 +231,7 @@ class FIPT_PT_light_output(SubSection, bpy.types.Panel):
 CLASSES = (
     FIPT_UL_lights,
     FIPT_UL_light_states,
+    FIPT_MT_save_light_state,
     FIPT_PT_lights,
     FIPT_PT_light_states,
     FIPT_PT_environment,

@@ -230,12 +230,11 @@ def beam() -> dict[str, Any]:
 
 
 def engine() -> dict[str, Any]:
-    """The render engine, whether there is a light probe volume, and whether Blender bakes it."""
+    """The render engine, and whether there is a light probe volume."""
     scene = bpy.context.scene
     return {
         "engine": scene.render.engine,
         "volume": any(item.type == "LIGHT_PROBE" for item in scene.objects),
-        "baking": bpy.app.is_job_running("LIGHT_BAKE") if hasattr(bpy.app, "is_job_running") else False,
     }
 
 

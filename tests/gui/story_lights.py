@@ -30,13 +30,11 @@ def light_states(window: Window, options: Options) -> None:
     window.open_section("Lights", "Light States")
     window.shot("31_states_empty")
     window.click("fipt.save_light_state")
-    window.key("Home", "Return")
     window.wait("inside.states", until=lambda states: len(states["names"]) == 1)
     window.open_section("Lights")
     window.set_text("lights.lights[0].stops", "2")
     window.open_section("Lights", "Light States")
     window.click("fipt.save_light_state")
-    window.key("Home", "Down", "Down", "Return")
     states = window.wait("inside.states", until=lambda states: len(states["names"]) == 2)
     window.shot("31_states_saved")
     window.click("fipt.recall_light_state", state=states["names"][0])
@@ -114,8 +112,7 @@ def eevee(window: Window, options: Options) -> None:
     window.open_section("Lights", "Scene and Passes")
     window.click("fipt.prepare_eevee")
     window.wait("inside.engine", until=lambda now: "EEVEE" in now["engine"] and now["volume"])
-    window.wait("inside.engine", until=lambda now: not now["baking"], seconds=300.0, every=0.5)
-    window.settle()
+    window.settle(30.0)  # Blender shows the progress of the bake
     window.shot("35_eevee_set_up")
 
 

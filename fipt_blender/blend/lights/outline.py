@@ -14,7 +14,7 @@ import bpy
 
 from ..marks import FIXTURE_LIGHT
 
-_COLOR, _SHADE = (1.0, 0.65, 0.0, 1.0), (0.0, 0.0, 0.0, 0.6)
+_COLOR, _SHADE = (0.2, 0.9, 1.0, 1.0), (0.0, 0.0, 0.0, 0.6)
 _MAX_EDGES = 4000  # of a fixture's mesh; the box of a larger one is drawn
 _CIRCLE = 32
 _TAB = "FIPT"
