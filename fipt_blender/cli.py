@@ -91,6 +91,13 @@ def make_parser() -> argparse.ArgumentParser:
         default="auto",
         help="how surfaces of the same material are recognized (default: auto)",
     )
+    add("--hints", type=Path, metavar="FILE", help="what is known of surfaces (hints.json)")
+    add(
+        "--hints-again",
+        type=Path,
+        metavar="FILE",
+        help="with --resume: estimate materials again with these hints; the computed light is kept",
+    )
     add("--no-renders", action="store_true", help="do not render in Cycles")
     add("--cluster", metavar="ADDRESS", help="a Dask scheduler whose workers share the work on the views")
     add("--render-spp", type=int, default=64, metavar="N", help="Cycles samples per pixel (default: 64)")
@@ -191,6 +198,8 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
         resume=arguments.resume,
         engine_python=arguments.engine_python,
         cluster=arguments.cluster,
+        hints=arguments.hints,
+        hints_again=arguments.hints_again,
     )
 
 

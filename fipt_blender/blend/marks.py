@@ -72,6 +72,9 @@ SURFACE = "fipt_surface"  # what fed the output before a map was shown: node and
 TABLE = "fipt_table"  # on the node group that corrects Principled: digest of its table
 PICTURE = "fipt_picture"  # marks an image that we showed in an editor
 
+# --- hints ------------------------------------------------------------------------------------------------
+AREA = "fipt_area"  # on a hint's property group: centers of the area's triangles in the object's space
+
 # --- names of nodes that more than one module uses ---------------------------------------------------------
 OUTPUT = "FIPT Output"  # material output of our materials
 PRINCIPLED = "FIPT Principled"

@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING
 from ..bridge.process import Message
 from ..bridge.sequence import Job
 from ..bridge.step import Step
+from ..core.run.errors import FiptError
+from ..core.run.hints import Hint, hints_digest, read_hints, write_hints
 from ..core.run.method import method_digest
 from ..core.run.runfolder import PRODUCT_VERSION, RunFolder
 from ..core.run.settings import Settings
@@ -42,13 +44,15 @@ def make_main_job(options: MainJobOptions) -> Job:
 
     Raises:
         FiptError: ``capture-missing``, ``mesh-missing``, ``output-inside-capture``, ``engine-missing``,
-            ``run-busy`` or those of ``RunFolder.create``.
+            ``hints-missing``, ``hints-invalid``, ``run-busy`` or those of ``RunFolder.create``.
     """
     check_options(options)
     engine = find_launch(options.engine_python)
     run = RunFolder(options.output)
     refuse_busy(run)
+    hints, again = (_existing(path) for path in (options.hints, options.hints_again))
     run.create(options.settings)
+    _take_hints(run, hints, again, options.resume)
     return open_job(
         run,
         _steps(options, run),
@@ -95,11 +99,40 @@ def estimate_step(
         "estimate",
         "Estimating materials and lights",
         _ESTIMATE_SECONDS.get(settings.preset, 360.0),
-        inputs={**values, "method": method_digest()},
+        inputs={**values, "method": method_digest(), "hints": _hints_digests(run)},
         command=["estimate", str(run.root), *([] if cluster is None else [f"--cluster={cluster}"])],
         outputs=[run.fields_npz, run.emitters_json],
         reset=lambda: _empty(*([] if resume else [run.stage]), run.results),
     )
+
+
+def _existing(path: Path | None) -> list[Hint] | None:
+    """The hints of a file that the user names; None without one.
+
+    Raises:
+        FiptError: ``hints-missing``; those of `read_hints`.
+    """
+    if path is None:
+        return None
+    if not path.is_file():
+        raise FiptError("hints-missing", f"{path} does not exist.", "Name an existing file of hints.")
+    return read_hints(path)
+
+
+def _take_hints(run: RunFolder, hints: list[Hint] | None, again: list[Hint] | None, resume: bool) -> None:
+    """Write the hints into the run folder; a run that is not resumed has no others, a resumed one its own."""
+    if hints is not None or not resume:
+        run.hints_again_json.unlink(missing_ok=True)
+        run.hints_json.unlink(missing_ok=True)
+    for path, given in ((run.hints_json, hints), (run.hints_again_json, again)):
+        if given is not None:
+            write_hints(path, given)
+
+
+def _hints_digests(run: RunFolder) -> list[str | None]:
+    """What the run's files of hints hold, None for a file that is not there."""
+    paths = (run.hints_json, run.hints_again_json)
+    return [hints_digest(read_hints(path)) if path.exists() else None for path in paths]
 
 
 def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:

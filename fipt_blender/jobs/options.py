@@ -71,6 +71,9 @@ class MainJobOptions(CaptureOptions):
         engine_python: the engine's interpreter, or None to find it.
         cluster: address of a Dask scheduler whose workers share the work on the views; None for this machine
             alone. The results are the same.
+        hints: file of what is known of surfaces (hints.json), for the whole estimation; None: none or, with
+            `resume`, those of the run.
+        hints_again: the same for an estimate again, from the stages of a finished run.
     """
 
     capture: Path
@@ -83,6 +86,8 @@ class MainJobOptions(CaptureOptions):
     resume: bool = False
     engine_python: str | None = None
     cluster: str | None = None
+    hints: Path | None = None
+    hints_again: Path | None = None
 
 
 def ingest_arguments(options: CaptureOptions) -> list[str]:

@@ -39,6 +39,17 @@ class _Estimation(JobOperator):
         """Whether finished stages are kept where room, views and settings have not changed for them."""
         raise NotImplementedError
 
+    def keeps_hints(self) -> bool:
+        """Whether the hints that the run was started with are honoured, instead of the scene's."""
+        return False
+
+    @staticmethod
+    def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
+        """List what is in doubt."""
+        from .hints import show_doubts
+
+        show_doubts(scene, run)
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if not super().poll(context):
@@ -65,6 +76,10 @@ class _Estimation(JobOperator):
         run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
         run_job.refuse_busy(run)
         run.create(settings)
+        if not self.keeps_hints():
+            from ..blend.hints.exchange import write_for_run
+
+            write_for_run(scene, run)
         return run_job.open_job(
             run,
             make_steps(run, settings, self.keeps_stages()),
@@ -105,6 +120,9 @@ class FIPT_OT_resume(_Estimation, bpy.types.Operator):
     )
 
     def keeps_stages(self) -> bool:
+        return True
+
+    def keeps_hints(self) -> bool:
         return True
 
     @classmethod

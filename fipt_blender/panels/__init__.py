@@ -12,6 +12,8 @@ from . import (
     check,
     estimate,
     export_menu,
+    hint_pictures,
+    hints,
     insert,
     lights,
     materials,
@@ -29,6 +31,7 @@ _MODULES = (
     alignment,
     parts,
     estimate,
+    hints,
     materials,
     lights,
     insert,
@@ -57,3 +60,4 @@ def unregister() -> None:
     statusbar.unregister()
     _unregister()
     swatches.clear()
+    hint_pictures.clear()

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import bpy
 
-from . import alignment, capture, check, estimate, insert, lights, materials, parts, photographs
+from . import alignment, capture, check, estimate, hints, insert, lights, materials, parts, photographs
 
-_MODULES = (photographs, capture, alignment, parts, estimate, materials, lights, insert, check)
+_MODULES = (photographs, capture, alignment, parts, estimate, hints, materials, lights, insert, check)
 
 
 class FIPT_SceneSettings(bpy.types.PropertyGroup):
@@ -28,6 +28,7 @@ class FIPT_SceneSettings(bpy.types.PropertyGroup):
     alignment: bpy.props.PointerProperty(type=alignment.FIPT_AlignmentSettings)
     parts: bpy.props.PointerProperty(type=parts.FIPT_PartsSettings)
     estimate: bpy.props.PointerProperty(type=estimate.FIPT_EstimateSettings)
+    hints: bpy.props.PointerProperty(type=hints.FIPT_HintsSettings)
     materials: bpy.props.PointerProperty(type=materials.FIPT_MaterialsSettings)
     lights: bpy.props.PointerProperty(type=lights.FIPT_LightsSettings)
     insert: bpy.props.PointerProperty(type=insert.FIPT_InsertSettings)

@@ -1,0 +1,130 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where hints are: points on objects, which move with them, and areas of faces.
+
+An area keeps the centers of its triangles in a custom property of the hint, in the object's space, so that it
+survives the meshes that results bring.
+"""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from ...core.run.errors import FiptError
+from ...core.run.hints import MOST_POINTS
+from ..marks import AREA
+from ..room.mesh_arrays import transform_points
+
+_MAX_HITS = 64
+FACE_SETS = ".sculpt_face_set"
+
+
+def surface_on_ray(
+    scene: bpy.types.Scene,
+    depsgraph: bpy.types.Depsgraph,
+    origin: Vector,
+    direction: Vector,
+    skip_backs: bool = False,
+) -> tuple[bpy.types.Object, int, Vector] | None:
+    """Object, polygon and point in the world of the first mesh that a ray hits; None without one.
+
+    Args:
+        scene, depsgraph: the scene and its dependency graph.
+        origin, direction: of the ray, in the world.
+        skip_backs: whether the ray passes through surfaces that it hits from behind.
+    """
+    if direction.length == 0.0:
+        return None
+    nudge = 1e-5 * max(1.0, max(abs(value) for value in origin))
+    for _ in range(_MAX_HITS):
+        hit, point, normal, face, item, _ = scene.ray_cast(depsgraph, origin, direction)
+        if not hit:
+            return None
+        if item.type == "MESH" and face >= 0 and not (skip_backs and normal.dot(direction) > 0.0):
+            return item.original, face, point
+        origin = point + nudge * direction.normalized()
+    return None
+
+
+def surface_at_point(scene: bpy.types.Scene, point: Vector) -> tuple[bpy.types.Object, Vector] | None:
+    """The scene's mesh object nearest to a point in the world, and its nearest point; None without a mesh."""
+    best, least = None, np.inf
+    for item in scene.objects:
+        if item.type != "MESH" or not len(item.data.polygons) or item.mode != "OBJECT":
+            continue
+        inverse = item.matrix_world.inverted_safe()
+        found, near, _, _ = item.closest_point_on_mesh(inverse @ point)
+        distance = ((item.matrix_world @ near) - point).length if found else np.inf
+        if distance < least:
+            best, least = (item, item.matrix_world @ near), distance
+    return best
+
+
+def face_set_at(item: bpy.types.Object, face: int) -> np.ndarray:
+    """(P,) bool, the polygons of an object that are in the face set of one.
+
+    Raises:
+        FiptError: ``face-sets-missing``.
+    """
+    attribute = item.data.attributes.get(FACE_SETS)
+    if attribute is None or attribute.domain != "FACE" or face >= len(item.data.polygons):
+        raise FiptError(
+            "face-sets-missing",
+            f"'{item.name}' has no face sets.",
+            "Paint one in Sculpt Mode, or select faces in Edit Mode and use Hint on Selected Faces.",
+        )
+    values = np.empty(len(item.data.polygons), np.int32)
+    attribute.data.foreach_get("value", values)
+    result: np.ndarray = values == values[face]
+    return result
+
+
+def selected_faces(item: bpy.types.Object) -> np.ndarray:
+    """(P,) bool, the selected polygons of an object in Edit Mode.
+
+    Raises:
+        FiptError: ``faces-missing``.
+    """
+    item.update_from_editmode()
+    selected = np.empty(len(item.data.polygons), bool)
+    item.data.polygons.foreach_get("select", selected)
+    if not selected.any():
+        raise FiptError("faces-missing", "No face is selected.", "Select the faces of the area first.")
+    return selected
+
+
+def set_area(hint: bpy.types.PropertyGroup, item: bpy.types.Object, chosen: np.ndarray) -> None:
+    """Make a hint be about polygons of an object, (P,) bool.
+
+    Raises:
+        FiptError: ``area-large``.
+    """
+    mesh = item.data
+    mesh.calc_loop_triangles()
+    count = len(mesh.loop_triangles)
+    vertices, polygon = np.empty(3 * count, np.int32), np.empty(count, np.int32)
+    mesh.loop_triangles.foreach_get("vertices", vertices)
+    mesh.loop_triangles.foreach_get("polygon_index", polygon)
+    positions = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", positions)
+    corners = positions.reshape(-1, 3)[vertices.reshape(-1, 3)[chosen[polygon]]]
+    if len(corners) > MOST_POINTS:
+        text = f"The area has {len(corners)} triangles, more than {MOST_POINTS}."
+        raise FiptError("area-large", text, "Choose a smaller area.")
+    centers = corners.mean(axis=1)
+    hint.object, hint.area, hint.point = item, True, centers[0]
+    hint[AREA] = centers.astype(np.float64).ravel().tolist()
+
+
+def world_points(hint: bpy.types.PropertyGroup) -> np.ndarray:
+    """(N, 3) points of a hint in the world."""
+    stored = hint.get(AREA) if hint.area else None
+    points = np.array(hint.point if stored is None else stored, np.float64).reshape(-1, 3)
+    return transform_points(points, np.array(hint.object.matrix_world, np.float64))
+
+
+def in_scene(item: bpy.types.Object | None, scene: bpy.types.Scene) -> bool:
+    """Whether an object of a hint still exists in the scene."""
+    return item is not None and scene.objects.get(item.name) == item

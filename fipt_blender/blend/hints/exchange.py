@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Hints of the scene to hints.json, and the questions of doubts.json to the scene."""
+
+from __future__ import annotations
+
+import bpy
+from mathutils import Vector
+
+from ...core.run.documents import read_json
+from ...core.run.errors import FiptError
+from ...core.run.hints import MOST_HINTS, MOST_POINTS, Hint, write_hints
+from ...core.run.runfolder import RunFolder
+from ...core.run.shapes import DOUBTS
+from .anchors import in_scene, surface_at_point, world_points
+
+# What an answer to a question says: properties of the hint.
+GLOSSY, MATT = (0.0, 0.5), (0.5, 1.0)
+ANSWERS: dict[str, dict[str, str | float | bool]] = {
+    "METAL": {"material": "METAL"},
+    "DIELECTRIC": {"material": "DIELECTRIC"},
+    "GLOSSY": {"roughness_known": "RANGE", "roughness": GLOSSY[0], "roughness_most": GLOSSY[1]},
+    "MATT": {"roughness_known": "RANGE", "roughness": MATT[0], "roughness_most": MATT[1]},
+    "EMITS": {"emission": "EMITS"},
+    "NOT": {"emission": "NOT"},
+    "LEAVE": {"leave_alone": True},
+}
+
+
+def scene_hints(scene: bpy.types.Scene) -> list[Hint]:
+    """The scene's hints for the engine; those on removed objects are left out.
+
+    Raises:
+        FiptError: ``hints-many``.
+    """
+    hints = [_hint(row, scene) for row in scene.fipt.hints.hints if in_scene(row.object, scene)]
+    if len(hints) > MOST_HINTS or sum(len(hint.points) for hint in hints) > MOST_POINTS:
+        text = f"The scene has more than {MOST_HINTS} hints or areas of more than {MOST_POINTS} triangles."
+        raise FiptError("hints-many", text, "Use fewer hints or smaller areas.")
+    return hints
+
+
+def _hint(row: bpy.types.PropertyGroup, scene: bpy.types.Scene) -> Hint:
+    same = None
+    if in_scene(row.same_object, scene):
+        same = tuple(row.same_object.matrix_world @ Vector(row.same_point))
+    return Hint(
+        points=tuple(tuple(point) for point in world_points(row).tolist()),
+        name=row.name,
+        area=row.area,
+        material=row.material.lower(),
+        roughness=row.bounds(),
+        emits={"UNKNOWN": None, "EMITS": True, "NOT": False}[row.emission],
+        same_as=same,
+        leave_alone=row.leave_alone,
+    )
+
+
+def write_for_run(scene: bpy.types.Scene, run: RunFolder) -> None:
+    """Write the hints that a complete estimation honours.
+
+    Raises:
+        FiptError: ``hints-many``; the run folder's write errors.
+    """
+    hints = scene_hints(scene)
+    run.hints_again_json.unlink(missing_ok=True)
+    if hints:
+        write_hints(run.hints_json, hints)
+    else:
+        run.hints_json.unlink(missing_ok=True)
+
+
+def write_for_again(scene: bpy.types.Scene, run: RunFolder) -> None:
+    """Write the hints that a re-estimation honours instead of those of the run.
+
+    Raises:
+        FiptError: ``hints-many``; the run folder's write errors.
+    """
+    hints = scene_hints(scene)
+    if hints or run.hints_json.exists():
+        write_hints(run.hints_again_json, hints)
+    else:
+        run.hints_again_json.unlink(missing_ok=True)
+
+
+def read_doubts(scene: bpy.types.Scene, run: RunFolder) -> int:
+    """List the questions of a run in the scene; returns their number, 0 where the run has none.
+
+    Raises:
+        FiptError: ``file-damaged``.
+    """
+    settings = scene.fipt.hints
+    entries = []
+    if run.doubts_json.exists():
+        entries = read_json(run.doubts_json, DOUBTS, "Run the estimation again.")["doubts"]
+    settings.doubts.clear()
+    for entry in entries:
+        row = settings.doubts.add()
+        row.name, row.text, row.view = entry["name"], entry["text"], entry["view"]
+        row.question, row.point = entry["question"].upper(), entry["point"]
+        row.picture = str(run.doubts / entry["picture"])
+    settings.active_doubt = min(settings.active_doubt, max(len(settings.doubts) - 1, 0))
+    return len(settings.doubts)
+
+
+def answer_doubt(scene: bpy.types.Scene, index: int, answer: str) -> None:
+    """Make a hint of the answer to a question, one of ANSWERS.
+
+    Raises:
+        FiptError: ``surface-missing``.
+    """
+    settings = scene.fipt.hints
+    doubt = settings.doubts[index]
+    surface = surface_at_point(scene, Vector(doubt.point))
+    if surface is None:
+        raise FiptError("surface-missing", "The scene has no mesh.", "Import the room first.")
+    hint = add_hint(scene, doubt.name, *surface)
+    for name, value in ANSWERS[answer].items():
+        setattr(hint, name, value)
+    doubt.answered = True
+
+
+def add_hint(
+    scene: bpy.types.Scene, name: str, item: bpy.types.Object, point: Vector
+) -> bpy.types.PropertyGroup:
+    """A new hint, the active one, on an object at a point in the world."""
+    settings = scene.fipt.hints
+    hint = settings.hints.add()
+    settings.active_hint = len(settings.hints) - 1
+    hint.name, hint.object = name, item
+    hint.point = item.matrix_world.inverted_safe() @ point
+    return hint

@@ -1,0 +1,336 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators of the panel Hints: say what is known of parts and areas, and estimate again with it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+from mathutils import Vector
+
+from ..core.run.runfolder import RunFolder
+from ..jobs import runstate
+from .job_operator import JobOperator
+from .pointer import NAVIGATION, ray_under_pointer
+from .polls import has_run
+from .reporting import reports_errors
+
+if TYPE_CHECKING:
+    from ..bridge.sequence import Job
+
+_PASSED_ON = (*NAVIGATION, "MOUSEMOVE", "WHEELUPMOUSE", "WHEELDOWNMOUSE")
+
+
+class _PicksSurface:
+    """Mix-in of an operator that does something where the user clicks, or at the ray that a script gives."""
+
+    pick_text = ""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.mode not in ("OBJECT", "SCULPT"):
+            cls.poll_message_set("Switch to Object Mode first")  # type: ignore[attr-defined]
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        context.window.cursor_modal_set("EYEDROPPER")
+        context.workspace.status_text_set(iface_(self.pick_text))
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if event.type in ("ESC", "RIGHTMOUSE") and event.value == "PRESS":
+            self.cancel(context)
+            return {"CANCELLED"}
+        if event.type != "LEFTMOUSE" or event.value != "PRESS":
+            return {"PASS_THROUGH"} if event.type in _PASSED_ON else {"RUNNING_MODAL"}
+        ray = ray_under_pointer(context, event)
+        if ray is None:  # a click on another part of the window
+            return {"PASS_THROUGH"}
+        self.origin, self.direction, self.skip_backs = ray
+        self.cancel(context)
+        return self.execute(context)
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Blender calls this too, when the window closes or another file is loaded."""
+        context.workspace.status_text_set(None)
+        if context.window is not None:
+            context.window.cursor_modal_restore()
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.hints.anchors import surface_on_ray
+
+        ray = Vector(self.origin), Vector(self.direction), self.skip_backs
+        found = surface_on_ray(context.scene, context.evaluated_depsgraph_get(), *ray)
+        if found is None:
+            self.report({"WARNING"}, "There is no surface there")  # type: ignore[attr-defined]
+            return {"CANCELLED"}
+        self.use(context, *found)
+        if context.area is not None:
+            context.area.tag_redraw()
+        return {"FINISHED"}
+
+    def use(self, context: bpy.types.Context, item: bpy.types.Object, face: int, point: Vector) -> None:
+        """Do it at a point of a polygon of an object."""
+        raise NotImplementedError
+
+
+def _ray(name: str, default: tuple[float, float, float]) -> object:
+    return bpy.props.FloatVectorProperty(
+        name=name, description=f"{name} of the ray, for scripts", default=default, options={"SKIP_SAVE"}
+    )
+
+
+class FIPT_OT_add_hint(_PicksSurface, bpy.types.Operator):
+    """Click on a part of the room to say what it is made of"""
+
+    bl_idname = "fipt.add_hint"
+    bl_label = "Add Hint"
+    bl_description = "Click on a part of the room, or on a face set, to say what it is made of"
+    bl_options = {"REGISTER", "UNDO"}
+    pick_text = "Click: Choose the Part   Esc, Right Click: Cancel"
+
+    what: bpy.props.EnumProperty(
+        name="About",
+        description="What the hint is about",
+        items=[
+            ("PART", "Part", "The part of the room that you click", "EYEDROPPER", 0),
+            (
+                "FACE_SET",
+                "Face Set",
+                "The painted face set that you click, as a part of its own",
+                "FACE_MAPS",
+                1,
+            ),
+        ],
+        options={"SKIP_SAVE"},
+    )
+    origin: _ray("Origin", (0.0, 0.0, 0.0))
+    direction: _ray("Direction", (0.0, 0.0, -1.0))
+    skip_backs: bpy.props.BoolProperty(
+        name="Skip Backs",
+        description="Look through surfaces that are seen from behind",
+        options={"SKIP_SAVE"},
+    )
+
+    def use(self, context: bpy.types.Context, item: bpy.types.Object, face: int, point: Vector) -> None:
+        from ..blend.hints.anchors import face_set_at, set_area
+        from ..blend.hints.exchange import add_hint
+
+        chosen = face_set_at(item, face) if self.what == "FACE_SET" else None
+        hint = add_hint(context.scene, item.name, item, point)
+        if chosen is not None:
+            set_area(hint, item, chosen)
+
+
+class FIPT_OT_add_area_hint(bpy.types.Operator):
+    """Say what the selected faces are made of; they become a part of their own"""
+
+    bl_idname = "fipt.add_area_hint"
+    bl_label = "Hint on Selected Faces"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.mode != "EDIT_MESH":
+            cls.poll_message_set("Select the faces of the area in Edit Mode first")
+            return False
+        return True
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.hints.anchors import selected_faces, set_area
+        from ..blend.hints.exchange import add_hint
+
+        item = context.edit_object
+        chosen = selected_faces(item)
+        set_area(
+            add_hint(context.scene, f"{item.name} Area", item, item.matrix_world.translation), item, chosen
+        )
+        return {"FINISHED"}
+
+
+class FIPT_OT_pick_same_material(_PicksSurface, bpy.types.Operator):
+    """Click on a part that is of the same material as the active hint's"""
+
+    bl_idname = "fipt.pick_same_material"
+    bl_label = "Same Material As"
+    bl_options = {"REGISTER", "UNDO"}
+    pick_text = "Click: Choose the Part of the Same Material   Esc, Right Click: Cancel"
+
+    origin: _ray("Origin", (0.0, 0.0, 0.0))
+    direction: _ray("Direction", (0.0, 0.0, -1.0))
+    skip_backs: bpy.props.BoolProperty(
+        name="Skip Backs",
+        description="Look through surfaces that are seen from behind",
+        options={"SKIP_SAVE"},
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _has_hint(cls, context) and super().poll(context)
+
+    def use(self, context: bpy.types.Context, item: bpy.types.Object, face: int, point: Vector) -> None:
+        hint = context.scene.fipt.hints.hint()
+        hint.same_object, hint.same_point = item, item.matrix_world.inverted_safe() @ point
+
+
+class FIPT_OT_remove_hint(bpy.types.Operator):
+    """Remove this hint, or all of them"""
+
+    bl_idname = "fipt.remove_hint"
+    bl_label = "Remove Hint"
+    bl_options = {"REGISTER", "UNDO"}
+
+    index: bpy.props.IntProperty(name="Index", description="Of the hint; -1 for the active one", default=-1)
+    every: bpy.props.BoolProperty(name="All", description="Remove all hints", options={"SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _has_hint(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        settings = context.scene.fipt.hints
+        if self.every:
+            settings.hints.clear()
+        else:
+            index = settings.active_hint if self.index < 0 else self.index
+            if index >= len(settings.hints):
+                return {"CANCELLED"}
+            settings.hints.remove(index)
+        settings.active_hint = max(min(settings.active_hint, len(settings.hints) - 1), 0)
+        return {"FINISHED"}
+
+
+class FIPT_OT_read_doubts(bpy.types.Operator):
+    """List the parts of the last estimate of which a hint would help most"""
+
+    bl_idname = "fipt.read_doubts"
+    bl_label = "Find Doubtful Parts"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return has_run(cls, context)
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        count = show_doubts(context.scene, RunFolder(bpy.path.abspath(context.scene.fipt.run_folder)))
+        self.report({"INFO"}, iface_("{} questions").format(count))
+        return {"FINISHED"}
+
+
+class FIPT_OT_answer_doubt(bpy.types.Operator):
+    """Answer the question: makes a hint of it"""
+
+    bl_idname = "fipt.answer_doubt"
+    bl_label = "Answer"
+    bl_options = {"REGISTER", "UNDO"}
+
+    index: bpy.props.IntProperty(
+        name="Index", description="Of the question; -1 for the active one", default=-1
+    )
+    answer: bpy.props.EnumProperty(
+        name="Answer",
+        description="What the part is",
+        items=[
+            ("METAL", "Metal", "It is bare metal"),
+            ("DIELECTRIC", "No Metal", "It is paint, plastic, wood, cloth, stone or ceramics"),
+            ("GLOSSY", "Glossy", "It mirrors its surroundings at least dimly: roughness up to 0.5"),
+            ("MATT", "Matt", "It shows no more than a wide sheen: roughness 0.5 or more"),
+            ("EMITS", "Lamp", "It emits light"),
+            ("NOT", "No Lamp", "It only reflects light"),
+            ("LEAVE", "Leave Alone", "Do not estimate it; it keeps its own material"),
+        ],
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.scene.fipt.hints.doubt() is None:
+            cls.poll_message_set("Use Find Doubtful Parts first")
+            return False
+        return True
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.hints.exchange import answer_doubt
+
+        settings = context.scene.fipt.hints
+        index = settings.active_doubt if self.index < 0 else self.index
+        if index >= len(settings.doubts):
+            return {"CANCELLED"}
+        answer_doubt(context.scene, index, self.answer)
+        return {"FINISHED"}
+
+
+class FIPT_OT_reestimate(JobOperator, bpy.types.Operator):
+    """Estimate the materials again with the hints, from the pixels and the light of the last estimate"""
+
+    bl_idname = "fipt.reestimate"
+    bl_label = "Re-estimate with Hints"
+    bl_description = (
+        "Estimate the materials again with the hints. The light that the last estimate has computed is kept,"
+        " so that it takes about a minute. Estimate uses the hints from its beginning"
+    )
+    title = "Re-estimate with Hints"
+    kind = "estimate"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not super().poll(context) or not has_run(cls, context):
+            return False
+        if not runstate.known(context.scene.fipt.run_folder).finished:
+            cls.poll_message_set("Finish an estimate first")
+            return False
+        return True
+
+    def make_job(self, context: bpy.types.Context) -> Job:
+        from ..blend.hints.exchange import write_for_again
+        from ..jobs.main_job import estimate_step
+        from ..jobs.run_job import find_launch, open_job, refuse_busy
+
+        run = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
+        launch = find_launch()
+        refuse_busy(run)
+        settings = run.read()
+        write_for_again(context.scene, run)
+        return open_job(run, [estimate_step(run, settings, resume=True)], resume=False, launch=launch)
+
+    @staticmethod
+    def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
+        """List what is still in doubt."""
+        show_doubts(scene, run)
+
+
+def show_doubts(scene: bpy.types.Scene, run: RunFolder) -> int:
+    """List a run's questions and load their pictures; returns their number."""
+    from pathlib import Path
+
+    from ..blend.hints.exchange import read_doubts
+    from ..panels import hint_pictures
+
+    count = read_doubts(scene, run)
+    hint_pictures.load([Path(doubt.picture) for doubt in scene.fipt.hints.doubts])
+    return count
+
+
+def _has_hint(cls: type, context: bpy.types.Context) -> bool:
+    if context.scene.fipt.hints.hint() is None:
+        cls.poll_message_set("Add a hint first")  # type: ignore[attr-defined]
+        return False
+    return True
+
+
+CLASSES = (
+    FIPT_OT_add_hint,
+    FIPT_OT_add_area_hint,
+    FIPT_OT_pick_same_material,
+    FIPT_OT_remove_hint,
+    FIPT_OT_read_doubts,
+    FIPT_OT_answer_doubt,
+    FIPT_OT_reestimate,
+)

@@ -1,0 +1,141 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panel Hints of the section Estimate: questions of the engine, and what the artist knows."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from ..jobs import running
+from . import hint_pictures
+from .sidebar import Rows, SubSection, draw_text
+
+_ANSWERS = {"METAL": ("METAL", "DIELECTRIC"), "GLOSS": ("GLOSSY", "MATT"), "LAMP": ("EMITS", "NOT")}
+
+
+class FIPT_UL_doubts(Rows, bpy.types.UIList):
+    """The engine's questions, the most useful one first"""
+
+    def draw_row(
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        item: bpy.types.PropertyGroup,
+        index: int,
+    ) -> None:
+        row = layout.row(align=True)
+        row.label(text=item.name, icon="CHECKMARK" if item.answered else "QUESTION", translate=False)
+        row.label(text=item.text)
+
+
+class FIPT_UL_hints(Rows, bpy.types.UIList):
+    """What the artist knows of parts and areas"""
+
+    def draw_row(
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        item: bpy.types.PropertyGroup,
+        index: int,
+    ) -> None:
+        row = layout.row(align=True)
+        missing = item.object is None or item.object.name not in context.scene.objects
+        kind = "FACE_MAPS" if item.area else "MATERIAL"
+        row.prop(item, "name", text="", emboss=False, icon="CANCEL" if missing else kind)
+        row.label(text=hint_text(item), translate=False)
+        row.operator("fipt.remove_hint", text="", icon="X", emboss=False).index = index
+
+
+class FIPT_PT_estimate_hints(SubSection, bpy.types.Panel):
+    """Say what you know of materials and lamps, and estimate again with it"""
+
+    bl_label = "Hints"
+    bl_parent_id = "FIPT_PT_estimate"
+    bl_order = 1
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        settings = context.scene.fipt.hints
+        column = layout.column()
+        column.enabled = running.current() is None
+        column.operator("fipt.read_doubts", icon="QUESTION")
+        if len(settings.doubts):
+            column.template_list("FIPT_UL_doubts", "", settings, "doubts", settings, "active_doubt", rows=4)
+            doubt = settings.doubt()
+            if doubt is not None:
+                _draw_doubt(column, doubt)
+        column.separator()
+        row = column.row(align=True)
+        if context.mode == "EDIT_MESH":
+            row.operator("fipt.add_area_hint", icon="FACESEL")
+        else:
+            row.operator("fipt.add_hint", text="Hint on Part", icon="EYEDROPPER").what = "PART"
+            row.operator("fipt.add_hint", text="Hint on Face Set", icon="FACE_MAPS").what = "FACE_SET"
+        if len(settings.hints):
+            column.template_list("FIPT_UL_hints", "", settings, "hints", settings, "active_hint", rows=3)
+            hint = settings.hint()
+            if hint is not None:
+                _draw_hint(column, context, hint)
+        column = layout.column()
+        column.scale_y = 1.2
+        column.operator("fipt.reestimate", icon="FILE_REFRESH")
+
+
+def _draw_doubt(layout: bpy.types.UILayout, doubt: bpy.types.PropertyGroup) -> None:
+    """The picture of a part, the question, and a button for each answer."""
+    box = layout.box()
+    icon = hint_pictures.icon(doubt.picture)
+    if icon:
+        box.template_icon(icon_value=icon, scale=7.0)
+    row = box.row()
+    row.label(text=doubt.text)
+    row.operator("fipt.look_through", text="", icon="OUTLINER_OB_CAMERA").view = doubt.view
+    row = box.row(align=True)
+    answers = bpy.types.Operator.bl_rna_get_subclass_py("FIPT_OT_answer_doubt").bl_rna.properties["answer"]
+    for answer in (*_ANSWERS[doubt.question], "LEAVE"):
+        name = answers.enum_items[answer].name
+        row.operator("fipt.answer_doubt", text=name).answer = answer
+
+
+def _draw_hint(layout: bpy.types.UILayout, context: bpy.types.Context, hint: bpy.types.PropertyGroup) -> None:
+    """What is known of a part."""
+    column = layout.column()
+    column.use_property_split = True
+    column.use_property_decorate = False
+    column.prop(hint, "leave_alone")
+    about = column.column()
+    about.enabled = not hint.leave_alone
+    about.prop(hint, "material")
+    about.prop(hint, "roughness_known")
+    if hint.roughness_known != "UNKNOWN":
+        about.prop(hint, "roughness", text="Lowest" if hint.roughness_known == "RANGE" else "Roughness")
+    if hint.roughness_known == "RANGE":
+        about.prop(hint, "roughness_most")
+    about.prop(hint, "emission")
+    row = about.row(align=True)
+    row.prop(hint, "same_object")
+    row.operator("fipt.pick_same_material", text="", icon="EYEDROPPER")
+    if hint.object is None or hint.object.name not in context.scene.objects:
+        draw_text(layout, context, "Its object has been removed: this hint has no effect.", icon="ERROR")
+
+
+def hint_text(hint: bpy.types.PropertyGroup) -> str:
+    """What a hint says, in a few words."""
+    if hint.leave_alone:
+        return iface_("Leave Alone")
+    names = []
+    if hint.material != "UNKNOWN":
+        names.append(iface_("Metal" if hint.material == "METAL" else "Dielectric"))
+    bounds = hint.bounds()
+    if bounds is not None:
+        low, high = bounds
+        names.append(f"{low:.2g}" if low == high else f"{low:.2g}-{high:.2g}")
+    if hint.emission != "UNKNOWN":
+        names.append(iface_("Emits Light" if hint.emission == "EMITS" else "Does Not Emit"))
+    if hint.same_object is not None:
+        names.append(iface_("as {}").format(hint.same_object.name))
+    return ", ".join(names) or iface_("Unknown")
+
+
+CLASSES = (FIPT_UL_doubts, FIPT_UL_hints, FIPT_PT_estimate_hints)
