@@ -55,7 +55,8 @@ def write_part_list(
     count = len(fields.units.single)
     classes = _semantic_classes(room, views, pixels, unit, count)
     source = choose_source(room, views)
-    keys = [_key(source, room, parts, unit, index) for index in range(count)]
+    # An area with a hint is a unit of its own beside its object's or slot's.
+    keys = unique_names([_key(source, room, parts, unit, index) for index in range(count)])
     names = unique_names(_names(room, unit, keys, [name for _, name in classes]))
     seen = np.zeros(count + 1, np.int64)
     for first, last in itertools.pairwise(pixels.ranges):
