@@ -20,6 +20,7 @@ from fipt_blender.bridge.interpreter import engine_environment
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.hints import Hint, read_hints, write_hints
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import main_job, run_job
@@ -269,6 +270,26 @@ def test_a_run_of_another_version_is_not_changed(options, engine):
     (options.output / "run.json").write_text(text)
     assert code_of(options) == "run-version"
     assert (options.output / "run.json").read_text() == text
+
+
+def test_hints_of_a_file_go_to_the_run(options, engine, tmp_path):
+    """A resumed run keeps its hints and takes those of an estimate again; a new run keeps neither."""
+    change = dataclasses.replace
+    assert code_of(change(options, hints=tmp_path / "nowhere.json")) == "hints-missing"
+    (tmp_path / "bad.json").write_text("{}")
+    assert code_of(change(options, hints=tmp_path / "bad.json")) == "file-damaged"
+    assert not options.output.exists()
+    files = [tmp_path / "one.json", tmp_path / "two.json"]
+    hints = [[Hint(((0.0, 0.0, 0.0),), name, material="metal")] for name in ("one", "two")]
+    for path, told in zip(files, hints, strict=True):
+        write_hints(path, told)
+    run = RunFolder(options.output)
+    make_main_job(change(options, hints=files[0]))
+    assert read_hints(run.hints_json) == hints[0] and not run.hints_again_json.exists()
+    make_main_job(change(options, resume=True, hints_again=files[1]))
+    assert read_hints(run.hints_json) == hints[0] and read_hints(run.hints_again_json) == hints[1]
+    make_main_job(options)
+    assert not run.hints_json.exists() and not run.hints_again_json.exists()
 
 
 # ------------------------------------------------------------------------------------------ placement
