@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import bpy
@@ -342,6 +343,35 @@ def test_textures_of_a_saved_file_lie_beside_it(scene, tmp_path):
     assert all(image.size[0] for image in textures(bpy.context.scene))
     image = bpy.data.materials["Panel FIPT"].node_tree.nodes["FIPT Roughness"].image
     assert max(list(image.pixels)[::4]) == pytest.approx(ConstantFields.roughness, abs=1e-3)
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".png"])
+def test_a_moved_file_finds_its_textures(scene, tmp_path, suffix):
+    blend = tmp_path / "shot" / "kitchen.blend"
+    blend.parent.mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+    scene = bpy.context.scene
+    scene.fipt.materials.texture_format = suffix[1:].upper()
+    assert ops.apply_results() == {"FINISHED"}
+    bpy.ops.wm.save_mainfile()
+    shutil.move(blend.parent, tmp_path / "elsewhere")
+    shutil.rmtree(scene.fipt.run_folder)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "elsewhere" / "kitchen.blend"))
+    found = {Path(image.filepath).name: image for image in textures(bpy.context.scene)}
+    assert set(found) == {
+        *(f"Room.001.{name}{suffix}" for name in ("base_color", "confidence", "metallic", "roughness")),
+        "environment.exr",
+    }
+    assert all(image.has_data or image.pixels[0] >= 0.0 for image in found.values())
+    assert all(size & (size - 1) == 0 for image in found.values() for size in image.size)
+    ops.show_map(shown="ROUGHNESS")
+    shown = picture(bpy.context.scene, Vector((0, 5, 4)), Vector((0, 5, 0)))
+    assert np.allclose(shown, ConstantFields.roughness, atol=0.01)
+    ops.show_map(shown="BASE_COLOR")
+    shown = picture(bpy.context.scene, Vector((0, 5, 4)), Vector((0, 5, 0)))
+    assert np.allclose(
+        shown, [1.055 * value ** (1 / 2.4) - 0.055 for value in ConstantFields.base_color], atol=0.01
+    )
 
 
 def test_textures_of_an_unsaved_file_are_packed_until_it_is_saved(applied, tmp_path):

@@ -8,8 +8,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import bpy
+import numpy as np
 
-LINEAR = "Linear Rec.709"
+LINEAR, ENCODED = "Linear Rec.709", "sRGB"
 
 
 def load_radiance(path: Path) -> bpy.types.Image | None:
@@ -39,8 +40,22 @@ def load_texture(path: Path, is_data: bool) -> bpy.types.Image:
     if is_data:
         image.colorspace_settings.is_data = True
     else:
-        image.colorspace_settings.name = LINEAR
+        image.colorspace_settings.name = ENCODED if path.suffix == ".png" else LINEAR
     return image
+
+
+def read_texture(path: Path) -> np.ndarray:
+    """(H, W, 3) values of an EXR texture, bottom row first."""
+    image = bpy.data.images.load(str(path))
+    try:
+        image.colorspace_settings.is_data = True  # as they are in the file
+        width, height = image.size
+        pixels = np.empty(width * height * image.channels, np.float32)
+        image.pixels.foreach_get(pixels)
+    finally:
+        bpy.data.images.remove(image)
+    pixels = pixels.reshape(height, width, -1)
+    return pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
 
 
 def remove_unused_images(images: Iterable[bpy.types.Image]) -> None:

@@ -15,7 +15,8 @@ import bpy
 
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import atomic_path
-from .image_datablocks import load_texture
+from .image_datablocks import load_texture, read_texture
+from .png16 import encode_png, encode_srgb
 
 
 @dataclass(frozen=True)
@@ -25,23 +26,33 @@ class TextureFiles:
     Attributes:
         folder: folder to which the files are copied; None leaves them in the run folder.
         pack: pack them into the .blend file.
+        png: keep them as PNGs of 16 bits, which more programs read than EXR.
     """
 
     folder: Path | None = None
     pack: bool = False
+    png: bool = False
 
-    def copy(self, path: Path) -> None:
-        """Copy a file of the run folder to `folder`, if there is one.
+    def copy(self, path: Path, is_data: bool | None = None) -> None:
+        """Copy a file of the run folder to `folder`, if there is one, in the chosen format.
+
+        Args:
+            path: of the file.
+            is_data: whether its values, 0 to 1, are not colours; None for radiance, which stays as it is.
 
         Raises:
             FiptError: ``textures-unwritable``.
         """
-        if self.folder is None:
+        target = self._kept(path, is_data)
+        if target == path:
             return
-        target = self.folder / path.name
         try:
             with atomic_path(target) as temporary:
-                shutil.copyfile(path, temporary)
+                if target.suffix == path.suffix:
+                    shutil.copyfile(path, temporary)
+                else:
+                    values = read_texture(path)
+                    temporary.write_bytes(encode_png(values if is_data else encode_srgb(values)))
         except FiptError as error:
             raise FiptError(
                 "textures-unwritable",
@@ -50,11 +61,16 @@ class TextureFiles:
                 " 'In the File' as Textures in the section Materials.",
             ) from error
 
-    def load(self, path: Path, is_data: bool) -> bpy.types.Image:
-        """The image of a file of the run folder; `copy` comes first."""
-        if self.folder is not None:
-            path = self.folder / path.name
-        image = load_texture(path, is_data)
+    def _kept(self, path: Path, is_data: bool | None) -> Path:
+        """Where a file of the run folder is kept."""
+        if self.png and is_data is not None:
+            path = path.with_suffix(".png")
+        return path if self.folder is None else self.folder / path.name
+
+    def load(self, path: Path, is_data: bool | None) -> bpy.types.Image:
+        """The image of a file of the run folder; `copy` comes first, with the same arguments."""
+        path = self._kept(path, is_data)
+        image = load_texture(path, bool(is_data))
         if self.folder is not None:
             image.filepath = bpy.path.relpath(str(path))
         if self.pack:
@@ -67,13 +83,14 @@ IN_RUN_FOLDER = TextureFiles()
 
 def texture_files(scene: bpy.types.Scene) -> TextureFiles:
     """Where the textures of a scene are kept: as its settings say; packed while the file has no name."""
-    keep = scene.fipt.materials.texture_files
+    keep, png = scene.fipt.materials.texture_files, scene.fipt.materials.texture_format == "PNG"
     if keep == "IN_RUN":
-        return IN_RUN_FOLDER
+        return TextureFiles(png=png)
     if keep == "PACKED" or not bpy.data.filepath:
-        return TextureFiles(pack=True)
+        return TextureFiles(pack=True, png=png)
     blend = Path(bpy.data.filepath)
     folder = blend.with_name(f"{blend.stem}_textures")
     # The textures of every run have the same names.
     runs = {other.fipt.run_folder for other in bpy.data.scenes if other.fipt.run_folder}
-    return TextureFiles(folder / Path(scene.fipt.run_folder).name if len(runs) > 1 else folder)
+    folder = folder / Path(scene.fipt.run_folder).name if len(runs) > 1 else folder
+    return TextureFiles(folder, png=png)

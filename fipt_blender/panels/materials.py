@@ -29,6 +29,8 @@ class FIPT_PT_materials(Section, bpy.types.Panel):
             column.prop(settings, "texture_size")
             column.prop(settings, "texel_density")
         column.prop(settings, "texture_files")
+        if settings.atlas_mode == "uv":
+            column.prop(settings, "texture_format")
         column.prop(settings, "write_back")
         column.prop(settings, "clean_mesh")
         column = layout.column(heading="Scene")

@@ -172,6 +172,15 @@ class FIPT_MaterialsSettings(bpy.types.PropertyGroup):
         ],
         default="BESIDE",
     )
+    texture_format: bpy.props.EnumProperty(
+        name="Format",
+        description="File format of the textures; the environment is always EXR",
+        items=[
+            ("EXR", "OpenEXR", "Linear values in half precision, as they were baked", "NONE", 0),
+            ("PNG", "PNG 16 Bit", "For programs that do not read EXR; base color is sRGB", "NONE", 1),
+        ],
+        default="EXR",
+    )
     write_back: bpy.props.EnumProperty(
         name="Surface",
         description="Shader that renders the estimated textures",

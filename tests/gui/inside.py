@@ -238,6 +238,20 @@ def engine() -> dict[str, Any]:
     }
 
 
+def part_rows() -> dict[str, Any]:
+    """The list of parts, the adjustment of the active one, assets, and the mode."""
+    settings = bpy.context.scene.fipt.materials
+    active = settings.part()
+    return {
+        "names": [row.name for row in settings.parts],
+        "active": active.name if active else "",
+        "roughness": active.roughness_offset if active else 0.0,
+        "hue": active.hue if active else 0.0,
+        "assets": sum(material.asset_data is not None for material in bpy.data.materials),
+        "mode": bpy.context.mode,
+    }
+
+
 def _view() -> dict[str, Any]:
     """The first 3D view of the first window, for `temp_override`."""
     window = bpy.context.window_manager.windows[0]

@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import story_lights
+import story_materials
 from chapters import Chapter, Options, finish
 from hand import PREFERENCES
 from window import Window
@@ -322,6 +323,7 @@ CHAPTERS = (
     Chapter(parts, "capture"),
     Chapter(estimate, "capture"),
     Chapter(materials, "estimate"),
+    Chapter(story_materials.part_materials, "materials"),
     Chapter(check, "materials"),
     Chapter(lights, "check"),
     Chapter(story_lights.light_states, "check"),

@@ -16,6 +16,7 @@ import numpy as np
 from ...core.textures.raster import covered_texels
 from ..marks import MAP
 from ..node_trees import node_tree
+from ..png16 import encode_srgb
 from ..results import adjust
 
 # Texels around a face that take the adjustment of its part: the reach of filters.
@@ -82,15 +83,9 @@ def write_png(values: np.ndarray, path: Path, is_data: bool) -> bpy.types.Image:
     image = bpy.data.images.new(path.stem, width, height, alpha=False, is_data=is_data)
     pixels = np.ones((height, width, 4), np.float32)
     # Blender's byte images hold what is stored in the file.
-    pixels[..., :3] = values if is_data else _encoded(values)
+    pixels[..., :3] = values if is_data else encode_srgb(values)
     image.pixels.foreach_set(pixels.ravel())
     image.filepath_raw, image.file_format = str(path), "PNG"
     image.save()
     image.source = "FILE"
     return image
-
-
-def _encoded(linear: np.ndarray) -> np.ndarray:
-    """Values by sRGB's transfer function (IEC 61966-2-1)."""
-    linear = np.clip(linear, 0.0, 1.0)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)

@@ -47,7 +47,7 @@ def apply_environment(
     image = None
     if environment:
         files.copy(run.results / environment["image"])
-        image = files.load(run.results / environment["image"], is_data=False)
+        image = files.load(run.results / environment["image"], is_data=None)
     scene = scene or bpy.context.scene
     world = result_world(scene)
     rotation = 0.0

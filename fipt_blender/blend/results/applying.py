@@ -158,8 +158,9 @@ def apply_slices(
             target.index: (find_object(target.name), _prepared_mesh(target.mesh_name)) for target in targets
         }
         for entry in results.entries:
-            for key in MAPS:
-                files.copy(run.resolve(entry[key]))
+            for key, (_, is_data) in MAPS.items():
+                files.copy(run.resolve(entry[key]), is_data)
+                yield None
         return _swap_in(run, results, pairs, others, bpy.data.scenes[scene_name], warnings, files)
     except BaseException:  # including GeneratorExit: the job was cancelled
         prepared = [bpy.data.meshes.get(target.mesh_name) for target in targets]

@@ -77,7 +77,8 @@ def _pack_boxes(boxes: np.ndarray, group: np.ndarray, size: int) -> Packing:
         page, x, y, heights = _shelves(boxes[members], width, size)
         image[members] = page + len(sizes)
         offset[members, 0], offset[members, 1] = x, y
-        sizes += [(width, min(size, 16 * math.ceil(height / 16))) for height in heights]
+        # Powers of two, as graphics processors and other programs want them.
+        sizes += [(width, min(size, 1 << max(math.ceil(math.log2(height)), 4))) for height in heights]
     return Packing(image, offset, np.ones(len(boxes)), sizes)
 
 
