@@ -119,6 +119,20 @@ def test_the_psnr_on_the_page_is_that_of_the_images(run):
     assert f"{expected:.2f} dB" in Page(write_report(run)).text
 
 
+def test_hints_are_listed_with_what_follows_from_them(run):
+    told = {"triangles": 7, "roughness": 0.25, "metallic": 1.0, "emits": False, "left_alone": False}
+    plant = {"triangles": 9, "roughness": None, "metallic": None, "emits": None, "left_alone": True}
+    write_json(run.statistics_json, {"hints": [{"name": NASTY, **told}, {"name": "Plant", **plant}]})
+    text = Page(write_report(run)).text
+    assert "Hints" in text and NASTY in text and "does not emit" in text and "left alone" in text
+    assert "Hints" not in Page(write_report(_without_hints(run))).text
+
+
+def _without_hints(run):
+    write_json(run.statistics_json, {})
+    return run
+
+
 def test_an_empty_run_still_gives_a_page(tmp_path):
     run = RunFolder(tmp_path / "run")
     run.create(make_settings("draft"))

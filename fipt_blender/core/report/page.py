@@ -127,6 +127,7 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
         "environment": _environment(run, emitters.get("environment"), album, exposure),
         "stages": [_stage_row(entry) for entry in statistics.get("stages", [])],
         "steps": [(name, step.get("seconds", 0.0)) for name, step in steps.items() if step["finished"]],
+        "hints": statistics.get("hints", []),
         "numbers": _numbers(statistics),
         "peak_memory_gb": statistics.get("peak_memory_gb"),
         "warnings": [warning for step in steps.values() for warning in step.get("warnings", [])],

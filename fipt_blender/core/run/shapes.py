@@ -161,6 +161,17 @@ STATISTICS = Fields(
     optional={
         "stages": Items(Fields(optional={"name": str, "seconds": Maybe(Number()), "rays": Maybe(Number())})),
         **dict.fromkeys(("peak_memory_gb", "radiance_scale"), Number()),
+        "hints": Items(
+            Fields(
+                {
+                    "name": str,
+                    "triangles": Number(low=0, whole=True),
+                    **dict.fromkeys(("roughness", "metallic"), Maybe(_SHARE)),
+                    "emits": Maybe(bool),
+                    "left_alone": bool,
+                }
+            )
+        ),
     }
 )
 
