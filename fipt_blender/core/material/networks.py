@@ -82,7 +82,7 @@ class BrdfNetwork(torch.nn.Module):
         units = torch.where(units >= 0, units, len(self.typical) - 1)
         x = self.grid(positions, units)
         for layer in self.mlp[:-1]:
-            x = torch.relu(layer(x))
+            x = layer(x).relu_()
         value = torch.sigmoid(self.mlp[-1](x) + self.typical[units])
         roughness = self.lowest + (1.0 - self.lowest) * value[:, 3]
         return Prediction(value[:, :3], roughness, value[:, 4])

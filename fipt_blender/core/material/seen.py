@@ -76,9 +76,11 @@ class SeenCells:
         return result
 
     def _find(self, wanted: np.ndarray) -> np.ndarray:
-        result = np.full(len(wanted), -1, np.int64)
         if not len(self.keys):
-            return result
+            return np.full(len(wanted), -1, np.int64)
+        # Many points lie in one cell.
+        wanted, cell = np.unique(wanted, return_inverse=True)
+        result = np.full(len(wanted), -1, np.int64)
         # The cell itself first, then its neighbours over faces, edges and corners; keys of neighbours differ
         # by a constant.
         steps = sorted(itertools.product((0, -1, 1), repeat=3), key=lambda step: sum(map(abs, step)))
@@ -89,7 +91,7 @@ class SeenCells:
             hit = self.keys[place] == keys
             result[missing[hit]] = place[hit]
             missing = missing[~hit]
-        return result
+        return result[cell]
 
 
 def find_seen_cells(pixels: PixelStore, units: Units, box: Box) -> SeenCells:
