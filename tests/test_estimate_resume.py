@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import torch
 
-from fipt_blender.core.estimate import stages
+from fipt_blender.core.estimate import material_stages, stages
 from fipt_blender.core.material import training
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
@@ -67,7 +67,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 def quick_start():
     """Few steps towards the closed-form guess: results need to be equal here, not good."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (training, stages):
+        for module in (training, material_stages):
             patch.setattr(module, "PRETRAINING_STEPS", 4)
         yield
 
@@ -241,7 +241,7 @@ def test_a_resumed_run_repeats_the_warnings_of_finished_stages(
         raise FiptError("disk-full", "The disk is full.", "Free some space.")
 
     with monkeypatch.context() as patch:
-        patch.setattr(stages, "pretrain", stop)
+        patch.setattr(material_stages, "pretrain", stop)
         with pytest.raises(FiptError):
             run_here(run)
     for done in (["training"], []):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +24,7 @@ from ..core.run.runfolder import PRODUCT_VERSION, RunFolder
 from ..core.run.settings import Settings
 from .fingerprints import folder_fingerprint, mesh_fingerprint
 from .options import BLEND_NAME, TEXTURE_SETTINGS, MainJobOptions, check_options, ingest_arguments
-from .run_job import find_launch, open_job, refuse_busy
+from .run_job import find_launch, ingest_step, open_job, refuse_busy
 
 if TYPE_CHECKING:
     from .room_steps import RoomSteps
@@ -151,10 +151,8 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
     capture, ingest = options.capture.absolute(), ingest_arguments(options)
     mesh, images = (None if path is None else path.absolute() for path in (options.mesh, options.images))
     steps = [
-        Step(
-            "ingest",
-            "Reading the capture",
-            5.0,
+        replace(
+            ingest_step(run, capture, ingest, "Reading the capture", 5.0),
             inputs={
                 "version": PRODUCT_VERSION,
                 "capture": folder_fingerprint(capture, exclude=run.root),
@@ -162,7 +160,6 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
                 "images": None if images is None else folder_fingerprint(images, exclude=run.root),
                 "arguments": ingest,
             },
-            command=["ingest", str(capture), str(run.root), *ingest],
             outputs=[run.capture_json],
             reset=lambda: _remove(run.capture_json, run.images),
         ),

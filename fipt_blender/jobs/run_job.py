@@ -26,6 +26,20 @@ from ..core.run.runfolder import RunFolder
 STEPS_NAME = "steps.json"
 
 
+def ingest_step(run: RunFolder, capture: Path, arguments: Sequence[str], text: str, seconds: float) -> Step:
+    """The engine reads and checks a capture.
+
+    Args:
+        run: the run folder into which it is read.
+        capture: folder or file.
+        arguments: of :func:`.options.ingest_arguments`.
+        text: shown to the user while the step runs.
+        seconds: expected time, on a small machine.
+    """
+    command = ["ingest", str(capture), str(run.root), *arguments]
+    return Step("ingest", text, seconds, command=command, outputs=[run.ingest_json])
+
+
 def open_job(
     run: RunFolder,
     steps: Sequence[Step],

@@ -74,16 +74,10 @@ class _ImportJob(JobOperator):
     ) -> Job:
         """The engine reads and checks a capture; then it is added to the scene."""
         from ..bridge.step import Step
-        from ..jobs.run_job import open_job
+        from ..jobs.run_job import ingest_step, open_job
 
         steps = [
-            Step(
-                "ingest",
-                "Reading and checking the photographs",
-                20.0,
-                command=["ingest", str(path), str(run.root), *arguments],
-                outputs=[run.ingest_json],
-            ),
+            ingest_step(run, path, arguments, "Reading and checking the photographs", 20.0),
             Step("import", text, 5.0, function=add_to_scene, repeat=True),
         ]
         return open_job(run, steps, record="import.json")

@@ -52,7 +52,7 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
     def make_job(self, context: bpy.types.Context) -> Job:
         from ..bridge.step import Step
         from ..jobs.options import CaptureOptions, ingest_arguments
-        from ..jobs.run_job import open_job
+        from ..jobs.run_job import ingest_step, open_job
 
         scene = context.scene
         path = copy_example(machine.data_folder())
@@ -69,13 +69,7 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
             return import_capture(run, str(path))
 
         steps = [
-            Step(
-                "ingest",
-                "Reading the example",
-                2.0,
-                command=["ingest", str(path), str(run.root), *ingest_arguments(CaptureOptions())],
-                outputs=[run.ingest_json],
-            ),
+            ingest_step(run, path, ingest_arguments(CaptureOptions()), "Reading the example", 2.0),
             Step("import", "Adding cameras and mesh", 1.0, function=add_to_scene),
             *estimate.make_steps(run, settings, resume=False),
             *materials.make_steps(scene.name, run, settings),

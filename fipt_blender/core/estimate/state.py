@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
@@ -50,6 +50,8 @@ from ..scene.pixels import LEFT_OUT, PixelStore, open_pixels
 from ..scene.room import load_room
 from ..views.check import ViewCheck
 from .hinted import hint_facts
+
+Facts = dict[str, Any]  # what stages.json keeps of a stage; JSON-serialisable
 
 # What the checkpoint of a closed-form estimate holds; see `EstimationState._save_estimate`.
 _ESTIMATE_ARRAYS: dict[str, Layout] = {
@@ -343,6 +345,15 @@ class EstimationState:
         return self.materials[np.asarray(self.observations.entry[rows]), :3]
 
     # What is reported of it
+
+    def _progress_within(self, begin: float, end: float) -> Callable[[float], None]:
+        """Progress of a piece of work that takes the stage from the share `begin` to `end`."""
+        return lambda done: self.reporter.progress(begin + (end - begin) * done)
+
+    def _warn_of_damage(self, text: str) -> None:
+        self.reporter.warning(
+            "checkpoint-damaged", f"{text} The stages that need it are done again.", "There is nothing to do."
+        )
 
     def summary(self) -> dict[str, Any]:
         """The statistics of the run: times and rays of the stages, memory, counts, settings."""

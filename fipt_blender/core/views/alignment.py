@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..run.threads import in_threads
 from .cells import SurfaceCells, lattice, lattice_hits, lattice_spacing
 from .registration import Fit, register
 
@@ -49,7 +50,7 @@ def misaligned_views(cells: SurfaceCells, gains: np.ndarray) -> dict[int, Fit]:
     while True:
         kept = [index for index in judged if index not in misaligned]
         prediction = _Prediction(cells, gains, kept)
-        worst = _worst({index: prediction.fit(index) for index in kept}, spacings)
+        worst = _worst(dict(zip(kept, in_threads(prediction.fit, kept), strict=True)), spacings)
         if not worst:
             break
         misaligned |= worst

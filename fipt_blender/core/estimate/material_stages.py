@@ -1,0 +1,259 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The stages that fit materials: closed form, emitters and stage 2 (paper Sec. 4.4 and 4.5); the results."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from ..light.evidence import find_emission
+from ..light.reflecting import separate
+from ..material.cell_errors import cell_errors
+from ..material.closed_form import MARKED_SHARE, CellEstimate, fit_cells, render_rows, triangle_emission
+from ..material.emission_mask import EmissionNetwork, mask_at, masked_triangles
+from ..material.hints import SurfaceHints
+from ..material.networks import typical_values, useful_hash_levels
+from ..material.pixel_samples import lamp_pixels
+from ..material.projection import InitialEstimate
+from ..material.training import (
+    PRETRAINING_STEPS,
+    Networks,
+    Resume,
+    Surfaces,
+    TrainingData,
+    pretrain,
+    read_checkpoint,
+    train,
+)
+from ..material.training_input import training_input
+from ..run.checkpoints import HINTED_ESTIMATE, HINTED_TRAINING, UNFINISHED, DamagedStage
+from ..run.errors import FiptError
+from ..run.runfolder import write_json
+from .doubts import write_doubts
+from .hinted import write_left_alone
+from .part_list import write_part_list
+from .results import RoomLight, write_results
+from .state import EstimationState, Facts
+
+# Steps of a training that continues with hints, as a share of the first one's.
+AGAIN_SHARE = 1.0 / 3.0
+
+
+class MaterialStages(EstimationState):
+    """Materials and emitters of an estimation; arguments as of :class:`EstimationState`."""
+
+    # ---- Closed form (Eq. 5) and emitters (Sec. 4.4) -------------------------------------------------------
+
+    def _estimate(self, name: str) -> Facts:
+        self._input = None  # that of the round before
+        data, initial, cells, bright = self._closed_form()
+        joint = self.settings.emission == "joint"
+        self._find_cells(self._material_units(data))
+        known = self._known_emission(initial)
+        if joint:
+            emitting = known > 0
+            self.emission = triangle_emission(cells, self.observations, data)
+            self.emission[known < 0] = 0.0
+        else:
+            emitting = self._find_emitters(data, cells, bright > MARKED_SHARE, known)
+        if self.hints is not None:
+            self._warn_of_hints(name, self.hints, emitting)
+        self._group_fixtures(emitting)
+        # Kept for stage 3, which writes over the shadings from which these are made.
+        self.diffuse = self.observations.means(data.diffuse).astype(np.float16)
+        self.materials = self._entry_values(cells)
+        self._save_estimate(name, emitting)
+        return {"cells": len(cells.keys)}
+
+    def _warn_of_hints(self, name: str, hints: SurfaceHints, emitting: np.ndarray) -> None:
+        """Say which hints could not be honoured, and whether the shadings are those of other lamps."""
+        if hints.problems and name in ("estimate-0", HINTED_ESTIMATE):
+            text = "Some hints could not be honoured: " + " ".join(hints.problems)
+            self.reporter.warning("hints-unclear", text, "Correct or remove these hints.")
+        if (
+            name == HINTED_ESTIMATE
+            and (self._emitters()[1] != emitting)[hints.of_triangles(hints.emits) != 0].any()
+        ):
+            self.reporter.warning(
+                "hints-lamps",
+                "The hints change which surfaces are lamps, but the light in the room is that of before.",
+                "Use Estimate: it computes the light anew with the hints.",
+            )
+
+    def _closed_form(self) -> tuple[TrainingData, InitialEstimate, CellEstimate, np.ndarray]:
+        """The data to train on with the last shadings, the closed-form estimate of a sample of them, and
+        that of all cells with the share of each triangle's pixels that are brighter than white (T,)."""
+        if self._input is None:
+            data, initial = training_input(
+                self.observations,
+                self._pieces,
+                self._open_shadings(),
+                self.levels,
+                self.box.normalise,
+                self.settings,
+                self.hints,
+            )
+            joint = self.settings.lambda_joint if self.settings.emission == "joint" else None
+            self._input = (data, initial, *fit_cells(self.observations, data, joint))
+        return self._input
+
+    def _known_emission(self, initial: InitialEstimate) -> np.ndarray:
+        """(T,) int8, 1 on triangles that emit in any case, -1 on those that do not, 0 elsewhere.
+
+        Parts emit whose radiance is constant although the light on them varies. Photographs that are not HDR
+        show a constant radiance wherever they are clipped, on reflectors, too. Hints go before.
+        """
+        part = self.observations.parts.triangle_part
+        known = np.zeros(len(part), np.int8)
+        if not self.photometry:
+            # Semantic classes, and parts that no pixel saw, have no estimate.
+            has_part = (part >= 0) & (part < len(initial.part_emits))
+            known[has_part] = initial.part_emits[part[has_part]]
+        if self.hints is not None:
+            told = self.hints.of_triangles(
+                self.hints.emits - (self.hints.left_alone & (self.hints.emits == 0))
+            )
+            known = np.where(told != 0, told, known).astype(np.int8)
+        return known
+
+    def _find_emitters(
+        self, data: TrainingData, cells: CellEstimate, marked: np.ndarray, known: np.ndarray
+    ) -> np.ndarray:
+        """(T,) bool, triangles that emit; `known`: :meth:`_known_emission`."""
+        estimate = partial(render_rows, cells, self.observations, data)
+        shadings, surfaces = self._open_shadings(), self._emitter_surfaces
+        return find_emission(self.room, self.pixels, shadings, marked, known, estimate, surfaces)
+
+    def _resume_estimate(self, name: str) -> None:
+        # Emitters are read, not found anew: the shadings they were found with may have been refined since.
+        self._group_fixtures(self._load_estimate(name))
+
+    # ---- Stage 2: BRDF and emission mask (Sec. 4.5, Eq. 12, 14 to 20); emitters (Sec. 4.4, Eq. 13) ---------
+
+    def _train(self) -> Facts:
+        """Fit the networks to the closed-form estimate, then to the photographs; find the emitters."""
+        data, initial, _, _ = self._closed_form()
+        surfaces = self._surfaces()
+        networks = self._new_networks(initial)
+        checkpoint = self.folder.stage / f"{UNFINISHED}.pt"
+        state = None
+        if checkpoint.exists():
+            try:
+                state = read_checkpoint(checkpoint, networks, self.settings.training_steps)
+            except FiptError as error:
+                self._warn_of_damage(error.text)
+                checkpoint.unlink()
+        fitted = PRETRAINING_STEPS / (PRETRAINING_STEPS + self.settings.training_steps)
+        if state is None:
+            progress = self._progress_within(0.0, fitted)
+            pretrain(networks, data, surfaces, initial, self.settings, progress)
+        progress = self._progress_within(fitted, 1.0)
+        train(networks, data, surfaces, self.settings, Resume(checkpoint, state), progress)
+        facts = self._keep_training("training", networks, self.settings.training_steps)
+        checkpoint.unlink(missing_ok=True)
+        return facts
+
+    def _train_again(self) -> Facts:
+        """Continue from the networks that were trained without these hints.
+
+        The networks add detail to the typical values of the units, which are those of the new closed form.
+        """
+        data, initial, _, _ = self._closed_form()
+        networks = self._new_networks(initial)
+        try:
+            state = self.checkpoints.load_tensors("training", self.device)
+            state["brdf"]["typical"] = networks.brdf.state_dict()["typical"]
+            networks.load(state)
+        except (FiptError, KeyError, TypeError, RuntimeError) as error:
+            raise DamagedStage("training", f"The checkpoint training can't be read ({error}).") from error
+        steps = max(round(AGAIN_SHARE * self.settings.training_steps), 1)
+        shorter = replace(self.settings, training_steps=steps)
+        train(networks, data, self._surfaces(), shorter, None, self.reporter.progress)
+        return self._keep_training(HINTED_TRAINING, networks, steps)
+
+    def _surfaces(self) -> Surfaces:
+        """What is known of the surfaces before a training."""
+        _, emitting = self._emitters()
+        masked = np.zeros_like(emitting) if len(self.emission) else emitting
+        return Surfaces(self.pixels.triangle, self.units.triangle, masked, self.emission)
+
+    def _new_networks(self, initial: InitialEstimate) -> Networks:
+        """Networks that are not trained yet, with the typical values of the units."""
+        unit = self.units.triangle[self.pixels.triangle[initial.rows]]
+        hash_levels = useful_hash_levels(self.settings, self.box.extent, self.observations.footprint)
+        typical = typical_values(initial.values, unit, len(self.units.single))
+        self.brdf = self._new_network(hash_levels, typical)
+        return Networks(self.brdf, None if len(self.emission) else self._new_mask())
+
+    def _keep_training(self, name: str, networks: Networks, steps: int) -> Facts:
+        """Find the emitters by trained networks, and keep both."""
+        _, emitting = self._emitters()
+        if networks.emission is not None:
+            emitting = self._masked_emitters(networks.emission)
+            self._group_fixtures(emitting)
+        self._save_networks(name, networks, emitting)
+        return {"steps": steps, "hash_levels": len(networks.brdf.grid.resolutions)}
+
+    def _masked_emitters(self, mask: EmissionNetwork) -> np.ndarray:
+        """(T,) bool, triangles that emit, after the emission mask has been trained.
+
+        Triangles emit that the mask or the closed form marks, and whose radiance reflection can't explain.
+        """
+        settings = self.settings
+        data, initial, cells, bright = self._closed_form()
+        marked = masked_triangles(
+            self.room,
+            partial(mask_at, mask, self.box),
+            settings.emitter_threshold,
+            settings.emitter_samples,
+            np.random.default_rng([settings.seed, 3]),
+            candidates=bright > 0.0,
+        )
+        marked |= bright > MARKED_SHARE
+        return self._find_emitters(data, cells, marked, self._known_emission(initial))
+
+    # ---- Results -------------------------------------------------------------------------------------------
+
+    def _write_results(self) -> None:
+        _, emitting = self._emitters()
+        shadings = self._open_shadings()
+        left_alone = self.observations.left_alone
+        errors = cell_errors(
+            self.pixels,
+            self.units,
+            shadings,
+            self._closed_form()[0],
+            self._fields(),
+            self.cells,
+            emitting if left_alone is None else emitting | left_alone,
+            self.settings.seed,
+        )
+        fixtures, colors = self.fixtures, np.zeros((len(self.fixtures), 3))
+        if not len(self.emission):
+            pixels = lamp_pixels(self.pixels, shadings, emitting, self.settings.seed)
+            fixtures, colors = separate(self.fixtures, pixels)
+        light = RoomLight(fixtures, colors, self.observations.environment, self.view_check.lamps)
+        fields = self._room_fields(errors)
+        write_results(self.folder, fields, light, self.scale, self.reporter)
+        write_part_list(self.folder, self.room, self.parts, self.views, self.pixels, fields)
+        write_left_alone(self.folder, left_alone)
+        self._write_doubts()
+        write_json(self.folder.statistics_json, self.summary())
+
+    def _write_doubts(self) -> None:
+        data, initial, _, bright = self._closed_form()
+        decided = np.zeros(len(bright), bool)
+        if self.hints is not None:
+            decided = self.hints.of_triangles(self.hints.emits) != 0
+        colors = _means(initial.base_color.mean(axis=1), data.group[initial.rows], len(data.group_errors))
+        write_doubts(self.folder, self.pixels, data, bright, decided, colors)
+
+
+def _means(values: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:
+    """(groups,) mean of values (N,) by group (N,), negative for none; 0 without any."""
+    known = group >= 0
+    count = np.bincount(group[known], minlength=groups)
+    return np.bincount(group[known], values[known], minlength=groups) / np.maximum(count, 1)
