@@ -129,3 +129,14 @@ def test_removing_the_add_on_shows_all_cameras(scene):
     other_cameras.unregister()
     assert hidden() == {"hidden"}
     other_cameras.register()
+
+
+def test_the_parent_is_hidden_unless_it_is_being_moved(scene):
+    alignment = scene.fipt.capture.alignment = bpy.data.objects["alignment"]
+    other_cameras.hide_others(scene, bpy.data.objects["selected"])
+    assert alignment.hide_get()
+    other_cameras.show_all(scene)
+    assert not alignment.hide_get() and LOOKED_PAST not in alignment
+    alignment.select_set(True)
+    other_cameras.hide_others(scene, bpy.data.objects["selected"])
+    assert not alignment.hide_get()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hides the other views' cameras while the artist looks through one; with them go their relationship lines.
+"""Hides the other views' cameras and their parent while the artist looks through one, with their lines.
 
 Blender does not report that a 3D view leaves its camera, therefore a timer watches the 3D views. Files are
 saved with the cameras shown. Cameras that the artist has hidden stay hidden. Imported while Blender starts:
@@ -35,7 +35,7 @@ def hide_others(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
     for layer in _open_layers(scene):
         items = [
             item
-            for item in all_view_cameras(scene)
+            for item in _in_the_way(scene)
             if item != camera and item.name in layer.objects and not item.hide_get(view_layer=layer)
         ]
         for item in items:
@@ -50,7 +50,7 @@ def show_all(scene: bpy.types.Scene) -> None:
     """Show the cameras again that `hide_others` has hidden, selected as they were."""
     import json
 
-    items = [item for item in all_view_cameras(scene) if LOOKED_PAST in item]
+    items = [item for item in _in_the_way(scene) if LOOKED_PAST in item]
     for item in items:
         for name, selected in json.loads(item[LOOKED_PAST]).items():
             layer = scene.view_layers.get(name)
@@ -108,6 +108,13 @@ def _looked_through(scene: bpy.types.Scene) -> bpy.types.Object | None:
     return camera if any(space.region_3d.view_perspective == "CAMERA" for space in spaces) else None
 
 
+def _in_the_way(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The cameras of views, and their parent, unless the artist is moving it; its line goes with it."""
+    parent = scene.fipt.capture.alignment
+    is_moved = parent is None or (LOOKED_PAST not in parent and parent.select_get())
+    return [*all_view_cameras(scene), *([] if is_moved else [parent])]
+
+
 def _open_layers(scene: bpy.types.Scene) -> list[bpy.types.ViewLayer]:
     """The view layers of a scene that windows show."""
     windows = [window for window in bpy.context.window_manager.windows if window.scene == scene]
@@ -141,7 +148,7 @@ def _after_loading(*_: object) -> None:
 
 def _watch_marked() -> None:
     for scene in bpy.data.scenes:
-        if any(LOOKED_PAST in item for item in all_view_cameras(scene)):
+        if any(LOOKED_PAST in item for item in _in_the_way(scene)):
             watch(scene)
 
 
