@@ -12,6 +12,7 @@ from mathutils import Vector
 
 from ..core.run.runfolder import RunFolder
 from ..jobs import runstate
+from ..properties.hints import ANSWERS
 from .job_operator import JobOperator
 from .pointer import NAVIGATION, ray_under_pointer
 from .polls import has_run
@@ -237,15 +238,7 @@ class FIPT_OT_answer_doubt(bpy.types.Operator):
     answer: bpy.props.EnumProperty(
         name="Answer",
         description="What the part is",
-        items=[
-            ("METAL", "Metal", "It is bare metal"),
-            ("DIELECTRIC", "No Metal", "It is paint, plastic, wood, cloth, stone or ceramics"),
-            ("GLOSSY", "Glossy", "It mirrors its surroundings at least dimly: roughness up to 0.5"),
-            ("MATT", "Matt", "It shows no more than a wide sheen: roughness 0.5 or more"),
-            ("EMITS", "Lamp", "It emits light"),
-            ("NOT", "No Lamp", "It only reflects light"),
-            ("LEAVE", "Leave Alone", "Do not estimate it; it keeps its own material"),
-        ],
+        items=ANSWERS,
     )
 
     @classmethod

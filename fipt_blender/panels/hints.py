@@ -8,10 +8,12 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..jobs import running
+from ..properties.hints import ANSWERS
 from . import hint_pictures
 from .sidebar import Rows, SubSection, draw_text
 
-_ANSWERS = {"METAL": ("METAL", "DIELECTRIC"), "GLOSS": ("GLOSSY", "MATT"), "LAMP": ("EMITS", "NOT")}
+_NAMES = {identifier: name for identifier, name, _ in ANSWERS}
+_CHOICES = {"METAL": ("METAL", "DIELECTRIC"), "GLOSS": ("GLOSSY", "MATT"), "LAMP": ("EMITS", "NOT")}
 
 
 class FIPT_UL_doubts(Rows, bpy.types.UIList):
@@ -92,10 +94,8 @@ def _draw_doubt(layout: bpy.types.UILayout, doubt: bpy.types.PropertyGroup) -> N
     row.label(text=doubt.text)
     row.operator("fipt.look_through", text="", icon="OUTLINER_OB_CAMERA").view = doubt.view
     row = box.row(align=True)
-    answers = bpy.types.Operator.bl_rna_get_subclass_py("FIPT_OT_answer_doubt").bl_rna.properties["answer"]
-    for answer in (*_ANSWERS[doubt.question], "LEAVE"):
-        name = answers.enum_items[answer].name
-        row.operator("fipt.answer_doubt", text=name).answer = answer
+    for answer in (*_CHOICES[doubt.question], "LEAVE"):
+        row.operator("fipt.answer_doubt", text=_NAMES[answer]).answer = answer
 
 
 def _draw_hint(layout: bpy.types.UILayout, context: bpy.types.Context, hint: bpy.types.PropertyGroup) -> None:

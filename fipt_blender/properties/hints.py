@@ -28,6 +28,17 @@ EMISSION = (
     ("NOT", "Does Not Emit", "It only reflects light, however bright it is"),
 )
 
+# Answers to the engine's questions.
+ANSWERS = (
+    ("METAL", "Metal", "It is bare metal"),
+    ("DIELECTRIC", "No Metal", "It is paint, plastic, wood, cloth, stone or ceramics"),
+    ("GLOSSY", "Glossy", "It mirrors its surroundings at least dimly: roughness up to 0.5"),
+    ("MATT", "Matt", "It shows no more than a wide sheen: roughness 0.5 or more"),
+    ("EMITS", "Lamp", "It emits light"),
+    ("NOT", "No Lamp", "It only reflects light"),
+    ("LEAVE", "Leave Alone", "Do not estimate it; it keeps its own material"),
+)
+
 
 class FIPT_Hint(bpy.types.PropertyGroup):
     """What is known of one part, or of an area that becomes a part of its own."""
