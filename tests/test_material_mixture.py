@@ -191,3 +191,19 @@ def test_blocks_of_pixels_do_not_change_the_result(monkeypatch: pytest.MonkeyPat
     blocks = infer(samples)
     for name, values in vars(whole).items():
         assert (values == getattr(blocks, name)).all(), name
+
+
+def test_a_view_of_a_wrong_mesh_tells_less_than_its_pixels(rng: np.random.Generator) -> None:
+    """Errors that are common to a view: likelihoods are flatter, and more pixels add less to them."""
+    samples = with_view_errors(rng, [(0.3, 0.0), (1.0, 0.0)], 0.3, 0.0)
+    few = first_cells(samples, CELLS // 10)
+    prior = broad_prior(CANDIDATES)
+
+    def spread(used: PixelSamples, shared_error: float) -> float:
+        found = likelihood.group_log_likelihoods(used, used.cell, prior, SETTINGS, shared_error)
+        return -float(np.median(found))
+
+    assert spread(samples, 0.5) < 0.5 * spread(samples, 0.0)
+    assert spread(samples, 0.5) / spread(few, 0.5) < spread(samples, 0.0) / spread(few, 0.0)
+    common, alone = (infer_materials(samples, samples.cell, SETTINGS, shared_error=c) for c in (0.5, 0.0))
+    assert common.roughness_error.sum() > alone.roughness_error.sum()

@@ -13,6 +13,7 @@ from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.scene.pixels import LEFT_OUT
 from fipt_blender.core.views.check import ViewCheck
 from samples.checked_views import run_check
+from samples.scans import scanned_box
 from samples.small_captures import CAMERAS, COLORS, PANEL, SmallCapture, photograph_room
 from samples.small_rooms import BOX, bulb, make_room, mesh_room, table
 
@@ -73,3 +74,11 @@ def test_a_lamp_with_mesh_and_one_in_a_mirror_are_no_such_lamps(
     capture = photograph_room(room, materials, lamps, cameras=[*CAMERAS[:4], *toward], scale=2, spp=32)
     _, check, _ = run_check(tmp_path / "mirror", capture)
     assert check.lamps == []
+
+
+def test_a_lamp_that_a_scan_lacks_is_named_too(with_bulb: SmallCapture, tmp_path: Path) -> None:
+    scan, _ = scanned_box(noise=0.003)
+    assert scan.scan is not None
+    _, check, _ = run_check(tmp_path, replace(with_bulb, room=scan))
+    (lamp,) = check.lamps
+    assert lamp["position"] == pytest.approx(PLACE, abs=0.06)

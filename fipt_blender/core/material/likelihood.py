@@ -50,7 +50,11 @@ def make_candidates(levels: np.ndarray) -> Candidates:
 
 
 def group_log_likelihoods(
-    samples: PixelSamples, light_cell: np.ndarray, prior: np.ndarray, settings: Settings
+    samples: PixelSamples,
+    light_cell: np.ndarray,
+    prior: np.ndarray,
+    settings: Settings,
+    shared_error: float = 0.0,
 ) -> np.ndarray:
     """(S, groups) log-likelihood of each candidate relative to the group's best; 0 in groups without pixels.
 
@@ -58,6 +62,9 @@ def group_log_likelihoods(
     samples, where t is `view_error` and s² the variance of their residuals: a view's shadings err by t in any
     direction, so many pixels of one view tell no more than s² / t² samples. A share `view_outliers` of the
     views tells nothing.
+
+    A surface that the mesh shows wrongly has large residuals, which are common to the pixels of a view to
+    some extent: t is at least `shared_error` times s.
 
     Args:
         samples: N pixels; those without a group, or alone in their cell, are left out: anything fits these.
@@ -76,7 +83,8 @@ def group_log_likelihoods(
     pairs, pair = np.unique(used.group.astype(np.int64) * views + used.view, return_inverse=True)
     group = pairs // views
     pixels = np.bincount(pair, used.weight)
-    errors = settings.pixels_per_sample + pixels * settings.view_error**2 / variance[group]
+    common = np.maximum(settings.view_error**2 / variance[group], shared_error**2)
+    errors = settings.pixels_per_sample + pixels * common
 
     def densities(block: _Block) -> tuple[_Block, np.ndarray]:
         scale = (settings.residual_degrees * variance[block.samples.group]).astype(np.float32)

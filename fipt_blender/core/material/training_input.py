@@ -39,6 +39,9 @@ PROJECTION_PIXELS = 600_000
 FEW_PIXELS = 30
 # About so many pixels of larger groups determine roughness and metallic.
 GROUP_PIXELS = 20_000
+# On a scan, the share of a group's residuals that the pixels of a view have in common: where it lost folds or
+# mouldings, the shadings are wrong by tens of percent, and noise would not make a metal of a curtain.
+SCAN_ERROR = 0.35
 # Width, in voxels of the radiance cache, of the cells of constant base colour from which roughness and
 # metallic are estimated: a voxel holds two or three pixels of the test rooms, too few to tell gloss from base
 # colour.
@@ -91,7 +94,8 @@ def training_input(
     alike = None
     if pieces is not None:
         alike = _similarity(wide.group, observations.part[wide_rows], color[observations.entry[wide_rows]])
-    materials = infer_materials(wide, _light_cells(observations, wide_rows), settings, alike, known)
+    shared = SCAN_ERROR if observations.scan else 0.0
+    materials = infer_materials(wide, _light_cells(observations, wide_rows), settings, alike, known, shared)
     materials = materials.padded(groups)
     if known is not None:
         materials = materials.within(known)

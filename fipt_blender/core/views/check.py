@@ -85,7 +85,7 @@ def check_views(
         )
         for index in unlike:
             pixels.radiance[pixels.rows(index)] /= np.float32(gains[index])
-    check.lamps.extend(_leave_out_unmeshed(cells, settings, reporter))
+    check.lamps.extend(_leave_out_unmeshed(cells, settings, reporter, scan=room.scan is not None))
     return check
 
 
@@ -94,14 +94,16 @@ def _leave_out(pixels: PixelStore, rows: np.ndarray | slice) -> None:
     pixels.pure[rows] = False
 
 
-def _leave_out_unmeshed(cells: SurfaceCells, settings: Settings, reporter: Reporter) -> list[dict[str, Any]]:
+def _leave_out_unmeshed(
+    cells: SurfaceCells, settings: Settings, reporter: Reporter, scan: bool
+) -> list[dict[str, Any]]:
     """Leave out the pixels that show a lamp which the mesh lacks; return these lamps (:class:`ViewCheck`).
 
     Otherwise the lamp would appear on the walls behind it, as bright albedo or as emitters that do not exist.
     """
     pixels = cells.pixels
     footprint = median_footprint(pixels)
-    lamps = unmeshed_lights(cells, footprint, np.random.default_rng([settings.seed, 4]))
+    lamps = unmeshed_lights(cells, footprint, np.random.default_rng([settings.seed, 4]), scan)
     margin = 1.5 * footprint
     balls = [measure(pixels, lamp, margin) for lamp in lamps]
     for lamp in lamps:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
 from ..scene.grouped import grouped_median
 from ..scene.pixels import PixelStore
@@ -29,6 +30,9 @@ MEET = 3.0
 IN_FRONT = 0.95
 # Quantile of the pixels around a lamp that is the radiance of what lies behind it.
 BEHIND = 0.2
+# On a scan, a pixel shows the rim of a lamp of the mesh if a pixel so many pixels away sees a surface of this
+# share of its radiance that is as bright in other views.
+RIM, RIM_SHARE = 2, 0.5
 TRIES = 2000
 # Rays that are used; more only cost time.
 MOST_RAYS = 20_000
@@ -109,15 +113,20 @@ class _Rays:
         return np.linalg.solve(matrix, np.einsum("nij,nj->i", across, self.origin))
 
 
-def unmeshed_lights(cells: SurfaceCells, footprint: float, rng: np.random.Generator) -> list[UnmeshedLight]:
+def unmeshed_lights(
+    cells: SurfaceCells, footprint: float, rng: np.random.Generator, scan: bool = False
+) -> list[UnmeshedLight]:
     """Lamps in front of the mesh, those seen by most views first.
 
     Args:
         cells: of pixels whose radiance is already brought to one exposure.
         footprint: median width of a pixel on the surfaces, metres.
+        scan: whether the mesh is a scan, which ends beside the lamps that it has.
     """
     pixels = cells.pixels
-    rows = _standing_out(cells)
+    rows, steady = _standing_out(cells)
+    if scan:
+        rows = rows[~_beside(pixels, rows, steady)]
     if len(rows) > MOST_RAYS:
         rows = np.sort(rng.choice(rows, MOST_RAYS, replace=False))
     view = pixels.view_of(rows)
@@ -186,21 +195,47 @@ def _shines(pixels: PixelStore, position: np.ndarray, reach: float) -> bool:
     return False
 
 
+def _beside(pixels: PixelStore, rows: np.ndarray, steady: np.ndarray) -> np.ndarray:
+    """(K,) bool, which pixels that stand out (K,) show the rim of a lamp that is in the mesh.
+
+    Args:
+        steady: (S,) int64 pixels of surfaces that are as bright in other views.
+    """
+    meshed = np.zeros(len(pixels), bool)
+    meshed[steady] = True
+    result = np.zeros(len(rows), bool)
+    for index, view in enumerate(pixels.views):
+        place = pixels.rows(index)
+        chosen = np.flatnonzero((rows >= place.start) & (rows < place.stop))
+        if not len(chosen):
+            continue
+        radiance = np.asarray(pixels.radiance[place]).mean(axis=1)
+        lamps = np.where(meshed[place], radiance, 0.0).reshape(view.height, view.width)
+        around = maximum_filter(lamps, 2 * RIM + 1, mode="constant").reshape(-1)
+        own = rows[chosen] - place.start
+        result[chosen] = around[own] >= RIM_SHARE * radiance[own]
+    return result
+
+
 def _bright(in_view: CellPixels) -> np.ndarray:
     """(M,) bool, pixels bright enough to show a lamp."""
     return in_view.value > np.log(BRIGHT)
 
 
-def _standing_out(cells: SurfaceCells) -> np.ndarray:
-    """(K,) int64 pixels far brighter than the median view of their cell."""
+def _standing_out(cells: SurfaceCells) -> tuple[np.ndarray, np.ndarray]:
+    """(K,) int64 pixels far brighter than the median view of their cell, and (S,) other bright pixels.
+
+    Both are of cells that several views see.
+    """
     views = range(len(cells.pixels.views))
+    nothing = np.zeros(0, np.int64)
     # Bright pixels are few; the means of all views are kept of their cells only.
     with_bright = np.zeros(cells.count, bool)
     for index in views:
         in_view = cells.of_view(index)
         with_bright[in_view.cell[_bright(in_view)]] = True
     if not with_bright.any():
-        return np.zeros(0, np.int64)
+        return nothing, nothing
     means, bright = [], []
     for index in views:
         in_view = cells.of_view(index)
@@ -210,15 +245,13 @@ def _standing_out(cells: SurfaceCells) -> np.ndarray:
     cell, value = (np.concatenate(columns) for columns in zip(*means, strict=True))
     count = np.bincount(cell, minlength=cells.count)
     median = grouped_median(value, cell, cells.count, "low")  # of two views the darker one
-    return np.concatenate(
-        [
-            in_view.rows[
-                (count[in_view.cell] >= LEAST_VIEWS)
-                & (in_view.value - median[in_view.cell] > np.log(STANDS_OUT))
-            ]
-            for in_view in bright
-        ]
-    )
+    standing, steady = [nothing], [nothing]
+    for in_view in bright:
+        known = count[in_view.cell] >= LEAST_VIEWS
+        brighter = in_view.value - median[in_view.cell] > np.log(STANDS_OUT)
+        standing.append(in_view.rows[known & brighter])
+        steady.append(in_view.rows[known & ~brighter])
+    return np.concatenate(standing), np.concatenate(steady)
 
 
 def _meeting(rays: _Rays, reach: float, rng: np.random.Generator) -> tuple[UnmeshedLight | None, np.ndarray]:
