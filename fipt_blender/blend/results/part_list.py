@@ -19,7 +19,7 @@ from ...core.run.parts import read_parts
 from ...core.run.runfolder import RunFolder
 from ..marks import PART, has_results, room_with_results
 from ..room.arrays import read_room
-from ..room.mesh_arrays import polygon_slots
+from ..room.mesh_arrays import corner_vertices, polygon_slots, polygon_starts
 from ..room.originals import result_meshes
 from . import adjust
 from .materials import result_materials
@@ -142,12 +142,12 @@ def select_faces(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, key: str) -
 
 def _select(mesh: bpy.types.Mesh, chosen: np.ndarray) -> None:
     """Select these polygons ((P,) bool) with their edges and vertices, and nothing else."""
-    sizes = np.empty(len(mesh.polygons), np.int32)
-    mesh.polygons.foreach_get("loop_total", sizes)
+    sizes = np.diff(polygon_starts(mesh), append=len(mesh.loops))
     corners = np.repeat(chosen, sizes)  # the corners of polygons follow each other
-    for name, elements in (("vertex_index", mesh.vertices), ("edge_index", mesh.edges)):
-        index = np.empty(len(mesh.loops), np.int32)
-        mesh.loops.foreach_get(name, index)
+    edges = np.empty(len(mesh.loops), np.int32)
+    if len(edges):
+        mesh.attributes[".corner_edge"].data.foreach_get("value", edges)
+    for index, elements in ((corner_vertices(mesh), mesh.vertices), (edges, mesh.edges)):
         selected = np.zeros(len(elements), bool)
         selected[index[corners]] = True
         elements.foreach_set("select", selected)
