@@ -131,6 +131,8 @@ class _Copies:
     def add_room(self, room: list[bpy.types.Object], atlases: dict[str, Atlas]) -> None:
         """Copies of the room's objects with plain materials; the artist's own materials stay."""
         for item in room:
+            if not len(item.data.polygons):  # all of it is a lamp
+                continue
             copy = self._copy(item)
             _keep_atlas_uvs(copy.data)
             for slot in copy.material_slots:
@@ -248,9 +250,12 @@ def _write(path: Path) -> None:
     try:
         known = operator.get_rna_type().properties.keys()
     except KeyError:
-        raise FiptError(
-            "export-failed", "Blender's exporter is not enabled.", "Enable the add-on glTF 2.0 format."
-        ) from None
+        text, remedy = (
+            ("The add-on of glTF is disabled.", "Enable 'glTF 2.0 format' in the preferences.")
+            if is_gltf
+            else ("This Blender was built without USD.", "Export glTF, or use a Blender of blender.org.")
+        )
+        raise FiptError("export-failed", text, remedy) from None
     options = _gltf_options(path) if is_gltf else _USD_OPTIONS
     arguments = {name: value for name, value in options.items() if name in known}
     path.unlink(missing_ok=True)
