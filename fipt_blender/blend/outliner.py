@@ -43,6 +43,7 @@ def move_to(item: bpy.types.Object, target: bpy.types.Collection) -> None:
 
 def select_only(layer: bpy.types.ViewLayer, item: bpy.types.Object) -> None:
     """Select one object of a view layer and make it active, if it is there; deselect all others."""
+    layer.update()  # a new object is not among the layer's objects before
     for selected in list(layer.objects.selected):
         selected.select_set(False, view_layer=layer)
     if item.name in layer.objects:

@@ -23,14 +23,14 @@ class FIPT_UL_lights(Rows, bpy.types.UIList):
     ) -> None:
         light = item.object
         layout.use_property_split = False
-        halves = layout.split(factor=0.68, align=True)
+        halves = layout.split(factor=0.62, align=True)
         row = halves.row(align=True)
         row.prop(item, "on", text="", icon="LIGHT" if item.on else "OUTLINER_DATA_LIGHT", emboss=False)
         row.prop(item, "solo", text="", icon="SOLO_ON" if item.solo else "SOLO_OFF", emboss=False)
         name = row.row(align=True)
         name.active = item.on
         name.prop(light, "name", text="", emboss=False)
-        values = halves.split(factor=0.35, align=True)
+        values = halves.split(factor=0.27, align=True)
         values.active = item.on
         values.prop(item, "color", text="")
         values.prop(item, "stops", text="")
