@@ -4,10 +4,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from fipt_blender.core.light.clipped import ON_LAMP, OUTSIDE, LitPoints, light_on_points, solve_lamps
+from fipt_blender.core.light.clipped import (
+    ON_LAMP,
+    OUTSIDE,
+    Expectation,
+    LitPoints,
+    light_on_points,
+    solve_lamps,
+)
 from samples.shading_points import grid_of
 from samples.small_rooms import BOX, make_room
 
@@ -45,22 +54,45 @@ def synthetic(contrast: float, seed: int = 0):
 @pytest.mark.parametrize("contrast", [2.3, 3.2])
 def test_lamps_and_contrast_come_back(contrast):
     points, cache, bound, radiance = synthetic(contrast)
-    found = solve_lamps(points, cache, bound, (np.log(2.8), 1.0))
+    found = solve_lamps(points, cache, Expectation.of(bound, np.log(2.8)), (np.log(2.8), 1.0))
     assert found.log_contrast[0] == pytest.approx(np.log(contrast), abs=0.03)
     assert np.abs(found.log_radiance[:2] - np.log(radiance[:2])).max() < 0.1
     assert found.deviation[:2].max() < 0.15 and found.spread * contrast < 0.2
 
 
+def test_a_known_error_of_the_model_is_corrected():
+    """Light that varies more than the model says: without the correction, the contrast is wrong."""
+    contrast = 2.6
+    points, cache, bound, radiance = synthetic(contrast)
+    light = points.light(cache, radiance, contrast)
+    correction = 0.2 * np.log(light)
+    points = replace(points, value=points.value + correction / contrast, correction=correction)
+    expected = Expectation.of(bound, np.log(2.8))
+    found = solve_lamps(points, cache, expected, (np.log(2.8), 1.0))
+    assert found.log_contrast[0] == pytest.approx(np.log(contrast), abs=0.03)
+    assert np.abs(found.log_radiance[:2] - np.log(radiance[:2])).max() < 0.1
+    wrong = solve_lamps(replace(points, correction=0.0), cache, expected, (np.log(2.8), 1.0))
+    assert abs(wrong.log_contrast[0] - np.log(contrast)) > 0.05
+
+
+def test_an_expectation_decides_where_light_tells_nothing():
+    points, cache, bound, _ = synthetic(2.6)
+    broad = Expectation.of(bound, np.log(2.6))
+    known = replace(broad, log_radiance=np.full((3, 3), 1.5), deviation=np.array([2.0, 2.0, 0.1]))
+    found = solve_lamps(points, cache, known, (np.log(2.6), 0.0))
+    assert np.abs(found.log_radiance[2] - 1.5).max() < 1e-3 and found.deviation[2].max() < 0.11
+
+
 def test_a_known_contrast_is_kept():
     points, cache, bound, radiance = synthetic(2.6)
-    found = solve_lamps(points, cache, bound, (np.log(2.6), 0.0))
+    found = solve_lamps(points, cache, Expectation.of(bound, np.log(2.6)), (np.log(2.6), 0.0))
     assert found.log_contrast[0] == pytest.approx(np.log(2.6), abs=1e-3)
     assert np.abs(found.log_radiance[:2] - np.log(radiance[:2])).max() < 0.06
 
 
 def test_a_lamp_that_lights_nothing_is_said_to_be_unknown():
     points, cache, bound, _ = synthetic(2.6)
-    found = solve_lamps(points, cache, bound, (np.log(2.6), 0.0))
+    found = solve_lamps(points, cache, Expectation.of(bound, np.log(2.6)), (np.log(2.6), 0.0))
     assert found.deviation[2].min() > 1.5  # nothing looks outside
     assert np.abs(found.log_radiance[2] - np.log(8.0 * 4.0)).max() < 1e-3
 

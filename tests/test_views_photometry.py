@@ -18,7 +18,8 @@ from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.scene.mixed_pixels import mark_pure
 from fipt_blender.core.scene.pixels import PixelStore, fill_pixels, open_pixels
-from fipt_blender.core.views.photometry import Photometry, adjust_photographs
+from fipt_blender.core.views.photometry import Photometry, adjust_photographs, warn_of_photographs
+from fipt_blender.core.views.refit import refit_photographs
 from samples.small_captures import CAMERAS, COLORS, PANEL, PANEL_RADIANCE, matt, photograph_room, write_run
 from samples.small_rooms import BOX, make_room, table
 
@@ -65,19 +66,20 @@ def photographed(pixels: PixelStore, encoded: list[int]) -> tuple[PixelStore, fl
     return replace(pixels, views=views, radiance=(values / scale).astype(np.float32)), scale, np.array(gains)
 
 
-def adjusted(pixels: PixelStore, room, scale: float) -> tuple[Photometry, list[dict]]:
+def adjusted(pixels: PixelStore, room, scale: float, folder: Path) -> tuple[Photometry, list[dict]]:
     stream = io.StringIO()
     part = room.triangle_object
-    found = adjust_photographs(pixels, room, part, scale, make_settings("draft"), Reporter(stream))
+    found = adjust_photographs(pixels, room, part, scale, make_settings("draft"), folder)
+    warn_of_photographs(found.facts, Reporter(stream))
     return found, [parse_message(line) for line in stream.getvalue().splitlines()]
 
 
 @pytest.fixture(scope="module")
-def all_adjusted(store) -> tuple[PixelStore, np.ndarray, Photometry, list[dict]]:
+def all_adjusted(store, tmp_path_factory) -> tuple[PixelStore, np.ndarray, Photometry, list[dict]]:
     """All views photographed and adjusted; the pixels, the true gains, what was found, the messages."""
     hdr, room = store
     pixels, scale, gains = photographed(hdr, list(range(len(hdr.views))))
-    return pixels, gains, *adjusted(pixels, room, scale)
+    return pixels, gains, *adjusted(pixels, room, scale, tmp_path_factory.mktemp("codes"))
 
 
 def test_exposures_radiance_and_the_lamp_come_back(store, all_adjusted):
@@ -100,19 +102,19 @@ def test_exposures_radiance_and_the_lamp_come_back(store, all_adjusted):
     assert np.median(positive) == pytest.approx(1.0, rel=0.02)
 
 
-def test_the_same_bits_twice(store, all_adjusted):
+def test_the_same_bits_twice(tmp_path: Path, store, all_adjusted):
     hdr, room = store
     pixels, scale, _ = photographed(hdr, list(range(len(hdr.views))))
-    found, _ = adjusted(pixels, room, scale)
+    found, _ = adjusted(pixels, room, scale, tmp_path)
     first, _, before, _ = all_adjusted
     assert np.array_equal(pixels.radiance, first.radiance) and np.array_equal(found.weight, before.weight)
     assert found.scale == before.scale and found.facts == before.facts
 
 
-def test_hdr_photographs_beside_others_keep_their_radiance(store):
+def test_hdr_photographs_beside_others_keep_their_radiance(tmp_path: Path, store):
     hdr, room = store
     pixels, scale, _ = photographed(hdr, [0, 1, 2, 3, 4])
-    found, _ = adjusted(pixels, room, scale)
+    found, _ = adjusted(pixels, room, scale, tmp_path)
     for index in range(len(hdr.views)):
         rows = hdr.rows(index)
         ratio = np.asarray(pixels.radiance[rows]) * found.scale / np.maximum(hdr.radiance[rows], 1e-6)
@@ -126,5 +128,47 @@ def test_photographs_without_common_points_are_left_as_they_are(tmp_path: Path, 
     """One view alone: nothing tells its response, and nothing fails."""
     hdr, room = store
     pixels, scale, _ = photographed(hdr, [0])
-    found, _ = adjusted(pixels, room, scale)
+    found, _ = adjusted(pixels, room, scale, tmp_path)
     assert np.isfinite(np.asarray(pixels.radiance)).all() and np.isfinite(found.scale)
+
+
+@pytest.fixture(scope="module")
+def true_light(store) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 3) L_d by the true albedo of the matt surfaces, in the unit of the radiance; (N,) bool, where."""
+    hdr, _ = store
+    triangle = np.asarray(hdr.triangle)
+    albedo = np.repeat(np.array([*COLORS, [1.0] * 3]), 2, axis=0)[np.maximum(triangle, 0)]
+    known = (triangle >= 0) & (triangle < 12)
+    return np.where(known[:, None], np.asarray(hdr.radiance) / albedo, 1.0), known
+
+
+def copied(pixels: PixelStore) -> PixelStore:
+    return replace(pixels, radiance=np.array(pixels.radiance))
+
+
+def test_light_of_shadings_mends_what_the_model_gets_wrong(store, all_adjusted, true_light):
+    """With the true light, the radiance of the walls and the lamp comes nearer to the truth."""
+    hdr, room = store
+    adjusted_pixels, _, before, _ = all_adjusted
+    pixels, (light, known) = copied(adjusted_pixels), true_light
+    good = known & (before.weight > 0.5)
+    unit = np.median((np.asarray(pixels.radiance) / np.maximum(hdr.radiance, 1e-6))[good])
+    after = refit_photographs(before, pixels, room, room.triangle_object, (light * unit).astype(np.float16))
+    ratio = np.log(np.asarray(pixels.radiance) / np.maximum(hdr.radiance, 1e-6))
+    middle = np.median(ratio[good])
+    assert np.median(np.abs(ratio[good] - middle)) < 0.06
+    on_lamp = (np.asarray(hdr.triangle) >= 12) & np.asarray(hdr.pure)
+    assert np.median(ratio[on_lamp]) - middle == pytest.approx(0.0, abs=0.15)
+    assert after.facts["contrast"]["light"][1] < before.facts["contrast"]["light"][1]
+    assert np.median(np.asarray(pixels.radiance).mean(axis=1)) == pytest.approx(1.0, rel=0.02)
+
+
+def test_a_view_that_was_corrected_keeps_its_correction(store, all_adjusted, true_light):
+    _, room = store
+    adjusted_pixels, _, before, _ = all_adjusted
+    pixels = copied(adjusted_pixels)
+    pixels.radiance[pixels.rows(2)] /= np.float32(1.2)
+    light = true_light[0].astype(np.float16)
+    after = refit_photographs(before, pixels, room, room.triangle_object, light).facts["views"]
+    moved = [after[name]["exposure_ev"] - view["exposure_ev"] for name, view in before.facts["views"].items()]
+    assert moved[2] - np.median(moved) == pytest.approx(np.log2(1.2), abs=0.05)

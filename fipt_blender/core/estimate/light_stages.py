@@ -4,9 +4,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from ..light.baking import Baking, ShadingStore, TracedLight, bake_views
+from ..light.baking import Baking, ShadingStore, TracedLight, bake_views, baked_light
 from ..light.emitters import EmitterPixels, bright_triangles
 from ..light.observations import observe
 from ..light.presumed import presume_lamps
@@ -21,7 +23,8 @@ from ..scene.mixed_pixels import mark_pure
 from ..scene.pixels import fill_pixels, open_pixels
 from ..scene.unmixing import unmix_pixels
 from ..views.check import check_views
-from ..views.photometry import adjust_photographs
+from ..views.photometry import Photometry, adjust_photographs, warn_of_photographs
+from ..views.refit import refit_photographs
 from .state import EstimationState, Facts
 
 
@@ -34,18 +37,15 @@ class LightStages(EstimationState):
         self.pixels = open_pixels(self.folder.stage / "pixels", self.views, create=True)
         self.scale = fill_pixels(self.pixels, self.room, self._progress_within(0.0, 0.4), self.workers)
         self._sort_pixels(0.4, 0.7)
-        weight = self._adjust_photographs()
+        found = self._adjust_photographs()
         self.view_check = check_views(
             self.pixels, self.room, self.parts.triangle_part, self.settings, self.reporter
         )
         if self.view_check.left_out:  # their masks no longer count
             self._sort_pixels(0.7, 0.8)
-        unmix_pixels(
-            self.pixels, self.room, self._surface_labels(), self._progress_within(0.8, 1.0), self.workers
-        )
-        doubt_pixels(self.pixels, self.room, self.parts)
-        if weight is not None:
-            self._weigh(weight)
+        self._unmix(found, self._progress_within(0.8, 0.9 if found else 1.0))
+        if found:
+            self._readjust_photographs(found)
         self.checkpoints.remember("scale", self.scale)
         self.checkpoints.remember("photometry", self.photometry)
         self.checkpoints.remember("view_check", self.view_check.facts())
@@ -53,20 +53,32 @@ class LightStages(EstimationState):
         pure = sum(int(np.count_nonzero(self.pixels.pure[view])) for view in rows)
         return {"rays": 6 * len(self.pixels) + len(SUBPIXELS) * (len(self.pixels) - pure)}
 
-    def _weigh(self, weight: np.ndarray) -> None:
-        """Multiply the weights of the pixels by `weight` (N,), view by view."""
+    def _unmix(self, found: Photometry | None, progress: Callable[[float], None]) -> None:
+        """Find the pixels' own radiance and its weight."""
+        unmix_pixels(self.pixels, self.room, self._surface_labels(), progress, self.workers)
+        doubt_pixels(self.pixels, self.room, self.parts)
+        if found is None:
+            return
         for index in range(len(self.views)):
             rows = self.pixels.rows(index)
-            self.pixels.weight[rows] *= weight[rows]
+            self.pixels.weight[rows] *= found.weight[rows]
 
-    def _adjust_photographs(self) -> np.ndarray | None:
-        """(N,) weights of the pixels' radiance where photographs are not HDR, which they are turned into."""
+    def _adjust_photographs(self) -> Photometry | None:
+        """Turn photographs that are not HDR into radiance; None where all are HDR."""
         if not any(view.encoded for view in self.views):
             return None
+        part, folder = self.parts.triangle_part, self.folder.stage / "pixels"
+        return adjust_photographs(self.pixels, self.room, part, self.scale, self.settings, folder)
+
+    def _readjust_photographs(self, found: Photometry) -> None:
+        """Find their response and the clipped lamps once more, with the light of shadings of stage 1."""
+        self._prepare()
         part = self.parts.triangle_part
-        found = adjust_photographs(self.pixels, self.room, part, self.scale, self.settings, self.reporter)
+        diffuse = baked_light(self._baking(*self._first_light(), None, 0), self.pixels, self.workers)
+        found = refit_photographs(found, self.pixels, self.room, part, diffuse)
+        self._unmix(found, self._progress_within(0.9, 1.0))
         self.scale, self.photometry = found.scale, found.facts
-        return found.weight
+        warn_of_photographs(found.facts, self.reporter)
 
     def _sort_pixels(self, begin: float, end: float) -> None:
         """Choose the parts of the triangles, and mark the pixels that see one surface of one part."""
@@ -91,24 +103,27 @@ class LightStages(EstimationState):
     # ---- Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9) ---------------------------------------
 
     def _bake(self) -> Facts:
-        settings = self.settings
-        pixels = self.pixels
+        return self._bake_views(*self._first_light(), None, 0)
+
+    def _first_light(self) -> tuple[np.ndarray, EmitterTable, SampleCounts]:
+        """Cache, presumed lamps and numbers of samples of stage 1."""
+        settings, pixels = self.settings, self.pixels
         bright = bright_triangles(self.room, pixels.triangle, pixels.front, pixels.radiance)
         table, lamps = presume_lamps(self.room, EmitterPixels.of(pixels), bright)
         counts = SampleCounts(settings.diffuse_spp, settings.specular_spp, settings.light_spp)
-        return self._bake_views(self.observations.cache(without=lamps), None, table, counts, 0)
+        return self.observations.cache(without=lamps), table, counts
 
-    def _bake_views(
+    def _baking(
         self,
         cache: np.ndarray | None,
-        traced: TracedLight | None,
         emitters: EmitterTable,
         counts: SampleCounts,
+        traced: TracedLight | None,
         index: int,
-    ) -> Facts:
-        """Bake the shadings of all views in round `index`; other arguments as of :class:`Baking`."""
+    ) -> Baking:
+        """The baking of round `index`; other arguments as of :class:`Baking`."""
         environment, settings = self.observations.environment, self.settings
-        baking = Baking(
+        return Baking(
             room=self.room,
             labels=self.parts.triangle_part,
             grid=self.observations.grid,
@@ -123,6 +138,17 @@ class LightStages(EstimationState):
             masking=settings.masking,
             seed=settings.seed * 31 + 1 + index,
         )
+
+    def _bake_views(
+        self,
+        cache: np.ndarray | None,
+        emitters: EmitterTable,
+        counts: SampleCounts,
+        traced: TracedLight | None,
+        index: int,
+    ) -> Facts:
+        """Bake the shadings of all views in round `index`; arguments as of `_baking`."""
+        baking = self._baking(cache, emitters, counts, traced, index)
         finished = self.checkpoints.finished_views(f"refinement-{index}" if index else "shadings")
         store = self._shadings_to_bake(finished)
         progress = self.reporter.progress
@@ -154,4 +180,4 @@ class LightStages(EstimationState):
         counts = SampleCounts(
             settings.refine_diffuse_spp, settings.refine_specular_spp, settings.refine_light_spp
         )
-        return self._bake_views(cache, traced, table, counts, index)
+        return self._bake_views(cache, table, counts, traced, index)

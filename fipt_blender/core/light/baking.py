@@ -9,7 +9,7 @@ process can bake a view.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 
@@ -173,6 +173,15 @@ def bake_views(
         finished.add(index, baked.rays)
         progress(len(finished.views) / count)
     return finished.rays
+
+
+def baked_light(baking: Baking, pixels: PixelStore, workers: Workers) -> np.ndarray:
+    """(N, 3) float16 L_d of all pixels; shadings of gloss are not kept."""
+    diffuse = np.zeros((len(pixels), 3), np.float16)
+    only = replace(baking, levels=baking.levels[-1:])
+    for index, baked in workers.map(only, (pixels.of_view(index) for index in range(len(pixels.views)))):
+        diffuse[pixels.rows(index)] = baked.diffuse
+    return diffuse
 
 
 def bake_view(

@@ -22,7 +22,7 @@ from .cache import VoxelGrid
 RAYS = 128  # over the hemisphere of each point; their noise would make the contrast too high
 LAMP_SAMPLES = 32  # points on each lamp
 MOST_POINTS = 3000
-MOST_LAMPS = 12
+MOST_LAMPS = 24
 ON_LAMP, OUTSIDE = -1, -2  # in place of cache entries
 _ITERATIONS = 25
 _LONGEST_STEP = 0.7  # of any logarithm
@@ -46,12 +46,47 @@ class LitPoints:
         part: (N,) int.
         entry: (N, RAYS) int32 cache entries that rays over the hemisphere meet, ON_LAMP or OUTSIDE.
         direct: (N, F) irradiance over pi by each of F lamps of radiance 1; the last is what lies outside.
+        correction: (N, 3) logarithm of the true light over that of this model, or a number for all.
     """
 
     value: np.ndarray
     part: np.ndarray
     entry: np.ndarray
     direct: np.ndarray
+    correction: np.ndarray | float = 0.0
+
+    def light(self, cache: np.ndarray, radiance: np.ndarray, contrast: float) -> np.ndarray:
+        """(N, 3) irradiance over pi without the correction.
+
+        Args:
+            cache: (E, 3) logarithm of the radiance of the entries over the contrast.
+            radiance: (F, 3) of the lamps.
+        """
+        shown = (self.entry >= 0)[..., None]
+        shining = np.exp(contrast * cache)[np.maximum(self.entry, 0)]
+        return np.where(shown, shining, 0.0).mean(axis=1) + self.direct @ radiance
+
+
+@dataclass(frozen=True, eq=False)
+class Expectation:
+    """What is known of the lamps before their light is measured.
+
+    Attributes:
+        log_radiance: (F, 3) natural logarithms.
+        deviation: (F,) their standard deviations.
+    """
+
+    log_radiance: np.ndarray
+    deviation: np.ndarray
+
+    @classmethod
+    def of(cls, bound: np.ndarray, log_contrast: float) -> Expectation:
+        """Broad ones of lamps that are clipped at a radiance.
+
+        Args:
+            bound: (F, 3) its logarithm over the contrast.
+        """
+        return cls(np.exp(log_contrast) * bound + np.log(_EXPECTED), np.full(len(bound), _UNKNOWN))
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,19 +191,18 @@ def _frames(normal: np.ndarray) -> np.ndarray:
 
 
 def solve_lamps(
-    points: LitPoints, cache: np.ndarray, bound: np.ndarray, contrast: tuple[float, float]
+    points: LitPoints, cache: np.ndarray, expected: Expectation, contrast: tuple[float, float]
 ) -> LampLight:
     """Radiances of the lamps, and the contrast of the response.
 
     Args:
         cache: (E, 3) logarithm of the radiance of the entries over the contrast.
-        bound: (F, 3) logarithm over the contrast of the radiance at which each lamp is clipped.
+        expected: of the F lamps.
         contrast: expected logarithm of the contrast, and its standard deviation; 0 where it is known.
     """
-    fit = _Fit(points, cache, bound, contrast)
-    lamps = bound.shape[0]
-    x = np.concatenate([[contrast[0]], np.zeros(lamps * 3)])
-    x[1:] = (np.exp(contrast[0]) * bound + np.log(_EXPECTED)).ravel()
+    fit = _Fit(points, cache, expected, contrast)
+    lamps = len(expected.deviation)
+    x = np.concatenate([[contrast[0]], expected.log_radiance.ravel()])
     normal, spread = np.eye(len(x)), _TEXTURE
     for _ in range(_ITERATIONS):
         residual, jacobian = fit.evaluate(x, spread)
@@ -192,9 +226,13 @@ class _Fit:
     """Residuals of the points' radiance, in contrasts, and their derivatives by the unknowns."""
 
     def __init__(
-        self, points: LitPoints, cache: np.ndarray, bound: np.ndarray, contrast: tuple[float, float]
+        self, points: LitPoints, cache: np.ndarray, expected: Expectation, contrast: tuple[float, float]
     ) -> None:
-        self._points, self._bound, self._contrast = points, bound, contrast
+        self._points = points
+        self._correction = np.broadcast_to(points.correction, points.value.shape)
+        self._mean = np.concatenate([[contrast[0]], expected.log_radiance.ravel()])
+        deviation = np.concatenate([[max(contrast[1], 1e-4)], np.repeat(expected.deviation, 3)])
+        self._precision = deviation**-2.0
         self._shown = points.entry >= 0
         used, place = np.unique(np.maximum(points.entry, 0), return_inverse=True)
         self._cache, self._entry = cache[used], place.reshape(points.entry.shape)
@@ -202,11 +240,7 @@ class _Fit:
 
     def prior(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Precisions of the unknowns (P,), and the pulls towards what is expected."""
-        expected = np.exp(self._contrast[0]) * self._bound + np.log(_EXPECTED)
-        mean = np.concatenate([[self._contrast[0]], expected.ravel()])
-        precision = np.full(len(x), _UNKNOWN**-2.0)
-        precision[0] = max(self._contrast[1], 1e-4) ** -2.0
-        return precision, precision * (mean - x)
+        return self._precision, self._precision * (self._mean - x)
 
     def evaluate(self, x: np.ndarray, spread: float) -> tuple[np.ndarray, np.ndarray]:
         """(R,) residuals and (R, P) derivatives."""
@@ -222,9 +256,10 @@ class _Fit:
             total = np.maximum(indirect + cast.sum(axis=1), 1e-9)
             good = np.isfinite(points.value[:, channel])
             jacobian = np.zeros((len(total), len(x)))
-            jacobian[:, 0] = (np.log(total) - by_contrast / total) / contrast
+            logarithm = np.log(total) + self._correction[:, channel]
+            jacobian[:, 0] = (logarithm - by_contrast / total) / contrast
             jacobian[:, 1 + channel :: 3] = -cast / total[:, None] / contrast
-            residual = points.value[:, channel] - np.log(total) / contrast
+            residual = points.value[:, channel] - logarithm / contrast
             residual, jacobian = residual[good], jacobian[good]
             residual, jacobian = _without_parts(residual, jacobian, self._group[good], spread)
             residuals.append(residual)

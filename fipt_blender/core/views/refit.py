@@ -1,0 +1,172 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Photographs that are not HDR once more, with the light of baked shadings.
+
+The light on surfaces tells the response's contrast and the radiance of clipped lamps (`light.clipped`), but a
+few rays into the cache miss it by several percent where lamps are small and close. Baked shadings do not:
+their L_d over the light of that model corrects the model at each point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from ..light.clipped import Expectation
+from ..optics.lights import LUMINANCE
+from ..radiometry.adjustment import usable
+from ..radiometry.inversion import Radiometry, is_clipped
+from ..scene.pixels import PixelStore
+from ..scene.room import Room
+from .photometry import VAGUE, ClippedSurfaces, Found, Photometry, solve_light, write_radiance
+
+# Systematic error of the contrast that the light of shadings tells, as measured (docs/method.md).
+REFIT_DEVIATION = 0.03
+# Largest correction of the logarithm of light: beyond it, the model or the shading is wrong.
+MOST_CORRECTION = 1.0
+# Darkest L_d, in units of the capture's median, that is compared.
+_LEAST_LIGHT = 1e-3
+# Standard deviation of the logarithm of what a clipped surface reflects, by its albedo and its shadings.
+_REFLECTED = 0.5
+# Albedo of a part of which no unclipped pixel is known, and the highest that is believed.
+_USUAL_ALBEDO, _MOST_ALBEDO = 0.5, 0.9
+_LEAST_PIXELS = 20
+_ALBEDO_STEP = 7  # of the pixels that tell it
+
+
+def refit_photographs(
+    before: Photometry, pixels: PixelStore, room: Room, part: np.ndarray, diffuse: np.ndarray
+) -> Photometry:
+    """Find the contrast and the clipped lamps with the light of shadings, and write the radiance again.
+
+    Args:
+        before: what was found; `pixels.radiance` is in its unit, apart from the exposures of views.
+        part: (T,) int part of each triangle, negative without.
+        diffuse: (N, 3) L_d of the pixels.
+    """
+    found = before.found
+    lit, contrast = found.lit, found.radiometry.factor
+    if found.clipped.light is None:
+        return before
+    light = np.asarray(diffuse[lit.pixel], np.float64)
+    radiance = np.asarray(pixels.radiance[lit.pixel], np.float64)
+    valid = (np.asarray(pixels.triangle[lit.pixel]) >= 0) & (light > _LEAST_LIGHT).all(axis=1)
+    valid &= (radiance > 0.0).all(axis=1)
+    if not valid.any():
+        return before
+    unit, radiometry = _exposed(
+        found, lit.points.value * contrast - np.log(np.maximum(radiance, 1e-12)), valid
+    )
+    shift = found.radiometry.adjustment.log_gains - radiometry.adjustment.log_gains
+    model = lit.points.light(lit.cache, np.exp(found.clipped.light.log_radiance), contrast)
+    correction = np.log(np.maximum(light, _LEAST_LIGHT)) + unit - np.log(np.maximum(model, 1e-12))
+    points = replace(
+        lit.points,
+        value=np.where(valid[:, None], lit.points.value + shift[lit.place], np.nan),
+        correction=np.clip(correction, -MOST_CORRECTION, MOST_CORRECTION),
+    )
+    reflecting, reflected, albedo = _reflected(pixels, part, diffuse, found, unit)
+    broad = Expectation.of(lit.bound, radiometry.contrast.value)
+    expected = Expectation(
+        np.where(reflecting[:, None], np.log(np.maximum(reflected, 1e-12)) + unit, broad.log_radiance),
+        np.where(reflecting, _REFLECTED, broad.deviation),
+    )
+    radiometry, lamps = solve_light(radiometry, points, lit.cache, expected, REFIT_DEVIATION)
+    if lamps is None:
+        return before
+    # The light on reflecting surfaces changes with the lamps.
+    albedo = albedo * np.exp(
+        unit + np.where(reflecting[:, None], lamps.log_radiance - expected.log_radiance, 0.0)
+    )
+    clipped = ClippedSurfaces(found.clipped.of_triangle, lamps, reflecting, albedo, diffuse)
+    again = replace(found, radiometry=radiometry, clipped=clipped, lit=replace(lit, points=points))
+    return write_radiance(pixels, room, part, before.scale, again)
+
+
+def _exposed(found: Found, offset: np.ndarray, valid: np.ndarray) -> tuple[float, Radiometry]:
+    """The logarithm of the unit of the pixels' radiance, and the radiometry with corrected exposures.
+
+    Args:
+        offset: (N, 3) logarithm of the codes' radiance over the pixels', NaN where it is not known.
+    """
+    views = len(found.encoded)
+    usual = float(np.nanmedian(offset[valid])) if np.isfinite(offset[valid]).any() else 0.0
+    gains = np.array(found.radiometry.adjustment.log_gains)
+    for place in range(views):
+        own = offset[valid & (found.lit.place == place)]
+        if np.isfinite(own).any():
+            by = float(np.nanmedian(own)) - usual
+            gains[place] += by / found.radiometry.factor if abs(by) > 1e-3 else 0.0
+    adjustment = replace(found.radiometry.adjustment, log_gains=gains)
+    return usual, replace(found.radiometry, adjustment=adjustment)
+
+
+def _reflected(
+    pixels: PixelStore, part: np.ndarray, diffuse: np.ndarray, found: Found, unit: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What clipped surfaces reflect.
+
+    Args:
+        unit: logarithm of the unit of the pixels' radiance.
+
+    Returns:
+        (F,) bool, surfaces that would be as bright if they were white, (F, 3) mean radiance that they
+        reflect, (F, 3) their albedo.
+    """
+    lamps = found.clipped.light
+    assert lamps is not None, "asked only where the light was solved"
+    # The light that a surface casts may tell that it is brighter than the bound, as a bulb in a shade is.
+    told = np.where(lamps.deviation.max(axis=1) < VAGUE, np.exp(lamps.log_radiance) @ LUMINANCE, 0.0)
+    count = len(found.clipped.reflecting)
+    reflecting, mean, albedo = np.zeros(count, bool), np.ones((count, 3)), np.ones((count, 3))
+    surface, bound, light, own = (
+        np.concatenate(column) for column in zip(*_clipped(pixels, part, diffuse, found), strict=True)
+    )
+    albedos = _albedos(pixels, part, diffuse, found)
+    for number in np.unique(surface):
+        mine = surface == number
+        white = np.median(light[mine] @ LUMINANCE) * np.exp(unit)
+        reflecting[number] = max(np.median(bound[mine]), told[number]) <= white
+        values, sizes = np.unique(own[mine], return_counts=True)
+        albedo[number] = albedos.get(int(values[np.argmax(sizes)]), np.full(3, _USUAL_ALBEDO))
+        mean[number] = np.maximum(light[mine].mean(axis=0) * albedo[number], 1e-6)
+    return reflecting, mean, albedo
+
+
+def _clipped(
+    pixels: PixelStore, part: np.ndarray, diffuse: np.ndarray, found: Found
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """Clipped pixels of each view: surface, luminance at which they are clipped, L_d (n, 3) and part."""
+    radiometry, codes = found.radiometry, found.codes
+    for place, index in enumerate(found.encoded):
+        rows = pixels.rows(index)
+        code, triangle = codes.of_view(index), np.asarray(pixels.triangle[rows])
+        surface = found.clipped.on(triangle)
+        chosen = np.flatnonzero(is_clipped(code) & (triangle >= 0) & (surface >= 0))
+        value = radiometry.values(place, code[chosen], codes.radius(index)[chosen]) * radiometry.factor
+        light = np.asarray(diffuse[rows][chosen], np.float64)
+        yield surface[chosen], np.exp(value) @ LUMINANCE, light, part[triangle[chosen]]
+
+
+def _albedos(
+    pixels: PixelStore, part: np.ndarray, diffuse: np.ndarray, found: Found
+) -> dict[int, np.ndarray]:
+    """(3,) median albedo of the unclipped pixels of each part that has enough of them."""
+    columns = []
+    for index in found.encoded:
+        rows = pixels.rows(index)
+        triangle, light = np.asarray(pixels.triangle[rows]), np.asarray(diffuse[rows], np.float64)
+        good = usable(found.codes.of_view(index)).all(axis=1) & (triangle >= 0) & pixels.pure[rows]
+        chosen = np.flatnonzero(good & (light > _LEAST_LIGHT).all(axis=1))[::_ALBEDO_STEP]
+        columns.append((part[triangle[chosen]], pixels.radiance[rows][chosen] / light[chosen]))
+    own, ratio = (np.concatenate(column) for column in zip(*columns, strict=True))
+    order = np.argsort(own, kind="stable")
+    parts, first = np.unique(own[order], return_index=True)
+    groups = zip(parts.tolist(), np.split(ratio[order], first[1:]), strict=True)
+    return {
+        number: np.clip(np.median(values, axis=0), 0.0, _MOST_ALBEDO)
+        for number, values in groups
+        if number >= 0 and len(values) >= _LEAST_PIXELS
+    }
