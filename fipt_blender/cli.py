@@ -81,6 +81,9 @@ def make_parser() -> argparse.ArgumentParser:
     add("--clamp-negative", action="store_true", help="treat negative radiance in photographs as zero")
     add("--align-mesh", action="store_true", help="align the cameras to a mesh from another program")
     add(
+        "--plane-room", action="store_true", help="without a mesh: fit a room of planes to the solve's points"
+    )
+    add(
         "--undo-applied-transform",
         action="store_true",
         help="transforms.json: the mesh has the coordinates from before nerfstudio's applied_transform",
@@ -186,6 +189,7 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
         images=arguments.images,
         clamp_negative=arguments.clamp_negative,
         align_mesh=arguments.align_mesh,
+        plane_room=arguments.plane_room,
         views=arguments.views,
         voxel=arguments.voxel,
         close_holes=arguments.close_holes,

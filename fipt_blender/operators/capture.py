@@ -282,6 +282,7 @@ def _capture_options(settings: FIPT_CaptureSettings) -> CaptureOptions:
         images=images,
         clamp_negative=settings.clamp_negative,
         align_mesh=settings.align_mesh,
+        plane_room=settings.plane_room,
         undo_applied_transform=settings.undo_applied_transform,
     )
 

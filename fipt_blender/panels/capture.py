@@ -96,6 +96,7 @@ class FIPT_PT_capture_import(SubSection, bpy.types.Panel):
         column.prop(settings, "images")
         column.prop(settings, "mesh")
         column.prop(settings, "align_mesh")
+        column.prop(settings, "plane_room")
         layout.prop(settings, "hold_back")
         column = layout.column(align=True)
         column.prop(settings, "clamp_negative")

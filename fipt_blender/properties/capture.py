@@ -166,6 +166,11 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         description="The mesh is from another program than the cameras. Move the cameras to it by the sparse"
         " points of the camera solve, with any rotation and scale. The mesh must be an OBJ, PLY or GLB file",
     )
+    plane_room: bpy.props.BoolProperty(
+        name="Room from Points",
+        description="Where the capture has no mesh, fit floor, ceiling, walls and boxes to the sparse points"
+        " of the camera solve. It is a rough stand-in that you correct in Edit Mode",
+    )
     undo_applied_transform: bpy.props.BoolProperty(
         name="Undo Applied Transform",
         description="For transforms.json: the mesh has the coordinates from before nerfstudio applied its"

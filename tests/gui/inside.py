@@ -5,10 +5,12 @@
 from __future__ import annotations
 
 import importlib
+import itertools
 import sys
 from typing import Any
 
 import bpy
+from mathutils import Vector
 
 
 def _ours(name: str) -> Any:
@@ -92,6 +94,60 @@ def view_through() -> str:
 def view_cameras() -> list[str]:
     """Name of each view's camera, in the list's order."""
     return [view.camera for view in bpy.context.scene.fipt.capture.views]
+
+
+def room_corners() -> list[dict[str, Any]]:
+    """Corners of the room's bounding box that are corners of its mesh, with the views that see them."""
+    scene = bpy.context.scene
+    objects = scene.fipt.capture.room_objects(scene)
+    points = [item.matrix_world @ vertex.co for item in objects for vertex in item.data.vertices]
+    low, high = ([function(p[axis] for p in points) for axis in range(3)] for function in (min, max))
+    found = []
+    for corner in itertools.product(*zip(low, high, strict=True)):
+        nearest = min(points, key=lambda point: (point - Vector(corner)).length)
+        seen = [index for index, view in enumerate(scene.fipt.capture.views) if _sees(view, nearest)]
+        middle = 0.5 * (Vector(low) + Vector(high))
+        aim = nearest + 0.01 * (middle - nearest)
+        found.append({"point": list(nearest), "aim": list(aim), "views": seen})
+    return found
+
+
+def _sees(view: Any, point: Vector) -> bool:
+    """Whether a point is well inside a view's picture, and nothing is before it."""
+    scene, camera = bpy.context.scene, bpy.data.objects[view.camera]
+    width, height = camera["fipt_resolution"]
+    local = camera.matrix_world.inverted() @ point
+    frame = camera.data.view_frame()
+    if local.z >= 0.0:
+        return False
+    x, y = (local.to_2d() / -local.z)[:]
+    left, right = (function(corner.x / -corner.z for corner in frame) for function in (min, max))
+    half = 0.5 * (right - left) * height / width
+    if not (left * 0.8 < x < right * 0.8 and abs(y) < 0.8 * half):
+        return False
+    origin = camera.matrix_world.translation
+    toward = point - origin
+    hit, place, *_ = scene.ray_cast(bpy.context.evaluated_depsgraph_get(), origin, toward.normalized())
+    return not hit or (place - origin).length > toward.length - 0.05
+
+
+def pairs() -> dict[str, Any]:
+    """The pairs of points, and how far they are off."""
+    settings = bpy.context.scene.fipt.alignment
+    return {
+        "count": len(settings.pairs),
+        "sights": [len(pair.sights) for pair in settings.pairs],
+        "points": [
+            list(bpy.data.objects[pair.name].matrix_world @ Vector(pair.point)) for pair in settings.pairs
+        ],
+        "error": settings.error,
+        "problem": settings.problem,
+    }
+
+
+def camera_places() -> list[list[float]]:
+    """Where each view's camera is, in the list's order."""
+    return [list(bpy.data.objects[name].matrix_world.translation) for name in view_cameras()]
 
 
 def run_stages() -> int:

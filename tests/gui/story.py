@@ -14,6 +14,7 @@ import subprocess
 import time
 from pathlib import Path
 
+import story_align
 import story_lights
 import story_materials
 from chapters import Chapter, Options, finish
@@ -320,6 +321,7 @@ CHAPTERS = (
     Chapter(preferences, "empty_scene"),
     Chapter(photographs, "preferences"),
     Chapter(capture, "preferences"),
+    Chapter(story_align.align, "capture"),
     Chapter(parts, "capture"),
     Chapter(estimate, "capture"),
     Chapter(materials, "estimate"),

@@ -26,6 +26,9 @@ _COARSE_STEPS = 6
 _KEPT = 24  # starts that are improved with the scale free
 _STEPS = 25
 _CAP = 0.05  # of the points' extent: farther points count as outliers
+# Widths of the weights over the standard deviation of the distances: while searching, and while polishing,
+# where wrong points, of which solves have many, would pull the result by some millimeters.
+_SEARCHED, _POLISHED = 3.0, 1.0
 _REPORTED = 6  # candidates that are polished and returned
 _SAME = 0.02  # candidates closer than this, over the extent, are one
 
@@ -187,7 +190,8 @@ def _improved(
         scales = _scales(current)[:, None]
         distances, along, normals = _nearest(target, positions, exact)
         # Tukey's weights; the reach shrinks to what most points are off by.
-        spread = 3.0 * 1.4826 * np.median(np.abs(along), axis=1, keepdims=True)
+        spread = 1.4826 * np.median(np.abs(along), axis=1, keepdims=True)
+        spread *= _POLISHED if exact else _SEARCHED
         width = np.maximum(reach * scales * 0.8**step, np.maximum(spread, 1e-4 * scales))
         weights = np.maximum(1.0 - (distances / (2.0 * width)) ** 2, 0.0) ** 2 + 1e-9
         middles = np.einsum("sn,snc->sc", weights, positions) / weights.sum(axis=1, keepdims=True)

@@ -38,7 +38,7 @@ def aligned_to_mesh(capture: Path, rig: Rig, mesh: Path | None) -> Rig:
         raise FiptError(
             "mesh-missing", "There is no mesh to which the cameras could be aligned.", "Choose the mesh file."
         )
-    return align_rig(rig, read_points(capture, rig.source), mesh)
+    return align_rig(rig, read_points(capture, rig.source, sure=True), mesh)
 
 
 def align_rig(rig: Rig, points: np.ndarray, mesh: Path) -> Rig:

@@ -16,6 +16,8 @@ from .rig_files import Places
 
 NAME = "colmap"
 LOOKS_FOR = "cameras.bin or cameras.txt with images and points3D, in the folder or its sparse/0"
+SURE_VIEWS = 5  # photographs in which a point was found
+ENOUGH_POINTS = 500  # that so many saw, for the others to be left out
 MODEL_FOLDERS = (".", "sparse/0", "sparse", "0", "dense/sparse", "dense/0/sparse", "colmap/sparse/0")
 MESH_FOLDERS = (".", "dense", "dense/0")
 MESH_STEMS = ("scene", "mesh", "meshed-poisson", "meshed-delaunay", "fused")
@@ -65,13 +67,30 @@ def points(path: Path) -> np.ndarray:
     Raises:
         FiptError: ``rig-damaged``.
     """
+    return _points(path)[0]
+
+
+def sure_points(path: Path) -> np.ndarray:
+    """Those of the points that many photographs see, if there are enough; they are off much less.
+
+    Raises:
+        FiptError: ``rig-damaged``.
+    """
+    positions, views = _points(path)
+    sure = views >= SURE_VIEWS
+    return positions[sure] if sure.sum() >= ENOUGH_POINTS else positions
+
+
+def _points(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (N, 3) of the model's points, and in how many photographs each was found (N,)."""
     folder = _model_folder(path)
     if folder is None:
         raise damaged(path, "it contains no COLMAP model")
     try:
         check_model(folder)
-        model = pycolmap.Reconstruction(str(folder))
-        return np.array([point.xyz for point in model.points3D.values()], np.float64).reshape(-1, 3)
+        found = list(pycolmap.Reconstruction(str(folder)).points3D.values())
+        views = np.array([point.track.length() for point in found], np.int64)
+        return np.array([point.xyz for point in found], np.float64).reshape(-1, 3), views
     except (RuntimeError, ValueError, KeyError, IndexError, OSError) as error:
         raise damaged(folder, error) from None
 

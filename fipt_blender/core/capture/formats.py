@@ -88,21 +88,25 @@ def read_rig(path: Path, name: str, options: ReadOptions) -> Rig:
         ) from None
 
 
-def read_points(path: Path, name: str) -> np.ndarray:
+def read_points(path: Path, name: str, sure: bool = False) -> np.ndarray:
     """The sparse points (N, 3) float64 of a capture's solve, in the coordinates of its poses.
 
     Args:
         path: of the capture.
         name: of its format, one of `FORMATS`.
+        sure: only the better ones, where the format tells them apart.
 
     Raises:
         FiptError: ``alignment-points`` where the format has none, or one of the reader's.
     """
-    reader = getattr(FORMATS[name], "points", None)
+    module = FORMATS[name]
+    reader = getattr(module, "points", None)
+    if sure:
+        reader = getattr(module, "sure_points", reader)
     if reader is None:
         raise FiptError(
             "alignment-points",
-            f"The format {name} holds no sparse points, by which the cameras could be aligned to the mesh.",
+            f"The format {name} holds no sparse points, by which cameras could be aligned or a room made.",
             "Export the cameras as a COLMAP model with points, or move them by hand with FIPT Alignment.",
         )
     points: np.ndarray = reader(path)

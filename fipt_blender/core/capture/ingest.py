@@ -30,6 +30,7 @@ from .formats import read_rig
 from .images import EXR_SUFFIX, is_rec709, read_ids, read_radiance, read_size, write_exr
 from .ingest_options import IngestOptions, check_options, options_of
 from .ingest_options import add_arguments as add_arguments  # of the command
+from .points_room import room_note, room_of_points, write_room
 from .rig import Pinhole, Rig, RigView
 from .views import CAPTURE_FORMAT, CAPTURE_VERSION
 
@@ -59,7 +60,8 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
         rig = with_color_camera(rig, options.scale)
     if options.align_mesh:
         rig = aligned_to_mesh(capture.absolute(), rig, mesh)
-    for note in rig.notes:
+    planes = room_of_points(capture.absolute(), rig) if options.plane_room and mesh is None else None
+    for note in [*rig.notes, *([] if planes is None else [room_note(planes)])]:
         reporter.warning(note.code, note.text, note.remedy)
     views = _assign_splits(_chosen(unique_names(rig.views), options.most_views), options.hold_back)
     _check_files(views)
@@ -72,7 +74,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     pinholes = [_checked_pinhole(view) for view in views]
 
     fusion = None
-    if mesh is None and rig.depths:
+    if mesh is None and planes is None and rig.depths:
         fusion = Fusion(run_folder, rig.depths, options.fusion, options.scale)
         reporter.plan([0.2, 0.7, 0.1])
     reporter.stage("images", "Checking photographs")
@@ -93,6 +95,9 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
         run_folder.create(make_settings())
     if fusion is not None:
         mesh = run_folder.fused_ply if fused is None else fusion.keep(fused)
+    if planes is not None:
+        mesh = run_folder.planes_obj
+        write_room(mesh, planes)
     data = {
         "format": CAPTURE_FORMAT,
         "version": CAPTURE_VERSION,

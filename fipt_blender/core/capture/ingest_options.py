@@ -30,6 +30,7 @@ class IngestOptions:
         hold_back: every Nth view is held back in captures that have no held-back views; 0 for none.
         clamp_negative: set negative radiance of any size to zero.
         align_mesh: move the cameras to the mesh by the solve's sparse points.
+        plane_room: make a room of planes from the solve's sparse points where the capture has no mesh.
         most_views: photographs that are used, evenly spread over all of a capture; 0 for all.
         fusion: how depth images are fused where the capture has no mesh.
         read: options of the readers.
@@ -42,6 +43,7 @@ class IngestOptions:
     hold_back: int = DEFAULT_HOLD_BACK
     clamp_negative: bool = False
     align_mesh: bool = False
+    plane_room: bool = False
     most_views: int = 0
     fusion: FusionOptions = field(default_factory=FusionOptions)
     read: ReadOptions = field(default_factory=ReadOptions)
@@ -77,6 +79,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--align-mesh",
         action="store_true",
         help="the mesh is from another program: align the cameras to it by the solve's points",
+    )
+    parser.add_argument(
+        "--plane-room",
+        action="store_true",
+        help="without a mesh: a room of planes that fits the solve's points",
     )
     parser.add_argument(
         "--own-paths",
@@ -119,6 +126,7 @@ def options_of(arguments: argparse.Namespace) -> IngestOptions:
         hold_back=arguments.hold_back,
         clamp_negative=arguments.clamp_negative,
         align_mesh=arguments.align_mesh,
+        plane_room=arguments.plane_room,
         most_views=arguments.views,
         fusion=FusionOptions(arguments.voxel, arguments.close_holes),
         read=ReadOptions(

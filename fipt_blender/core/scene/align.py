@@ -88,7 +88,7 @@ def solve_points(capture: Path, name: str, views: list[View]) -> np.ndarray:
     now = np.array([view.camera_to_world for view in common], np.float64)
     return transform_points(
         similarity_of_poses(np.array([poses[view.name] for view in common]), now),
-        read_points(capture, rig.source),
+        read_points(capture, rig.source, sure=True),
     )
 
 
