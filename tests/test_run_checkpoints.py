@@ -24,7 +24,7 @@ from fipt_blender.core.run.runfolder import RunFolder, explained_write_errors, w
 from fipt_blender.core.run.settings import Settings
 from fipt_blender.core.scene.pixels import open_array
 
-SMALL = Settings(hash_levels=2, hash_log2_size=6, brdf_width=8)
+SMALL = Settings(rounds=2, hash_levels=2, hash_log2_size=6, brdf_width=8)
 
 
 STAGES = stage_names(1)

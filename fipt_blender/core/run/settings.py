@@ -39,7 +39,7 @@ class Settings:
     preset: str = _setting("medium", "draft, medium or high: the preset that other settings start from", None)
     seed: int = _setting(0, "seed of all random numbers of the run", PIXELS)
     device: str = _setting("auto", "auto, cuda or llvm (CPU)", PIXELS)
-    rounds: int = _setting(2, "number of times that stages 3 and 2 are repeated after stages 1 and 2", None)
+    rounds: int = _setting(1, "number of times that stages 3 and 2 are repeated after stages 1 and 2", None)
     view_share: float = _setting(1.0, "share of the training views that is used, spread evenly", PIXELS)
     reject_views: bool = _setting(
         True, "leave out photographs that contradict their camera poses (not in the paper)", PIXELS
@@ -207,12 +207,12 @@ class Settings:
 
 PRESETS: dict[str, dict[str, Value]] = {
     "draft": {
-        "rounds": 1,
         "training_steps": 250,
         "batch_size": 4096,
     },
     "medium": {},
     "high": {
+        "rounds": 2,
         "diffuse_spp": 64,
         "specular_spp": 16,
         "light_spp": 32,
