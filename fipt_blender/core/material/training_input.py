@@ -29,19 +29,21 @@ from .groups import (
 )
 from .hints import NO_HINT, SurfaceHints, values_of_hints
 from .mixture import infer_materials
-from .pixel_samples import PixelSamples, read_samples, window_means
+from .pixel_samples import PixelSamples, read_samples, smooth_wide_lobes, window_means
 from .projection import RADIANCE_FLOOR, InitialEstimate, project
 from .training import TrainingData
 
-# Pixels used for the closed-form estimate; more change only its time.
+# Pixels of which base colours are estimated; more change only the time.
 PROJECTION_PIXELS = 600_000
 # Groups with fewer pure pixels use their mixed ones too.
 FEW_PIXELS = 30
 # About so many pixels of larger groups determine roughness and metallic.
-GROUP_PIXELS = 20_000
+GROUP_PIXELS = 50_000
 # On a scan, the share of a group's residuals that the pixels of a view have in common: where it lost folds or
 # mouldings, the shadings are wrong by tens of percent, and noise would not make a metal of a curtain.
 SCAN_ERROR = 0.35
+# Steps of a Kronecker sequence along three axes and the sides: powers of the root of x^5 = x + 1.
+KRONECKER = 1.1673039782614187 ** -np.arange(1.0, 5.0)
 # Width, in voxels of the radiance cache, of the cells of constant base colour from which roughness and
 # metallic are estimated: a voxel holds two or three pixels of the test rooms, too few to tell gloss from base
 # colour.
@@ -79,10 +81,8 @@ def training_input(
         groups += 0 if pieces is None else len(hints.names)
         known = hints.known(groups_of_hints(hints, observations.parts, groups), groups)
     pure = np.asarray(pixels.pure)
-    wide_rows = rows[_pure_where_possible(pure[rows], group[rows])]
-    wide_cell = _wide_cells(observations, wide_rows)
-    kept = sample_groups(group[wide_rows], wide_cell, np.random.default_rng([settings.seed, 5]))
-    wide_rows, wide_cell = wide_rows[kept], wide_cell[kept]
+    start = np.random.default_rng([settings.seed, 5]).random()
+    wide_rows, wide_cell = _wide_rows(observations, group, groups, start)
     arrays = (pixels.own, shadings.diffuse, shadings.specular)
     widths = np.array([view.width for view in pixels.views])
     radiance, diffuse, specular = window_means(arrays, wide_rows, pure, group, pixels.ranges, widths)
@@ -91,6 +91,7 @@ def training_input(
     wide = PixelSamples(
         wide_rows, radiance, diffuse, specular, levels, wide_cell, group[wide_rows], view, weight
     )
+    wide = smooth_wide_lobes(wide, pixels.ranges, widths)
     alike = None
     if pieces is not None:
         alike = _similarity(wide.group, observations.part[wide_rows], color[observations.entry[wide_rows]])
@@ -177,16 +178,16 @@ def _add_counts(keys: np.ndarray, count: np.ndarray, values: np.ndarray) -> tupl
 
 def _sample_rows(pixels: PixelStore, donor: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """(M,) int64 pixels that are their own donor: all, or a random sample of about PROJECTION_PIXELS."""
-
-    def own_donors(view: int) -> np.ndarray:
-        rows = pixels.rows(view)
-        return np.flatnonzero(donor[rows] == np.arange(rows.start, rows.stop)) + rows.start
-
     views = range(len(pixels.views))
-    share = PROJECTION_PIXELS / max(sum(len(own_donors(view)) for view in views), 1)
-    return np.concatenate(
-        [rows if share >= 1.0 else rows[rng.random(len(rows)) < share] for rows in map(own_donors, views)]
-    )
+    share = PROJECTION_PIXELS / max(sum(len(_own_donors(pixels, donor, view)) for view in views), 1)
+    found = (_own_donors(pixels, donor, view) for view in views)
+    return np.concatenate([rows if share >= 1.0 else rows[rng.random(len(rows)) < share] for rows in found])
+
+
+def _own_donors(pixels: PixelStore, donor: np.ndarray, view: int) -> np.ndarray:
+    """(n,) int64 pixels of a view that are their own donor."""
+    rows = pixels.rows(view)
+    return np.flatnonzero(donor[rows] == np.arange(rows.start, rows.stop)) + rows.start
 
 
 def _diffuse_colors(observations: Observations, shadings: ShadingStore) -> np.ndarray:
@@ -274,32 +275,56 @@ def _similarity(group: np.ndarray, label: np.ndarray, color: np.ndarray) -> np.n
     return similarity(label_of_group, mean_color)
 
 
-def _wide_cells(observations: Observations, rows: np.ndarray) -> np.ndarray:
-    """(M,) int64 from 0, a cube of `WIDE_CELL` voxels and the side of it that each pixel sees."""
+def _wide_rows(
+    observations: Observations, group: np.ndarray, groups: int, start: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(M,) int64 pixels that tell roughness and metallic, and (M,) int64 their wide cells from 0.
+
+    These are the pixels with a group that are their own donor, pure ones where there are enough. Of groups of
+    more than about `GROUP_PIXELS`, complete cells are drawn.
+
+    Args:
+        group: (N,) int of all pixels, of `groups`, negative for none.
+        start: in [0, 1), a random number for :func:`drawn`.
+    """
+    pixels, donor = observations.pixels, observations.donor
+    views = range(len(pixels.views))
+
+    def known(view: int) -> np.ndarray:
+        rows = _own_donors(pixels, donor, view)
+        return rows[group[rows] >= 0]
+
+    count = np.zeros((2, groups), np.int64)
+    for rows in map(known, views):
+        for total, some in zip(count, (rows, rows[np.asarray(pixels.pure[rows])]), strict=True):
+            total += np.bincount(group[some], minlength=groups)
+    few = count[1] < FEW_PIXELS
+    share = GROUP_PIXELS / np.maximum(np.where(few, count[0], count[1]), 1)
     edge = WIDE_CELL * float(observations.grid.size.max())
-    cube = np.floor((observations.pixels.position[rows] - observations.grid.low) / edge).astype(np.int64)
-    return numbered([*cube.T, np.asarray(observations.entry[rows], np.int64) % SIDES])
+    found = []
+    for rows in map(known, views):
+        rows = rows[np.asarray(pixels.pure[rows]) | few[group[rows]]]
+        cube = np.floor((pixels.position[rows] - observations.grid.low) / edge).astype(np.int64)
+        cell = np.column_stack([cube, np.asarray(observations.entry[rows], np.int64) % SIDES])
+        kept = drawn(cell, start) < share[group[rows]]
+        found.append(np.column_stack([rows, cell])[kept])
+    rows, *cells = np.concatenate(found).T
+    return rows, numbered(cells)
+
+
+def drawn(cell: np.ndarray, start: float) -> np.ndarray:
+    """(N,) numbers in [0, 1), one for each cell (N, D) of int coordinates, spread evenly over any region.
+
+    Steps along the axes are those of a Kronecker sequence, whose points fill the unit interval evenly. Random
+    numbers would fill it by chance, and the estimate would depend on the seed.
+
+    Args:
+        start: the number of the cell at the origin.
+    """
+    return (start + cell @ KRONECKER[: cell.shape[1]]) % 1.0
 
 
 def _light_cells(observations: Observations, rows: np.ndarray) -> np.ndarray:
     """(M,) int64 from 0, the cache entry and the slope that each pixel sees: the same light falls on one."""
     slope = np.round(observations.pixels.normal[rows] / NORMAL_STEP).astype(np.int64)
     return numbered([*slope.T, np.asarray(observations.entry[rows], np.int64)])
-
-
-def sample_groups(group: np.ndarray, cell: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(M,) bool, all pixels of groups of up to `GROUP_PIXELS`, and random complete cells of other groups."""
-    share = GROUP_PIXELS / np.maximum(np.bincount(group), 1)
-    drawn = rng.random(int(cell.max(initial=-1)) + 1)
-    return drawn[cell] < share[group]
-
-
-def _pure_where_possible(pure: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """(M,) bool, pure pixels with a group, and the mixed ones of groups with fewer than FEW_PIXELS pure ones.
-
-    Args:
-        pure: (M,) bool. group: (M,) int, negative for none.
-    """
-    known = group >= 0
-    count = np.bincount(group[known & pure], minlength=int(group.max(initial=0)) + 1)
-    return known & (pure | (count[np.maximum(group, 0)] < FEW_PIXELS))
