@@ -103,7 +103,7 @@ class FIPT_PT_materials_parts(SubSection, bpy.types.Panel):
             text = iface_("Estimated: roughness {:.2f}, metallic {:.2f}; {:,} pixels")
             text = text.format(part.roughness, part.metallic, part.pixels)
         else:
-            text = iface_("No photograph saw it; {:,} faces").format(part.faces)
+            text = iface_("No mean values for this part; {:,} faces").format(part.faces)
         draw_text(layout, context, text)
         column = layout.column(align=True)
         column.enabled = settings.shown != "ORIGINAL"
