@@ -9,6 +9,7 @@ import json
 import sys
 from pathlib import Path
 
+import bpy
 import numpy as np
 import pytest
 
@@ -129,7 +130,6 @@ def options(capture, tmp_path) -> MainJobOptions:
 
 def panel_is_ready(options: MainJobOptions, blend: Path) -> None:
     """The file, opened with the add-on, shows views, lights and settings in the panel."""
-    import bpy
 
     fipt_blender.register()
     try:
@@ -155,7 +155,6 @@ def panel_is_ready(options: MainJobOptions, blend: Path) -> None:
 
 
 def test_the_job_makes_a_blend_and_a_report_and_resumes(options, engine):
-    import bpy
 
     messages = run_main_job(options)
     assert messages[-1]["type"] == "done", messages[-1]

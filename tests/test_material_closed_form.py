@@ -13,6 +13,7 @@ from fipt_blender.core.material.closed_form import (
     MARKED_SHARE,
     CellEstimate,
     fit_cells,
+    followed_by_paths,
     render_rows,
     triangle_emission,
 )
@@ -109,6 +110,16 @@ def test_values_of_an_entry_are_means_over_its_pixels() -> None:
     entries, values, triangle = cells.by_entry()
     assert entries.tolist() == [3, 5] and triangle.tolist() == [8, 9]
     np.testing.assert_allclose(values, [[0.5, 0.5, 0.5, 0.85, 0.0], [0.9, 0.9, 0.9, 0.4, 1.0]], rtol=1e-6)
+
+
+def test_paths_follow_groups_that_may_be_smooth() -> None:
+    none = np.zeros(0)
+    roughness = np.array([0.86, 0.86, 0.4, 1.0])  # the last is of pixels without a group
+    cells = CellEstimate(none, 3, np.zeros((0, 3)), np.zeros((0, 3)), none, none, roughness, np.zeros(4))
+    errors = np.array([0.3, 0.2, 0.3])
+    followed = followed_by_paths(cells, errors, limit=0.6).roughness
+    assert 0.5 < followed[0] < np.float16(0.6)  # tables may be of half precision
+    np.testing.assert_array_equal(followed[1:], roughness[1:])
 
 
 def test_emission_that_is_fitted_jointly_is_found_where_light_varies(seen, data) -> None:

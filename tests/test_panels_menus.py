@@ -18,6 +18,14 @@ pytestmark = pytest.mark.usefixtures("registered")
 ROOT = Path(__file__).resolve().parent.parent
 
 
+@pytest.fixture(autouse=True)
+def site(monkeypatch):
+    """A documentation site."""
+    address = manual.SITE or "https://docs.example/"
+    monkeypatch.setattr(manual, "SITE", address)
+    return address
+
+
 def test_every_item_of_the_menus_is_an_operator():
     idnames = {
         operator.bl_idname
@@ -40,9 +48,16 @@ def test_each_section_has_a_chapter():
     assert manual.chapter_url("") == f"{manual.SITE}guide.html"
 
 
-def test_the_manifest_names_the_site():
+def test_the_manifest_names_the_site(monkeypatch):
+    monkeypatch.undo()
     with (ROOT / "blender_manifest.toml").open("rb") as file:
-        assert tomllib.load(file)["website"] == manual.SITE
+        assert tomllib.load(file).get("website", "") == manual.SITE
+
+
+def test_without_a_site_nothing_links_to_it(monkeypatch):
+    monkeypatch.setattr(manual, "SITE", "")
+    assert not bpy.ops.fipt.help.poll()
+    assert manual.manual_map() == ("", ())
 
 
 @pytest.mark.parametrize(

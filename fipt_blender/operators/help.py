@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..panels.manual import chapter_url
+from ..panels import manual
 
 
 class FIPT_OT_help(bpy.types.Operator):
@@ -19,8 +19,15 @@ class FIPT_OT_help(bpy.types.Operator):
         name="Chapter", description="The chapter; the guide's first page if empty", options={"SKIP_SAVE"}
     )
 
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not manual.SITE:
+            cls.poll_message_set("The documentation is on no server yet. Read docs/guide.md of the project")
+            return False
+        return True
+
     def execute(self, context: bpy.types.Context) -> set[str]:
-        bpy.ops.wm.url_open(url=chapter_url(self.chapter))
+        bpy.ops.wm.url_open(url=manual.chapter_url(self.chapter))
         return {"FINISHED"}
 
 

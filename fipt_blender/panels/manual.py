@@ -4,8 +4,9 @@
 
 from __future__ import annotations
 
-# The documentation site (dev.py docs makes it); blender_manifest.toml names it, too.
-SITE = "https://fipt-blender.example/"
+# Address of the documentation site (dev.py docs makes it), with a slash at the end; empty as long as it is on
+# no server: then nothing links to it. If it is set, blender_manifest.toml needs it as website, too.
+SITE = ""
 
 # Chapters of the guide, by the word after "FIPT_PT_" in the names of panels.
 _CHAPTERS = ("photographs", "capture", "parts", "estimate", "materials", "lights", "insert", "check")
@@ -23,7 +24,12 @@ def chapter_url(chapter: str) -> str:
 
 
 def manual_map() -> tuple[str, tuple[tuple[str, str], ...]]:
-    """For Blender's *Online Manual* in context menus: operators, and each section's properties."""
+    """For Blender's *Online Manual* in context menus: operators, and each section's properties.
+
+    Without a site, nothing is found.
+    """
+    if not SITE:
+        return "", ()
     sections = tuple((f"bpy.types.fipt_{chapter}settings*", f"guide.html#{chapter}") for chapter in _CHAPTERS)
     others = (
         ("bpy.types.fipt_light*", "guide.html#lights"),

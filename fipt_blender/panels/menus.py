@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import bpy
 
-from .manual import manual_map
+from . import manual
 
 KEY = {"type": "F", "value": "PRESS", "shift": True, "alt": True}
 # Operators of each section, with texts where the operators' own names do not tell enough.
@@ -77,8 +77,9 @@ class FIPT_MT_main(bpy.types.Menu):
     def draw(self, context: bpy.types.Context) -> None:
         for label in SECTIONS:
             self.layout.menu(f"FIPT_MT_{label.lower()}")
-        self.layout.separator()
-        self.layout.operator("fipt.help", text="Guide", icon="HELP").chapter = ""
+        if manual.SITE:
+            self.layout.separator()
+            self.layout.operator("fipt.help", text="Guide", icon="HELP").chapter = ""
 
 
 def _section_menu(label: str, operators: Sequence[tuple[str, str]]) -> type[bpy.types.Menu]:
@@ -146,7 +147,7 @@ CLASSES = (*MENUS, FIPT_MT_main, FIPT_MT_maps, FIPT_MT_pie_lights, FIPT_MT_pie)
 def register() -> None:
     """Add the menu, the key and the addresses of the documentation."""
     bpy.types.VIEW3D_MT_view.append(_draw_menu)
-    bpy.utils.register_manual_map(manual_map)
+    bpy.utils.register_manual_map(manual.manual_map)
     configuration = bpy.context.window_manager.keyconfigs.addon
     if configuration is not None:
         keymap = configuration.keymaps.new(name="3D View", space_type="VIEW_3D")
@@ -160,7 +161,7 @@ def unregister() -> None:
     while _keymap_items:
         keymap, item = _keymap_items.pop()
         keymap.keymap_items.remove(item)
-    bpy.utils.unregister_manual_map(manual_map)
+    bpy.utils.unregister_manual_map(manual.manual_map)
     bpy.types.VIEW3D_MT_view.remove(_draw_menu)
 
 

@@ -8,7 +8,7 @@ import textwrap
 
 import bpy
 
-from .manual import chapter_of
+from . import manual
 
 CATEGORY = "FIPT"
 _CHARACTER_PIXELS = 7.0  # mean width of the default font at scale 1
@@ -27,8 +27,10 @@ class Section:
         layout = self.layout  # type: ignore[attr-defined]
         if self.presets is not None:
             self.presets.draw_panel_header(layout)
-        name = getattr(self, "bl_parent_id", "") or type(self).__name__
-        layout.operator("fipt.help", text="", icon="QUESTION", emboss=False).chapter = chapter_of(name)
+        if manual.SITE:
+            name = getattr(self, "bl_parent_id", "") or type(self).__name__
+            chapter = manual.chapter_of(name)
+            layout.operator("fipt.help", text="", icon="QUESTION", emboss=False).chapter = chapter
 
     def fields(self) -> bpy.types.UILayout:
         """The panel's layout for properties: names on the left, values on the right, no animation buttons."""

@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import importlib
 import itertools
+import json
 import sys
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -314,3 +316,17 @@ def _view() -> dict[str, Any]:
     area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
     region = next(region for region in area.regions if region.type == "WINDOW")
     return {"window": window, "area": area, "region": region}
+
+
+def hints() -> dict[str, Any]:
+    """The hints, the engine's questions, and what the last estimate tells of its hints."""
+    state = bpy.context.scene.fipt
+    statistics = Path(bpy.path.abspath(state.run_folder)) / "results" / "statistics.json"
+    return {
+        "hints": [
+            {"object": hint.object and hint.object.name, "material": hint.material}
+            for hint in state.hints.hints
+        ],
+        "questions": [doubt.text for doubt in state.hints.doubts],
+        "told": json.loads(statistics.read_text()).get("hints", []) if statistics.is_file() else [],
+    }

@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import story_align
+import story_hints
 import story_lights
 import story_materials
 from chapters import Chapter, Options, finish
@@ -324,6 +325,7 @@ CHAPTERS = (
     Chapter(story_align.align, "capture"),
     Chapter(parts, "capture"),
     Chapter(estimate, "capture"),
+    Chapter(story_hints.hints, "estimate"),
     Chapter(materials, "estimate"),
     Chapter(story_materials.part_materials, "materials"),
     Chapter(check, "materials"),

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from chapters import Options, finish
-from hand import SIDEBAR, VIEW
+from hand import VIEW
 from window import Window
 
 _PICTURE = ("IMAGE_EDITOR", "WINDOW")
@@ -83,8 +83,6 @@ def menus(window: Window, options: Options) -> None:
     window.point_in_view(0.45, 0.5)
     window.search("Exposure from Photographs")
     window.shot("33_searched")
-    window.open_section("Lights")
-    window.shot("33_help_buttons", SIDEBAR)
 
 
 def aim(window: Window, options: Options) -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The story's chapter on the materials of parts: the list, and picking a part in the viewport."""
+"""The story's chapter on the materials of parts: the list, picking, adjusting and selecting faces."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _LIST = ("Materials", "Materials of Parts")
 
 
 def part_materials(window: Window, options: Options) -> None:
-    """Apply again, and pick a part in the viewport."""
+    """Apply again, pick a part in the viewport, adjust it, select its faces, mark it as an asset."""
     window.open_section("Materials")
     window.click("fipt.apply_results")
     finish(window, "materials")
@@ -25,6 +25,31 @@ def part_materials(window: Window, options: Options) -> None:
     window.point_in_view(0.35, 0.8)
     window.settle()
     window.press()
-    window.wait("inside.part_rows", until=lambda now: now["active"] != found["active"])
+    picked = window.wait("inside.part_rows", until=lambda now: now["active"] != found["active"])
     window.settle()
     window.shot("21_part_picked")
+    active = f"materials.parts[{picked['names'].index(picked['active'])}]"
+    window.set_text(f"{active}.hue", "0.3")
+    window.set_text(f"{active}.roughness_offset", "-0.4")
+    adjusted = window.wait("inside.part_rows", until=lambda now: abs(now["roughness"] + 0.4) < 1e-4)
+    assert abs(adjusted["hue"] - 0.3) < 1e-4, adjusted
+    window.shot("22_part_adjusted")
+    window.open_section("Materials")
+    window.choose("materials.shown", "BASE_COLOR")
+    window.settle(5.0)
+    window.shot("22_part_base_color")
+    window.choose("materials.shown", "ESTIMATED")
+    window.open_section(*_LIST)
+    window.click("fipt.select_part_faces")
+    window.wait("inside.part_rows", until=lambda now: now["mode"] == "EDIT_MESH")
+    window.settle()
+    window.shot("23_part_faces")
+    window.point_in_view(0.5, 0.5)
+    window.key("Tab")
+    window.wait("inside.part_rows", until=lambda now: now["mode"] == "OBJECT")
+    window.open_section(*_LIST)
+    window.click("fipt.mark_part_assets", all_parts=False)
+    window.wait("inside.part_rows", until=lambda now: now["assets"] > 0)
+    window.click("fipt.reset_part", all_parts=False)
+    window.wait("inside.part_rows", until=lambda now: now["roughness"] == 0.0)
+    window.shot("24_part_reset")

@@ -12,7 +12,14 @@ import numpy as np
 from ..light.evidence import find_emission
 from ..light.reflecting import separate
 from ..material.cell_errors import cell_errors
-from ..material.closed_form import MARKED_SHARE, CellEstimate, fit_cells, render_rows, triangle_emission
+from ..material.closed_form import (
+    MARKED_SHARE,
+    CellEstimate,
+    fit_cells,
+    followed_by_paths,
+    render_rows,
+    triangle_emission,
+)
 from ..material.emission_mask import EmissionNetwork, mask_at, masked_triangles
 from ..material.hints import SurfaceHints
 from ..material.networks import typical_values, useful_hash_levels
@@ -64,7 +71,8 @@ class MaterialStages(EstimationState):
         self._group_fixtures(emitting)
         # Kept for stage 3, which writes over the shadings from which these are made.
         self.diffuse = self.observations.means(data.diffuse).astype(np.float16)
-        self.materials = self._entry_values(cells)
+        limit = self.settings.cache_roughness
+        self.materials = self._entry_values(followed_by_paths(cells, data.group_errors[:, 0], limit))
         self._save_estimate(name, emitting)
         return {"cells": len(cells.keys)}
 

@@ -10,7 +10,7 @@ squares.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -25,6 +25,8 @@ from .training import TrainingData
 MARKED_SHARE = 0.5
 # Emission is not looked for in pixels darker than the capture's median.
 LEAST_EMISSION = 1.0
+# Roughness of groups that paths follow although they may be rough, in units of the limit; tables are rounded.
+BELOW_LIMIT = 0.99
 # Keys of the cells of single views that are kept before they are merged.
 MERGED_KEYS = 1 << 22
 
@@ -216,6 +218,20 @@ def _solve(sums: np.ndarray, joint: float | None) -> tuple[np.ndarray, np.ndarra
     emission = (rest - slope * both) / np.maximum(weight, 1e-12)
     shines = emission > 0.0
     return np.where(shines, both, color), np.where(shines, emission, 0.0)
+
+
+def followed_by_paths(cells: CellEstimate, errors: np.ndarray, limit: float) -> CellEstimate:
+    """The estimate as the paths of stage 3 take it, which end in the cache at roughness above `limit`.
+
+    A group that may be smoother, by the standard deviation of its posterior, counts as just below the limit:
+    the cache holds the highlights of such a surface as they look from the photographs' directions.
+
+    Args:
+        errors: (groups,) standard deviation of the groups' roughness.
+    """
+    lowest = cells.roughness - np.append(errors, 0.0)
+    unsure = (cells.roughness > limit) & (lowest <= limit)
+    return replace(cells, roughness=np.where(unsure, BELOW_LIMIT * limit, cells.roughness))
 
 
 def render_rows(
