@@ -19,6 +19,7 @@ from mathutils import Euler, Matrix
 from fipt_blender.blend.marks import MAP
 from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
 from fipt_blender.blend.results import materials
+from fipt_blender.blend.results.adjust import NO_ADJUSTMENT
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,8 @@ def render(
     columns = int(np.ceil(np.sqrt(count)))
     rows = -(-count // columns)
     item = bpy.data.objects.new("Patches", _mesh(patches, columns))
-    material = materials.attribute_material()
+    surface = materials.Surface("patches", "patches", "Patches")
+    material = materials.part_material(surface, None, NO_ADJUSTMENT)
     finish(material)
     item.data.materials.append(material)
     item.visible_diffuse = item.visible_glossy = item.visible_shadow = False

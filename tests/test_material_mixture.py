@@ -235,3 +235,12 @@ def test_a_view_of_a_wrong_mesh_tells_less_than_its_pixels(rng: np.random.Genera
     assert spread(samples, 0.5) / spread(few, 0.5) < spread(samples, 0.0) / spread(few, 0.0)
     common, alone = (infer_materials(samples, samples.cell, SETTINGS, shared_error=c) for c in (0.5, 0.0))
     assert common.roughness_error.sum() > alone.roughness_error.sum()
+
+
+@pytest.mark.parametrize(
+    ("count", "most"),
+    [([10, 20, 70_000], 50_000.0), ([400_000] * 20, 30_000.0), ([0, 100_000, 40_000, 20_000] * 10, 20_000.0)],
+)
+def test_no_group_uses_more_pixels_than_all_may_use_together(count, most):
+    assert training_input.most_of_each(np.array(count)) == most
+    assert np.minimum(count, most).sum() <= 600_000

@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks import fit_write_back, patches
 from fipt_blender.blend.results import materials, write_back_nodes
+from fipt_blender.blend.results.adjust import NO_ADJUSTMENT
 from fipt_blender.blend.results.write_back_nodes import agree_with_model
 from fipt_blender.core.textures import write_back
 
@@ -92,25 +93,33 @@ def test_cycles_agrees_under_the_sun_with_the_authors_masking(sweep, sun):
     assert error[metallic < 1.0].mean() < 0.5 * plain[metallic < 1.0].mean()
 
 
+def attribute_material():
+    return materials.part_material(materials.Surface("patch", "patch", "Patch"), None, NO_ADJUSTMENT)
+
+
+def agreement_groups():
+    return [tree for tree in bpy.data.node_groups if write_back_nodes.GROUP in tree.name]
+
+
 def test_the_group_is_one_a_file_and_mutes_to_principled():
-    first, second = materials.attribute_material(), materials.attribute_material()
+    first, second = attribute_material(), attribute_material()
     for material in (first, second):
         agree_with_model(material)
         nodes = material.node_tree.nodes
-        for label in ("Base Color", "Roughness", "Metallic"):  # exporters read these
-            linked = nodes["FIPT Principled"].inputs[label].links[0].from_node
-            assert linked == nodes[f"FIPT {label}"]
+        for label in ("Base Color", "Roughness", "Metallic"):  # also what the group reads
+            linked = nodes["FIPT Principled"].inputs[label].links[0].from_socket
+            assert linked == nodes["FIPT Adjust"].outputs[label]
         group = nodes[write_back_nodes.GROUP]
         assert nodes["FIPT Output"].inputs["Surface"].links[0].from_node == group
         # Muted, a node passes on its first input of the kind.
         assert [link.from_socket.name for link in group.internal_links] == ["BSDF"]
-    assert len(bpy.data.node_groups) == 1
-    agree_with_model(materials.attribute_material(), "smith")
-    assert len(bpy.data.node_groups) == 2
+    assert len(agreement_groups()) == 1
+    agree_with_model(attribute_material(), "smith")
+    assert len(agreement_groups()) == 2
 
 
 def test_the_group_survives_saving(tmp_path):
-    material = materials.attribute_material()
+    material = attribute_material()
     agree_with_model(material)
     material.use_fake_user = True
     images = sorted(image.name for image in bpy.data.images)
@@ -121,5 +130,5 @@ def test_the_group_survives_saving(tmp_path):
         image = bpy.data.images[name]
         assert image.packed_file is not None and image.colorspace_settings.is_data
         assert np.allclose(image.pixels, pixels, atol=1e-6)
-    assert write_back_nodes.agreement_group() == bpy.data.node_groups[0]
-    assert len(bpy.data.node_groups) == 1
+    assert [write_back_nodes.agreement_group()] == agreement_groups()
+    assert len(agreement_groups()) == 1

@@ -37,7 +37,8 @@ from .training import TrainingData
 PROJECTION_PIXELS = 600_000
 # Groups with fewer pure pixels use their mixed ones too.
 FEW_PIXELS = 30
-# About so many pixels of larger groups determine roughness and metallic.
+# About so many pixels of larger groups determine roughness and metallic; fewer if those of all groups would
+# exceed `PROJECTION_PIXELS`.
 GROUP_PIXELS = 50_000
 # On a scan, the share of a group's residuals that the pixels of a view have in common: where it lost folds or
 # mouldings, the shadings are wrong by tens of percent, and noise would not make a metal of a curtain.
@@ -299,7 +300,8 @@ def _wide_rows(
         for total, some in zip(count, (rows, rows[np.asarray(pixels.pure[rows])]), strict=True):
             total += np.bincount(group[some], minlength=groups)
     few = count[1] < FEW_PIXELS
-    share = GROUP_PIXELS / np.maximum(np.where(few, count[0], count[1]), 1)
+    usable = np.where(few, count[0], count[1])
+    share = most_of_each(usable) / np.maximum(usable, 1)
     edge = WIDE_CELL * float(observations.grid.size.max())
     found = []
     for rows in map(known, views):
@@ -310,6 +312,18 @@ def _wide_rows(
         found.append(np.column_stack([rows, cell])[kept])
     rows, *cells = np.concatenate(found).T
     return rows, numbered(cells)
+
+
+def most_of_each(count: np.ndarray) -> float:
+    """The number of pixels up to which each group is used, of which it has so many (G,).
+
+    It is the largest up to `GROUP_PIXELS` with which all together use at most `PROJECTION_PIXELS`.
+    """
+    ascending = np.sort(count)
+    before = np.cumsum(ascending) - ascending
+    limits = (PROJECTION_PIXELS - before) / np.arange(len(count), 0, -1)
+    exceeded = ascending > limits
+    return float(min(GROUP_PIXELS, limits[exceeded][0])) if exceeded.any() else float(GROUP_PIXELS)
 
 
 def drawn(cell: np.ndarray, start: float) -> np.ndarray:
