@@ -17,6 +17,7 @@ from blender import Blender, Lost
 from drop import FileDrag
 
 VIEW, SIDEBAR = ("VIEW_3D", "WINDOW"), ("VIEW_3D", "UI")
+MARGIN = 6  # pixels at the left of a region without buttons
 PREFERENCES = ("PREFERENCES", "WINDOW")
 UNIT = 20.0  # height of a button at scale 1
 TABS = 20.0  # width of the strip of tabs
@@ -199,8 +200,8 @@ class Hand(Blender):
             page += 1
 
     def _wheel(self, where: Where, button: int, times: int) -> None:
-        left, top, width, height = self.box(where)
-        self.display.move(left + width // 2, top + height // 2)
+        left, top, _, height = self.box(where)
+        self.display.move(left + MARGIN, top + height // 2)  # a list under the pointer would scroll instead
         for _ in range(times):
             self.display.button(button, True)
             self.display.button(button, False)
