@@ -300,7 +300,7 @@ class ReferenceEstimation(Estimation):
 
     def _train(self) -> dict[str, Any]:
         """Nothing is left to do after the last round."""
-        self._save_networks(Networks(self.brdf, self.mask), self.emitting)
+        self._save_networks("training", Networks(self.brdf, self.mask), self.emitting)
         return {}
 
     def _optimise(self, index: int, steps: int, progress: Callable[[float], None]) -> None:
