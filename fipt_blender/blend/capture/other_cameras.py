@@ -141,14 +141,15 @@ def _after_undo(*_: object) -> None:
 
 @bpy.app.handlers.persistent
 def _after_loading(*_: object) -> None:
-    """Forget the scenes of the file before; automatically saved files can contain hidden cameras."""
+    """Forget the scenes of the file before, and hide cameras where its 3D views look through one."""
     hidden_for.clear()
     _watch_marked()
 
 
 def _watch_marked() -> None:
+    """Watch scenes seen through a view, and those with hidden cameras, as automatically saved files have."""
     for scene in bpy.data.scenes:
-        if any(LOOKED_PAST in item for item in _in_the_way(scene)):
+        if _looked_through(scene) is not None or any(LOOKED_PAST in item for item in _in_the_way(scene)):
             watch(scene)
 
 
