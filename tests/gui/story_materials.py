@@ -15,7 +15,7 @@ def part_materials(window: Window, options: Options) -> None:
     window.open_section("Materials")
     window.click("fipt.apply_results")
     finish(window, "materials")
-    window.open_section("Capture")
+    window.open_section("Capture", "Views")
     window.click_row("capture.active_view", 1)
     window.open_section(*_LIST)
     found = window.ask("inside.part_rows")
