@@ -17,7 +17,7 @@ from blender import Blender, Lost
 from drop import FileDrag
 
 VIEW, SIDEBAR = ("VIEW_3D", "WINDOW"), ("VIEW_3D", "UI")
-MARGIN = 6  # pixels at the left of a region without buttons
+MARGIN = 10  # pixels at the left of a region: beside its edge, which is to be dragged, and without buttons
 PREFERENCES = ("PREFERENCES", "WINDOW")
 UNIT = 20.0  # height of a button at scale 1
 TABS = 20.0  # width of the strip of tabs

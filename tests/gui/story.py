@@ -236,7 +236,7 @@ def check(window: Window, options: Options) -> None:
 
 def lights(window: Window, options: Options) -> None:
     """Switch a fixture off, and add a light."""
-    window.open_section("Capture")
+    window.open_section("Capture", "Views")
     window.click_row("capture.active_view", 1)  # the photograph instead of the check's picture
     window.open_section("Lights")
     rows = window.ask("inside.light_rows")

@@ -16,7 +16,7 @@ def light_states(window: Window, options: Options) -> None:
     window.open_section("Materials")
     window.click("fipt.apply_results")
     finish(window, "materials")
-    window.open_section("Capture")
+    window.open_section("Capture", "Views")
     window.click_row("capture.active_view", 1)
     window.open_section("Lights")
     rows = window.ask("inside.light_rows")
