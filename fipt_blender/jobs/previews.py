@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Preview images of a run as icons for the panel; loaded by timers, never while drawing."""
+"""Pictures of a run as icons for the panel; loaded by timers and operators, never while drawing."""
 
 from __future__ import annotations
 
@@ -10,31 +10,42 @@ from pathlib import Path
 import bpy
 import bpy.utils.previews
 
-_collections: list[bpy.utils.previews.ImagePreviewCollection] = []
+
+class PictureIcons:
+    """Icons of image files; none in background."""
+
+    def __init__(self) -> None:
+        self._collection: bpy.utils.previews.ImagePreviewCollection | None = None
+
+    def load(self, paths: Iterable[Path]) -> None:
+        """Replace the icons by those of these files; missing files are skipped."""
+        self.clear()
+        if bpy.app.background:
+            return
+        self._collection = bpy.utils.previews.new()
+        for path in paths:
+            if path.is_file():
+                # Accessing the size reads the file now instead of at the first drawing.
+                tuple(self._collection.load(str(path), str(path), "IMAGE", force_reload=True).image_size)
+
+    def icon(self, path: Path) -> int:
+        """The icon number of a loaded file; 0 if it is not loaded."""
+        if self._collection is None or str(path) not in self._collection:
+            return 0
+        return int(self._collection[str(path)].icon_id)
+
+    def clear(self) -> None:
+        """Free the icons."""
+        if self._collection is not None:
+            bpy.utils.previews.remove(self._collection)
+            self._collection = None
 
 
-def load(paths: Iterable[Path]) -> None:
-    """Replace the icons by those of the given image files; missing files are skipped."""
-    clear()
-    if bpy.app.background:
-        return
-    collection = bpy.utils.previews.new()
-    _collections.append(collection)
-    for path in paths:
-        if path.is_file():
-            # Accessing the size reads the file now instead of at the first drawing.
-            tuple(collection.load(str(path), str(path), "IMAGE", force_reload=True).image_size)
-
-
-def icon(path: Path) -> int:
-    """The icon number of a loaded file; 0 if it is not loaded."""
-    for collection in _collections:
-        if str(path) in collection:
-            return int(collection[str(path)].icon_id)
-    return 0
+estimate_pictures = PictureIcons()  # the estimate so far
+doubt_pictures = PictureIcons()  # the parts that the engine asks about
 
 
 def clear() -> None:
     """Free all icons."""
-    while _collections:
-        bpy.utils.previews.remove(_collections.pop())
+    estimate_pictures.clear()
+    doubt_pictures.clear()

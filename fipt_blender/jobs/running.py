@@ -232,7 +232,7 @@ def _note(info: RunningJob, message: Message) -> None:
         info.memory_gb = message.get("memory_gb") or 0.0
         if message.get("files"):
             info.pictures = [info.run_folder / name for name in message["files"]]
-            previews.load(info.pictures)
+            previews.estimate_pictures.load(info.pictures)
     elif kind == "warning":
         info.warnings.append(message)
 

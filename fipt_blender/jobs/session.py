@@ -98,7 +98,7 @@ def _after_look(folder: Path, state: runstate.RunState, changed: bool) -> None:
     idle = running.current() is None
     if changed:
         if idle:
-            previews.load(state.pictures)
+            previews.estimate_pictures.load(state.pictures)
         redraw()
     if state.engine and idle:
         for scene in bpy.data.scenes:

@@ -11,7 +11,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from mathutils import Vector
 
 from ..core.run.runfolder import RunFolder
-from ..jobs import runstate
+from ..jobs import previews, runstate
 from ..properties.hints import ANSWERS
 from .job_operator import JobOperator
 from .pointer import NAVIGATION, ray_under_pointer
@@ -304,10 +304,9 @@ def show_doubts(scene: bpy.types.Scene, run: RunFolder) -> int:
     from pathlib import Path
 
     from ..blend.hints.exchange import read_doubts
-    from ..panels import hint_pictures
 
     count = read_doubts(scene, run)
-    hint_pictures.load([Path(doubt.picture) for doubt in scene.fipt.hints.doubts])
+    previews.doubt_pictures.load([Path(doubt.picture) for doubt in scene.fipt.hints.doubts])
     return count
 
 

@@ -12,7 +12,6 @@ from . import (
     check,
     estimate,
     export_menu,
-    hint_pictures,
     hints,
     insert,
     lights,
@@ -60,4 +59,3 @@ def unregister() -> None:
     statusbar.unregister()
     _unregister()
     swatches.clear()
-    hint_pictures.clear()

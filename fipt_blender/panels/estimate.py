@@ -10,7 +10,8 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.run.runfolder import RunFolder
-from ..jobs import previews, running, runstate
+from ..jobs import running, runstate
+from ..jobs.previews import estimate_pictures
 from .job import draw_error, draw_job, draw_messages
 from .presets import FIPT_PT_estimate_presets
 from .sidebar import Section, SubSection
@@ -95,13 +96,13 @@ def _draw_state(layout: bpy.types.UILayout, context: bpy.types.Context, state: r
 
 def _draw_pictures(layout: bpy.types.UILayout, paths: tuple[Path, ...]) -> None:
     """The current estimate of base colour and emission."""
-    shown = [path for path in paths if previews.icon(path)]
+    shown = [path for path in paths if estimate_pictures.icon(path)]
     if not shown:
         return
     row = layout.row()
     for path in shown:
         column = row.column(align=True)
-        column.template_icon(icon_value=previews.icon(path), scale=7.0)
+        column.template_icon(icon_value=estimate_pictures.icon(path), scale=7.0)
         column.label(text="Emission" if "emission" in path.name else "Base Color")
 
 

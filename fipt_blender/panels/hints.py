@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..jobs import running
+from ..jobs.previews import doubt_pictures
 from ..properties.hints import ANSWERS
-from . import hint_pictures
 from .sidebar import Rows, SubSection, draw_text
 
 _NAMES = {identifier: name for identifier, name, _ in ANSWERS}
@@ -87,7 +89,7 @@ class FIPT_PT_estimate_hints(SubSection, bpy.types.Panel):
 def _draw_doubt(layout: bpy.types.UILayout, doubt: bpy.types.PropertyGroup) -> None:
     """The picture of a part, the question, and a button for each answer."""
     box = layout.box()
-    icon = hint_pictures.icon(doubt.picture)
+    icon = doubt_pictures.icon(Path(doubt.picture))
     if icon:
         box.template_icon(icon_value=icon, scale=7.0)
     row = box.row()
