@@ -21,6 +21,7 @@ pyproject.toml and finds or fetches an LLVM. Nothing outside this folder is chan
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import platform
 import re
@@ -139,7 +140,7 @@ def read_versions() -> dict[str, str]:
 
 
 def build_extension(folder: Path = ROOT / "dist") -> Path:
-    """Build the extension's zip, with the manifest, the licence and the package's files at its top level.
+    """Build the extension's zip, with the manifest, the licence, the guide and the package's files.
 
     The build is reproducible: the same files give the same bytes.
 
@@ -154,6 +155,7 @@ def build_extension(folder: Path = ROOT / "dist") -> Path:
         raise SetupError(f"The versions differ:\n{listed}\nMake them equal.")
     package = ROOT / "fipt_blender"
     contents = {name: (ROOT / name).read_bytes() for name in ("blender_manifest.toml", "LICENSE")}
+    contents |= _offline_pages()
     contents[PINS_NAME] = json.dumps({name: read_pins()[name] for name in ENGINE_GROUPS}, indent=1).encode()
     for path in package.rglob("*"):
         parts = path.relative_to(package).parts
@@ -172,6 +174,16 @@ def build_extension(folder: Path = ROOT / "dist") -> Path:
             archive.writestr(info, contents[name])
     temporary.replace(target)
     return target
+
+
+def _offline_pages() -> dict[str, bytes]:
+    """The guide as HTML pages (docs/hooks/offline.py)."""
+    spec = importlib.util.spec_from_file_location("offline", ROOT / "docs" / "hooks" / "offline.py")
+    if spec is None or spec.loader is None:
+        raise SetupError("docs/hooks/offline.py is missing. Use a complete checkout.")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.offline_pages()
 
 
 def index_extensions(folder: Path = ROOT / "dist") -> int:

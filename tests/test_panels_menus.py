@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import fnmatch
 import tomllib
 from pathlib import Path
 
@@ -42,10 +44,10 @@ def test_each_section_has_a_chapter():
     for menu in menus.MENUS:
         chapter = manual.chapter_of(f"FIPT_PT_{menu.bl_label.lower()}")
         assert chapter and f'<a id="{chapter}"></a>' in guide
-        assert manual.chapter_url(chapter) == f"{manual.SITE}guide.html#{chapter}"
+        assert manual.chapter_page(chapter) == f"guide.html#{chapter}"
     assert '<a id="install"></a>' in guide
     assert manual.chapter_of("FIPT_PT_capture_alignment") == "capture" and manual.chapter_of("X") == ""
-    assert manual.chapter_url("") == f"{manual.SITE}guide.html"
+    assert manual.chapter_page("") == "guide.html"
 
 
 def test_the_manifest_names_the_site(monkeypatch):
@@ -54,10 +56,27 @@ def test_the_manifest_names_the_site(monkeypatch):
         assert tomllib.load(file).get("website", "") == manual.SITE
 
 
-def test_without_a_site_nothing_links_to_it(monkeypatch):
+def test_without_any_pages_nothing_links_to_them(monkeypatch, tmp_path):
     monkeypatch.setattr(manual, "SITE", "")
+    monkeypatch.setattr(manual, "PAGES", tmp_path)
     assert not bpy.ops.fipt.help.poll()
-    assert manual.manual_map() == ("", ())
+    assert manual.manual_map({}) == ("", ())
+
+
+def test_without_a_site_help_opens_the_pages_of_the_extension(monkeypatch, tmp_path):
+    pages = tmp_path / "a folder"
+    pages.mkdir()
+    (pages / "guide.html").touch()
+    monkeypatch.setattr(manual, "SITE", "")
+    monkeypatch.setattr(manual, "PAGES", pages)
+    opened = []
+    with _browser(opened):
+        assert bpy.ops.fipt.help(chapter="lights") == {"FINISHED"}
+        assert bpy.ops.fipt.help() == {"FINISHED"}
+    assert opened == [f"{pages.as_uri()}/lights.html", f"{pages.as_uri()}/guide.html"]
+    assert opened[0].startswith("file:///") and " " not in opened[0]
+    assert _found("bpy.ops.fipt.add_light") == f"{pages.as_uri()}/lights.html"
+    assert _found("bpy.ops.fipt.cancel_setup") == f"{pages.as_uri()}/guide.html"
 
 
 @pytest.mark.parametrize(
@@ -70,17 +89,19 @@ def test_without_a_site_nothing_links_to_it(monkeypatch):
     ],
 )
 def test_the_online_manual_finds_operators_and_properties(name, page):
-    import fnmatch
-
-    ours = [pages for site, pages in bpy.utils.manual_map() if site == manual.SITE]
-    assert len(ours) == 1
-    site, pages = manual.SITE, ours[0]
-    found = next(url for pattern, url in pages if fnmatch.fnmatchcase(name.lower(), pattern))
-    assert site + found == manual.SITE + page
+    assert _found(name) == manual.SITE + page
 
 
-def test_help_opens_the_chapter(monkeypatch):
-    opened = []
+def _found(name):
+    """The address that Blender finds in our map."""
+    site, pages = menus.online_manual()
+    assert (site, pages) in bpy.utils.manual_map()
+    return site + next(page for pattern, page in pages if fnmatch.fnmatchcase(name.lower(), pattern))
+
+
+@contextlib.contextmanager
+def _browser(opened):
+    """Notes what Blender would open in the browser."""
 
     class Recorder(bpy.types.Operator):
         """Stands for the browser"""
@@ -97,10 +118,16 @@ def test_help_opens_the_chapter(monkeypatch):
     bpy.utils.unregister_class(original)
     bpy.utils.register_class(Recorder)
     try:
-        assert bpy.ops.fipt.help(chapter="lights") == {"FINISHED"}
+        yield
     finally:
         bpy.utils.unregister_class(Recorder)
         bpy.utils.register_class(original)
+
+
+def test_help_opens_the_chapter():
+    opened = []
+    with _browser(opened):
+        assert bpy.ops.fipt.help(chapter="lights") == {"FINISHED"}
     assert opened == [f"{manual.SITE}guide.html#lights"]
 
 

@@ -21,13 +21,15 @@ class FIPT_OT_help(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not manual.SITE:
-            cls.poll_message_set("The documentation is on no server yet. Read docs/guide.md of the project")
+        if not manual.address():
+            cls.poll_message_set(
+                "The guide is part of the extension's zip. Install it, or read docs/guide.md"
+            )
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        bpy.ops.wm.url_open(url=manual.chapter_url(self.chapter))
+        bpy.ops.wm.url_open(url=manual.address() + manual.chapter_page(self.chapter))
         return {"FINISHED"}
 
 

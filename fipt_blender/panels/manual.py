@@ -1,12 +1,18 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where the documentation site explains panels, operators and properties. Only a click opens it."""
+"""Where panels, operators and properties are explained: the guide in the extension, or a site."""
 
 from __future__ import annotations
 
-# Address of the documentation site (dev.py docs makes it), with a slash at the end; empty as long as it is on
-# no server: then nothing links to it. If it is set, blender_manifest.toml needs it as website, too.
+import functools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+# Address of a documentation site (dev.py docs makes it), with a slash at the end. If empty, help opens
+# the pages in the extension's zip. If set, blender_manifest.toml needs it as website, too.
 SITE = ""
+# The pages in the zip (docs/hooks/offline.py); a checkout has none.
+PAGES = Path(__file__).resolve().parents[1] / "guide"
 
 # Chapters of the guide, by the word after "FIPT_PT_" in the names of panels.
 _CHAPTERS = ("photographs", "capture", "parts", "estimate", "materials", "lights", "insert", "check")
@@ -18,23 +24,49 @@ def chapter_of(panel: str) -> str:
     return words[2] if len(words) > 2 and words[2] in _CHAPTERS else ""
 
 
-def chapter_url(chapter: str) -> str:
-    """Address of a chapter of the guide; of the guide itself for ""."""
-    return f"{SITE}guide.html#{chapter}" if chapter else f"{SITE}guide.html"
+@functools.cache
+def _has_pages(pages: Path) -> bool:
+    """Whether the pages are there; asked by each redraw of the panels."""
+    return (pages / "guide.html").is_file()
 
 
-def manual_map() -> tuple[str, tuple[tuple[str, str], ...]]:
+def address() -> str:
+    """Address of the pages, with a slash at the end; "" where there are none."""
+    if SITE:
+        return SITE
+    return f"{PAGES.as_uri()}/" if _has_pages(PAGES) else ""
+
+
+def chapter_page(chapter: str) -> str:
+    """The page of a chapter of the guide below `address`; that of the guide itself for ""."""
+    if not chapter:
+        return "guide.html"
+    return f"guide.html#{chapter}" if SITE else f"{chapter}.html"
+
+
+def manual_map(operators: Mapping[str, Sequence[str]]) -> tuple[str, tuple[tuple[str, str], ...]]:
     """For Blender's *Online Manual* in context menus: operators, and each section's properties.
 
-    Without a site, nothing is found.
+    Without any pages, nothing is found.
+
+    Args:
+        operators: names of operators by the chapter that explains them; the site has a page of all.
     """
-    if not SITE:
+    if not address():
         return "", ()
-    sections = tuple((f"bpy.types.fipt_{chapter}settings*", f"guide.html#{chapter}") for chapter in _CHAPTERS)
-    others = (
-        ("bpy.types.fipt_light*", "guide.html#lights"),
-        ("bpy.types.fipt_preferences*", "guide.html#install"),
-        ("bpy.types.fipt_*", "guide.html"),
-        ("bpy.ops.fipt.*", "operators.html"),
-    )
-    return SITE, (*sections, *others)
+    sections = [(f"bpy.types.fipt_{chapter}settings*", chapter_page(chapter)) for chapter in _CHAPTERS]
+    others = [
+        ("bpy.types.fipt_light*", chapter_page("lights")),
+        ("bpy.types.fipt_preferences*", chapter_page("install")),
+        ("bpy.types.fipt_*", chapter_page("")),
+    ]
+    if SITE:
+        others.append(("bpy.ops.fipt.*", "operators.html"))
+    else:
+        others += [
+            (f"bpy.ops.fipt.{name}", chapter_page(chapter))
+            for chapter, names in operators.items()
+            for name in names
+        ]
+        others.append(("bpy.ops.fipt.*", chapter_page("")))
+    return address(), (*sections, *others)

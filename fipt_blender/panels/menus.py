@@ -77,7 +77,7 @@ class FIPT_MT_main(bpy.types.Menu):
     def draw(self, context: bpy.types.Context) -> None:
         for label in SECTIONS:
             self.layout.menu(f"FIPT_MT_{label.lower()}")
-        if manual.SITE:
+        if manual.address():
             self.layout.separator()
             self.layout.operator("fipt.help", text="Guide", icon="HELP").chapter = ""
 
@@ -147,7 +147,7 @@ CLASSES = (*MENUS, FIPT_MT_main, FIPT_MT_maps, FIPT_MT_pie_lights, FIPT_MT_pie)
 def register() -> None:
     """Add the menu, the key and the addresses of the documentation."""
     bpy.types.VIEW3D_MT_view.append(_draw_menu)
-    bpy.utils.register_manual_map(manual.manual_map)
+    bpy.utils.register_manual_map(online_manual)
     configuration = bpy.context.window_manager.keyconfigs.addon
     if configuration is not None:
         keymap = configuration.keymaps.new(name="3D View", space_type="VIEW_3D")
@@ -161,7 +161,7 @@ def unregister() -> None:
     while _keymap_items:
         keymap, item = _keymap_items.pop()
         keymap.keymap_items.remove(item)
-    bpy.utils.unregister_manual_map(manual.manual_map)
+    bpy.utils.unregister_manual_map(online_manual)
     bpy.types.VIEW3D_MT_view.remove(_draw_menu)
 
 
@@ -176,6 +176,12 @@ def draw_shortcut(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
             row.label(text="Pie Menu in 3D Viewports", icon="EVENT_OS")
             row.prop(item, "active", text="")
             row.prop(item, "type", text="", full_event=True)
+
+
+def online_manual() -> tuple[str, tuple[tuple[str, str], ...]]:
+    """Called by Blender for *Online Manual*."""
+    chapters = {label.lower(): [name for name, _ in listed] for label, listed in SECTIONS.items()}
+    return manual.manual_map(chapters)
 
 
 def _draw_menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:

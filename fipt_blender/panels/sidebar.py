@@ -27,7 +27,7 @@ class Section:
         layout = self.layout  # type: ignore[attr-defined]
         if self.presets is not None:
             self.presets.draw_panel_header(layout)
-        if manual.SITE:
+        if manual.address():
             name = getattr(self, "bl_parent_id", "") or type(self).__name__
             chapter = manual.chapter_of(name)
             layout.operator("fipt.help", text="", icon="QUESTION", emboss=False).chapter = chapter

@@ -202,6 +202,10 @@ class Hand(Blender):
     def _wheel(self, where: Where, button: int, times: int) -> None:
         left, top, _, height = self.box(where)
         self.display.move(left + MARGIN, top + height // 2)  # a list under the pointer would scroll instead
+        self.turn_wheel(button, times)
+
+    def turn_wheel(self, button: int, times: int) -> None:
+        """Turn the wheel where the pointer is: 4 is upwards, 5 downwards."""
         for _ in range(times):
             self.display.button(button, True)
             self.display.button(button, False)

@@ -82,12 +82,19 @@ class Window(Hand):
         raise Lost(f"{path} is not {item}")
 
     def click_row(self, target: str, index: int, where: Where = SIDEBAR) -> None:
-        """Click a visible row of a list, named by the property that holds the index of the active row."""
+        """Click one of the first rows of a list, named by the property of the active row's index."""
         path = self.hover(target, where)
+        self.turn_wheel(4, self.ask("value", path))  # the list shows its first row
+        if self.under(where)["property"] != path:  # the region has moved as well
+            self.hover(target, where)
         x, _ = self.display.pointer
         row = UNIT * self.scale()
-        y = self.extent(path, where, 1)[0] + row * (index + 0.5)
+        first, last = self.extent(path, where, 1)
+        y = first + row * (index + 0.5)
+        got = None
         for _ in range(_TRIES):
+            if not first <= y <= last:
+                break
             self.display.move(x, round(y))
             self.press()
             got = self.ask("value", path)
