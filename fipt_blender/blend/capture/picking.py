@@ -9,6 +9,7 @@ import numpy as np
 from bpy_extras.view3d_utils import location_3d_to_region_2d, region_2d_to_origin_3d, region_2d_to_vector_3d
 from mathutils import Vector
 
+from ..ray_hits import hits
 from .cameras import camera_geometry
 from .pairs import PickedSight, camera_view
 
@@ -35,20 +36,16 @@ def mesh_under(
     direction = region_2d_to_vector_3d(region, data, position)
     depsgraph = context.evaluated_depsgraph_get()
     skip_backs = space.shading.type == "SOLID" and space.shading.show_backface_culling
-    for _ in range(64):
-        hit, point, normal, face, item, matrix = context.scene.ray_cast(depsgraph, origin, direction)
-        if not hit:
-            return None
-        if item.type == "MESH" and not (skip_backs and normal.dot(direction) > 0.0):
-            break
-        origin = point + 1e-5 * max(1.0, point.length) * direction.normalized()
-    else:
+    found = hits(context.scene, depsgraph, origin, direction, skip_backs)
+    hit = next((hit for hit in found if hit.object.type == "MESH"), None)
+    if hit is None:
         return None
-    if snap and face >= 0:
-        mesh = item.evaluated_get(depsgraph).data
-        corners = [matrix @ mesh.vertices[index].co for index in mesh.polygons[face].vertices]
+    point = hit.position
+    if snap and hit.face >= 0:
+        mesh = hit.object.evaluated_get(depsgraph).data
+        corners = [hit.matrix @ mesh.vertices[index].co for index in mesh.polygons[hit.face].vertices]
         point = snapped(region, data, position, corners) or point
-    return item.original.name, point
+    return hit.object.original.name, point
 
 
 def snapped(

@@ -15,9 +15,9 @@ from mathutils import Vector
 from ...core.run.errors import FiptError
 from ...core.run.hints import MOST_POINTS
 from ..marks import AREA
+from ..ray_hits import hits
 from ..room.mesh_arrays import transform_points
 
-_MAX_HITS = 64
 FACE_SETS = ".sculpt_face_set"
 
 
@@ -31,20 +31,11 @@ def surface_on_ray(
     """Object, polygon and point in the world of the first mesh that a ray hits; None without one.
 
     Args:
-        scene, depsgraph: the scene and its dependency graph.
-        origin, direction: of the ray, in the world.
-        skip_backs: whether the ray passes through surfaces that it hits from behind.
+        scene, depsgraph, origin, direction, skip_backs: as for `hits`.
     """
-    if direction.length == 0.0:
-        return None
-    nudge = 1e-5 * max(1.0, max(abs(value) for value in origin))
-    for _ in range(_MAX_HITS):
-        hit, point, normal, face, item, _ = scene.ray_cast(depsgraph, origin, direction)
-        if not hit:
-            return None
-        if item.type == "MESH" and face >= 0 and not (skip_backs and normal.dot(direction) > 0.0):
-            return item.original, face, point
-        origin = point + nudge * direction.normalized()
+    for hit in hits(scene, depsgraph, origin, direction, skip_backs):
+        if hit.object.type == "MESH" and hit.face >= 0:
+            return hit.object.original, hit.face, hit.position
     return None
 
 

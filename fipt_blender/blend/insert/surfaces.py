@@ -13,10 +13,9 @@ from mathutils import Vector
 from ...core.run.errors import FiptError
 from ..capture.cameras import camera_geometry
 from ..capture.view_geometry import ViewGeometry
+from ..ray_hits import hits
 from ..room.rays import Cast
 from .support import find_support
-
-_MAX_HITS = 64
 
 
 class Surface(NamedTuple):
@@ -36,23 +35,10 @@ def find_surface(
     """The first visible surface that a ray hits.
 
     Args:
-        scene: the scene.
-        depsgraph: its dependency graph.
-        origin: start of the ray, in the world.
-        direction: of any length, in the world.
-        skip_backs: whether the ray passes through surfaces that it hits from behind.
+        scene, depsgraph, origin, direction, skip_backs: as for `hits`.
     """
-    direction = direction.normalized()
-    nudge = 1e-5 * max(1.0, max(abs(value) for value in origin))
-    for _ in range(_MAX_HITS):
-        hit, position, normal, *_ = scene.ray_cast(depsgraph, origin, direction)
-        if not hit:
-            return None
-        behind = normal.dot(direction) > 0.0
-        if not (behind and skip_backs):
-            return Surface(position, -normal if behind else normal)
-        origin = position + nudge * direction
-    return None
+    hit = next(hits(scene, depsgraph, origin, direction, skip_backs), None)
+    return None if hit is None else Surface(hit.position, -hit.normal if hit.behind else hit.normal)
 
 
 def surface_at(scene: bpy.types.Scene, camera: bpy.types.Object, u: float, v: float) -> Surface:

@@ -7,7 +7,7 @@ The adjustments themselves are in the materials; the list has none of its own.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from dataclasses import replace
 
 import bpy
@@ -18,6 +18,7 @@ from ...core.run.errors import FiptError
 from ...core.run.parts import read_parts
 from ...core.run.runfolder import RunFolder
 from ..marks import PART, has_results, room_with_results
+from ..ray_hits import hits
 from ..room.arrays import read_room
 from ..room.mesh_arrays import corner_vertices, polygon_slots, polygon_starts
 from ..room.originals import result_meshes
@@ -25,7 +26,6 @@ from . import adjust
 from .materials import result_materials
 from .part_materials import materials_by_part
 
-_MAX_HITS = 64
 _UNKNOWN = (0.5, 0.5, 0.5)
 
 
@@ -165,30 +165,14 @@ def part_under(
     """The key of the part that a ray hits, "" where it hits no estimated surface.
 
     Args:
-        scene, depsgraph: the scene and its dependency graph.
-        origin, direction: of the ray, in the world.
-        skip_backs: whether the ray passes through surfaces that it hits from behind.
+        scene, depsgraph, origin, direction, skip_backs: as for `hits`.
     """
-    for item, face, normal in _hits(scene, depsgraph, origin, direction):
-        if skip_backs and normal.dot(direction) > 0.0:
+    for hit in hits(scene, depsgraph, origin, direction, skip_backs):
+        if hit.object.type != "MESH" or hit.face < 0:
             continue
-        if not has_results(item.original):
+        if not has_results(hit.object.original):
             return ""
-        mesh = item.evaluated_get(depsgraph).data
+        mesh = hit.object.evaluated_get(depsgraph).data
         keys = _slot_parts(mesh)
-        return keys[min(mesh.polygons[face].material_index, len(keys) - 1)] if keys else ""
+        return keys[min(mesh.polygons[hit.face].material_index, len(keys) - 1)] if keys else ""
     return ""
-
-
-def _hits(
-    scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, origin: Vector, direction: Vector
-) -> Iterator[tuple[bpy.types.Object, int, Vector]]:
-    """Object, polygon and normal of each mesh that a ray passes through, the nearest first."""
-    nudge = 1e-5 * max(1.0, max(abs(value) for value in origin))
-    for _ in range(_MAX_HITS):
-        hit, position, normal, face, item, _ = scene.ray_cast(depsgraph, origin, direction)
-        if not hit:
-            return
-        if item.type == "MESH" and face >= 0:
-            yield item, face, normal
-        origin = position + nudge * direction.normalized()

@@ -1,0 +1,62 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The surfaces of a scene that a ray passes through, one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import bpy
+from mathutils import Matrix, Vector
+
+_MOST_HITS = 64  # a ray that has not found what it looks for by then gives up
+
+
+class Hit(NamedTuple):
+    """Where a ray hits a surface.
+
+    Attributes:
+        position, normal: in the world; the normal is that of the face, whichever side is hit.
+        behind: whether the face is hit from behind.
+        face: polygon of the evaluated mesh.
+        object: the evaluated object.
+        matrix: of the object or instance, to the world.
+    """
+
+    position: Vector
+    normal: Vector
+    behind: bool
+    face: int
+    object: bpy.types.Object
+    matrix: Matrix
+
+
+def hits(
+    scene: bpy.types.Scene,
+    depsgraph: bpy.types.Depsgraph,
+    origin: Vector,
+    direction: Vector,
+    skip_backs: bool = False,
+) -> Iterator[Hit]:
+    """The visible surfaces on a ray, the nearest first.
+
+    Args:
+        scene, depsgraph: the scene and its dependency graph.
+        origin: start of the ray, in the world.
+        direction: of any length, in the world; without a length nothing is hit.
+        skip_backs: whether the ray passes through surfaces that it hits from behind.
+    """
+    if direction.length == 0.0:
+        return
+    direction = direction.normalized()
+    # Moves the next ray off the surface that the last one has hit.
+    nudge = 1e-5 * max(1.0, max(abs(value) for value in origin))
+    for _ in range(_MOST_HITS):
+        hit, position, normal, face, item, matrix = scene.ray_cast(depsgraph, origin, direction)
+        if not hit:
+            return
+        behind = normal.dot(direction) > 0.0
+        if not (behind and skip_backs):
+            yield Hit(position, normal, behind, face, item, matrix)
+        origin = position + nudge * direction
