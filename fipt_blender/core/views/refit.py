@@ -20,7 +20,8 @@ from ..radiometry.adjustment import usable
 from ..radiometry.inversion import Radiometry, is_clipped
 from ..scene.pixels import PixelStore
 from ..scene.room import Room
-from .photometry import VAGUE, ClippedSurfaces, Found, Photometry, solve_light, write_radiance
+from .clipped_surfaces import VAGUE, ClippedSurfaces
+from .photometry import Found, Photometry, solve_light, write_radiance
 
 # Systematic error of the contrast that the light of shadings tells, as measured (docs/method.md).
 REFIT_DEVIATION = 0.03
@@ -82,7 +83,7 @@ def refit_photographs(
     )
     clipped = ClippedSurfaces(found.clipped.of_triangle, lamps, reflecting, albedo, diffuse)
     again = replace(found, radiometry=radiometry, clipped=clipped, lit=replace(lit, points=points))
-    return write_radiance(pixels, room, part, before.scale, again)
+    return write_radiance(room, part, before.scale, again)
 
 
 def _exposed(found: Found, offset: np.ndarray, valid: np.ndarray) -> tuple[float, Radiometry]:
@@ -91,7 +92,7 @@ def _exposed(found: Found, offset: np.ndarray, valid: np.ndarray) -> tuple[float
     Args:
         offset: (N, 3) logarithm of the codes' radiance over the pixels', NaN where it is not known.
     """
-    views = len(found.encoded)
+    views = len(found.codes.encoded)
     usual = float(np.nanmedian(offset[valid])) if np.isfinite(offset[valid]).any() else 0.0
     gains = np.array(found.radiometry.adjustment.log_gains)
     for place in range(views):
@@ -140,7 +141,7 @@ def _clipped(
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
     """Clipped pixels of each view: surface, luminance at which they are clipped, L_d (n, 3) and part."""
     radiometry, codes = found.radiometry, found.codes
-    for place, index in enumerate(found.encoded):
+    for place, index in enumerate(found.codes.encoded):
         rows = pixels.rows(index)
         code, triangle = codes.of_view(index), np.asarray(pixels.triangle[rows])
         surface = found.clipped.on(triangle)
@@ -155,7 +156,7 @@ def _albedos(
 ) -> dict[int, np.ndarray]:
     """(3,) median albedo of the unclipped pixels of each part that has enough of them."""
     columns = []
-    for index in found.encoded:
+    for index in found.codes.encoded:
         rows = pixels.rows(index)
         triangle, light = np.asarray(pixels.triangle[rows]), np.asarray(diffuse[rows], np.float64)
         good = usable(found.codes.of_view(index)).all(axis=1) & (triangle >= 0) & pixels.pure[rows]

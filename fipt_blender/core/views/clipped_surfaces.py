@@ -1,0 +1,174 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Surfaces that are clipped in photographs that are not HDR, and the light on all others, which tells how
+bright they are (:mod:`..light.clipped`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..geometry.adjacency import weld
+from ..light.cache import Pool, VoxelGrid, fill_grid, grid_frame
+from ..light.clipped import MOST_LAMPS, MOST_POINTS, LampLight, LitPoints, light_on_points
+from ..radiometry.adjustment import usable
+from ..radiometry.inversion import Radiometry, is_clipped
+from ..run.settings import Settings
+from ..scene.components import mesh_components
+from ..scene.pixels import NO_TRIANGLE, PixelStore
+from ..scene.room import Room, triangle_normals
+from .codes import Codes
+
+# A triangle is a clipped surface if more than this share of its pixels is clipped.
+MOSTLY = 0.5
+# Standard deviation of the logarithm of a lamp's radiance from which on it is said to be vague.
+VAGUE = 0.4
+
+
+@dataclass(frozen=True, eq=False)
+class ClippedSurfaces:
+    """Surfaces that are clipped in most pixels; F with what lies outside the mesh, which is the last.
+
+    Attributes:
+        of_triangle: (T,) int32 surface of each triangle, -1 without.
+        light: their radiance; None where too few points tell it.
+        reflecting: (F,) bool, those that the light on them can make as bright as they are.
+        albedo: (F, 3) of these, in units of the pixels' radiance over that of `diffuse`.
+        diffuse: (N, 3) L_d of all pixels; (0, 3) where none is known.
+    """
+
+    of_triangle: np.ndarray
+    light: LampLight | None
+    reflecting: np.ndarray
+    albedo: np.ndarray
+    diffuse: np.ndarray
+
+    def on(self, triangle: np.ndarray) -> np.ndarray:
+        """(n,) surface that pixels of these triangles (n,) see, -1 without."""
+        seen = np.where(triangle >= 0, self.of_triangle[np.maximum(triangle, 0)], -1)
+        return np.where(triangle == NO_TRIANGLE, len(self.reflecting) - 1, seen)
+
+    def radiance(self, rows: slice, surface: np.ndarray, bound: np.ndarray) -> np.ndarray:
+        """(n, 3) radiance of clipped pixels.
+
+        A lamp whose light does not tell its radiance keeps the bound, as it may be a highlight or a white
+        surface. What lies outside has an expected radiance in any case.
+
+        Args:
+            rows: of the pixels of their view. surface: (n,) of each pixel, -1 without. bound: (n, 3).
+        """
+        result = bound.copy()
+        if self.light is None:
+            return result
+        told = (self.light.deviation.max(axis=1) < VAGUE) & ~self.reflecting
+        told[-1] = True
+        lamp = (surface >= 0) & told[surface]
+        result[lamp] = np.maximum(bound[lamp], np.exp(self.light.log_radiance[surface[lamp]]))
+        lit = np.flatnonzero((surface >= 0) & self.reflecting[surface])
+        if len(lit):
+            reflected = self.diffuse[rows][lit].astype(np.float64) * self.albedo[surface[lit]]
+            result[lit] = np.maximum(bound[lit], reflected)
+        return result
+
+
+def find_clipped_surfaces(room: Room, codes: Codes) -> np.ndarray:
+    """(T,) int32 clipped surface that each triangle belongs to, from 0; -1 without.
+
+    A surface is connected triangles most of whose pixels are clipped; the largest `MOST_LAMPS` in the views.
+    """
+    pixels = codes.pixels
+    count, clipped = np.zeros((2, len(room.triangles)))
+    for index in codes.encoded:
+        rows = pixels.rows(index)
+        triangle = np.asarray(pixels.triangle[rows])
+        hit = triangle >= 0
+        np.add.at(count, triangle[hit], 1.0)
+        np.add.at(clipped, triangle[hit], is_clipped(codes.of_view(index))[hit].astype(np.float64))
+    lamp = np.full(len(room.triangles), -1, np.int32)
+    members = np.flatnonzero(clipped > MOSTLY * count)
+    if len(members):
+        component = mesh_components(weld(room.vertices)[room.triangles][members])
+        order = np.argsort(-np.bincount(component, clipped[members]), kind="stable")[:MOST_LAMPS]
+        rank = np.full(int(component.max()) + 1, -1, np.int32)
+        rank[order] = np.arange(len(order))
+        lamp[members] = rank[component]
+    return lamp
+
+
+@dataclass(frozen=True, eq=False)
+class Lit:
+    """Points of the surfaces, and the light on them; the last lamp is what lies outside the mesh.
+
+    Attributes:
+        points: N of them. pixel: (N,) each one's pixel. place: (N,) number of its view among those not HDR.
+        cache: (E, 3) logarithm of the radiance of the cache's entries over the contrast.
+        bound: (F, 3) logarithm over the contrast of the radiance at which each lamp is clipped.
+    """
+
+    points: LitPoints
+    pixel: np.ndarray
+    place: np.ndarray
+    cache: np.ndarray
+    bound: np.ndarray
+
+
+def light_on_surfaces(
+    room: Room,
+    part: np.ndarray,
+    lamp: np.ndarray,
+    codes: Codes,
+    radiometry: Radiometry,
+    settings: Settings,
+) -> Lit:
+    """Points of the surfaces with the light that reaches them, and the radiance of all cache entries."""
+    pixels, encoded = codes.pixels, codes.encoded
+    normals = triangle_normals(room.vertices, room.triangles).astype(np.float32)
+
+    def surface(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        side = np.where(pixels.front[rows], np.float32(1.0), np.float32(-1.0))
+        return np.asarray(pixels.position[rows]), normals[pixels.triangle[rows]] * side[:, None]
+
+    grid = _grid(pixels, room, surface, settings)
+    lamps = int(lamp.max(initial=-1)) + 1
+    pooled, bound = Pool(grid, 3), np.full((lamps + 1, 3), -np.inf)
+    rng = np.random.default_rng([settings.seed, 20])
+    chosen, values = [], []
+    for place, index in enumerate(encoded):
+        rows = pixels.rows(index)
+        code = codes.of_view(index)
+        value = radiometry.values(place, code, codes.radius(index))
+        triangle = np.asarray(pixels.triangle[rows])
+        on = np.where(triangle >= 0, lamp[np.maximum(triangle, 0)], -1)
+        on[triangle == NO_TRIANGLE] = lamps
+        np.maximum.at(bound, on[on >= 0], value[on >= 0])
+        good = usable(code)
+        hit = np.flatnonzero((triangle >= 0) & (on < 0))
+        # Bounds count where there is nothing else.
+        weight = np.where(good[hit].all(axis=1) & pixels.pure[rows][hit], 1.0, 1e-3)
+        pooled.add(grid.entries(*surface(hit + rows.start)), value[hit], weight)
+        able = hit[pixels.pure[rows][hit] & good[hit].any(axis=1) & (part[triangle[hit]] >= 0)]
+        drawn = rng.permutation(able)[: max(1, MOST_POINTS // len(encoded))]
+        chosen.append(drawn + rows.start)
+        values.append(np.where(good[drawn], value[drawn], np.nan))
+    where = np.concatenate(chosen)
+    entry, direct = light_on_points(room, grid, surface(where), lamp, settings.seed)
+    points = LitPoints(np.concatenate(values), part[pixels.triangle[where]], entry, direct)
+    of_view = np.repeat(np.arange(len(encoded)), [len(rows) for rows in chosen])
+    cache = pooled.filled()[0].astype(np.float64)
+    return Lit(points, where, of_view, cache, np.where(np.isfinite(bound), bound, 0.0))
+
+
+def _grid(
+    pixels: PixelStore,
+    room: Room,
+    surface: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    settings: Settings,
+) -> VoxelGrid:
+    frame = grid_frame(room, settings.voxel_resolution)
+    marked = np.zeros(settings.voxel_resolution**3, bool)
+    for index in range(len(pixels.views)):
+        rows = pixels.rows(index)
+        marked[frame.flat_index(*surface(np.flatnonzero(pixels.triangle[rows] >= 0) + rows.start))] = True
+    return fill_grid(room, frame, np.flatnonzero(marked), np.random.default_rng([settings.seed, 1]))
