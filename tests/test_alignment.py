@@ -14,7 +14,13 @@ import pytest
 
 from fipt_blender.core.alignment.pairs import fit_pairs
 from fipt_blender.core.alignment.registration import refine, register
-from fipt_blender.core.alignment.surface import closest_points, main_axes, sample_surface, unit_of_height
+from fipt_blender.core.alignment.surface import (
+    closest_points,
+    main_axes,
+    sample_surface,
+    unit_normals,
+    unit_of_height,
+)
 from fipt_blender.core.capture.align_mesh import align_rig
 from fipt_blender.core.capture.formats import read_points, read_rig
 from fipt_blender.core.capture.images import write_exr
@@ -151,6 +157,25 @@ def test_samples_lie_evenly_on_the_mesh() -> None:
     with pytest.raises(FiptError, match="no surface") as caught:
         sample_surface(np.zeros((3, 3)), np.array([[0, 1, 2]]), np.random.default_rng(0), 10)
     assert caught.value.code == "mesh-empty"
+
+
+def test_the_nearest_of_many_more_triangles_than_samples_is_found() -> None:
+    steps = np.linspace(0.0, 1.0, 201)
+    x, y = (part.ravel() for part in np.meshgrid(steps, steps))
+    wave = 0.05 * np.sin(6.0 * x) * np.cos(4.0 * y)
+    first = np.add.outer(201 * np.arange(200), np.arange(200)).ravel()
+    quads = first[:, None] + [0, 1, 202, 201]
+    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    rng = np.random.default_rng(12)
+    vertices = np.stack([x, y, wave], axis=1)
+    surface = sample_surface(vertices, triangles, rng, 500)
+    chosen = triangles[rng.permutation(len(triangles))[:300]]
+    away = 0.002 * rng.choice([-1.0, 1.0], 300)
+    normals = unit_normals(vertices[chosen])
+    positions = vertices[chosen].mean(axis=1) + away[:, None] * normals
+    distances, _, directions = surface.nearest_triangle(positions)
+    np.testing.assert_allclose(distances, 0.002, rtol=0.01)
+    np.testing.assert_allclose(directions, np.sign(away)[:, None] * normals, atol=0.05)
 
 
 def test_main_axes_of_a_turned_room() -> None:

@@ -14,7 +14,7 @@ from ..conventions import transform_points
 from ..run.errors import FiptError
 
 SAMPLES = 200_000
-NEIGHBOURS = 12  # samples around a point whose triangles are looked at
+NEIGHBOURS = 12  # samples and triangles' middles around a position whose triangles are looked at
 # Height of an ordinary room from floor to ceiling in metres; no two units fit the same number.
 LEAST_HEIGHT, MOST_HEIGHT = 1.9, 4.6
 UNITS = {"meters": 1.0, "feet": 0.3048, "inches": 0.0254, "centimeters": 0.01, "millimeters": 0.001}
@@ -27,11 +27,13 @@ class Surface:
     Attributes:
         points: (N, 3) float64.
         normals: (N, 3) float64 unit vectors, of either side.
-        corners: (N, 3, 3) float64 corners of the triangle that each point lies on.
+        triangle: (N,) the triangle that each point lies on.
+        corners: (T, 3, 3) float64 of all triangles.
     """
 
     points: np.ndarray
     normals: np.ndarray
+    triangle: np.ndarray
     corners: np.ndarray
 
     @cached_property
@@ -39,14 +41,23 @@ class Surface:
         """Of the points."""
         return cKDTree(self.points)
 
+    @cached_property
+    def triangle_tree(self) -> cKDTree:
+        """Of the points and the middles of all triangles.
+
+        A scan has more triangles than points: among the points' triangles alone, the nearest one to a
+        position is missing, and the distance from another one points along the surface.
+        """
+        return cKDTree(np.concatenate([self.points, self.corners.mean(axis=1)]))
+
     def moved(self, similarity: np.ndarray) -> Surface:
         """The surface in other coordinates; the similarity (4, 4) does not turn it."""
         corners = transform_points(similarity, self.corners)
-        return Surface(transform_points(similarity, self.points), self.normals, corners)
+        return Surface(transform_points(similarity, self.points), self.normals, self.triangle, corners)
 
     def part(self, chosen: np.ndarray) -> Surface:
         """Some of the points."""
-        return Surface(self.points[chosen], self.normals[chosen], self.corners[chosen])
+        return Surface(self.points[chosen], self.normals[chosen], self.triangle[chosen], self.corners)
 
     def nearest_point(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The nearest points of the surface's points, each with the plane through it.
@@ -60,7 +71,9 @@ class Surface:
 
     def nearest_triangle(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same for the nearest triangles: at edges, the normal points to the position."""
-        index = self.tree.query(positions, min(NEIGHBOURS, len(self.points)))[1].reshape(len(positions), -1)
+        found = self.triangle_tree.query(positions, min(NEIGHBOURS, self.triangle_tree.n))[1]
+        owners = np.concatenate([self.triangle, np.arange(len(self.corners))])
+        index = owners[found.reshape(len(positions), -1)]
         nearest = closest_points(positions[:, None], self.corners[index])
         offsets = positions[:, None] - nearest
         distances = np.linalg.norm(offsets, axis=2)
@@ -68,8 +81,9 @@ class Surface:
         rows = np.arange(len(positions))
         distance = distances[rows, best]
         directions = offsets[rows, best] / np.maximum(distance, 1e-300)[:, None]
-        touching = (distance < 1e-9)[:, None]  # rounding alone gives the direction there
-        return distance, distance, np.where(touching, self.normals[index[rows, best]], directions)
+        touching = distance < 1e-9  # rounding alone gives the direction there
+        directions[touching] = unit_normals(self.corners[index[rows, best][touching]])
+        return distance, distance, directions
 
 
 def sample_surface(
@@ -98,8 +112,13 @@ def sample_surface(
     root, second = np.sqrt(rng.random(count)), rng.random(count)
     weights = np.stack([1.0 - root, root * (1.0 - second), root * second], axis=1)
     points = np.einsum("nk,nkc->nc", weights, corners[chosen])
-    normals = crosses[chosen] / np.maximum(lengths[chosen], 1e-300)[:, None]
-    return Surface(points, normals, corners[chosen])
+    return Surface(points, unit_normals(corners[chosen]), chosen, corners)
+
+
+def unit_normals(corners: np.ndarray) -> np.ndarray:
+    """Normals (N, 3) of triangles (N, 3, 3), zero for triangles without area."""
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(crosses / np.maximum(np.linalg.norm(crosses, axis=1), 1e-300)[:, None])
 
 
 def closest_points(positions: np.ndarray, corners: np.ndarray) -> np.ndarray:
