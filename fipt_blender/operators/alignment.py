@@ -12,7 +12,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from .. import machine
 from ..core.run.runfolder import RunFolder
 from .job_operator import JobOperator
-from .pointer import NAVIGATION, view_under_pointer
+from .pointer import NAVIGATION, WHEEL, WaitsForClicks, is_cancel, is_click, view_under_pointer
 from .polls import has_views, in_object_mode
 from .reporting import reports_errors
 
@@ -30,18 +30,18 @@ _SECOND_TEXT = (
     "Click: The same point in a second photograph   Page Up, Page Down: Other view"
     "   Enter: Finish with one photograph   Esc: Cancel"
 )
-_WHEEL = ("WHEELUPMOUSE", "WHEELDOWNMOUSE", "WHEELINMOUSE", "WHEELOUTMOUSE")
 _MOUSE = ("LEFTMOUSE", "MOUSEMOVE", "INBETWEEN_MOUSEMOVE")
 _CONFIRM = ("RET", "NUMPAD_ENTER", "SPACE")
 _STEPS = {"PAGE_UP": -1, "PAGE_DOWN": 1}
 
 
-class FIPT_OT_pick_pair(bpy.types.Operator):
+class FIPT_OT_pick_pair(WaitsForClicks, bpy.types.Operator):
     """Pick a point on the mesh, then the same point in one or two photographs"""
 
     bl_idname = "fipt.pick_pair"
     bl_label = "Pick Points"
     bl_options = {"REGISTER", "UNDO"}
+    text_in_header = True
 
     object: bpy.props.StringProperty(name="Object", description="Mesh object", options={"SKIP_SAVE"})
     location: bpy.props.FloatVectorProperty(
@@ -90,18 +90,15 @@ class FIPT_OT_pick_pair(bpy.types.Operator):
         self._sights: list[PickedSight] = []
         settings = context.scene.fipt.capture
         self._before = (settings.active_view, settings.photograph_opacity, self._leave_camera(context))
-        context.window.cursor_modal_set("CROSSHAIR")
-        self._say(context, _MESH_TEXT)
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        return self.wait_for_clicks(context, _MESH_TEXT)
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if event.type in {"ESC", "RIGHTMOUSE"} and event.value == "PRESS":
+        if is_cancel(event):
             self.cancel(context)
             return {"CANCELLED"}
         # While photographs are clicked, the list of views in the sidebar stays usable.
         beside = self._picked is not None and view_under_pointer(context, event) is None
-        if event.type in (*NAVIGATION, *_WHEEL) or (beside and event.type in _MOUSE):
+        if event.type in (*NAVIGATION, *WHEEL) or (beside and event.type in _MOUSE):
             return {"PASS_THROUGH"}
         if event.value != "PRESS":
             return {"RUNNING_MODAL"}
@@ -109,7 +106,7 @@ class FIPT_OT_pick_pair(bpy.types.Operator):
             self._look(context, context.scene.fipt.capture.active_view + _STEPS[event.type])
         elif self._sights and event.type in _CONFIRM:
             return self._finish(context)
-        elif event.type == "LEFTMOUSE" and view_under_pointer(context, event) is not None:
+        elif is_click(event) and view_under_pointer(context, event) is not None:
             pick = self._pick_mesh if self._picked is None else self._pick_photograph
             return pick(context, event)
         return {"RUNNING_MODAL"}
@@ -123,7 +120,7 @@ class FIPT_OT_pick_pair(bpy.types.Operator):
             return {"RUNNING_MODAL"}
         context.scene.fipt.capture.photograph_opacity = 1.0
         self._look(context, context.scene.fipt.capture.active_view)
-        self._say(context, _PHOTO_TEXT)
+        self.say(context, _PHOTO_TEXT)
         return {"RUNNING_MODAL"}
 
     def _pick_photograph(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -137,7 +134,7 @@ class FIPT_OT_pick_pair(bpy.types.Operator):
         self._sights = [other for other in self._sights if other.view != sight.view] + [sight]
         if len(self._sights) >= min(MOST_SIGHTS, len(context.scene.fipt.capture.views)):
             return self._finish(context)
-        self._say(context, _SECOND_TEXT)
+        self.say(context, _SECOND_TEXT)
         return {"RUNNING_MODAL"}
 
     def _finish(self, context: bpy.types.Context) -> set[str]:
@@ -166,20 +163,14 @@ class FIPT_OT_pick_pair(bpy.types.Operator):
             region.view_perspective = "PERSP"
         return bool(was_camera)
 
-    def _say(self, context: bpy.types.Context, text: str) -> None:
-        context.workspace.status_text_set(iface_(text))
-        context.area.header_text_set(iface_(text))
-
     def cancel(self, context: bpy.types.Context) -> None:
-        """Restore the viewport; Blender calls this too, when the window closes."""
-        context.window.cursor_modal_restore()
-        context.workspace.status_text_set(None)
+        """Stop waiting and restore the viewport."""
+        super().cancel(context)
         settings = context.scene.fipt.capture
         active, opacity, was_camera = self._before
         settings.photograph_opacity = opacity
         if context.area is None:
             return
-        context.area.header_text_set(None)
         if was_camera and settings.views:
             self._look(context, active)
         elif self._picked is not None:

@@ -8,26 +8,23 @@ from typing import TYPE_CHECKING
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
-from mathutils import Vector
 
 from ..core.run.runfolder import RunFolder
 from ..jobs import previews, runstate
 from ..properties.hints import ANSWERS
 from .job_operator import JobOperator
-from .pointer import NAVIGATION, ray_under_pointer
+from .pointer import PicksAlongRay
 from .polls import has_run
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
+    from mathutils import Vector
+
     from ..bridge.sequence import Job
 
-_PASSED_ON = (*NAVIGATION, "MOUSEMOVE", "WHEELUPMOUSE", "WHEELDOWNMOUSE")
 
-
-class _PicksSurface:
-    """Mix-in of an operator that does something where the user clicks, or at the ray that a script gives."""
-
-    pick_text = ""
+class _PicksSurface(PicksAlongRay):
+    """Mix-in of an operator that does something at the surface that the user clicks."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -36,37 +33,11 @@ class _PicksSurface:
             return False
         return True
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        context.window.cursor_modal_set("EYEDROPPER")
-        context.workspace.status_text_set(iface_(self.pick_text))
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
-
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if event.type in ("ESC", "RIGHTMOUSE") and event.value == "PRESS":
-            self.cancel(context)
-            return {"CANCELLED"}
-        if event.type != "LEFTMOUSE" or event.value != "PRESS":
-            return {"PASS_THROUGH"} if event.type in _PASSED_ON else {"RUNNING_MODAL"}
-        ray = ray_under_pointer(context, event)
-        if ray is None:  # a click on another part of the window
-            return {"PASS_THROUGH"}
-        self.origin, self.direction, self.skip_backs = ray
-        self.cancel(context)
-        return self.execute(context)
-
-    def cancel(self, context: bpy.types.Context) -> None:
-        """Blender calls this too, when the window closes or another file is loaded."""
-        context.workspace.status_text_set(None)
-        if context.window is not None:
-            context.window.cursor_modal_restore()
-
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.hints.anchors import surface_on_ray
 
-        ray = Vector(self.origin), Vector(self.direction), self.skip_backs
-        found = surface_on_ray(context.scene, context.evaluated_depsgraph_get(), *ray)
+        found = surface_on_ray(context.scene, context.evaluated_depsgraph_get(), *self.ray())
         if found is None:
             self.report({"WARNING"}, "There is no surface there")  # type: ignore[attr-defined]
             return {"CANCELLED"}
@@ -78,12 +49,6 @@ class _PicksSurface:
     def use(self, context: bpy.types.Context, item: bpy.types.Object, face: int, point: Vector) -> None:
         """Do it at a point of a polygon of an object."""
         raise NotImplementedError
-
-
-def _ray(name: str, default: tuple[float, float, float]) -> object:
-    return bpy.props.FloatVectorProperty(
-        name=name, description=f"{name} of the ray, for scripts", default=default, options={"SKIP_SAVE"}
-    )
 
 
 class FIPT_OT_add_hint(_PicksSurface, bpy.types.Operator):
@@ -108,13 +73,6 @@ class FIPT_OT_add_hint(_PicksSurface, bpy.types.Operator):
                 1,
             ),
         ],
-        options={"SKIP_SAVE"},
-    )
-    origin: _ray("Origin", (0.0, 0.0, 0.0))
-    direction: _ray("Direction", (0.0, 0.0, -1.0))
-    skip_backs: bpy.props.BoolProperty(
-        name="Skip Backs",
-        description="Look through surfaces that are seen from behind",
         options={"SKIP_SAVE"},
     )
 
@@ -162,14 +120,6 @@ class FIPT_OT_pick_same_material(_PicksSurface, bpy.types.Operator):
     bl_label = "Same Material As"
     bl_options = {"REGISTER", "UNDO"}
     pick_text = "Click: Choose the Part of the Same Material   Esc, Right Click: Cancel"
-
-    origin: _ray("Origin", (0.0, 0.0, 0.0))
-    direction: _ray("Direction", (0.0, 0.0, -1.0))
-    skip_backs: bpy.props.BoolProperty(
-        name="Skip Backs",
-        description="Look through surfaces that are seen from behind",
-        options={"SKIP_SAVE"},
-    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

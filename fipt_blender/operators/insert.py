@@ -8,12 +8,18 @@ import math
 from typing import TYPE_CHECKING
 
 import bpy
-from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.run.errors import FiptError
 from ..properties.insert import ALIGNMENTS, BALLS, KINDS
 from . import picture
-from .pointer import NAVIGATION, surface_under_pointer, view_under_pointer
+from .pointer import (
+    NAVIGATION,
+    WaitsForClicks,
+    is_cancel,
+    is_click,
+    surface_under_pointer,
+    view_under_pointer,
+)
 from .polls import in_object_mode
 from .reporting import reports_errors
 
@@ -23,10 +29,11 @@ if TYPE_CHECKING:
 
 _WHEEL_TURN = math.radians(15.0)
 _WHEEL_SCALE = 1.1
+_PLACE_TEXT = "Click: Place   Wheel: Rotate   Ctrl Wheel: Scale   Esc, Right Click: Cancel"
 _FROM_PANEL = ("kind", "copy", "align", "turn", "scale", "drop")
 
 
-class FIPT_OT_insert_object(bpy.types.Operator):
+class FIPT_OT_insert_object(WaitsForClicks, bpy.types.Operator):
     """Place an object on the surface under the mouse pointer"""
 
     bl_idname = "fipt.insert_object"
@@ -120,18 +127,13 @@ class FIPT_OT_insert_object(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         self._surface: Surface | None = None
-        context.window.cursor_modal_set("CROSSHAIR")
-        context.workspace.status_text_set(
-            iface_("Click: Place   Wheel: Rotate   Ctrl Wheel: Scale   Esc, Right Click: Cancel")
-        )
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        return self.wait_for_clicks(context, _PLACE_TEXT)
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self._placement.root not in bpy.data.objects:  # a script has removed it
-            self._end(context)
+            super().cancel(context)
             return {"CANCELLED"}
-        if event.type in ("ESC", "RIGHTMOUSE") and event.value == "PRESS":
+        if is_cancel(event):
             self.cancel(context)
             return {"CANCELLED"}
         if event.type == "MOUSEMOVE":
@@ -140,10 +142,10 @@ class FIPT_OT_insert_object(bpy.types.Operator):
         over_view = view_under_pointer(context, event) is not None
         if event.type in ("WHEELUPMOUSE", "WHEELDOWNMOUSE") and over_view:
             self._turn_wheel(context, event)
-        elif event.type == "LEFTMOUSE" and event.value == "PRESS" and over_view:
+        elif is_click(event) and over_view:
             self._follow(context, event)
             if self._surface is not None:
-                self._end(context)
+                super().cancel(context)
                 self._select(context)
                 return {"FINISHED"}
             self.report({"INFO"}, "There is no surface under the mouse pointer")
@@ -152,11 +154,11 @@ class FIPT_OT_insert_object(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """Blender calls this too, when the window closes or another file is loaded."""
+        """Undo the placing and stop waiting."""
         from ..blend.insert.placing import cancel_placing
 
         cancel_placing(self._placement)
-        self._end(context)
+        super().cancel(context)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -268,11 +270,6 @@ class FIPT_OT_insert_object(bpy.types.Operator):
         placed = bpy.data.objects[self._placement.root]
         if placed.name in context.view_layer.objects:
             select_only(context.view_layer, placed)
-
-    def _end(self, context: bpy.types.Context) -> None:
-        context.workspace.status_text_set(None)
-        if context.window is not None:
-            context.window.cursor_modal_restore()
 
 
 def _missing(what: str, name: str) -> FiptError:

@@ -10,15 +10,14 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from mathutils import Vector
 
-from .pointer import NAVIGATION, surface_under_pointer, view_under_pointer
+from .pointer import PicksInViewport, surface_under_pointer
 from .polls import in_object_mode
 from .reporting import reports_errors
 
 _PICK_TEXT = "Click: Point the new light at this surface   Esc, Right Click: Cancel"
-_PASSED_ON = (*NAVIGATION, "WHEELUPMOUSE", "WHEELDOWNMOUSE", "WHEELINMOUSE", "WHEELOUTMOUSE")
 
 
-class FIPT_OT_add_light(bpy.types.Operator):
+class FIPT_OT_add_light(PicksInViewport, bpy.types.Operator):
     """Add an area light with a size and power that suit the room"""
 
     bl_idname = "fipt.add_light"
@@ -28,6 +27,7 @@ class FIPT_OT_add_light(bpy.types.Operator):
         " pointing at the surface that you click"
     )
     bl_options = {"REGISTER", "UNDO"}
+    text_in_header = True
 
     place: bpy.props.EnumProperty(
         name="Place",
@@ -90,28 +90,15 @@ class FIPT_OT_add_light(bpy.types.Operator):
         if context.area is None or context.area.type != "VIEW_3D":
             self.report({"ERROR"}, "Run this operator in a 3D Viewport.")
             return {"CANCELLED"}
-        context.window.cursor_modal_set("EYEDROPPER")
-        context.workspace.status_text_set(iface_(_PICK_TEXT))
-        context.area.header_text_set(iface_(_PICK_TEXT))
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        return self.wait_for_clicks(context, _PICK_TEXT)
 
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if event.type in {"ESC", "RIGHTMOUSE"}:
-            self.cancel(context)
-            return {"CANCELLED"}
-        if event.type in _PASSED_ON:
-            return {"PASS_THROUGH"}
-        if event.type != "LEFTMOUSE" or event.value != "PRESS":
-            return {"RUNNING_MODAL"}
-        if view_under_pointer(context, event) is None:  # over the sidebar, or outside
-            return {"RUNNING_MODAL"}
+    def take_click(self, context: bpy.types.Context, event: bpy.types.Event) -> bool:
         from ..blend.lights.new_lights import aim, suggest
 
         surface = surface_under_pointer(context, event)
         if surface is None:
             self.report({"WARNING"}, "There is no surface under the mouse pointer")
-            return {"RUNNING_MODAL"}
+            return False
         self.location, self.direction = aim(
             context.scene,
             context.evaluated_depsgraph_get(),
@@ -119,15 +106,7 @@ class FIPT_OT_add_light(bpy.types.Operator):
             surface.normal,
             suggest(context.scene).distance,
         )
-        self.cancel(context)
-        return self.execute(context)
-
-    def cancel(self, context: bpy.types.Context) -> None:
-        """Blender calls this too, when the window closes."""
-        context.window.cursor_modal_restore()
-        context.workspace.status_text_set(None)
-        if context.area is not None:
-            context.area.header_text_set(None)
+        return True
 
 
 class FIPT_OT_add_missing_lamps(bpy.types.Operator):

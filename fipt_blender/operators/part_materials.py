@@ -6,9 +6,8 @@ from __future__ import annotations
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
-from mathutils import Vector
 
-from .pointer import NAVIGATION, ray_under_pointer
+from .pointer import PicksAlongRay
 from .polls import has_results, in_object_mode
 from .reporting import reports_errors
 
@@ -30,72 +29,38 @@ class _NeedsParts:
         return True
 
 
-class FIPT_OT_pick_part(_NeedsParts, bpy.types.Operator):
+class FIPT_OT_pick_part(_NeedsParts, PicksAlongRay, bpy.types.Operator):
     """Click on the room to choose the part under the mouse pointer"""
 
     bl_idname = "fipt.pick_part"
     bl_label = "Pick Part"
     bl_options = {"REGISTER", "UNDO"}
+    pick_text = "Click: Choose the Part   Esc, Right Click: Cancel"
 
-    origin: bpy.props.FloatVectorProperty(
-        name="Origin", description="Start of the ray, for scripts", subtype="XYZ", unit="LENGTH"
-    )
-    direction: bpy.props.FloatVectorProperty(
-        name="Direction", description="Direction of the ray, for scripts", default=(0.0, 0.0, -1.0)
-    )
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        context.window.cursor_modal_set("EYEDROPPER")
-        context.workspace.status_text_set(iface_("Click: Choose the Part   Esc, Right Click: Cancel"))
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
-
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if event.type in ("ESC", "RIGHTMOUSE") and event.value == "PRESS":
-            self.cancel(context)
-            return {"CANCELLED"}
-        if event.type != "LEFTMOUSE" or event.value != "PRESS":
-            passes = event.type in (*NAVIGATION, "MOUSEMOVE", "WHEELUPMOUSE", "WHEELDOWNMOUSE")
-            return {"PASS_THROUGH"} if passes else {"RUNNING_MODAL"}
-        ray = ray_under_pointer(context, event)
-        if ray is None:  # a click on another part of the window
-            return {"PASS_THROUGH"}
-        self.origin, self.direction = ray.origin, ray.direction
-        if self._pick(context, ray.skip_backs):
-            self.cancel(context)
-            return {"FINISHED"}
-        self.report({"INFO"}, "There is no estimated surface under the mouse pointer")
-        return {"RUNNING_MODAL"}
-
-    def cancel(self, context: bpy.types.Context) -> None:
-        """Blender calls this too, when the window closes or another file is loaded."""
-        context.workspace.status_text_set(None)
-        if context.window is not None:
-            context.window.cursor_modal_restore()
+    def take_click(self, context: bpy.types.Context, event: bpy.types.Event) -> bool:
+        super().take_click(context, event)
+        if self._part_hit(context) is None:
+            self.report({"INFO"}, "There is no estimated surface under the mouse pointer")
+            return False
+        return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        if self._pick(context, False):
-            return {"FINISHED"}
-        self.report({"WARNING"}, "The ray hits no estimated surface")
-        return {"CANCELLED"}
-
-    def _pick(self, context: bpy.types.Context, skip_backs: bool) -> bool:
-        """Make the part that the ray hits active; whether there is one."""
-        from ..blend.results.part_list import part_under
-
-        scene, direction = context.scene, Vector(self.direction)
-        if direction.length == 0.0:
-            return False
-        depsgraph = context.evaluated_depsgraph_get()
-        key = part_under(scene, depsgraph, Vector(self.origin), direction, skip_backs)
-        settings = scene.fipt.materials
-        index = next((i for i, row in enumerate(settings.parts) if key and row.key == key), None)
+        index = self._part_hit(context)
         if index is None:
-            return False
-        settings.active_part = index
+            self.report({"WARNING"}, "The ray hits no estimated surface")
+            return {"CANCELLED"}
+        context.scene.fipt.materials.active_part = index
         if context.area is not None:
             context.area.tag_redraw()
-        return True
+        return {"FINISHED"}
+
+    def _part_hit(self, context: bpy.types.Context) -> int | None:
+        """Row of the part that the ray hits; None without one."""
+        from ..blend.results.part_list import part_under
+
+        key = part_under(context.scene, context.evaluated_depsgraph_get(), *self.ray())
+        rows = context.scene.fipt.materials.parts
+        return next((i for i, row in enumerate(rows) if key and row.key == key), None)
 
 
 class FIPT_OT_select_part_faces(_NeedsParts, bpy.types.Operator):

@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What lies under the mouse pointer, for operators that place something in a 3D viewport."""
+"""What lies under the mouse pointer, and the mix-ins of operators that wait for clicks."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 from mathutils import Vector
 
 if TYPE_CHECKING:
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 
 # Events that move the view or zoom; modal operators pass them on. The mouse wheel zooms as well.
 NAVIGATION = ("MIDDLEMOUSE", "TRACKPADPAN", "TRACKPADZOOM", "MOUSEROTATE", "MOUSESMARTZOOM", "NDOF_MOTION")
+WHEEL = ("WHEELUPMOUSE", "WHEELDOWNMOUSE", "WHEELINMOUSE", "WHEELOUTMOUSE")
 
 
 def view_under_pointer(
@@ -68,3 +70,115 @@ def surface_under_pointer(context: bpy.types.Context, event: bpy.types.Event) ->
     if ray is None:
         return None
     return find_surface(context.scene, context.evaluated_depsgraph_get(), *ray)
+
+
+def is_click(event: bpy.types.Event) -> bool:
+    """Whether the left mouse button was pressed."""
+    return bool(event.type == "LEFTMOUSE" and event.value == "PRESS")
+
+
+def is_cancel(event: bpy.types.Event) -> bool:
+    """Whether Esc or the right mouse button was pressed."""
+    return event.type in ("ESC", "RIGHTMOUSE") and event.value == "PRESS"
+
+
+class WaitsForClicks:
+    """Mix-in of a modal operator that waits for clicks; a subclass implements `modal`.
+
+    Attributes:
+        cursor: shape of the mouse pointer meanwhile.
+        text_in_header: whether the text is in the header of the editor too, not only in the status bar.
+    """
+
+    cursor = "CROSSHAIR"
+    text_in_header = False
+
+    def wait_for_clicks(self, context: bpy.types.Context, text: str) -> set[str]:
+        """Begin to wait; the text says for what."""
+        context.window.cursor_modal_set(self.cursor)
+        self.say(context, text)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def say(self, context: bpy.types.Context, text: str) -> None:
+        """Show what to click next."""
+        context.workspace.status_text_set(iface_(text))
+        if self.text_in_header:
+            context.area.header_text_set(iface_(text))
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Stop waiting. Blender calls this too, when the window closes or another file is loaded."""
+        context.workspace.status_text_set(None)
+        if context.window is not None:
+            context.window.cursor_modal_restore()
+        if self.text_in_header and context.area is not None:
+            context.area.header_text_set(None)
+
+
+class PicksInViewport(WaitsForClicks):
+    """Mix-in of an operator that waits for one click in a 3D viewport and then executes."""
+
+    cursor = "EYEDROPPER"
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if is_cancel(event):
+            self.cancel(context)
+            return {"CANCELLED"}
+        if not is_click(event):
+            passes = event.type in (*NAVIGATION, *WHEEL, "MOUSEMOVE")
+            return {"PASS_THROUGH"} if passes else {"RUNNING_MODAL"}
+        if view_under_pointer(context, event) is None:  # a click on another part of the window
+            return {"PASS_THROUGH"}
+        if not self.take_click(context, event):
+            return {"RUNNING_MODAL"}
+        self.cancel(context)
+        return self.execute(context)
+
+    def take_click(self, context: bpy.types.Context, event: bpy.types.Event) -> bool:
+        """Set the operator's properties from what was clicked; False to wait for another click."""
+        raise NotImplementedError
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        raise NotImplementedError
+
+
+class PicksAlongRay(PicksInViewport):
+    """The same for an operator whose properties are the ray through the pointer, which a script can give.
+
+    Attributes:
+        pick_text: what the click does.
+    """
+
+    pick_text = ""
+
+    origin: bpy.props.FloatVectorProperty(
+        name="Origin",
+        description="Start of the ray, for scripts",
+        subtype="XYZ",
+        unit="LENGTH",
+        options={"SKIP_SAVE"},
+    )
+    direction: bpy.props.FloatVectorProperty(
+        name="Direction",
+        description="Direction of the ray, for scripts",
+        default=(0.0, 0.0, -1.0),
+        options={"SKIP_SAVE"},
+    )
+    skip_backs: bpy.props.BoolProperty(
+        name="Skip Backs",
+        description="Look through surfaces that are seen from behind",
+        options={"SKIP_SAVE"},
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return self.wait_for_clicks(context, self.pick_text)
+
+    def take_click(self, context: bpy.types.Context, event: bpy.types.Event) -> bool:
+        ray = ray_under_pointer(context, event)
+        assert ray is not None  # `modal` has asked whether a viewport is there
+        self.origin, self.direction, self.skip_backs = ray
+        return True
+
+    def ray(self) -> PointerRay:
+        """The ray that the properties describe."""
+        return PointerRay(Vector(self.origin), Vector(self.direction), self.skip_backs)

@@ -7,17 +7,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import bpy
-from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.photographs.preparation import Group, PreparationFolder
 from ..core.run.errors import FiptError
+from .pointer import NAVIGATION, WHEEL, WaitsForClicks, is_cancel, is_click
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
     from ..properties.photographs import FIPT_PhotographsSettings
 
 _TEXTS = ("Click: First point   Esc, Right Click: Cancel", "Click: Second point   Esc, Right Click: Cancel")
-_NAVIGATION = {"MIDDLEMOUSE", "WHEELUPMOUSE", "WHEELDOWNMOUSE", "MOUSEMOVE", "TRACKPADPAN", "TRACKPADZOOM"}
 
 
 class FIPT_OT_show_merged(bpy.types.Operator):
@@ -41,12 +40,13 @@ class FIPT_OT_show_merged(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FIPT_OT_pick_scale_points(bpy.types.Operator):
+class FIPT_OT_pick_scale_points(WaitsForClicks, bpy.types.Operator):
     """Click two points whose distance you know in the merged image that is shown"""
 
     bl_idname = "fipt.pick_scale_points"
     bl_label = "Pick Two Points"
     bl_options = {"REGISTER", "UNDO"}
+    text_in_header = True
 
     view: bpy.props.StringProperty(name="View", description="Name of the group", options={"SKIP_SAVE"})
     points: bpy.props.FloatVectorProperty(
@@ -91,18 +91,15 @@ class FIPT_OT_pick_scale_points(bpy.types.Operator):
             return {"CANCELLED"}
         self.view = name
         self._clicks: list[tuple[float, float]] = []
-        context.window.cursor_modal_set("CROSSHAIR")
-        context.area.header_text_set(iface_(_TEXTS[0]))
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        return self.wait_for_clicks(context, _TEXTS[0])
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if event.type in {"ESC", "RIGHTMOUSE"} and event.value == "PRESS":
+        if is_cancel(event):
             self.cancel(context)
             return {"CANCELLED"}
-        if event.type in _NAVIGATION:
+        if event.type in (*NAVIGATION, *WHEEL, "MOUSEMOVE"):
             return {"PASS_THROUGH"}
-        if event.type != "LEFTMOUSE" or event.value != "PRESS":
+        if not is_click(event):
             return {"RUNNING_MODAL"}
         place = _pixel_under(context, event)
         if place is None:
@@ -110,17 +107,11 @@ class FIPT_OT_pick_scale_points(bpy.types.Operator):
             return {"RUNNING_MODAL"}
         self._clicks.append(place)
         if len(self._clicks) < 2:
-            context.area.header_text_set(iface_(_TEXTS[1]))
+            self.say(context, _TEXTS[1])
             return {"RUNNING_MODAL"}
         self.points = (*self._clicks[0], *self._clicks[1])
         self.cancel(context)
         return self.execute(context)
-
-    def cancel(self, context: bpy.types.Context) -> None:
-        """Restore pointer and header; Blender calls this too, when the window closes."""
-        context.window.cursor_modal_restore()
-        if context.area is not None:
-            context.area.header_text_set(None)
 
 
 def _merged(settings: FIPT_PhotographsSettings) -> str:
