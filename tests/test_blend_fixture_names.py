@@ -7,9 +7,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fipt_blender.blend.lights.fixture_names import fixture_names, numbered, words
+from fipt_blender.blend.lights.fixture_names import fixture_names, words
 from fipt_blender.blend.room.arrays import Room
-from fipt_blender.core.run.parts import RoomPart, RoomParts
+from fipt_blender.core.run.parts import RoomPart, RoomParts, free_name
 
 SHELL = ((0.0, 0.0, 0.0), (6.0, 5.0, 3.0))
 _FACES = [
@@ -55,7 +55,7 @@ def name_of(*boxes: tuple[str, tuple, tuple], material: str = "") -> str:
 def test_words_of_names():
     assert words("CeilingPanel_light.001") == ["ceiling", "panel", "light"]
     assert words("12-34") == [] and words("Lámpara 2") == ["lámpara"]
-    assert numbered("Lamp", []) == "Lamp" and numbered("Lamp", ["Lamp", "Lamp 2"]) == "Lamp 3"
+    assert free_name("Lamp", []) == "Lamp" and free_name("Lamp", ["Lamp", "Lamp 2"]) == "Lamp 3"
 
 
 def test_an_object_that_is_a_lamp_gives_its_name():

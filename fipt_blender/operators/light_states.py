@@ -53,7 +53,7 @@ class FIPT_OT_save_light_state(NeedsLights, bpy.types.Operator):
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.lights import light_states
-        from ..blend.lights.fixture_names import numbered
+        from ..core.run.parts import free_name
 
         scene = context.scene
         settings = scene.fipt.lights
@@ -71,7 +71,7 @@ class FIPT_OT_save_light_state(NeedsLights, bpy.types.Operator):
         entry = settings.states.get(name) if name else None
         if entry is None:
             entry = settings.states.add()
-            entry.name = name or numbered(own_name, [each.name for each in settings.states])
+            entry.name = name or free_name(own_name, [each.name for each in settings.states])
         entry.data = light_states.write(state)
         settings.active_state = settings.states.find(entry.name)
         return {"FINISHED"}

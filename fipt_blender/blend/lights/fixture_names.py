@@ -7,12 +7,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from ...core.run.parts import RoomParts
+from ...core.run.parts import RoomParts, free_name
 from ..room.arrays import Room
 
 _LAMPS = frozenset(
@@ -49,17 +49,8 @@ def fixture_names(
     for entry in entries:
         triangles = np.array(entry["triangles"], np.int64)
         name = _belonging(room, triangles, areas, parts) if len(triangles) else ""
-        names.append(numbered(name or "Lamp", names))
+        names.append(free_name(name or "Lamp", names))
     return names
-
-
-def numbered(name: str, taken: Collection[str]) -> str:
-    """The name, followed by 2, 3, ... where it is taken."""
-    number, found = 1, name
-    while found in taken:
-        number += 1
-        found = f"{name} {number}"
-    return found
 
 
 def words(name: str) -> list[str]:

@@ -18,13 +18,13 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ...core.run.parts import RoomParts
+from ...core.run.parts import RoomParts, free_name
 from ..marks import BACK, BASE, FIXTURE, FIXTURE_SOURCES, NAMED, object_id
 from ..outliner import FIXTURES, collection
 from ..room.arrays import Room
 from ..room.mesh_arrays import is_mirrored
 from ..room.originals import number_polygons, original_polygons
-from .fixture_names import fixture_names, numbered
+from .fixture_names import fixture_names
 from .fixture_nodes import emission_material
 
 
@@ -94,7 +94,7 @@ def place(scene: bpy.types.Scene, fixtures: Sequence[NewFixture]) -> list[bpy.ty
     target = collection(scene, FIXTURES)
     items = []
     for fixture in fixtures:
-        entry, name = fixture.entry, numbered(fixture.name, bpy.data.objects.keys())
+        entry, name = fixture.entry, free_name(fixture.name, bpy.data.objects.keys())
         fixture.mesh.name = name
         base_color = entry.get("base_color", [0.0, 0.0, 0.0])
         light = entry["radiance"], entry["back_radiance"]

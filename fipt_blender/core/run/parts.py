@@ -7,7 +7,7 @@ Needs numpy alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -150,10 +150,15 @@ def unique_names(names: Sequence[str]) -> list[str]:
     taken: set[str] = set()
     result = []
     for name in names:
-        number, free = 1, name
-        while free in taken:
-            number += 1
-            free = f"{name} {number}"
-        taken.add(free)
-        result.append(free)
+        result.append(free_name(name, taken))
+        taken.add(result[-1])
     return result
+
+
+def free_name(name: str, taken: Collection[str]) -> str:
+    """The name, followed by 2, 3, ... where it is taken."""
+    number, found = 1, name
+    while found in taken:
+        number += 1
+        found = f"{name} {number}"
+    return found
