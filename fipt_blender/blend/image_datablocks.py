@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Loads image files as Blender images, with the colour space of their content."""
+"""Image files as Blender images, with the colour space of their content, and images as arrays."""
 
 from __future__ import annotations
 
@@ -49,13 +49,18 @@ def read_texture(path: Path) -> np.ndarray:
     image = bpy.data.images.load(str(path))
     try:
         image.colorspace_settings.is_data = True  # as they are in the file
-        width, height = image.size
-        pixels = np.empty(width * height * image.channels, np.float32)
-        image.pixels.foreach_get(pixels)
+        pixels = image_values(image)
     finally:
         bpy.data.images.remove(image)
-    pixels = pixels.reshape(height, width, -1)
     return pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
+
+
+def image_values(image: bpy.types.Image) -> np.ndarray:
+    """(H, W, channels) f32 values of an image, bottom row first."""
+    width, height = image.size
+    values = np.empty(width * height * image.channels, np.float32)
+    image.pixels.foreach_get(values)
+    return values.reshape(height, width, image.channels)
 
 
 def remove_unused_images(images: Iterable[bpy.types.Image]) -> None:

@@ -15,7 +15,7 @@ from ..marks import MAP, MATERIAL, PART, PART_NAME
 from ..node_trees import node_tree
 from ..results import adjust
 from ..results.materials import SPECULAR_LEVEL
-from ..room.mesh_arrays import polygon_slots, triangle_loops
+from ..room.mesh_arrays import corner_uvs, polygon_slots, triangle_loops
 from ..room.uv_layer import UV_LAYER
 from .textures import adjusted_maps, read_maps, texel_parts, write_png
 
@@ -99,9 +99,7 @@ def _triangles(objects: list[bpy.types.Object], name: str, keys: list[str]) -> t
         )
         loops, polygons = triangle_loops(mesh, False)
         part = of_slot[np.minimum(polygon_slots(mesh), len(of_slot) - 1)][polygons]
-        layer = np.empty(len(mesh.loops) * 2, np.float32)
-        mesh.uv_layers[UV_LAYER].uv.foreach_get("vector", layer)
-        uvs.append(layer.reshape(-1, 2)[loops[part >= 0]])
+        uvs.append(corner_uvs(mesh, mesh.uv_layers[UV_LAYER])[loops[part >= 0]])
         parts.append(part[part >= 0])
     return np.concatenate(uvs), np.concatenate(parts)
 

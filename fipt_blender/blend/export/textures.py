@@ -14,6 +14,7 @@ import bpy
 import numpy as np
 
 from ...core.textures.raster import covered_texels
+from ..image_datablocks import image_values
 from ..marks import MAP
 from ..node_trees import node_tree
 from ..png16 import encode_srgb
@@ -29,10 +30,7 @@ def read_maps(material: bpy.types.Material) -> np.ndarray:
     columns = []
     for label, channels in zip(_LABELS, (3, 1, 1), strict=True):
         image = node_tree(material).nodes[MAP.format(label)].image
-        width, height = image.size
-        pixels = np.empty(width * height * image.channels, np.float32)
-        image.pixels.foreach_get(pixels)
-        columns.append(pixels.reshape(height, width, image.channels)[..., :channels])
+        columns.append(image_values(image)[..., :channels])
     return np.concatenate(columns, axis=2)
 
 

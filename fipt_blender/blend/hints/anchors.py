@@ -16,7 +16,7 @@ from ...core.run.errors import FiptError
 from ...core.run.hints import MOST_POINTS
 from ..marks import AREA
 from ..ray_hits import hits
-from ..room.mesh_arrays import transform_points
+from ..room.mesh_arrays import corner_vertices, transform_points, triangle_loops, vertex_positions
 
 FACE_SETS = ".sculpt_face_set"
 
@@ -93,20 +93,14 @@ def set_area(hint: bpy.types.PropertyGroup, item: bpy.types.Object, chosen: np.n
         FiptError: ``area-large``.
     """
     mesh = item.data
-    mesh.calc_loop_triangles()
-    count = len(mesh.loop_triangles)
-    vertices, polygon = np.empty(3 * count, np.int32), np.empty(count, np.int32)
-    mesh.loop_triangles.foreach_get("vertices", vertices)
-    mesh.loop_triangles.foreach_get("polygon_index", polygon)
-    positions = np.empty(3 * len(mesh.vertices), np.float32)
-    mesh.vertices.foreach_get("co", positions)
-    corners = positions.reshape(-1, 3)[vertices.reshape(-1, 3)[chosen[polygon]]]
+    loops, polygon = triangle_loops(mesh, False)
+    corners = vertex_positions(mesh)[corner_vertices(mesh)[loops[chosen[polygon]]]]
     if len(corners) > MOST_POINTS:
         text = f"The area has {len(corners)} triangles, more than {MOST_POINTS}."
         raise FiptError("area-large", text, "Choose a smaller area.")
     centers = corners.mean(axis=1)
     hint.object, hint.area, hint.point = item, True, centers[0]
-    hint[AREA] = centers.astype(np.float64).ravel().tolist()
+    hint[AREA] = centers.ravel().tolist()
 
 
 def world_points(hint: bpy.types.PropertyGroup) -> np.ndarray:

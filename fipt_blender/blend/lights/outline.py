@@ -66,10 +66,10 @@ def follow_selection() -> None:
     settings = context.scene.fipt.lights
     for index, row in enumerate(settings.lights):
         if item is not None and row.object == item and index != settings.active:
+            from ..capture.look import redraw_views
+
             settings.active = index
-            for area in (area for window in context.window_manager.windows for area in window.screen.areas):
-                if area.type == "VIEW_3D":
-                    area.tag_redraw()
+            redraw_views()
 
 
 def _draw() -> None:

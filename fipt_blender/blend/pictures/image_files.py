@@ -14,7 +14,7 @@ import numpy as np
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder, atomic_path
 from ..changed import changed
-from ..image_datablocks import LINEAR
+from ..image_datablocks import LINEAR, image_values
 from ..save import write_error
 
 # Selects still images in image settings, where that is a setting (from Blender 5.0): it decides on formats.
@@ -62,10 +62,7 @@ def read_pixels(path: Path, channels: int = 3) -> np.ndarray:
     image = bpy.data.images.load(str(path))
     try:
         image.colorspace_settings.is_data = True
-        width, height = image.size
-        pixels = np.empty(width * height * image.channels, np.float32)
-        image.pixels.foreach_get(pixels)
-        return pixels.reshape(height, width, image.channels)[::-1, :, :channels].copy()
+        return image_values(image)[::-1, :, :channels].copy()
     finally:
         bpy.data.images.remove(image)
 

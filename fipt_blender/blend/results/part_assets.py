@@ -10,6 +10,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
+from ..png16 import encode_srgb
 from .part_list import part_materials
 
 SIZE = 128  # pixels along an edge of a preview
@@ -60,6 +61,5 @@ def ball(base_color: tuple[float, ...], roughness: float, metallic: float, size:
     grazing = reflectance + (1.0 - reflectance) * ((1.0 - z) ** 5)[..., None] * (1.0 - roughness)
     diffuse = color * (1.0 - metallic) * (_KEY * facing + _FILL)
     glossy = reflectance * lobe[..., None] * 0.25 * _KEY * facing + grazing * _FILL
-    linear = np.clip(diffuse / 1.6 + glossy, 0.0, 1.0)
-    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
+    shown = encode_srgb(diffuse / 1.6 + glossy)
     return np.concatenate([shown * inside[..., None], inside[..., None]], axis=2).astype(np.float32)

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ..run.errors import FiptError
+from .encoded import srgb_encoded
 from .rig import Note, Pinhole
 
 ROTATION_TOLERANCE = 1e-3
@@ -118,8 +119,7 @@ def _is_8bit(values: np.ndarray) -> bool:
     """Whether all values lie in [0, 1] on the 255 steps of an 8-bit image, linear or sRGB-decoded."""
     if values.min() < 0.0 or values.max() > 1.0:
         return False
-    encoded = np.where(values <= 0.0031308, 12.92 * values, 1.055 * values ** (1.0 / 2.4) - 0.055)
-    for steps in (255.0 * values, 255.0 * encoded):
+    for steps in (255.0 * values, 255.0 * srgb_encoded(values)):
         # Half floats deviate from a step by up to 2^-11 of their value.
         if (np.abs(steps - np.round(steps)) <= 1e-3 + steps * 2.0**-11).all():
             return True

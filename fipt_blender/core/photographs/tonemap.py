@@ -1,13 +1,12 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Eight-bit copies of HDR photographs: for features, alike in the dark and in the light, and for display.
-
-Needs numpy alone.
-"""
+"""Eight-bit copies of HDR photographs: for features, alike in the dark and in the light, and for display."""
 
 from __future__ import annotations
 
 import numpy as np
+
+from ..capture.encoded import srgb_encoded
 
 _REC709_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 # Below the median radiance by this factor, the curve turns from logarithmic to linear: darker is noise.
@@ -46,5 +45,4 @@ def display_picture(radiance: np.ndarray) -> np.ndarray:
     """
     white = float(np.percentile(radiance.max(axis=-1), _WHITE))
     values = np.clip(radiance / max(white, 1e-12), 0.0, 1.0)
-    encoded = np.where(values <= 0.0031308, 12.92 * values, 1.055 * values ** (1.0 / 2.4) - 0.055)
-    return np.round(255.0 * encoded).astype(np.uint8)
+    return np.round(255.0 * srgb_encoded(values)).astype(np.uint8)
