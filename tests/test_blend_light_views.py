@@ -10,7 +10,7 @@ import pytest
 from mathutils import Vector
 
 from fipt_blender.blend.lights import eevee, new_lights, outline
-from fipt_blender.blend.marks import VISIBILITY
+from fipt_blender.blend.marks import VISIBILITY, light_probe
 from samples.applied_rooms import make_scene, use_fake_engine
 
 ops = bpy.ops.fipt
@@ -85,7 +85,7 @@ def test_the_room_is_set_up_for_eevee_and_reverted(scene):
     assert "EEVEE" in scene.render.engine and not scene.fipt.lights.needs_cycles()
     (fixture,) = [row.object for row in scene.fipt.lights.lights]
     assert VISIBILITY in fixture and len(fixture.children) == 1
-    volume = eevee.volume_of(scene)
+    volume = light_probe(scene)
     bpy.context.view_layer.update()
     corners = np.array([volume.matrix_world @ Vector(sign) for sign in ((-1, -1, -1), (1, 1, 1))])
     assert (corners[0] < (-1, 0, -1)).all() and (corners[1] > (5, 6, 1)).all()

@@ -172,6 +172,11 @@ def fixture_lights(item: bpy.types.Object) -> list[bpy.types.Object]:
     return [child for child in item.children if FIXTURE_LIGHT in child]
 
 
+def light_probe(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    """Our light probe volume of a scene."""
+    return next((item for item in scene.objects if PROBE in item), None)
+
+
 def estimated_objects(scene: bpy.types.Scene, room: Collection[str]) -> list[bpy.types.Object]:
     """The objects of the room, given by their names, its fixtures and their Blender lights."""
     return [item for item in scene.objects if item.name in room or is_fixture(item) or FIXTURE_LIGHT in item]

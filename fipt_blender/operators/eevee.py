@@ -7,6 +7,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from ..blend.marks import light_probe
 from ..core.run.errors import FiptError
 from .polls import has_results, in_object_mode
 from .reporting import reports_errors
@@ -53,9 +54,7 @@ class FIPT_OT_bake_probe(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        from ..blend.marks import PROBE
-
-        if not any(PROBE in item for item in context.scene.objects if item.type == "LIGHT_PROBE"):
+        if light_probe(context.scene) is None:
             cls.poll_message_set("Use Set Up for EEVEE first")
             return False
         return in_object_mode(cls, context)
@@ -74,9 +73,7 @@ class FIPT_OT_bake_probe(bpy.types.Operator):
 
 def bake(context: bpy.types.Context) -> None:
     """Bake our light probe volume, with Blender's own progress bar."""
-    from ..blend.lights.eevee import volume_of
-
-    volume = volume_of(context.scene)
+    volume = light_probe(context.scene)
     if volume is None:
         return
     context.view_layer.update()  # a new volume

@@ -14,7 +14,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ...core.run.errors import FiptError
-from ..marks import PROBE, VISIBILITY, fixtures_of
+from ..marks import PROBE, VISIBILITY, fixtures_of, light_probe
 from ..outliner import LIGHTS, collection
 from ..room.mesh_arrays import world_bounds
 from .convert import fixture_to_lights
@@ -71,7 +71,7 @@ def use_eevee(scene: bpy.types.Scene) -> None:
 
 def place_volume(scene: bpy.types.Scene, low: np.ndarray, high: np.ndarray) -> bpy.types.Object:
     """The light probe volume around a room's bounds (3,); an earlier one of ours is moved."""
-    item = volume_of(scene)
+    item = light_probe(scene)
     if item is None:
         data = bpy.data.lightprobes.new("FIPT Light Probe", "VOLUME")
         item = bpy.data.objects.new(data.name, data)
@@ -92,8 +92,3 @@ def resolution(extent: np.ndarray) -> tuple[int, int, int]:
     """Samples of a volume of these extents (3,) in metres along each axis."""
     x, y, z = (min(max(math.ceil(float(size) / SPACING), _MIN), _MAX) for size in extent)
     return x, y, z
-
-
-def volume_of(scene: bpy.types.Scene) -> bpy.types.Object | None:
-    """Our light probe volume of a scene."""
-    return next((item for item in scene.objects if PROBE in item), None)

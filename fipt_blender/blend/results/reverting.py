@@ -8,10 +8,9 @@ import bpy
 
 from ..capture.backdrop import clear_view
 from ..lights import light_state
-from ..lights.eevee import volume_of
 from ..lights.light_groups import remove_light_groups
 from ..lights.world import restore_world
-from ..marks import added_lights, is_split_off, room_with_results
+from ..marks import added_lights, is_split_off, light_probe, room_with_results
 from ..outliner import FIXTURES, find_collection, remove_object
 from ..room.originals import restore_original, result_meshes
 from .maps import restore_solid_views
@@ -36,7 +35,7 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> list[str]:
     room = room_with_results(scene)
     materials = result_materials(result_meshes(room))
     restored = restore_original(room)
-    probe = volume_of(scene)
+    probe = light_probe(scene)
     if probe is not None:
         remove_object(probe)
     # Fixtures can be left over whose source objects were deleted or renamed.
