@@ -10,16 +10,14 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ..material.training import TrainingData
 from ..report.comparison import to_display
 from ..report.pictures import write_png
-from ..run.documents import read_json
 from ..run.runfolder import RunFolder, write_json
-from ..run.shapes import DOUBTS_FORMAT, DOUBTS_VERSION, PARTS
+from ..run.shapes import DOUBTS_FORMAT, DOUBTS_VERSION
 from ..scene.pixels import PixelStore
 
 MOST_DOUBTS = 20
@@ -96,6 +94,7 @@ def write_doubts(
     bright: np.ndarray,
     decided: np.ndarray,
     colors: np.ndarray,
+    names: np.ndarray,
 ) -> None:
     """Write results/doubts.json and its pictures, the most doubtful part first.
 
@@ -104,6 +103,7 @@ def write_doubts(
         bright: (T,) share of each triangle's pixels that are brighter than a white surface.
         decided: (T,) bool, triangles of which hints say whether they emit.
         colors: (G,) mean base color of the groups.
+        names: (T,) name of each triangle's part, "" without one.
 
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
@@ -112,7 +112,6 @@ def write_doubts(
     total = counts.sum(axis=0)
     doubts = group_doubts(data.group_errors, total, bright_of, decided_of)
     order = np.argsort(-doubts.score, kind="stable")[:MOST_DOUBTS]
-    names = _unit_names(folder)
     shutil.rmtree(folder.doubts, ignore_errors=True)
     entries = []
     for number, group in enumerate(order[doubts.score[order] > 0.0].tolist(), start=1):
@@ -123,10 +122,9 @@ def write_doubts(
         place, box, picture = _picture(pixels, data, view, group)
         path = folder.doubts / f"{number:02d}.png"
         write_png(path, picture)
-        triangle = int(pixels.triangle[place])
         entries.append(
             {
-                "name": names[1].get(int(names[0][triangle]), f"Part {group}"),
+                "name": names[int(pixels.triangle[place])] or f"Part {group}",
                 "question": word,
                 "text": text,
                 "point": [round(float(value), 5) for value in pixels.position[place]],
@@ -196,11 +194,3 @@ def _picture(
     picture = to_display(crop, EXPOSURE).repeat(repeat, axis=0).repeat(repeat, axis=1)
     box = [int(low[0]), int(low[1]), int(high[0]) + 1, int(high[1]) + 1]
     return int(rows[middle]), box, picture
-
-
-def _unit_names(folder: RunFolder) -> tuple[np.ndarray, dict[int, str]]:
-    """(T,) unit of each triangle, and the names of the units that results/parts.json tells."""
-    with np.load(folder.parts_npz, allow_pickle=False) as arrays:
-        unit = arrays["triangle_part"]
-    entries: list[dict[str, Any]] = read_json(folder.parts_json, PARTS)["parts"]
-    return unit, {entry["id"]: entry["name"] for entry in entries}

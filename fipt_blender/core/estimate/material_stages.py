@@ -246,18 +246,18 @@ class MaterialStages(EstimationState):
         light = RoomLight(fixtures, colors, self.observations.environment, self.view_check.lamps)
         fields = self._room_fields(errors)
         write_results(self.folder, fields, light, self.scale, self.reporter)
-        write_part_list(self.folder, self.room, self.parts, self.views, self.pixels, fields)
+        names = write_part_list(self.folder, self.room, self.parts, self.views, self.pixels, fields)
         write_left_alone(self.folder, left_alone)
-        self._write_doubts()
+        self._write_doubts(np.array([*names, ""], object)[fields.units.triangle])
         write_json(self.folder.statistics_json, self.summary())
 
-    def _write_doubts(self) -> None:
+    def _write_doubts(self, names: np.ndarray) -> None:
         data, initial, _, bright = self._closed_form()
         decided = np.zeros(len(bright), bool)
         if self.hints is not None:
             decided = self.hints.of_triangles(self.hints.emits) != 0
         colors = _means(initial.base_color.mean(axis=1), data.group[initial.rows], len(data.group_errors))
-        write_doubts(self.folder, self.pixels, data, bright, decided, colors)
+        write_doubts(self.folder, self.pixels, data, bright, decided, colors, names)
 
 
 def _means(values: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:

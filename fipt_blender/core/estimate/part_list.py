@@ -39,8 +39,8 @@ _NAMES_OF_IDS = {"mask": "Part {}", "class": "Class {}"}
 
 def write_part_list(
     run: RunFolder, room: Room, parts: Parts, views: Sequence[View], pixels: PixelStore, fields: RoomFields
-) -> None:
-    """Write results/parts.json (docs/architecture.md).
+) -> list[str]:
+    """Write results/parts.json (docs/architecture.md) and return the names of the units.
 
     Args:
         room, parts: of the estimation.
@@ -81,6 +81,7 @@ def write_part_list(
     ]
     document = {"format": PARTS_FORMAT, "version": PARTS_VERSION, "source": source, "parts": entries}
     write_json(run.parts_json, document)
+    return names
 
 
 def _described(values: np.ndarray) -> dict[str, Any]:
@@ -132,12 +133,10 @@ def _semantic_classes(
     images = (view.semantic_ids() for view in views)
     label = fuse_masks(images, triangles, len(room.triangles))
     names = _class_names(next(view.semantics for view in views if view.semantics))
-    known = (label >= 0) & (unit >= 0)
-    ids, place = np.unique(label[known], return_inverse=True)
-    area = np.bincount(unit[known] * len(ids) + place, room.areas[known], minlength=count * len(ids))
-    shares = area.reshape(count, len(ids))
+    ids, place = np.unique(label[label >= 0], return_inverse=True)
+    label[label >= 0] = place
     classes = []
-    for row in shares:
+    for row in _areas(room, unit, count, label, len(ids)):
         total, best = row.sum(), int(row.argmax()) if len(row) else 0
         number = int(ids[best]) if total > 0.0 and row[best] >= MOST * total else -1
         classes.append((number, names.get(str(number), "")))
