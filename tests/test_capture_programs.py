@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender import cli
+from fipt_blender.cli import arguments
 from fipt_blender.core.capture.distortion import lens_camera
 from fipt_blender.core.capture.formats import FORMATS, detect_format, read_rig
 from fipt_blender.core.capture.radial import MOST_ERROR
@@ -403,7 +403,7 @@ def all_formats(root: Path) -> dict[str, Path]:
 def test_command_line_and_panel_offer_all_formats() -> None:
     from fipt_blender.properties import capture
 
-    assert set(cli.FORMATS) == {name for name, *_ in capture.FORMATS} == {"auto", *FORMATS}
+    assert set(arguments.FORMATS) == {name for name, *_ in capture.FORMATS} == {"auto", *FORMATS}
 
 
 def test_each_format_is_recognized_by_its_content(tmp_path: Path) -> None:

@@ -18,9 +18,10 @@ from fipt_blender import cli
 from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step, StepRecord
+from fipt_blender.cli.output import format_seconds, format_size
 from fipt_blender.core.run.errors import FiptError
 
-PACKAGE = Path(cli.__file__).parent
+PACKAGE = Path(cli.__file__).parent.parent
 GOOD = (
     "import json, time\n"
     'for i in range(3): print(json.dumps({"type": "progress", "fraction": i / 2, "remaining_seconds": 70}))\n'
@@ -239,9 +240,9 @@ def test_the_package_runs_as_a_file_and_as_a_module(command, tmp_path):
     ("seconds", "text"), [(0.2, "0 s"), (59.4, "59 s"), (59.6, "1 min 0 s"), (3900, "1 h 5 min")]
 )
 def test_times_for_people(seconds, text):
-    assert cli.format_seconds(seconds) == text
+    assert format_seconds(seconds) == text
 
 
 @pytest.mark.parametrize(("size", "text"), [(7, "7 B"), (1500, "1.5 kB"), (2_340_000, "2.3 MB")])
 def test_sizes_for_people(size, text):
-    assert cli.format_size(size) == text
+    assert format_size(size) == text

@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 from distributed import Client, LocalCluster
 
-from fipt_blender import cli
 from fipt_blender.bridge.step import chain_keys
+from fipt_blender.cli.arguments import make_options, make_parser
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.device import cluster
 from fipt_blender.core.estimate import command, material_stages
@@ -269,8 +269,8 @@ def test_no_client_is_left_to_be_collected(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_the_address_reaches_the_engine_and_makes_no_result_stale(tmp_path: Path) -> None:
-    arguments = cli.make_parser().parse_args(["estimate", "room", "--cluster", "tcp://host:8786"])
-    options = cli.make_options(arguments)
+    arguments = make_parser().parse_args(["estimate", "room", "--cluster", "tcp://host:8786"])
+    options = make_options(arguments)
     assert options.cluster == "tcp://host:8786"
     run = RunFolder(tmp_path)
     steps = [estimate_step(run, options.settings, cluster=address) for address in (options.cluster, None)]

@@ -64,7 +64,7 @@ def test_zip_is_the_extension_and_reproducible(dev: ModuleType, tmp_path: Path) 
     assert written == {name: groups[name] for name in ("engine", "llvm", "pip", "lock")}
     assert first.stat().st_size < 4e6, "the heavy packages live in the engine's environment"
     assert first.name == f"fipt_blender-{manifest['version']}.zip"
-    assert {"__init__.py", "__main__.py", "LICENSE", "core/__main__.py", "cli.py"} <= set(names)
+    assert {"__init__.py", "__main__.py", "LICENSE", "core/__main__.py", "cli/__init__.py"} <= set(names)
     assert names == sorted(names)
     foreign = ("tests", "examples", "benchmarks", "fipt_blender", "dist", "out")
     for name in names:

@@ -1,0 +1,193 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The arguments of the command line, and the options of the whole job from them."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TypeAlias
+
+from ..core.conventions import UP_AXES
+from ..core.run.errors import FiptError
+from ..core.run.runfolder import PRODUCT_VERSION
+from ..core.run.settings import PRESETS, make_settings
+from ..jobs.options import PARTS, RENDER_KINDS, MainJobOptions
+
+FORMATS = (
+    *("auto", "fipt-synthetic", "fipt-real", "scannetpp", "transforms", "colmap", "metashape", "realityscan"),
+    *("meshroom", "opensfm", "openmvg", "bundler", "nvm", "polycam", "record3d", "rgbd"),
+)
+_Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The parser of all commands and options."""
+    parser = argparse.ArgumentParser(
+        prog="fipt",
+        description="Estimate the materials and lights of a room from posed HDR photographs and its mesh.",
+    )
+    parser.add_argument("--version", action="version", version=f"fipt {PRODUCT_VERSION}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    estimate, prepare, export = _add_estimate(commands), _add_prepare(commands), _add_export(commands)
+    check = commands.add_parser("check", help="check whether the engine works, and on which device")
+    for command in (estimate, prepare, check):
+        add = command.add_argument
+        add("--engine-python", metavar="PATH", help="Python interpreter with the engine's packages")
+    for command in (estimate, prepare, export, check):
+        add = command.add_argument
+        add("--quiet", action="store_true", help="print only warnings and errors")
+        add("--json", action="store_true", help="print the messages as JSON, one per line")
+    return parser
+
+
+def _add_estimate(commands: _Commands) -> argparse.ArgumentParser:
+    """The parser of `estimate`."""
+    estimate = commands.add_parser(
+        "estimate",
+        help="run the whole job on a capture",
+        description="Run the whole job: read the capture, estimate materials and lights, write a .blend with"
+        " textures and emissive fixtures, Cycles renders and a report.",
+    )
+    add = estimate.add_argument
+    add("capture", type=Path, metavar="CAPTURE", help="the capture's folder or its camera file")
+    add("--mesh", type=Path, metavar="FILE", help="the room's mesh (default: the one beside the cameras)")
+    add("--output", type=Path, metavar="DIR", help="the run folder (default: ./CAPTURE-fipt)")
+    add("--preset", choices=tuple(PRESETS), default="medium", help="quality and duration (default: medium)")
+    add("--device", choices=("auto", "cuda", "llvm"), help="GPU (cuda) or CPU (llvm) (default: auto)")
+    add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
+    add("--rounds", type=int, metavar="N", help="number of refinements of light and materials")
+    add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one constant of the method")
+    add("--format", choices=FORMATS, default="auto", help="layout of the capture (default: auto)")
+    up_axes = ("auto", *UP_AXES)
+    add("--up-axis", choices=up_axes, default="auto", help="up axis of the capture; --up-axis=-y for -y")
+    add("--scale", type=float, default=1.0, metavar="S", help="meters per unit of the capture (default: 1)")
+    add("--hold-back", type=int, metavar="N", help="hold back every N-th view for comparison; 0 for none")
+    add("--images", type=Path, metavar="DIR", help="folder of the HDR photographs")
+    add("--views", type=int, default=0, metavar="N", help="use N photographs, evenly spread (default: all)")
+    add("--voxel", type=float, metavar="M", help="meters, of a mesh fused from depth images (default: 0.02)")
+    add(
+        "--close-holes",
+        type=float,
+        metavar="M",
+        help="close holes of a fused mesh up to this width in meters",
+    )
+    add(
+        "--depth-unit", type=float, metavar="M", help="unit of 16-bit depth images in meters (default: 0.001)"
+    )
+    add("--clamp-negative", action="store_true", help="treat negative radiance in photographs as zero")
+    add("--align-mesh", action="store_true", help="align the cameras to a mesh from another program")
+    add(
+        "--plane-room", action="store_true", help="without a mesh: fit a room of planes to the solve's points"
+    )
+    add(
+        "--undo-applied-transform",
+        action="store_true",
+        help="transforms.json: the mesh has the coordinates from before nerfstudio's applied_transform",
+    )
+    add(
+        "--parts",
+        choices=PARTS,
+        default="auto",
+        help="how surfaces of the same material are recognized (default: auto)",
+    )
+    add("--hints", type=Path, metavar="FILE", help="what is known of surfaces (hints.json)")
+    add(
+        "--hints-again",
+        type=Path,
+        metavar="FILE",
+        help="with --resume: estimate materials again with these hints; the computed light is kept",
+    )
+    add("--no-renders", action="store_true", help="do not render in Cycles")
+    add("--cluster", metavar="ADDRESS", help="a Dask scheduler whose workers share the work on the views")
+    add("--render-spp", type=int, default=64, metavar="N", help="Cycles samples per pixel (default: 64)")
+    add("--render-view", default="", metavar="NAME", help="the view to render (default: a held-back one)")
+    add("--resume", action="store_true", help="keep finished steps of an earlier run in the same folder")
+    return estimate
+
+
+def _add_prepare(commands: _Commands) -> argparse.ArgumentParser:
+    """The parser of `prepare`."""
+    prepare = commands.add_parser(
+        "prepare",
+        help="make a capture from a folder of photographs",
+        description="Make a capture from photographs: merge brackets to HDR images and solve the cameras. A"
+        " command that was stopped goes on where it was when it is started again.",
+    )
+    add = prepare.add_argument
+    add("photographs", type=Path, metavar="PHOTOGRAPHS", help="folder of the photographs")
+    add(
+        "--output", type=Path, metavar="CAPTURE", help="the capture's folder (default: ./PHOTOGRAPHS-capture)"
+    )
+    add("--steps", default="", metavar="NAMES", help="only some steps, separated by commas (default: all)")
+    add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one setting of prepare.json")
+    return prepare
+
+
+def _add_export(commands: _Commands) -> argparse.ArgumentParser:
+    """The parser of `export`."""
+    export = commands.add_parser(
+        "export",
+        help="write an estimated room as glTF or USD",
+        description="Write the room of a .blend file with applied results, such as a run's room.blend, as"
+        " glTF or USD. What the format can't hold is said in warnings.",
+    )
+    add = export.add_argument
+    add("blend", type=Path, metavar="BLEND", help="the .blend file")
+    add("file", type=Path, metavar="FILE", help="the file to write: .glb, .gltf, .usdc, .usda, .usd or .usdz")
+    return export
+
+
+def make_options(arguments: argparse.Namespace) -> MainJobOptions:
+    """The job's options from parsed arguments.
+
+    Raises:
+        FiptError: ``setting-unknown``, ``setting-invalid`` or ``option-invalid``.
+    """
+    changes: dict[str, str | int] = {}
+    for text in arguments.set:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise FiptError("option-invalid", f"'--set {text}' has no '='.", "Write --set NAME=VALUE.")
+        changes[name.strip()] = value.strip()
+    for name in ("device", "seed", "rounds"):
+        if getattr(arguments, name) is not None:
+            changes[name] = getattr(arguments, name)
+    if arguments.render_spp < 1:
+        raise FiptError("option-invalid", f"--render-spp is {arguments.render_spp}.", "Give at least 1.")
+    if arguments.hold_back is not None and (arguments.hold_back < 0 or arguments.hold_back == 1):
+        raise FiptError(
+            "option-invalid", f"--hold-back is {arguments.hold_back}.", "Give 0 for none, or at least 2."
+        )
+    if not 0.0 < arguments.scale < float("inf"):
+        raise FiptError("option-invalid", f"--scale is {arguments.scale}.", "Give a number above 0.")
+    capture = arguments.capture
+    folder = capture.parent if capture.is_file() else capture
+    return MainJobOptions(
+        capture=capture,
+        output=arguments.output or Path.cwd() / f"{folder.absolute().name}-fipt",
+        mesh=arguments.mesh,
+        settings=make_settings(arguments.preset, changes),
+        format=arguments.format,
+        up_axis=arguments.up_axis,
+        scale=arguments.scale,
+        hold_back=arguments.hold_back,
+        images=arguments.images,
+        clamp_negative=arguments.clamp_negative,
+        align_mesh=arguments.align_mesh,
+        plane_room=arguments.plane_room,
+        views=arguments.views,
+        voxel=arguments.voxel,
+        close_holes=arguments.close_holes,
+        depth_unit=arguments.depth_unit,
+        undo_applied_transform=arguments.undo_applied_transform,
+        parts=arguments.parts,
+        renders=() if arguments.no_renders else RENDER_KINDS,
+        render_view=arguments.render_view,
+        render_spp=arguments.render_spp,
+        resume=arguments.resume,
+        engine_python=arguments.engine_python,
+        cluster=arguments.cluster,
+        hints=arguments.hints,
+        hints_again=arguments.hints_again,
+    )
