@@ -11,7 +11,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fipt_blender.core.capture.encoded import file_exposure, read_encoded, srgb_decoded, srgb_encoded
+from fipt_blender.core.capture.encoded import (
+    file_exposure,
+    load_codes,
+    read_encoded,
+    srgb_decoded,
+    srgb_encoded,
+)
 from fipt_blender.core.capture.images import read_radiance, read_size, write_exr
 from fipt_blender.core.capture.ingest import IngestOptions, ingest
 from fipt_blender.core.capture.views import View, load_capture
@@ -20,6 +26,7 @@ from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.scene.survey import photograph_facts, view_warning
 from samples.capture_files import make_samples, write_transforms
+from samples.deep_images import write_deep_png, write_deep_tiff
 from samples.photographs import exif, write_jpeg
 from samples.small_rooms import BOX, make_room
 
@@ -46,6 +53,33 @@ def test_grey_alpha_palette_and_sixteen_bits(tmp_path):
     for name in ("grey.png", "deep.png"):
         assert np.array_equal(np.round(srgb_encoded(read_encoded(tmp_path / name)) * 255), wanted)
     assert read_encoded(tmp_path / "palette.png").shape == (6, 8, 3)
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_colors_keep_all_sixteen_bits(tmp_path, channels):
+    codes = np.random.default_rng(4).integers(0, 65536, (6, 8, channels)).astype(np.uint16)
+    paths = [write_deep_png(tmp_path / "a.png", codes)]
+    for order, packed in ((o, p) for o in "<>" for p in (False, True)):
+        name = f"{'little' if order == '<' else 'big'}-{packed}.tif"
+        paths.append(write_deep_tiff(tmp_path / name, codes, order, packed))
+    for path in paths:
+        assert np.array_equal(load_codes(path, "PNG" if path.suffix == ".png" else "TIFF"), codes[..., :3]), (
+            path.name
+        )
+        values = srgb_encoded(read_encoded(path).astype(np.float64))
+        assert np.abs(values * 65535.0 - codes[..., :3]).max() < 0.1
+
+
+def test_a_damaged_file_of_sixteen_bits_is_refused(tmp_path):
+    codes = np.zeros((60, 80, 3), np.uint16)
+    for path in (
+        write_deep_png(tmp_path / "a.png", codes),
+        write_deep_tiff(tmp_path / "a.tif", codes, "<", True),
+    ):
+        path.write_bytes(path.read_bytes()[:-40])
+        with pytest.raises(FiptError) as error:
+            read_encoded(path)
+        assert error.value.code == "image-unreadable"
 
 
 def test_values_of_other_depths_are_refused(tmp_path):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import struct
+import sys
 import warnings
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,13 @@ PILLOW_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF"
 # A float image of three channels takes 2 GB; the largest cameras have 151 megapixels.
 MOST_PIXELS = 160_000_000
 _DAMAGE = (UnidentifiedImageError, OSError, ValueError, SyntaxError, struct.error, EOFError, OverflowError)
+# Pillow's names of pixels with 16 bits in each of three channels, and those with the bytes swapped.
+_ORDERS = {"B": "L", "L": "B", "N": "B" if sys.byteorder == "little" else "L"}
+_OTHER_ORDER = {
+    f"{channels};16{order}": f"{channels};16{other}"
+    for channels in ("RGB", "RGBA", "RGBX")
+    for order, other in _ORDERS.items()
+}
 _EXIF, _SHUTTER, _APERTURE, _ISO = 0x8769, 0x829A, 0x829D, 0x8827
 
 
@@ -35,7 +43,7 @@ def is_encoded(path: Path) -> bool:
 def read_encoded(path: Path) -> np.ndarray:
     """A photograph's values as if its response were sRGB's curve.
 
-    Of files with 16 bits in each of three channels Pillow reads the upper 8. Alpha is ignored.
+    Alpha is ignored.
 
     Returns:
         (height, width, 3) float32 from 0 to 1.
@@ -45,13 +53,40 @@ def read_encoded(path: Path) -> np.ndarray:
     """
     check_pixels(path, *pillow_size(path))
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            with Image.open(path, formats=[PILLOW_FORMATS[path.suffix.lower()]]) as image:
-                codes = _codes(image)
+        codes = load_codes(path, PILLOW_FORMATS[path.suffix.lower()])
     except (*_DAMAGE, Image.DecompressionBombError) as error:
         raise unreadable(path, error) from None
-    return srgb_decoded(codes)
+    return srgb_decoded(codes / np.float32(np.iinfo(codes.dtype).max))
+
+
+def load_codes(path: Path, kind: str) -> np.ndarray:
+    """The codes of an image with all their bits, without alpha.
+
+    Args:
+        kind: Pillow's name of the file's format.
+
+    Returns:
+        (height, width, 3) uint8, or uint16 where the file has 16 bits in each channel.
+
+    Raises:
+        OSError, ValueError, SyntaxError, ...: whatever Pillow raises for damaged files.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+        with Image.open(path, formats=[kind]) as image:
+            if image.mode.startswith(("I", "F")):
+                grey = np.asarray(image)
+                if grey.dtype != np.uint16:
+                    raise ValueError(f"its values are {grey.dtype}, not of 8 or 16 bits")
+                return np.repeat(grey[..., None], 3, axis=-1)
+            wide = any(_other_bytes(tile) != tile for tile in image.tile)
+            codes = np.asarray(image.convert("RGB"))
+        if not wide:
+            return codes
+        with Image.open(path, formats=[kind]) as image:
+            image.tile = [_other_bytes(tile) for tile in image.tile]
+            lower = np.asarray(image.convert("RGB"))
+    return (codes.astype(np.uint16) << 8) | lower
 
 
 def file_exposure(path: Path) -> float | None:
@@ -132,14 +167,15 @@ def pillow_size(path: Path) -> tuple[int, int]:
     return size
 
 
-def _codes(image: Image.Image) -> np.ndarray:
-    """(height, width, 3) float32 codes from 0 to 1."""
-    if image.mode.startswith(("I", "F")):
-        grey = np.asarray(image)
-        if grey.dtype != np.uint16:
-            raise ValueError(f"its values are {grey.dtype}, not of 8 or 16 bits")
-        return np.repeat((grey / np.float32(65535.0))[..., None], 3, axis=-1).astype(np.float32)
-    return np.asarray(image.convert("RGB"), np.float32) / np.float32(255.0)
+def _other_bytes(tile: Any) -> Any:
+    """A tile whose channels of 16 bits yield their lower bytes, by the other order of bytes; others stay.
+
+    Pillow reads the upper bytes only.
+    """
+    single = isinstance(tile.args, str)
+    names = (tile.args,) if single else tuple(tile.args or ())
+    changed = tuple(_OTHER_ORDER.get(name, name) if isinstance(name, str) else name for name in names)
+    return tile if changed == names else tile._replace(args=changed[0] if single else changed)
 
 
 def _number(value: Any) -> float | None:

@@ -4,16 +4,15 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import rawpy
-from PIL import Image
 from scipy import ndimage
 
+from ..capture.encoded import load_codes
 from ..capture.images import EXR_SUFFIX, read_radiance
 from ..run.errors import FiptError
 from . import radiance_hdr
@@ -343,17 +342,7 @@ def _load_codes(path: Path) -> np.ndarray:
     suffix = path.suffix.lower()
     if suffix in HEIF_SUFFIXES:
         optional("pillow_heif", "A photograph in HEIC").register_heif_opener()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-        image = Image.open(path, formats=[LDR_FORMATS[suffix]])
-    with image:
-        if image.mode.startswith(("I", "F")):
-            values = np.asarray(image)
-            if values.dtype != np.uint16:
-                raise ValueError(f"its values are {values.dtype}, not of 8 or 16 bits")
-        else:
-            values = np.asarray(image.convert("RGB"))
-    return np.repeat(values[..., None], 3, -1) if values.ndim == 2 else values
+    return load_codes(path, LDR_FORMATS[suffix])
 
 
 def _load_linear(path: Path) -> np.ndarray:
