@@ -15,6 +15,7 @@ import pytest
 
 from fipt_blender import cli
 from fipt_blender.blend.export.exporting import export_room
+from fipt_blender.blend.export.lamps import GAP
 from fipt_blender.blend.export.textures import texel_parts
 from fipt_blender.core.run.errors import FiptError
 from samples.applied_rooms import RADIANCE, ConstantFields, fingerprint, make_scene, use_fake_engine
@@ -84,13 +85,14 @@ def test_gltf_has_textures_emission_and_names_and_is_valid(scene, tmp_path):
     before = fingerprint(scene)
     exported = export_room(scene, tmp_path / "out" / "room.glb")
     assert exported.objects == 3
-    assert [warning["code"] for warning in exported.warnings] == ["export-two-sided", "export-environment"]
+    assert [warning["code"] for warning in exported.warnings] == ["export-environment"]
     assert fingerprint(scene) == before and len(bpy.data.scenes) == 1
     document = gltf_json(exported.path)
     assert {node["name"] for node in document["nodes"]} == {"panel", "cube", "Panel"}
     surfaces = [material for material in document["materials"] if "emissiveFactor" not in material]
-    assert [material["name"].split(".")[0] for material in surfaces] == ["Panel", "Cube"]
-    for material in surfaces:
+    assert [material["name"].split(".")[0] for material in surfaces][:2] == ["Panel", "Cube"]
+    assert surfaces[2]["name"].endswith("Back") and len(surfaces) == 3
+    for material in surfaces[:2]:
         values = material["pbrMetallicRoughness"]
         assert values["baseColorTexture"]["index"] != values["metallicRoughnessTexture"]["index"]
     (lamp,) = (material for material in document["materials"] if "emissiveFactor" in material)
@@ -150,6 +152,16 @@ def test_an_empty_blender_shows_the_estimate_with_its_adjustments(scene, tmp_pat
     lamp = principled(named["Panel"].data.materials[0])
     emitted = np.array(lamp.inputs["Emission Color"].default_value[:3])
     assert np.allclose(emitted * lamp.inputs["Emission Strength"].default_value, RADIANCE, rtol=1e-3)
+    lamp_mesh = named["Panel"].data
+    front, back = lamp_mesh.polygons[0], lamp_mesh.polygons[len(lamp_mesh.polygons) // 2]
+    assert front.material_index == 0 and back.material_index == 1
+    assert principled(lamp_mesh.materials[1]).inputs["Emission Strength"].default_value * max(
+        principled(lamp_mesh.materials[1]).inputs["Emission Color"].default_value[:3]
+    ) == pytest.approx(0.0)
+    turn = named["Panel"].matrix_world.to_3x3()
+    assert (turn @ front.normal).dot(turn @ back.normal) < -0.99
+    distance = (turn @ (back.center - front.center)).dot((turn @ front.normal).normalized())
+    assert distance == pytest.approx(-GAP, rel=0.05)
     # The world axes are Blender's again.
     corners = [named["panel"].matrix_world @ vertex.co for vertex in panel.vertices]
     assert max(abs(corner.z) for corner in corners) < 1e-5 and max(corner.x for corner in corners) > 4.0

@@ -20,6 +20,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 FLOOR, BACK, LEFT = (0.3, 0.2, 0.0), (0.0, 2.0, 1.5), (-2.0, 0.0, 1.5)
 AGAIN = ["hinted-estimate", "hinted-training"]
+LIGHT = ["hinted-lamps", "hinted-refinement"]
 
 
 @pytest.fixture(scope="module")
@@ -53,8 +54,8 @@ def wall_values(run: RunFolder, room) -> np.ndarray:
     return np.stack([roughness, metallic], axis=1)
 
 
-def again(run: RunFolder, *hints: Hint) -> list[dict]:
-    write_hints(run.hints_again_json, hints)
+def again(run: RunFolder, *hints: Hint, light: bool = False) -> list[dict]:
+    write_hints(run.hints_again_json, hints, light)
     return run_here(run)
 
 
@@ -97,6 +98,26 @@ def test_lamps_and_left_alone(finished: RunFolder, capture: SmallCapture, tmp_pa
     assert not run.left_alone_npz.exists()
 
 
+def test_the_light_changes_with_the_lamps(finished: RunFolder, capture: SmallCapture, tmp_path: Path) -> None:
+    """The light is that of an estimate with the hints from its beginning; what other hints need is kept."""
+    run = copy_of(finished, tmp_path)
+    before = (run.stage / "shadings" / "diffuse.npy").read_bytes()
+    panel = Hint(((0.0, 0.0, 2.9),), "Panel", emits=False)
+    messages = again(run, panel, light=True)
+    assert stages(messages) == LIGHT + AGAIN and "hints-lamps" not in warnings(messages)
+    assert json.loads(run.emitters_json.read_text())["fixtures"] == []
+    whole = write_run(tmp_path / "whole", capture)
+    write_hints(whole.hints_json, [panel])
+    run_here(whole)
+    folders = (run.stage / "shadings", run.stage / "hinted_shadings", whole.stage / "shadings")
+    old, new, wanted = (np.load(folder / "diffuse.npy").astype(float) for folder in folders)
+    assert np.abs(new - wanted).mean() < 0.2 * np.abs(old - wanted).mean()
+    assert (run.stage / "shadings" / "diffuse.npy").read_bytes() == before
+    assert stages(run_here(run)) == []
+    assert stages(again(run, panel)) == AGAIN
+    assert not (run.stage / "hinted_shadings").exists()
+
+
 def test_an_area_becomes_a_part_of_its_own(
     finished: RunFolder, capture: SmallCapture, tmp_path: Path
 ) -> None:
@@ -110,6 +131,9 @@ def test_an_area_becomes_a_part_of_its_own(
     assert values[1, 1] < 0.5 and 0.9 <= values[1, 0] <= 1.0
     with np.load(run.parts_npz) as parts:
         assert parts["triangle_part"][0] == parts["triangle_part"].max() != parts["triangle_part"][1]
+    listed = json.loads(run.parts_json.read_text())["parts"]
+    assert (listed[-1]["name"], listed[-1]["key"]) == ("Rug", "area:Rug")
+    assert not any(part["key"].startswith("area:") for part in listed[:-1])
 
 
 def test_a_run_with_hints_without_parts(capture: SmallCapture, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from fipt_blender.blend.hints.exchange import scene_hints, write_for_again, write_for_run
 from fipt_blender.core.run.errors import FiptError
-from fipt_blender.core.run.hints import read_hints
+from fipt_blender.core.run.hints import light_changes, read_hints
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.panels import hints as panel
 from fipt_blender.panels.hints import hint_text
@@ -173,6 +173,10 @@ def test_files_of_a_run_and_of_a_run_again(settings, run_folder: RunFolder) -> N
     write_for_again(scene, run_folder)
     assert read_hints(run_folder.hints_json)[0].material == "unknown"
     assert read_hints(run_folder.hints_again_json)[0].material == "metal"
+    assert not light_changes(run_folder.hints_again_json)
+    settings.light = True
+    write_for_again(scene, run_folder)
+    assert light_changes(run_folder.hints_again_json) and not light_changes(run_folder.hints_json)
     settings.hints.clear()
     write_for_again(scene, run_folder)
     assert run_folder.hints_again_json.exists() and read_hints(run_folder.hints_again_json) == []

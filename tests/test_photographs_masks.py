@@ -192,7 +192,9 @@ def test_the_step_writes_masks_where_the_reader_finds_them(model: Path, tmp_path
     assert sum(item["share"] for item in facts["classes"]) == pytest.approx(1.0, abs=1e-3)
     assert facts["classes"][0]["share"] == max(item["share"] for item in facts["classes"])
     run(str(model), 1)
-    assert {path.name for path in own.parent.iterdir()} == {"a b.png", "mine.png"}
+    assert {path.name for path in own.parent.iterdir()} == {"a b.png", "classes.json", "mine.png"}
+    names = json.loads((own.parent / "classes.json").read_text(encoding="utf-8"))
+    assert names == {"0": "wall", "1": "floor", "2": "lamp", "3": "bed", "4": "rug"}
     assert run("", 1)["model"] is None
     assert {path.name for path in own.parent.iterdir()} == {"mine.png"}
 

@@ -81,6 +81,7 @@ class FIPT_PT_estimate_hints(SubSection, bpy.types.Panel):
             hint = settings.hint()
             if hint is not None:
                 _draw_hint(column, context, hint)
+        layout.prop(settings, "light")
         column = layout.column()
         column.scale_y = 1.2
         column.operator("fipt.reestimate", icon="FILE_REFRESH")

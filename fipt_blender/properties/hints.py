@@ -114,6 +114,13 @@ class FIPT_HintsSettings(bpy.types.PropertyGroup):
 
     hints: bpy.props.CollectionProperty(type=FIPT_Hint)
     active_hint: bpy.props.IntProperty(name="Hint", description="What is known of a part or an area")
+    light: bpy.props.BoolProperty(
+        name="Light Changes Too",
+        description=(
+            "Re-estimate computes the light anew, too, because the hints change which surfaces are lamps."
+            " It takes as long as the last refinement"
+        ),
+    )
     doubts: bpy.props.CollectionProperty(type=FIPT_Doubt)
     active_doubt: bpy.props.IntProperty(
         name="Question", description="A part of which the photographs do not tell enough"

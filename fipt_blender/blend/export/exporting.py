@@ -21,12 +21,12 @@ from ...bridge.process import Message
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import explained_write_errors
 from ..lights.area_lights import area_light_watts
-from ..lights.fixture_nodes import is_emission_material
 from ..marks import FIXTURE_LIGHT, MATERIAL, is_our_light, result_world, room_with_results
 from ..marks import WORLD as OUR_WORLD
 from ..room.originals import shows_original
 from ..room.uv_layer import UV_LAYER
-from .materials import Atlas, glowing_material, has_maps, lamp_material, make_atlases, plain_material
+from .lamps import GAP, add_backs, plain_lamp
+from .materials import Atlas, glowing_material, has_maps, make_atlases, plain_material
 
 GLTF, USD = (".glb", ".gltf"), (".usdc", ".usda", ".usd", ".usdz")
 SUFFIXES = GLTF + USD
@@ -84,7 +84,7 @@ def export_room(scene: bpy.types.Scene, path: Path) -> Exported:
         copies.keep_images(atlases.values())
         copies.add_room(room, atlases)
         copies.add_lights(path.suffix.lower() in GLTF)
-        exported.objects, exported.warnings = len(copies.scene.objects), copies.warnings
+        exported.objects = len(copies.scene.objects)
         with _shown_in_window(copies.scene):
             _write(path)
     if path.suffix.lower() in GLTF:
@@ -104,12 +104,11 @@ class _Copies:
 
     def __init__(self, source: bpy.types.Scene) -> None:
         self._source = source
-        self.warnings: list[Message] = []
         self._renamed: list[tuple[bpy.types.Object, str]] = []
         self._materials: dict[bpy.types.Material, bpy.types.Material] = {}
         self._images: list[bpy.types.Image] = []
         self._meshes: list[bpy.types.Mesh] = []
-        self._two_sided: list[str] = []
+        self._lamps: list[bpy.types.Material] = []
 
     def __enter__(self) -> _Copies:
         self.scene = bpy.data.scenes.new(_SCENE)
@@ -122,7 +121,7 @@ class _Copies:
         for item, name in self._renamed:
             item.name = name
         bpy.data.scenes.remove(self.scene)
-        bpy.data.batch_remove([*self._materials.values(), *self._images, *self._meshes])
+        bpy.data.batch_remove([*self._materials.values(), *self._lamps, *self._images, *self._meshes])
 
     def keep_images(self, atlases: Iterable[Atlas]) -> None:
         """Remove these images, too, at the end."""
@@ -154,13 +153,6 @@ class _Copies:
                 self._copy(item)
             elif is_our_light(item) and item.type == "MESH":
                 self._add_lamp(item)
-        if self._two_sided:
-            text = (
-                "The files hold one emission for both sides of a surface. These lamps have two, of which the"
-                f" brighter one is in the file: {len(self._two_sided)}."
-            )
-            remedy = "Programs that draw only fronts show them as Blender does."
-            self.warnings.append(_warning("export-two-sided", text, remedy))
 
     def _copy(self, item: bpy.types.Object) -> bpy.types.Object:
         """A copy of the name, with a mesh of its own, without parent and custom properties."""
@@ -187,14 +179,7 @@ class _Copies:
     def _add_lamp(self, item: bpy.types.Object) -> None:
         copy = self._copy(item)
         copy.visible_camera = copy.visible_diffuse = copy.visible_glossy = True
-        for slot in copy.material_slots:
-            if slot.material is None or not is_emission_material(slot.material):
-                continue
-            if slot.material not in self._materials:
-                self._materials[slot.material], differs = lamp_material(slot.material)
-                if differs:
-                    self._two_sided.append(item.name)
-            slot.material = self._materials[slot.material]
+        self._lamps += plain_lamp(copy)
 
     def _add_area(self, item: bpy.types.Object) -> None:
         """An area light as a surface that emits the same radiance; glTF has none."""
@@ -215,9 +200,11 @@ class _Copies:
         self._meshes.append(mesh)
         radiance = light.energy / max(area_light_watts(1.0, area), 1e-12)
         color = tuple(radiance * value for value in light.color)
-        material = glowing_material(name, color, (0.0, 0.0, 0.0), True)
-        self._materials[material] = material
-        mesh.materials.append(material)
+        black = (0.0, 0.0, 0.0)
+        for each, emitted in ((name, color), (f"{name} Back", black)):
+            self._lamps.append(glowing_material(each, emitted, black, True))
+            mesh.materials.append(self._lamps[-1])
+        add_backs(mesh, {0: 1}, GAP / max(item.matrix_world.median_scale, 1e-6))
         item.name = name + _ASIDE
         self._renamed.append((item, name))
         made = bpy.data.objects.new(name, mesh)

@@ -10,7 +10,6 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..lights.fixture_nodes import side_radiance
 from ..marks import MAP, MATERIAL, PART, PART_NAME
 from ..node_trees import node_tree
 from ..results import adjust
@@ -155,15 +154,6 @@ def glowing_material(
         principled.inputs[socket].default_value = value
     made.use_backface_culling = one_sided
     return made
-
-
-def lamp_material(material: bpy.types.Material) -> tuple[bpy.types.Material, bool]:
-    """A new material of a fixture's material, and whether its two sides emit differently."""
-    front, back, base_color = side_radiance(material)
-    brighter = max((front, back), key=max)
-    one_sided = max(back) <= 0.0 < max(front)
-    made = glowing_material(material.name, brighter, base_color, one_sided)
-    return made, not np.allclose(front, back, rtol=1e-3)
 
 
 def _principled(material: bpy.types.Material) -> bpy.types.Node:

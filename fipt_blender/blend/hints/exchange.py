@@ -78,7 +78,7 @@ def write_for_again(scene: bpy.types.Scene, run: RunFolder) -> None:
     """
     hints = scene_hints(scene)
     if hints or run.hints_json.exists():
-        write_hints(run.hints_again_json, hints)
+        write_hints(run.hints_again_json, hints, scene.fipt.hints.light)
     else:
         run.hints_again_json.unlink(missing_ok=True)
 

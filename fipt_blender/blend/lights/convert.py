@@ -41,6 +41,7 @@ RAYS = ("visible_diffuse", "visible_glossy", "visible_transmission", "visible_vo
         "visible_shadow")  # fmt: skip
 _SHAPE_FIELDS = ("size", "size_y", "spread", "shadow_soft_size", "exposure", "use_shadow", "use_temperature")
 _KINDS = ("", "POINT", "SUN", "SPOT", "AREA", "SQUARE", "RECTANGLE", "DISK", "ELLIPSE")
+CLOSED = 0.5  # a surface whose vector area is a smaller share of its area is closed
 _FLAT = 0.999  # least cosine between the face normals of a flat piece and their mean
 _FILL_RECTANGLE, _FILL_TOLERANCE = 0.97, 0.03
 
@@ -218,7 +219,7 @@ def _fit_shape(corners: np.ndarray, vector_area: np.ndarray) -> Shape:
     front = vector_area.sum(axis=0)
     openness = float(np.linalg.norm(front)) / area  # 1 for a plane, 0 for a closed surface
     center = (corners.mean(axis=1) * areas[:, None]).sum(axis=0) / area
-    if openness < 0.5:
+    if openness < CLOSED:
         distance = np.linalg.norm(corners.reshape(-1, 3) - center, axis=1)
         radius = math.sqrt(area / (4.0 * math.pi))
         matrix = np.eye(4)

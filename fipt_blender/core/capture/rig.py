@@ -23,6 +23,7 @@ PHOTO_SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
 PARTS_FOLDER = "parts"
 SEMANTICS_FOLDER = "semantics"
+CLASS_NAMES = "classes.json"  # names of semantic classes by id, beside their masks
 MOST_PART_BYTES = 120  # of one part of a view's name; file systems take 255 with suffix and number
 MOST_NAME_PARTS = 8
 

@@ -33,6 +33,14 @@ def hint_facts(hints: SurfaceHints, units: Units) -> list[dict[str, Any]]:
     ]
 
 
+def area_names(hints: SurfaceHints | None, units: Units) -> dict[int, str]:
+    """The hints' names of the units that they have made."""
+    if hints is None:
+        return {}
+    unit = values_of_hints(hints, units.triangle)
+    return {int(unit[row]): name for row, name in enumerate(hints.names) if hints.own[row] and unit[row] >= 0}
+
+
 def write_left_alone(folder: RunFolder, left_alone: np.ndarray | None) -> None:
     """Write which triangles ((T,) bool) keep their own material; no file where there are none.
 

@@ -14,6 +14,7 @@ from ..light.observations import observe
 from ..light.presumed import presume_lamps
 from ..light.shadings import SampleCounts
 from ..optics.lights import EmitterTable
+from ..run.checkpoints import HINTED_REFINEMENT, HINTED_SHADINGS
 from ..run.errors import FiptError
 from ..run.finished_views import FinishedViews
 from ..scene.disagreement import doubt_pixels
@@ -103,7 +104,7 @@ class LightStages(EstimationState):
     # ---- Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9) ---------------------------------------
 
     def _bake(self) -> Facts:
-        return self._bake_views(*self._first_light(), None, 0)
+        return self._bake_views("shadings", *self._first_light(), None, 0)
 
     def _first_light(self) -> tuple[np.ndarray, EmitterTable, SampleCounts]:
         """Cache, presumed lamps and numbers of samples of stage 1."""
@@ -141,15 +142,16 @@ class LightStages(EstimationState):
 
     def _bake_views(
         self,
+        name: str,
         cache: np.ndarray | None,
         emitters: EmitterTable,
         counts: SampleCounts,
         traced: TracedLight | None,
         index: int,
     ) -> Facts:
-        """Bake the shadings of all views in round `index`; arguments as of `_baking`."""
+        """Bake the shadings of all views in the stage of this name; other arguments as of `_baking`."""
         baking = self._baking(cache, emitters, counts, traced, index)
-        finished = self.checkpoints.finished_views(f"refinement-{index}" if index else "shadings")
+        finished = self.checkpoints.finished_views(name)
         store = self._shadings_to_bake(finished)
         progress = self.reporter.progress
         return {"rays": bake_views(store, self.pixels, baking, progress, self.workers, finished)}
@@ -168,7 +170,7 @@ class LightStages(EstimationState):
 
     # ---- Stage 3: shadings by path tracing (Sec. 4.3, Eq. 10 and 11) ---------------------------------------
 
-    def _refine(self, index: int) -> Facts:
+    def _refine(self, name: str, index: int) -> Facts:
         settings = self.settings
         self._input = None  # its files are written over
         table, emitting = self._emitters()
@@ -180,4 +182,18 @@ class LightStages(EstimationState):
         counts = SampleCounts(
             settings.refine_diffuse_spp, settings.refine_specular_spp, settings.refine_light_spp
         )
-        return self._bake_views(cache, table, counts, traced, index)
+        return self._bake_views(name, cache, table, counts, traced, index)
+
+    def _refine_again(self) -> Facts:
+        """Repeat the last refinement with the lamps and materials of the hints, beside its shadings."""
+        self._shadings = HINTED_SHADINGS
+        return self._refine(HINTED_REFINEMENT, max(self.settings.rounds, 1))
+
+    def _load_shadings_again(self) -> None:
+        """Use the shadings of `_refine_again`.
+
+        Raises:
+            FiptError: ``file-damaged``.
+        """
+        self._shadings = HINTED_SHADINGS
+        self._open_shadings()

@@ -36,11 +36,11 @@ from ..material.training import (
     train,
 )
 from ..material.training_input import training_input
-from ..run.checkpoints import HINTED_ESTIMATE, HINTED_TRAINING, UNFINISHED, DamagedStage
+from ..run.checkpoints import HINTED_ESTIMATE, HINTED_LAMPS, HINTED_TRAINING, UNFINISHED, DamagedStage
 from ..run.errors import FiptError
 from ..run.runfolder import write_json
 from .doubts import write_doubts
-from .hinted import write_left_alone
+from .hinted import area_names, write_left_alone
 from .part_list import write_part_list
 from .results import RoomLight, write_results
 from .state import EstimationState, Facts
@@ -78,7 +78,7 @@ class MaterialStages(EstimationState):
 
     def _warn_of_hints(self, name: str, hints: SurfaceHints, emitting: np.ndarray) -> None:
         """Say which hints could not be honoured, and whether the shadings are those of other lamps."""
-        if hints.problems and name in ("estimate-0", HINTED_ESTIMATE):
+        if hints.problems and name in ("estimate-0", HINTED_LAMPS, HINTED_ESTIMATE):
             text = "Some hints could not be honoured: " + " ".join(hints.problems)
             self.reporter.warning("hints-unclear", text, "Correct or remove these hints.")
         if (
@@ -88,7 +88,7 @@ class MaterialStages(EstimationState):
             self.reporter.warning(
                 "hints-lamps",
                 "The hints change which surfaces are lamps, but the light in the room is that of before.",
-                "Use Estimate: it computes the light anew with the hints.",
+                "Tick Light Changes Too and estimate again with hints, or use Estimate.",
             )
 
     def _closed_form(self) -> tuple[TrainingData, InitialEstimate, CellEstimate, np.ndarray]:
@@ -246,7 +246,8 @@ class MaterialStages(EstimationState):
         light = RoomLight(fixtures, colors, self.observations.environment, self.view_check.lamps)
         fields = self._room_fields(errors)
         write_results(self.folder, fields, light, self.scale, self.reporter)
-        names = write_part_list(self.folder, self.room, self.parts, self.views, self.pixels, fields)
+        areas = area_names(self.hints, self.units)
+        names = write_part_list(self.folder, self.room, self.parts, self.views, self.pixels, fields, areas)
         write_left_alone(self.folder, left_alone)
         self._write_doubts(np.array([*names, ""], object)[fields.units.triangle])
         write_json(self.folder.statistics_json, self.summary())

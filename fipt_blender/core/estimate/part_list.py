@@ -8,12 +8,13 @@ The units themselves are in parts.npz. Blender makes one material for each of th
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..capture.rig import CLASS_NAMES
 from ..capture.views import View
 from ..material.fields import RoomFields
 from ..run.documents import Entries, read_json
@@ -24,8 +25,6 @@ from ..scene.labels import Parts, choose_source, fuse_masks
 from ..scene.pixels import PixelStore
 from ..scene.room import Room, triangle_normals
 
-# Names of semantic classes by id, a file beside the masks.
-CLASS_NAMES = "classes.json"
 # Cells whose values are averaged.
 MOST_CELLS = 50_000
 # Two surfaces are one if each holds this share of the other's area; a surface has a direction or a class if
@@ -38,7 +37,13 @@ _NAMES_OF_IDS = {"mask": "Part {}", "class": "Class {}"}
 
 
 def write_part_list(
-    run: RunFolder, room: Room, parts: Parts, views: Sequence[View], pixels: PixelStore, fields: RoomFields
+    run: RunFolder,
+    room: Room,
+    parts: Parts,
+    views: Sequence[View],
+    pixels: PixelStore,
+    fields: RoomFields,
+    areas: Mapping[int, str] | None = None,
 ) -> list[str]:
     """Write results/parts.json (docs/architecture.md) and return the names of the units.
 
@@ -47,6 +52,7 @@ def write_part_list(
         views: the training views, in the order of `pixels`.
         pixels: their pixels.
         fields: the estimate; its units are listed.
+        areas: names of the units that hints have made.
 
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
@@ -55,9 +61,11 @@ def write_part_list(
     count = len(fields.units.single)
     classes = _semantic_classes(room, views, pixels, unit, count)
     source = choose_source(room, views)
-    # An area with a hint is a unit of its own beside its object's or slot's.
-    keys = unique_names([_key(source, room, parts, unit, index) for index in range(count)])
-    names = unique_names(_names(room, unit, keys, [name for _, name in classes]))
+    areas = areas or {}
+    keys = [_key(source, room, parts, unit, index) for index in range(count)]
+    keys = unique_names([f"area:{areas[index]}" if index in areas else key for index, key in enumerate(keys)])
+    names = _names(room, unit, keys, [name for _, name in classes])
+    names = unique_names([areas.get(index, name) for index, name in enumerate(names)])
     seen = np.zeros(count + 1, np.int64)
     for first, last in itertools.pairwise(pixels.ranges):
         triangle = np.asarray(pixels.triangle[first:last])

@@ -8,8 +8,10 @@
     refinement-i    stage 3: bake the shadings anew by path tracing (Sec. 4.3, Eq. 10 and 11)
     estimate-i      closed form and emitters with the refined shadings
     training        stage 2: fit BRDF and emission mask, once, and find the emitters (Sec. 4.5, Eq. 12 to 20)
+    hinted-lamps, hinted-refinement
+                    closed form, emitters and stage 3 again with hints that were given since, if wanted
     hinted-estimate, hinted-training
-                    closed form and a short training again, with hints that were given since
+                    closed form and a short training again with these hints
 
 Stage 3 and the closed form are repeated `rounds` times. A run that is resumed loads the stages that it has
 finished. The computations are in `light/`, `views/` and `material/`, the data that stages share in
@@ -22,7 +24,15 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from ..run.checkpoints import HINTED_ESTIMATE, HINTED_TRAINING, DamagedStage, stage_names
+from ..run.checkpoints import (
+    HINTED_ESTIMATE,
+    HINTED_LAMPS,
+    HINTED_REFINEMENT,
+    HINTED_TRAINING,
+    SHADINGS,
+    DamagedStage,
+    stage_names,
+)
 from ..run.errors import FiptError
 from ..run.hints import Hint
 from ..run.runfolder import explained_write_errors
@@ -40,6 +50,7 @@ _WEIGHTS = {
     "refinement": 1.2,
     "training": 1.2,
     "hinted": 0.4,
+    HINTED_REFINEMENT: 1.2,
 }
 
 
@@ -64,7 +75,8 @@ class Estimation(LightStages, MaterialStages):
 
     def _do_stages(self) -> None:
         rounds = self.settings.rounds
-        self.reporter.plan(_stage_weights(self.settings, self.told_again is not None))
+        self._shadings, self._units_before = SHADINGS, None  # after damage, all stages come by once more
+        self.reporter.plan(_stage_weights(self.settings, self.told_again is not None, self.light_again))
         with explained_write_errors(self.folder.stage):
             self._stage("pixels", "Tracing the photographs' pixels", self._trace, self._load_pixels)
             self._prepare()
@@ -80,7 +92,7 @@ class Estimation(LightStages, MaterialStages):
                     self._stage(
                         f"refinement-{index}",
                         f"Stage 3: refining shadings (round {index + 1} of {rounds + 1})",
-                        partial(self._refine, index),
+                        partial(self._refine, f"refinement-{index}", index),
                         partial(self._load_shadings, f"refinement-{index}"),
                     )
                 self._stage(
@@ -98,9 +110,22 @@ class Estimation(LightStages, MaterialStages):
             self._write_results()
 
     def _estimate_again(self, told: Sequence[Hint]) -> None:
-        """Closed form and training again with these hints; pixels and shadings stay as they are."""
+        """Closed form and training again with these hints; pixels stay as they are, and shadings may."""
         self._units_before = self.units
         self._use_hints(told)
+        if self.light_again:
+            self._stage(
+                HINTED_LAMPS,
+                "Finding lamps with the hints",
+                partial(self._estimate, HINTED_LAMPS),
+                partial(self._resume_estimate, HINTED_LAMPS),
+            )
+            self._stage(
+                HINTED_REFINEMENT,
+                "Stage 3: refining shadings with the hints",
+                self._refine_again,
+                self._load_shadings_again,
+            )
         self._stage(
             HINTED_ESTIMATE,
             "Estimating materials with the hints",
@@ -152,6 +177,7 @@ class Estimation(LightStages, MaterialStages):
         self.reporter.progress(1.0, force=True, pictures=relative)
 
 
-def _stage_weights(settings: Settings, hinted: bool) -> list[float]:
+def _stage_weights(settings: Settings, hinted: bool, light: bool) -> list[float]:
     """Expected share of time of each stage, in no unit; for the progress bar."""
-    return [_WEIGHTS[name.partition("-")[0]] for name in stage_names(settings.rounds, hinted)]
+    names = stage_names(settings.rounds, hinted, light)
+    return [_WEIGHTS.get(name) or _WEIGHTS[name.partition("-")[0]] for name in names]

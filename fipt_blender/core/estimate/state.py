@@ -38,9 +38,9 @@ from ..material.training import Networks, TrainingData
 from ..material.training_input import hinted_units, material_units
 from ..optics.lights import EmitterTable
 from ..run.arrays import check_layouts
-from ..run.checkpoints import Checkpoints, stage_keys
+from ..run.checkpoints import SHADINGS, Checkpoints, stage_keys
 from ..run.errors import FiptError
-from ..run.hints import Hint, hints_digest, read_hints
+from ..run.hints import Hint, hints_digest, light_changes, read_hints
 from ..run.messages import Reporter, peak_memory_gb
 from ..run.per_view import LocalWorkers, Workers
 from ..run.runfolder import RunFolder
@@ -89,6 +89,7 @@ class EstimationState:
         parts: of the room's triangles.
         told, told_again: hints that all stages honour, and those that the hinted stages honour instead; None
             where there are no hinted stages.
+        light_again: whether the hinted stages include a refinement.
         hints: those that are honoured now, on the mesh; None without any.
         observations: what the pixels tell before anything is estimated: cache, environment; divided by hints.
         brdf: the BRDF network of stage 2.
@@ -124,7 +125,9 @@ class EstimationState:
         again = folder.hints_again_json
         self.told_again = read_hints(again) if again.exists() else None
         digest_again = None if self.told_again is None else hints_digest(self.told_again)
-        keys = stage_keys(settings, files, images, hints_digest(self.told), digest_again)
+        self.light_again = light_changes(again)
+        digests = hints_digest(self.told), digest_again, self.light_again
+        keys = stage_keys(settings, files, images, *digests)
         self.checkpoints = Checkpoints(folder.stage, keys)
         self.hints: SurfaceHints | None = None
         self.pixels: PixelStore
@@ -141,6 +144,7 @@ class EstimationState:
         self.emission = np.zeros((0, 3), np.float32)
         self.diffuse: np.ndarray
         self.materials: np.ndarray
+        self._shadings = SHADINGS
         self._units_before: Units | None = None
         self._input: tuple[TrainingData, InitialEstimate, CellEstimate, np.ndarray] | None = None
 
@@ -166,7 +170,7 @@ class EstimationState:
         return choose_parts(self.room, self.views, triangles)
 
     def _open_shadings(self, create: bool = False, keep: bool = False) -> ShadingStore:
-        folder = self.folder.stage / "shadings"
+        folder = self.folder.stage / self._shadings
         return open_shadings(folder, len(self.pixels), len(self.levels), create, keep)
 
     def _load_shadings(self, name: str) -> None:

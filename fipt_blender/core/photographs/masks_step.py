@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 
 from ..capture.images import read_radiance
-from ..capture.rig import SEMANTICS_FOLDER
+from ..capture.rig import CLASS_NAMES, SEMANTICS_FOLDER
 from ..run.documents import FileName, Items, read_json
 from ..run.messages import Reporter
 from ..run.runfolder import atomic_path, explained_write_errors, write_json
@@ -29,7 +29,7 @@ def key(folder: PreparationFolder, preparation: Preparation) -> Any:
 
 
 def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> dict[str, Any]:
-    """Write the masks, or delete those of an earlier start; returns facts for the report.
+    """Write the masks and their classes, or delete those of an earlier start; returns facts for the report.
 
     Raises:
         FiptError: ``model-unusable``, ``package-optional``, and those of reading and writing.
@@ -53,7 +53,8 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
         with atomic_path(target / f"{group.name}.png") as temporary:
             temporary.write_bytes(buffer.getbuffer())
         reporter.progress((index + 1) / len(groups))
-    _keep_only(folder, [f"{group.name}.png" for group in groups])
+    write_json(target / CLASS_NAMES, {str(number): name for number, name in segmenter.classes.items()})
+    _keep_only(folder, [CLASS_NAMES, *(f"{group.name}.png" for group in groups)])
     classes = [
         {
             "id": int(number),

@@ -27,16 +27,23 @@ from .runfolder import atomic_path, write_json
 from .settings import Settings
 from .shapes import STAGES
 
-# The stages of Re-estimate with Hints.
+# The stages of Re-estimate with Hints; the first two only where the light changes, too.
+HINTED_LAMPS, HINTED_REFINEMENT = "hinted-lamps", "hinted-refinement"
 HINTED_ESTIMATE, HINTED_TRAINING = "hinted-estimate", "hinted-training"
 
 
-def stage_names(rounds: int, hinted: bool = False) -> list[str]:
-    """The stages of an estimation in order; those that honour further hints, where it is `hinted`, last."""
+def stage_names(rounds: int, hinted: bool = False, light: bool = False) -> list[str]:
+    """The stages of an estimation in order; those that honour further hints, where it is `hinted`, last.
+
+    With `light`, these include a refinement.
+    """
     names = ["pixels", "shadings", "estimate-0"]
     for index in range(1, rounds + 1):
         names += [f"refinement-{index}", f"estimate-{index}"]
-    return [*names, "training", *((HINTED_ESTIMATE, HINTED_TRAINING) if hinted else ())]
+    names.append("training")
+    if hinted and light:
+        names += [HINTED_LAMPS, HINTED_REFINEMENT]
+    return [*names, *((HINTED_ESTIMATE, HINTED_TRAINING) if hinted else ())]
 
 
 def stage_keys(
@@ -45,6 +52,7 @@ def stage_keys(
     images: Sequence[Path] = (),
     hints: str = "",
     hints_again: str | None = None,
+    light_again: bool = False,
 ) -> dict[str, str]:
     """The key of each stage, in the order of the stages.
 
@@ -55,6 +63,7 @@ def stage_keys(
             long.
         hints: digest of the hints that all estimates honour (`hints.hints_digest`); "" without any.
         hints_again: digest of those that the hinted stages honour instead; None without such stages.
+        light_again: whether these stages include a refinement.
     """
     digest = hashlib.sha256(method_digest().encode())
     for path in files:
@@ -63,8 +72,9 @@ def stage_keys(
         status = path.stat() if path.exists() else None
         digest.update(f"{status.st_size} {status.st_mtime_ns}".encode() if status else b"missing")
     keys = {}
-    read_hints = {"estimate-0": hints, HINTED_ESTIMATE: hints_again or ""}
-    for stage in stage_names(settings.rounds, hints_again is not None):
+    first_again = HINTED_LAMPS if light_again else HINTED_ESTIMATE
+    read_hints = {"estimate-0": hints, first_again: hints_again or ""}
+    for stage in stage_names(settings.rounds, hints_again is not None, light_again):
         digest.update(read_hints.get(stage, "").encode())
         read = [item.name for item in fields(Settings) if item.metadata["stage"] == stage]
         values = {name: getattr(settings, name) for name in read}
@@ -75,6 +85,8 @@ def stage_keys(
 
 _START_AGAIN = "Start the estimation again without resuming it."
 _BAKED_NAME = "baked.json"
+# Folders of the shadings; a refinement with hints keeps those before it, for other hints.
+SHADINGS, HINTED_SHADINGS = "shadings", "hinted_shadings"
 UNFINISHED = "unfinished"  # name of the checkpoint of a training that has not ended
 _BAKING_STAGES = ("shadings", "refinement")  # stages that write the shadings
 
@@ -161,6 +173,8 @@ class Checkpoints:
                 stage = path.stem if path.suffix == ".pt" else path.stem.rpartition("-")[0]
                 if stage.replace(UNFINISHED, "training") not in stages:
                     path.unlink()
+        if HINTED_REFINEMENT not in stages:
+            shutil.rmtree(self._folder / HINTED_SHADINGS, ignore_errors=True)
 
     def begin(self, name: str) -> None:
         """Record that a stage begins to write; a stage that bakes overwrites the shadings before it."""

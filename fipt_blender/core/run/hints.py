@@ -44,7 +44,8 @@ HINTS = Fields(
                 },
             )
         ),
-    }
+    },
+    {"light": bool},
 )
 _REMEDY = "Correct the file, or set the hints again."
 
@@ -83,11 +84,25 @@ def read_hints(path: Path) -> list[Hint]:
     """
     if not path.exists():
         return []
-    data = read_json(path, HINTS, _REMEDY)["hints"]
+    data = _read(path)["hints"]
     if len(data) > MOST_HINTS or sum(len(entry["points"]) for entry in data) > MOST_POINTS:
         text = f"{path} has more than {MOST_HINTS} hints or {MOST_POINTS} points."
         raise FiptError("hints-invalid", text, "Use fewer or smaller areas.")
     return [_hint(entry, number, path) for number, entry in enumerate(data, start=1)]
+
+
+def light_changes(path: Path) -> bool:
+    """Whether the light is to be computed anew with the hints of a file.
+
+    Raises:
+        FiptError: ``file-damaged``.
+    """
+    return path.exists() and bool(_read(path).get("light", False))
+
+
+def _read(path: Path) -> dict[str, Any]:
+    data: dict[str, Any] = read_json(path, HINTS, _REMEDY)
+    return data
 
 
 def _hint(entry: dict[str, Any], number: int, path: Path) -> Hint:
@@ -118,13 +133,14 @@ def _point(values: Sequence[float]) -> Point:
     return float(x), float(y), float(z)
 
 
-def write_hints(path: Path, hints: Sequence[Hint]) -> None:
-    """Write a file of hints.
+def write_hints(path: Path, hints: Sequence[Hint], light: bool = False) -> None:
+    """Write a file of hints; `light`: see `light_changes`.
 
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
-    write_json(path, {"format": FORMAT, "version": VERSION, "hints": [asdict(hint) for hint in hints]})
+    document = {"format": FORMAT, "version": VERSION, "hints": [asdict(hint) for hint in hints]}
+    write_json(path, {**document, "light": True} if light else document)
 
 
 def hints_digest(hints: Sequence[Hint]) -> str:
