@@ -14,191 +14,12 @@ import pytest
 from fipt_blender.cli import arguments
 from fipt_blender.core.capture.distortion import lens_camera
 from fipt_blender.core.capture.formats import FORMATS, detect_format, read_rig
-from fipt_blender.core.capture.radial import MOST_ERROR
-from fipt_blender.core.capture.rig import ReadOptions, Rig
-from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.capture.rig import ReadOptions
 from samples import rig_writers as write
+from samples.metashape_writers import Chunk, metashape_chunk, write_metashape, write_realityscan_csv
+from samples.rig_checks import CENTRED, assert_same, error_of, read, room_points
 
 BROWN3 = write.Style((-0.12, 0.03, -0.006), (0.002, -0.001))
-CENTRED = (0.0, 0.0)
-
-
-def read(path: Path, **options) -> Rig:
-    return read_rig(path, "auto", ReadOptions(**options))
-
-
-def room_points(shot: write.Shot) -> np.ndarray:
-    """Points over the whole image of a shot, corners included, at different depths."""
-    x, y = np.meshgrid(np.linspace(-0.9, 0.9, 9), np.linspace(-0.9, 0.9, 9))
-    rays = np.stack([x * shot.width / 2 / shot.fx, y * shot.height / 2 / shot.fy, np.ones_like(x)], axis=-1)
-    depth = np.linspace(1.0, 5.0, 81).reshape(9, 9, 1)
-    return (rays * depth).reshape(-1, 3) @ shot.rotation + shot.centre
-
-
-def assert_same(rig: Rig, shots: list[write.Shot], pixels: float = 1e-4) -> None:
-    """The rig's views see the room's points where the shots do."""
-    assert len(rig.views) == len(shots)
-    for view, shot in zip(rig.views, shots, strict=True):
-        assert Path(view.name).name == Path(shot.name).stem and view.image.is_file()
-        assert (view.width, view.height) == (shot.width, shot.height)
-        np.testing.assert_allclose(view.camera_to_world, shot.pose, atol=1e-5)
-        points = room_points(shot)
-        camera = lens_camera(view.lens, view.width, view.height)
-        local = (points - view.camera_to_world[:3, 3]) @ view.camera_to_world[:3, :3]
-        expected = np.stack([shot.pixel(point) for point in points])
-        np.testing.assert_allclose(np.asarray(camera.img_from_cam(local)), expected, atol=pixels)
-
-
-def error_of(path: Path) -> FiptError:
-    with pytest.raises(FiptError) as caught:
-        read(path)
-    return caught.value
-
-
-# ------------------------------------------------------------------------------------------------- Metashape
-
-
-def moved_chunk(shots: list[write.Shot]) -> write.Chunk:
-    rotation = write.random_rotation(np.random.default_rng(5))
-    return write.Chunk(shots, 0.0254, rotation, np.array([12.0, -3.0, 0.5]))
-
-
-@pytest.mark.parametrize("component", [False, True])
-@pytest.mark.parametrize(
-    "style",
-    [
-        replace(BROWN3, aspect=1.01),
-        write.Style((-0.1, 0.02, -0.004, 0.001), (0.002, -0.001), fisheye=True),
-    ],
-)
-def test_metashape(tmp_path: Path, style: write.Style, component: bool) -> None:
-    shots = write.make_shots(style)
-    write.write_photographs(tmp_path, shots)
-    write.write_metashape(tmp_path, [write.metashape_chunk(moved_chunk(shots), component)])
-    for path in (tmp_path, tmp_path / "cameras.xml"):
-        rig = read(path)
-        assert rig.source == "metashape" and rig.up_axis is None and not rig.notes
-        assert_same(rig, shots)
-
-
-def test_metashape_with_a_fourth_radial_coefficient_is_fitted(tmp_path: Path) -> None:
-    shots = write.make_shots(write.Style((-0.2, 0.06, -0.02, 0.004), (0.002, -0.001)))
-    write.write_photographs(tmp_path, shots)
-    write.write_metashape(tmp_path, [write.metashape_chunk(write.Chunk(shots))])
-    assert_same(read(tmp_path), shots, pixels=MOST_ERROR)
-
-
-def test_metashape_rig_follows_its_master(tmp_path: Path) -> None:
-    first, second = write.make_shots(BROWN3, count=2)
-    chunk = moved_chunk([first, second])
-    inside = np.linalg.inv(chunk.inside(first)) @ chunk.inside(second)
-    rotation, translation = write.text(inside[:3, :3]), write.text(inside[:3, 3])
-    offset = f"<rotation>{rotation}</rotation><translation>{translation}</translation>"
-    document = write.metashape_chunk(replace(chunk, shots=[first]))
-    document = document.replace("</sensors>", write.metashape_sensor(1, second, offset) + "</sensors>")
-    slave = f'<camera id="1" sensor_id="1" master_id="0" label="{Path(second.name).stem}"/>'
-    write.write_photographs(tmp_path, [first, second])
-    write.write_metashape(tmp_path, [document.replace("</cameras>", slave + "</cameras>")])
-    assert_same(read(tmp_path), [first, second])
-
-
-def test_metashape_reads_the_largest_of_several_chunks(tmp_path: Path) -> None:
-    shots = write.make_shots(count=4)
-    write.write_photographs(tmp_path, shots)
-    chunks = [write.metashape_chunk(write.Chunk(part)) for part in (shots[:1], shots[1:])]
-    write.write_metashape(tmp_path, chunks)
-    rig = read(tmp_path)
-    assert_same(rig, shots[1:])
-    assert [note.code for note in rig.notes] == ["several-models"] and "(1, 3 " in rig.notes[0].text
-
-
-def test_metashape_with_geographic_coordinates_is_named(tmp_path: Path) -> None:
-    shots = write.make_shots(count=2)
-    chunk = write.Chunk(
-        [replace(shot, centre=shot.centre + 4e6) for shot in shots], 1.0, np.eye(3), np.full(3, 4e6)
-    )
-    write.write_metashape(tmp_path, [write.metashape_chunk(chunk)])
-    assert [note.code for note in read(tmp_path).notes] == ["georeferenced"]
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "code"),
-    [
-        ('type="frame"', 'type="spherical"', "camera-model"),
-        ("<k1>", "<b2>0.5</b2><k1>", "camera-model"),
-        ("<f>", "<g>", "rig-damaged"),
-        ("</cx>", "x</cx>", "rig-damaged"),
-        ('<?xml version="1.0" encoding="UTF-8"?>', '<!DOCTYPE a [<!ENTITY b "c">]>', "rig-damaged"),
-        ("<scale>0.0254", "<scale>-1", "rig-damaged"),
-    ],
-)
-def test_metashape_that_cannot_be_used(tmp_path: Path, old: str, new: str, code: str) -> None:
-    write.write_metashape(tmp_path, [write.metashape_chunk(moved_chunk(write.make_shots(BROWN3, 1)))])
-    document = (tmp_path / "cameras.xml").read_text()
-    assert old in document
-    (tmp_path / "cameras.xml").write_text(document.replace(old, new))
-    assert error_of(tmp_path).code == code
-
-
-def test_metashape_sensor_without_calibration(tmp_path: Path) -> None:
-    write.write_metashape(tmp_path, [write.metashape_chunk(write.Chunk(write.make_shots(count=1)))])
-    document = (tmp_path / "cameras.xml").read_text().replace("calibration", "covariance")
-    (tmp_path / "cameras.xml").write_text(document)
-    assert error_of(tmp_path).code == "intrinsics-missing"
-
-
-# ----------------------------------------------------------------------------------------------- RealityScan
-
-
-@pytest.mark.parametrize("writer", [write.write_realityscan_csv, write.write_realityscan_xmp])
-def test_realityscan(tmp_path: Path, writer) -> None:
-    shots = write.make_shots(BROWN3)
-    writer(tmp_path, shots)
-    rig = read(tmp_path)
-    assert rig.source == "realityscan" and rig.up_axis == "z"
-    assert_same(rig, shots)
-
-
-def test_realityscan_xmp_values_may_be_attributes(tmp_path: Path) -> None:
-    shots = write.make_shots(BROWN3, 1)
-    write.write_realityscan_xmp(tmp_path, shots)
-    path = tmp_path / f"{Path(shots[0].name).stem}.xmp"
-    document = path.read_text()
-    start, end = document.index("      <xcr:Rotation>"), document.index("      <xcr:Position>")
-    attribute = (
-        document[start:end]
-        .strip()
-        .replace("<xcr:Rotation>", 'xcr:Rotation="')
-        .replace("</xcr:Rotation>", '"')
-    )
-    path.write_text((document[:start] + document[end:]).replace('xcr:Skew="0"', f'xcr:Skew="0" {attribute}'))
-    assert_same(read(tmp_path), shots)
-
-
-def test_realityscan_colmap_export(tmp_path: Path) -> None:
-    shots = write.make_shots(write.Style(aspect=1.01))
-    write.write_realityscan_colmap(tmp_path, shots)
-    rig = read(tmp_path)
-    assert rig.source == "colmap"
-    assert_same(rig, shots)
-
-
-@pytest.mark.parametrize(
-    ("old", "new"), [("brown4t2", "division"), ('Skew="0"', 'Skew="0.1"'), ('Ratio="1"', 'Ratio="1.1"')]
-)
-def test_realityscan_lenses_that_are_not_supported(tmp_path: Path, old: str, new: str) -> None:
-    write.write_realityscan_xmp(tmp_path, write.make_shots(BROWN3, 1))
-    path = tmp_path / "IMG_0000.xmp"
-    path.write_text(path.read_text().replace(old, new))
-    assert error_of(tmp_path).code == "camera-model"
-
-
-@pytest.mark.parametrize("writer", [write.write_realityscan_csv, write.write_realityscan_xmp])
-def test_sizes_that_only_photographs_have_need_the_photographs(tmp_path: Path, writer) -> None:
-    writer(tmp_path, write.make_shots(BROWN3, 2))
-    (tmp_path / "IMG_0001.jpg").unlink()
-    error = error_of(tmp_path)
-    assert error.code == "image-missing" and "IMG_0001" in error.text
 
 
 # -------------------------------------------------------------------------------- Meshroom, OpenSfM, OpenMVG
@@ -390,8 +211,8 @@ def all_formats(root: Path) -> dict[str, Path]:
     """A capture in each format, by its name."""
     shots = write.make_shots(write.Style(off_centre=CENTRED), 2)
     write.write_photographs(root / "metashape", shots)
-    write.write_metashape(root / "metashape", [write.metashape_chunk(write.Chunk(shots))])
-    write.write_realityscan_csv(root / "realityscan", shots)
+    write_metashape(root / "metashape", [metashape_chunk(Chunk(shots))])
+    write_realityscan_csv(root / "realityscan", shots)
     write.write_meshroom(root / "meshroom", shots, (1, 2, 8))
     write.write_opensfm(root / "opensfm", [shots], "perspective")
     write.write_openmvg(root / "openmvg", shots, "pinhole", "")

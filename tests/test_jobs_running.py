@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import bpy
@@ -21,33 +19,14 @@ import fipt_blender
 from fipt_blender import machine
 from fipt_blender.bridge.attached import find_engine
 from fipt_blender.bridge.process import EngineProcess
-from fipt_blender.bridge.sequence import Job
-from fipt_blender.bridge.step import Step, StepRecord
+from fipt_blender.bridge.step import Step
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import job_scene, run_job, running, runstate, session
 from fipt_blender.operators.estimate import FIPT_OT_cancel
 from fipt_blender.operators.job_operator import JobOperator
-
-ROOT = Path(fipt_blender.__file__).resolve().parent.parent
-# Works until the file "stop" appears; holds the lock as the engine does.
-ENGINE = """
-import sys, time
-from pathlib import Path
-sys.path.insert(0, sys.argv[1])
-from fipt_blender.core.run.lock import hold
-from fipt_blender.core.run.messages import Reporter, claim_stdout
-from fipt_blender.core.run.runfolder import RunFolder
-run, reporter = RunFolder(sys.argv[2]), Reporter(claim_stdout())
-with hold(run, ["estimate", str(run.root)]):
-    reporter.stage("shadings", "Baking")
-    reporter.progress(0.4, force=True, pictures=["stage/picture.png"])
-    reporter.warning("odd", "Odd.", "Even it.")
-    while not (run.root / "stop").exists():
-        time.sleep(0.02)
-    reporter.done([], {})
-"""
+from samples.stand_in_jobs import at_work, finish, make_job, start, tick_until
 
 
 @pytest.fixture(autouse=True)
@@ -66,40 +45,6 @@ def run(tmp_path) -> RunFolder:
     run.create(make_settings("draft"))
     bpy.context.scene.fipt.run_folder = str(run.root)
     return run
-
-
-def make_job(run: RunFolder, *functions, engine: bool = True, script: str = ENGINE) -> Job:
-    """An engine command and then functions on Blender's data."""
-
-    def start(arguments):
-        command = [sys.executable, "-c", script, str(ROOT), str(run.root)]
-        return EngineProcess(command, run.log, messages=run.messages("estimate"))
-
-    steps = [Step("estimate", "Estimating", 10.0, command=["estimate"])] if engine else []
-    steps += [Step(f"f{i}", f"Function {i}", 1.0, function=each) for i, each in enumerate(functions)]
-    return Job(steps, StepRecord(run.root / "steps.json"), start, run.log, lambda: ([], {}), resume=False)
-
-
-def start(job: Job, run: RunFolder, **more) -> running.RunningJob:
-    info = running.RunningJob("Test", "test", bpy.context.scene.name, run.root)
-    return running.start(job, info, **more)
-
-
-def tick_until(true, seconds: float = 20.0) -> None:
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end, "it does not come"
-        running.tick()
-        time.sleep(0.01)
-
-
-def at_work(info: running.RunningJob) -> bool:
-    return bool(info.warnings)
-
-
-def finish(run: RunFolder, info: running.RunningJob) -> None:
-    (run.root / "stop").touch()
-    tick_until(lambda: info.state != "running")
 
 
 def test_what_the_panel_shows_follows_the_engine(run):

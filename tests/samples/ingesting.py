@@ -1,0 +1,33 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`ingest` in this process, and changes to the photographs that it reads."""
+
+from __future__ import annotations
+
+import io
+
+from fipt_blender.core.capture.images import read_radiance, write_exr
+from fipt_blender.core.capture.ingest import IngestOptions, ingest
+from fipt_blender.core.run.messages import Reporter, parse_message
+
+
+def run_ingest(capture, run, **options):
+    """Ingest and return the messages."""
+    stream = io.StringIO()
+    ingest(capture, run, IngestOptions(**options), Reporter(stream))
+    return [parse_message(line) for line in stream.getvalue().splitlines()]
+
+
+def warnings(messages):
+    return [message["code"] for message in messages if message["type"] == "warning"]
+
+
+def set_pixels(tmp_path, change, name="001_0001"):
+    path = tmp_path / "in" / "images" / f"{name}.exr"
+    pixels = read_radiance(path)
+    write_exr(path, change(pixels))
+
+
+def put(pixels, value):
+    pixels[3, 4, 1] = value
+    return pixels

@@ -1,0 +1,71 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Jobs whose engine is a script that works until it is told to stop; timers are called by hand."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import bpy
+
+import fipt_blender
+from fipt_blender.bridge.process import EngineProcess
+from fipt_blender.bridge.sequence import Job
+from fipt_blender.bridge.step import Step, StepRecord
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.jobs import running
+
+ROOT = Path(fipt_blender.__file__).resolve().parent.parent
+# Works until the file "stop" appears; holds the lock as the engine does.
+ENGINE = """
+import sys, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from fipt_blender.core.run.lock import hold
+from fipt_blender.core.run.messages import Reporter, claim_stdout
+from fipt_blender.core.run.runfolder import RunFolder
+run, reporter = RunFolder(sys.argv[2]), Reporter(claim_stdout())
+with hold(run, ["estimate", str(run.root)]):
+    reporter.stage("shadings", "Baking")
+    reporter.progress(0.4, force=True, pictures=["stage/picture.png"])
+    reporter.warning("odd", "Odd.", "Even it.")
+    while not (run.root / "stop").exists():
+        time.sleep(0.02)
+    reporter.done([], {})
+"""
+
+
+def make_job(run: RunFolder, *functions, engine: bool = True, script: str = ENGINE) -> Job:
+    """An engine command and then functions on Blender's data."""
+
+    def start(arguments):
+        command = [sys.executable, "-c", script, str(ROOT), str(run.root)]
+        return EngineProcess(command, run.log, messages=run.messages("estimate"))
+
+    steps = [Step("estimate", "Estimating", 10.0, command=["estimate"])] if engine else []
+    steps += [Step(f"f{i}", f"Function {i}", 1.0, function=each) for i, each in enumerate(functions)]
+    return Job(steps, StepRecord(run.root / "steps.json"), start, run.log, lambda: ([], {}), resume=False)
+
+
+def start(job: Job, run: RunFolder, **more) -> running.RunningJob:
+    info = running.RunningJob("Test", "test", bpy.context.scene.name, run.root)
+    return running.start(job, info, **more)
+
+
+def tick_until(true, seconds: float = 20.0) -> None:
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it does not come"
+        running.tick()
+        time.sleep(0.01)
+
+
+def at_work(info: running.RunningJob) -> bool:
+    return bool(info.warnings)
+
+
+def finish(run: RunFolder, info: running.RunningJob) -> None:
+    (run.root / "stop").touch()
+    tick_until(lambda: info.state != "running")

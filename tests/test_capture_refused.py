@@ -1,0 +1,168 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Captures that `ingest` refuses: a clear error, and no file written."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.capture.views import load_capture
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.settings import make_settings
+from samples.capture_files import make_samples, write_transforms
+from samples.ingesting import put, run_ingest, set_pixels
+
+
+@pytest.fixture
+def run(tmp_path):
+    return RunFolder(tmp_path / "run")
+
+
+def change_frame(tmp_path, change):
+    path = tmp_path / "in" / "transforms.json"
+    data = json.loads(path.read_text())
+    change(data["frames"][1])
+    path.write_text(json.dumps(data))
+
+
+def scale_pose(frame):
+    frame["transform_matrix"] = (np.array(frame["transform_matrix"]) * 1.01).tolist()
+
+
+def mirror_pose(frame):
+    frame["transform_matrix"] = (np.array(frame["transform_matrix"]) @ np.diag([-1, 1, 1, 1])).tolist()
+
+
+def nan_pose(frame):
+    frame["transform_matrix"][0][3] = float("nan")
+
+
+def rename(tmp_path, suffix):
+    path = tmp_path / "in" / "images" / "001_0001"
+    path.with_suffix(".exr").unlink()
+    path.with_suffix(suffix).write_bytes(b"x")
+    change_frame(tmp_path, lambda frame: frame.update(file_path=f"images/001_0001{suffix}"))
+
+
+def black(tmp_path):
+    for index in range(3):
+        set_pixels(tmp_path, lambda pixels: pixels * 0.0, f"{index:03d}_0001")
+
+
+BAD = {
+    "missing": ("image-missing", lambda p: (p / "in/images/001_0001.exr").unlink()),
+    "size": ("image-size", lambda p: set_pixels(p, lambda x: x[:-1])),
+    "nan": ("image-not-finite", lambda p: set_pixels(p, lambda x: put(x, np.nan))),
+    "inf": ("image-not-finite", lambda p: set_pixels(p, lambda x: put(x, np.inf))),
+    "negative": ("image-negative", lambda p: set_pixels(p, lambda x: put(x, -0.1))),
+    "other format": ("image-format", lambda p: rename(p, ".hdr")),
+    "damaged png": ("image-unreadable", lambda p: rename(p, ".png")),
+    "black": ("image-black", black),
+    "unreadable": ("image-unreadable", lambda p: (p / "in/images/001_0001.exr").write_text("x")),
+    "scaled": ("pose-not-rotation", lambda p: change_frame(p, scale_pose)),
+    "mirrored": ("pose-not-rotation", lambda p: change_frame(p, mirror_pose)),
+    "nan pose": ("pose-not-rotation", lambda p: change_frame(p, nan_pose)),
+    "focal": ("intrinsics-invalid", lambda p: change_frame(p, lambda f: f.update(fl_x=-40.0))),
+    "centre": ("intrinsics-invalid", lambda p: change_frame(p, lambda f: f.update(cx=400.0))),
+    "mask size": ("mask-size", lambda p: write_exr(p / "in/parts/001_0001.exr", np.ones((4, 4)))),
+    "mask": ("mask-not-ids", lambda p: write_exr(p / "in/parts/001_0001.exr", np.full((48, 32), 0.5))),
+    "no frames": ("no-views", lambda p: (p / "in/transforms.json").write_text('{"frames": []}')),
+    "no format": ("format-unknown", lambda p: (p / "in/transforms.json").unlink()),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_captures_leave_nothing_behind(tmp_path, run, case):
+    code, spoil = BAD[case]
+    # the first view is distorted, so that a late error would find its image already written
+    samples = make_samples(3)
+    samples[0] = make_samples(1, model="OPENCV")[0]
+    write_transforms(tmp_path / "in", samples)
+    spoil(tmp_path)
+    with pytest.raises(FiptError) as caught:
+        run_ingest(tmp_path / "in", run)
+    assert caught.value.code == code
+    assert caught.value.text and caught.value.remedy
+    assert not run.root.exists()
+    run.create(make_settings())
+    before = sorted(run.root.rglob("*"))
+    with pytest.raises(FiptError):
+        run_ingest(tmp_path / "in", run)
+    assert sorted(run.root.rglob("*")) == before and not run.capture_json.exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "code"),
+    [
+        ({"scale": 0.0}, "setting-invalid"),
+        ({"scale": float("nan")}, "setting-invalid"),
+        ({"hold_back": 1}, "setting-invalid"),
+        ({"hold_back": -3}, "setting-invalid"),
+        ({"format": "colmap"}, "format-unknown"),
+    ],
+)
+def test_bad_options(tmp_path, run, options, code):
+    write_transforms(tmp_path / "in", make_samples(2))
+    with pytest.raises(FiptError) as caught:
+        run_ingest(tmp_path / "in", run, **options)
+    assert caught.value.code == code and not run.root.exists()
+
+
+def test_missing_mesh(tmp_path, run):
+    write_transforms(tmp_path / "in", make_samples(2))
+    with pytest.raises(FiptError) as caught:
+        run_ingest(tmp_path / "in", run, mesh=tmp_path / "no.obj")
+    assert caught.value.code == "mesh-missing" and not run.root.exists()
+
+
+def test_run_of_another_version_is_left_alone(tmp_path, run):
+    write_transforms(tmp_path / "in", make_samples(2))
+    run.create(make_settings())
+    data = json.loads(run.run_json.read_text())
+    run.run_json.write_text(json.dumps({**data, "version": 99}))
+    with pytest.raises(FiptError) as caught:
+        run_ingest(tmp_path / "in", run)
+    assert caught.value.code == "run-version" and not run.capture_json.exists()
+
+
+def test_full_disk_while_writing(tmp_path, run, monkeypatch):
+    """The disk is full at the second undistorted image: the first is deleted, capture.json not written."""
+    write_transforms(tmp_path / "in", make_samples(3, model="OPENCV"))
+    calls = []
+
+    def full(path, array, half=False):
+        calls.append(path)
+        if len(calls) == 2:
+            raise FiptError("disk-full", f"The disk is full; {path}.", "Free some space.")
+        write_exr(path, array, half)
+
+    monkeypatch.setattr("fipt_blender.core.capture.ingest.write_exr", full)
+    with pytest.raises(FiptError) as caught:
+        run_ingest(tmp_path / "in", run)
+    assert caught.value.code == "disk-full"
+    assert not run.capture_json.exists() and not list(run.images.rglob("*.exr"))
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        (lambda data: data.update(version=2), "capture-version"),
+        (lambda data: data["views"][0].pop("fx"), "file-damaged"),
+        (lambda data: data["views"][0].update(camera_to_world=[1, 2]), "file-damaged"),
+        (lambda data: data["views"][0].update(image="../../secret.exr"), "path-outside"),
+    ],
+)
+def test_changed_capture_json_is_refused(tmp_path, run, change, code):
+    write_transforms(tmp_path / "in", make_samples(2))
+    run_ingest(tmp_path / "in", run)
+    data = json.loads(run.capture_json.read_text())
+    change(data)
+    run.capture_json.write_text(json.dumps(data))
+    with pytest.raises(FiptError) as caught:
+        load_capture(run)
+    assert caught.value.code == code
