@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Fixtures and lights as scripts drive them: switching, power, colour, conversion, light groups."""
+"""Fixtures and lights as scripts drive them: switching, power, colour, conversion."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ import math
 import bpy
 import numpy as np
 import pytest
-from mathutils import Matrix, Vector
+from mathutils import Vector
 
 from fipt_blender.blend.lights.color import blackbody, luminance, temperature_of
-from fipt_blender.blend.marks import has_light_groups
 from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
-from samples.applied_rooms import RADIANCE, make_scene, use_fake_engine
+from samples.applied_rooms import RADIANCE, front, make_scene, use_fake_engine, world_strength
+from samples.operator_calls import refused
 
 ops = bpy.ops.fipt
-
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -29,22 +28,6 @@ def scene(tmp_path, monkeypatch):
     scene = make_scene(tmp_path / "run")
     assert ops.apply_results() == {"FINISHED"}
     return scene
-
-
-def front(item: bpy.types.Object) -> np.ndarray:
-    """Radiance (3,) of a fixture's front in its material."""
-    node = item.data.materials[0].node_tree.nodes["FIPT Front"]
-    return np.array(node.inputs["Color"].default_value)[:3] * node.inputs["Strength"].default_value
-
-
-def world_strength() -> float:
-    return bpy.data.worlds["FIPT World"].node_tree.nodes["FIPT Background"].inputs["Strength"].default_value
-
-
-def refused(operator, **arguments) -> str:
-    with pytest.raises(RuntimeError) as error:
-        operator(**arguments)
-    return str(error.value)
 
 
 @pytest.mark.parametrize("kelvin", [1200.0, 1900.0, 2700.0, 4000.0, 6504.0, 12000.0])
@@ -259,107 +242,6 @@ def test_deleted_lights_stay_deleted_and_others_are_made_anew(scene):
     assert len(scene.fipt.lights.lights[0].object.children) == 1
 
 
-def test_light_groups_sum_to_the_image(scene, tmp_path):
-    ops.add_light(location=(2.5, 0.5, 2.0), size=0.5, power=30.0)
-    layer = bpy.context.view_layer
-    layer.lightgroups.add(name="mine")
-    assert ops.make_light_groups() == {"FINISHED"}
-    names = ["Environment", "Panel", "New Lights"]
-    assert sorted(group.name for group in layer.lightgroups) == sorted([*names, "mine"])
-    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
-    scene.collection.objects.link(camera)
-    camera.matrix_world = Matrix.Translation((3.5, 0.5, 3.0))
-    scene.camera = camera
-    scene.render.engine = "CYCLES"
-    scene.cycles.samples, scene.cycles.use_denoising = 16, False
-    scene.cycles.sample_clamp_indirect = 0.0
-    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 24, 16, 100
-    settings = scene.render.image_settings
-    if "media_type" in settings.bl_rna.properties:
-        settings.media_type = "MULTI_LAYER_IMAGE"
-    settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
-    scene.render.filepath = str(tmp_path / "groups.exr")
-    bpy.ops.render.render(write_still=True, scene=scene.name)
-    import OpenEXR
-
-    with OpenEXR.File(str(tmp_path / "groups.exr"), separate_channels=True) as file:
-        channels = {}
-        for part in file.parts:
-            channels.update({name: np.asarray(each.pixels) for name, each in part.channels.items()})
-
-    def passed(name):
-        return np.stack(
-            [next(v for k, v in channels.items() if k.endswith(f"{name}.{c}")) for c in "RGB"], axis=-1
-        )
-
-    whole = passed("ViewLayer.Combined")
-    parts = [passed(f"Combined_{name}") for name in names]
-    assert all(part.max() > 0.0 for part in parts)
-    assert np.allclose(sum(parts), whole, rtol=1e-3, atol=1e-4)
-    assert ops.make_light_groups() == {"FINISHED"} and len(layer.lightgroups) == 4
-    assert ops.remove_light_groups() == {"FINISHED"}
-    assert [group.name for group in layer.lightgroups] == ["mine"] and not ops.remove_light_groups.poll()
-    assert not has_light_groups(layer)
-    assert {item.lightgroup for item in scene.objects} == {""}
-
-
-def test_environment_strength_and_rotation(scene):
-    settings = scene.fipt.lights
-    assert settings.has_environment() and settings.environment_on and settings.environment_factor == 1.0
-    settings.environment_factor = 2.5
-    assert world_strength() == 2.5
-    settings.environment_on = False
-    assert world_strength() == 0.0
-    settings.environment_on = True
-    settings.environment_rotation = math.radians(30.0)
-    ops.apply_results()  # keeps what the artist has set
-    assert settings.environment_factor == 2.5 and world_strength() == 2.5
-    assert settings.environment_rotation == pytest.approx(math.radians(30.0))
-
-
-def test_the_environment_rotates_as_entered(scene, tmp_path):
-    from fipt_blender.blend.lights.world import apply_environment
-    from fipt_blender.core import conventions
-    from fipt_blender.core.capture.images import write_exr
-    from fipt_blender.core.run.runfolder import RunFolder
-
-    run = RunFolder(tmp_path / "run")
-    directions = conventions.equirect_pixel_directions(64, 32)
-    write_exr(run.environment_exr, (directions * 0.5 + 0.5).astype(np.float32))
-    apply_environment(run, scene)
-    for item in list(bpy.data.objects):
-        bpy.data.objects.remove(item)
-    turn = math.radians(50.0)
-    scene.fipt.lights.environment_rotation = turn
-    way = Vector((1.0, 0.3, 0.2)).normalized()
-    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
-    scene.collection.objects.link(camera)
-    camera.data.type, camera.data.ortho_scale = "ORTHO", 0.01
-    camera.matrix_world = way.to_track_quat("-Z", "Y").to_matrix().to_4x4()
-    scene.camera = camera
-    scene.render.resolution_x = scene.render.resolution_y = 3
-    seen = render_pixels(scene, RenderOptions(4, denoise=False)).mean(axis=(0, 1))
-    # The environment is rotated by +50° about Z: what is visible there was 50° back.
-    before = Matrix.Rotation(-turn, 3, "Z") @ way
-    assert np.allclose(seen, np.array(before) * 0.5 + 0.5, atol=0.03)
-
-
-def test_exposure_and_other_lights(scene):
-    scene.view_settings.exposure = 3.0
-    assert ops.match_exposure() == {"FINISHED"}
-    assert scene.view_settings.exposure == pytest.approx(math.log2(0.18 / 0.36))
-    ops.show_map(shown="BASE_COLOR")
-    scene.fipt.lights.median_radiance = 0.18
-    ops.match_exposure()
-    assert scene.view_settings.exposure == 0.0  # of the map
-    ops.show_map(shown="ESTIMATED")
-    assert scene.view_settings.exposure == pytest.approx(0.0, abs=1e-6)
-    sun = bpy.data.objects["sun"]
-    assert sun.hide_render
-    assert ops.hide_other_lights(hide=False) == {"FINISHED"} and not sun.hide_render
-    assert ops.hide_other_lights(hide=True) == {"FINISHED"} and sun.hide_viewport
-
-
 def test_buttons_need_results():
     for operator in (
         ops.switch_lights, ops.reset_light, ops.select_light, ops.fixture_to_area_light,
@@ -412,63 +294,3 @@ def test_names_of_fixtures_stay_on_another_apply_and_so_do_the_artists(scene):
     assert ops.apply_results() == {"FINISHED"}
     assert [row.object.name for row in scene.fipt.lights.lights] == ["Window"]
     assert ops.reset_light(light="Fixture.001") == {"FINISHED"}  # scripts also use the run's name
-
-
-def test_states_are_saved_recalled_blended_and_removed(scene):
-    settings = scene.fipt.lights
-    row = settings.lights[0]
-    assert "Save a light state first" in refused(ops.recall_light_state)
-    assert ops.save_light_state() == {"FINISHED"}
-    row.stops = 2.0
-    assert ops.save_light_state(kind="PRESENT", name="Bright") == {"FINISHED"}
-    assert ops.save_light_state(kind="LAMP") == {"FINISHED"}
-    assert ops.save_light_state(kind="PHOTOGRAPHED") == {"FINISHED"}
-    assert ops.save_light_state(kind="EVENING") == {"FINISHED"}
-    names = [state.name for state in settings.states]
-    assert names == ["Lights", "Bright", "Panel", "As Photographed", "Evening"] and settings.active_state == 4
-    assert ops.recall_light_state(state="Lights") == {"FINISHED"} and row.stops == 0.0
-    assert ops.save_light_state(name="Evening") == {"FINISHED"} and len(settings.states) == 5
-    settings.blend_from, settings.blend_to = "Lights", "Bright"
-    settings.blend = 0.5
-    assert np.allclose(front(row.object), 2.5 * np.array(RADIANCE), rtol=1e-4)
-    assert "no light state 'Day'" in refused(ops.recall_light_state, state="Day")
-    settings.states["Bright"].data = "{}"
-    assert "damaged" in refused(ops.recall_light_state, state="Bright")
-    settings.blend = 0.25  # nothing to blend, and no error
-    assert ops.remove_light_state(state="Bright") == {"FINISHED"} and not settings.can_blend()
-    for _ in range(4):
-        ops.remove_light_state()
-    assert not len(settings.states) and not ops.remove_light_state.poll()
-
-
-def test_keyframes_by_operators(scene):
-    row = scene.fipt.lights.lights[0]
-    assert "no keyframes" in refused(ops.clear_light_keyframes)
-    scene.frame_set(1)
-    assert ops.keyframe_lights() == {"FINISHED"}
-    scene.frame_set(5)
-    row.stops = 1.0
-    assert ops.keyframe_lights(everything=True) == {"FINISHED"}
-    scene.frame_set(1)
-    assert row.stops == 0.0 and np.allclose(front(row.object), RADIANCE)
-    scene.frame_set(5)
-    assert np.allclose(front(row.object), 2.0 * np.array(RADIANCE))
-    assert ops.clear_light_keyframes() == {"FINISHED"}
-    scene.frame_set(1)
-    assert np.allclose(front(row.object), 2.0 * np.array(RADIANCE))
-
-
-def test_an_ies_profile_needs_a_blender_light(scene, tmp_path):
-    path = tmp_path / "lamp.ies"
-    path.write_text("IESNA\nTILT=NONE\n1 1 1 2 1 1 1 0 0 0 1 1 1 0 90 0 10 10", encoding="utf-8")
-    assert "Convert to Blender Light" in refused(ops.set_ies_profile, filepath=str(path))
-    ops.fixture_to_area_light()
-    (light,) = scene.fipt.lights.lights[0].object.children
-    assert ops.set_ies_profile(filepath=str(path)) == {"FINISHED"} and light.data.type == "POINT"
-    assert ops.apply_results() == {"FINISHED"}  # the profile stays
-    (light,) = scene.fipt.lights.lights[0].object.children
-    assert light.data.type == "POINT" and any(n.type == "TEX_IES" for n in light.data.node_tree.nodes)
-    assert "no IES profile" in refused(ops.set_ies_profile, filepath=__file__)
-    assert ops.remove_ies_profile() == {"FINISHED"} and light.data.type == "AREA"
-    assert ops.area_light_to_fixture() == {"FINISHED"}
-    ops.revert()

@@ -4,27 +4,21 @@
 
 from __future__ import annotations
 
-import shutil
-from pathlib import Path
-
 import bpy
 import numpy as np
 import pytest
-from mathutils import Matrix, Vector
+from mathutils import Vector
 
 from fipt_blender.blend import marks
-from fipt_blender.blend.pictures.image_files import read_pixels
 from fipt_blender.blend.room.atlas import atlas_slices
 from fipt_blender.blend.slices import run_through
-from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
-from fipt_blender.jobs import running
 from fipt_blender.properties.materials import SHOWN
-from samples.applied_rooms import MEDIAN, ConstantFields, fingerprint, make_scene, use_fake_engine
+from samples.applied_rooms import MEDIAN, ConstantFields, fingerprint, make_scene, picture, use_fake_engine
+from samples.operator_calls import refused
 
 ops = bpy.ops.fipt
-
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -43,32 +37,6 @@ def scene(tmp_path, bakes):
 def applied(scene):
     assert ops.apply_results("EXEC_DEFAULT") == {"FINISHED"}
     return scene
-
-
-def refused(operator, **arguments) -> str:
-    with pytest.raises(RuntimeError) as error:
-        operator(**arguments)
-    return str(error.value)
-
-
-def picture(scene, position, target, size=9, ortho=0.2):
-    """A spot in a small Cycles render with the view transform, 0 to 1, (3,)."""
-    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
-    scene.collection.objects.link(camera)
-    camera.data.type, camera.data.ortho_scale = "ORTHO", ortho
-    turn = (target - position).to_track_quat("-Z", "Y").to_matrix().to_4x4()
-    camera.matrix_world = Matrix.Translation(position) @ turn
-    scene.camera = camera
-    scene.render.resolution_x = scene.render.resolution_y = size
-    scene.render.engine = "CYCLES"
-    scene.cycles.samples, scene.cycles.use_denoising = 4, False
-    scene.render.image_settings.file_format, scene.render.dither_intensity = "PNG", 0.0
-    path = bpy.app.tempdir + "shown.png"
-    scene.render.filepath = path
-    bpy.ops.render.render(write_still=True, scene=scene.name)
-    pixels = read_pixels(path)
-    bpy.data.objects.remove(camera)
-    return pixels.mean(axis=(0, 1))
 
 
 def test_apply_puts_maps_lights_and_exposure_onto_the_scene(applied):
@@ -227,179 +195,6 @@ def test_light_settings_survive_another_apply(applied):
     lamp = applied.fipt.lights.lights[0]
     assert lamp.stops == -1.0 and lamp.kelvin == 2700.0
     assert [item.name for item in lamp.object.children] == ["Panel Light"]
-
-
-def warned() -> str:
-    """What the last Apply Results warned of."""
-    return " ".join(message["text"] for message in running.last("materials").warnings)
-
-
-@pytest.mark.parametrize("density", [16.0, 32.0])
-def test_renamed_objects_keep_their_results(applied, density):
-    names = ("cube", "box"), ("panel", "wall")
-    for old, new in names:
-        bpy.data.objects[old].name = new
-    applied.fipt.materials.texel_density = density
-    assert ops.apply_results() == {"FINISHED"} and not warned()
-    assert all(marks.has_results(bpy.data.objects[new]) for _, new in names)
-    # The fixture of the renamed panel was replaced: a second one would double the light.
-    assert [item.name for item in applied.objects if marks.is_fixture(item)] == ["Panel"]
-    assert len(bpy.data.objects["wall"].data.polygons) == 2
-    assert len(bpy.data.materials["Panel FIPT"].node_tree.nodes)
-
-
-@pytest.mark.parametrize("density", [16.0, 32.0])
-@pytest.mark.parametrize("mode", ["uv", "color_attribute"])
-def test_deleted_objects_are_left_out_with_a_warning(scene, density, mode):
-    scene.fipt.materials.atlas_mode = mode
-    ops.apply_results()
-    bpy.data.objects.remove(bpy.data.objects["panel"])
-    scene.fipt.materials.texel_density = density
-    assert ops.apply_results() == {"FINISHED"}
-    assert "'panel'" in warned() and "'cube'" not in warned()
-    assert marks.has_results(bpy.data.objects["cube"])
-    # Its lamp is an object of its own, which the artist has kept.
-    assert [item.name for item in scene.objects if marks.is_fixture(item)] == ["Panel"]
-    assert scene.fipt.materials.object_count == 1
-
-
-def test_an_object_with_other_faces_shows_its_own_materials(applied):
-    cube = bpy.data.objects["cube"]
-    ops.show_map(shown="ORIGINAL")
-    cube.modifiers["Bevel"].segments = 3
-    assert ops.apply_results() == {"FINISHED"} and "'cube'" in warned()
-    assert not marks.has_results(cube) and marks.has_results(bpy.data.objects["panel"])
-    assert [slot.material.name for slot in cube.material_slots] == ["red", "own", "blue"]
-    cube.modifiers["Bevel"].segments = 1
-    assert ops.apply_results() == {"FINISHED"} and not warned()
-    assert marks.has_results(cube)
-
-
-def test_objects_are_found_by_their_ids_not_by_the_names_of_others(applied):
-    cube, panel = bpy.data.objects["cube"], bpy.data.objects["panel"]
-    cube.name, panel.name = "aside", "cube"
-    cube.name = "panel"
-    copy = panel.copy()  # with its id
-    bpy.data.collections["FIPT Room"].objects.link(copy)
-    assert ops.apply_results() == {"FINISHED"} and not warned()
-    assert len(cube.data.polygons) > 6 and len(panel.data.polygons) == 2
-
-
-def test_runs_without_ids_match_by_name(scene):
-    run = RunFolder(scene.fipt.run_folder)
-    names = read_json(run.room_json)
-    assert names.pop("object_ids") == ["panel", "cube"]
-    write_json(run.room_json, names)
-    for item in scene.objects:
-        marks.remove_marks(item, marks.OBJECT_ID)
-    assert ops.apply_results() == {"FINISHED"} and not warned()
-    bpy.data.objects["panel"].name = "wall"  # applying gave it an id
-    assert ops.apply_results() == {"FINISHED"} and not warned()
-    assert len(bpy.data.objects["wall"].data.polygons) == 2
-
-
-def test_a_room_without_any_estimated_object_is_refused(applied):
-    room = bpy.data.collections["FIPT Room"]
-    for item in list(room.objects):
-        room.objects.unlink(item)
-        applied.collection.objects.link(item)
-    bpy.ops.mesh.primitive_cube_add()
-    room.objects.link(bpy.context.object)
-    before = fingerprint(applied)
-    assert "None of the estimated objects" in refused(ops.apply_results)
-    assert fingerprint(applied) == before
-
-
-def textures(scene) -> list[bpy.types.Image]:
-    """The images of the applied materials and of the environment."""
-    nodes = list(scene.world.node_tree.nodes)
-    for material in bpy.data.materials:
-        if marks.MATERIAL in material:
-            nodes += material.node_tree.nodes
-    images = [node.image for node in nodes if getattr(node, "image", None) is not None]
-    return list(dict.fromkeys(images))  # parts share them
-
-
-def test_textures_of_a_saved_file_lie_beside_it(scene, tmp_path):
-    blend = tmp_path / "shot" / "kitchen.blend"
-    blend.parent.mkdir()
-    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
-    assert ops.apply_results() == {"FINISHED"}
-    names = sorted(image.filepath for image in textures(scene))
-    maps = ("base_color", "confidence", "metallic", "roughness")
-    assert names == [
-        *(f"//kitchen_textures/Room.001.{name}.exr" for name in maps),
-        "//kitchen_textures/environment.exr",
-    ]
-    sizes = {image.size[:] for image in textures(scene)}
-    scene.fipt.materials.texel_density = 64.0
-    assert ops.apply_results() == {"FINISHED"}
-    assert sizes != {image.size[:] for image in textures(scene)}  # the copies are the new ones
-    bpy.ops.wm.save_mainfile()
-    # On another machine, without the run folder:
-    (tmp_path / "run").rename(tmp_path / "gone")
-    (tmp_path / "shot").rename(tmp_path / "elsewhere")
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "elsewhere" / "kitchen.blend"))
-    assert all(image.size[0] for image in textures(bpy.context.scene))
-    image = bpy.data.materials["Panel FIPT"].node_tree.nodes["FIPT Roughness"].image
-    assert max(list(image.pixels)[::4]) == pytest.approx(ConstantFields.roughness, abs=1e-3)
-
-
-@pytest.mark.parametrize("suffix", [".exr", ".png"])
-def test_a_moved_file_finds_its_textures(scene, tmp_path, suffix):
-    blend = tmp_path / "shot" / "kitchen.blend"
-    blend.parent.mkdir()
-    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
-    scene = bpy.context.scene
-    scene.fipt.materials.texture_format = suffix[1:].upper()
-    assert ops.apply_results() == {"FINISHED"}
-    bpy.ops.wm.save_mainfile()
-    shutil.move(blend.parent, tmp_path / "elsewhere")
-    shutil.rmtree(scene.fipt.run_folder)
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "elsewhere" / "kitchen.blend"))
-    found = {Path(image.filepath).name: image for image in textures(bpy.context.scene)}
-    assert set(found) == {
-        *(f"Room.001.{name}{suffix}" for name in ("base_color", "confidence", "metallic", "roughness")),
-        "environment.exr",
-    }
-    assert all(image.has_data or image.pixels[0] >= 0.0 for image in found.values())
-    assert all(size & (size - 1) == 0 for image in found.values() for size in image.size)
-    ops.show_map(shown="ROUGHNESS")
-    shown = picture(bpy.context.scene, Vector((0, 5, 4)), Vector((0, 5, 0)))
-    assert np.allclose(shown, ConstantFields.roughness, atol=0.01)
-    ops.show_map(shown="BASE_COLOR")
-    shown = picture(bpy.context.scene, Vector((0, 5, 4)), Vector((0, 5, 0)))
-    assert np.allclose(
-        shown, [1.055 * value ** (1 / 2.4) - 0.055 for value in ConstantFields.base_color], atol=0.01
-    )
-
-
-def test_textures_of_an_unsaved_file_are_packed_until_it_is_saved(applied, tmp_path):
-    assert len(textures(applied)) == 5 and all(image.packed_file for image in textures(applied))
-    names = {image.name for image in textures(applied)}
-    assert "FIPT Room.001 Base Color" in names
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kitchen.blend"))
-    ops.apply_results()
-    assert all(image.filepath.startswith("//kitchen_textures") for image in textures(applied))
-    assert not any(image.packed_file for image in textures(applied))
-    assert {image.name for image in textures(applied)} == names
-    applied.fipt.materials.texture_files = "PACKED"
-    ops.apply_results()
-    assert all(image.packed_file for image in textures(applied))
-    applied.fipt.materials.texture_files = "IN_RUN"
-    ops.apply_results()
-    run = RunFolder(applied.fipt.run_folder).root
-    assert all(Path(bpy.path.abspath(image.filepath)).is_relative_to(run) for image in textures(applied))
-    assert not any(image.packed_file for image in textures(applied))
-    assert {image.name for image in textures(applied)} == names
-
-
-def test_textures_that_can_not_be_copied_change_nothing(applied, tmp_path):
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kitchen.blend"))
-    (tmp_path / "kitchen_textures").write_text("a file of that name")
-    before = fingerprint(applied)
-    assert "'In the File'" in refused(ops.apply_results)
-    assert fingerprint(applied) == before
 
 
 def test_what_apply_needs(scene, tmp_path):

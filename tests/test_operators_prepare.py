@@ -23,6 +23,7 @@ from fipt_blender.core.photographs.preparation import (
 )
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.jobs import prepare_job, run_job, running
+from samples.operator_calls import refused
 from samples.prepared_captures import make_preparation, write_prepared
 
 ops = bpy.ops.fipt
@@ -67,12 +68,6 @@ def commands(monkeypatch, tmp_path) -> list[list[str]]:
 
 def listed(settings) -> list[tuple[str, bool, int]]:
     return [(group.name, group.used, len(group.photographs)) for group in settings.groups]
-
-
-def refused(operator, **arguments) -> str:
-    with pytest.raises(RuntimeError) as error:
-        operator(**arguments)
-    return str(error.value)
 
 
 def test_find_brackets_lists_the_groups_beside_the_photographs(settings, commands, tmp_path):

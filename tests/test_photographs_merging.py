@@ -14,30 +14,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from scipy import ndimage
 
 from benchmarks.dng import Shot, mosaic_of, write_dng
 from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.photographs import command, frames, merge_step, merging
-from fipt_blender.core.photographs.alignment import Motion, after, measure, warped
+from fipt_blender.core.photographs.alignment import Motion
 from fipt_blender.core.photographs.calibration import Survey, correct_exposures
 from fipt_blender.core.photographs.exif import describe
 from fipt_blender.core.photographs.frames import (
-    NEAR_TOP,
-    binned_rows,
-    block_mean,
-    common_ceiling,
-    demosaiced_rows,
-    find_ceiling,
     load,
-    rec709_from_camera,
-    upright,
 )
 from fipt_blender.core.photographs.merging import (
-    in_rec709,
     measure_noise,
     merge_exposures,
-    moved_regions,
     sensor_noise,
 )
 from fipt_blender.core.photographs.preparation import (
@@ -49,7 +38,7 @@ from fipt_blender.core.photographs.preparation import (
 from fipt_blender.core.photographs.response import LEVELS, recover_response, srgb_curve
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
-from samples.photographs import exif, write_jpeg
+from samples.photographs import exif, smooth_radiance, write_jpeg
 
 BLACK, WHITE = 256, 16383
 SHUTTERS = (1 / 400, 1 / 100, 1 / 25)
@@ -62,13 +51,6 @@ def prepare(source: Path, capture: Path, changes: tuple[str, ...] = ()) -> Repor
     options = argparse.Namespace(photographs=source, run=capture, steps="read,merge", set=list(changes))
     command.run(options, reporter)
     return reporter
-
-
-def room(seed: int = 0, height: int = TALL, width: int = WIDE, spread: float = 1.0) -> np.ndarray:
-    """Smooth radiance (height, width, 3) around 1 with a range of some stops."""
-    rng = np.random.default_rng(seed)
-    smooth = ndimage.gaussian_filter(rng.standard_normal((height, width, 3)), (6, 6, 0), mode="wrap")
-    return np.minimum(np.exp(spread * smooth / smooth.std()), 12.0)
 
 
 def write_raw(folder: Path, radiance: np.ndarray, first: int = 0, minute: int = 0, turn: int = 1) -> None:
@@ -102,7 +84,7 @@ def error_of(image: np.ndarray, truth: np.ndarray) -> float:
 
 
 def test_raw_brackets_become_radiance_on_one_scale(tmp_path: Path) -> None:
-    truths = [room(0), 0.25 * room(1)]
+    truths = [smooth_radiance(0), 0.25 * smooth_radiance(1)]
     for index, truth in enumerate(truths):
         write_raw(tmp_path / "in", truth, 3 * index, index)
     reporter = prepare(tmp_path / "in", tmp_path / "out", ("working_width=0",))
@@ -131,7 +113,7 @@ def test_a_raw_value_is_not_stretched(tmp_path: Path) -> None:
 
 
 def test_jpeg_brackets_recover_the_cameras_response(tmp_path: Path) -> None:
-    truths = [room(seed, 96, 128, 1.2) for seed in range(3)]
+    truths = [smooth_radiance(seed, 96, 128, 1.2) for seed in range(3)]
     for index, truth in enumerate(truths):
         write_jpegs(tmp_path / "in", truth, 3 * index, index)
     folder = PreparationFolder(tmp_path / "out")
@@ -179,7 +161,7 @@ def test_single_photographs_pass_with_a_warning(tmp_path: Path) -> None:
 
 
 def test_linear_pictures_keep_their_values(tmp_path: Path) -> None:
-    truth = 3.0 * room(5).astype(np.float32)
+    truth = 3.0 * smooth_radiance(5).astype(np.float32)
     write_exr(tmp_path / "in" / "a.exr", truth)
     folder = PreparationFolder(tmp_path / "out")
     prepare(tmp_path / "in", folder.root, ("working_width=0",))
@@ -203,7 +185,7 @@ def test_what_is_clipped_in_all_exposures_is_told(tmp_path: Path) -> None:
 
 
 def test_bands_of_rows_leave_no_traces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_raw(tmp_path / "in", room(6))
+    write_raw(tmp_path / "in", smooth_radiance(6))
     images = []
     for rows in (7, 1000):
         for module in (frames, merging):
@@ -214,7 +196,7 @@ def test_bands_of_rows_leave_no_traces(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_portrait_photographs_come_out_upright(tmp_path: Path) -> None:
-    truth = room(7)
+    truth = smooth_radiance(7)
     write_raw(tmp_path / "in", truth, turn=6)
     folder = PreparationFolder(tmp_path / "out")
     prepare(tmp_path / "in", folder.root, ("working_width=0",))
@@ -222,55 +204,14 @@ def test_portrait_photographs_come_out_upright(tmp_path: Path) -> None:
     assert image.shape == (WIDE, TALL, 3) and error_of(image, np.rot90(truth, -1)) < 0.01
 
 
-@pytest.mark.parametrize("orientation", range(1, 9))
-def test_orientations_are_those_of_exif(orientation: int) -> None:
-    from PIL import ImageOps
-
-    pixels = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
-    image = Image.fromarray(pixels)
-    image.getexif()[0x0112] = orientation
-    np.testing.assert_array_equal(upright(pixels, orientation), np.asarray(ImageOps.exif_transpose(image)))
-
-
 def test_the_working_size_is_a_mean_over_areas(tmp_path: Path) -> None:
-    truth = room(8, 96, 128)
+    truth = smooth_radiance(8, 96, 128)
     write_raw(tmp_path / "in", truth)
     folder = PreparationFolder(tmp_path / "out")
     prepare(tmp_path / "in", folder.root, ("working_width=64",))
     small = truth.reshape(48, 2, 64, 2, 3).mean((1, 3))
     image = read_radiance(folder.images / "IMG_0.exr")
     assert image.shape == small.shape and error_of(image, small) < 0.01
-
-
-@pytest.mark.parametrize("motion", [Motion(), Motion(0.01, -0.02, 0.01), Motion(0.08, 0.03, -0.02)])
-def test_motion_is_measured_across_exposures(motion: Motion) -> None:
-    height, width = 120, 160
-    scene = 0.1 * room(9, 240, 320, 0.8)[..., 0]
-
-    def shot(moved: Motion, exposure: float) -> np.ndarray:
-        y, x = np.mgrid[:height, :width] + 0.5
-        back = Motion(0.0, 0.0, -moved.angle)
-        points = np.stack([x.ravel(), y.ravel()], -1) - width * np.array([moved.x, moved.y])
-        places = back.apply(points, width, height) + [width / 2 - 0.5, height / 2 - 0.5]
-        values = ndimage.map_coordinates(scene, [places[:, 1], places[:, 0]], order=3).reshape(height, width)
-        return np.where(values * exposure < 1.0, values * exposure, np.nan)
-
-    found = measure(shot(Motion(), 1.0), shot(motion, 4.0))
-    rest = Motion(found.x - motion.x, found.y - motion.y, found.angle - motion.angle)
-    assert rest.corner_shift(width, height) < 0.1 and found.similarity > 0.95
-
-
-def test_a_bare_wall_does_not_move() -> None:
-    rng = np.random.default_rng(4)
-    walls = [np.full((120, 160), 0.3) + rng.normal(0.0, 0.01, (120, 160)) for _ in range(2)]
-    assert measure(*walls) == Motion()
-
-
-def test_motions_follow_one_another() -> None:
-    first, second = Motion(0.1, -0.05, 0.3), Motion(-0.02, 0.04, -0.1)
-    points = np.random.default_rng(0).uniform(0.0, 100.0, (5, 2))
-    both = second.apply(first.apply(points, 120, 80), 120, 80)
-    np.testing.assert_allclose(after(first, second).apply(points, 120, 80), both)
 
 
 def test_the_last_row_is_no_noisier_if_long_exposures_are_a_little_off(tmp_path: Path) -> None:
@@ -284,25 +225,6 @@ def test_the_last_row_is_no_noisier_if_long_exposures_are_a_little_off(tmp_path:
         radiance, _, _ = merging.merge_group(held, exposures, motions, noise)
         deviation = np.abs(radiance / 0.3 - 1.0).mean(axis=(1, 2))
         assert deviation[[0, -1]].max() < 2.5 * np.median(deviation)
-
-
-def test_warping_shifts_rows_and_marks_what_is_outside() -> None:
-    values = np.arange(20.0)[:, None, None].repeat(10, 1)
-    moved = warped(values, Motion(y=0.1), 0, 20)  # two rows of twenty
-    np.testing.assert_allclose(moved[:18, :, 0], values[2:, :, 0])
-    assert np.isnan(moved[18:]).all()
-
-
-def test_what_moves_is_taken_from_one_exposure() -> None:
-    still = np.ones((20, 30))
-    first, second, third = still.copy(), still.copy(), still.copy()
-    first[5:10, 5:10], second[5:10, 12:17] = 3.0, 3.0
-    third[:, 20:] = np.nan
-    choice = moved_regions([first, second, third], [np.full((20, 30), 0.01)] * 3)
-    assert (choice[6:9, 6:9] == 2).all() and (choice[12:] == -1).all() and (choice[:, 24:] == -1).all()
-    assert len(set(choice[5:10, 12:17].ravel())) == 1  # one region, one exposure
-    noisy = [still + np.random.default_rng(i).normal(0.0, 0.03, still.shape) for i in range(3)]
-    assert (moved_regions(noisy, [np.full((20, 30), 0.03)] * 3) == -1).all()
 
 
 def test_merging_is_unbiased_and_prefers_the_less_noisy() -> None:
@@ -343,39 +265,6 @@ def test_exposures_that_headers_round_are_corrected() -> None:
     assert found.mean() == pytest.approx(0.0) and 0.0 < largest < 0.1
 
 
-def test_demosaicing_keeps_a_plane_and_spreads_clipping() -> None:
-    plane = np.linspace(0.1, 0.9, 24)[None, :, None] * np.array([1.0, 0.8, 0.6]) + np.zeros((16, 1, 1))
-    mosaic = mosaic_of(plane).astype(np.float32)
-    colors = np.array([[0, 1], [1, 2]])
-    values, clipped = demosaiced_rows(mosaic, colors, 0.95, 0, 16)
-    np.testing.assert_allclose(values[2:-2, 2:-2], plane[2:-2, 2:-2], rtol=1e-5)
-    assert not clipped.any()
-    mosaic[6, 8] = 1.0  # a red place
-    values, clipped = demosaiced_rows(mosaic, colors, 0.95, 0, 16)
-    assert clipped[5:8, 7:10, 0].all() and clipped.sum() == 9
-    for start in (0, 5, 11):
-        rows, _ = demosaiced_rows(mosaic, colors, 0.95, start, start + 5)
-        np.testing.assert_array_equal(rows, values[start : start + 5])
-
-
-@pytest.mark.parametrize("factor", [3, 4, 5, 8])
-def test_squares_of_a_mosaic_are_means_of_their_own_places(factor: int) -> None:
-    """Exact on slopes, and nothing comes from beside a square."""
-    y, x = np.mgrid[: 6 * factor, : 8 * factor].astype(np.float32)
-    slopes = np.stack([0.1 + 0.002 * x + 0.003 * y, 0.2 + 0.001 * (x - y), 0.3 - 0.002 * x], -1)
-    mosaic, colors = mosaic_of(slopes).astype(np.float32), np.array([[0, 1], [1, 2]])
-    values, clipped = binned_rows(mosaic, colors, 0.95, 0, factor)
-    np.testing.assert_allclose(values, block_mean(slopes, factor), atol=1e-6)
-    assert not clipped.any()
-    mosaic[2 * factor : 3 * factor, 3 * factor : 4 * factor] = 1.0
-    bright, clipped = binned_rows(mosaic, colors, 0.95, 0, factor)
-    assert clipped[2, 3].all() and clipped.sum() == 3
-    changed = np.abs(bright - values).max(axis=-1) > 1e-6
-    assert changed[2, 3] and changed.sum() == 1
-    later, _ = binned_rows(mosaic[2 * factor :], colors, 0.95, 2 * factor, factor)
-    np.testing.assert_array_equal(later, bright[2:])
-
-
 def test_a_bracket_of_borders_is_merged_without_blur(tmp_path: Path) -> None:
     """Squares of one radiance, four pixels of the sensor long, become the pixels of the merged image."""
     squares = np.exp(np.random.default_rng(4).uniform(-1.0, 1.0, (48, 64, 3)))
@@ -386,17 +275,11 @@ def test_a_bracket_of_borders_is_merged_without_blur(tmp_path: Path) -> None:
     assert np.quantile(np.abs(image / squares / np.median(image / squares) - 1.0), 0.99) < 0.02
 
 
-def test_white_stays_white_in_the_cameras_colors() -> None:
-    matrix = rec709_from_camera(np.array([[0.9, -0.2, -0.1], [-0.4, 1.2, 0.2], [-0.05, 0.2, 0.6]]))
-    np.testing.assert_allclose(matrix.sum(axis=1), 1.0)
-    np.testing.assert_array_equal(rec709_from_camera(np.zeros((3, 3))), np.eye(3))
-
-
 def test_a_stranger_in_a_bracket_is_left_out(tmp_path: Path) -> None:
-    truth = room(11, 120, 160, 0.5)
+    truth = smooth_radiance(11, 120, 160, 0.5)
     write_raw(tmp_path / "in", truth)
     other = tmp_path / "other"
-    write_raw(other, room(12, 120, 160, 0.5))
+    write_raw(other, smooth_radiance(12, 120, 160, 0.5))
     shutil.copy(other / "IMG_2.dng", tmp_path / "in" / "IMG_2.dng")
     folder = PreparationFolder(tmp_path / "out")
     reporter = prepare(tmp_path / "in", folder.root, ("working_width=0",))
@@ -407,7 +290,7 @@ def test_a_stranger_in_a_bracket_is_left_out(tmp_path: Path) -> None:
 
 def test_groups_that_can_not_be_merged_are_refused(tmp_path: Path) -> None:
     source, folder = tmp_path / "in", PreparationFolder(tmp_path / "out")
-    write_raw(source, room(0))
+    write_raw(source, smooth_radiance(0))
     prepare(source, folder.root)
     before = read_preparation(folder)
     image = folder.images / "IMG_0.exr"
@@ -430,7 +313,7 @@ def test_groups_that_can_not_be_merged_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("content", [None, b"", b"II*" + bytes(500), "half"])
 def test_a_raw_file_that_is_damaged_later_is_named(tmp_path: Path, content: bytes | str | None) -> None:
     source, folder = tmp_path / "in", PreparationFolder(tmp_path / "out")
-    write_raw(source, room(0))
+    write_raw(source, smooth_radiance(0))
     path = source / "IMG_1.dng"
     photograph, whole = describe(path, "IMG_1.dng"), path.read_bytes()
     path.unlink()
@@ -445,28 +328,12 @@ def test_a_raw_file_that_is_damaged_later_is_named(tmp_path: Path, content: byte
         assert not folder.images.exists()
 
 
-def test_the_ceiling_of_a_camera_is_that_of_all_photographs() -> None:
-    lower = np.minimum(np.linspace(0.0, 1.2, 10_000), 0.85)
-    wall = np.minimum(np.linspace(0.0, 1.2, 10_000), 0.6)
-    assert find_ceiling(lower) == pytest.approx(0.848) and find_ceiling(wall) == pytest.approx(0.598)
-    ceilings = [find_ceiling(lower), find_ceiling(wall), NEAR_TOP]
-    assert common_ceiling(ceilings, [0.85, 0.6, 0.3]) == pytest.approx(0.848)
-    assert common_ceiling([find_ceiling(wall), NEAR_TOP], [0.6, 1.0]) == NEAR_TOP
-
-
-def test_clipped_channels_become_neutral_and_others_stay() -> None:
-    radiance = np.array([[[1.0, 1.0, 1.0], [1.0, 0.2, 0.1]]], np.float32)
-    clipped = np.array([[[True, True, True], [True, False, False]]])
-    found = in_rec709(radiance, clipped, np.array([2.0, 1.0, 1.5]), np.eye(3))
-    np.testing.assert_allclose(found[0], [[2.0, 2.0, 2.0], [2.0, 0.2, 0.15]], rtol=1e-6)
-
-
 def test_a_stopped_merge_goes_on_with_the_other_groups(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source, folder = tmp_path / "in", PreparationFolder(tmp_path / "out")
     for index in range(2):
-        write_raw(source, room(index), 3 * index, index)
+        write_raw(source, smooth_radiance(index), 3 * index, index)
     written = []
 
     def write(path: Path, array: np.ndarray, half: bool = False) -> None:
@@ -499,7 +366,7 @@ def test_a_disk_that_fills_leaves_no_half_of_an_image(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for index in range(2):
-        write_raw(tmp_path / "in", room(index), 3 * index, index)
+        write_raw(tmp_path / "in", smooth_radiance(index), 3 * index, index)
     plain = Path.write_bytes
     images = []
 

@@ -12,6 +12,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from fipt_blender.blend.pictures.image_files import read_pixels
 from fipt_blender.blend.room import exporting
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run.runfolder import RunFolder, write_json
@@ -110,6 +111,37 @@ def make_scene(folder: Path, environment: bool = True) -> bpy.types.Scene:
     scene.fipt.run_folder = str(folder)
     scene.fipt.materials.texel_density = 16.0
     return scene
+
+
+def front(item: bpy.types.Object) -> np.ndarray:
+    """Radiance (3,) of a fixture's front in its material."""
+    node = item.data.materials[0].node_tree.nodes["FIPT Front"]
+    return np.array(node.inputs["Color"].default_value)[:3] * node.inputs["Strength"].default_value
+
+
+def world_strength() -> float:
+    """Strength of our world's background."""
+    return bpy.data.worlds["FIPT World"].node_tree.nodes["FIPT Background"].inputs["Strength"].default_value
+
+
+def picture(scene, position, target, size=9, ortho=0.2):
+    """A spot in a small Cycles render with the view transform, 0 to 1, (3,)."""
+    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
+    scene.collection.objects.link(camera)
+    camera.data.type, camera.data.ortho_scale = "ORTHO", ortho
+    turn = (target - position).to_track_quat("-Z", "Y").to_matrix().to_4x4()
+    camera.matrix_world = Matrix.Translation(position) @ turn
+    scene.camera = camera
+    scene.render.resolution_x = scene.render.resolution_y = size
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples, scene.cycles.use_denoising = 4, False
+    scene.render.image_settings.file_format, scene.render.dither_intensity = "PNG", 0.0
+    path = bpy.app.tempdir + "shown.png"
+    scene.render.filepath = path
+    bpy.ops.render.render(write_still=True, scene=scene.name)
+    pixels = read_pixels(path)
+    bpy.data.objects.remove(camera)
+    return pixels.mean(axis=(0, 1))
 
 
 def fingerprint(scene: bpy.types.Scene) -> dict:

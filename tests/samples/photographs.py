@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
+from scipy import ndimage
 
 START = datetime(2026, 5, 1, 12, 0, 0)
 
@@ -56,3 +57,10 @@ def write_brackets(folder: Path, groups: int, shutters: tuple[float, ...], pause
             pixels = np.full((6, 8, 3), 100 + index, np.uint8)
             paths.append(write_jpeg(folder / f"IMG_{number}.jpg", pixels, exif(shutter, seconds)))
     return paths
+
+
+def smooth_radiance(seed: int = 0, height: int = 48, width: int = 64, spread: float = 1.0) -> np.ndarray:
+    """Smooth radiance (height, width, 3) around 1 with a range of some stops."""
+    rng = np.random.default_rng(seed)
+    smooth = ndimage.gaussian_filter(rng.standard_normal((height, width, 3)), (6, 6, 0), mode="wrap")
+    return np.minimum(np.exp(spread * smooth / smooth.std()), 12.0)

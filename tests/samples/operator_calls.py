@@ -1,0 +1,14 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators called as scripts call them."""
+
+from __future__ import annotations
+
+import pytest
+
+
+def refused(operator, **arguments) -> str:
+    """The words with which an operator refuses."""
+    with pytest.raises(RuntimeError) as error:
+        operator(**arguments)
+    return str(error.value)

@@ -1,0 +1,129 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What lights the room besides its lamps: the environment, light groups, exposure and other lights."""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix, Vector
+
+from fipt_blender.blend.marks import has_light_groups
+from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
+from samples.applied_rooms import make_scene, use_fake_engine, world_strength
+
+ops = bpy.ops.fipt
+
+pytestmark = pytest.mark.usefixtures("registered")
+
+
+@pytest.fixture
+def scene(tmp_path, monkeypatch):
+    use_fake_engine(monkeypatch)
+    scene = make_scene(tmp_path / "run")
+    assert ops.apply_results() == {"FINISHED"}
+    return scene
+
+
+def test_light_groups_sum_to_the_image(scene, tmp_path):
+    ops.add_light(location=(2.5, 0.5, 2.0), size=0.5, power=30.0)
+    layer = bpy.context.view_layer
+    layer.lightgroups.add(name="mine")
+    assert ops.make_light_groups() == {"FINISHED"}
+    names = ["Environment", "Panel", "New Lights"]
+    assert sorted(group.name for group in layer.lightgroups) == sorted([*names, "mine"])
+    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
+    scene.collection.objects.link(camera)
+    camera.matrix_world = Matrix.Translation((3.5, 0.5, 3.0))
+    scene.camera = camera
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples, scene.cycles.use_denoising = 16, False
+    scene.cycles.sample_clamp_indirect = 0.0
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 24, 16, 100
+    settings = scene.render.image_settings
+    if "media_type" in settings.bl_rna.properties:
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
+    scene.render.filepath = str(tmp_path / "groups.exr")
+    bpy.ops.render.render(write_still=True, scene=scene.name)
+    import OpenEXR
+
+    with OpenEXR.File(str(tmp_path / "groups.exr"), separate_channels=True) as file:
+        channels = {}
+        for part in file.parts:
+            channels.update({name: np.asarray(each.pixels) for name, each in part.channels.items()})
+
+    def passed(name):
+        return np.stack(
+            [next(v for k, v in channels.items() if k.endswith(f"{name}.{c}")) for c in "RGB"], axis=-1
+        )
+
+    whole = passed("ViewLayer.Combined")
+    parts = [passed(f"Combined_{name}") for name in names]
+    assert all(part.max() > 0.0 for part in parts)
+    assert np.allclose(sum(parts), whole, rtol=1e-3, atol=1e-4)
+    assert ops.make_light_groups() == {"FINISHED"} and len(layer.lightgroups) == 4
+    assert ops.remove_light_groups() == {"FINISHED"}
+    assert [group.name for group in layer.lightgroups] == ["mine"] and not ops.remove_light_groups.poll()
+    assert not has_light_groups(layer)
+    assert {item.lightgroup for item in scene.objects} == {""}
+
+
+def test_environment_strength_and_rotation(scene):
+    settings = scene.fipt.lights
+    assert settings.has_environment() and settings.environment_on and settings.environment_factor == 1.0
+    settings.environment_factor = 2.5
+    assert world_strength() == 2.5
+    settings.environment_on = False
+    assert world_strength() == 0.0
+    settings.environment_on = True
+    settings.environment_rotation = math.radians(30.0)
+    ops.apply_results()  # keeps what the artist has set
+    assert settings.environment_factor == 2.5 and world_strength() == 2.5
+    assert settings.environment_rotation == pytest.approx(math.radians(30.0))
+
+
+def test_the_environment_rotates_as_entered(scene, tmp_path):
+    from fipt_blender.blend.lights.world import apply_environment
+    from fipt_blender.core import conventions
+    from fipt_blender.core.capture.images import write_exr
+    from fipt_blender.core.run.runfolder import RunFolder
+
+    run = RunFolder(tmp_path / "run")
+    directions = conventions.equirect_pixel_directions(64, 32)
+    write_exr(run.environment_exr, (directions * 0.5 + 0.5).astype(np.float32))
+    apply_environment(run, scene)
+    for item in list(bpy.data.objects):
+        bpy.data.objects.remove(item)
+    turn = math.radians(50.0)
+    scene.fipt.lights.environment_rotation = turn
+    way = Vector((1.0, 0.3, 0.2)).normalized()
+    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
+    scene.collection.objects.link(camera)
+    camera.data.type, camera.data.ortho_scale = "ORTHO", 0.01
+    camera.matrix_world = way.to_track_quat("-Z", "Y").to_matrix().to_4x4()
+    scene.camera = camera
+    scene.render.resolution_x = scene.render.resolution_y = 3
+    seen = render_pixels(scene, RenderOptions(4, denoise=False)).mean(axis=(0, 1))
+    # The environment is rotated by +50° about Z: what is visible there was 50° back.
+    before = Matrix.Rotation(-turn, 3, "Z") @ way
+    assert np.allclose(seen, np.array(before) * 0.5 + 0.5, atol=0.03)
+
+
+def test_exposure_and_other_lights(scene):
+    scene.view_settings.exposure = 3.0
+    assert ops.match_exposure() == {"FINISHED"}
+    assert scene.view_settings.exposure == pytest.approx(math.log2(0.18 / 0.36))
+    ops.show_map(shown="BASE_COLOR")
+    scene.fipt.lights.median_radiance = 0.18
+    ops.match_exposure()
+    assert scene.view_settings.exposure == 0.0  # of the map
+    ops.show_map(shown="ESTIMATED")
+    assert scene.view_settings.exposure == pytest.approx(0.0, abs=1e-6)
+    sun = bpy.data.objects["sun"]
+    assert sun.hide_render
+    assert ops.hide_other_lights(hide=False) == {"FINISHED"} and not sun.hide_render
+    assert ops.hide_other_lights(hide=True) == {"FINISHED"} and sun.hide_viewport
