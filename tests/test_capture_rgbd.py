@@ -95,6 +95,40 @@ def test_ingest_fuses_the_mesh_once(tmp_path: Path) -> None:
     assert len(read_mesh(run / "fused.ply")[1]) < 0.3 * len(triangles)
 
 
+def test_the_fused_mesh_keeps_to_its_budget(tmp_path: Path) -> None:
+    capture, run = write_frames(tmp_path / "room"), tmp_path / "run"
+    run_ingest(capture, run, IngestOptions(hold_back=0, fusion=FusionOptions(triangles=200)))
+    vertices, triangles = read_mesh(run / "fused.ply")
+    assert 100 <= len(triangles) <= 200 and np.abs(vertices[:, 2] - WALL).max() < 5e-3
+    with pytest.raises(FiptError, match="5 triangles") as caught:
+        run_ingest(capture, tmp_path / "other", IngestOptions(fusion=FusionOptions(triangles=5)))
+    assert caught.value.code == "setting-invalid" and not (tmp_path / "other").exists()
+
+
+def test_a_given_mesh_is_simplified_in_a_copy(tmp_path: Path) -> None:
+    capture, run = write_frames(tmp_path / "room"), tmp_path / "run"
+    side, far = 41, np.array([3000.0, -2000.0, 100.0])
+    steps = np.arange(side)
+    x, y = (part.ravel() for part in np.meshgrid(steps, steps))
+    first = np.add.outer(side * steps[:-1], steps[:-1]).ravel()
+    corners = (first[:, None] + [0, 1, side + 1, 0, side + 1, side]).reshape(-1, 3)
+    vertices = 0.1 * np.stack([x, y, 0 * x], axis=1) + far
+    # Every triangle with vertices of its own, as STL and some exporters write them.
+    loose = "".join("v {:.9g} {:.9g} {:.9g}\n".format(*vertex) for vertex in vertices[corners].reshape(-1, 3))
+    faces = "".join(f"f {i + 1} {i + 2} {i + 3}\n" for i in range(0, 3 * len(corners), 3))
+    (tmp_path / "plane.obj").write_text(loose + faces)
+    options = IngestOptions(hold_back=0, mesh=tmp_path / "plane.obj", fusion=FusionOptions(triangles=300))
+    data = run_ingest(capture, run, options)
+    assert data["mesh"] == str(run / "simplified.ply")
+    small, triangles = read_mesh(run / "simplified.ply")
+    assert 100 <= len(triangles) <= 300
+    np.testing.assert_allclose([small.min(axis=0), small.max(axis=0)], [far, far + [4, 4, 0]], atol=2e-3)
+    options = IngestOptions(
+        hold_back=0, mesh=tmp_path / "plane.obj", fusion=FusionOptions(triangles=len(corners))
+    )
+    assert run_ingest(capture, tmp_path / "all", options)["mesh"] == str(tmp_path / "plane.obj")
+
+
 def test_a_mesh_beside_the_frames_is_used(tmp_path: Path) -> None:
     capture = write_frames(tmp_path / "room")
     (capture / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")

@@ -10,6 +10,7 @@ import pytest
 from fipt_blender.core.depth.cleaning import border_loops, with_closed_holes, without_specks
 from fipt_blender.core.depth.extraction import FusedMesh, extract
 from fipt_blender.core.depth.range_image import RangeImage
+from fipt_blender.core.depth.simplification import simplified
 from fipt_blender.core.depth.volume import SIDE, BlockVolume, pack, unpack
 
 VOXEL = 0.04
@@ -165,3 +166,25 @@ def test_specks_are_dropped_and_large_pieces_stay() -> None:
     kept = without_specks(both, 0.01)
     assert np.array_equal(kept.vertices, ball.vertices) and len(kept.triangles) == len(ball.triangles)
     assert without_specks(both, 100.0).triangles.shape == (0, 3)
+
+
+def test_a_mesh_is_simplified_to_its_budget_and_keeps_shape_and_colors() -> None:
+    color = np.array([0.2, 0.4, 0.6])
+    ball = fused([sphere_image(origin, color) for origin in around()])
+    small = simplified(ball, 600)
+    assert 300 < len(small.triangles) <= 600 < len(ball.triangles) and is_closed(small)
+    radius = np.linalg.norm(ball.vertices, axis=1).mean()
+    corners = small.vertices[small.triangles]
+    np.testing.assert_allclose(np.linalg.norm(corners.mean(axis=1), axis=1), radius, rtol=0.03)
+    facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (np.einsum("ni,ni->n", facing, corners.mean(axis=1)) > 0.0).all()  # nothing is inside out
+    assert small.colors is not None and np.allclose(small.colors, ball.colors.mean(axis=0), atol=0.02)
+    assert simplified(ball, len(ball.triangles)) is ball
+
+
+def test_a_mesh_far_from_the_origin_is_simplified_in_its_own_place() -> None:
+    ball = fused([sphere_image(origin) for origin in around()])
+    far = np.array([1000.0, -2000.0, 500.0], np.float32)
+    small = simplified(FusedMesh(ball.vertices + far, ball.triangles), 600)
+    radius = np.linalg.norm(ball.vertices, axis=1).mean()
+    np.testing.assert_allclose(np.linalg.norm(small.vertices - far, axis=1), radius, rtol=0.05)

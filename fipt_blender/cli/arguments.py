@@ -73,6 +73,9 @@ def _add_estimate(commands: _Commands) -> argparse.ArgumentParser:
         help="close holes of a fused mesh up to this width in meters",
     )
     add(
+        "--triangles", type=int, default=0, metavar="N", help="simplify a mesh with more triangles to about N"
+    )
+    add(
         "--depth-unit", type=float, metavar="M", help="unit of 16-bit depth images in meters (default: 0.001)"
     )
     add("--clamp-negative", action="store_true", help="treat negative radiance in photographs as zero")
@@ -179,6 +182,7 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
         views=arguments.views,
         voxel=arguments.voxel,
         close_holes=arguments.close_holes,
+        triangles=arguments.triangles,
         depth_unit=arguments.depth_unit,
         undo_applied_transform=arguments.undo_applied_transform,
         parts=arguments.parts,

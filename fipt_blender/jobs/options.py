@@ -34,6 +34,7 @@ class CaptureOptions:
         views: number of photographs that are used, evenly spread; 0 for all.
         voxel: metres, of meshes that are fused from depth images; None for the engine's default.
         close_holes: metres; holes of fused meshes that are not wider are closed; None for none.
+        triangles: budget of the mesh; one with more is simplified. 0 for none.
         depth_unit: metres per unit of 16-bit depth images, or None for the engine's default.
         own_paths: transforms.json only; whether its paths may lead anywhere, since we wrote it ourselves.
         undo_applied_transform: transforms.json only; whether the mesh has the coordinates from before
@@ -52,6 +53,7 @@ class CaptureOptions:
     views: int = 0
     voxel: float | None = None
     close_holes: float | None = None
+    triangles: int = 0
     depth_unit: float | None = None
     own_paths: bool = False
     undo_applied_transform: bool = False
@@ -101,8 +103,9 @@ def ingest_arguments(options: CaptureOptions) -> list[str]:
         arguments.append(f"--hold-back={options.hold_back}")
     if options.images is not None:
         arguments.append(f"--images={options.images.absolute()}")
-    if options.views:
-        arguments.append(f"--views={options.views}")
+    for name in ("views", "triangles"):
+        if getattr(options, name):
+            arguments.append(f"--{name}={getattr(options, name)}")
     for name in ("voxel", "close_holes", "depth_unit"):
         value = getattr(options, name)
         if value is not None:

@@ -251,6 +251,31 @@ class FIPT_OT_set_room(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class FIPT_OT_simplify_room(bpy.types.Operator):
+    """Decimate the room's larger meshes to the number of triangles, by modifiers. 0 removes these"""
+
+    bl_idname = "fipt.simplify_room"
+    bl_label = "Simplify Room"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not context.scene.fipt.capture.room_objects(context.scene):
+            cls.poll_message_set("The room has no meshes")
+            return False
+        return in_object_mode(cls, context)
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.room.simplifying import simplify_room
+
+        settings = context.scene.fipt.capture
+        before, after = simplify_room(settings.room_objects(context.scene), settings.triangles)
+        text = iface_("The room has {:,} triangles, {:,} without simplification")
+        self.report({"INFO"}, text.format(after, before))
+        return {"FINISHED"}
+
+
 def _capture_options(settings: FIPT_CaptureSettings) -> CaptureOptions:
     """The import settings of the panel.
 
@@ -283,8 +308,15 @@ def _capture_options(settings: FIPT_CaptureSettings) -> CaptureOptions:
         clamp_negative=settings.clamp_negative,
         align_mesh=settings.align_mesh,
         plane_room=settings.plane_room,
+        triangles=settings.triangles,
         undo_applied_transform=settings.undo_applied_transform,
     )
 
 
-CLASSES = (FIPT_OT_import_capture, FIPT_OT_use_scene_cameras, FIPT_OT_import_mesh, FIPT_OT_set_room)
+CLASSES = (
+    FIPT_OT_import_capture,
+    FIPT_OT_use_scene_cameras,
+    FIPT_OT_import_mesh,
+    FIPT_OT_set_room,
+    FIPT_OT_simplify_room,
+)

@@ -97,6 +97,7 @@ class FIPT_PT_capture_import(SubSection, bpy.types.Panel):
         column.prop(settings, "mesh")
         column.prop(settings, "align_mesh")
         column.prop(settings, "plane_room")
+        column.prop(settings, "triangles")
         layout.prop(settings, "hold_back")
         column = layout.column(align=True)
         column.prop(settings, "clamp_negative")
@@ -122,6 +123,9 @@ class FIPT_PT_capture_room(SubSection, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("fipt.set_room", text="From Selection", icon="RESTRICT_SELECT_OFF")
         row.operator("fipt.import_mesh", text="Import Mesh", icon="MESH_DATA")
+        row = layout.row(align=True)
+        row.prop(settings, "triangles")
+        row.operator("fipt.simplify_room", text="", icon="MOD_DECIM")
 
 
 class FIPT_PT_capture_views(SubSection, bpy.types.Panel):

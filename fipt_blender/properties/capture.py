@@ -171,6 +171,15 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         description="Where the capture has no mesh, fit floor, ceiling, walls and boxes to the sparse points"
         " of the camera solve. It is a rough stand-in that you correct in Edit Mode",
     )
+    triangles: bpy.props.IntProperty(
+        name="Triangles",
+        description="Simplify a mesh with more triangles to about this number: a scan when it is imported,"
+        " or any room by Simplify Room. 0 keeps all",
+        default=0,
+        min=0,
+        soft_max=2_000_000,
+        step=10_000,
+    )
     undo_applied_transform: bpy.props.BoolProperty(
         name="Undo Applied Transform",
         description="For transforms.json: the mesh has the coordinates from before nerfstudio applied its"

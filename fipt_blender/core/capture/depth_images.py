@@ -8,7 +8,7 @@ import hashlib
 import json
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from ..depth.cleaning import with_closed_holes, without_specks
 from ..depth.extraction import FusedMesh, extract
 from ..depth.ply import write_ply
 from ..depth.range_image import RangeImage
+from ..depth.simplification import LEAST_TRIANGLES, simplified
 from ..depth.volume import BlockVolume
 from ..run.documents import read_json
 from ..run.errors import FiptError
@@ -45,10 +46,12 @@ class FusionOptions:
     Attributes:
         voxel: metres.
         close_holes: metres; holes that are not wider are closed, none with 0.
+        triangles: a mesh with more is simplified to this number; 0 for none.
     """
 
     voxel: float = DEFAULT_VOXEL
     close_holes: float = 0.0
+    triangles: int = 0
 
     def check(self) -> None:
         """Refuse impossible values.
@@ -61,6 +64,12 @@ class FusionOptions:
                 "setting-invalid",
                 f"Voxels of {self.voxel:g} m or closed holes of {self.close_holes:g} m are impossible.",
                 f"Set voxels from {SMALLEST_VOXEL:g} to {LARGEST_VOXEL:g} meters.",
+            )
+        if self.triangles != 0 and self.triangles < LEAST_TRIANGLES:
+            raise FiptError(
+                "setting-invalid",
+                f"A room can't have {self.triangles} triangles.",
+                f"Set at least {LEAST_TRIANGLES} triangles, or 0 to keep all.",
             )
 
 
@@ -204,6 +213,8 @@ def fuse(
             "The depth images agree on no surface.",
             "Check their unit (--depth-unit) and the poses, or give a mesh (--mesh).",
         )
+    if options.triangles:
+        mesh = simplified(mesh, options.triangles)
     progress(1.0)
     return FusedMesh(mesh.vertices / np.float32(scale), mesh.triangles, mesh.colors)
 
@@ -260,7 +271,7 @@ class Fusion:
             if photograph is not None:
                 camera += [*photograph.lens.parameters, *photograph.camera_to_world.ravel().tolist()]
             entries.append([states, camera])
-        data = [PRODUCT_VERSION, self.options.voxel, self.options.close_holes, self.scale, entries]
+        data = [PRODUCT_VERSION, astuple(self.options), self.scale, entries]
         return hashlib.sha256(json.dumps(data).encode()).hexdigest()
 
 

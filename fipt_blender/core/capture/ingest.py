@@ -32,6 +32,7 @@ from .ingest_options import IngestOptions, check_options, options_of
 from .ingest_options import add_arguments as add_arguments  # of the command
 from .points_room import room_note, room_of_points, write_room
 from .rig import Pinhole, Rig, RigView
+from .simplified_mesh import simplified_mesh, write_simplified
 from .views import CAPTURE_FORMAT, CAPTURE_VERSION
 
 ID_IMAGES = ("parts", "semantics", "mask")
@@ -61,7 +62,10 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     if options.align_mesh:
         rig = aligned_to_mesh(capture.absolute(), rig, mesh)
     planes = room_of_points(capture.absolute(), rig) if options.plane_room and mesh is None else None
-    for note in [*rig.notes, *([] if planes is None else [room_note(planes)])]:
+    budget = options.fusion.triangles
+    fewer = simplified_mesh(mesh, budget) if budget and mesh is not None else None
+    notes = [] if planes is None else [room_note(planes)]
+    for note in [*rig.notes, *notes, *([] if fewer is None else [fewer[1]])]:
         reporter.warning(note.code, note.text, note.remedy)
     views = _assign_splits(_chosen(unique_names(rig.views), options.most_views), options.hold_back)
     _check_files(views)
@@ -95,6 +99,9 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
         run_folder.create(make_settings())
     if fusion is not None:
         mesh = run_folder.fused_ply if fused is None else fusion.keep(fused)
+    if fewer is not None:
+        mesh = run_folder.simplified_ply
+        write_simplified(mesh, fewer[0])
     if planes is not None:
         mesh = run_folder.planes_obj
         write_room(mesh, planes)

@@ -32,7 +32,7 @@ class IngestOptions:
         align_mesh: move the cameras to the mesh by the solve's sparse points.
         plane_room: make a room of planes from the solve's sparse points where the capture has no mesh.
         most_views: photographs that are used, evenly spread over all of a capture; 0 for all.
-        fusion: how depth images are fused where the capture has no mesh.
+        fusion: how depth images are fused where the capture has no mesh, and the mesh's budget of triangles.
         read: options of the readers.
     """
 
@@ -112,6 +112,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="close holes of fused meshes up to that",
     )
     parser.add_argument(
+        "--triangles",
+        type=int,
+        default=0,
+        metavar="N",
+        help="simplify a mesh with more triangles to about N; 0 for none",
+    )
+    parser.add_argument(
         "--depth-unit", type=float, default=0.001, metavar="METRES", help="unit of 16-bit depth images"
     )
 
@@ -128,7 +135,7 @@ def options_of(arguments: argparse.Namespace) -> IngestOptions:
         align_mesh=arguments.align_mesh,
         plane_room=arguments.plane_room,
         most_views=arguments.views,
-        fusion=FusionOptions(arguments.voxel, arguments.close_holes),
+        fusion=FusionOptions(arguments.voxel, arguments.close_holes, arguments.triangles),
         read=ReadOptions(
             arguments.images, arguments.undo_applied_transform, arguments.depth_unit, arguments.own_paths
         ),

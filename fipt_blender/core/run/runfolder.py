@@ -38,6 +38,7 @@ class RunFolder:
         self.images = self.root / "images"
         self.fused_ply = self.root / "fused.ply"
         self.planes_obj = self.root / "planes.obj"
+        self.simplified_ply = self.root / "simplified.ply"
         self.fused_json = self.root / "fused.json"
         self.room_npz = self.root / "room.npz"
         self.room_json = self.root / "room.json"
