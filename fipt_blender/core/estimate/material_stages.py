@@ -10,8 +10,9 @@ from functools import partial
 import numpy as np
 
 from ..light.evidence import find_emission
+from ..light.lamp_doubt import light_errors
 from ..light.reflecting import separate
-from ..material.cell_errors import cell_errors
+from ..material.cell_errors import add_light_errors, cell_errors, lit_cells
 from ..material.closed_form import (
     MARKED_SHARE,
     CellEstimate,
@@ -229,16 +230,7 @@ class MaterialStages(EstimationState):
         _, emitting = self._emitters()
         shadings = self._open_shadings()
         left_alone = self.observations.left_alone
-        errors = cell_errors(
-            self.pixels,
-            self.units,
-            shadings,
-            self._closed_form()[0],
-            self._fields(),
-            self.cells,
-            emitting if left_alone is None else emitting | left_alone,
-            self.settings.seed,
-        )
+        errors = self._cell_errors(emitting if left_alone is None else emitting | left_alone)
         fixtures, colors = self.fixtures, np.zeros((len(self.fixtures), 3))
         if not len(self.emission):
             pixels = lamp_pixels(self.pixels, shadings, emitting, self.settings.seed)
@@ -251,6 +243,19 @@ class MaterialStages(EstimationState):
         write_left_alone(self.folder, left_alone)
         self._write_doubts(np.array([*names, ""], object)[fields.units.triangle])
         write_json(self.folder.statistics_json, self.summary())
+
+    def _cell_errors(self, unused: np.ndarray) -> np.ndarray:
+        """(C, 3) standard errors in the seen cells, without the pixels of `unused` triangles (T,)."""
+        shadings, seed = self._open_shadings(), self.settings.seed
+        data, fields = self._closed_form()[0], self._fields()
+        errors = cell_errors(self.pixels, self.units, shadings, data, fields, self.cells, unused, seed)
+        if self.room.scan is None or not self.fixtures:
+            return errors
+        lit = lit_cells(self.pixels, self.units, shadings, fields, self.cells, unused, seed)
+        # Detail finer than an edge is lost, and so is the place of what lights and what hides.
+        edge = float(np.median(self.room.scan.adjacency.length))
+        of_light = light_errors(self.room, self.fixtures, (lit.points, lit.normals), edge, seed)
+        return add_light_errors(errors, lit, of_light)
 
     def _write_doubts(self, names: np.ndarray) -> None:
         data, initial, _, bright = self._closed_form()

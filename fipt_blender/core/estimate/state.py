@@ -25,7 +25,6 @@ from ..light.joint import joint_fixtures
 from ..light.observations import Observations
 from ..light.shadings import roughness_levels
 from ..material.closed_form import CellEstimate
-from ..material.confidence import errors_on_scan
 from ..material.emission_mask import EmissionNetwork
 from ..material.fields import RoomFields
 from ..material.groups import Units
@@ -308,9 +307,8 @@ class EstimationState:
 
     def _room_fields(self, errors: np.ndarray | None = None) -> RoomFields:
         """The estimate on all surfaces; with `errors` (:func:`cell_errors`) shrunk towards its units."""
-        if errors is not None and self.room.scan is not None:
-            errors = errors_on_scan(errors)
-        return RoomFields(self._fields(), self.units, self.cells, errors)
+        scan = errors is not None and self.room.scan is not None
+        return RoomFields(self._fields(), self.units, self.cells, errors, scan)
 
     @cached_property
     def _emitter_surfaces(self) -> EmitterSurfaces:

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..light.baking import ShadingStore
@@ -42,11 +44,7 @@ def cell_errors(
         emitting: (T,) bool emitting triangles; their pixels are not used.
     """
     errors = np.full((len(cells.keys), 3), UNIFORM_DEVIATION, np.float32)
-    rng = np.random.default_rng([seed, 5])
-    probability = PIXELS / max(len(pixels), 1)
-    rows = np.concatenate(
-        [_sample_view(pixels, view, ~emitting, probability, rng) for view in range(len(pixels.views))]
-    )
+    rows = _sample_rows(pixels, ~emitting, seed)
     if not len(rows):
         return errors
     position = np.asarray(pixels.position[rows])
@@ -78,11 +76,81 @@ def cell_errors(
     return errors
 
 
+@dataclass(frozen=True)
+class LitCells:
+    """The K cells that pure pixels saw.
+
+    Attributes:
+        cell: (K,) int64 index of each.
+        points, normals: (K, 3) a seen point, metres, and the mean unit normal on the seen side.
+        color: (K,) mean base colour.
+        diffuse: (K,) mean L_d.
+    """
+
+    cell: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+    color: np.ndarray
+    diffuse: np.ndarray
+
+
+def lit_cells(
+    pixels: PixelStore,
+    units: Units,
+    shadings: ShadingStore,
+    fields: Fields,
+    cells: SeenCells,
+    emitting: np.ndarray,
+    seed: int,
+) -> LitCells:
+    """The cells with the light on them; arguments as of :func:`cell_errors`."""
+    rows = _sample_rows(pixels, ~emitting, seed)
+    position = np.asarray(pixels.position[rows])
+    unit = units.triangle[pixels.triangle[rows]]
+    seen, place = np.unique(
+        np.searchsorted(cells.keys, cell_keys(fields.box, position, unit)), return_inverse=True
+    )
+    count = np.maximum(np.bincount(place, minlength=len(seen)), 1)[:, None]
+
+    def means(values: np.ndarray) -> np.ndarray:
+        columns = [np.bincount(place, column, minlength=len(seen)) for column in values.T]
+        return np.stack(columns, axis=1) / count
+
+    normals = means(np.asarray(pixels.normal[rows]).astype(np.float64))
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-6)
+    diffuse = means(np.asarray(shadings.diffuse[rows]).astype(np.float64)).mean(axis=1)
+    color = fields.query(cells.points[seen], cells.part[seen])[0].mean(axis=1)
+    return LitCells(seen, cells.points[seen].astype(np.float64), normals, color, diffuse)
+
+
+def add_light_errors(errors: np.ndarray, lit: LitCells, light_errors: np.ndarray) -> np.ndarray:
+    """Standard errors (C, 3) with what the error of the light adds to that of base colour.
+
+    The relative error of a base colour is that of its L_d.
+
+    Args:
+        light_errors: (K,) standard errors of the L_d of `lit`.
+    """
+    result = errors.copy()
+    relative = light_errors / np.maximum(lit.diffuse, 1e-9)
+    total = np.hypot(errors[lit.cell, 0], lit.color * relative)
+    result[lit.cell, 0] = np.minimum(total, UNIFORM_DEVIATION)
+    return result
+
+
 def groups_of_cells(units: Units, fields: Fields, cells: SeenCells) -> np.ndarray:
     """(C,) int64 group of each cell: its unit if that is of one material, else its block of cells."""
     blocks = (fields.box.normalise(cells.points) * (RESOLUTION // BLOCK)).astype(np.int64) @ (1, 64, 64**2)
     blocks = np.where(units.is_single(cells.part), 0, blocks)
     return np.unique((cells.part.astype(np.int64) + 1) * 64**3 + blocks, return_inverse=True)[1]
+
+
+def _sample_rows(pixels: PixelStore, marked: np.ndarray, seed: int) -> np.ndarray:
+    """(n,) int64 about `PIXELS` pure pixels that see marked triangles."""
+    rng = np.random.default_rng([seed, 5])
+    probability = PIXELS / max(len(pixels), 1)
+    views = range(len(pixels.views))
+    return np.concatenate([_sample_view(pixels, view, marked, probability, rng) for view in views])
 
 
 def _sample_view(

@@ -20,7 +20,7 @@ from ..run.errors import FiptError
 from ..run.runfolder import RunFolder, atomic_path
 from ..run.shapes import FIELDS_ARRAYS, PARTS_ARRAYS
 from ..scene.labels import NO_PART
-from .confidence import UNIFORM_DEVIATION, confidence
+from .confidence import UNIFORM_DEVIATION, confidence, errors_on_scan
 from .groups import Units
 from .inference import Fields
 from .networks import BrdfNetwork
@@ -42,6 +42,7 @@ class RoomFields:
         cells: where the photographs saw surfaces.
         errors: (C, 3) float32 standard errors of base colour, roughness and metallic in each cell
             (:func:`.cell_errors.cell_errors`); None if they are not known.
+        scan: whether the mesh is a scan: confidence is less there (:func:`.confidence.errors_on_scan`).
     """
 
     def __init__(
@@ -50,8 +51,9 @@ class RoomFields:
         units: Units,
         cells: SeenCells,
         errors: np.ndarray | None = None,
+        scan: bool = False,
     ) -> None:
-        self.fields, self.units, self.cells = fields, units, cells
+        self.fields, self.units, self.cells, self.scan = fields, units, cells, scan
         unknown = np.full((len(cells.keys), 3), UNIFORM_DEVIATION, np.float32)
         self.errors = unknown if errors is None else errors
         values = _columns(fields.query(cells.points, cells.part))
@@ -98,7 +100,8 @@ class RoomFields:
         See :func:`.confidence.confidence`; arguments as in :meth:`query`.
         """
         place = self.cells.find(self.fields.box, positions, self.units.triangle[triangles])
-        of_cell = np.append(confidence(self.errors), np.zeros((1, 3), np.float32), axis=0)
+        errors = errors_on_scan(self.errors) if self.scan else self.errors
+        of_cell = np.append(confidence(errors), np.zeros((1, 3), np.float32), axis=0)
         return of_cell[place]  # unseen points have -1, the last row
 
     @classmethod
@@ -143,12 +146,13 @@ class RoomFields:
         box = Box(arrays["box_low"].astype(np.float64), float(arrays["box_extent"]))
         cells = SeenCells(arrays["seen_keys"], arrays["seen_points"], arrays["seen_part"])
         units = Units(parts["triangle_part"], parts["single"], parts.get("fixed"))
-        return cls(Fields(network, box), units, cells, arrays["seen_errors"])
+        return cls(Fields(network, box), units, cells, arrays["seen_errors"], "scan" in arrays)
 
     def save(self, run: RunFolder) -> None:
         """Write results/fields.npz and parts.npz."""
         network, box = self.fields.network, self.fields.box
         state = {f"network/{name}": value.cpu().numpy() for name, value in network.state_dict().items()}
+        scan = {"scan": np.bool_(True)} if self.scan else {}
         with atomic_path(run.fields_npz) as temporary:
             np.savez(
                 temporary,
@@ -159,6 +163,7 @@ class RoomFields:
                 seen_points=self.cells.points,
                 seen_part=self.cells.part,
                 seen_errors=self.errors,
+                **scan,
                 **state,
             )
         with atomic_path(run.parts_npz) as temporary:
