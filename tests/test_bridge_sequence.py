@@ -252,6 +252,22 @@ def test_jobs_that_share_a_record_forget_their_own_steps_alone(tmp_path):
     assert (record.key("a"), record.key("b")) == ("key", None)
 
 
+def test_two_records_of_one_file_keep_what_the_other_has_stored(tmp_path):
+    path = tmp_path / "steps.json"
+    StepRecord(path).store("old", "key", finished=True)
+    first, second = StepRecord(path), StepRecord(path)
+    first.store("a", "1", finished=True)
+    second.forget(["old"])
+    second.store("b", "2", finished=False)
+    first.store("a", "3", finished=True)
+    read = StepRecord(path)
+    assert [read.key(name) for name in ("old", "a", "b")] == [None, "3", "2"]
+    path.write_text("{")  # damaged while both are at work
+    second.store("b", "4", finished=True)
+    read = StepRecord(path)
+    assert not read.problem and [read.key(name) for name in ("a", "b")] == ["1", "4"]
+
+
 def test_warnings_are_kept_for_the_report(tmp_path):
     warning = {"type": "warning", "code": "c", "text": "t", "remedy": "r"}
     step = Step("x", "X", 1.0, function=lambda: [warning])

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -65,7 +66,8 @@ class Step:
 class StepRecord:
     """The file steps.json: key, finished, seconds and warnings by the name of a step.
 
-    A damaged file counts as none.
+    A damaged file counts as none. Another Blender may work on the same run folder: what it has recorded
+    meanwhile stays in the file.
 
     Attributes:
         problem: why the file could not be read, "" without a problem.
@@ -74,12 +76,10 @@ class StepRecord:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._steps: dict[str, dict[str, Any]] = {}
+        self._changed: set[str] = set()  # steps that this record has stored or forgotten
         self.problem = ""
         try:
-            if path.exists():
-                data = read_json(path, STEPS)
-                if data["version"] == STEPS_VERSION:
-                    self._steps = data["steps"]
+            self._steps = self._read()
         except FiptError as error:
             self.problem = error.text
 
@@ -95,6 +95,7 @@ class StepRecord:
         """Forget the entries of some steps; the file is written with the next `store`."""
         for name in names:
             self._steps.pop(name, None)
+            self._changed.add(name)
 
     def finished(self, step: Step, key: str) -> bool:
         """Whether a step is finished with this key and its outputs exist."""
@@ -123,7 +124,28 @@ class StepRecord:
             "seconds": round(seconds, 2),
             "warnings": list(warnings),
         }
+        self._changed.add(name)
+        self._take_others()
         write_json(self._path, {"format": "fipt-steps", "version": STEPS_VERSION, "steps": self._steps})
+
+    def _read(self) -> dict[str, dict[str, Any]]:
+        """The steps in the file.
+
+        Raises:
+            FiptError: ``file-damaged``.
+        """
+        if not self._path.exists():
+            return {}
+        data = read_json(self._path, STEPS)
+        steps: dict[str, dict[str, Any]] = data["steps"] if data["version"] == STEPS_VERSION else {}
+        return steps
+
+    def _take_others(self) -> None:
+        """Take what others have written into the file since it was read."""
+        with suppress(FiptError):  # damaged since: it is written anew
+            others = {name: entry for name, entry in self._read().items() if name not in self._changed}
+            own = {name: entry for name, entry in self._steps.items() if name in self._changed}
+            self._steps = {**others, **own}
 
 
 def chain_keys(steps: Sequence[Step]) -> list[str]:
