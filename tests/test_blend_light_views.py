@@ -10,7 +10,7 @@ import pytest
 from mathutils import Vector
 
 from fipt_blender.blend.lights import eevee, new_lights, outline
-from fipt_blender.blend.marks import VISIBILITY, light_probe
+from fipt_blender.blend.marks import KEPT_EEVEE, VISIBILITY, light_probe
 from samples.applied_rooms import make_scene, use_fake_engine
 
 ops = bpy.ops.fipt
@@ -81,7 +81,11 @@ def test_a_light_is_aimed_and_its_beam_ends_on_the_room():
 
 def test_the_room_is_set_up_for_eevee_and_reverted(scene):
     assert scene.render.engine == "CYCLES" and not scene.fipt.lights.needs_cycles()
+    jitter = bpy.data.lights["sun"].use_shadow_jitter
+    settings = {name: getattr(scene.eevee, name) for name in ("use_raytracing", "use_shadow_jitter_viewport")}
+    assert not jitter and not settings["use_raytracing"]
     assert ops.prepare_eevee() == {"FINISHED"}
+    assert scene.eevee.use_raytracing and bpy.data.lights["sun"].use_shadow_jitter
     assert "EEVEE" in scene.render.engine and not scene.fipt.lights.needs_cycles()
     (fixture,) = [row.object for row in scene.fipt.lights.lights]
     assert VISIBILITY in fixture and len(fixture.children) == 1
@@ -96,6 +100,17 @@ def test_the_room_is_set_up_for_eevee_and_reverted(scene):
         ops.bake_probe()
     ops.revert()
     assert not bpy.data.lightprobes and not ops.bake_probe.poll() and not ops.prepare_eevee.poll()
+    assert not bpy.data.lights["sun"].use_shadow_jitter
+    assert settings == {name: getattr(scene.eevee, name) for name in settings}
+
+
+def test_revert_restores_cycles_after_the_set_up_for_eevee(scene):
+    ops.revert()
+    scene.render.engine = "CYCLES"
+    ops.apply_results()
+    ops.prepare_eevee()
+    ops.revert()
+    assert scene.render.engine == "CYCLES" and KEPT_EEVEE not in scene
 
 
 def test_a_room_is_needed_for_eevee(scene):

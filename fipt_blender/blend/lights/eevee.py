@@ -7,14 +7,16 @@ EEVEE renders neither the light of emissive surfaces nor, without a baked volume
 
 from __future__ import annotations
 
+import json
 import math
+from contextlib import suppress
 
 import bpy
 import numpy as np
 from mathutils import Matrix
 
 from ...core.run.errors import FiptError
-from ..marks import PROBE, VISIBILITY, fixtures_of, light_probe
+from ..marks import KEPT_EEVEE, PROBE, VISIBILITY, fixtures_of, light_probe, remove_marks
 from ..outliner import LIGHTS, collection
 from ..room.mesh_arrays import world_bounds
 from .convert import fixture_to_lights
@@ -22,11 +24,14 @@ from .convert import fixture_to_lights
 SPACING = 0.4  # metres between the samples of the volume
 _MIN, _MAX = 4, 32  # samples along an axis
 _MARGIN = 0.02  # of each extent by which the volume exceeds the room
+_SETTINGS = ("use_raytracing", "use_shadows", "use_shadow_jitter_viewport")  # that are switched on
 ENGINES = ("BLENDER_EEVEE_NEXT", "BLENDER_EEVEE")  # 4.2 to 4.5; from 5.0
 
 
 def prepare(scene: bpy.types.Scene) -> list[str]:
     """Make EEVEE the scene's engine, with its lights and a volume; `bake` must follow.
+
+    `restore_eevee` undoes the change of engine and settings.
 
     Returns:
         Names of the fixtures whose Blender lights differ from them in shape.
@@ -54,6 +59,7 @@ def use_eevee(scene: bpy.types.Scene) -> None:
     Raises:
         FiptError: ``engine-missing``.
     """
+    before = scene.render.engine
     for engine in ENGINES:
         try:
             scene.render.engine = engine
@@ -62,11 +68,31 @@ def use_eevee(scene: bpy.types.Scene) -> None:
         break
     else:
         raise FiptError("engine-missing", "This Blender has no EEVEE.", "Use Cycles.")
-    scene.eevee.use_raytracing = True
-    scene.eevee.use_shadows = True
-    scene.eevee.use_shadow_jitter_viewport = True
-    for light in (item.data for item in scene.objects if item.type == "LIGHT"):
-        light.use_shadow_jitter = True  # soft shadows
+    hard = [item for item in scene.objects if item.type == "LIGHT" and not item.data.use_shadow_jitter]
+    if KEPT_EEVEE not in scene:
+        settings = {name: getattr(scene.eevee, name) for name in _SETTINGS}
+        names = [item.name for item in hard]
+        scene[KEPT_EEVEE] = json.dumps({"engine": before, "settings": settings, "hard": names})
+    for name in _SETTINGS:
+        setattr(scene.eevee, name, True)
+    for item in hard:
+        item.data.use_shadow_jitter = True  # soft shadows
+
+
+def restore_eevee(scene: bpy.types.Scene) -> None:
+    """Restore the settings of EEVEE and lights, and the engine unless the artist has chosen another one."""
+    if KEPT_EEVEE not in scene:
+        return
+    kept = json.loads(scene[KEPT_EEVEE])
+    remove_marks(scene, KEPT_EEVEE)
+    for name, value in kept["settings"].items():
+        setattr(scene.eevee, name, value)
+    for item in (scene.objects.get(name) for name in kept["hard"]):
+        if item is not None and item.type == "LIGHT":
+            item.data.use_shadow_jitter = False
+    if scene.render.engine in ENGINES:
+        with suppress(TypeError):  # an add-on that was removed since
+            scene.render.engine = kept["engine"]
 
 
 def place_volume(scene: bpy.types.Scene, low: np.ndarray, high: np.ndarray) -> bpy.types.Object:

@@ -8,6 +8,7 @@ import bpy
 
 from ..capture.backdrop import clear_view
 from ..lights import light_state
+from ..lights.eevee import restore_eevee
 from ..lights.light_groups import remove_light_groups
 from ..lights.world import restore_world
 from ..marks import added_lights, is_split_off, light_probe, room_with_results
@@ -50,6 +51,7 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> list[str]:
     if target is not None and not target.all_objects:
         bpy.data.collections.remove(target)
     mute_other_lights(scene, False)
+    restore_eevee(scene)
     restore_scene(scene)
     settings.parts.clear()
     for name in ("active_part", "object_count", "image_count", "applied_mode", "kept_before", "kept_view"):
