@@ -18,14 +18,24 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
         ("import_capture", ""),
         ("import_mesh", ""),
         ("set_room", ""),
+        ("simplify_room", ""),
         ("use_scene_cameras", ""),
         ("look_through", "Look Through View"),
+        ("pick_pair", "Pick Points for Alignment"),
+        ("align_by_pairs", ""),
         ("check_views", ""),
         ("show_coverage", ""),
         ("try_example", ""),
     ),
     "Parts": (("show_parts", ""),),
-    "Estimate": (("estimate", ""), ("resume", "Resume Estimate"), ("cancel", "Cancel Job")),
+    "Estimate": (
+        ("estimate", ""),
+        ("resume", "Resume Estimate"),
+        ("cancel", "Cancel Job"),
+        ("add_hint", "Add Hint on Part"),
+        ("read_doubts", ""),
+        ("reestimate", ""),
+    ),
     "Materials": (
         ("apply_results", ""),
         ("pick_part", "Pick Part of Room"),
@@ -38,6 +48,7 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
     "Lights": (
         ("add_light", "Add Light to Room"),
         ("aim_light", ""),
+        ("add_missing_lamps", ""),
         ("select_light", "Select Light of the List"),
         ("reset_light", ""),
         ("keyframe_lights", ""),
@@ -70,7 +81,7 @@ _keymap_items: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
 
 
 class FIPT_MT_main(bpy.types.Menu):
-    """All operators, by the sections of the sidebar"""
+    """The operators of the sidebar, by its sections"""
 
     bl_label = "FIPT"
 

@@ -39,7 +39,7 @@ _VARIABLES = {
     "stops": f'["{STOPS}"]',
     **{name: f'["{COLOR}"][{channel}]' for channel, name in enumerate("rgb")},
 }
-# Its owner and path, index (-1 for a number) and expression.
+# What is driven: its owner and path, its index (-1 for a number), and the expression.
 _Driven = tuple[bpy.types.bpy_struct, str, int, str]
 
 
@@ -130,12 +130,12 @@ def _driven(item: bpy.types.Object) -> Iterator[_Driven]:
             node = material.node_tree.nodes.get(name)
             if node is None:
                 continue
-            yield node.inputs["Strength"], "default_value", -1, _strength(item.get(key, _OFF))
+            yield node.inputs["Strength"], "default_value", -1, _strength_expression(item.get(key, _OFF))
             for channel, letter in enumerate("rgb"):
                 yield node.inputs["Color"], "default_value", channel, letter
     lights = fixture_lights(item) if item.type == "MESH" else [item]
     for light in lights:
-        yield light.data, "energy", -1, _strength(light.get(BASE, _OFF))
+        yield light.data, "energy", -1, _strength_expression(light.get(BASE, _OFF))
         for channel, letter in enumerate("rgb"):
             yield light.data, "color", channel, letter
 
@@ -147,8 +147,8 @@ def _material(item: bpy.types.Object) -> bpy.types.Material | None:
     return None if material.node_tree is None else material
 
 
-def _strength(base: Sequence[float]) -> str:
-    """Strength of the color whose luminance times it is that of `base` at the light's power, or 0."""
+def _strength_expression(base: Sequence[float]) -> str:
+    """The strength of the color whose luminance times it is that of `base` at the light's power, or 0."""
     weighted = " + ".join(f"{weight} * {letter}" for weight, letter in zip(LUMINANCE, "rgb", strict=True))
     shines = "(lit if gate == 0 else gate > 0)"
     return f"{shines} * {luminance(base):.9g} * pow(2, stops) / max({weighted}, 1e-6)"
@@ -164,10 +164,9 @@ def _find_driver(owner: bpy.types.bpy_struct, path: str, index: int) -> bpy.type
 
 def _remove_keyframes(item: bpy.types.Object, path: str) -> None:
     """Remove an object's F-curves of a path, from the action's channels of this object only."""
-    data = item.animation_data
-    bag = _channels(data)
-    for curve in [curve for curve in bag if curve.data_path == path]:
-        bag.remove(curve)
+    curves = _channels(item.animation_data)
+    for curve in [curve for curve in curves if curve.data_path == path]:
+        curves.remove(curve)
 
 
 def _channels(data: bpy.types.AnimData) -> bpy.types.bpy_prop_collection:
