@@ -15,7 +15,7 @@ from mathutils import Matrix, Vector
 from fipt_blender.blend.lights import light_drivers, light_states
 from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
 from fipt_blender.core.run.errors import FiptError
-from samples.applied_rooms import RADIANCE, make_scene, use_fake_engine
+from samples.applied_rooms import RADIANCE, make_applied_scene
 
 ops = bpy.ops.fipt
 
@@ -24,10 +24,7 @@ pytestmark = pytest.mark.usefixtures("registered")
 
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
-    use_fake_engine(monkeypatch)
-    scene = make_scene(tmp_path / "run")
-    assert ops.apply_results() == {"FINISHED"}
-    return scene
+    return make_applied_scene(tmp_path / "run", monkeypatch)
 
 
 def front(item: bpy.types.Object) -> np.ndarray:

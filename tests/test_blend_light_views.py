@@ -11,7 +11,7 @@ from mathutils import Vector
 
 from fipt_blender.blend.lights import eevee, new_lights, outline
 from fipt_blender.blend.marks import KEPT_EEVEE, VISIBILITY, light_probe
-from samples.applied_rooms import make_scene, use_fake_engine
+from samples.applied_rooms import make_applied_scene
 
 ops = bpy.ops.fipt
 
@@ -20,10 +20,7 @@ pytestmark = pytest.mark.usefixtures("registered")
 
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
-    use_fake_engine(monkeypatch)
-    scene = make_scene(tmp_path / "run")
-    assert ops.apply_results() == {"FINISHED"}
-    return scene
+    return make_applied_scene(tmp_path / "run", monkeypatch)
 
 
 def test_the_outline_of_an_open_mesh_is_its_border():

@@ -13,7 +13,7 @@ from mathutils import Matrix, Vector
 
 from fipt_blender.blend.marks import has_light_groups
 from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
-from samples.applied_rooms import make_scene, use_fake_engine, world_strength
+from samples.applied_rooms import make_applied_scene, world_strength
 
 ops = bpy.ops.fipt
 
@@ -22,10 +22,7 @@ pytestmark = pytest.mark.usefixtures("registered")
 
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
-    use_fake_engine(monkeypatch)
-    scene = make_scene(tmp_path / "run")
-    assert ops.apply_results() == {"FINISHED"}
-    return scene
+    return make_applied_scene(tmp_path / "run", monkeypatch)
 
 
 def test_light_groups_sum_to_the_image(scene, tmp_path):

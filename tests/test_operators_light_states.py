@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
-from samples.applied_rooms import RADIANCE, front, make_scene, use_fake_engine
+from samples.applied_rooms import RADIANCE, front, make_applied_scene
 from samples.operator_calls import refused
 
 ops = bpy.ops.fipt
@@ -18,10 +18,7 @@ pytestmark = pytest.mark.usefixtures("registered")
 
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
-    use_fake_engine(monkeypatch)
-    scene = make_scene(tmp_path / "run")
-    assert ops.apply_results() == {"FINISHED"}
-    return scene
+    return make_applied_scene(tmp_path / "run", monkeypatch)
 
 
 def test_states_are_saved_recalled_blended_and_removed(scene):

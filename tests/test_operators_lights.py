@@ -14,7 +14,14 @@ from mathutils import Vector
 
 from fipt_blender.blend.lights.color import blackbody, luminance, temperature_of
 from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
-from samples.applied_rooms import RADIANCE, front, make_scene, use_fake_engine, world_strength
+from samples.applied_rooms import (
+    RADIANCE,
+    front,
+    make_applied_scene,
+    make_scene,
+    use_fake_engine,
+    world_strength,
+)
 from samples.operator_calls import refused
 
 ops = bpy.ops.fipt
@@ -24,10 +31,7 @@ pytestmark = pytest.mark.usefixtures("registered")
 
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
-    use_fake_engine(monkeypatch)
-    scene = make_scene(tmp_path / "run")
-    assert ops.apply_results() == {"FINISHED"}
-    return scene
+    return make_applied_scene(tmp_path / "run", monkeypatch)
 
 
 @pytest.mark.parametrize("kelvin", [1200.0, 1900.0, 2700.0, 4000.0, 6504.0, 12000.0])

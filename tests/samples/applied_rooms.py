@@ -113,6 +113,14 @@ def make_scene(folder: Path, environment: bool = True) -> bpy.types.Scene:
     return scene
 
 
+def make_applied_scene(folder: Path, monkeypatch) -> bpy.types.Scene:
+    """The file of `make_scene` with its run's results applied, by an engine that bakes `ConstantFields`."""
+    use_fake_engine(monkeypatch)
+    scene = make_scene(folder)
+    assert bpy.ops.fipt.apply_results() == {"FINISHED"}
+    return scene
+
+
 def front(item: bpy.types.Object) -> np.ndarray:
     """Radiance (3,) of a fixture's front in its material."""
     node = item.data.materials[0].node_tree.nodes["FIPT Front"]
