@@ -84,9 +84,9 @@ def draw_engine_choice(layout: bpy.types.UILayout, context: bpy.types.Context) -
     """What is wrong in EEVEE, and what can be done about it."""
     text = "The room is lit by the surfaces of its lamps, whose light EEVEE does not render: it is dark."
     draw_text(layout, context, iface_(text), icon="ERROR")
-    row = layout.row(align=True)
-    row.operator("fipt.use_cycles", icon="SHADING_RENDERED")
-    row.operator("fipt.prepare_eevee", icon="OUTLINER_OB_LIGHTPROBE")
+    column = layout.column(align=True)
+    column.operator("fipt.use_cycles", icon="SHADING_RENDERED")
+    column.operator("fipt.prepare_eevee", icon="OUTLINER_OB_LIGHTPROBE")
 
 
 def _draw_light(layout: bpy.types.UILayout, light: bpy.types.PropertyGroup | None) -> None:
@@ -218,9 +218,10 @@ class FIPT_PT_light_output(SubSection, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("fipt.hide_other_lights", text="Hide", icon="HIDE_ON").hide = True
         row.operator("fipt.hide_other_lights", text="Show", icon="HIDE_OFF").hide = False
-        row = layout.row(align=True)
+        column = layout.column(align=True)
         if context.scene.render.engine != "CYCLES":
-            row.operator("fipt.use_cycles", icon="SHADING_RENDERED")
+            column.operator("fipt.use_cycles", icon="SHADING_RENDERED")
+        row = column.row(align=True)
         row.operator("fipt.prepare_eevee", icon="OUTLINER_OB_LIGHTPROBE")
         row.operator("fipt.bake_probe", text="", icon="RENDER_STILL")
         row = layout.row(align=True)

@@ -162,7 +162,7 @@ class Hand(Blender):
         columns += [width - unit * (0.9 + n) for n in range(4)] + [unit * (1.0 + n) for n in range(3)]
         columns += [width * 0.5, width * 0.8]
         for column in columns:
-            for y in range(top + 4, top + height - 4, round(unit * 0.45)):
+            for y in range(top + 4, top + height - 4, round(unit * 0.75)):  # the lowest buttons have 0.8
                 place = (left + round(column), y)
                 self.display.move(*place, 1)
                 report = self.under(where)

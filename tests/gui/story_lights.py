@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from chapters import Options, finish
+from chapters import Options
 from hand import VIEW
 from window import Window
 
@@ -12,10 +12,7 @@ _PICTURE = ("IMAGE_EDITOR", "WINDOW")
 
 
 def light_states(window: Window, options: Options) -> None:
-    """Apply the results again, select a lamp, save states, recall and keyframe them."""
-    window.open_section("Materials")
-    window.click("fipt.apply_results")
-    finish(window, "materials")
+    """Select a lamp, save states, recall and keyframe them."""
     window.open_section("Capture", "Views")
     window.click_row("capture.active_view", 1)
     window.open_section("Lights")

@@ -4,17 +4,14 @@
 
 from __future__ import annotations
 
-from chapters import Options, finish
+from chapters import Options
 from window import Window
 
 _LIST = ("Materials", "Materials of Parts")
 
 
 def part_materials(window: Window, options: Options) -> None:
-    """Apply again, pick a part in the viewport, adjust it, select its faces, mark it as an asset."""
-    window.open_section("Materials")
-    window.click("fipt.apply_results")
-    finish(window, "materials")
+    """Pick a part in the viewport, adjust it, select its faces, mark it as an asset."""
     window.open_section("Capture", "Views")
     window.click_row("capture.active_view", 1)
     window.open_section(*_LIST)

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -46,7 +45,8 @@ from .part_list import write_part_list
 from .results import RoomLight, write_results
 from .state import EstimationState, Facts
 
-# Steps of a training that continues with hints, as a share of the first one's.
+# The last steps of the training that are repeated with hints, as a share of all: high learning rates would
+# unlearn what the hints say nothing of.
 AGAIN_SHARE = 1.0 / 3.0
 
 
@@ -168,7 +168,8 @@ class MaterialStages(EstimationState):
     def _train_again(self) -> Facts:
         """Continue from the networks that were trained without these hints.
 
-        The networks add detail to the typical values of the units, which are those of the new closed form.
+        The networks add detail to the typical values of the units, those of the new closed form. The
+        training's last steps are repeated.
         """
         data, initial, _, _ = self._closed_form()
         networks = self._new_networks(initial)
@@ -179,8 +180,8 @@ class MaterialStages(EstimationState):
         except (FiptError, KeyError, TypeError, RuntimeError) as error:
             raise DamagedStage("training", f"The checkpoint training can't be read ({error}).") from error
         steps = max(round(AGAIN_SHARE * self.settings.training_steps), 1)
-        shorter = replace(self.settings, training_steps=steps)
-        train(networks, data, self._surfaces(), shorter, None, self.reporter.progress)
+        first = self.settings.training_steps - steps
+        train(networks, data, self._surfaces(), self.settings, None, self.reporter.progress, first)
         return self._keep_training(HINTED_TRAINING, networks, steps)
 
     def _surfaces(self) -> Surfaces:

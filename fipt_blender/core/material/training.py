@@ -344,17 +344,19 @@ def train(
     settings: Settings,
     resume: Resume | None,
     progress: Callable[[float], None],
+    first: int = 0,
 ) -> None:
     """Optimise the networks in place with Adam.
 
     Args:
+        first: number of the first step; learning rates and batches are those of a training from 0.
         resume: the checkpoint file, and where the training continues; None writes no file.
         progress: called with the share of steps done.
     """
     table, *dense = networks.trained()
     steps = settings.training_steps
     optimiser = _Adam([([table], settings.hash_learning_rate), (dense, settings.learning_rate)], steps)
-    start = 0
+    start = first
     if resume is not None and resume.state is not None:
         networks.load(resume.state)
         optimiser.optimiser.load_state_dict(resume.state["optimiser"])
@@ -366,7 +368,7 @@ def train(
         batch = gather_batch(data, surfaces, rows, table.device)
         partners = torch.from_numpy(rng.integers(0, size, min(_PARTNERS, size))).to(table.device)
         optimiser.step(step, total_loss(networks, batch, settings, partners))
-        progress((step + 1) / steps)
+        progress((step + 1 - first) / (steps - first))
         if resume is not None and (step + 1) % settings.checkpoint_steps == 0 and step + 1 < steps:
             state = {
                 **networks.state(),
