@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where in a pixel the samples of its shadings start."""
+"""Where in a pixel the samples of its shadings start, and denoising."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -10,7 +10,14 @@ import pytest
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.light.baking import SUBPIXELS, TriangleTables, samples_per_start, start_points
+from fipt_blender.core.light.baking import (
+    SUBPIXELS,
+    TriangleTables,
+    denoised,
+    samples_per_start,
+    start_points,
+)
+from fipt_blender.core.light.shadings import Shadings
 from fipt_blender.core.scene.pixels import fill_pixels, open_pixels
 from fipt_blender.core.scene.room import Room
 from samples.small_rooms import make_room
@@ -74,3 +81,28 @@ def test_other_parts_and_what_lies_behind_are_no_start(tmp_path: Path, gap: floa
 @pytest.mark.parametrize("samples", [4, 8, 16, 30, 64])
 def test_all_starts_together_take_the_pixels_samples(samples: int) -> None:
     assert 0 <= samples_per_start(samples) * len(SUBPIXELS) - samples < len(SUBPIXELS)
+
+
+def test_specular_shadings_are_denoised_by_their_brightness() -> None:
+    """Four levels, which are not a number of whole images; terms and channels keep their proportions."""
+    rng = np.random.default_rng(2)
+    height, width, levels = 48, 64, 4
+    down, right = np.mgrid[:height, :width] / height
+    color = rng.uniform(0.2, 1.0, (levels, 2, 3))
+    true = (1.0 + 0.5 * np.sin(3.0 * right + down)).reshape(-1, 1, 1, 1) * color
+    noise = rng.gamma(1.0, 1.0, (len(true), levels, 1, 1))
+    noisy = (true * noise).astype(np.float32)
+    noisy[:width] = 0.0
+    shadings = Shadings(noisy[:, 0, 0].copy(), noisy.copy())
+    normal = np.tile(np.float32([0.0, 0.0, 1.0]), (len(true), 1))
+    both = denoised(shadings, normal, (height, width), True)
+    alone = denoised(shadings, normal, (height, width), False)
+    np.testing.assert_array_equal(alone.specular, noisy)
+    np.testing.assert_array_equal(alone.diffuse, both.diffuse)
+    lit = slice(8 * width, None)  # away from the dark rows
+    before, after = (np.abs(array[lit] / true[lit] - 1.0).mean() for array in (noisy, both.specular))
+    assert after < 0.2 * before
+    shares = both.specular[lit] / both.specular[lit].sum(axis=(2, 3), keepdims=True)
+    expected = np.broadcast_to(color / color.sum(axis=(1, 2), keepdims=True), shares.shape)
+    np.testing.assert_allclose(shares, expected, rtol=1e-4)
+    assert (both.specular[:width] == 0.0).all()

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fipt_blender.core.material import likelihood, pixel_samples, training_input
+from fipt_blender.core.material import likelihood, training_input
 from fipt_blender.core.material.likelihood import make_candidates
 from fipt_blender.core.material.mixture import GroupMaterials, broad_prior, group_posterior, infer_materials
 from fipt_blender.core.material.pixel_samples import PixelSamples
@@ -179,33 +179,6 @@ def test_cells_of_any_wall_are_drawn_evenly(start: float) -> None:
         chosen = training_input.drawn(cell, start) < 0.1
         assert np.abs(chosen.reshape(10, 160).sum(axis=1) - 16).max() <= 5
         assert chosen.sum() == pytest.approx(160, abs=16)
-
-
-def test_errors_that_light_and_wide_lobes_share_are_no_gloss(rng: np.random.Generator) -> None:
-    """The ratio of both is that of the pixels of a block, a group and a view; sharp lobes stay."""
-    widths, ranges = np.array([16, 10]), np.array([0, 16 * 8, 16 * 8 + 10 * 8])
-    rows = np.arange(ranges[-1])
-    view = np.repeat([0, 1], np.diff(ranges))
-    right = (rows - ranges[view]) % widths[view]
-    group = ((rows - ranges[view]) // widths[view] >= 4).astype(np.int64)
-    diffuse = rng.uniform(0.5, 1.5, (len(rows), 3)).astype(np.float32)
-    true_ratio = 0.1 + 0.05 * group + 0.01 * view + 0.02 * (right >= 8)
-    specular = rng.uniform(0.1, 1.0, (len(rows), len(LEVELS), 2, 3)).astype(np.float32)
-    wide = pixel_samples.WIDE_LOBE <= LEVELS
-    assert 0 < wide.sum() < len(LEVELS)
-    specular[:, wide] = (true_ratio[:, None] * diffuse)[:, None, None]
-    light = 1.0 + 0.2 * rng.normal(size=(len(rows), 1)).clip(-2, 2)
-    ones = np.ones(len(rows), np.float32)
-    samples = PixelSamples(rows, diffuse, diffuse, specular, LEVELS, rows, group, view, ones)
-    exact = pixel_samples.smooth_wide_lobes(samples, ranges, widths)
-    np.testing.assert_allclose(exact.specular, specular, rtol=1e-5)
-    noisy = replace(samples, diffuse=(diffuse * light).astype(np.float32))
-    smooth = pixel_samples.smooth_wide_lobes(noisy, ranges, widths)
-    np.testing.assert_array_equal(smooth.specular[:, ~wide], specular[:, ~wide])
-    found = smooth.specular[:, wide] / noisy.diffuse[:, None, None]
-    for block in np.unique(np.stack([view, group, right // 8]), axis=1).T:
-        ratios = found[(np.stack([view, group, right // 8]).T == block).all(axis=1)]
-        np.testing.assert_allclose(ratios, np.broadcast_to(ratios[:1, :1, :1], ratios.shape), rtol=1e-5)
 
 
 def test_blocks_of_pixels_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> None:

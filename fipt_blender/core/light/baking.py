@@ -100,7 +100,7 @@ class Baking:
         environment: (H, 2H, 3) radiance from outside, or None.
         levels: (K,) float32 roughness levels.
         denoise: denoise L_d.
-        denoise_specular: also denoise L_s0 and L_s1 of every level.
+        denoise_specular: also denoise L_s0 and L_s1.
         masking: G of the BRDF, see `brdf.set_masking`.
         seed: from which the streams of random numbers of each view follow.
     """
@@ -213,7 +213,7 @@ def bake_view(
             normal[chunk] = means([points.normal], len(SUBPIXELS))
     if baking.denoise:
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
-        shadings = _denoise(shadings, normal, (view.height, view.width), baking.denoise_specular)
+        shadings = denoised(shadings, normal, (view.height, view.width), baking.denoise_specular)
     diffuse, specular = (
         array.clip(0.0, HALF_LARGEST).astype(np.float16) for array in (shadings.diffuse, shadings.specular)
     )
@@ -297,16 +297,24 @@ def _unit(vector: mi.Vector3f | mi.Vector3d) -> tuple[mi.Vector3f | mi.Vector3d,
     return type(vector)(x / length, y / length, z / length), length
 
 
-def _denoise(shadings: Shadings, normal: np.ndarray, size: tuple[int, int], specular_too: bool) -> Shadings:
-    height, width = size
-    guide = np.ones((height, width, 3), np.float32)
-    with Denoiser(guide, normal.reshape(height, width, 3), clean_guides=True, fast=True) as denoiser:
-        diffuse = denoiser(shadings.diffuse.reshape(height, width, 3)).reshape(-1, 3)
+def denoised(shadings: Shadings, normal: np.ndarray, size: tuple[int, int], specular_too: bool) -> Shadings:
+    """The shadings of a view (height, width) with normals (N, 3): L_d is denoised and, if wanted, the others.
+
+    Specular shadings change as their brightness does, the sum over both terms and all channels.
+
+    The noise of both terms and of all channels is alike, because they come from the same rays. Images of
+    their own would take five times as long and tell no more of the materials.
+    """
+    guide = np.ones((*size, 3), np.float32)
+    with Denoiser(guide, normal.reshape(*size, 3), clean_guides=True, fast=True) as denoiser:
+        diffuse = denoiser(shadings.diffuse.reshape(*size, 3)).reshape(-1, 3)
         if not specular_too:
             return Shadings(diffuse, shadings.specular)
-        specular = np.empty_like(shadings.specular)
-        for level in range(specular.shape[1]):
-            for term in range(2):
-                image = shadings.specular[:, level, term].reshape(height, width, 3)
-                specular[:, level, term] = denoiser(image).reshape(-1, 3)
-    return Shadings(diffuse, specular)
+        noisy = shadings.specular.sum(axis=(2, 3))
+        smooth = np.empty_like(noisy)
+        for first in range(0, noisy.shape[1], 3):
+            # The three channels of an image are three levels.
+            levels = np.minimum(np.arange(first, first + 3), noisy.shape[1] - 1)
+            smooth[:, levels] = denoiser(noisy[:, levels].reshape(*size, 3)).reshape(-1, 3)
+    change = smooth / np.maximum(noisy, 1e-6)
+    return Shadings(diffuse, shadings.specular * change[:, :, None, None])

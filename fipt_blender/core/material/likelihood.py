@@ -23,6 +23,11 @@ from .projection import cells_of_groups, fit_colors, residual_weight
 STEP = 0.25
 # Median of a squared standard normal variable: variances follow from medians, which outliers hardly change.
 MEDIAN_OF_SQUARE = 0.4549
+# Share of the error that the pixels of a view have in common which may look like another material. All of it
+# would gain as much in some rooms and lose in others.
+VIEW_SHARE = 0.5
+# Residuals of a view's mean, in standard deviations: outliers are no error of the view.
+MOST_DEVIATIONS = 3.0
 # Pixels of which the materials are compared at a time.
 BLOCK = 1 << 13
 
@@ -59,9 +64,9 @@ def group_log_likelihoods(
     """(S, groups) log-likelihood of each candidate relative to the group's best; 0 in groups without pixels.
 
     The pixels of a group in one view, n by their weight, count as n / (`pixels_per_sample` + n t² / s²)
-    samples, where t is `view_error` and s² the variance of their residuals: a view's shadings err by t in any
-    direction, so many pixels of one view tell no more than s² / t² samples. A share `view_outliers` of the
-    views tells nothing.
+    samples, where s² is the variance of their residuals: a view's shadings err by t in any direction, so many
+    pixels of one view tell no more than s² / t² samples. t is `VIEW_SHARE` of what the means of the views
+    show (:func:`_view_errors`), at least `view_error`. A share `view_outliers` of the views tells nothing.
 
     A surface that the mesh shows wrongly has large residuals, which are common to the pixels of a view to
     some extent: t is at least `shared_error` times s.
@@ -78,12 +83,14 @@ def group_log_likelihoods(
         return np.zeros((len(prior), groups))
     used = replace(used, diffuse=_shared_light(used.diffuse, light_cell))
     blocks = _blocks(used)
-    variance = _residual_variance(blocks, used.group, groups, settings.view_error)
+    variance, best = _residual_variance(blocks, used.group, groups, settings.view_error)
     views = int(used.view.max()) + 1
     pairs, pair = np.unique(used.group.astype(np.int64) * views + used.view, return_inverse=True)
     group = pairs // views
-    pixels = np.bincount(pair, used.weight)
-    common = np.maximum(settings.view_error**2 / variance[group], shared_error**2)
+    pixels = np.maximum(np.bincount(pair, used.weight), 1e-6)
+    means = np.bincount(pair, _residuals(blocks, best, variance) * used.weight) / pixels
+    common = _view_errors(means, pixels, group, variance, settings)
+    common = np.maximum(common / variance, shared_error**2)[group]
     errors = settings.pixels_per_sample + pixels * common
 
     def densities(block: _Block) -> tuple[_Block, np.ndarray]:
@@ -178,8 +185,12 @@ def _squared(block: _Block, lines: tuple[np.ndarray, np.ndarray], robust: np.nda
     return np.einsum("nc,nc,nc->n", residual, residual, weight) / np.float32(3.0)
 
 
-def _residual_variance(blocks: list[_Block], group: np.ndarray, groups: int, least: float) -> np.ndarray:
+def _residual_variance(
+    blocks: list[_Block], group: np.ndarray, groups: int, least: float
+) -> tuple[np.ndarray, np.ndarray]:
     """(groups,) variance of the relative residuals with the best material, at least `least` squared.
+
+    And (groups, 2) the place of that material among the levels, and its metallic.
 
     Args:
         group: (N,) of all pixels.
@@ -193,13 +204,56 @@ def _residual_variance(blocks: list[_Block], group: np.ndarray, groups: int, lea
     squared = np.empty((len(materials), len(group)), np.float32)
     for block, found in in_threads(squares, blocks):
         squared[:, block.rows] = found
-    median = np.full(groups, np.inf)
+    median, best = np.full(groups, np.inf), np.zeros(groups, np.int64)
     order = np.argsort(group, kind="stable")
     for index, rows in enumerate(np.split(order, np.searchsorted(group[order], np.arange(1, groups)))):
         if len(rows):
             middle = len(rows) // 2
-            median[index] = np.partition(squared[:, rows], middle, axis=1)[:, middle].min()
-    return np.maximum(median / MEDIAN_OF_SQUARE, least**2)
+            medians = np.partition(squared[:, rows], middle, axis=1)[:, middle]
+            best[index] = medians.argmin()
+            median[index] = medians[best[index]]
+    return np.maximum(median / MEDIAN_OF_SQUARE, least**2), np.array(materials)[best]
+
+
+def _residuals(blocks: list[_Block], best: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """(N,) relative residuals, mean over the channels, with the best material (groups, 2) of each group.
+
+    They are limited to `MOST_DEVIATIONS` standard deviations (variance: (groups,)).
+    """
+
+    def residuals(block: _Block) -> tuple[_Block, np.ndarray]:
+        samples, (place, metallic) = block.samples, best[block.samples.group].T
+        s0, s1 = np.moveaxis(samples.specular[np.arange(len(place)), place.astype(np.int64)], 1, 0)
+        slope, offset = color_line(samples.diffuse, s0, s1, metallic[:, None].astype(np.float32))
+        color = fit_colors(samples.radiance, slope, offset, block.weight, samples.cell)
+        residual = samples.radiance - offset - color[samples.cell] * slope
+        return block, (residual * np.sqrt(residual_weight(samples.radiance))).mean(axis=1)
+
+    result = np.empty(sum(len(block.rows) for block in blocks))
+    for block, found in in_threads(residuals, blocks):
+        most = MOST_DEVIATIONS * np.sqrt(variance[block.samples.group])
+        result[block.rows] = np.clip(found, -most, most)
+    return result
+
+
+def _view_errors(
+    means: np.ndarray, pixels: np.ndarray, group: np.ndarray, variance: np.ndarray, settings: Settings
+) -> np.ndarray:
+    """(groups,) variance of the error that the pixels of a group have in common in one view.
+
+    The means of the views have this variance and p s² / n, which is subtracted.
+
+    Args:
+        means: (P,) mean residual of each group in each view. pixels: (P,) their sum of weights n.
+        group: (P,) of each.
+        variance: (groups,) s².
+    """
+    samples = pixels / settings.pixels_per_sample
+    weight = samples / (1.0 + samples)
+    excess = np.bincount(group, weight * (means**2 - variance[group] / samples), minlength=len(variance))
+    total = np.bincount(group, weight, minlength=len(variance))
+    found = VIEW_SHARE**2 * excess / np.maximum(total, 1e-9)
+    return np.maximum(found, settings.view_error**2)
 
 
 def _log_densities(block: _Block, candidates: Candidates, scale: np.ndarray, degrees: float) -> np.ndarray:

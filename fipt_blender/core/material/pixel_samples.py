@@ -5,22 +5,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..light.baking import ShadingStore
 from ..light.reflecting import LampPixels
 from ..run.threads import in_threads
-from ..scene.grouped import numbered
 from ..scene.pixels import PixelStore
 
 # Number of pixels that sample all lamps, and the least number for each emitting triangle.
 LAMP_PIXELS = 200_000
 LEAST_LAMP_PIXELS = 100
-# Lobes of this roughness and more are so wide that their shading follows L_d over `SMOOTH_BLOCK` pixels.
-WIDE_LOBE = 0.75
-SMOOTH_BLOCK = 8
 # Pixels whose windows are averaged at a time, so that their arrays stay in the processor's cache.
 WINDOW_BLOCK = 1 << 13
 
@@ -129,29 +125,6 @@ def _window_means(
                 total[index] += array[neighbour[index]]
             count[index] += 1.0
     return [total / count.reshape(-1, *[1] * (total.ndim - 1)) for total in sums]
-
-
-def smooth_wide_lobes(samples: PixelSamples, ranges: np.ndarray, widths: np.ndarray) -> PixelSamples:
-    """The samples, with shadings of wide lobes that are L_d times a ratio common to a block of pixels.
-
-    L_d and the shadings of wide lobes come from the same rays. Their errors are alike, so that a candidate
-    which has less of a wide lobe than a diffuse surface would explain errors of L_d as gloss. The ratio of
-    the two hardly changes within the `SMOOTH_BLOCK` squared pixels of one group in one view.
-
-    Args:
-        ranges: (views + 1,) int index of the first pixel of each view, and N.
-        widths: (views,) int image width of each view.
-    """
-    wide = samples.levels >= WIDE_LOBE
-    down, right = np.divmod(samples.rows - ranges[samples.view], widths[samples.view])
-    block = numbered([samples.group, samples.view, down // SMOOTH_BLOCK, right // SMOOTH_BLOCK])
-    specular = samples.specular.copy()
-    columns = np.hstack([samples.diffuse, specular[:, wide].reshape(len(block), -1)])
-    sums = np.stack([np.bincount(block, column) for column in columns.T], axis=1)
-    lobes = sums[:, 3:].reshape(len(sums), int(wide.sum()), 2, 3)
-    ratio = lobes / np.maximum(sums[:, None, None, :3], 1e-9)
-    specular[:, wide] = ratio[block] * samples.diffuse[:, None, None]
-    return replace(samples, specular=specular)
 
 
 def pure_rows(pixels: PixelStore, view: int, marked: np.ndarray) -> np.ndarray:

@@ -29,7 +29,7 @@ from .groups import (
 )
 from .hints import NO_HINT, SurfaceHints, values_of_hints
 from .mixture import infer_materials
-from .pixel_samples import PixelSamples, read_samples, smooth_wide_lobes, window_means
+from .pixel_samples import PixelSamples, read_samples, window_means
 from .projection import RADIANCE_FLOOR, InitialEstimate, project
 from .training import TrainingData
 
@@ -92,7 +92,6 @@ def training_input(
     wide = PixelSamples(
         wide_rows, radiance, diffuse, specular, levels, wide_cell, group[wide_rows], view, weight
     )
-    wide = smooth_wide_lobes(wide, pixels.ranges, widths)
     alike = None
     if pieces is not None:
         alike = _similarity(wide.group, observations.part[wide_rows], color[observations.entry[wide_rows]])

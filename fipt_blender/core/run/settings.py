@@ -105,9 +105,7 @@ class Settings:
         True, "denoise diffuse shading with Open Image Denoise (paper: OptiX denoiser)", SHADINGS
     )
     denoise_specular: bool = _setting(
-        False,
-        "denoise specular shading too (paper: yes); this takes longer than the samples that it saves",
-        SHADINGS,
+        True, "denoise the brightness of the specular shadings too (paper: their channels)", SHADINGS
     )
 
     training_steps: int = _setting(
@@ -221,7 +219,6 @@ PRESETS: dict[str, dict[str, Value]] = {
         "refine_light_spp": 64,
         "training_steps": 4000,
         "roughness_levels": 12,
-        "denoise_specular": True,
     },
 }
 
