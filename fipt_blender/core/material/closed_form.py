@@ -18,9 +18,12 @@ import numpy as np
 from ..light.observations import Observations
 from ..optics.factorised import color_line
 from ..run.threads import in_threads
-from .projection import CLEAR_EMISSION, residual_weight, specular_at
+from .pixel_samples import rows_with_donor
+from .projection import residual_weight, specular_at
 from .training import TrainingData
 
+# Photographed radiance above this multiple of what a white surface would reflect is emission.
+CLEAR_EMISSION = 1.5
 # Share of a triangle's pixels that must be brighter than any reflection for the triangle to be marked.
 MARKED_SHARE = 0.5
 # Emission is not looked for in pixels darker than the capture's median.
@@ -148,8 +151,7 @@ def _keyed_rows(
     observations: Observations, data: TrainingData, view: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(n,) pixels of a view that have a donor, their groups, and the keys of their cells; int64."""
-    bounds = observations.pixels.rows(view)
-    rows = np.flatnonzero(data.donor[bounds] >= 0) + bounds.start
+    rows = rows_with_donor(observations.pixels, data.donor, view)
     group = np.asarray(data.group[rows], np.int64)
     key = np.asarray(observations.entry[rows], np.int64) * (len(data.group_roughness) + 1) + group + 1
     return rows, group, key
@@ -255,11 +257,8 @@ def triangle_emission(cells: CellEstimate, observations: Observations, data: Tra
     pixels, triangles = observations.pixels, len(observations.parts.triangle_part)
     sums, count = np.zeros((triangles, 3)), np.zeros(triangles)
     for view in range(len(pixels.views)):
-        bounds = pixels.rows(view)
-        rows = np.flatnonzero(data.donor[bounds] >= 0) + bounds.start
-        emission = cells.emission[
-            cells.find(observations.entry[rows], np.asarray(data.group[rows], np.int64))
-        ]
+        rows, group, _ = _keyed_rows(observations, data, view)
+        emission = cells.emission[cells.find(observations.entry[rows], group)]
         on = np.asarray(pixels.triangle[rows])
         np.add.at(sums, on, emission)
         count += np.bincount(on, minlength=triangles)

@@ -242,19 +242,17 @@ def _placed(
 def _area(hint: Hint, corners: np.ndarray) -> np.ndarray:
     """(n,) int triangles of an area."""
     points = np.array(hint.points)
-    centers = corners.mean(axis=1)
-    radius = np.linalg.norm(corners - centers[:, None], axis=2).max(axis=1)
+    centers, radius = _balls(corners)
     distance, nearest = cKDTree(centers).query(points)
     found = np.asarray(nearest, np.int64)
-    for row in np.flatnonzero(distance > ON_TRIANGLE * radius[found]):
-        found[row] = nearest_triangles(points[row : row + 1], corners)[0]
+    far = distance > ON_TRIANGLE * radius[found]
+    found[far] = nearest_triangles(points[far], corners)
     return np.unique(found)
 
 
 def nearest_triangles(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """(P,) int64 triangle (T, 3, 3) nearest to each of a few points (P, 3)."""
-    centers = corners.mean(axis=1)
-    radius = np.linalg.norm(corners - centers[:, None], axis=2).max(axis=1)
+    centers, radius = _balls(corners)
     result = np.zeros(len(points), np.int64)
     for row, point in enumerate(points):
         to_center = np.linalg.norm(centers - point, axis=1)
@@ -262,6 +260,12 @@ def nearest_triangles(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
         distance = np.linalg.norm(closest_points(point, corners[near]) - point, axis=1)
         result[row] = near[distance.argmin()]
     return result
+
+
+def _balls(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(T, 3) centers of triangles (T, 3, 3), and (T,) distance of the farthest corner from each."""
+    centers = corners.mean(axis=1)
+    return centers, np.linalg.norm(corners - centers[:, None], axis=2).max(axis=1)
 
 
 def _pairs(label: np.ndarray, pieces: np.ndarray) -> np.ndarray:

@@ -127,6 +127,12 @@ def _window_means(
     return [total / count.reshape(-1, *[1] * (total.ndim - 1)) for total in sums]
 
 
+def rows_with_donor(pixels: PixelStore, donor: np.ndarray, view: int) -> np.ndarray:
+    """(n,) int64 pixels of a view that have a donor ((N,) int64, negative for none)."""
+    rows = pixels.rows(view)
+    return np.flatnonzero(donor[rows] >= 0) + rows.start
+
+
 def pure_rows(pixels: PixelStore, view: int, marked: np.ndarray) -> np.ndarray:
     """(n,) int64 pure pixels of a view that see a marked triangle ((T,) bool)."""
     rows = pixels.rows(view)

@@ -19,8 +19,6 @@ from .pixel_samples import PixelSamples
 
 # Residuals are relative to radiance plus this, in units of the capture's median radiance.
 RADIANCE_FLOOR = 0.05
-# Photographed radiance above this multiple of what a white surface would reflect is emission.
-CLEAR_EMISSION = 1.5
 # A part emits if the relative spread of its radiance is less than this share of that of its irradiance. In
 # the example rooms surfaces stay above 0.5 and lamps below 0.01.
 CONSTANT_RATIO = 0.15
@@ -40,7 +38,6 @@ class InitialEstimate:
         base_color: (N, 3) float32 of the pixel's cell.
         roughness: (N,) float32 of the pixel's group.
         metallic: (N,) float32 of the pixel's group.
-        emitting: (N,) bool, brighter than any reflection.
         part_emits: (parts,) bool, parts whose radiance does not follow irradiance (:func:`constant_parts`);
             empty where groups take the place of parts.
     """
@@ -49,7 +46,6 @@ class InitialEstimate:
     base_color: np.ndarray
     roughness: np.ndarray
     metallic: np.ndarray
-    emitting: np.ndarray
     part_emits: np.ndarray
 
     @property
@@ -106,21 +102,16 @@ def project(
     slope, offset = color_line(samples.diffuse, s0, s1, metallic[:, None])
     weight = residual_weight(samples.radiance) * samples.weight[:, None]
     color = fit_colors(samples.radiance, slope, offset, weight, cell)
-    # The most that a white surface could reflect, diffuse or of this metallic: metals mirror lamps.
-    white = np.maximum(samples.diffuse, slope) + offset
-    grey = samples.radiance.mean(axis=1)
-    emitting = (samples.radiance > CLEAR_EMISSION * white).all(axis=1) & (grey > 1.0)
     part_emits = np.zeros(0, bool)
     if known_parts:
-        part_emits = constant_parts(grey, samples.diffuse.mean(axis=1), group, groups)
-    if len(part_emits):
-        emitting |= known & part_emits[np.maximum(group, 0)]
+        part_emits = constant_parts(
+            samples.radiance.mean(axis=1), samples.diffuse.mean(axis=1), group, groups
+        )
     return InitialEstimate(
         samples.rows,
         color[cell].astype(np.float32),
         roughness.astype(np.float32),
         metallic.astype(np.float32),
-        emitting,
         part_emits,
     )
 

@@ -29,7 +29,7 @@ from .groups import (
 )
 from .hints import NO_HINT, SurfaceHints, values_of_hints
 from .mixture import infer_materials
-from .pixel_samples import PixelSamples, read_samples, window_means
+from .pixel_samples import PixelSamples, read_samples, rows_with_donor, window_means
 from .projection import RADIANCE_FLOOR, InitialEstimate, project
 from .training import TrainingData
 
@@ -160,7 +160,7 @@ def material_units(observations: Observations, pieces: np.ndarray | None, data: 
     pixels, groups = observations.pixels, len(data.group_roughness)
     keys, count = np.zeros(0, np.int64), np.zeros(0, np.int64)
     for view in range(len(pixels.views)):
-        rows = _rows_with_donor(pixels, data.donor, view)
+        rows = rows_with_donor(pixels, data.donor, view)
         key = pixels.triangle[rows] * np.int64(groups + 1) + data.group[rows] + 1
         keys, count = _add_counts(keys, count, key)
     triangle, group = np.divmod(keys, groups + 1)
@@ -195,7 +195,7 @@ def _diffuse_colors(observations: Observations, shadings: ShadingStore) -> np.nd
     pixels, entries = observations.pixels, len(observations.grid.voxels) * SIDES
     top, bottom = np.zeros((entries, 3)), np.zeros((entries, 3))
     for view in range(len(pixels.views)):
-        rows = _rows_with_donor(pixels, observations.donor, view)
+        rows = rows_with_donor(pixels, observations.donor, view)
         radiance, diffuse, roughest = (
             np.asarray(array, np.float32)
             for array in (pixels.own[rows], shadings.diffuse[rows], shadings.specular[rows, -1])
@@ -206,12 +206,6 @@ def _diffuse_colors(observations: Observations, shadings: ShadingStore) -> np.nd
         for total, values in ((top, weight * (radiance - offset)), (bottom, weight * slope)):
             total[used] += np.stack([np.bincount(place, column) for column in values.T], axis=1)
     return np.clip(top / np.maximum(bottom, 1e-12), 0.0, 1.0)
-
-
-def _rows_with_donor(pixels: PixelStore, donor: np.ndarray, view: int) -> np.ndarray:
-    """(n,) int64 pixels of a view that have a donor."""
-    rows = pixels.rows(view)
-    return np.flatnonzero(donor[rows] >= 0) + rows.start
 
 
 def _assign_groups(
@@ -237,7 +231,7 @@ def _assign_groups(
 
     def combinations(view: int) -> tuple[np.ndarray, np.ndarray]:
         """Pixels of a view with a donor and no hint, and a key for the label, piece and colour of each."""
-        rows = _rows_with_donor(pixels, observations.donor, view)
+        rows = rows_with_donor(pixels, observations.donor, view)
         rows = rows[of_triangle[pixels.triangle[rows]] < 0]
         columns = (
             observations.part[rows] + 1,
@@ -259,7 +253,7 @@ def _assign_groups(
         rows, key = combinations(view)
         of_view[rows - pixels.ranges[view]] = group_of_key[np.searchsorted(keys, key)]
         if hint is not None:
-            rows = _rows_with_donor(pixels, observations.donor, view)
+            rows = rows_with_donor(pixels, observations.donor, view)
             rows = rows[hint[pixels.triangle[rows]] >= 0]
             of_view[rows - pixels.ranges[view]] = groups + hint[pixels.triangle[rows]]
         group[pixels.rows(view)] = of_view
