@@ -10,6 +10,14 @@ import numpy as np
 from PIL import Image
 
 WALL = 2.0  # metres in front of the cameras
+# Lowest and highest corners in metres: a room, and furniture such that no turn maps it to itself.
+BOX_ROOM = (
+    ((0.0, 0.0, 0.0), (5.0, 4.0, 2.6)),
+    ((0.0, 0.0, 0.0), (0.6, 2.2, 1.9)),
+    ((2.0, 0.4, 0.65), (3.6, 1.1, 0.75)),
+    ((4.2, 2.6, 0.0), (5.0, 4.0, 0.8)),
+    ((1.4, 3.4, 0.9), (2.3, 4.0, 1.3)),
+)
 
 
 def frame_pose(index: int) -> np.ndarray:
@@ -58,3 +66,44 @@ def write_exported_scan(folder: Path, size: tuple[int, int], focal: float) -> Pa
         write_color(folder / "color" / f"{index}.jpg", (160, 120))
         np.savetxt(folder / "pose" / f"{index}.txt", frame_pose(index), "%.9f")
     return folder
+
+
+def box_room_depth(pose: np.ndarray, size: tuple[int, int], focal: float) -> np.ndarray:
+    """Depths (H, W) in metres that a camera in `BOX_ROOM` measures along its axis."""
+    y, x = np.mgrid[: size[1], : size[0]] + 0.5
+    local = np.stack([(x - size[0] / 2) / focal, (y - size[1] / 2) / focal, np.ones_like(x)], axis=-1)
+    direction = local @ pose[:3, :3].T
+    first, *furniture = BOX_ROOM
+    with np.errstate(divide="ignore"):
+        depth = _slabs(first, pose[:3, 3], direction)[1]
+        for box in furniture:
+            near, far = _slabs(box, pose[:3, 3], direction)
+            depth = np.where((near < far) & (near > 0.0), np.minimum(depth, near), depth)
+    return np.asarray(depth)
+
+
+def _slabs(box: tuple, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where rays enter and leave a box."""
+    ends = (np.array(box)[:, None, None] - origin) / direction
+    return ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
+
+
+def write_box_room(folder: Path, count: int, size: tuple[int, int], focal: float) -> list[np.ndarray]:
+    """Frames from the middle of `BOX_ROOM` in all directions; returns their poses. Z is up."""
+    write_frames(folder, count, size, focal)
+    rng, poses = np.random.default_rng(0), []
+    for index in range(count):
+        angle = 2.0 * np.pi * index / count
+        forward = np.array([np.cos(angle), np.sin(angle), -0.35])
+        forward /= np.linalg.norm(forward)
+        side = np.cross(forward, [0.0, 0.0, 1.0])
+        side /= np.linalg.norm(side)
+        pose = np.eye(4)
+        pose[:3, :3] = np.stack([side, np.cross(forward, side), forward], axis=1)
+        pose[:3, 3] = [2.6 + 0.4 * np.cos(angle), 2.4 + 0.2 * np.sin(angle), 1.5]
+        stem = folder / f"frame-{index:06d}"
+        depth = box_room_depth(pose, size, focal) + 0.003 * rng.normal(size=size[::-1])
+        Image.fromarray(np.round(1000.0 * depth).astype(np.uint16)).save(f"{stem}.depth.png")
+        np.savetxt(f"{stem}.pose.txt", pose, "%.9f")
+        poses.append(pose)
+    return poses

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Moves the cameras of a capture to a mesh from another program, by the solve's sparse points.
+"""Moves the cameras of a capture to a mesh from another program, by the solve's points or by depth images.
 
 From then on, the capture has the coordinates of the mesh: its up axis is found anew, its unit is the mesh's.
 """
@@ -17,7 +17,7 @@ from ..alignment.registration import Candidate, register
 from ..alignment.surface import Surface, sample_surface, unit_of_height
 from ..conventions import split_similarity, transform_poses
 from ..run.errors import FiptError
-from .formats import read_points
+from .depth_points import alignment_points
 from .rig import Note, Rig
 
 MOST_POINTS = 4000  # more do not make the alignment better, only slower
@@ -29,16 +29,16 @@ _SEED = 0
 
 
 def aligned_to_mesh(capture: Path, rig: Rig, mesh: Path | None) -> Rig:
-    """The rig in the coordinates of a mesh, by the sparse points of the capture that it was read from.
+    """The rig in the coordinates of a mesh, by the points of the capture that it was read from.
 
     Raises:
-        FiptError: those of `align_rig` and `read_points`, or ``mesh-missing``.
+        FiptError: those of `align_rig` and `alignment_points`, or ``mesh-missing``.
     """
     if mesh is None:
         raise FiptError(
             "mesh-missing", "There is no mesh to which the cameras could be aligned.", "Choose the mesh file."
         )
-    return align_rig(rig, read_points(capture, rig.source, sure=True), mesh)
+    return align_rig(rig, alignment_points(capture, rig), mesh)
 
 
 def align_rig(rig: Rig, points: np.ndarray, mesh: Path) -> Rig:

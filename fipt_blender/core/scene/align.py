@@ -20,7 +20,9 @@ from ..alignment.polish import polish
 from ..alignment.registration import Candidate, refine
 from ..alignment.surface import sample_surface
 from ..capture.align_mesh import LEAST_INLIERS, MOST_POINTS, check_fit, placements, unit_notes
-from ..capture.formats import FORMATS, read_points, read_rig
+from ..capture.color_camera import with_color_camera
+from ..capture.depth_points import alignment_points
+from ..capture.formats import FORMATS, read_rig
 from ..capture.images import read_radiance
 from ..capture.ingest import unique_names
 from ..capture.rig import ReadOptions
@@ -71,12 +73,14 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
 
 
 def solve_points(capture: Path, name: str, views: list[View]) -> np.ndarray:
-    """The solve's sparse points (N, 3) in the world in which the cameras are now.
+    """The points (N, 3) of a solve or of depth images, in the world in which the cameras are now.
 
     Raises:
         FiptError: ``alignment-points`` or an error of the readers.
     """
     rig = read_rig(capture, name, ReadOptions())
+    if rig.one_camera:
+        rig = with_color_camera(rig, 1.0)
     poses = {view.name: view.camera_to_world for view in unique_names(rig.views)}
     common = [view for view in views if view.name in poses]
     if len(common) < 2:
@@ -88,7 +92,7 @@ def solve_points(capture: Path, name: str, views: list[View]) -> np.ndarray:
     now = np.array([view.camera_to_world for view in common], np.float64)
     return transform_points(
         similarity_of_poses(np.array([poses[view.name] for view in common]), now),
-        read_points(capture, rig.source, sure=True),
+        alignment_points(capture, rig),
     )
 
 
