@@ -83,6 +83,7 @@ def _add_estimate(commands: _Commands) -> argparse.ArgumentParser:
     add(
         "--plane-room", action="store_true", help="without a mesh: fit a room of planes to the solve's points"
     )
+    add("--dense-stereo", action="store_true", help="without a mesh: one by COLMAP's dense stereo (CUDA)")
     add(
         "--undo-applied-transform",
         action="store_true",
@@ -179,6 +180,7 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
         clamp_negative=arguments.clamp_negative,
         align_mesh=arguments.align_mesh,
         plane_room=arguments.plane_room,
+        dense_stereo=arguments.dense_stereo,
         views=arguments.views,
         voxel=arguments.voxel,
         close_holes=arguments.close_holes,

@@ -31,6 +31,7 @@ class CaptureOptions:
         clamp_negative: whether negative radiance is read as zero.
         align_mesh: whether the cameras are moved to the mesh by the solve's sparse points.
         plane_room: whether a room of planes is made from the solve's points where there is no mesh.
+        dense_stereo: whether a mesh is made from the photographs by dense stereo where there is none.
         views: number of photographs that are used, evenly spread; 0 for all.
         voxel: metres, of meshes that are fused from depth images; None for the engine's default.
         close_holes: metres; holes of fused meshes that are not wider are closed; None for none.
@@ -50,6 +51,7 @@ class CaptureOptions:
     clamp_negative: bool = False
     align_mesh: bool = False
     plane_room: bool = False
+    dense_stereo: bool = False
     views: int = 0
     voxel: float | None = None
     close_holes: float | None = None
@@ -116,6 +118,8 @@ def ingest_arguments(options: CaptureOptions) -> list[str]:
         arguments.append("--align-mesh")
     if options.plane_room:
         arguments.append("--plane-room")
+    if options.dense_stereo:
+        arguments.append("--dense-stereo")
     if options.own_paths:
         arguments.append("--own-paths")
     if options.undo_applied_transform:

@@ -308,6 +308,7 @@ def _capture_options(settings: FIPT_CaptureSettings) -> CaptureOptions:
         clamp_negative=settings.clamp_negative,
         align_mesh=settings.align_mesh,
         plane_room=settings.plane_room,
+        dense_stereo=settings.dense_stereo,
         triangles=settings.triangles,
         undo_applied_transform=settings.undo_applied_transform,
     )

@@ -97,6 +97,7 @@ class FIPT_PT_capture_import(SubSection, bpy.types.Panel):
         column.prop(settings, "mesh")
         column.prop(settings, "align_mesh")
         column.prop(settings, "plane_room")
+        column.prop(settings, "dense_stereo")
         column.prop(settings, "triangles")
         layout.prop(settings, "hold_back")
         column = layout.column(align=True)

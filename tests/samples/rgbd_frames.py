@@ -68,10 +68,13 @@ def write_exported_scan(folder: Path, size: tuple[int, int], focal: float) -> Pa
     return folder
 
 
-def box_room_depth(pose: np.ndarray, size: tuple[int, int], focal: float) -> np.ndarray:
+def box_room_depth(
+    pose: np.ndarray, size: tuple[int, int], focal: float, middle: tuple[float, float] | None = None
+) -> np.ndarray:
     """Depths (H, W) in metres that a camera in `BOX_ROOM` measures along its axis."""
     y, x = np.mgrid[: size[1], : size[0]] + 0.5
-    local = np.stack([(x - size[0] / 2) / focal, (y - size[1] / 2) / focal, np.ones_like(x)], axis=-1)
+    cx, cy = middle or (size[0] / 2, size[1] / 2)
+    local = np.stack([(x - cx) / focal, (y - cy) / focal, np.ones_like(x)], axis=-1)
     direction = local @ pose[:3, :3].T
     first, *furniture = BOX_ROOM
     with np.errstate(divide="ignore"):
@@ -88,19 +91,25 @@ def _slabs(box: tuple, origin: np.ndarray, direction: np.ndarray) -> tuple[np.nd
     return ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
 
 
+def box_room_pose(index: int, count: int) -> np.ndarray:
+    """Camera to world (4, 4): one of a circle in the middle of `BOX_ROOM`. Z is up."""
+    angle = 2.0 * np.pi * index / count
+    forward = np.array([np.cos(angle), np.sin(angle), -0.35])
+    forward /= np.linalg.norm(forward)
+    side = np.cross(forward, [0.0, 0.0, 1.0])
+    side /= np.linalg.norm(side)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([side, np.cross(forward, side), forward], axis=1)
+    pose[:3, 3] = [2.6 + 0.4 * np.cos(angle), 2.4 + 0.2 * np.sin(angle), 1.5]
+    return pose
+
+
 def write_box_room(folder: Path, count: int, size: tuple[int, int], focal: float) -> list[np.ndarray]:
-    """Frames from the middle of `BOX_ROOM` in all directions; returns their poses. Z is up."""
+    """Frames from the middle of `BOX_ROOM` in all directions; returns their poses."""
     write_frames(folder, count, size, focal)
     rng, poses = np.random.default_rng(0), []
     for index in range(count):
-        angle = 2.0 * np.pi * index / count
-        forward = np.array([np.cos(angle), np.sin(angle), -0.35])
-        forward /= np.linalg.norm(forward)
-        side = np.cross(forward, [0.0, 0.0, 1.0])
-        side /= np.linalg.norm(side)
-        pose = np.eye(4)
-        pose[:3, :3] = np.stack([side, np.cross(forward, side), forward], axis=1)
-        pose[:3, 3] = [2.6 + 0.4 * np.cos(angle), 2.4 + 0.2 * np.sin(angle), 1.5]
+        pose = box_room_pose(index, count)
         stem = folder / f"frame-{index:06d}"
         depth = box_room_depth(pose, size, focal) + 0.003 * rng.normal(size=size[::-1])
         Image.fromarray(np.round(1000.0 * depth).astype(np.uint16)).save(f"{stem}.depth.png")

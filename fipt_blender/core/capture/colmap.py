@@ -81,18 +81,27 @@ def sure_points(path: Path) -> np.ndarray:
     return positions[sure] if sure.sum() >= ENOUGH_POINTS else positions
 
 
-def _points(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (N, 3) of the model's points, and in how many photographs each was found (N,)."""
+def open_model(path: Path) -> pycolmap.Reconstruction:
+    """The model that `read` reads.
+
+    Raises:
+        FiptError: ``rig-damaged``.
+    """
     folder = _model_folder(path)
     if folder is None:
         raise damaged(path, "it contains no COLMAP model")
     try:
         check_model(folder)
-        found = list(pycolmap.Reconstruction(str(folder)).points3D.values())
-        views = np.array([point.track.length() for point in found], np.int64)
-        return np.array([point.xyz for point in found], np.float64).reshape(-1, 3), views
+        return pycolmap.Reconstruction(str(folder))
     except (RuntimeError, ValueError, KeyError, IndexError, OSError) as error:
         raise damaged(folder, error) from None
+
+
+def _points(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (N, 3) of the model's points, and in how many photographs each was found (N,)."""
+    found = list(open_model(path).points3D.values())
+    views = np.array([point.track.length() for point in found], np.int64)
+    return np.array([point.xyz for point in found], np.float64).reshape(-1, 3), views
 
 
 def _is_model(folder: Path) -> bool:

@@ -23,6 +23,7 @@ from ..run.settings import make_settings
 from . import checks
 from .align_mesh import aligned_to_mesh
 from .color_camera import with_color_camera
+from .dense_stereo import StereoFusion, stereo_possible
 from .depth_images import Fusion, checked_depths
 from .distortion import is_distorted, lens_pinhole, undistorted_pinhole, undistortion
 from .encoded import file_exposure, is_encoded
@@ -61,10 +62,14 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
         rig = with_color_camera(rig, options.scale)
     if options.align_mesh:
         rig = aligned_to_mesh(capture.absolute(), rig, mesh)
-    planes = room_of_points(capture.absolute(), rig) if options.plane_room and mesh is None else None
+    stereo = options.dense_stereo and mesh is None and not rig.depths
+    without = stereo_possible(rig, otherwise=options.plane_room) if stereo else None
+    stereo = stereo and without is None
+    by_planes = options.plane_room and mesh is None and not stereo
+    planes = room_of_points(capture.absolute(), rig) if by_planes else None
     budget = options.fusion.triangles
     fewer = simplified_mesh(mesh, budget) if budget and mesh is not None else None
-    notes = [] if planes is None else [room_note(planes)]
+    notes = [*([] if without is None else [without]), *([] if planes is None else [room_note(planes)])]
     for note in [*rig.notes, *notes, *([] if fewer is None else [fewer[1]])]:
         reporter.warning(note.code, note.text, note.remedy)
     views = _assign_splits(_chosen(unique_names(rig.views), options.most_views), options.hold_back)
@@ -77,9 +82,13 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     ]
     pinholes = [_checked_pinhole(view) for view in views]
 
-    fusion = None
-    if mesh is None and planes is None and rig.depths:
+    fusion: Fusion | None = None
+    if stereo:
+        source = capture.absolute()
+        fusion = StereoFusion(run_folder, (), options.fusion, options.scale, source, rig.views)
+    elif mesh is None and planes is None and rig.depths:
         fusion = Fusion(run_folder, rig.depths, options.fusion, options.scale)
+    if fusion is not None:
         reporter.plan([0.2, 0.7, 0.1])
     reporter.stage("images", "Checking photographs")
     exposures = [file_exposure(view.image) for view in views]
@@ -91,7 +100,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
 
     fused = None
     if fusion is not None:
-        reporter.stage("fuse", "Fusing the depth images")
+        reporter.stage("fuse", "Finding depths by dense stereo" if stereo else "Fusing the depth images")
         fused = None if fusion.is_kept else fusion.mesh(reporter.progress)
 
     reporter.stage("write", "Writing the capture")

@@ -31,6 +31,7 @@ class IngestOptions:
         clamp_negative: set negative radiance of any size to zero.
         align_mesh: move the cameras to the mesh by the solve's sparse points.
         plane_room: make a room of planes from the solve's sparse points where the capture has no mesh.
+        dense_stereo: make a mesh from the photographs by COLMAP's dense stereo where the capture has none.
         most_views: photographs that are used, evenly spread over all of a capture; 0 for all.
         fusion: how depth images are fused where the capture has no mesh, and the mesh's budget of triangles.
         read: options of the readers.
@@ -44,6 +45,7 @@ class IngestOptions:
     clamp_negative: bool = False
     align_mesh: bool = False
     plane_room: bool = False
+    dense_stereo: bool = False
     most_views: int = 0
     fusion: FusionOptions = field(default_factory=FusionOptions)
     read: ReadOptions = field(default_factory=ReadOptions)
@@ -84,6 +86,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--plane-room",
         action="store_true",
         help="without a mesh: a room of planes that fits the solve's points",
+    )
+    parser.add_argument(
+        "--dense-stereo",
+        action="store_true",
+        help="without a mesh: one from the photographs by dense stereo; needs a pycolmap with CUDA",
     )
     parser.add_argument(
         "--own-paths",
@@ -134,6 +141,7 @@ def options_of(arguments: argparse.Namespace) -> IngestOptions:
         clamp_negative=arguments.clamp_negative,
         align_mesh=arguments.align_mesh,
         plane_room=arguments.plane_room,
+        dense_stereo=arguments.dense_stereo,
         most_views=arguments.views,
         fusion=FusionOptions(arguments.voxel, arguments.close_holes, arguments.triangles),
         read=ReadOptions(
