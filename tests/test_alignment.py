@@ -30,7 +30,7 @@ from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
-from samples import rig_writers
+from samples import metashape_writers, rig_writers
 
 
 def turn(rng: np.random.Generator) -> np.ndarray:
@@ -312,7 +312,7 @@ def test_points_of_each_format(tmp_path: Path) -> None:
     shots = rig_writers.make_shots(rig_writers.Style(off_centre=(0.0, 0.0)), 2)
     rig_writers.write_bundler(tmp_path / "bundler", shots)
     rig_writers.write_nvm(tmp_path / "nvm", [shots[:1], shots])
-    rig_writers.write_realityscan_colmap(tmp_path / "colmap", shots)
+    metashape_writers.write_realityscan_colmap(tmp_path / "colmap", shots)
     rig_writers.write_openmvg(tmp_path / "openmvg", shots, "pinhole", "")
     rig_writers.write_meshroom(tmp_path / "meshroom", shots, (1, 2, 8))
     edit_json(

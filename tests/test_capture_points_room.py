@@ -22,7 +22,7 @@ from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
-from samples import rig_writers
+from samples import metashape_writers, rig_writers
 
 SIZE = np.array([5.0, 4.0, 2.5])
 
@@ -82,7 +82,7 @@ def test_a_room_of_too_few_points_is_refused_and_nothing_written(tmp_path: Path)
 
 def test_points_that_many_photographs_show_are_the_sure_ones(tmp_path: Path) -> None:
     shots = rig_writers.make_shots(rig_writers.Style(off_centre=(0.0, 0.0)), colmap.SURE_VIEWS)
-    rig_writers.write_realityscan_colmap(tmp_path / "colmap", shots)
+    metashape_writers.write_realityscan_colmap(tmp_path / "colmap", shots)
     folder = next(tmp_path.glob("colmap/**/cameras.*")).parent
     model = pycolmap.Reconstruction(str(folder))
     images = sorted(model.reg_image_ids())
