@@ -23,6 +23,7 @@ from fipt_blender.blend.results import applying, materials
 from fipt_blender.blend.room import exporting, originals
 from fipt_blender.blend.room.atlas import make_atlas
 from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.run_files import PANES, mesh_digest, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures import bake
@@ -285,3 +286,48 @@ def test_object_stands_on_the_floor_in_view():
         bpy.context.view_layer.update()
         heights = [(item.matrix_world @ vertex.co).z for vertex in item.data.vertices]
         assert min(heights) == pytest.approx(-1.0, abs=1e-4) and max(heights) == pytest.approx(-0.6, abs=1e-4)
+
+
+def with_panes(run):
+    """Put a quad into the run as the engine puts panes into holes of a scan, which this room need not be."""
+    arrays, _ = read_room_files(run)
+    vertices = np.array([[0, 0, 3], [1, 0, 3], [1, 1, 3], [0, 1, 3]], np.float32)
+    triangles = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    normals = np.tile(np.array([0, 0, 1], np.float32), (2, 3, 1))
+    source = mesh_digest(arrays)
+    np.savez(run.panes_npz, vertices=vertices, triangles=triangles, corner_normals=normals, source=source)
+    return vertices
+
+
+def test_panes_become_an_object_of_the_room(room):
+    run, objects = room
+    vertices = with_panes(run)
+    frame = bpy.data.objects.new("frame", None)
+    bpy.context.scene.collection.objects.link(frame)
+    frame.matrix_world = Matrix.Translation((0, 0, 7))
+    bpy.context.view_layer.update()
+    objects[0].parent, objects[0].matrix_parent_inverse = frame, frame.matrix_world.inverted()
+    make_atlas(objects, run, make_settings(changes={"texel_density": 16.0}))
+    bake.bake(run, ConstantFields())
+    applied = applying.apply_results(run, objects)
+    assert not applied.warnings
+    panes = bpy.data.objects[PANES]
+    bpy.context.view_layer.update()
+    corners = np.array([panes.matrix_world @ vertex.co for vertex in panes.data.vertices])
+    assert corners == pytest.approx(vertices, abs=1e-6)
+    assert panes.parent == frame and panes.data.materials[0].name == "FIPT Panes FIPT"
+    assert panes.name in bpy.context.scene.collection.objects
+    count = len(bpy.data.objects)
+    assert applying.apply_results(run, [*objects, panes]) == applied
+    assert len(bpy.data.objects) == count
+
+
+def test_an_interrupted_application_adds_no_panes(room):
+    run, objects = room
+    with_panes(run)
+    make_atlas(objects, run, make_settings(changes={"texel_density": 16.0}))
+    bake.bake(run, ConstantFields())
+    slices = applying.apply_slices(run, objects, bpy.context.scene)
+    next(slices)
+    slices.close()
+    assert PANES not in bpy.data.objects and PANES not in bpy.data.meshes

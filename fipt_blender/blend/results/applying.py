@@ -25,6 +25,7 @@ from ...core.run.shapes import CORNER_FIELDS_ARRAYS
 from ..lights import fixtures
 from ..lights.kept_states import keep_states, states_of
 from ..marks import MAP, OBJECT_ID, has_results, object_id
+from ..outliner import remove_object
 from ..room.arrays import Room, read_room
 from ..room.cleaned import clean_result_mesh
 from ..room.mesh_arrays import is_mirrored, triangle_loops
@@ -34,6 +35,7 @@ from ..room.originals import (
     result_meshes,
     set_result_mesh,
 )
+from ..room.panes import add_panes
 from ..room.result_meshes import list_names, make_mesh, match_objects
 from ..room.uv_layer import write_layer
 from ..slices import Slices, find_object, run_through
@@ -128,8 +130,13 @@ def apply_slices(
     results = _read(run)
     geometry = _cleaned_scan(run, results.room)
     objects = list(objects)
-    names = [item.name for item in objects]
     matches = match_objects(results.room, objects)
+    panes = add_panes(results.room, objects)
+    added = "" if panes is None else panes.name
+    if panes is not None:
+        objects.append(panes)
+        matches = match_objects(results.room, objects)
+    names = [item.name for item in objects]
     targets: list[_Target] = []
     changed: dict[str, FiptError] = {}
     try:
@@ -165,6 +172,8 @@ def apply_slices(
     except BaseException:  # including GeneratorExit: the job was cancelled
         prepared = [bpy.data.meshes.get(target.mesh_name) for target in targets]
         bpy.data.batch_remove([mesh for mesh in prepared if mesh is not None and mesh.users == 0])
+        if added in bpy.data.objects:
+            remove_object(bpy.data.objects[added])
         raise
 
 

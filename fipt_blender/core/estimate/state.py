@@ -49,6 +49,7 @@ from ..scene.labels import NO_PART, Parts, choose_parts, room_pieces
 from ..scene.pixels import LEFT_OUT, PixelStore, open_pixels
 from ..scene.room import load_room
 from ..views.check import ViewCheck
+from ..views.panes import close_holes
 from .hinted import hint_facts
 
 Facts = dict[str, Any]  # what stages.json keeps of a stage; JSON-serialisable
@@ -110,10 +111,11 @@ class EstimationState:
         self.device = torch.device(torch_device())
         self.capture = load_capture(folder)
         prepare_geometry(folder, settings.clean_scan)
-        self.room = load_room(folder)
         if not self.capture.train:
             raise FiptError("views-none", "The capture has no training views.", "Add photographs.")
         self.views = spread_views(self.capture.train, settings.view_share)
+        close_holes(folder, self.views)
+        self.room = load_room(folder)
         self.levels = roughness_levels(
             settings.roughness_levels, settings.roughness_min, settings.roughness_spacing
         )

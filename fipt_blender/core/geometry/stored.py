@@ -32,15 +32,24 @@ def prepare_geometry(run: RunFolder, clean: bool = True) -> None:
         if cleaned is None:
             run.geometry_npz.unlink(missing_ok=True)
             return
-        with atomic_path(run.geometry_npz) as temporary:
-            np.savez(
-                temporary,
-                vertices=cleaned.vertices,
-                corner_normals=cleaned.corner_normals,
-                plane=cleaned.plane,
-                noise=np.float32(cleaned.noise),
-                source=mesh_digest(arrays),
-            )
+        store_geometry(run, arrays, cleaned)
+
+
+def store_geometry(run: RunFolder, arrays: dict[str, np.ndarray], cleaned: CleanMesh) -> None:
+    """Write geometry.npz.
+
+    Args:
+        arrays: the room's vertices and triangles, of which the copy was made.
+    """
+    with atomic_path(run.geometry_npz) as temporary:
+        np.savez(
+            temporary,
+            vertices=cleaned.vertices,
+            corner_normals=cleaned.corner_normals,
+            plane=cleaned.plane,
+            noise=np.float32(cleaned.noise),
+            source=mesh_digest(arrays),
+        )
 
 
 def stored_geometry(run: RunFolder, arrays: dict[str, np.ndarray]) -> CleanMesh | None:

@@ -25,10 +25,13 @@ from .shapes import (
     EMITTERS,
     GEOMETRY_ARRAYS,
     LEFT_ALONE_ARRAYS,
+    PANES_ARRAYS,
     ROOM,
     ROOM_ARRAYS,
 )
 
+# Name and id of the object of panes in holes of a scan.
+PANES = "FIPT Panes"
 _EXPORT_AGAIN = "Export the room's mesh again (start the estimation again)."
 _ATLAS_AGAIN = "Start the run again without --resume, or apply the results again."
 _ESTIMATE_AGAIN = "Run the estimation again."
@@ -47,6 +50,8 @@ def read_room_files(
     run: RunFolder, code: str = "file-damaged"
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """The arrays of room.npz, and room.json; indices are within their ranges.
+
+    Panes that the engine has put into holes of a scan are one more object, the last one.
 
     Args:
         run: the run folder.
@@ -69,7 +74,44 @@ def read_room_files(
         if not _within(arrays[name], low, end):
             text = f"The room's mesh in {run.room_npz} refers to missing {what}."
             raise FiptError(code, text, _EXPORT_AGAIN)
-    return arrays, names
+    return _with_panes(run, arrays, names)
+
+
+def _with_panes(
+    run: RunFolder, arrays: dict[str, np.ndarray], names: dict[str, Any]
+) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """The room with the object of panes.npz, if there is one that was made for this mesh."""
+    panes = _read_panes(run, arrays)
+    if panes is None:
+        return arrays, names
+    count = len(panes["triangles"])
+    added = {
+        "vertices": panes["vertices"],
+        "triangles": panes["triangles"] + len(arrays["vertices"]),
+        "corner_normals": panes["corner_normals"],
+        "triangle_object": np.full(count, len(names["objects"])),
+        "triangle_material": np.full(count, -1),
+        "triangle_polygon": np.arange(count),
+    }
+    joined = {
+        name: np.concatenate([arrays[name], values.astype(arrays[name].dtype)])
+        for name, values in added.items()
+    }
+    ids = names.get("object_ids") or names["objects"]
+    return joined, {**names, "objects": [*names["objects"], PANES], "object_ids": [*ids, PANES]}
+
+
+def _read_panes(run: RunFolder, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray] | None:
+    """panes.npz, None where there is none for this mesh."""
+    if not run.panes_npz.exists():
+        return None
+    try:
+        panes = read_arrays(run.panes_npz, PANES_ARRAYS)
+    except FiptError:
+        return None
+    fits = _within(panes["triangles"], 0, len(panes["vertices"]))
+    fits &= all(bool(np.isfinite(panes[name]).all()) for name in ("vertices", "corner_normals"))
+    return panes if fits and np.array_equal(panes["source"], mesh_digest(arrays)) else None
 
 
 def read_atlas(run: RunFolder, triangles: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

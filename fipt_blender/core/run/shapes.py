@@ -251,6 +251,12 @@ GEOMETRY_ARRAYS: dict[str, Layout] = {
     "noise": ("f", ()),
     "source": ("i", (32,)),
 }
+PANES_ARRAYS: dict[str, Layout] = {
+    "vertices": ("f", ("V", 3)),
+    "triangles": ("i", ("T", 3)),
+    "corner_normals": ("f", ("T", 3, 3)),
+    "source": ("i", (32,)),
+}
 ATLAS_ARRAYS: dict[str, Layout] = {"corner_uv": ("f", ("T", 3, 2)), "triangle_image": ("i", ("T",))}
 CORNER_FIELDS_ARRAYS: dict[str, Layout] = {
     "base_color": ("f", ("T", 3, 3)),

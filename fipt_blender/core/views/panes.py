@@ -1,0 +1,133 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Panes in flat holes of a scan through which the photographs see nothing of the room and nothing bright.
+
+Such a hole is a window at night, a mirror or a glossy black surface, which scanners do not see. It is closed
+by a pane, an object of its own, whose material is estimated like any other. A bright one shows what is
+outside, and stays open: the environment lights the room through it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..capture.views import View
+from ..geometry.adjacency import Mesh, make_mesh
+from ..geometry.clean import CleanMesh
+from ..geometry.holes import FlatHole, flat_holes
+from ..geometry.stored import store_geometry, stored_geometry
+from ..optics.lights import LUMINANCE
+from ..run.run_files import PANES, mesh_digest, read_room_files
+from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
+from ..scene.camera_rays import trace_pixels
+from ..scene.room import Room, load_room
+
+# A hole counts if so many pixels look into it, and this share of them meets no surface behind it.
+LEAST_PIXELS, LEAST_MISSED = 100, 0.5
+# What is brighter than so many times the median pixel of the photographs lies outside.
+OUTSIDE = 2.0
+
+
+@dataclass
+class _Sight:
+    """What the pixels that look into a hole show: their number, and the luminance of those that miss."""
+
+    count: int
+    missed: list[np.ndarray]
+
+
+def close_holes(run: RunFolder, views: Sequence[View]) -> None:
+    """Write panes.npz, and extend geometry.npz, where photographs show that holes of a scan are surfaces.
+
+    Nothing changes where the mesh is no scan, or the room has panes already. Mitsuba's variant must be set.
+
+    Args:
+        views: training views.
+
+    Raises:
+        FiptError: those of the readers of room and photographs, ``disk-full`` or ``run-unwritable``.
+    """
+    arrays, names = read_room_files(run, "mesh-damaged")
+    if not run.geometry_npz.exists():
+        run.panes_npz.unlink(missing_ok=True)
+        return
+    if PANES in (names.get("object_ids") or names["objects"]):
+        return
+    cleaned = stored_geometry(run, arrays)
+    if cleaned is None:
+        return
+    mesh, _ = make_mesh(cleaned.vertices, arrays["triangles"])
+    holes = flat_holes(mesh, median_edge(mesh))
+    closed = [hole for hole, seen in zip(holes, _sights(load_room(run), holes, views), strict=True) if seen]
+    if not closed:
+        run.panes_npz.unlink(missing_ok=True)
+        return
+    vertices, triangles, normals = _panes(closed)
+    with explained_write_errors(run.root):
+        with atomic_path(run.panes_npz) as temporary:
+            np.savez(
+                temporary,
+                vertices=vertices,
+                triangles=triangles,
+                corner_normals=normals,
+                source=mesh_digest(arrays),
+            )
+        extended = CleanMesh(
+            np.concatenate([cleaned.vertices, vertices]),
+            np.concatenate([cleaned.corner_normals, normals]),
+            np.concatenate([cleaned.plane, _planes_of(closed, int(cleaned.plane.max(initial=-1)) + 1)]),
+            cleaned.noise,
+        )
+        store_geometry(run, read_room_files(run)[0], extended)
+
+
+def median_edge(mesh: Mesh) -> float:
+    """Metres."""
+    corners = mesh.vertices[mesh.triangles]
+    return float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)))
+
+
+def _panes(holes: Sequence[FlatHole]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices (V, 3), triangles (T, 3) and corner normals (T, 3, 3) of the panes of all holes."""
+    vertices, triangles, normals, count = [], [], [], 0
+    for hole in holes:
+        places, corners = hole.pane()
+        vertices.append(places)
+        triangles.append(corners + np.int32(count))
+        normals.append(np.tile(hole.axes[2].astype(np.float32), (len(corners), 3, 1)))
+        count += len(places)
+    return np.concatenate(vertices), np.concatenate(triangles), np.concatenate(normals)
+
+
+def _planes_of(holes: Sequence[FlatHole], first: int) -> np.ndarray:
+    """(T,) int32 plane of each triangle of the panes, from `first`."""
+    sizes = [len(hole.pane()[1]) for hole in holes]
+    return np.repeat(np.arange(first, first + len(holes), dtype=np.int32), sizes)
+
+
+def _sights(room: Room, holes: Sequence[FlatHole], views: Sequence[View]) -> list[bool]:
+    """Whether the photographs show that each hole is a surface."""
+    sights = [_Sight(0, []) for _ in holes]
+    medians = []
+    for view in views if holes else ():
+        luminance = view.radiance().reshape(-1, 3) @ LUMINANCE
+        medians.append(np.median(luminance))
+        surface = trace_pixels(room, view)
+        reached = np.where(np.array(surface.valid), np.array(surface.distance), np.inf)
+        origin, directions = view.camera_to_world[:3, 3], view.rays()[1]
+        for hole, sight in zip(holes, sights, strict=True):
+            enters, distance = hole.crossed(origin, directions)
+            enters &= reached > distance
+            sight.count += int(enters.sum())
+            sight.missed.append(luminance[enters & np.isinf(reached)])
+    outside = OUTSIDE * float(np.median(medians)) if medians else 0.0
+    return [_is_surface(sight, outside) for sight in sights]
+
+
+def _is_surface(sight: _Sight, outside: float) -> bool:
+    missed = np.concatenate(sight.missed)
+    enough = len(missed) >= max(LEAST_PIXELS, LEAST_MISSED * sight.count)
+    return enough and float(np.median(missed)) < outside
