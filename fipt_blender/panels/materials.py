@@ -75,6 +75,9 @@ class FIPT_UL_part_materials(Rows, bpy.types.UIList):
         row.label(text=item.name, translate=False)
 
 
+_SLIDERS = ("roughness_offset", "metallic_offset", "hue", "saturation", "value")
+
+
 class FIPT_PT_materials_parts(SubSection, bpy.types.Panel):
     """Adjust the estimated material of a part of the room"""
 
@@ -107,8 +110,13 @@ class FIPT_PT_materials_parts(SubSection, bpy.types.Panel):
         draw_text(layout, context, text)
         column = layout.column(align=True)
         column.enabled = settings.shown != "ORIGINAL"
-        for name in ("roughness_offset", "metallic_offset", "hue", "saturation", "value"):
+        for name in _SLIDERS:
             column.prop(part, name, slider=True)
+        shading = getattr(context.space_data, "shading", None)
+        changed = any(getattr(part, name) != part.bl_rna.properties[name].default for name in _SLIDERS)
+        if changed and shading is not None and shading.type == "SOLID":
+            text = "Solid shading shows the textures without these changes. Use Material Preview or Rendered."
+            draw_text(layout, context, iface_(text), icon="INFO")
 
 
 CLASSES = (FIPT_PT_materials, FIPT_UL_part_materials, FIPT_PT_materials_parts)

@@ -91,9 +91,10 @@ def _names(text: str) -> list[str]:
 
 
 def _copy(base: Path, shots: Path) -> None:
-    """Bring an earlier run's scenes and data, in place of those that are there."""
-    shutil.rmtree(shots / "data", ignore_errors=True)
-    shutil.copytree(base / "data", shots / "data")
+    """Bring an earlier run's scenes, their textures and data, in place of those that are there."""
+    for folder in (base / "data", *base.glob("*_textures")):
+        shutil.rmtree(shots / folder.name, ignore_errors=True)
+        shutil.copytree(folder, shots / folder.name)
     for file in base.glob("*.blend"):
         shutil.copyfile(file, shots / file.name)
 
