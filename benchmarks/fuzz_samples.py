@@ -24,7 +24,7 @@ from fipt_blender.core.run.run_files import read_atlas, read_emitters, read_room
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.run.shapes import ROOM_ARRAYS, STAGES
-from samples import rgbd_frames, rig_writers
+from samples import metashape_writers, rgbd_frames, rig_writers
 
 
 @dataclass(frozen=True)
@@ -211,8 +211,8 @@ def _read_run_files(sample: Path, out: Path) -> None:
 
 def _metashape(folder: Path, shots: list[rig_writers.Shot]) -> None:
     rig_writers.write_photographs(folder, shots)
-    rig_writers.write_metashape(
-        folder, [rig_writers.metashape_chunk(rig_writers.Chunk(shots), component=True)]
+    metashape_writers.write_metashape(
+        folder, [metashape_writers.metashape_chunk(metashape_writers.Chunk(shots), component=True)]
     )
 
 
@@ -220,10 +220,89 @@ def _rgbd(folder: Path) -> None:
     rgbd_frames.write_frames(folder, 2, (12, 16), 9.0)
 
 
+def _depth_points(sample: Path, out: Path) -> None:
+    """What cameras with depth are aligned by."""
+    from fipt_blender.core.capture.depth_images import checked_depths
+    from fipt_blender.core.capture.depth_points import alignment_points
+    from fipt_blender.core.capture.formats import read_rig
+    from fipt_blender.core.capture.rig import ReadOptions
+
+    rig = read_rig(sample, "rgbd", ReadOptions())
+    alignment_points(sample, replace(rig, depths=checked_depths(rig.depths)))
+
+
+def write_meshes(folder: Path) -> None:
+    """A wavy surface of 242 triangles as OBJ and PLY."""
+    from fipt_blender.core.depth.extraction import FusedMesh
+    from fipt_blender.core.depth.ply import write_ply
+
+    steps = np.arange(12)
+    x, y = (part.ravel() for part in np.meshgrid(steps, steps))
+    vertices = np.stack([x, y, np.sin(x)], axis=1).astype(np.float32)
+    first = np.add.outer(12 * steps[:-1], steps[:-1]).ravel()
+    triangles = (first[:, None] + [0, 1, 13, 0, 13, 12]).reshape(-1, 3).astype(np.int32)
+    write_ply(folder / "mesh.ply", FusedMesh(vertices, triangles))
+    lines = ["v {:.6g} {:.6g} {:.6g}".format(*vertex) for vertex in vertices]
+    lines += ["f {} {} {}".format(*(triangle + 1)) for triangle in triangles]
+    (folder / "mesh.obj").write_text("\n".join([*lines, ""]))
+
+
+def _simplify(sample: Path, out: Path) -> None:
+    """Simplification of mesh files, and the surface to which cameras are aligned."""
+    from fipt_blender.core.alignment.mesh_file import read_mesh
+    from fipt_blender.core.alignment.surface import sample_surface
+    from fipt_blender.core.capture.simplified_mesh import simplified_mesh, write_simplified
+
+    for name in ("mesh.ply", "mesh.obj"):
+        found = simplified_mesh(sample / name, 100)
+        if found is not None:
+            write_simplified(out / "small.ply", found[0])
+        surface = sample_surface(*read_mesh(sample / name), np.random.default_rng(0), 500)
+        surface.nearest_triangle(surface.points[:50] + 0.1)
+
+
+def write_points(folder: Path) -> None:
+    """A solve of OpenSfM with points on the walls of a box."""
+    rig_writers.write_opensfm(folder, [_shots()], "perspective")
+    rng = np.random.default_rng(3)
+    points = rng.random((150, 3))
+    points[np.arange(150), rng.integers(0, 3, 150)] = rng.integers(0, 2, 150)
+    path = folder / "reconstruction.json"
+    data = json.loads(path.read_text())
+    data[0]["points"] = {str(i): {"coordinates": point} for i, point in enumerate((6 * points - 3).tolist())}
+    path.write_text(json.dumps(data))
+
+
+def _plane_room(sample: Path, out: Path) -> None:
+    """The room of planes of a solve's points."""
+    from fipt_blender.core.capture.formats import read_rig
+    from fipt_blender.core.capture.points_room import room_of_points, write_room
+    from fipt_blender.core.capture.rig import ReadOptions
+
+    rig = read_rig(sample, "opensfm", ReadOptions())
+    write_room(out / "planes.obj", room_of_points(sample, rig))
+
+
+def write_depth_map(folder: Path) -> None:
+    """A depth map as dense stereo writes it."""
+    depth = np.linspace(1.0, 3.0, 48, dtype="<f4")
+    (folder / "a.geometric.bin").write_bytes(b"8&6&1&" + depth.tobytes())
+
+
+def _depth_map(sample: Path, out: Path) -> None:
+    from fipt_blender.core.capture.dense_stereo import read_depth_map
+    from fipt_blender.core.run.errors import FiptError
+
+    try:
+        read_depth_map(sample / "a.geometric.bin")
+    except ValueError as error:  # `stereo_depths` makes the error for users of it
+        raise FiptError("stereo-failed", str(error), "Check the photographs.") from None
+
+
 PROGRAMS: dict[str, Callable[[Path, list[rig_writers.Shot]], None]] = {
     "metashape": _metashape,
-    "realityscan-csv": rig_writers.write_realityscan_csv,
-    "realityscan-xmp": rig_writers.write_realityscan_xmp,
+    "realityscan-csv": metashape_writers.write_realityscan_csv,
+    "realityscan-xmp": metashape_writers.write_realityscan_xmp,
     "meshroom": lambda folder, shots: rig_writers.write_meshroom(
         folder, [replace(shot, k=(-0.02,)) for shot in shots], (1, 2, 8)
     ),
@@ -248,6 +327,10 @@ TARGETS = (
     Target("fipt-synthetic", write_fipt_synthetic, _ingest),
     *(Target(name, _program(write), _ingest) for name, write in PROGRAMS.items()),
     Target("rgbd", _rgbd, _ingest),
+    Target("depth-points", _rgbd, _depth_points),
+    Target("meshes", write_meshes, _simplify),
+    Target("plane-room", write_points, _plane_room),
+    Target("depth-map", write_depth_map, _depth_map),
     Target("capture", write_capture, _load_capture),
     Target("run-files", write_run_files, _read_run_files),
 )
