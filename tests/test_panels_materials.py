@@ -1,0 +1,54 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panel Materials of Parts, drawn on a stand-in of Blender's layout."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import bpy
+import pytest
+
+from fipt_blender.panels import materials
+
+pytestmark = pytest.mark.usefixtures("registered")
+
+
+class Layout:
+    """Stands in for Blender's: notes labels."""
+
+    def __init__(self, labels: list[str]) -> None:
+        vars(self)["labels"] = labels
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Settings of a layout do not matter here."""
+
+    def __getattr__(self, name: str):
+        def call(*arguments, **options):
+            if name == "label":
+                self.labels.append(options["text"])
+            return Layout(self.labels)
+
+        return call
+
+
+@pytest.mark.parametrize(
+    ("shading", "hue", "told"), [("SOLID", 0.3, True), ("SOLID", 0.5, False), ("RENDERED", 0.3, False)]
+)
+def test_solid_shading_does_not_show_the_sliders(shading, hue, told):
+    parts = bpy.context.scene.fipt.materials.parts
+    parts.clear()
+    part = parts.add()
+    part.known, part.hue = True, hue
+    labels: list[str] = []
+    context = SimpleNamespace(
+        scene=bpy.context.scene,
+        space_data=SimpleNamespace(shading=SimpleNamespace(type=shading)),
+        region=None,
+        preferences=bpy.context.preferences,
+    )
+    panel = SimpleNamespace(fields=lambda: Layout(labels))
+    materials.FIPT_PT_materials_parts.draw(panel, context)
+    assert ("Solid shading" in " ".join(labels)) is told
+    assert "Estimated" in " ".join(labels)
+    parts.clear()
