@@ -33,7 +33,7 @@ class Layout:
 
 
 @pytest.mark.parametrize(
-    ("shading", "hue", "told"), [("SOLID", 0.3, True), ("SOLID", 0.5, False), ("RENDERED", 0.3, False)]
+    ("shading", "hue", "told"), [("SOLID", 0.3, True), ("SOLID", 0.0, False), ("RENDERED", 0.3, False)]
 )
 def test_solid_shading_does_not_show_the_sliders(shading, hue, told):
     parts = bpy.context.scene.fipt.materials.parts
