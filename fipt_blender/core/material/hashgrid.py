@@ -112,7 +112,8 @@ class _Encode(torch.autograd.Function):
                     sums[f] = dr.fma(weight, dr.gather(mi.Float, values, entry * count + f), sums[f])
             columns += sums
         dr.eval(columns)
-        return torch.stack([column.torch() for column in columns], dim=1)
+        # A transposed view: written column by column, the features of one position would be far apart.
+        return torch.stack([column.torch() for column in columns]).T
 
     @staticmethod
     def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None, None, None]:
