@@ -289,7 +289,7 @@ class ReferenceEstimation(Estimation):
 
     # Stage 2, in each round
 
-    def _estimate(self, name: str) -> dict[str, Any]:
+    def _estimate(self, name: str, refined: bool) -> dict[str, Any]:
         index = int(name.rpartition("-")[2])
         self._new_networks(index)
         self._optimise(index, self.settings.training_steps, self.reporter.progress)

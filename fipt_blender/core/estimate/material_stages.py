@@ -55,7 +55,8 @@ class MaterialStages(EstimationState):
 
     # ---- Closed form (Eq. 5) and emitters (Sec. 4.4) -------------------------------------------------------
 
-    def _estimate(self, name: str) -> Facts:
+    def _estimate(self, name: str, refined: bool) -> Facts:
+        """The estimate of this name; `refined`: whether shadings are refined with it afterwards."""
         self._input = None  # that of the round before
         data, initial, cells, bright = self._closed_form()
         joint = self.settings.emission == "joint"
@@ -70,10 +71,12 @@ class MaterialStages(EstimationState):
         if self.hints is not None:
             self._warn_of_hints(name, self.hints, emitting)
         self._group_fixtures(emitting)
-        # Kept for stage 3, which writes over the shadings from which these are made.
-        self.diffuse = self.observations.means(data.diffuse).astype(np.float16)
-        limit = self.settings.cache_roughness
-        self.materials = self._entry_values(followed_by_paths(cells, data.group_errors[:, 0], limit))
+        self.diffuse, self.materials = np.zeros((0, 3), np.float16), np.zeros((0, 5), np.float32)
+        if refined:
+            # Kept for stage 3, which writes over the shadings from which these are made.
+            self.diffuse = self.observations.means(data.diffuse).astype(np.float16)
+            limit = self.settings.cache_roughness
+            self.materials = self._entry_values(followed_by_paths(cells, data.group_errors[:, 0], limit))
         self._save_estimate(name, emitting)
         return {"cells": len(cells.keys)}
 
@@ -135,6 +138,15 @@ class MaterialStages(EstimationState):
         estimate = partial(render_rows, cells, self.observations, data)
         shadings, surfaces = self._open_shadings(), self._emitter_surfaces
         return find_emission(self.room, self.pixels, shadings, marked, known, estimate, surfaces)
+
+    def _closed_form_colors(self, rows: np.ndarray) -> np.ndarray:
+        """(R, 3) base colour of the last closed-form estimate in the pixels `rows` (R,)."""
+        entry = np.asarray(self.observations.entry[rows])
+        if len(self.materials):
+            return self.materials[entry, :3]
+        data, _, cells, _ = self._closed_form()
+        place = cells.find(entry, np.asarray(data.group[rows], np.int64))
+        return np.where(place[:, None] >= 0, cells.color[place], np.float32(0.5))
 
     def _resume_estimate(self, name: str) -> None:
         # Emitters are read, not found anew: the shadings they were found with may have been refined since.

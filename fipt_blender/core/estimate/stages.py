@@ -98,7 +98,7 @@ class Estimation(LightStages, MaterialStages):
                 self._stage(
                     f"estimate-{index}",
                     f"Estimating materials and lamps (round {index + 1} of {rounds + 1})",
-                    partial(self._estimate, f"estimate-{index}"),
+                    partial(self._estimate, f"estimate-{index}", index < rounds),
                     partial(self._resume_estimate, f"estimate-{index}"),
                 )
                 self._show(f"estimate-{index}")
@@ -117,7 +117,7 @@ class Estimation(LightStages, MaterialStages):
             self._stage(
                 HINTED_LAMPS,
                 "Finding lamps with the hints",
-                partial(self._estimate, HINTED_LAMPS),
+                partial(self._estimate, HINTED_LAMPS, True),
                 partial(self._resume_estimate, HINTED_LAMPS),
             )
             self._stage(
@@ -129,7 +129,7 @@ class Estimation(LightStages, MaterialStages):
         self._stage(
             HINTED_ESTIMATE,
             "Estimating materials with the hints",
-            partial(self._estimate, HINTED_ESTIMATE),
+            partial(self._estimate, HINTED_ESTIMATE, False),
             partial(self._resume_estimate, HINTED_ESTIMATE),
         )
         load = partial(self._load_networks, HINTED_TRAINING)

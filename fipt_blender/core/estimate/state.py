@@ -97,7 +97,8 @@ class EstimationState:
         fixtures: the emitters found so far.
         emission: (T, 3) float32 L_e of each triangle if it is fitted jointly, else (0, 3).
         diffuse: (M * 6, 3) float16 mean L_d of each cache entry in the last closed-form estimate.
-        materials: (M * 6, 5) float32 base colour, roughness and metallic of each entry in that estimate.
+        materials: (M * 6, 5) float32 base colour, roughness and metallic of each entry in that estimate. Both
+            have no rows where no refinement follows it.
 
     Raises:
         FiptError: ``views-none``, or where the capture or the room can't be read.
@@ -346,10 +347,6 @@ class EstimationState:
         """(R, 3) base colour that the network has for the pixels `rows` (R,)."""
         unit = np.append(self.units.triangle, NO_PART)[np.asarray(self.pixels.triangle[rows])]
         return self._fields().query(np.asarray(self.pixels.position[rows]), unit)[0]
-
-    def _closed_form_colors(self, rows: np.ndarray) -> np.ndarray:
-        """(R, 3) base colour of the last closed-form estimate in the pixels `rows` (R,)."""
-        return self.materials[np.asarray(self.observations.entry[rows]), :3]
 
     # What is reported of it
 

@@ -74,11 +74,13 @@ def stage_keys(
     keys = {}
     first_again = HINTED_LAMPS if light_again else HINTED_ESTIMATE
     read_hints = {"estimate-0": hints, first_again: hints_again or ""}
+    # Estimates keep tables for the refinement that follows.
+    refined = {f"estimate-{index}": index < settings.rounds for index in range(settings.rounds + 1)}
     for stage in stage_names(settings.rounds, hints_again is not None, light_again):
         digest.update(read_hints.get(stage, "").encode())
         read = [item.name for item in fields(Settings) if item.metadata["stage"] == stage]
         values = {name: getattr(settings, name) for name in read}
-        digest.update(json.dumps([stage, values], sort_keys=True).encode())
+        digest.update(json.dumps([stage, values, refined.get(stage)], sort_keys=True).encode())
         keys[stage] = digest.hexdigest()
     return keys
 
