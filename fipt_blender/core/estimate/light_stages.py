@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -74,9 +75,9 @@ class LightStages(EstimationState):
     def _readjust_photographs(self, found: Photometry) -> None:
         """Find their response and the clipped lamps once more, with the light of shadings of stage 1."""
         self._prepare()
-        part = self.parts.triangle_part
-        diffuse = baked_light(self._baking(*self._first_light(), None, 0), self.pixels, self.workers)
-        found = refit_photographs(found, self.pixels, self.room, part, diffuse)
+        baking = self._baking(*self._first_light(), None, 0)
+        light_of = partial(baked_light, baking, self.pixels)
+        found = refit_photographs(found, self.pixels, self.room, self.parts.triangle_part, light_of)
         self._unmix(found, self._progress_within(0.9, 1.0))
         self.scale, self.photometry = found.scale, found.facts
         warn_of_photographs(found.facts, self.reporter)

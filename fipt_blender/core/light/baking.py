@@ -9,7 +9,7 @@ process can bake a view.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import astuple, dataclass, fields
 from functools import partial
 from pathlib import Path
 
@@ -175,13 +175,24 @@ def bake_views(
     return finished.rays
 
 
-def baked_light(baking: Baking, pixels: PixelStore, workers: Workers) -> np.ndarray:
-    """(N, 3) float16 L_d of all pixels; shadings of gloss are not kept."""
-    diffuse = np.zeros((len(pixels), 3), np.float16)
-    only = replace(baking, levels=baking.levels[-1:])
-    for index, baked in workers.map(only, (pixels.of_view(index) for index in range(len(pixels.views)))):
-        diffuse[pixels.rows(index)] = baked.diffuse
-    return diffuse
+def baked_light(baking: Baking, pixels: PixelStore, rows: np.ndarray, counts: SampleCounts) -> np.ndarray:
+    """(M, 3) float32 L_d at the centres of some pixels (M,) that see the room, not denoised."""
+    set_masking(baking.masking)
+    room, lights = baking.room, AreaLights(baking.room.vertices, baking.room.triangles, baking.emitters)
+    source, normals = baking._source(lights), triangle_normals(room.vertices, room.triangles)
+    cameras, result = pixels.camera_positions(), np.zeros((len(rows), 3), np.float32)
+    for number, begin in enumerate(range(0, len(rows), CHUNK)):
+        chunk = rows[begin : begin + CHUNK]
+        side = np.where(pixels.front[chunk], np.float32(1.0), np.float32(-1.0))[:, None]
+        position = np.asarray(pixels.position[chunk])
+        toward = cameras[pixels.view_of(chunk)] - position
+        toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-6)
+        geometric = (normals[pixels.triangle[chunk]] * side).astype(np.float32)
+        points = ShadingPoints(position, np.asarray(pixels.normal[chunk]), geometric, toward)
+        none = baking.levels[:0]
+        baked = bake(points, source, lights, none, counts, baking.seed * 100003 + number)
+        result[begin : begin + CHUNK] = baked.diffuse
+    return result
 
 
 def bake_view(

@@ -50,6 +50,15 @@ class ClippedSurfaces:
         seen = np.where(triangle >= 0, self.of_triangle[np.maximum(triangle, 0)], -1)
         return np.where(triangle == NO_TRIANGLE, len(self.reflecting) - 1, seen)
 
+    @property
+    def told(self) -> np.ndarray:
+        """(F,) bool, surfaces whose clipped pixels get the radiance that the light tells."""
+        if self.light is None:
+            return np.zeros(len(self.reflecting), bool)
+        told = (self.light.deviation.max(axis=1) < VAGUE) & ~self.reflecting
+        told[-1] = True
+        return told
+
     def radiance(self, rows: slice, surface: np.ndarray, bound: np.ndarray) -> np.ndarray:
         """(n, 3) radiance of clipped pixels.
 
@@ -62,9 +71,7 @@ class ClippedSurfaces:
         result = bound.copy()
         if self.light is None:
             return result
-        told = (self.light.deviation.max(axis=1) < VAGUE) & ~self.reflecting
-        told[-1] = True
-        lamp = (surface >= 0) & told[surface]
+        lamp = (surface >= 0) & self.told[surface]
         result[lamp] = np.maximum(bound[lamp], np.exp(self.light.log_radiance[surface[lamp]]))
         lit = np.flatnonzero((surface >= 0) & self.reflecting[surface])
         if len(lit):

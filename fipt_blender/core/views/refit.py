@@ -9,12 +9,13 @@ their L_d over the light of that model corrects the model at each point.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from ..light.clipped import Expectation
+from ..light.shadings import SampleCounts
 from ..optics.lights import LUMINANCE
 from ..radiometry.adjustment import usable
 from ..radiometry.inversion import Radiometry, is_clipped
@@ -23,10 +24,15 @@ from ..scene.room import Room
 from .clipped_surfaces import VAGUE, ClippedSurfaces
 from .photometry import Found, Photometry, solve_light, write_radiance
 
+LightOf = Callable[[np.ndarray, SampleCounts], np.ndarray]
+# Samples of the light over the hemisphere and towards lamps: at points that tell the contrast, which noise of
+# the light would raise, and at other pixels.
+POINT_SAMPLES, PIXEL_SAMPLES = SampleCounts(1024, 0, 256), SampleCounts(64, 0, 32)
 # Systematic error of the contrast that the light of shadings tells, as measured (docs/method.md).
 REFIT_DEVIATION = 0.03
 # Largest correction of the logarithm of light: beyond it, the model or the shading is wrong.
 MOST_CORRECTION = 1.0
+MOST_LIGHT = 6.0e4  # in half floats
 # Darkest L_d, in units of the capture's median, that is compared.
 _LEAST_LIGHT = 1e-3
 # Standard deviation of the logarithm of what a clipped surface reflects, by its albedo and its shadings.
@@ -34,23 +40,31 @@ _REFLECTED = 0.5
 # Albedo of a part of which no unclipped pixel is known, and the highest that is believed.
 _USUAL_ALBEDO, _MOST_ALBEDO = 0.5, 0.9
 _LEAST_PIXELS = 20
-_ALBEDO_STEP = 7  # of the pixels that tell it
+# Pixels of each part that tell its albedo.
+_ALBEDO_PIXELS = 400
 
 
 def refit_photographs(
-    before: Photometry, pixels: PixelStore, room: Room, part: np.ndarray, diffuse: np.ndarray
+    before: Photometry, pixels: PixelStore, room: Room, part: np.ndarray, light_of: LightOf
 ) -> Photometry:
-    """Find the contrast and the clipped lamps with the light of shadings, and write the radiance again.
+    """Find the contrast and the clipped lamps with baked light, and write the radiance again.
 
     Args:
         before: what was found; `pixels.radiance` is in its unit, apart from the exposures of views.
         part: (T,) int part of each triangle, negative without.
-        diffuse: (N, 3) L_d of the pixels.
+        light_of: L_d (M, 3) of pixels (M,) with numbers of samples, baked with the radiance of the pixels.
     """
     found = before.found
     lit, contrast = found.lit, found.radiometry.factor
     if found.clipped.light is None:
         return before
+    tells_albedo = _albedo_pixels(pixels, part, found)
+    clipped_rows = [rows for rows, _, _ in _clipped(pixels, found)]
+    seen = lit.pixel[np.asarray(pixels.triangle[lit.pixel]) >= 0]
+    others = np.unique(np.concatenate([tells_albedo, *clipped_rows]))
+    diffuse = np.zeros((len(pixels), 3), np.float16)
+    diffuse[others] = np.minimum(light_of(others, PIXEL_SAMPLES), MOST_LIGHT)
+    diffuse[seen] = np.minimum(light_of(seen, POINT_SAMPLES), MOST_LIGHT)
     light = np.asarray(diffuse[lit.pixel], np.float64)
     radiance = np.asarray(pixels.radiance[lit.pixel], np.float64)
     valid = (np.asarray(pixels.triangle[lit.pixel]) >= 0) & (light > _LEAST_LIGHT).all(axis=1)
@@ -61,14 +75,15 @@ def refit_photographs(
         found, lit.points.value * contrast - np.log(np.maximum(radiance, 1e-12)), valid
     )
     shift = found.radiometry.adjustment.log_gains - radiometry.adjustment.log_gains
-    model = lit.points.light(lit.cache, np.exp(found.clipped.light.log_radiance), contrast)
+    model = lit.points.light(lit.cache, _shown(pixels, found, unit), contrast)
     correction = np.log(np.maximum(light, _LEAST_LIGHT)) + unit - np.log(np.maximum(model, 1e-12))
     points = replace(
         lit.points,
         value=np.where(valid[:, None], lit.points.value + shift[lit.place], np.nan),
         correction=np.clip(correction, -MOST_CORRECTION, MOST_CORRECTION),
     )
-    reflecting, reflected, albedo = _reflected(pixels, part, diffuse, found, unit)
+    albedos = _albedos(pixels, part, tells_albedo, diffuse)
+    reflecting, reflected, albedo = _reflected(pixels, part, diffuse, found, unit, albedos)
     broad = Expectation.of(lit.bound, radiometry.contrast.value)
     expected = Expectation(
         np.where(reflecting[:, None], np.log(np.maximum(reflected, 1e-12)) + unit, broad.log_radiance),
@@ -84,6 +99,28 @@ def refit_photographs(
     clipped = ClippedSurfaces(found.clipped.of_triangle, lamps, reflecting, albedo, diffuse)
     again = replace(found, radiometry=radiometry, clipped=clipped, lit=replace(lit, points=points))
     return write_radiance(room, part, before.scale, again)
+
+
+def _shown(pixels: PixelStore, found: Found, unit: float) -> np.ndarray:
+    """(F, 3) radiance of the clipped surfaces that the shadings were baked with.
+
+    Not all have the radiance that was found: of some, the pixels show the bound, or what they reflect.
+
+    Args:
+        unit: logarithm of the unit of the pixels' radiance.
+    """
+    clipped = found.clipped
+    assert clipped.light is not None, "asked only where the light was solved"
+    total, count = np.zeros((len(clipped.reflecting), 3)), np.zeros(len(clipped.reflecting))
+    for index in found.codes.encoded:
+        rows = pixels.rows(index)
+        surface = clipped.on(np.asarray(pixels.triangle[rows]))
+        seen = surface >= 0
+        np.add.at(total, surface[seen], np.asarray(pixels.radiance[rows], np.float64)[seen])
+        np.add.at(count, surface[seen], 1.0)
+    mean = total / np.maximum(count, 1.0)[:, None] * np.exp(unit)
+    kept = clipped.told | (count == 0)
+    return np.where(kept[:, None], np.exp(clipped.light.log_radiance), mean)
 
 
 def _exposed(found: Found, offset: np.ndarray, valid: np.ndarray) -> tuple[float, Radiometry]:
@@ -105,12 +142,18 @@ def _exposed(found: Found, offset: np.ndarray, valid: np.ndarray) -> tuple[float
 
 
 def _reflected(
-    pixels: PixelStore, part: np.ndarray, diffuse: np.ndarray, found: Found, unit: float
+    pixels: PixelStore,
+    part: np.ndarray,
+    diffuse: np.ndarray,
+    found: Found,
+    unit: float,
+    albedos: dict[int, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What clipped surfaces reflect.
 
     Args:
         unit: logarithm of the unit of the pixels' radiance.
+        albedos: (3,) of the parts of which one is known.
 
     Returns:
         (F,) bool, surfaces that would be as bright if they were white, (F, 3) mean radiance that they
@@ -122,10 +165,8 @@ def _reflected(
     told = np.where(lamps.deviation.max(axis=1) < VAGUE, np.exp(lamps.log_radiance) @ LUMINANCE, 0.0)
     count = len(found.clipped.reflecting)
     reflecting, mean, albedo = np.zeros(count, bool), np.ones((count, 3)), np.ones((count, 3))
-    surface, bound, light, own = (
-        np.concatenate(column) for column in zip(*_clipped(pixels, part, diffuse, found), strict=True)
-    )
-    albedos = _albedos(pixels, part, diffuse, found)
+    rows, surface, bound = (np.concatenate(column) for column in zip(*_clipped(pixels, found), strict=True))
+    light, own = np.asarray(diffuse[rows], np.float64), part[pixels.triangle[rows]]
     for number in np.unique(surface):
         mine = surface == number
         white = np.median(light[mine] @ LUMINANCE) * np.exp(unit)
@@ -136,38 +177,51 @@ def _reflected(
     return reflecting, mean, albedo
 
 
-def _clipped(
-    pixels: PixelStore, part: np.ndarray, diffuse: np.ndarray, found: Found
-) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """Clipped pixels of each view: surface, luminance at which they are clipped, L_d (n, 3) and part."""
+def _clipped(pixels: PixelStore, found: Found) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Clipped pixels of each view: their rows, surface, and luminance at which they are clipped."""
     radiometry, codes = found.radiometry, found.codes
-    for place, index in enumerate(found.codes.encoded):
+    for place, index in enumerate(codes.encoded):
         rows = pixels.rows(index)
         code, triangle = codes.of_view(index), np.asarray(pixels.triangle[rows])
         surface = found.clipped.on(triangle)
         chosen = np.flatnonzero(is_clipped(code) & (triangle >= 0) & (surface >= 0))
         value = radiometry.values(place, code[chosen], codes.radius(index)[chosen]) * radiometry.factor
-        light = np.asarray(diffuse[rows][chosen], np.float64)
-        yield surface[chosen], np.exp(value) @ LUMINANCE, light, part[triangle[chosen]]
+        yield chosen + rows.start, surface[chosen], np.exp(value) @ LUMINANCE
+
+
+def _albedo_pixels(pixels: PixelStore, part: np.ndarray, found: Found) -> np.ndarray:
+    """Unclipped pixels of the parts that are clipped somewhere: at most `_ALBEDO_PIXELS` of each."""
+    wanted = part[found.clipped.of_triangle >= 0]
+    chosen = []
+    for index in found.codes.encoded:
+        rows = pixels.rows(index)
+        triangle = np.asarray(pixels.triangle[rows])
+        good = usable(found.codes.of_view(index)).all(axis=1) & (triangle >= 0) & pixels.pure[rows]
+        good &= np.isin(part[triangle], wanted) & (part[triangle] >= 0)
+        chosen.append(np.flatnonzero(good) + rows.start)
+    every = np.concatenate(chosen)
+    own = part[pixels.triangle[every]]
+    order = np.argsort(own, kind="stable")
+    _, first, count = np.unique(own[order], return_index=True, return_counts=True)
+    place = np.arange(len(order)) - np.repeat(first, count)
+    step = np.repeat(-(-count // _ALBEDO_PIXELS), count)
+    return every[order[place % step == 0]] if len(order) else every
 
 
 def _albedos(
-    pixels: PixelStore, part: np.ndarray, diffuse: np.ndarray, found: Found
+    pixels: PixelStore, part: np.ndarray, rows: np.ndarray, diffuse: np.ndarray
 ) -> dict[int, np.ndarray]:
-    """(3,) median albedo of the unclipped pixels of each part that has enough of them."""
-    columns = []
-    for index in found.codes.encoded:
-        rows = pixels.rows(index)
-        triangle, light = np.asarray(pixels.triangle[rows]), np.asarray(diffuse[rows], np.float64)
-        good = usable(found.codes.of_view(index)).all(axis=1) & (triangle >= 0) & pixels.pure[rows]
-        chosen = np.flatnonzero(good & (light > _LEAST_LIGHT).all(axis=1))[::_ALBEDO_STEP]
-        columns.append((part[triangle[chosen]], pixels.radiance[rows][chosen] / light[chosen]))
-    own, ratio = (np.concatenate(column) for column in zip(*columns, strict=True))
+    """(3,) median albedo of the pixels (M,) of each part that has enough of them."""
+    light = np.asarray(diffuse[rows], np.float64)
+    good = (light > _LEAST_LIGHT).all(axis=1)
+    if not good.any():
+        return {}
+    own, ratio = part[pixels.triangle[rows]][good], pixels.radiance[rows][good] / light[good]
     order = np.argsort(own, kind="stable")
     parts, first = np.unique(own[order], return_index=True)
     groups = zip(parts.tolist(), np.split(ratio[order], first[1:]), strict=True)
     return {
         number: np.clip(np.median(values, axis=0), 0.0, _MOST_ALBEDO)
         for number, values in groups
-        if number >= 0 and len(values) >= _LEAST_PIXELS
+        if len(values) >= _LEAST_PIXELS
     }
