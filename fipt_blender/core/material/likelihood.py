@@ -59,17 +59,13 @@ def group_log_likelihoods(
     light_cell: np.ndarray,
     prior: np.ndarray,
     settings: Settings,
-    shared_error: float = 0.0,
 ) -> np.ndarray:
     """(S, groups) log-likelihood of each candidate relative to the group's best; 0 in groups without pixels.
 
     The pixels of a group in one view, n by their weight, count as n / (`pixels_per_sample` + n t² / s²)
     samples, where s² is the variance of their residuals: a view's shadings err by t in any direction, so many
     pixels of one view tell no more than s² / t² samples. t is `VIEW_SHARE` of what the means of the views
-    show (:func:`_view_errors`), at least `view_error`. A share `view_outliers` of the views tells nothing.
-
-    A surface that the mesh shows wrongly has large residuals, which are common to the pixels of a view to
-    some extent: t is at least `shared_error` times s.
+    show (:func:`view_errors`), at least `view_error`. A share `view_outliers` of the views tells nothing.
 
     Args:
         samples: N pixels; those without a group, or alone in their cell, are left out: anything fits these.
@@ -89,9 +85,8 @@ def group_log_likelihoods(
     group = pairs // views
     pixels = np.maximum(np.bincount(pair, used.weight), 1e-6)
     means = np.bincount(pair, _residuals(blocks, best, variance) * used.weight) / pixels
-    common = _view_errors(means, pixels, group, variance, settings)
-    common = np.maximum(common / variance, shared_error**2)[group]
-    errors = settings.pixels_per_sample + pixels * common
+    common = view_errors(means, pixels, group, variance, settings)
+    errors = settings.pixels_per_sample + pixels * (common / variance)[group]
 
     def densities(block: _Block) -> tuple[_Block, np.ndarray]:
         scale = (settings.residual_degrees * variance[block.samples.group]).astype(np.float32)
@@ -236,7 +231,7 @@ def _residuals(blocks: list[_Block], best: np.ndarray, variance: np.ndarray) -> 
     return result
 
 
-def _view_errors(
+def view_errors(
     means: np.ndarray, pixels: np.ndarray, group: np.ndarray, variance: np.ndarray, settings: Settings
 ) -> np.ndarray:
     """(groups,) variance of the error that the pixels of a group have in common in one view.

@@ -64,7 +64,6 @@ def infer_materials(
     settings: Settings,
     similarity: np.ndarray | None = None,
     known: KnownMaterials | None = None,
-    shared_error: float = 0.0,
 ) -> GroupMaterials:
     """Roughness and metallic of each group: those with which its cells look most alike in all views.
 
@@ -77,12 +76,10 @@ def infer_materials(
         similarity: (groups, groups) prior probability that two groups are of one material
             (:func:`.groups.similarity`); None where each group is known to be one material of its own.
         known: what is known of the groups, of all that have pixels at least; None for nothing.
-        shared_error: share of the standard deviation of a group's residuals that the pixels of a view have in
-            common at least.
     """
     candidates = make_candidates(samples.levels)
     broad = broad_prior(candidates)
-    likelihood = group_log_likelihoods(samples, light_cell, broad, settings, shared_error)
+    likelihood = group_log_likelihoods(samples, light_cell, broad, settings)
     if known is None:
         posterior = group_posterior(likelihood, candidates, broad, settings.prior_weight, similarity)
     else:

@@ -40,9 +40,6 @@ FEW_PIXELS = 30
 # About so many pixels of larger groups determine roughness and metallic; fewer if those of all groups would
 # exceed `PROJECTION_PIXELS`.
 GROUP_PIXELS = 50_000
-# On a scan, the share of a group's residuals that the pixels of a view have in common: where it lost folds or
-# mouldings, the shadings are wrong by tens of percent, and noise would not make a metal of a curtain.
-SCAN_ERROR = 0.35
 # Steps of a Kronecker sequence along three axes and the sides: powers of the root of x^5 = x + 1.
 KRONECKER = 1.1673039782614187 ** -np.arange(1.0, 5.0)
 # Width, in voxels of the radiance cache, of the cells of constant base colour from which roughness and
@@ -95,8 +92,7 @@ def training_input(
     alike = None
     if pieces is not None:
         alike = _similarity(wide.group, observations.part[wide_rows], color[observations.entry[wide_rows]])
-    shared = SCAN_ERROR if observations.scan else 0.0
-    materials = infer_materials(wide, _light_cells(observations, wide_rows), settings, alike, known, shared)
+    materials = infer_materials(wide, _light_cells(observations, wide_rows), settings, alike, known)
     materials = materials.padded(groups)
     if known is not None:
         materials = materials.within(known)
