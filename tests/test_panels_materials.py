@@ -9,6 +9,8 @@ from types import SimpleNamespace
 import bpy
 import pytest
 
+from fipt_blender.blend.results import part_list
+from fipt_blender.blend.results.adjust import Adjustment
 from fipt_blender.panels import materials
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -35,11 +37,12 @@ class Layout:
 @pytest.mark.parametrize(
     ("shading", "hue", "told"), [("SOLID", 0.3, True), ("SOLID", 0.0, False), ("RENDERED", 0.3, False)]
 )
-def test_solid_shading_does_not_show_the_sliders(shading, hue, told):
+def test_solid_shading_does_not_show_the_sliders(monkeypatch, shading, hue, told):
+    monkeypatch.setattr(part_list, "adjustment", lambda scene, key: Adjustment(hue=hue))
     parts = bpy.context.scene.fipt.materials.parts
     parts.clear()
     part = parts.add()
-    part.known, part.hue = True, hue
+    part.known = True
     labels: list[str] = []
     context = SimpleNamespace(
         scene=bpy.context.scene,

@@ -75,7 +75,8 @@ class FIPT_UL_part_materials(Rows, bpy.types.UIList):
         row.label(text=item.name, translate=False)
 
 
-_SLIDERS = ("roughness_offset", "metallic_offset", "hue", "saturation", "value")
+# The sliders, and where they change nothing.
+_SLIDERS = {"roughness_offset": 0.0, "metallic_offset": 0.0, "hue": 0.0, "saturation": 1.0, "value": 1.0}
 
 
 class FIPT_PT_materials_parts(SubSection, bpy.types.Panel):
@@ -113,7 +114,7 @@ class FIPT_PT_materials_parts(SubSection, bpy.types.Panel):
         for name in _SLIDERS:
             column.prop(part, name, slider=True)
         shading = getattr(context.space_data, "shading", None)
-        changed = any(getattr(part, name) != part.bl_rna.properties[name].default for name in _SLIDERS)
+        changed = any(getattr(part, name) != neutral for name, neutral in _SLIDERS.items())
         if changed and shading is not None and shading.type == "SOLID":
             text = "Solid shading shows the textures without these changes. Use Material Preview or Rendered."
             draw_text(layout, context, iface_(text), icon="INFO")
