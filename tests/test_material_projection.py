@@ -63,6 +63,15 @@ def test_an_empty_part_id_does_no_harm(rng: np.random.Generator) -> None:
     assert metallic[2] == pytest.approx(1.0, abs=1e-3)
 
 
+@pytest.mark.parametrize(("spread", "lamp"), [(0.05, True), (0.01, False)])
+def test_noise_of_the_irradiance_alone_makes_no_lamp(
+    rng: np.random.Generator, spread: float, lamp: bool
+) -> None:
+    """A wide panel far from other lamps receives nearly even light; 0.01 is what noise does."""
+    light = rng.uniform(1.0 - 0.6 * spread, 1.0 + 0.6 * spread, 2000)
+    assert constant_parts(np.ones(2000), light, np.zeros(2000, int), 1).tolist() == [lamp]
+
+
 def test_parts_of_constant_radiance_under_uneven_light_are_lamps(rng: np.random.Generator) -> None:
     """A dim panel of constant radiance against a wall, a texture and a surface under even light."""
     count = 400
