@@ -4,7 +4,7 @@
 
 The views are compared on surface cells (:mod:`.cells`). Codes become radiance with a weight for their errors;
 triangles that are clipped in most pixels get the radiance that the light in the room tells (`light.clipped`).
-Once shadings are baked, both are found once more with their light (:mod:`.refit`).
+Once shadings are baked, both are found again with their light (:mod:`.refit`).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Photographs that are not HDR once more, with the light of baked shadings.
+"""Photographs that are not HDR again, with the light of baked shadings.
 
 The light on surfaces tells the response's contrast and the radiance of clipped lamps (`light.clipped`), but a
 few rays into the cache miss it by several percent where lamps are small and close. Baked shadings do not:
@@ -25,7 +25,7 @@ from .clipped_surfaces import VAGUE, ClippedSurfaces
 from .photometry import Found, Photometry, solve_light, write_radiance
 
 LightOf = Callable[[np.ndarray, SampleCounts], np.ndarray]
-# The refit is repeated until the contrast changes by less than this, and no more often than that.
+# The refit is repeated until the logarithm of the contrast changes by less than this, so many times at most.
 SETTLED = 0.01
 MOST_REFITS = 3
 # Samples of the light over the hemisphere and towards lamps: at points that tell the contrast, which noise of
