@@ -236,7 +236,7 @@ class ReferenceEstimation(Estimation):
         specular[0] = max(1, settings.specular_spp // 2)
         return self._bake_pixels(source, settings.diffuse_spp, specular, settings.seed * 31 + 1)
 
-    def _refine(self, index: int) -> dict[str, Any]:
+    def _refine(self, name: str, index: int) -> dict[str, Any]:
         settings = self.settings
         source = TracedRadiance(
             self.room,
