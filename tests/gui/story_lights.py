@@ -44,6 +44,7 @@ def light_states(window: Window, options: Options) -> None:
 def seeing(window: Window, options: Options) -> None:
     """Compare the view with its photograph, and drag the divider in the viewport."""
     window.open_section("Check")
+    window.click_row("check.active", 0)  # the view that was rendered
     window.click("fipt.compare", mode="VIEWPORT")
     window.wait("inside.comparison", until=lambda now: now["mode"] == "VIEWPORT")
     window.point_in_view(0.9, 0.9)
