@@ -33,6 +33,8 @@ class Window(Hand):
         if isinstance(before, str):
             self.press()
         else:
+            first, last = self.extent(path, where, 0)
+            self.display.move((first + last) // 2, self.display.pointer[1])  # its ends are arrows
             self.key("Return")  # a click would start dragging the number
         self.key("ctrl+a")
         self.type(text)
