@@ -22,9 +22,9 @@ RADIANCE_FLOOR = 0.05
 # A part emits if the relative spread of its radiance is less than this share of that of its irradiance. In
 # the example rooms surfaces stay above 0.5 and lamps below 0.01.
 CONSTANT_RATIO = 0.15
-# Least relative spread of irradiance for that test: noise of shadings of very few samples reaches 0.040, and a
-# wide panel far from all other lamps receives 0.052. Largest relative spread of radiance (noisy shadings spread
-# without limit), and least number of pixels.
+# Least relative spread of irradiance for that test: noise of shadings of very few samples reaches 0.040, and
+# a wide panel far from all other lamps receives 0.052. Largest relative spread of radiance (noisy shadings
+# spread without limit), and least number of pixels.
 CONSTANT_IRRADIANCE = 0.042
 CONSTANT_SPREAD = 0.3
 CONSTANT_PIXELS = 30
