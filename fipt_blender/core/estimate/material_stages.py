@@ -266,8 +266,8 @@ class MaterialStages(EstimationState):
             return errors
         lit = lit_cells(self.pixels, self.units, shadings, fields, self.cells, unused, seed)
         # Detail finer than an edge is lost, and so is the place of what lights and what hides.
-        edge = float(np.median(self.room.scan.adjacency.length))
-        of_light = light_errors(self.room, self.fixtures, (lit.points, lit.normals), edge, seed)
+        doubt = self.room.scan.edge
+        of_light = light_errors(self.room, self.fixtures, (lit.points, lit.normals), doubt, seed)
         return add_light_errors(errors, lit, of_light)
 
     def _write_doubts(self, names: np.ndarray) -> None:

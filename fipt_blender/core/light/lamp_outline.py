@@ -85,8 +85,7 @@ def _candidates(scan: Scan, emits: np.ndarray, reach: float) -> tuple[_Candidate
     distance, nearest = cKDTree(scan.centers[ids]).query(scan.centers, distance_upper_bound=reach)
     near = np.flatnonzero(np.isfinite(distance))
     normals = scan.cross[near] / np.maximum(np.linalg.norm(scan.cross[near], axis=1), 1e-30)[:, None]
-    edge = float(np.median(scan.adjacency.length))
-    return _Candidates(near, scan.centers[near], normals, piece[ids[nearest[near]]], edge), piece
+    return _Candidates(near, scan.centers[near], normals, piece[ids[nearest[near]]], scan.edge), piece
 
 
 def _piece_luminance(pixels: PixelStore, piece: np.ndarray) -> np.ndarray:

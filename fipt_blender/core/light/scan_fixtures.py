@@ -50,7 +50,7 @@ def scan_groups(scan: Scan, ids: np.ndarray, surface: np.ndarray | None) -> np.n
     np.maximum.at(largest, surface_of, size)
     large = (size >= FIXTURE_SHARE * largest[surface_of]) & (number >= LEAST_TRIANGLES)
     fixture = np.where(large, np.cumsum(large) - 1, -1)
-    reach = NEAR * float(np.median(scan.adjacency.length))
+    reach = NEAR * scan.edge
     beside = _fixture_beside(scan.centers[ids], component, surface_of, fixture, reach)
     alone = (beside < 0) & (number >= LEAST_TRIANGLES)
     return np.where(alone, large.sum() + np.cumsum(alone) - 1, beside)[component]
@@ -142,7 +142,6 @@ def shining_sides(scan: Scan, lamps: list[tuple[np.ndarray, float, float]]) -> n
     Args:
         lamps: triangles (n,), and the luminances of front and back of each fixture.
     """
-    edge = float(np.median(scan.adjacency.length))
     shines = np.zeros((len(lamps), 2), bool)
     found: list[tuple[int, Patch]] = []
     sides = [(light[side], index, side) for index, (_, *light) in enumerate(lamps) for side in (0, 1)]
@@ -151,7 +150,7 @@ def shining_sides(scan: Scan, lamps: list[tuple[np.ndarray, float, float]]) -> n
             continue
         patch = lamp_patch(scan, lamps[index][0], luminance, front=side == 0)
         others = [each for owner, each in found if owner != index]
-        if luminance > most_lit(patch, others, edge):
+        if luminance > most_lit(patch, others, scan.edge):
             shines[index, side] = True
             found.append((index, patch))
     return shines

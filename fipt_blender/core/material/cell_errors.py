@@ -44,16 +44,13 @@ def cell_errors(
         emitting: (T,) bool emitting triangles; their pixels are not used.
     """
     errors = np.full((len(cells.keys), 3), UNIFORM_DEVIATION, np.float32)
-    rows = _sample_rows(pixels, ~emitting, seed)
+    drawn = _draw(pixels, units, fields, cells, ~emitting, seed)
+    rows, sampled, cell = drawn.rows, drawn.cells, drawn.place
     if not len(rows):
         return errors
-    position = np.asarray(pixels.position[rows])
-    unit = units.triangle[pixels.triangle[rows]]
-    place = np.searchsorted(cells.keys, cell_keys(fields.box, position, unit))
-    sampled, cell = np.unique(place, return_inverse=True)
     group_of_cell = groups_of_cells(units, fields, cells)
-    group = group_of_cell[place]
-    color, roughness, metallic = fields.query(position, unit)
+    group = group_of_cell[sampled[cell]]
+    color, roughness, metallic = fields.query(drawn.position, drawn.unit)
     chunks = []
     for start in range(0, len(rows), CHUNK):
         chunk = slice(start, start + CHUNK)
@@ -104,16 +101,12 @@ def lit_cells(
     seed: int,
 ) -> LitCells:
     """The cells with the light on them; arguments as of :func:`cell_errors`."""
-    rows = _sample_rows(pixels, ~emitting, seed)
-    position = np.asarray(pixels.position[rows])
-    unit = units.triangle[pixels.triangle[rows]]
-    seen, place = np.unique(
-        np.searchsorted(cells.keys, cell_keys(fields.box, position, unit)), return_inverse=True
-    )
-    count = np.maximum(np.bincount(place, minlength=len(seen)), 1)[:, None]
+    drawn = _draw(pixels, units, fields, cells, ~emitting, seed)
+    rows, seen = drawn.rows, drawn.cells
+    count = np.maximum(np.bincount(drawn.place, minlength=len(seen)), 1)[:, None]
 
     def means(values: np.ndarray) -> np.ndarray:
-        columns = [np.bincount(place, column, minlength=len(seen)) for column in values.T]
+        columns = [np.bincount(drawn.place, column, minlength=len(seen)) for column in values.T]
         return np.stack(columns, axis=1) / count
 
     normals = means(np.asarray(pixels.normal[rows]).astype(np.float64))
@@ -145,12 +138,36 @@ def groups_of_cells(units: Units, fields: Fields, cells: SeenCells) -> np.ndarra
     return np.unique((cells.part.astype(np.int64) + 1) * 64**3 + blocks, return_inverse=True)[1]
 
 
-def _sample_rows(pixels: PixelStore, marked: np.ndarray, seed: int) -> np.ndarray:
-    """(n,) int64 about `PIXELS` pure pixels that see marked triangles."""
+@dataclass(frozen=True)
+class _Draw:
+    """About `PIXELS` pure pixels, and the K cells that they see.
+
+    Attributes:
+        rows: (n,) int64 of the pixels.
+        position, unit: (n, 3) metres, (n,) int of the surface.
+        cells: (K,) int64 index of each cell, ascending.
+        place: (n,) int64 index into `cells`.
+    """
+
+    rows: np.ndarray
+    position: np.ndarray
+    unit: np.ndarray
+    cells: np.ndarray
+    place: np.ndarray
+
+
+def _draw(
+    pixels: PixelStore, units: Units, fields: Fields, cells: SeenCells, marked: np.ndarray, seed: int
+) -> _Draw:
+    """Pixels that see marked triangles (T,) bool; the same ones for the same seed."""
     rng = np.random.default_rng([seed, 5])
     probability = PIXELS / max(len(pixels), 1)
     views = range(len(pixels.views))
-    return np.concatenate([_sample_view(pixels, view, marked, probability, rng) for view in views])
+    rows = np.concatenate([_sample_view(pixels, view, marked, probability, rng) for view in views])
+    position = np.asarray(pixels.position[rows])
+    unit = units.triangle[pixels.triangle[rows]]
+    seen = np.searchsorted(cells.keys, cell_keys(fields.box, position, unit))
+    return _Draw(rows, position, unit, *np.unique(seen, return_inverse=True))
 
 
 def _sample_view(

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -65,6 +66,11 @@ class Scan:
     adjacency: Adjacency
     centers: np.ndarray
     cross: np.ndarray
+
+    @cached_property
+    def edge(self) -> float:
+        """Metres, median of the edges that two triangles share; detail finer than this is lost."""
+        return float(np.median(self.adjacency.length))
 
 
 def find_scan(vertices: np.ndarray, triangles: np.ndarray, cleaned: bool = False) -> Scan | None:

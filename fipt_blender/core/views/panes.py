@@ -50,10 +50,10 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
     Raises:
         FiptError: those of the readers of room and photographs, ``disk-full`` or ``run-unwritable``.
     """
-    arrays, names = read_room_files(run, "mesh-damaged")
     if not run.geometry_npz.exists():
         run.panes_npz.unlink(missing_ok=True)
         return
+    arrays, names = read_room_files(run, "mesh-damaged")
     if PANES in (names.get("object_ids") or names["objects"]):
         return
     cleaned = stored_geometry(run, arrays)
@@ -65,7 +65,8 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
     if not closed:
         run.panes_npz.unlink(missing_ok=True)
         return
-    vertices, triangles, normals = _panes(closed)
+    vertices, triangles, normals, number = _panes(closed)
+    plane = int(cleaned.plane.max(initial=-1)) + 1 + number
     with explained_write_errors(run.root):
         with atomic_path(run.panes_npz) as temporary:
             np.savez(
@@ -78,7 +79,7 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
         extended = CleanMesh(
             np.concatenate([cleaned.vertices, vertices]),
             np.concatenate([cleaned.corner_normals, normals]),
-            np.concatenate([cleaned.plane, _planes_of(closed, int(cleaned.plane.max(initial=-1)) + 1)]),
+            np.concatenate([cleaned.plane, plane.astype(np.int32)]),
             cleaned.noise,
         )
         store_geometry(run, read_room_files(run)[0], extended)
@@ -90,22 +91,18 @@ def median_edge(mesh: Mesh) -> float:
     return float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)))
 
 
-def _panes(holes: Sequence[FlatHole]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices (V, 3), triangles (T, 3) and corner normals (T, 3, 3) of the panes of all holes."""
-    vertices, triangles, normals, count = [], [], [], 0
-    for hole in holes:
+def _panes(holes: Sequence[FlatHole]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices (V, 3), triangles (T, 3), corner normals (T, 3, 3) and hole (T,) of the panes of all holes."""
+    vertices, triangles, normals, numbers, count = [], [], [], [], 0
+    for number, hole in enumerate(holes):
         places, corners = hole.pane()
         vertices.append(places)
         triangles.append(corners + np.int32(count))
         normals.append(np.tile(hole.axes[2].astype(np.float32), (len(corners), 3, 1)))
+        numbers.append(np.full(len(corners), number))
         count += len(places)
-    return np.concatenate(vertices), np.concatenate(triangles), np.concatenate(normals)
-
-
-def _planes_of(holes: Sequence[FlatHole], first: int) -> np.ndarray:
-    """(T,) int32 plane of each triangle of the panes, from `first`."""
-    sizes = [len(hole.pane()[1]) for hole in holes]
-    return np.repeat(np.arange(first, first + len(holes), dtype=np.int32), sizes)
+    joined = np.concatenate
+    return joined(vertices), joined(triangles), joined(normals), joined(numbers)
 
 
 def _sights(room: Room, holes: Sequence[FlatHole], views: Sequence[View]) -> list[bool]:
