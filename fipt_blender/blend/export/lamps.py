@@ -8,7 +8,7 @@ import bmesh
 import bpy
 import numpy as np
 
-from ..lights.convert import CLOSED, world_triangles
+from ..lights.convert import is_closed, vector_areas, world_triangles
 from ..lights.fixture_nodes import is_emission_material, side_radiance
 from .materials import glowing_material
 
@@ -24,7 +24,7 @@ def plain_lamp(item: bpy.types.Object) -> list[bpy.types.Material]:
     """
     made: list[bpy.types.Material] = []
     behind: dict[int, int] = {}
-    closed = _openness(item) < CLOSED
+    closed = is_closed(vector_areas(*world_triangles(item)))
     for index, slot in enumerate(list(item.material_slots)):
         material = slot.material
         if material is None or not is_emission_material(material):
@@ -40,15 +40,6 @@ def plain_lamp(item: bpy.types.Object) -> list[bpy.types.Material]:
     if behind:
         add_backs(item.data, behind, GAP / max(item.matrix_world.median_scale, 1e-6))
     return made
-
-
-def _openness(item: bpy.types.Object) -> float:
-    """1 for a plane, 0 for a closed surface: its vector area as a share of its area."""
-    vertices, triangles = world_triangles(item)
-    corners = vertices[triangles]
-    vector_area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(vector_area, axis=1).sum()
-    return float(np.linalg.norm(vector_area.sum(axis=0)) / max(area, 1e-12))
 
 
 def add_backs(mesh: bpy.types.Mesh, behind: dict[int, int], gap: float) -> None:

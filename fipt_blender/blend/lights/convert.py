@@ -41,7 +41,7 @@ RAYS = ("visible_diffuse", "visible_glossy", "visible_transmission", "visible_vo
         "visible_shadow")  # fmt: skip
 _SHAPE_FIELDS = ("size", "size_y", "spread", "shadow_soft_size", "exposure", "use_shadow", "use_temperature")
 _KINDS = ("", "POINT", "SUN", "SPOT", "AREA", "SQUARE", "RECTANGLE", "DISK", "ELLIPSE")
-CLOSED = 0.5  # a surface whose vector area is a smaller share of its area is closed
+_CLOSED = 0.5  # a surface whose vector area is a smaller share of its area is closed
 _FLAT = 0.999  # least cosine between the face normals of a flat piece and their mean
 _FILL_RECTANGLE, _FILL_TOLERANCE = 0.97, 0.03
 
@@ -196,10 +196,7 @@ def fit_shapes(vertices: np.ndarray, triangles: np.ndarray) -> list[Shape]:
         vertices: (V,3) world positions; vertices at the same position count as one.
         triangles: (T,3), counter-clockwise seen from the front.
     """
-    vector_area = 0.5 * np.cross(
-        vertices[triangles[:, 1]] - vertices[triangles[:, 0]],
-        vertices[triangles[:, 2]] - vertices[triangles[:, 0]],
-    )
+    vector_area = vector_areas(vertices, triangles)
     has_area = np.linalg.norm(vector_area, axis=1) > 1e-12
     triangles, vector_area = triangles[has_area], vector_area[has_area]
     if not len(triangles):
@@ -212,19 +209,40 @@ def fit_shapes(vertices: np.ndarray, triangles: np.ndarray) -> list[Shape]:
     return [_fit_shape(vertices[triangles[member]], vector_area[member]) for member in members]
 
 
+def vector_areas(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(T,3) normals of triangles, as long as the triangles' areas in m².
+
+    Args:
+        vertices: (V,3) metres.
+        triangles: (T,3), counter-clockwise seen from the front.
+    """
+    corners = vertices[triangles]
+    return 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def is_closed(vector_area: np.ndarray) -> bool:
+    """Whether a surface encloses a volume, given the vector areas (T,3) of its triangles."""
+    return _openness(vector_area) < _CLOSED
+
+
+def _openness(vector_area: np.ndarray) -> float:
+    """1 for a plane, 0 for a closed surface: length of the sum of vector areas (T,3) over the area."""
+    area = np.linalg.norm(vector_area, axis=1).sum()
+    return float(np.linalg.norm(vector_area.sum(axis=0)) / max(area, 1e-12))
+
+
 def _fit_shape(corners: np.ndarray, vector_area: np.ndarray) -> Shape:
     """The light for one piece, given its triangles (T,3,3) and their vector areas (T,3)."""
     areas = np.linalg.norm(vector_area, axis=1)
     area = float(areas.sum())
     front = vector_area.sum(axis=0)
-    openness = float(np.linalg.norm(front)) / area  # 1 for a plane, 0 for a closed surface
     center = (corners.mean(axis=1) * areas[:, None]).sum(axis=0) / area
-    if openness < CLOSED:
+    if is_closed(vector_area):
         distance = np.linalg.norm(corners.reshape(-1, 3) - center, axis=1)
         radius = math.sqrt(area / (4.0 * math.pi))
         matrix = np.eye(4)
         matrix[:3, 3] = center
-        exact = openness < 0.05 and float(distance.std()) < 0.05 * float(distance.mean())
+        exact = _openness(vector_area) < 0.05 and float(distance.std()) < 0.05 * float(distance.mean())
         return Shape("POINT", matrix, (2.0 * radius, 2.0 * radius), area, exact)
     front = front / np.linalg.norm(front)
     across, up = _plane_axes(front)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from .. import conventions
+from ..depth.ply import write_ply
 from ..run.errors import FiptError
 from ..run.messages import Reporter
 from ..run.runfolder import RunFolder, write_json
@@ -33,7 +34,7 @@ from .ingest_options import IngestOptions, check_options, options_of
 from .ingest_options import add_arguments as add_arguments  # of the command
 from .points_room import room_note, room_of_points, write_room
 from .rig import Pinhole, Rig, RigView
-from .simplified_mesh import simplified_mesh, write_simplified
+from .simplified_mesh import simplified_mesh
 from .views import CAPTURE_FORMAT, CAPTURE_VERSION
 
 ID_IMAGES = ("parts", "semantics", "mask")
@@ -110,7 +111,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
         mesh = run_folder.fused_ply if fused is None else fusion.keep(fused)
     if fewer is not None:
         mesh = run_folder.simplified_ply
-        write_simplified(mesh, fewer[0])
+        write_ply(mesh, fewer[0])
     if planes is not None:
         mesh = run_folder.planes_obj
         write_room(mesh, planes)

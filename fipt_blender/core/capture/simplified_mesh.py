@@ -10,8 +10,7 @@ import numpy as np
 
 from ..alignment.mesh_file import read_mesh
 from ..depth.extraction import FusedMesh
-from ..depth.ply import write_ply
-from ..depth.simplification import simplified
+from ..depth.simplification import collapsed
 from .rig import Note
 
 
@@ -25,24 +24,12 @@ def simplified_mesh(path: Path, triangles: int) -> tuple[FusedMesh, Note] | None
     if len(faces) <= triangles:
         return None
     # Formats with a vertex for each face corner would fall apart into single triangles.
-    middle = vertices.mean(axis=0)
     welded, index = np.unique(vertices, axis=0, return_inverse=True)
     faces = index.reshape(-1)[faces]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-    mesh = simplified(
-        FusedMesh((welded - middle).astype(np.float32), faces.astype(np.int32)),
-        triangles,
-    )
-    mesh = FusedMesh((mesh.vertices + middle).astype(np.float32), mesh.triangles)
-    text = f"The mesh {path} was simplified from {len(faces):,} to {len(mesh.triangles):,} triangles."
+    fewer = faces.astype(np.int32)
+    if len(fewer) > triangles:
+        welded, fewer = collapsed(welded, fewer, triangles)
+    text = f"The mesh {path} was simplified from {len(faces):,} to {len(fewer):,} triangles."
     remedy = "Its material slots, colors and UVs are not kept. Set the triangles to 0 to use the mesh itself."
-    return mesh, Note("mesh-simplified", text, remedy)
-
-
-def write_simplified(path: Path, mesh: FusedMesh) -> None:
-    """Write the copy, completely or not at all.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
-    """
-    write_ply(path, mesh)
+    return FusedMesh(welded.astype(np.float32), fewer), Note("mesh-simplified", text, remedy)

@@ -24,15 +24,26 @@ def simplified(mesh: FusedMesh, triangles: int) -> FusedMesh:
     """
     if len(mesh.triangles) <= triangles:
         return mesh
-    middle = mesh.vertices.astype(np.float64).mean(axis=0)  # single precision far from the origin is coarse
-    vertices, faces = fast_simplification.simplify(
-        (mesh.vertices - middle).astype(np.float32), mesh.triangles.astype(np.int32), target_count=triangles
-    )
-    kept = np.asarray(vertices, np.float64) + middle
+    kept, faces = collapsed(mesh.vertices, mesh.triangles, triangles)
     colors = None
     if mesh.colors is not None:
         near = cKDTree(mesh.vertices).query(kept, min(_AROUND, len(mesh.vertices)))[1]
         colors = mesh.colors[near.reshape(len(kept), -1)].mean(axis=1).astype(np.float32)
+    return FusedMesh(kept.astype(np.float32), faces, colors)
+
+
+def collapsed(vertices: np.ndarray, triangles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (W, 3) float64 and triangles (U, 3) int32 of a mesh with at most about `count` triangles.
+
+    Args:
+        vertices: (V, 3) metres, float32 or float64.
+        triangles: (T, 3), more than `count`.
+    """
+    middle = vertices.mean(axis=0, dtype=np.float64)  # single precision far from the origin is coarse
+    near, faces = fast_simplification.simplify(
+        (vertices - middle).astype(np.float32), triangles.astype(np.int32), target_count=count
+    )
+    kept = np.asarray(near, np.float64) + middle
     corners = kept[faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    return FusedMesh(kept.astype(np.float32), faces[area > 0.0].astype(np.int32), colors)
+    return kept, faces[area > 0.0].astype(np.int32)
