@@ -10,6 +10,7 @@ import random
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -72,6 +73,31 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(threads)
+
+
+@pytest.fixture
+def bakes(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The bakes of Apply Results, by an engine in this process that bakes constants."""
+    from samples.applied_rooms import use_fake_engine
+
+    return use_fake_engine(monkeypatch)
+
+
+@pytest.fixture
+def scene(tmp_path: Path, bakes: list[str]) -> Any:
+    """An artist's room with a finished run (`samples.applied_rooms`); some modules define another scene."""
+    from samples.applied_rooms import make_scene
+
+    return make_scene(tmp_path / "run")
+
+
+@pytest.fixture
+def applied(scene: Any) -> Any:
+    """The scene with its run's results."""
+    import bpy
+
+    assert bpy.ops.fipt.apply_results("EXEC_DEFAULT") == {"FINISHED"}
+    return scene
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from fipt_blender.blend.export.exporting import export_room
 from fipt_blender.blend.export.lamps import GAP
 from fipt_blender.blend.export.textures import texel_parts
 from fipt_blender.core.run.errors import FiptError
-from samples.applied_rooms import RADIANCE, ConstantFields, fingerprint, make_scene, use_fake_engine
+from samples.applied_rooms import RADIANCE, ConstantFields, fingerprint, make_applied_scene
 
 ops = bpy.ops.fipt
 
@@ -33,10 +33,7 @@ validator.validateBytes(bytes).then(report => console.log(JSON.stringify(report.
 
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
-    use_fake_engine(monkeypatch)
-    scene = make_scene(tmp_path / "run")
-    assert ops.apply_results("EXEC_DEFAULT") == {"FINISHED"}
-    return scene
+    return make_applied_scene(tmp_path / "run", monkeypatch)
 
 
 def gltf_json(path):

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-import fipt_blender
 from fipt_blender.blend.capture import cameras
 from fipt_blender.blend.capture.exporting import camera_pose
 from fipt_blender.blend.capture.importing import find_alignment
@@ -20,14 +19,9 @@ from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 
 ops = bpy.ops.fipt
+
+pytestmark = pytest.mark.usefixtures("registered")
 POINTS = np.array([[2.0, 2.0, 0.0], [-2.0, 1.5, 0.2], [1.0, -2.0, 2.4], [-1.5, -1.0, 1.0], [0.5, 2.0, 2.0]])
-
-
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    fipt_blender.register()
-    yield
-    fipt_blender.unregister()
 
 
 def toward_the_middle(angle: float) -> np.ndarray:

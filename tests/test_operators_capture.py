@@ -12,7 +12,6 @@ import bpy
 import numpy as np
 import pytest
 
-import fipt_blender
 from fipt_blender import machine
 from fipt_blender.blend.capture import overlay
 from fipt_blender.blend.capture.survey import coverage_colors, part_colors
@@ -26,12 +25,7 @@ from samples.capture_files import make_samples, write_colmap, write_mesh, write_
 
 ops = bpy.ops.fipt
 
-
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    fipt_blender.register()
-    yield
-    fipt_blender.unregister()
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture

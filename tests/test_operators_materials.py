@@ -15,28 +15,12 @@ from fipt_blender.blend.slices import run_through
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.properties.materials import SHOWN
-from samples.applied_rooms import MEDIAN, ConstantFields, fingerprint, make_scene, picture, use_fake_engine
+from samples.applied_rooms import MEDIAN, ConstantFields, fingerprint, picture
 from samples.operator_calls import refused
 
 ops = bpy.ops.fipt
 
 pytestmark = pytest.mark.usefixtures("registered")
-
-
-@pytest.fixture
-def bakes(monkeypatch):
-    return use_fake_engine(monkeypatch)
-
-
-@pytest.fixture
-def scene(tmp_path, bakes):
-    return make_scene(tmp_path / "run")
-
-
-@pytest.fixture
-def applied(scene):
-    assert ops.apply_results("EXEC_DEFAULT") == {"FINISHED"}
-    return scene
 
 
 def test_apply_puts_maps_lights_and_exposure_onto_the_scene(applied):

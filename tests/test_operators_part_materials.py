@@ -17,7 +17,7 @@ from fipt_blender.blend.results import adjust
 from fipt_blender.blend.results.part_assets import ball
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.jobs import running
-from samples.applied_rooms import ConstantFields, fingerprint, make_scene, use_fake_engine
+from samples.applied_rooms import ConstantFields, fingerprint
 
 ops = bpy.ops.fipt
 
@@ -48,16 +48,9 @@ def describe(scene, names=NAMES, prefix="mask"):
 
 
 @pytest.fixture
-def scene(tmp_path, monkeypatch):
-    use_fake_engine(monkeypatch)
-    scene = make_scene(tmp_path / "run")
+def scene(scene):
+    """The room of all such tests, with parts."""
     describe(scene)
-    return scene
-
-
-@pytest.fixture
-def applied(scene):
-    assert ops.apply_results("EXEC_DEFAULT") == {"FINISHED"}
     return scene
 
 

@@ -8,18 +8,11 @@ import bpy
 import pytest
 
 from fipt_blender.blend.marks import VIEW
-from samples.applied_rooms import make_scene, use_fake_engine
 
 ops = bpy.ops.fipt
 
 
 pytestmark = pytest.mark.usefixtures("registered")
-
-
-@pytest.fixture
-def scene(tmp_path, monkeypatch):
-    use_fake_engine(monkeypatch)
-    return make_scene(tmp_path / "run")
 
 
 @pytest.fixture

@@ -13,7 +13,6 @@ from pathlib import Path
 import bpy
 import pytest
 
-import fipt_blender
 from fipt_blender.core.photographs.preparation import (
     Group,
     PreparationFolder,
@@ -28,12 +27,7 @@ from samples.prepared_captures import make_preparation, write_prepared
 
 ops = bpy.ops.fipt
 
-
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    fipt_blender.register()
-    yield
-    fipt_blender.unregister()
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture

@@ -11,24 +11,12 @@ from fipt_blender.blend import marks
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.jobs import running
-from samples.applied_rooms import fingerprint, make_scene, use_fake_engine
+from samples.applied_rooms import fingerprint
 from samples.operator_calls import refused
 
 ops = bpy.ops.fipt
 
 pytestmark = pytest.mark.usefixtures("registered")
-
-
-@pytest.fixture
-def scene(tmp_path, monkeypatch):
-    use_fake_engine(monkeypatch)
-    return make_scene(tmp_path / "run")
-
-
-@pytest.fixture
-def applied(scene):
-    assert ops.apply_results("EXEC_DEFAULT") == {"FINISHED"}
-    return scene
 
 
 def warned() -> str:

@@ -14,24 +14,12 @@ from mathutils import Vector
 
 from fipt_blender.blend import marks
 from fipt_blender.core.run.runfolder import RunFolder
-from samples.applied_rooms import ConstantFields, fingerprint, make_scene, picture, use_fake_engine
+from samples.applied_rooms import ConstantFields, fingerprint, picture
 from samples.operator_calls import refused
 
 ops = bpy.ops.fipt
 
 pytestmark = pytest.mark.usefixtures("registered")
-
-
-@pytest.fixture
-def scene(tmp_path, monkeypatch):
-    use_fake_engine(monkeypatch)
-    return make_scene(tmp_path / "run")
-
-
-@pytest.fixture
-def applied(scene):
-    assert ops.apply_results("EXEC_DEFAULT") == {"FINISHED"}
-    return scene
 
 
 def textures(scene) -> list[bpy.types.Image]:
