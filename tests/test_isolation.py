@@ -43,6 +43,7 @@ SHARED = (
     "run.settings",
     "run.shapes",
     "report.comparison",
+    "report.fixture_names",
     "textures.raster",
     "textures.write_back",
 )

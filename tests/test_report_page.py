@@ -101,6 +101,24 @@ def test_the_page_is_whole_and_all_its_images_exist(run):
     assert "1 min 1 s" in page.text and "12 % of all directions" in page.text
 
 
+def test_lamps_are_called_as_in_blender(run):
+    corners = np.array([[0, 0, 0], [4, 0, 0], [0, 3, 0], [1, 1, 3], [2, 1, 3], [1, 2, 3]], np.float32)
+    triangles = np.array([[0, 1, 2], [3, 5, 4], [3, 5, 4]], np.int32)
+    run.room_npz.parent.mkdir(exist_ok=True)
+    np.savez(
+        run.room_npz,
+        vertices=corners,
+        triangles=triangles,
+        corner_normals=np.tile(np.float32([0, 0, 1]), (3, 3, 1)),
+        triangle_object=np.array([0, 1, 1], np.int32),
+        triangle_material=np.full(3, -1, np.int32),
+        triangle_polygon=np.array([0, 0, 1], np.int32),
+    )
+    write_json(run.room_json, {"objects": ["Floor", f"Lamp {NASTY}"], "materials": [], "parts": "none"})
+    page = Page(write_report(run))
+    assert "Lamp script alert" in page.text and "script" not in [tag for tag, _ in page.tags]
+
+
 def test_names_are_escaped_and_nothing_comes_from_elsewhere(run):
     path = write_report(run)
     page = Page(path)

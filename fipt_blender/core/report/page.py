@@ -25,6 +25,7 @@ from ..run.settings import Settings
 from ..run.shapes import EMITTERS, RENDERS, STATISTICS, STEPS
 from ..run.shapes import MAPS as MAPS_FILE
 from .comparison import ERROR_FULL, choose_exposure, error_picture, psnr, resize_to, to_display
+from .fixture_names import run_fixture_names
 from .html import write_page
 from .pictures import write_png
 
@@ -53,7 +54,7 @@ class Shot:
 
 @dataclass(frozen=True)
 class FixtureRow:
-    """One fixture of emitters.json, with a CSS colour of its light."""
+    """One fixture of emitters.json, with the name of its object in Blender and a CSS colour of its light."""
 
     name: str
     triangles: int
@@ -123,7 +124,7 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
         "exposure": exposure,
         "error_full": ERROR_FULL,
         "map_rows": _map_rows(run, album, exposure),
-        "fixtures": [_fixture_row(entry) for entry in emitters.get("fixtures", [])],
+        "fixtures": _fixture_rows(run, emitters.get("fixtures", [])),
         "environment": _environment(run, emitters.get("environment"), album, exposure),
         "stages": [_stage_row(entry) for entry in statistics.get("stages", [])],
         "steps": [(name, step.get("seconds", 0.0)) for name, step in steps.items() if step["finished"]],
@@ -211,10 +212,16 @@ def _map_rows(run: RunFolder, album: _Album, exposure: float) -> list[tuple[str,
     return rows
 
 
-def _fixture_row(entry: Mapping[str, Any]) -> FixtureRow:
+def _fixture_rows(run: RunFolder, entries: Sequence[Mapping[str, Any]]) -> list[FixtureRow]:
+    """One row for each fixture, with the name that its object has in Blender."""
+    names = run_fixture_names(run, entries) if run.room_json.exists() else [str(e["name"]) for e in entries]
+    return [_fixture_row(entry, name) for entry, name in zip(entries, names, strict=True)]
+
+
+def _fixture_row(entry: Mapping[str, Any], name: str) -> FixtureRow:
     radiance = [float(value) for value in entry["radiance"]]
     return FixtureRow(
-        name=str(entry["name"]),
+        name=name,
         triangles=len(entry.get("triangles", [])),
         radiance=radiance,
         area=float(entry.get("area", 0.0)),

@@ -7,8 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fipt_blender.blend.lights.fixture_names import fixture_names, words
-from fipt_blender.blend.room.arrays import Room
+from fipt_blender.core.report.fixture_names import NamedMesh, fixture_names, words
 from fipt_blender.core.run.parts import RoomPart, RoomParts, free_name
 
 SHELL = ((0.0, 0.0, 0.0), (6.0, 5.0, 3.0))
@@ -18,7 +17,7 @@ _FACES = [
 ]  # fmt: skip
 
 
-def room_of(*boxes: tuple[str, tuple, tuple], material: str = "") -> tuple[Room, list[np.ndarray]]:
+def room_of(*boxes: tuple[str, tuple, tuple], material: str = "") -> tuple[NamedMesh, list[np.ndarray]]:
     """A room of boxes (object, low, high), and the triangles of each; the last box may have a material."""
     vertices, triangles, owner, pieces = [], [], [], []
     objects = list(dict.fromkeys(name for name, _, _ in boxes))
@@ -32,13 +31,11 @@ def room_of(*boxes: tuple[str, tuple, tuple], material: str = "") -> tuple[Room,
     of_material = np.full(count, -1, np.int32)
     if material:
         of_material[pieces[-1]] = 0
-    room = Room(
+    room = NamedMesh(
         vertices=np.array(vertices, np.float32),
         triangles=np.array(triangles, np.int32),
-        corner_normals=np.zeros((count, 3, 3), np.float32),
         triangle_object=np.array(owner, np.int32),
         triangle_material=of_material,
-        triangle_polygon=np.zeros(count, np.int32),
         objects=objects,
         materials=[material] if material else [],
     )

@@ -1,19 +1,22 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Names of fixtures from what they belong to, where they are and what shape they have: "Ceiling panel",
-"Table lamp bulb". Pure functions on the exported room; names are English like those of most captures.
+"""Names of fixtures from what they belong to, where they are and what shape they have: "Ceiling panel".
+
+Objects in Blender and the report have these names, English like those of most captures. Needs numpy alone.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ...core.run.parts import RoomParts, free_name
-from ..room.arrays import Room
+from ..run.parts import RoomParts, free_name, read_parts
+from ..run.run_files import read_room_files
+from ..run.runfolder import RunFolder
 
 _LAMPS = frozenset(
     "lamp lamps light lights bulb bulbs lantern chandelier sconce spot spots spotlight spotlights downlight"
@@ -34,8 +37,42 @@ _TABLE_SHARE = 0.55  # of the room's height: lamps above hang
 _STRIP, _FLAT, _BULB = 4.0, 0.15, 0.3  # length by width; thickness by width; metres
 
 
+@dataclass(frozen=True)
+class NamedMesh:
+    """What names are made of: arrays of room.npz and names of room.json (docs/architecture.md)."""
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    triangle_object: np.ndarray
+    triangle_material: np.ndarray
+    objects: Sequence[str]
+    materials: Sequence[str]
+
+
+def run_fixture_names(run: RunFolder, entries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A name for each fixture of a finished run.
+
+    Args:
+        run: its folder.
+        entries: the fixtures of emitters.json.
+
+    Raises:
+        FiptError: ``file-missing`` or ``file-damaged``.
+    """
+    arrays, names = read_room_files(run)
+    mesh = NamedMesh(
+        arrays["vertices"],
+        arrays["triangles"],
+        arrays["triangle_object"],
+        arrays["triangle_material"],
+        names["objects"],
+        names["materials"],
+    )
+    return fixture_names(mesh, entries, read_parts(run, mesh.triangle_object, mesh.objects))
+
+
 def fixture_names(
-    room: Room, entries: Sequence[Mapping[str, Any]], parts: RoomParts | None = None
+    room: NamedMesh, entries: Sequence[Mapping[str, Any]], parts: RoomParts | None = None
 ) -> list[str]:
     """A name for each fixture; equal ones are numbered in the order of the entries.
 
@@ -59,7 +96,7 @@ def words(name: str) -> list[str]:
     return [word.lower() for word in re.findall(r"[^\W\d_]+", parted)]
 
 
-def _belonging(room: Room, triangles: np.ndarray, areas: np.ndarray, parts: RoomParts | None) -> str:
+def _belonging(room: NamedMesh, triangles: np.ndarray, areas: np.ndarray, parts: RoomParts | None) -> str:
     """The name of the lamp's object, material or class where these tell of it, else its place and shape."""
     index, share = _main(room.triangle_object, triangles, areas)
     own = words(room.objects[index])
@@ -91,7 +128,7 @@ def _belonging(room: Room, triangles: np.ndarray, areas: np.ndarray, parts: Room
     return _sentence([*place, *([shape] if shape != place[-1] else [])])
 
 
-def _tells_place(room: Room, index: int, own: Sequence[str]) -> bool:
+def _tells_place(room: NamedMesh, index: int, own: Sequence[str]) -> bool:
     """Whether an object's name says where in the room it is: "Kitchen walls", not "scan"."""
     if not own or set(own) <= _BARE:
         return False
@@ -109,7 +146,7 @@ def _main(owner: np.ndarray, triangles: np.ndarray, areas: np.ndarray) -> tuple[
     return index, max(held) / max(float(areas[owner == index].sum()), 1e-12)
 
 
-def _holder(room: Room, own: int, points: np.ndarray) -> list[str]:
+def _holder(room: NamedMesh, own: int, points: np.ndarray) -> list[str]:
     """The words of the nearest other object that is a lamp by the last word of its name; [] for none."""
     low, high = points.min(axis=0), points.max(axis=0)
     best: tuple[float, list[str]] = (_NEAR, [])
@@ -124,7 +161,7 @@ def _holder(room: Room, own: int, points: np.ndarray) -> list[str]:
     return best[1]
 
 
-def _place(room: Room, points: np.ndarray, normal: np.ndarray) -> list[str]:
+def _place(room: NamedMesh, points: np.ndarray, normal: np.ndarray) -> list[str]:
     """Where a lamp is: at the ceiling, a wall, the floor, on a table, or hanging."""
     low, high = (
         np.asarray(each, np.float64) for each in (room.vertices.min(axis=0), room.vertices.max(axis=0))
@@ -155,19 +192,19 @@ def _shape(points: np.ndarray) -> str:
     return "bulb" if length < _BULB else "lamp"
 
 
-def _mean_normal(room: Room, triangles: np.ndarray) -> np.ndarray:
+def _mean_normal(room: NamedMesh, triangles: np.ndarray) -> np.ndarray:
     """The direction (3,) of a lamp's front, as long as the lamp is plane."""
     vectors = _vector_areas(room, triangles)
     total: np.ndarray = vectors.sum(axis=0) / max(float(np.linalg.norm(vectors, axis=1).sum()), 1e-12)
     return total
 
 
-def _vector_areas(room: Room, triangles: np.ndarray | slice) -> np.ndarray:
+def _vector_areas(room: NamedMesh, triangles: np.ndarray | slice) -> np.ndarray:
     corners = room.vertices.astype(np.float64)[room.triangles[triangles]]
     return 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
-def _triangle_areas(room: Room) -> np.ndarray:
+def _triangle_areas(room: NamedMesh) -> np.ndarray:
     areas: np.ndarray = np.linalg.norm(_vector_areas(room, slice(None)), axis=1)
     return areas
 
