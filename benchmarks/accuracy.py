@@ -105,6 +105,7 @@ def evaluate(arguments: argparse.Namespace, folder: Path) -> int:
         score_cycles(run, arguments.spp, scored)
     page.write(result)
     result |= figures
+    result["camera"] = ldr.camera_errors(run, arguments.capture)
     result |= {"version": PRODUCT_VERSION, "settings": asdict(run.read())}
     print(format_table(result))
     print(f"pictures: {(arguments.page or run.root / 'accuracy') / 'index.html'}")

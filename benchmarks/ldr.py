@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Makes a capture of photographs that are not HDR out of one that is, with a camera drawn by chance.
 
-    python benchmarks/ldr.py CAPTURE --output DIR --seed 1 [--format jpg] [--exif]
+    python benchmarks/ldr.py CAPTURE --output DIR --seed 1 [--format jpg|png|exr] [--exif none|rounded|exact]
 
 The capture has the FIPT authors' synthetic layout. Everything but the photographs is linked to the original.
 DIR/ldr.json tells the true response, exposures and white balances; the engine never reads it.
@@ -27,10 +27,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.metrics import Maps
 from fipt_blender.core.capture.encoded import srgb_decoded, srgb_encoded
-from fipt_blender.core.capture.images import read_radiance
+from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.radiometry.adjustment import usable
-from fipt_blender.core.radiometry.response import interpolated
+from fipt_blender.core.radiometry.response import HIGH_ANCHOR, LOW_ANCHOR, interpolated
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 
@@ -46,6 +46,7 @@ FULL_WELL = 20_000.0  # electrons
 QUALITY = 92
 SHUTTER, APERTURE = 1.0 / 60.0, 4.0  # of an exposure of 1
 CURVE_STEPS = 256
+EXIF = ("none", "rounded", "exact")
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,8 @@ class Camera:
     Attributes:
         gamma, toe, shoulder: of its response.
         falloff: share of the light that is missing in the corners.
-        suffix: of its files, ".jpg" or ".png".
-        exif: whether the files tell their exposure, rounded to thirds of a stop.
+        suffix: of its files, ".jpg" or ".png"; ".exr" for the ablations without adjustment.
+        exif: how the files tell their exposure, one of EXIF.
     """
 
     gamma: float
@@ -64,7 +65,7 @@ class Camera:
     shoulder: float
     falloff: float
     suffix: str = ".jpg"
-    exif: bool = False
+    exif: str = "none"
 
     def respond(self, light: np.ndarray) -> np.ndarray:
         """Values 0 to 1 that stand for light, which saturates at 1."""
@@ -79,7 +80,7 @@ class Camera:
         return (1.0 - self.falloff * squared)[..., None]
 
 
-def draw_camera(rng: np.random.Generator, suffix: str, exif: bool) -> Camera:
+def draw_camera(rng: np.random.Generator, suffix: str, exif: str) -> Camera:
     """A camera."""
     toe, shoulder, falloff = rng.random(3) * (MOST_TOE, MOST_SHOULDER, MOST_FALLOFF)
     return Camera(float(rng.uniform(*GAMMAS)), float(toe), float(shoulder), float(falloff), suffix, exif)
@@ -103,13 +104,23 @@ def photograph(
 
 
 def write_photograph(path: Path, values: np.ndarray, camera: Camera, exposure: float) -> None:
-    """Write values 0 to 1 (H, W, 3) as JPEG or PNG of 8 bits."""
+    """Write values 0 to 1 (H, W, 3) as JPEG or PNG of 8 bits.
+
+    As EXR, they are taken for radiance without any adjustment: decoded by sRGB's curve, and divided by the
+    exposure that the file would tell.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
+    stops = np.log2(exposure)
+    # Two thirds of a stop lie between neighbours of a rounded scale at most.
+    told = 2.0 ** (stops if camera.exif == "exact" else np.round(3.0 * stops) / 3.0)
+    if camera.suffix == ".exr":
+        radiance = srgb_decoded(np.round(values * 255.0) / 255.0)
+        write_exr(path, (radiance / (1.0 if camera.exif == "none" else told)).astype(np.float32))
+        return
     image = Image.fromarray(np.round(values * 255.0).astype(np.uint8))
     tags = Image.Exif()
-    if camera.exif:
-        # Two thirds of a stop lie between neighbours of a rounded scale at most.
-        shutter = SHUTTER * 2.0 ** (np.round(3.0 * np.log2(exposure)) / 3.0)
+    if camera.exif != "none":
+        shutter = SHUTTER * told
         inner = tags.get_ifd(0x8769)
         inner[0x829A] = IFDRational(round(shutter * 1e7), 10_000_000)
         inner[0x829D] = IFDRational(round(APERTURE * 10), 10)
@@ -118,7 +129,7 @@ def write_photograph(path: Path, values: np.ndarray, camera: Camera, exposure: f
     image.save(path, quality=QUALITY, subsampling=0, exif=tags)
 
 
-def make_capture(source: Path, target: Path, seed: int, suffix: str = ".jpg", exif: bool = False) -> Camera:
+def make_capture(source: Path, target: Path, seed: int, suffix: str = ".jpg", exif: str = "none") -> Camera:
     """Write the capture and its truth; the camera that took it.
 
     Raises:
@@ -160,6 +171,33 @@ def write_rig(source: Path, target: Path, suffix: str) -> None:
         name = path if path.lower().endswith(".exr") else f"Image/{index:03d}_0001.exr"
         frame["file_path"] = str(Path(name).with_suffix(suffix))
     write_json(target, data)
+
+
+def camera_errors(run: RunFolder, capture: Path) -> dict[str, float] | None:
+    """Errors of the response, its contrast and the exposures that a run has found; None for HDR photographs.
+
+    Returns:
+        `response`: root mean square over all codes, in units of the light that saturates; `contrast`: found
+        over true one; `exposures`, `exposures_most`: root mean square and largest error over the
+        views, EV, apart from the scale of all.
+    """
+    photometry = _photometry(run)
+    if photometry is None or not (capture / TRUTH).is_file():
+        return None
+    true, found = read_json(capture / TRUTH), photometry["views"]
+    codes, curve = np.arange(CURVE_STEPS) / (CURVE_STEPS - 1.0), np.array(photometry["log_curve"])
+    light = np.interp(codes, true["values"], true["light"])
+    logarithm = np.log(np.maximum(light, 1e-9))
+    contrast = (curve[HIGH_ANCHOR] - curve[LOW_ANCHOR]) / (logarithm[HIGH_ANCHOR] - logarithm[LOW_ANCHOR])
+    gains = {name: np.mean(np.log2(true["views"][name]["gains"])) for name in found}
+    error = np.array([found[name]["exposure_ev"] - gains[name] for name in found])
+    error -= error.mean()
+    return {
+        "response": float(np.sqrt(np.mean((np.exp(curve) - light) ** 2))),
+        "contrast": float(contrast),
+        "exposures": float(np.sqrt(np.mean(error**2))),
+        "exposures_most": float(np.abs(error).max()),
+    }
 
 
 def in_true_units(maps: Sequence[Maps], run: RunFolder, capture: Path) -> list[Maps]:
@@ -223,8 +261,13 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("capture", type=Path)
     parser.add_argument("--output", type=Path, required=True, metavar="DIR")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--format", choices=("jpg", "png"), default="jpg")
-    parser.add_argument("--exif", action="store_true", help="the files tell their exposure, rounded")
+    parser.add_argument("--format", choices=("jpg", "png", "exr"), default="jpg")
+    parser.add_argument(
+        "--exif",
+        choices=EXIF,
+        default="none",
+        help="how the files tell their exposure: not, in thirds of a stop, or exactly (default: none)",
+    )
     arguments = parser.parse_args(list(argv))
     camera = make_capture(
         arguments.capture, arguments.output, arguments.seed, f".{arguments.format}", arguments.exif

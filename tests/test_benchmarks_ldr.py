@@ -14,7 +14,7 @@ from benchmarks import ldr
 from benchmarks.metrics import Maps
 from fipt_blender.core.capture.encoded import file_exposure, read_encoded
 from fipt_blender.core.capture.formats import read_rig
-from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.capture.rig import ReadOptions
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.run.runfolder import RunFolder, write_json
@@ -31,7 +31,7 @@ def source(tmp_path):
 
 
 def test_a_capture_is_readable_and_its_truth_apart(tmp_path, source):
-    camera = ldr.make_capture(source, tmp_path / "out", seed=3, exif=True)
+    camera = ldr.make_capture(source, tmp_path / "out", seed=3, exif="rounded")
     rig = read_rig(tmp_path / "out", "auto", ReadOptions())
     assert [view.image.suffix for view in rig.views] == [".jpg"] * 3
     assert all(view.image.is_file() for view in rig.views)
@@ -45,14 +45,34 @@ def test_a_capture_is_readable_and_its_truth_apart(tmp_path, source):
     second = file_exposure(rig.views[1].image) / exposure
     assert abs(np.log2(second / first)) <= 1.0 / 3.0 + 1e-3
     before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*.jpg")}
-    ldr.make_capture(source, tmp_path / "again", seed=3, exif=True)
+    ldr.make_capture(source, tmp_path / "again", seed=3, exif="rounded")
     for path, content in before.items():
         assert (tmp_path / "again" / path.relative_to(tmp_path / "out")).read_bytes() == content
 
 
+def test_exact_exposures_are_exact(tmp_path, source):
+    ldr.make_capture(source, tmp_path / "out", seed=3, exif="exact")
+    views = read_rig(tmp_path / "out", "auto", ReadOptions()).views
+    truth = json.loads((tmp_path / "out" / ldr.TRUTH).read_text())["views"]
+    ratio = [file_exposure(view.image) / truth[view.name]["gains"][1] for view in views]
+    assert np.array(ratio) / ratio[0] == pytest.approx(1.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("exif", ["none", "exact"])
+def test_photographs_without_adjustment_are_decoded_codes(tmp_path, source, exif):
+    ldr.make_capture(source, tmp_path / "jpg", seed=3, suffix=".png", exif=exif)
+    ldr.make_capture(source, tmp_path / "exr", seed=3, suffix=".exr", exif=exif)
+    truth = json.loads((tmp_path / "exr" / ldr.TRUTH).read_text())["views"]
+    views = [read_rig(tmp_path / name, "auto", ReadOptions()).views for name in ("jpg", "exr")]
+    for encoded, plain in zip(*views, strict=True):
+        exposure = truth[plain.name]["gains"][1] if exif == "exact" else 1.0
+        expected = read_encoded(encoded.image) / exposure
+        assert read_radiance(plain.image) == pytest.approx(expected, rel=2e-3, abs=1e-4)
+
+
 def test_responses_increase_and_clip(tmp_path):
     for seed in range(20):
-        camera = ldr.draw_camera(np.random.default_rng(seed), ".png", False)
+        camera = ldr.draw_camera(np.random.default_rng(seed), ".png", "none")
         values = camera.respond(np.linspace(0.0, 2.0, 2001))
         assert values[0] == 0.0 and values[1000:] == pytest.approx(1.0) and np.diff(values[:1001]).min() > 0.0
 
@@ -97,6 +117,26 @@ def test_renders_are_compared_in_the_cameras_values(tmp_path):
     assert np.abs(image - read_encoded(view.image)).max() < 0.02
     (same,) = ldr.as_photographed([radiance], run, [replace(view, encoded=False)])
     assert same is radiance
+
+
+def test_errors_of_the_camera(tmp_path):
+    run, camera = RunFolder(tmp_path / "run"), ldr.Camera(2.2, 0.1, 0.2, 0.0)
+    assert ldr.camera_errors(run, tmp_path) is None
+    statistics(run, camera, 1.0)
+    photometry = json.loads(run.statistics_json.read_text())["photometry"]
+    photometry["views"]["train/001"] = {"exposure_ev": 2.1}
+    light = np.linspace(0.0, 1.0, ldr.CURVE_STEPS)
+    gains = {"train/000": {"gains": [0.5] * 3}, "train/001": {"gains": [1.0] * 3}}
+    truth = {"views": gains, "light": light.tolist(), "values": camera.respond(light).tolist()}
+    write_json(tmp_path / ldr.TRUTH, truth)
+    write_json(run.statistics_json, {"photometry": photometry})
+    found = ldr.camera_errors(run, tmp_path)
+    assert found["response"] < 1e-3 and found["contrast"] == pytest.approx(1.0, abs=1e-2)
+    assert found["exposures"] == pytest.approx(0.05) and found["exposures_most"] == pytest.approx(0.05)
+    photometry["log_curve"] = [1.1 * value for value in photometry["log_curve"]]
+    write_json(run.statistics_json, {"photometry": photometry})
+    found = ldr.camera_errors(run, tmp_path)
+    assert found["contrast"] == pytest.approx(1.1, abs=1e-2) and found["response"] > 0.01
 
 
 def test_emission_is_compared_after_one_scale(tmp_path):
