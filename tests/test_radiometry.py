@@ -140,6 +140,20 @@ def test_exposures_of_files_tell_the_contrast():
     assert exif_contrast(log_gains, 1.0 / exposures) is None
 
 
+@pytest.mark.parametrize("error", [0.02, 0.07, 0.2])
+def test_exposures_of_files_count_by_how_well_they_fit(error):
+    """The deviation is that of the found contrasts over many cameras, exact exposures or poor ones."""
+    rng, ratios = np.random.default_rng(6), []
+    for _ in range(200):
+        log_gains = rng.normal(0.0, 0.2, 36)
+        told = np.exp(2.7 * log_gains + rng.normal(0.0, error, 36))
+        found = exif_contrast(log_gains, told)
+        assert found is not None
+        ratios.append([found.value - np.log(2.7), found.deviation])
+    errors, deviations = np.array(ratios).T
+    assert 0.6 < errors.std() / deviations.mean() < 1.35
+
+
 def test_sources_are_combined_by_their_errors():
     both = combined([Source("usual", 1.0, 0.2), Source("exif", 1.2, 0.1)])
     assert both.value == pytest.approx(1.16) and both.deviation == pytest.approx(0.2 / np.sqrt(5.0))

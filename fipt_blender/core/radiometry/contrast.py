@@ -12,7 +12,8 @@ import numpy as np
 
 from .response import Basis
 
-# Exposures as files tell them: rounded to a third of a stop, and true to a tenth or so.
+# Standard deviation of exposures as files tell them, rounded to a third of a stop and true to a tenth or so,
+# before they are compared with the gains: it counts as much as one view.
 EXIF_DEVIATION = 0.12 * np.log(2.0)
 _LEAST_EXPOSURES = 4
 _DEGREES = 3.0
@@ -42,6 +43,8 @@ def usual_contrast(basis: Basis) -> Source:
 def exif_contrast(log_gains: np.ndarray, exposures: np.ndarray) -> Source | None:
     """The contrast by which the gains of the views fit the exposures that their files tell.
 
+    How well they fit tells how far the files can be trusted: exact exposures count more than rounded ones.
+
     Args:
         log_gains: (V,) found, in contrasts. exposures: (V,) relative ones, NaN where unknown.
 
@@ -53,7 +56,7 @@ def exif_contrast(log_gains: np.ndarray, exposures: np.ndarray) -> Source | None
         return None
     found, told = log_gains[known], np.log(exposures[known])
     weight = np.ones(len(found))
-    value = residual = 0.0
+    value, deviation = 0.0, EXIF_DEVIATION
     for _ in range(_ITERATIONS):
         centered = found - np.average(found, weights=weight)
         target = told - np.average(told, weights=weight)
@@ -61,14 +64,14 @@ def exif_contrast(log_gains: np.ndarray, exposures: np.ndarray) -> Source | None
         if information <= 1e-9:
             return None
         value = float((weight * centered * target).sum()) / information
-        residual = (target - value * centered) / EXIF_DEVIATION
-        weight = (_DEGREES + 1.0) / (_DEGREES + residual**2)
+        squared = (target - value * centered) ** 2
+        # Two unknowns, the contrast and the unit, are fitted to the exposures.
+        scatter = (EXIF_DEVIATION**2 + float((weight * squared).sum())) / (len(found) - 1)
+        deviation = float(np.sqrt(scatter))
+        weight = (_DEGREES + 1.0) / (_DEGREES + squared / scatter)
     if value <= 0.0:
         return None
-    scatter = max(1.0, float(np.average(np.square(residual), weights=weight)))
-    return Source(
-        "exif", float(np.log(value)), EXIF_DEVIATION * float(np.sqrt(scatter / information)) / value
-    )
+    return Source("exif", float(np.log(value)), deviation / (float(np.sqrt(information)) * value))
 
 
 def combined(sources: list[Source]) -> Source:
