@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from fipt_blender.core.run.method import ROOMS
+
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "fipt_blender"
 CORE = PACKAGE / "core"
@@ -209,6 +211,14 @@ def test_no_module_imports_itself_by_a_detour() -> None:
     packages = {module_of(file) for file in PACKAGE.rglob("__init__.py")}
     graph = {module: targets - packages - {module} for module, targets in graph.items()}
     list(graphlib.TopologicalSorter(graph).static_order())  # CycleError names the modules
+
+
+def test_the_digest_of_the_method_covers_all_rooms_that_an_estimation_uses() -> None:
+    files = [file for file in CORE.rglob("*.py") if file.relative_to(CORE).parts[0] in ROOMS]
+    used = {room_of(target).removeprefix("core.") for file in files for target in relative_targets(file)}
+    rooms = {name.removesuffix(".py") for name in ROOMS}
+    # Settings are parts of the keys by themselves; the other two decide where it runs and how it is shown.
+    assert used - rooms == {"run", "device", "report"}
 
 
 def test_every_floor_exists() -> None:

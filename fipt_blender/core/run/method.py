@@ -14,9 +14,11 @@ from functools import cache
 from pathlib import Path
 
 _CORE = Path(__file__).resolve().parent.parent
-# The rooms whose code determines the results of an estimation; the others only start, watch or show it.
+# The rooms whose code determines the results of an estimation; the others only start, watch or show it
+# (tests/test_isolation.py follows the imports).
 ROOMS = (
-    *("capture", "geometry", "scene", "optics", "light", "views", "material", "estimate", "textures"),
+    *("alignment", "depth", "capture", "geometry", "radiometry", "scene", "optics", "light", "views"),
+    *("material", "estimate", "textures"),
     "conventions.py",
 )
 
