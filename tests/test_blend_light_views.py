@@ -11,6 +11,7 @@ from mathutils import Vector
 
 from fipt_blender.blend.lights import eevee, new_lights, outline
 from fipt_blender.blend.marks import KEPT_EEVEE, VISIBILITY, light_probe
+from fipt_blender.blend.render_engine import switch_engine
 from samples.applied_rooms import make_applied_scene
 
 ops = bpy.ops.fipt
@@ -108,6 +109,25 @@ def test_revert_restores_cycles_after_the_set_up_for_eevee(scene):
     ops.prepare_eevee()
     ops.revert()
     assert scene.render.engine == "CYCLES" and KEPT_EEVEE not in scene
+
+
+@pytest.mark.parametrize("engines", [["CYCLES"], ["BLENDER_WORKBENCH"], eevee.ENGINES])
+def test_revert_restores_the_artists_engine_however_often_it_was_switched(scene, engines):
+    ops.revert()
+    keys = set(scene.keys())
+    assert switch_engine(scene, engines)  # without results nothing is kept
+    before = scene.render.engine
+    ops.apply_results()
+    for switch in (ops.prepare_eevee, ops.use_cycles, ops.prepare_eevee, ops.use_cycles):
+        assert switch() == {"FINISHED"}
+    ops.revert()
+    assert scene.render.engine == before and set(scene.keys()) == keys
+    ops.apply_results()
+    ops.prepare_eevee()
+    scene.render.engine = "BLENDER_WORKBENCH"  # the artist's choice, from which we switch again
+    ops.use_cycles()
+    ops.revert()
+    assert scene.render.engine == "BLENDER_WORKBENCH"
 
 
 def test_a_room_is_needed_for_eevee(scene):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-from contextlib import suppress
 
 import bpy
 import numpy as np
@@ -18,6 +17,7 @@ from mathutils import Matrix
 from ...core.run.errors import FiptError
 from ..marks import KEPT_EEVEE, PROBE, VISIBILITY, fixtures_of, light_probe, remove_marks
 from ..outliner import LIGHTS, collection
+from ..render_engine import switch_engine
 from ..room.mesh_arrays import world_bounds
 from .convert import fixture_to_lights
 
@@ -31,7 +31,7 @@ ENGINES = ("BLENDER_EEVEE_NEXT", "BLENDER_EEVEE")  # 4.2 to 4.5; from 5.0
 def prepare(scene: bpy.types.Scene) -> list[str]:
     """Make EEVEE the scene's engine, with its lights and a volume; `bake` must follow.
 
-    `restore_eevee` undoes the change of engine and settings.
+    `restore_eevee` and `restore_engine` undo the change of settings and engine.
 
     Returns:
         Names of the fixtures whose Blender lights differ from them in shape.
@@ -59,20 +59,13 @@ def use_eevee(scene: bpy.types.Scene) -> None:
     Raises:
         FiptError: ``engine-missing``.
     """
-    before = scene.render.engine
-    for engine in ENGINES:
-        try:
-            scene.render.engine = engine
-        except TypeError:  # of another version
-            continue
-        break
-    else:
+    if not switch_engine(scene, ENGINES):
         raise FiptError("engine-missing", "This Blender has no EEVEE.", "Use Cycles.")
     hard = [item for item in scene.objects if item.type == "LIGHT" and not item.data.use_shadow_jitter]
     if KEPT_EEVEE not in scene:
         settings = {name: getattr(scene.eevee, name) for name in _SETTINGS}
         names = [item.name for item in hard]
-        scene[KEPT_EEVEE] = json.dumps({"engine": before, "settings": settings, "hard": names})
+        scene[KEPT_EEVEE] = json.dumps({"settings": settings, "hard": names})
     for name in _SETTINGS:
         setattr(scene.eevee, name, True)
     for item in hard:
@@ -80,7 +73,7 @@ def use_eevee(scene: bpy.types.Scene) -> None:
 
 
 def restore_eevee(scene: bpy.types.Scene) -> None:
-    """Restore the settings of EEVEE and lights, and the engine unless the artist has chosen another one."""
+    """Restore the settings of EEVEE and lights."""
     if KEPT_EEVEE not in scene:
         return
     kept = json.loads(scene[KEPT_EEVEE])
@@ -90,9 +83,6 @@ def restore_eevee(scene: bpy.types.Scene) -> None:
     for item in (scene.objects.get(name) for name in kept["hard"]):
         if item is not None and item.type == "LIGHT":
             item.data.use_shadow_jitter = False
-    if scene.render.engine in ENGINES:
-        with suppress(TypeError):  # an add-on that was removed since
-            scene.render.engine = kept["engine"]
 
 
 def place_volume(scene: bpy.types.Scene, low: np.ndarray, high: np.ndarray) -> bpy.types.Object:

@@ -17,6 +17,7 @@ from ..capture.backdrop import set_backdrop
 from ..lights import light_state
 from ..lights.missing_lamps import note_missing
 from ..marks import MUTED, other_lights, remove_marks, room_with_results
+from ..render_engine import restore_engine, switch_engine
 from ..room.originals import result_meshes
 from .materials import result_materials
 from .part_list import note_parts
@@ -31,7 +32,8 @@ def finish(scene: bpy.types.Scene, run: RunFolder) -> None:
     """
     settings = scene.fipt.materials
     note_results(scene, run)
-    _keep_before(scene)
+    if not settings.kept_before:
+        settings.kept_before = json.dumps({"exposure": scene.view_settings.exposure})
     if settings.match_exposure and scene.fipt.lights.median_radiance > 0.0:
         match_exposure(scene)
     if settings.mute_lights:
@@ -88,24 +90,7 @@ def match_exposure(scene: bpy.types.Scene) -> float:
 
 def use_cycles(scene: bpy.types.Scene) -> bool:
     """Make Cycles the scene's engine, which `restore_scene` undoes; False where Cycles is not available."""
-    engine = scene.render.engine
-    if engine == "CYCLES":
-        return True
-    try:
-        scene.render.engine = "CYCLES"
-    except TypeError:  # the add-on Cycles is disabled
-        return False
-    settings = scene.fipt.materials
-    if settings.object_count:
-        _keep_before(scene)
-        settings.kept_before = json.dumps({**json.loads(settings.kept_before), "engine": engine})
-    return True
-
-
-def _keep_before(scene: bpy.types.Scene) -> None:
-    """Record what `restore_scene` restores, unless that was done already."""
-    if not scene.fipt.materials.kept_before:
-        scene.fipt.materials.kept_before = json.dumps({"exposure": scene.view_settings.exposure})
+    return switch_engine(scene, ["CYCLES"])
 
 
 def restore_scene(scene: bpy.types.Scene) -> None:
@@ -113,11 +98,7 @@ def restore_scene(scene: bpy.types.Scene) -> None:
     kept = json.loads(scene.fipt.materials.kept_before or "{}")
     if "exposure" in kept:
         scene.view_settings.exposure = kept["exposure"]
-    if "engine" in kept and scene.render.engine == "CYCLES":
-        try:
-            scene.render.engine = kept["engine"]
-        except TypeError:  # an add-on that was removed since
-            pass
+    restore_engine(scene)
 
 
 def mute_other_lights(scene: bpy.types.Scene, on: bool) -> int:
