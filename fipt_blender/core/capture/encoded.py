@@ -51,7 +51,7 @@ def read_encoded(path: Path) -> np.ndarray:
     Raises:
         FiptError: ``image-missing``, ``image-unreadable`` or ``image-too-large``.
     """
-    check_pixels(path, *pillow_size(path))
+    pillow_size(path)  # its errors
     try:
         codes = load_codes(path, PILLOW_FORMATS[path.suffix.lower()])
     except (*_DAMAGE, Image.DecompressionBombError) as error:
@@ -138,11 +138,15 @@ def check_pixels(path: Path, width: int, height: int) -> None:
     if width < 1 or height < 1:
         raise unreadable(path, f"its size is {width} x {height}")
     if max(width, height) > MOST_SIDE or width * height > MOST_PIXELS:
-        raise FiptError(
-            "image-too-large",
-            f"{path} has {width} x {height} pixels; the limit is {MOST_PIXELS / 1e6:.0f} megapixels.",
-            "Scale the photographs and masks down; 1 to 2 megapixels per view are enough.",
-        )
+        raise _too_large(path, f"{width} x {height}")
+
+
+def _too_large(path: Path, size: str) -> FiptError:
+    return FiptError(
+        "image-too-large",
+        f"{path} has {size} pixels; the limit is {MOST_PIXELS / 1e6:.0f} megapixels.",
+        "Scale the photographs and masks down; 1 to 2 megapixels per view are enough.",
+    )
 
 
 def pillow_size(path: Path) -> tuple[int, int]:
@@ -159,8 +163,8 @@ def pillow_size(path: Path) -> tuple[int, int]:
     try:
         with Image.open(path, formats=[kind]) as image:
             size = image.size
-    except Image.DecompressionBombError:
-        size = (MOST_SIDE + 1, MOST_SIDE + 1)
+    except Image.DecompressionBombError:  # Pillow's own limit lies above ours
+        raise _too_large(path, "too many") from None
     except _DAMAGE as error:
         raise unreadable(path, error) from None
     check_pixels(path, *size)
