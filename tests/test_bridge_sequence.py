@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -266,6 +267,20 @@ def test_two_records_of_one_file_keep_what_the_other_has_stored(tmp_path):
     second.store("b", "4", finished=True)
     read = StepRecord(path)
     assert not read.problem and [read.key(name) for name in ("a", "b")] == ["1", "4"]
+
+
+def test_records_that_store_at_the_same_time_lose_nothing(tmp_path):
+    names = [[f"{writer}-{step}" for step in range(15)] for writer in range(4)]
+
+    def store(own):
+        record = StepRecord(tmp_path / "steps.json")
+        for name in own:
+            record.store(name, "key", finished=True)
+
+    with ThreadPoolExecutor(len(names)) as pool:
+        list(pool.map(store, names))
+    read = StepRecord(tmp_path / "steps.json")
+    assert [name for own in names for name in own if read.key(name) != "key"] == []
 
 
 def test_warnings_are_kept_for_the_report(tmp_path):

@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 
 from ..core.run.documents import read_json
 from ..core.run.errors import FiptError
+from ..core.run.lock import briefly_locked
 from ..core.run.runfolder import write_json
 from ..core.run.shapes import STEPS
 from .process import Engine, Message
@@ -125,8 +126,9 @@ class StepRecord:
             "warnings": list(warnings),
         }
         self._changed.add(name)
-        self._take_others()
-        write_json(self._path, {"format": "fipt-steps", "version": STEPS_VERSION, "steps": self._steps})
+        with briefly_locked(self._path.with_name(f".{self._path.name}.lock")):
+            self._take_others()
+            write_json(self._path, {"format": "fipt-steps", "version": STEPS_VERSION, "steps": self._steps})
 
     def _read(self) -> dict[str, dict[str, Any]]:
         """The steps in the file.

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A lock that allows one engine per run folder; the system releases it however the process ends.
 
-Standard library only: the engine holds the lock, and Blender asks which engine holds it.
+Standard library only: the engine holds the lock, and Blender asks which engine holds it. A second kind, held
+for moments only, guards changes of a file that several processes make.
 """
 
 from __future__ import annotations
@@ -25,9 +26,12 @@ from .process_identity import host_name, process_start
 from .runfolder import RunFolder, explained_write_errors
 
 _PATIENCE_SECONDS = 1.0  # `holder` itself takes the lock for a moment
-
+_MOST_BYTES = 65_536  # of a lock's content
 
 _CONTENT = Fields({"pid": Number(1, 2**31, whole=True), "command": Items(str)}, {"host": str, "started": str})
+
+# Flags with which a link is not followed, and opening a pipe does not wait for its other end.
+_PLAIN_FILE = sum(getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_CLOEXEC", "O_NONBLOCK", "O_BINARY"))
 
 
 @dataclass(frozen=True)
@@ -74,11 +78,8 @@ def hold(run: RunFolder, command: Sequence[str]) -> Iterator[None]:
         return
     run.refuse_links()
     with open_lockable(run.engine_lock) as file:
-        deadline = time.monotonic() + _PATIENCE_SECONDS
-        while not try_lock(file):
-            if time.monotonic() > deadline:
-                raise busy(run)
-            time.sleep(0.05)
+        if not _wait_for(file):
+            raise busy(run)
         with explained_write_errors(run.engine_lock):
             file.seek(0)
             file.truncate()
@@ -89,17 +90,46 @@ def hold(run: RunFolder, command: Sequence[str]) -> Iterator[None]:
         yield
 
 
+@contextmanager
+def briefly_locked(path: Path) -> Iterator[None]:
+    """Keep others who call this out while the block runs, which takes milliseconds.
+
+    After a second of waiting the block runs all the same: whoever holds the lock so long has stopped working.
+
+    Args:
+        path: file for the lock, created with its folder if it does not exist; it stays.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    with explained_write_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    with open_lockable(path) as file:
+        _wait_for(file)
+        yield
+
+
+def _wait_for(file: IO[bytes]) -> bool:
+    """Lock an open file, if need be after others; False if they hold the lock for long."""
+    deadline = time.monotonic() + _PATIENCE_SECONDS
+    while not try_lock(file):
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.02)
+    return True
+
+
 def holder(run: RunFolder) -> Holder | None:
     """The engine that works in a run folder now, or None."""
     try:
-        file = open(run.engine_lock, "rb")
+        file = os.fdopen(os.open(run.engine_lock, os.O_RDONLY | _PLAIN_FILE), "rb")
     except OSError:
         return None
     with file:
         if _lock(file, shared=True):
             return None  # closing the file releases the lock
         try:
-            data = parse_document(file.read().decode("utf-8"))
+            data = parse_document(file.read(_MOST_BYTES).decode("utf-8"))
             check_shape(data, _CONTENT)
         except (OSError, ValueError):  # the file is just being written
             return None
@@ -124,11 +154,8 @@ def open_lockable(path: Path) -> IO[bytes]:
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
-    flags = os.O_RDWR | os.O_APPEND | os.O_CREAT
-    for name in ("O_NOFOLLOW", "O_CLOEXEC", "O_NONBLOCK", "O_BINARY"):
-        flags |= getattr(os, name, 0)
     with explained_write_errors(path):
-        file = os.fdopen(os.open(path, flags, 0o666), "ab+")
+        file = os.fdopen(os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | _PLAIN_FILE, 0o666), "ab+")
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             file.close()
             raise OSError(errno.EINVAL, "it is not a regular file")
