@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
+from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
-from fipt_blender.core.run.lock import hold, open_lockable
+from fipt_blender.core.run.lock import hold, holder, open_lockable
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import run_job
@@ -26,7 +28,7 @@ def outside(tmp_path: Path) -> Path:
     return folder
 
 
-FOLDERS = ("results", "report", "textures", "renders", "stage", "survey", "messages", "images")
+FOLDERS = ("results", "report", "textures", "renders", "stage", "survey", "messages", "images", "align")
 INNER = ("stage/pixels", "renders/rerender", "results/maps", "report/images")
 
 
@@ -56,6 +58,14 @@ def test_links_within_the_folder_and_to_it_are_followed(run_folder: RunFolder, t
     RunFolder(tmp_path / "link").create(make_settings())
     with hold(RunFolder(tmp_path / "link"), ["estimate"]):
         pass
+
+
+def test_a_pipe_in_place_of_a_file_stops_nothing(run_folder: RunFolder) -> None:
+    for path in (run_folder.engine_lock, run_folder.statistics_json):
+        os.mkfifo(path)
+    assert holder(run_folder) is None
+    with pytest.raises(FiptError, match="no regular file"):
+        read_json(run_folder.statistics_json)
 
 
 def test_a_lock_is_no_link_and_no_other_special_file(tmp_path: Path, outside: Path) -> None:

@@ -263,7 +263,7 @@ class FIPT_OT_align_cameras(JobOperator, bpy.types.Operator):
         scene = context.scene
         imported_cameras(scene)  # raises before anything is written
         run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
-        target = RunFolder(run.root / "align")
+        target = RunFolder(run.align)
 
         def write_input() -> Slices[list[Message]]:
             from ..blend.capture.survey import write_views_and_room

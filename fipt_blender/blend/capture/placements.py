@@ -21,7 +21,7 @@ def take_alignment(scene: bpy.types.Scene, run: RunFolder) -> None:
     Raises:
         FiptError: ``file-missing``, ``file-damaged`` or ``alignment-own-cameras``.
     """
-    data = read_json(run.root / "align" / "align.json", ALIGN, "Align the cameras again.")
+    data = read_json(run.align / "align.json", ALIGN, "Align the cameras again.")
     settings = scene.fipt.alignment
     settings.candidates.clear()
     for entry in data["candidates"]:

@@ -61,7 +61,7 @@ def write_scene_cameras(scene: bpy.types.Scene, run: RunFolder) -> tuple[Path, l
             else "The scene has no cameras.",
             "Give each camera its HDR photograph: Camera properties > Background Images > Add Image.",
         )
-    path = run.root / "scene_cameras" / "transforms.json"
+    path = run.scene_cameras / "transforms.json"
     write_json(path, {"up_axis": "z", "frames": [describe_camera(scene, item) for item in chosen]})
     return path, [item.name for item in items if item not in chosen]
 
@@ -73,7 +73,7 @@ def adopt_cameras(run: RunFolder) -> None:
         FiptError: ``camera-missing`` where one was removed since `write_scene_cameras`.
     """
     scene = bpy.context.scene
-    path = run.root / "scene_cameras" / "transforms.json"
+    path = run.scene_cameras / "transforms.json"
     frames = read_json(path, _FRAMES, "Import the cameras again.")["frames"]
     views = read_capture(run.ingest_json)["views"]
     if len(frames) != len(views):

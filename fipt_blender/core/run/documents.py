@@ -13,6 +13,7 @@ A shape is a type or one of this module's classes: ``str``, ``bool``, ``int``, `
 from __future__ import annotations
 
 import math
+import stat
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -135,9 +136,11 @@ def load_document(path: Path, shape: Any = dict, strict: bool = True) -> Any:
         OSError: the system's.
         ValueError: what is wrong with the content.
     """
-    size = path.stat().st_size
-    if size > MOST_BYTES:
-        raise ValueError(f"it has {size / 1e9:.1f} GB, more than any such file should")
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):  # reading a pipe may never end
+        raise ValueError("it is no regular file")
+    if status.st_size > MOST_BYTES:
+        raise ValueError(f"it has {status.st_size / 1e9:.1f} GB, more than any such file should")
     data = parse_document(path.read_text(encoding="utf-8"), strict)
     check_shape(data, shape)
     return data

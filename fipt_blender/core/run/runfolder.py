@@ -57,7 +57,6 @@ class RunFolder:
         self.statistics_json = self.results / "statistics.json"
         self.doubts_json = self.results / "doubts.json"
         self.doubts = self.results / "doubts"
-        self.left_alone_npz = self.results / "left_alone.npz"
         self.atlas_npz = self.root / "atlas.npz"
         self.atlas_json = self.root / "atlas.json"
         self.textures = self.root / "textures"
@@ -68,6 +67,8 @@ class RunFolder:
         self.survey = self.root / "survey"
         self.survey_json = self.survey / "survey.json"
         self.survey_npz = self.survey / "survey.npz"
+        self.align = self.root / "align"
+        self.scene_cameras = self.root / "scene_cameras"
         self.log = self.root / "log.txt"
         self.engine_lock = self.root / "engine.lock"
 
@@ -80,7 +81,8 @@ class RunFolder:
             FiptError: ``run-linked``.
         """
         own = [self.images, self.stage, self.results, self.textures, self.renders, self.report, self.survey]
-        own += [self.root / "messages", self.root / "scene_cameras", self.log, self.engine_lock]
+        own += [self.align, self.scene_cameras, self.root / "messages", self.log, self.engine_lock]
+        own += [self.root / name for name in ("sparse", "clipped", "semantics")]  # of a prepared capture
         root = os.path.realpath(self.root)
         for path in own:
             if path.is_symlink() or path.is_dir():
