@@ -55,3 +55,11 @@ def test_solid_shading_does_not_show_the_sliders(monkeypatch, shading, hue, told
     assert ("Solid shading" in " ".join(labels)) is told
     assert "Estimated" in " ".join(labels)
     parts.clear()
+
+
+def test_after_apply_the_parts_come_first_and_settings_are_closed():
+    parts, settings = materials.FIPT_PT_materials_parts, materials.FIPT_PT_materials_settings
+    assert parts.bl_order < settings.bl_order
+    assert "DEFAULT_CLOSED" in settings.bl_options and "DEFAULT_CLOSED" not in getattr(
+        parts, "bl_options", set()
+    )

@@ -61,6 +61,7 @@ class FIPT_PT_estimate_advanced(SubSection, bpy.types.Panel):
 
     bl_label = "Advanced"
     bl_parent_id = "FIPT_PT_estimate"
+    bl_order = 1
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()

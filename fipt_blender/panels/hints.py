@@ -56,7 +56,7 @@ class FIPT_PT_estimate_hints(SubSection, bpy.types.Panel):
 
     bl_label = "Hints"
     bl_parent_id = "FIPT_PT_estimate"
-    bl_order = 1
+    bl_order = 0
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
@@ -117,7 +117,7 @@ def _draw_hint(layout: bpy.types.UILayout, context: bpy.types.Context, hint: bpy
         about.prop(hint, "roughness_most")
     about.prop(hint, "emission")
     row = about.row(align=True)
-    row.prop(hint, "same_object")
+    row.prop(hint, "same_object", text="Same As")
     row.operator("fipt.pick_same_material", text="", icon="EYEDROPPER")
     if hint.object is None or hint.object.name not in context.scene.objects:
         draw_text(layout, context, "Its object has been removed: this hint has no effect.", icon="ERROR")

@@ -22,22 +22,6 @@ class FIPT_PT_materials(Section, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()
         settings = context.scene.fipt.materials
-        column = layout.column()
-        column.enabled = running.current() is None
-        column.prop(settings, "atlas_mode")
-        if settings.atlas_mode == "uv":
-            column.prop(settings, "texture_size")
-            column.prop(settings, "texel_density")
-        column.prop(settings, "texture_files")
-        if settings.atlas_mode == "uv":
-            column.prop(settings, "texture_format")
-        column.prop(settings, "write_back")
-        column.prop(settings, "clean_mesh")
-        column = layout.column(heading="Scene")
-        column.enabled = running.current() is None
-        column.prop(settings, "match_exposure")
-        column.prop(settings, "mute_lights")
-        column.prop(settings, "use_cycles")
         row = layout.row()
         row.scale_y = 1.4
         row.operator("fipt.apply_results", icon="MATERIAL")
@@ -55,6 +39,34 @@ class FIPT_PT_materials(Section, bpy.types.Panel):
             draw_engine_choice(layout, context)
         layout.operator("fipt.export_room", text="Export Room...", icon="EXPORT")
         layout.operator("fipt.revert", icon="LOOP_BACK")
+
+
+class FIPT_PT_materials_settings(SubSection, bpy.types.Panel):
+    """Textures, and what else Apply Results changes"""
+
+    bl_label = "Apply Settings"
+    bl_parent_id = "FIPT_PT_materials"
+    bl_order = 1
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        settings = context.scene.fipt.materials
+        column = layout.column()
+        column.enabled = running.current() is None
+        column.prop(settings, "atlas_mode")
+        if settings.atlas_mode == "uv":
+            column.prop(settings, "texture_size")
+            column.prop(settings, "texel_density")
+        column.prop(settings, "texture_files")
+        if settings.atlas_mode == "uv":
+            column.prop(settings, "texture_format")
+        column.prop(settings, "write_back")
+        column.prop(settings, "clean_mesh")
+        column = layout.column(heading="Scene")
+        column.enabled = running.current() is None
+        column.prop(settings, "match_exposure")
+        column.prop(settings, "mute_lights")
+        column.prop(settings, "use_cycles")
 
 
 class FIPT_UL_part_materials(Rows, bpy.types.UIList):
@@ -79,11 +91,12 @@ class FIPT_UL_part_materials(Rows, bpy.types.UIList):
 _SLIDERS = {"roughness_offset": 0.0, "metallic_offset": 0.0, "hue": 0.0, "saturation": 1.0, "value": 1.0}
 
 
-class FIPT_PT_materials_parts(SubSection, bpy.types.Panel):
+class FIPT_PT_materials_parts(Section, bpy.types.Panel):
     """Adjust the estimated material of a part of the room"""
 
     bl_label = "Materials of Parts"
     bl_parent_id = "FIPT_PT_materials"
+    bl_order = 0  # and open: what one needs after Apply Results
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -120,4 +133,9 @@ class FIPT_PT_materials_parts(SubSection, bpy.types.Panel):
             draw_text(layout, context, iface_(text), icon="INFO")
 
 
-CLASSES = (FIPT_PT_materials, FIPT_UL_part_materials, FIPT_PT_materials_parts)
+CLASSES = (
+    FIPT_PT_materials,
+    FIPT_UL_part_materials,
+    FIPT_PT_materials_parts,
+    FIPT_PT_materials_settings,
+)
