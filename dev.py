@@ -9,7 +9,7 @@
   accuracy  run the engine on a capture with ground truth and print its accuracy
   speed     time the engine against the paper's algorithm, stage by stage
   lock      write engine.lock from the pins in pyproject.toml
-  lint      run ruff and mypy
+  lint      run ruff, its formatter as a check, and mypy
   build     make the extension's zip in dist/ (needs no set-up)
   index     build, and make dist/ a repository of extensions that a web server can offer to Blender
   docs      write the documentation site to out/site
@@ -205,8 +205,9 @@ def call(*arguments: str) -> int:
 
 
 def lint() -> int:
-    """Run ruff and mypy, the second even if the first finds something."""
-    return max(call("-m", "ruff", "check", "."), call("-m", "mypy"))
+    """Run ruff, its formatter as a check, and mypy, each even if one before finds something."""
+    checks = (("ruff", "check", "."), ("ruff", "format", "--check", "."), ("mypy",))
+    return max([call("-m", *check) for check in checks])
 
 
 def lock() -> int:
@@ -218,25 +219,9 @@ def lock() -> int:
 
     pins = read_pins()
     name = re.compile(r"[A-Za-z0-9_.-]+")
-    compiler = [
-        str(VENV_PYTHON),
-        "-m",
-        "uv",
-        "pip",
-        "compile",
-        "-",
-        "--universal",
-    ]
-    options = [
-        "--python-version",
-        "3.11",
-        "--only-binary",
-        ":all:",
-        "--generate-hashes",
-        "--no-header",
-        "--no-annotate",
-        "--quiet",
-    ]
+    compiler = [str(VENV_PYTHON), "-m", "uv", "pip", "compile", "-", "--universal"]
+    options = ["--python-version", "3.11", "--only-binary", ":all:", "--generate-hashes"]
+    options += ["--no-header", "--no-annotate", "--quiet"]
 
     def compiled(requirements: list[str], *more: str) -> str:
         text = "\n".join(requirements)
