@@ -15,7 +15,7 @@ from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
 from .job_operator import JobOperator
 from .polls import in_object_mode
-from .reporting import reports_errors
+from .reporting import report_warnings, reports_errors
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
@@ -246,8 +246,7 @@ class FIPT_OT_set_room(bpy.types.Operator):
             set_room(scene, meshes)
         count = len(scene.fipt.capture.room_objects(scene))
         self.report({"INFO"}, iface_("The room consists of {} meshes").format(count))
-        for warning in left_out:
-            self.report({"WARNING"}, f"{warning['text']} {warning['remedy']}")
+        report_warnings(self, left_out)
         return {"FINISHED"}
 
 

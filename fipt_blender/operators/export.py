@@ -11,7 +11,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.run.errors import FiptError
 from .polls import has_results, in_object_mode
-from .reporting import reports_errors
+from .reporting import report_warnings, reports_errors
 
 FORMATS = (
     (".glb", "glTF Binary", "One file with textures"),
@@ -66,8 +66,7 @@ class FIPT_OT_export_room(bpy.types.Operator):
         if path.suffix.lower() not in SUFFIXES:
             path = path.with_name(path.name + self.file_format)
         exported = export_room(context.scene, path)
-        for warning in exported.warnings:
-            self.report({"WARNING"}, f"{warning['text']} {warning['remedy']}")
+        report_warnings(self, exported.warnings)
         self.report({"INFO"}, iface_("{} objects written to {}").format(exported.objects, path.name))
         return {"FINISHED"}
 

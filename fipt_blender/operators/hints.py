@@ -137,7 +137,11 @@ class FIPT_OT_remove_hint(bpy.types.Operator):
     bl_label = "Remove Hint"
     bl_options = {"REGISTER", "UNDO"}
 
-    index: bpy.props.IntProperty(name="Index", description="Of the hint; -1 for the active one", default=-1)
+    index: bpy.props.IntProperty(
+        name="Index",
+        description="Number of the hint in the list, from 0; the active one if negative",
+        default=-1,
+    )
     every: bpy.props.BoolProperty(name="All", description="Remove all hints", options={"SKIP_SAVE"})
 
     @classmethod
@@ -151,6 +155,7 @@ class FIPT_OT_remove_hint(bpy.types.Operator):
         else:
             index = settings.active_hint if self.index < 0 else self.index
             if index >= len(settings.hints):
+                self.report({"ERROR"}, f"There is no hint {index}. The list has {len(settings.hints)}.")
                 return {"CANCELLED"}
             settings.hints.remove(index)
         settings.active_hint = max(min(settings.active_hint, len(settings.hints) - 1), 0)
@@ -183,7 +188,9 @@ class FIPT_OT_answer_doubt(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     index: bpy.props.IntProperty(
-        name="Index", description="Of the question; -1 for the active one", default=-1
+        name="Index",
+        description="Number of the question in the list, from 0; the active one if negative",
+        default=-1,
     )
     answer: bpy.props.EnumProperty(
         name="Answer",
@@ -205,6 +212,7 @@ class FIPT_OT_answer_doubt(bpy.types.Operator):
         settings = context.scene.fipt.hints
         index = settings.active_doubt if self.index < 0 else self.index
         if index >= len(settings.doubts):
+            self.report({"ERROR"}, f"There is no question {index}. The list has {len(settings.doubts)}.")
             return {"CANCELLED"}
         answer_doubt(context.scene, index, self.answer)
         return {"FINISHED"}

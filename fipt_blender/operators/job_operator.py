@@ -17,6 +17,7 @@ from ..core.run.runfolder import RunFolder, explained_write_errors
 from ..jobs import running
 from ..jobs.job_scene import find_scene
 from ..jobs.window import push_undo
+from .reporting import report_warnings
 
 if TYPE_CHECKING:
     from ..bridge.sequence import Job
@@ -52,8 +53,7 @@ class StartsJob:
         if not wait:
             # Nothing has been done yet that could be undone or repeated.
             return {"INTERFACE"}
-        for message in info.warnings:
-            self.report({"WARNING"}, f"{message['text']} {message['remedy']}")  # type: ignore[attr-defined]
+        report_warnings(self, info.warnings)
         if info.error is not None:
             self.report({"ERROR"}, f"{info.error['text']} {info.error['remedy']}")  # type: ignore[attr-defined]
         return {"FINISHED"} if info.state == "finished" else {"CANCELLED"}

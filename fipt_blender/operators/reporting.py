@@ -1,16 +1,19 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How operators report a FiptError."""
+"""How operators report a FiptError, and warnings of the work that they have done."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
-from typing import TypeVar
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, TypeVar
 
 import bpy
 
 from ..core.run.errors import FiptError
+
+if TYPE_CHECKING:
+    from ..bridge.process import Message
 
 Self = TypeVar("Self")
 
@@ -29,3 +32,9 @@ def reports_errors(
             return {"CANCELLED"}
 
     return reporting
+
+
+def report_warnings(operator: object, warnings: Iterable[Message]) -> None:
+    """Report each warning with its remedy."""
+    for warning in warnings:
+        operator.report({"WARNING"}, f"{warning['text']} {warning['remedy']}")  # type: ignore[attr-defined]
