@@ -38,12 +38,8 @@ def read(path: Path, options: ReadOptions) -> Rig:
     Raises:
         FiptError: ``rig-damaged``.
     """
-    folder = _model_folder(path)
-    if folder is None:
-        raise damaged(path, "it contains no COLMAP model")
+    folder, model = _opened(path)
     try:
-        check_model(folder)
-        model = pycolmap.Reconstruction(str(folder))
         images = sorted((model.images[i] for i in model.reg_image_ids()), key=lambda image: image.name)
         entries = [(image.name, model.cameras[image.camera_id], _camera_to_world(image)) for image in images]
     except (RuntimeError, ValueError, KeyError, IndexError, OSError) as error:
@@ -87,12 +83,17 @@ def open_model(path: Path) -> pycolmap.Reconstruction:
     Raises:
         FiptError: ``rig-damaged``.
     """
+    return _opened(path)[1]
+
+
+def _opened(path: Path) -> tuple[Path, pycolmap.Reconstruction]:
+    """The folder of the model that `read` reads, and the model."""
     folder = _model_folder(path)
     if folder is None:
         raise damaged(path, "it contains no COLMAP model")
     try:
         check_model(folder)
-        return pycolmap.Reconstruction(str(folder))
+        return folder, pycolmap.Reconstruction(str(folder))
     except (RuntimeError, ValueError, KeyError, IndexError, OSError) as error:
         raise damaged(folder, error) from None
 
