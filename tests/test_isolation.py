@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import graphlib
 import subprocess
 import sys
@@ -101,10 +102,17 @@ for name in sys.argv[3].split(","):
 """
 
 
+@functools.cache
+def imports(file: Path) -> list[ast.Import | ast.ImportFrom]:
+    """All import statements of a file, functions included; several tests need them."""
+    nodes = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+    return [node for node in nodes if isinstance(node, (ast.Import, ast.ImportFrom))]
+
+
 def imported_modules(file: Path) -> set[str]:
     """Absolute top-level names that a file imports anywhere, functions included."""
     names = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in imports(file):
         if isinstance(node, ast.Import):
             names |= {alias.name.partition(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
@@ -112,11 +120,12 @@ def imported_modules(file: Path) -> set[str]:
     return names
 
 
+@functools.cache
 def relative_targets(file: Path) -> set[str]:
     """Modules below fipt_blender that a file imports relatively, as dotted paths."""
     package = file.relative_to(PACKAGE).with_suffix("").parts[:-1]
     targets = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in imports(file):
         if isinstance(node, ast.ImportFrom) and node.level:
             up = node.level - 1
             assert up <= len(package), f"{file} imports from outside the package"
