@@ -31,17 +31,12 @@ from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
 from samples import metashape_writers, rig_writers
-
-
-def turn(rng: np.random.Generator) -> np.ndarray:
-    q, r = np.linalg.qr(rng.normal(size=(3, 3)))
-    q = q * np.sign(np.diag(r))
-    return q * np.sign(np.linalg.det(q))
+from samples.camera_poses import random_rotation
 
 
 def drawn_similarity(rng: np.random.Generator, scale: float) -> np.ndarray:
     matrix = np.eye(4)
-    matrix[:3, :3] = scale * turn(rng)
+    matrix[:3, :3] = scale * random_rotation(rng)
     matrix[:3, 3] = 3.0 * scale * rng.normal(size=3)
     return matrix
 
@@ -181,7 +176,7 @@ def test_the_nearest_of_many_more_triangles_than_samples_is_found() -> None:
 def test_main_axes_of_a_turned_room() -> None:
     rng = np.random.default_rng(5)
     vertices, triangles = furnished_room()
-    rotation = turn(rng)
+    rotation = random_rotation(rng)
     axes = main_axes(sample_surface(vertices @ rotation.T, triangles, rng, 5000).normals)
     np.testing.assert_allclose(np.sort(np.abs(axes @ rotation), axis=1), [[0, 0, 1]] * 3, atol=1e-6)
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-9)

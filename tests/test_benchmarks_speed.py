@@ -26,7 +26,8 @@ from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.scene.room import Room, load_room, triangle_normals
-from samples.small_captures import QUICK, look_at, panel_capture, write_run
+from samples.camera_poses import look_at
+from samples.small_captures import QUICK, panel_capture, write_run
 from samples.small_rooms import BOX, agree, bulb, make_room, mesh_room, surface_points
 
 LEVELS = np.array([0.1, 0.4, 1.0], np.float32)

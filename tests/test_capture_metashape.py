@@ -12,6 +12,7 @@ import pytest
 
 from fipt_blender.core.capture.radial import MOST_ERROR
 from samples import rig_writers as write
+from samples.camera_poses import random_rotation
 from samples.metashape_writers import (
     Chunk,
     metashape_chunk,
@@ -27,7 +28,7 @@ BROWN3 = write.Style((-0.12, 0.03, -0.006), (0.002, -0.001))
 
 
 def moved_chunk(shots: list[write.Shot]) -> Chunk:
-    rotation = write.random_rotation(np.random.default_rng(5))
+    rotation = random_rotation(np.random.default_rng(5))
     return Chunk(shots, 0.0254, rotation, np.array([12.0, -3.0, 0.5]))
 
 

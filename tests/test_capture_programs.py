@@ -16,6 +16,7 @@ from fipt_blender.core.capture.distortion import lens_camera
 from fipt_blender.core.capture.formats import FORMATS, detect_format, read_rig
 from fipt_blender.core.capture.rig import ReadOptions
 from samples import rig_writers as write
+from samples.camera_poses import random_rotation
 from samples.metashape_writers import Chunk, metashape_chunk, write_metashape, write_realityscan_csv
 from samples.rig_checks import CENTRED, assert_same, error_of, read, room_points
 
@@ -164,7 +165,7 @@ def test_nvm_models_names_and_fixed_calibration(tmp_path: Path) -> None:
 def test_polycam_poses_are_in_the_coordinates_of_the_mesh(tmp_path: Path, corrected: bool) -> None:
     shots = write.make_shots(write.Style(aspect=1.01))
     alignment = np.eye(4)
-    alignment[:3, :3], alignment[:3, 3] = write.random_rotation(np.random.default_rng(2)), (1.0, 2.0, 3.0)
+    alignment[:3, :3], alignment[:3, 3] = random_rotation(np.random.default_rng(2)), (1.0, 2.0, 3.0)
     write.write_polycam(tmp_path, shots, alignment, corrected)
     rig = read(tmp_path)
     assert rig.source == "polycam" and rig.up_axis == "y" and rig.mesh == tmp_path / "raw.glb"

@@ -16,6 +16,7 @@ import pytest
 from fipt_blender.core import conventions
 from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.capture.views import View
+from samples.camera_poses import random_rotation
 
 # width, height, fx, fy, cx, cy: fx != fy, off-centre, portrait
 INTRINSICS = [
@@ -24,12 +25,6 @@ INTRINSICS = [
     (320, 640, 530.0, 480.0, 150.0, 333.0),
     (333, 257, 91.5, 260.0, 12.0, 250.0),
 ]
-
-
-def random_rotation(rng: np.random.Generator) -> np.ndarray:
-    q, r = np.linalg.qr(rng.normal(size=(3, 3)))
-    q = q * np.sign(np.diag(r))
-    return q if np.linalg.det(q) > 0 else -q
 
 
 def random_pose(rng: np.random.Generator) -> np.ndarray:

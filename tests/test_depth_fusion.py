@@ -12,25 +12,16 @@ from fipt_blender.core.depth.extraction import FusedMesh, extract
 from fipt_blender.core.depth.range_image import RangeImage
 from fipt_blender.core.depth.simplification import simplified
 from fipt_blender.core.depth.volume import SIDE, BlockVolume, pack, unpack
+from samples.camera_poses import look_at
 
 VOXEL = 0.04
+UP = (0.3, 0.2, 0.9)  # no camera of these tests looks in this direction
 RADIUS = 0.5
-
-
-def looking(origin: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """A pose (4, 4) with OpenCV axes at `origin` that looks at `target`."""
-    forward = (target - origin) / np.linalg.norm(target - origin)
-    side = np.cross(forward, [0.3, 0.2, 0.9])
-    side /= np.linalg.norm(side)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([side, np.cross(forward, side), forward], axis=1)
-    pose[:3, 3] = origin
-    return pose
 
 
 def sphere_image(origin: np.ndarray, color: np.ndarray | None = None) -> RangeImage:
     """What a camera at `origin` measures of a sphere around the world's origin."""
-    pose, size, focal = looking(origin, np.zeros(3)), 96, 96.0
+    pose, size, focal = look_at(origin, np.zeros(3), UP), 96, 96.0
     y, x = np.mgrid[:size, :size] + 0.5
     local = np.stack([(x - 48.0) / focal, (y - 48.0) / focal, np.ones_like(x)], axis=2)
     direction = local @ pose[:3, :3].T

@@ -21,12 +21,12 @@ from fipt_blender.core.run import finished_views
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.runfolder import RunFolder
+from samples.camera_poses import look_at
 from samples.small_captures import (
     COLORS,
     PANEL_RADIANCE,
     PANEL_TRIANGLES,
     SmallCapture,
-    look_at,
     panel_capture,
     run_here,
     window_capture,

@@ -27,6 +27,7 @@ from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import main_job, run_job
 from fipt_blender.jobs.main_job import make_main_job
 from fipt_blender.jobs.options import MainJobOptions
+from samples.camera_poses import look_at
 
 ROOT = Path(main_job.__file__).resolve().parent.parent
 
@@ -84,16 +85,6 @@ def capture(tmp_path) -> Path:
     lens = {"w": 32, "h": 24, "fl_x": 24.0, "fl_y": 24.0, "cx": 16.0, "cy": 12.0}
     (folder / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
     return folder
-
-
-def look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Camera-to-world with OpenCV axes, level."""
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3] = np.stack([right, np.cross(forward, right), forward, eye], axis=1)
-    return pose
 
 
 @pytest.fixture

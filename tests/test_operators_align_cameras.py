@@ -18,7 +18,7 @@ from fipt_blender.blend.capture.exporting import camera_pose
 from fipt_blender.core import conventions
 from fipt_blender.core.capture.images import write_exr
 from samples import rig_writers
-from samples.small_captures import look_at
+from samples.camera_poses import look_at
 
 pytestmark = pytest.mark.usefixtures("registered")
 ops = bpy.ops.fipt

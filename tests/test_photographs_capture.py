@@ -20,6 +20,7 @@ from fipt_blender.core.photographs.steps import STEPS
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
 from samples import textured_room
+from samples.camera_poses import look_at
 from samples.photographs import exif, write_jpeg
 from samples.textured_room import FOCAL, HEIGHT, WIDTH
 
@@ -30,7 +31,7 @@ VIEWS = 5
 def poses() -> list[np.ndarray]:
     steps = np.linspace(-0.8, 0.8, VIEWS)
     return [
-        textured_room.look_at(
+        look_at(
             np.array([2.0 + 1.1 * np.sin(step), 0.9, 1.2 + 0.2 * np.cos(4.0 * step)]),
             np.array([1.8 + 0.3 * step, 3.0, 1.1]),
         )

@@ -31,12 +31,15 @@ transformers = pytest.importorskip("transformers")
 SIZE = {"shortest_edge": 64, "longest_edge": 1333}
 
 
-def mask2former() -> torch.nn.Module:
+def backbone() -> object:
     stages = {"depths": [1] * 4, "num_heads": [1] * 4, "out_features": [f"stage{i}" for i in (1, 2, 3, 4)]}
-    backbone = transformers.SwinConfig(image_size=64, patch_size=4, embed_dim=8, window_size=4, **stages)
+    return transformers.SwinConfig(image_size=64, patch_size=4, embed_dim=8, window_size=4, **stages)
+
+
+def mask2former() -> torch.nn.Module:
     sizes = ("feature_size", "mask_feature_size", "hidden_dim", "encoder_feedforward_dim", "dim_feedforward")
     config = transformers.Mask2FormerConfig(
-        backbone_config=backbone,
+        backbone_config=backbone(),
         **dict.fromkeys(sizes, 32),
         encoder_layers=1,
         decoder_layers=2,
@@ -48,11 +51,9 @@ def mask2former() -> torch.nn.Module:
 
 
 def oneformer() -> torch.nn.Module:
-    stages = {"depths": [1] * 4, "num_heads": [1] * 4, "out_features": [f"stage{i}" for i in (1, 2, 3, 4)]}
-    backbone = transformers.SwinConfig(image_size=64, patch_size=4, embed_dim=8, window_size=4, **stages)
     sizes = ("hidden_dim", "mask_dim", "conv_dim", "encoder_feedforward_dim", "dim_feedforward")
     config = transformers.OneFormerConfig(
-        backbone_config=backbone,
+        backbone_config=backbone(),
         **dict.fromkeys(sizes, 32),
         encoder_layers=1,
         decoder_layers=2,

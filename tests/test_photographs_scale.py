@@ -29,14 +29,8 @@ from fipt_blender.core.photographs.steps import run_steps
 from fipt_blender.core.photographs.tonemap import tone_mapped
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
-from samples.textured_room import FOCAL, HEIGHT, WIDTH, look_at, photograph
-
-
-def rotation(generator: np.random.Generator) -> np.ndarray:
-    """A random rotation (3, 3)."""
-    orthogonal, triangular = np.linalg.qr(generator.normal(size=(3, 3)))
-    orthogonal = orthogonal * np.sign(np.diag(triangular))
-    return orthogonal * np.sign(np.linalg.det(orthogonal))
+from samples.camera_poses import look_at, random_rotation
+from samples.textured_room import FOCAL, HEIGHT, WIDTH, photograph
 
 
 def turned(pose: np.ndarray, quarter_turns: int) -> np.ndarray:
@@ -58,7 +52,7 @@ def test_up_of_level_cameras_in_any_frame(around: bool, sideways: int) -> None:
         pose = look_at(position, position + np.array(toward))
         poses.append(turned(pose, 1) if index < sideways else pose)
     frame = np.eye(4)
-    frame[:3, :3] = rotation(generator)
+    frame[:3, :3] = random_rotation(generator)
     up = scale.up_direction(frame @ np.array(poses))
     # Along one line, only the mean of the tilts tells up from forward.
     assert np.degrees(np.arccos(min(1.0, up @ frame[:3, 2]))) < (0.5 if around else 8.0)
@@ -70,7 +64,7 @@ def test_the_room_frame_stands_on_the_floor_and_is_in_meters() -> None:
     poses = np.array([look_at(place, generator.uniform([0, 0, 0], [3, 3, 1])) for place in places])
     points = generator.uniform([0, 0, 0], [3, 3, 2.5], (2000, 3))
     other = np.eye(4)
-    other[:3, :3] = rotation(generator)
+    other[:3, :3] = random_rotation(generator)
     other[:3, 3] = [5.0, -3.0, 1.0]
     moved = other @ poses
     moved[:, :3, 3] *= 0.25  # the solve's unit is four metres

@@ -43,6 +43,7 @@ from fipt_blender.core.photographs.tonemap import tone_mapped
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from samples import textured_room
+from samples.camera_poses import look_at
 from samples.textured_room import FOCAL, HEIGHT, WIDTH
 
 FOCAL_35MM = FOCAL * FULL_FRAME_DIAGONAL / float(np.hypot(WIDTH, HEIGHT))
@@ -53,7 +54,7 @@ def poses(count: int) -> list[np.ndarray]:
     """Level and tilted cameras on an arc, which look at the middle of a wall."""
     steps = np.linspace(-0.9, 0.9, count)
     return [
-        textured_room.look_at(
+        look_at(
             np.array(
                 [2.0 + 1.2 * np.sin(step), 0.9 + 0.3 * np.cos(3.0 * step), 1.2 + 0.3 * np.sin(5 * step)]
             ),

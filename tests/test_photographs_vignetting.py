@@ -26,7 +26,8 @@ from fipt_blender.core.photographs.solve_step import model_folder
 from fipt_blender.core.photographs.steps import run_steps
 from fipt_blender.core.photographs.vignetting import Observations, fit_falloff, light_share, powers
 from fipt_blender.core.run.messages import Reporter
-from samples.textured_room import FOCAL, HEIGHT, SIZE, WIDTH, look_at, project
+from samples.camera_poses import look_at
+from samples.textured_room import FOCAL, HEIGHT, SIZE, WIDTH, project
 
 TRUE = np.array([-0.3, -0.15, 0.0])
 

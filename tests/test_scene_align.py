@@ -25,8 +25,8 @@ from fipt_blender.core.run.shapes import ALIGN
 from fipt_blender.core.scene import align
 from fipt_blender.core.scene.room import Room
 from samples import rig_writers
-from samples.small_captures import look_at
-from samples.small_rooms import BOX, make_room
+from samples.camera_poses import look_at
+from samples.small_rooms import BOX, make_room, write_room
 
 
 def similarity(vector: list[float], scale: float, shift: list[float]) -> np.ndarray:
@@ -77,12 +77,7 @@ def write_input(folder: Path, room: Room, poses: dict[str, np.ndarray]) -> None:
     head = {"format": "fipt-capture", "version": 1, "source": "opensfm", "mesh": None}
     data = {**head, "world_from_source": np.eye(4).tolist(), "views": views}
     (folder / "capture.json").write_text(json.dumps(data))
-    arrays = ("vertices", "triangles", "corner_normals", "triangle_object", "triangle_material")
-    polygon = np.arange(len(room.triangles)) // 2
-    np.savez(folder / "room.npz", **{n: getattr(room, n) for n in arrays}, triangle_polygon=polygon)
-    count = int(room.triangle_object.max()) + 1
-    names = [f"object {index}" for index in range(count)]
-    (folder / "room.json").write_text(json.dumps({"objects": names, "materials": names, "parts": "auto"}))
+    write_room(folder, room)
 
 
 def write_solve(folder: Path, points: np.ndarray, poses: dict[str, np.ndarray]) -> None:

@@ -16,7 +16,7 @@ from fipt_blender.core.capture.views import View
 from fipt_blender.core.device.variant import set_variant
 from fipt_blender.core.scene import survey
 from fipt_blender.core.scene.room import Room
-from samples.small_captures import look_at
+from samples.camera_poses import look_at
 from samples.small_rooms import BOX, make_room
 
 WIDTH, HEIGHT, FINER = 320, 240, 4

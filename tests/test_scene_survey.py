@@ -19,8 +19,8 @@ from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.scene import survey
 from fipt_blender.core.scene.labels import loose_pieces
 from fipt_blender.core.scene.room import Room
-from samples.small_captures import look_at
-from samples.small_rooms import BOX, bulb, make_room, mesh_room
+from samples.camera_poses import look_at
+from samples.small_rooms import BOX, bulb, make_room, mesh_room, write_room
 
 WIDTH, HEIGHT = 48, 32
 FLOOR, CEILING, BACK, FRONT = (0, 1), (2, 3), (4, 5), (10, 11)
@@ -41,13 +41,7 @@ def write_survey_input(folder: Path, room: Room, poses: dict[str, np.ndarray], *
     head = {"format": "fipt-capture", "version": 1, "source": "transforms", "mesh": None}
     data = {**head, "world_from_source": np.eye(4).tolist(), "views": views}
     (folder / "capture.json").write_text(json.dumps(data))
-    arrays = ("vertices", "triangles", "corner_normals", "triangle_object", "triangle_material")
-    polygon = np.arange(len(room.triangles)) // 2
-    np.savez(folder / "room.npz", **{n: getattr(room, n) for n in arrays}, triangle_polygon=polygon)
-    objects = [f"object {index}" for index in range(int(room.triangle_object.max()) + 1)]
-    materials = [f"material {index}" for index in range(int(room.triangle_material.max()) + 1)]
-    names = {"objects": objects, "materials": materials, "parts": "auto"}
-    (folder / "room.json").write_text(json.dumps(names))
+    write_room(folder, room)
 
 
 def run_survey(folder: Path, triangles: int) -> tuple[dict, np.ndarray, dict[str, np.ndarray]]:

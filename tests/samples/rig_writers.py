@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from samples.camera_poses import random_rotation
+
 FLIP_YZ = np.diag([1.0, -1.0, -1.0])  # OpenCV's camera axes from OpenGL's, and back
 
 
@@ -67,12 +69,6 @@ class Style:
     aspect: float = 1.0
     off_centre: tuple[float, float] = (2.5, -1.5)
     fisheye: bool = False
-
-
-def random_rotation(rng: np.random.Generator) -> np.ndarray:
-    q, r = np.linalg.qr(rng.normal(size=(3, 3)))
-    q = q * np.sign(np.diag(r))
-    return q * np.sign(np.linalg.det(q))
 
 
 def make_shots(style: Style | None = None, count: int = 4) -> list[Shot]:

@@ -21,7 +21,8 @@ from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.scene.room import Room
-from samples.small_rooms import BOX, area_lights, make_room, table
+from samples.camera_poses import look_at
+from samples.small_rooms import BOX, area_lights, make_room, table, write_room
 
 WIDTH, HEIGHT = 48, 32
 PANEL = [[-0.7, -0.7, 2.9], [-0.7, 0.7, 2.9], [0.7, 0.7, 2.9], [0.7, -0.7, 2.9]]
@@ -71,18 +72,6 @@ class SmallCapture:
         vertices = (self.room.vertices * np.float64(length) + shift).astype(np.float32)
         images = [image * np.float32(radiance) for image in self.images]
         return replace(self, room=replace(self.room, vertices=vertices), images=images, poses=poses)
-
-
-def look_at(origin: list[float], target: list[float]) -> np.ndarray:
-    """Camera-to-world, OpenCV axes."""
-    forward = np.subtract(target, origin)
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-    pose[:3, 3] = origin
-    return pose
 
 
 def pinhole(pose: np.ndarray, scale: int = 1) -> SimpleNamespace:
@@ -151,19 +140,7 @@ def write_run(root: Path, capture: SmallCapture, **changes) -> RunFolder:
         )
     head = {"format": "fipt-capture", "version": 1, "source": "transforms", "mesh": None}
     run.capture_json.write_text(json.dumps({**head, "world_from_source": np.eye(4).tolist(), "views": views}))
-    room = capture.room
-    np.savez(
-        run.room_npz,
-        vertices=room.vertices,
-        triangles=room.triangles,
-        corner_normals=room.corner_normals,
-        triangle_object=room.triangle_object,
-        triangle_material=room.triangle_material,
-        triangle_polygon=np.arange(len(room.triangles)) // 2,
-    )
-    names = [f"object {index}" for index in range(int(room.triangle_object.max(initial=-1)) + 1)]
-    materials = [f"material {index}" for index in range(int(room.triangle_material.max(initial=-1)) + 1)]
-    run.room_json.write_text(json.dumps({"objects": names, "materials": materials, "parts": room.parts}))
+    write_room(run.root, capture.room)
     return run
 
 

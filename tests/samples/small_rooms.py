@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Small rooms made of quadrilaterals, and a statistical test of means."""
 
+import json
 from math import erfc, log, sqrt
+from pathlib import Path
 
 import numpy as np
 
@@ -41,6 +43,17 @@ def mesh_room(vertices: np.ndarray, triangles: np.ndarray, objects: np.ndarray, 
     return Room(
         np.asarray(vertices, np.float32), np.asarray(triangles, np.int32), normals, objects, objects, **names
     )
+
+
+def write_room(folder: Path, room: Room) -> None:
+    """room.npz and room.json as Blender writes them, of a room of quadrilaterals."""
+    arrays = ("vertices", "triangles", "corner_normals", "triangle_object", "triangle_material")
+    polygon = np.arange(len(room.triangles)) // 2
+    np.savez(folder / "room.npz", **{n: getattr(room, n) for n in arrays}, triangle_polygon=polygon)
+    objects = [f"object {index}" for index in range(int(room.triangle_object.max(initial=-1)) + 1)]
+    materials = [f"material {index}" for index in range(int(room.triangle_material.max(initial=-1)) + 1)]
+    names = {"objects": objects, "materials": materials, "parts": room.parts}
+    (folder / "room.json").write_text(json.dumps(names))
 
 
 def bulb(centre: list[float], radius: float) -> tuple[np.ndarray, np.ndarray]:

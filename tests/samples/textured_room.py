@@ -23,17 +23,6 @@ def wall_textures(seed: int) -> np.ndarray:
     return 0.05 + 0.95 * textures
 
 
-def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """(4, 4) camera-to-world with OpenCV axes of a level camera."""
-    forward = (target - position) / np.linalg.norm(target - position)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-    pose[:3, 3] = position
-    return pose
-
-
 def photograph(pose: np.ndarray, textures: np.ndarray) -> np.ndarray:
     """Radiance (HEIGHT, WIDTH, 3) float32 that a pinhole camera in the room sees, by four rays a pixel.
 
