@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 
 from .. import conventions
+from ..depth.extraction import FusedMesh
+from ..depth.plane_room import PlaneRoom
 from ..depth.ply import write_ply
 from ..run.errors import FiptError
 from ..run.messages import Reporter
@@ -56,23 +58,8 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     reporter.plan([0.1, 0.7, 0.2])
     reporter.stage("cameras", "Reading cameras")
     check_options(options)
-    rig = read_rig(capture.absolute(), options.format, options.read)
-    mesh = _mesh(rig, options)
-    rig = replace(rig, depths=checked_depths(rig.depths))
-    if rig.one_camera:
-        rig = with_color_camera(rig, options.scale)
-    if options.align_mesh:
-        rig = aligned_to_mesh(capture.absolute(), rig, mesh)
-    stereo = options.dense_stereo and mesh is None and not rig.depths
-    without = stereo_possible(rig, otherwise=options.plane_room) if stereo else None
-    stereo = stereo and without is None
-    by_planes = options.plane_room and mesh is None and not stereo
-    planes = room_of_points(capture.absolute(), rig) if by_planes else None
-    budget = options.fusion.triangles
-    fewer = simplified_mesh(mesh, budget) if budget and mesh is not None else None
-    notes = [*([] if without is None else [without]), *([] if planes is None else [room_note(planes)])]
-    for note in [*rig.notes, *notes, *([] if fewer is None else [fewer[1]])]:
-        reporter.warning(note.code, note.text, note.remedy)
+    source = _read_source(capture.absolute(), options, reporter)
+    rig = source.rig
     views = _assign_splits(_chosen(unique_names(rig.views), options.most_views), options.hold_back)
     _check_files(views)
     up_axis = options.up_axis if options.up_axis != "auto" else rig.up_axis or guess_up_axis(views)
@@ -83,12 +70,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     ]
     pinholes = [_checked_pinhole(view) for view in views]
 
-    fusion: Fusion | None = None
-    if stereo:
-        source = capture.absolute()
-        fusion = StereoFusion(run_folder, (), options.fusion, options.scale, source, rig.views)
-    elif mesh is None and planes is None and rig.depths:
-        fusion = Fusion(run_folder, rig.depths, options.fusion, options.scale)
+    fusion = _fusion(run_folder, capture.absolute(), source, options)
     if fusion is not None:
         reporter.plan([0.2, 0.7, 0.1])
     reporter.stage("images", "Checking photographs")
@@ -101,20 +83,14 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
 
     fused = None
     if fusion is not None:
-        reporter.stage("fuse", "Finding depths by dense stereo" if stereo else "Fusing the depth images")
+        text = "Finding depths by dense stereo" if source.stereo else "Fusing the depth images"
+        reporter.stage("fuse", text)
         fused = None if fusion.is_kept else fusion.mesh(reporter.progress)
 
     reporter.stage("write", "Writing the capture")
     if not run_folder.run_json.exists():
         run_folder.create(make_settings())
-    if fusion is not None:
-        mesh = run_folder.fused_ply if fused is None else fusion.keep(fused)
-    if fewer is not None:
-        mesh = run_folder.simplified_ply
-        write_ply(mesh, fewer[0])
-    if planes is not None:
-        mesh = run_folder.planes_obj
-        write_room(mesh, planes)
+    mesh = _write_mesh(run_folder, source, fusion, fused)
     data = {
         "format": CAPTURE_FORMAT,
         "version": CAPTURE_VERSION,
@@ -138,6 +114,84 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
             "undistorted": sum(is_distorted(view.lens, view.width, view.height) for view in views),
         },
     )
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A capture as it was read, and where its mesh comes from.
+
+    Attributes:
+        rig: cameras and images, aligned to the mesh where that was asked for.
+        mesh: the mesh file; None without one.
+        simplified: the same with fewer triangles, which is used instead; None where that is not wanted.
+        planes: the room of planes made from the solve's points; None where that is not wanted.
+        stereo: whether the mesh is made by dense stereo.
+    """
+
+    rig: Rig
+    mesh: Path | None
+    simplified: FusedMesh | None
+    planes: PlaneRoom | None
+    stereo: bool
+
+
+def _read_source(capture: Path, options: IngestOptions, reporter: Reporter) -> _Source:
+    """Read cameras and mesh, and warn of what the user should know of them.
+
+    Raises:
+        FiptError: those of the readers, ``mesh-missing``; those of aligning, of planes and of stereo.
+    """
+    rig = read_rig(capture, options.format, options.read)
+    mesh = _mesh(rig, options)
+    rig = replace(rig, depths=checked_depths(rig.depths))
+    if rig.one_camera:
+        rig = with_color_camera(rig, options.scale)
+    if options.align_mesh:
+        rig = aligned_to_mesh(capture, rig, mesh)
+    notes = list(rig.notes)
+    stereo = options.dense_stereo and mesh is None and not rig.depths
+    if stereo and (without := stereo_possible(rig, otherwise=options.plane_room)) is not None:
+        notes.append(without)
+        stereo = False
+    planes = None
+    if options.plane_room and mesh is None and not stereo:
+        planes = room_of_points(capture, rig)
+        notes.append(room_note(planes))
+    simplified, budget = None, options.fusion.triangles
+    if budget and mesh is not None and (fewer := simplified_mesh(mesh, budget)) is not None:
+        simplified = fewer[0]
+        notes.append(fewer[1])
+    for note in notes:
+        reporter.warning(note.code, note.text, note.remedy)
+    return _Source(rig, mesh, simplified, planes, stereo)
+
+
+def _fusion(run: RunFolder, capture: Path, source: _Source, options: IngestOptions) -> Fusion | None:
+    """What makes the mesh of depths; None where there is another one, or no depths."""
+    if source.stereo:
+        return StereoFusion(run, (), options.fusion, options.scale, capture, source.rig.views)
+    if source.mesh is None and source.planes is None and source.rig.depths:
+        return Fusion(run, source.rig.depths, options.fusion, options.scale)
+    return None
+
+
+def _write_mesh(
+    run: RunFolder, source: _Source, fusion: Fusion | None, fused: FusedMesh | None
+) -> Path | None:
+    """The mesh file of the capture, written where it was made here; None without a mesh.
+
+    Args:
+        fused: by `fusion`, None where the mesh of an earlier start is kept.
+    """
+    if fusion is not None:
+        return run.fused_ply if fused is None else fusion.keep(fused)
+    if source.simplified is not None:
+        write_ply(run.simplified_ply, source.simplified)
+        return run.simplified_ply
+    if source.planes is not None:
+        write_room(run.planes_obj, source.planes)
+        return run.planes_obj
+    return source.mesh
 
 
 def guess_up_axis(views: list[RigView]) -> str:
