@@ -14,7 +14,8 @@ from fipt_blender.core.scene.labels import Parts
 from fipt_blender.core.scene.mixed_pixels import mark_pure
 from fipt_blender.core.scene.pixels import PixelStore, open_pixels, trace_view
 from fipt_blender.core.scene.unmixing import unmix_pixels
-from samples.small_captures import CAMERAS, PANEL, look_at, pinhole
+from samples.camera_poses import look_at
+from samples.small_captures import CAMERAS, PANEL, pinhole
 from samples.small_rooms import BOX, make_room
 
 SCALE = 3  # of the cameras' size in pixels
