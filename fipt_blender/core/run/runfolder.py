@@ -8,6 +8,7 @@ settings are imported in the functions that use them. docs/architecture.md descr
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import os
 from collections.abc import Iterator
@@ -140,7 +141,7 @@ class RunFolder:
         )
 
     def read(self) -> Settings:
-        """Read the settings of the run.
+        """Read the settings of the run; those that only other versions know are ignored.
 
         Raises:
             FiptError: ``run-missing``, ``run-damaged`` or ``run-version``.
@@ -164,9 +165,10 @@ class RunFolder:
                 f"this version of the add-on reads {RUN_VERSION}.",
                 "Start a new run in another folder, or open this one with the version that made it.",
             )
-        from .settings import make_settings
+        from .settings import Settings, make_settings
 
-        values = dict(data.get("settings", {}))
+        known = {field.name for field in dataclasses.fields(Settings)}
+        values = {name: value for name, value in data.get("settings", {}).items() if name in known}
         return make_settings(values.pop("preset", "medium"), values)
 
     def resolve(self, path: str) -> Path:
