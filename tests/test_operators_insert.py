@@ -41,7 +41,7 @@ def add_cube(scene, name="Chair", size=0.2, location=(1.0, 0.5, 3.0)):
 
 def test_a_ball_stands_where_the_pixel_shows_the_floor(scene):
     assert place(kind="GREY_BALL", view=VIEW, pixel=(16.0, 12.0)) == {"FINISHED"}
-    ball = bpy.data.objects["FIPT grey_ball"]
+    ball = bpy.data.objects["FIPT Gray Ball"]
     assert lowest(ball) == pytest.approx(0.0, abs=1e-4)
     place_of_ball = ball.matrix_world.translation.copy()
     assert place(kind="OBJECT", object_name=ball.name, view=VIEW, pixel=(16.0, 12.0)) == {"FINISHED"}
@@ -233,7 +233,7 @@ def test_cancelling_leaves_no_trace(scene):
     for placement in (
         placing.begin_placing(scene, cube),
         placing.begin_placing(scene, cube, copy=True),
-        sample_objects.make_balls(scene, ("grey_ball", "mirror_ball"), 0.2),
+        sample_objects.make_balls(scene, ("gray_ball", "mirror_ball"), 0.2),
     ):
         placing.place(placement, surface, placing.Stance(scale=3.0))
         placing.cancel_placing(placement)
@@ -257,9 +257,9 @@ def test_undo_removes_the_ball(scene):
     place(kind="GREY_BALL", location=(0, 0, 0))
     bpy.ops.ed.undo_push(message="after")
     bpy.ops.ed.undo()
-    assert "FIPT grey_ball" not in bpy.data.objects
+    assert "FIPT Gray Ball" not in bpy.data.objects
     bpy.ops.ed.redo()
-    assert "FIPT grey_ball" in bpy.data.objects
+    assert "FIPT Gray Ball" in bpy.data.objects
 
 
 def test_not_in_edit_mode(scene):

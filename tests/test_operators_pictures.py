@@ -96,7 +96,7 @@ def test_added_objects(run):
     ball()
     light = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "AREA"))
     scene.collection.objects.link(light)
-    assert {item.name for item in composite.added_objects(scene, ROOM)} == {"FIPT grey_ball", "Lamp"}
+    assert {item.name for item in composite.added_objects(scene, ROOM)} == {"FIPT Gray Ball", "Lamp"}
     assert {item.name for item in estimated_objects(scene, ROOM)} == ROOM | {"Fixture.001"}
 
 

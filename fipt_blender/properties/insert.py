@@ -32,9 +32,9 @@ KINDS = (
     ),
 )
 BALLS = {
-    "GREY_BALL": ("grey_ball",),
+    "GREY_BALL": ("gray_ball",),
     "MIRROR_BALL": ("mirror_ball",),
-    "BALLS": ("grey_ball", "mirror_ball"),
+    "BALLS": ("gray_ball", "mirror_ball"),
 }
 ALIGNMENTS = (
     ("NORMAL", "Surface", "Align the object's up axis with the surface normal", "SNAP_NORMAL", 0),

@@ -277,7 +277,8 @@ def insert(window: Window, options: Options) -> None:
     picture = window.ask("inside.fit_texts")["picture"]
     assert Path(picture).is_file(), picture
     rendered = window.ask("inside.checks")[0]["render"]
-    assert window.ask("inside.change", rendered, picture) > 0.05
+    change = window.ask("inside.change", rendered, picture)
+    assert change > 0.05, change
     window.shot("20_relit_panel")
     window.click("fipt.open_picture")
     window.wait("is_open", *_PICTURE)
@@ -335,6 +336,6 @@ CHAPTERS = (
     Chapter(story_lights.menus, "check"),
     Chapter(story_lights.aim, "check"),
     Chapter(story_lights.eevee, "check"),
-    Chapter(insert, "check"),
+    Chapter(insert, "lights"),  # relit: a lamp is off
     Chapter(draw_times, "insert"),
 )

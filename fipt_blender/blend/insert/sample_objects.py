@@ -19,7 +19,7 @@ from .placing import Placement, begin_placing_made
 
 # kind -> base colour, roughness, metallic
 MATERIALS = {
-    "grey_ball": ((0.18, 0.18, 0.18), 1.0, 0.0),
+    "gray_ball": ((0.18, 0.18, 0.18), 1.0, 0.0),
     "mirror_ball": ((0.95, 0.95, 0.95), 0.02, 1.0),
     "monkey": ((0.8, 0.25, 0.08), 0.25, 0.0),
 }
@@ -107,7 +107,7 @@ def _make(scene: bpy.types.Scene, kind: str, size: float) -> bpy.types.Object:
     )
     for face in bm.faces:
         face.smooth = True
-    mesh = bpy.data.meshes.new(f"FIPT {kind}")
+    mesh = bpy.data.meshes.new(_name(kind))
     bm.to_mesh(mesh)
     bm.free()
     mesh.materials.append(_material(kind))
@@ -116,8 +116,12 @@ def _make(scene: bpy.types.Scene, kind: str, size: float) -> bpy.types.Object:
     return item
 
 
+def _name(kind: str) -> str:
+    return f"FIPT {kind.replace('_', ' ').title()}"
+
+
 def _material(kind: str) -> bpy.types.Material:
-    name = f"FIPT {kind}"
+    name = _name(kind)
     material = bpy.data.materials.get(name) or bpy.data.materials.new(name)
     nodes = node_tree(material).nodes
     principled = next(node for node in nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")

@@ -23,8 +23,14 @@ from .convert import fixture_to_lights
 
 SPACING = 0.4  # metres between the samples of the volume
 _MIN, _MAX = 4, 32  # samples along an axis
-_MARGIN = 0.02  # of each extent by which the volume exceeds the room
-_SETTINGS = ("use_raytracing", "use_shadows", "use_shadow_jitter_viewport")  # that are switched on
+# Samples by which the volume exceeds the room on each side: EEVEE fades it into the world before its border,
+# and walls there would get the world's light.
+_BORDER = 1
+_SWITCHED_ON = ("use_raytracing", "use_shadows")
+# Radiances below which lights end, and at which reflected light is clamped: Blender's defaults, for a picture
+# whose middle is _MIDDLE.
+_RADIANCES = {"light_threshold": 0.01, "clamp_surface_indirect": 10.0}
+_MIDDLE = 0.18
 ENGINES = ("BLENDER_EEVEE_NEXT", "BLENDER_EEVEE")  # 4.2 to 4.5; from 5.0
 
 
@@ -54,35 +60,36 @@ def prepare(scene: bpy.types.Scene) -> list[str]:
 
 
 def use_eevee(scene: bpy.types.Scene) -> None:
-    """Make EEVEE the scene's engine, with ray tracing and soft shadows.
+    """Make EEVEE the scene's engine, with ray tracing, whatever the exposure of the photographs.
+
+    Shadows are not jittered: that darkens direct light and, more so, the baked volume (docs/results.md).
 
     Raises:
         FiptError: ``engine-missing``.
     """
     if not switch_engine(scene, ENGINES):
         raise FiptError("engine-missing", "This Blender has no EEVEE.", "Use Cycles.")
-    hard = [item for item in scene.objects if item.type == "LIGHT" and not item.data.use_shadow_jitter]
+    median = scene.fipt.lights.median_radiance
+    scale = median / _MIDDLE if median > 0.0 else 1.0
+    wanted: dict[str, float] = {name: scale * value for name, value in _RADIANCES.items()}
+    wanted |= dict.fromkeys(_SWITCHED_ON, True)
+    # Not every version of Blender has all of them.
+    wanted = {name: value for name, value in wanted.items() if hasattr(scene.eevee, name)}
     if KEPT_EEVEE not in scene:
-        settings = {name: getattr(scene.eevee, name) for name in _SETTINGS}
-        names = [item.name for item in hard]
-        scene[KEPT_EEVEE] = json.dumps({"settings": settings, "hard": names})
-    for name in _SETTINGS:
-        setattr(scene.eevee, name, True)
-    for item in hard:
-        item.data.use_shadow_jitter = True  # soft shadows
+        settings = {name: getattr(scene.eevee, name) for name in wanted}
+        scene[KEPT_EEVEE] = json.dumps({"settings": settings})
+    for name, value in wanted.items():
+        setattr(scene.eevee, name, value)
 
 
 def restore_eevee(scene: bpy.types.Scene) -> None:
-    """Restore the settings of EEVEE and lights."""
+    """Restore the settings of EEVEE."""
     if KEPT_EEVEE not in scene:
         return
     kept = json.loads(scene[KEPT_EEVEE])
     remove_marks(scene, KEPT_EEVEE)
     for name, value in kept["settings"].items():
         setattr(scene.eevee, name, value)
-    for item in (scene.objects.get(name) for name in kept["hard"]):
-        if item is not None and item.type == "LIGHT":
-            item.data.use_shadow_jitter = False
 
 
 def place_volume(scene: bpy.types.Scene, low: np.ndarray, high: np.ndarray) -> bpy.types.Object:
@@ -93,10 +100,12 @@ def place_volume(scene: bpy.types.Scene, low: np.ndarray, high: np.ndarray) -> b
         item = bpy.data.objects.new(data.name, data)
         item[PROBE] = 1
         collection(scene, LIGHTS).objects.link(item)
-    extent = np.maximum(high - low, 0.1) * (1.0 + 2.0 * _MARGIN)
+    room = np.maximum(high - low, 0.1)
+    samples = np.array(resolution(room))
+    extent = room * (samples + 2 * _BORDER) / samples
     item.matrix_world = Matrix.LocRotScale((0.5 * (low + high)).tolist(), None, (0.5 * extent).tolist())
     data = item.data
-    data.resolution_x, data.resolution_y, data.resolution_z = resolution(extent)
+    data.resolution_x, data.resolution_y, data.resolution_z = (samples + 2 * _BORDER).tolist()
     data.capture_distance = float(np.linalg.norm(extent))
     # What lights the room shines as Blender lights; the fixtures' surfaces would light it twice.
     data.capture_world, data.capture_indirect, data.capture_emission = True, True, False
@@ -105,6 +114,6 @@ def place_volume(scene: bpy.types.Scene, low: np.ndarray, high: np.ndarray) -> b
 
 
 def resolution(extent: np.ndarray) -> tuple[int, int, int]:
-    """Samples of a volume of these extents (3,) in metres along each axis."""
+    """Samples of the volume inside a room of these extents (3,) in metres along each axis."""
     x, y, z = (min(max(math.ceil(float(size) / SPACING), _MIN), _MAX) for size in extent)
     return x, y, z
