@@ -16,9 +16,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks import paper_losses as losses
-from benchmarks.paper_losses import Prediction
-from benchmarks.paper_mask import EmissionNetwork, emission_mask, mask_at, masked_triangles
 from benchmarks.shading_error import shading_points
 from fipt_blender.core.estimate.stages import Estimation
 from fipt_blender.core.light.baking import CHUNK, HALF_LARGEST
@@ -26,10 +23,11 @@ from fipt_blender.core.light.cache import SurfaceLookup, pool
 from fipt_blender.core.light.emitters import EmitterPixels, Fixture, emitter_table, side_medians
 from fipt_blender.core.light.radiance import CachedRadiance, RadianceSource, TracedRadiance
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, Shadings, bake
-from fipt_blender.core.material.fields import RoomFields
+from fipt_blender.core.material import losses
+from fipt_blender.core.material.emission_mask import EmissionNetwork, emission_mask, mask_at, masked_triangles
 from fipt_blender.core.material.groups import part_units
-from fipt_blender.core.material.networks import ColorNetwork
-from fipt_blender.core.material.pixel_samples import UNIFORM_DEVIATION
+from fipt_blender.core.material.networks import BrdfNetwork, Prediction
+from fipt_blender.core.material.training import Networks
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.run.settings import Settings, make_settings
@@ -57,6 +55,11 @@ AUTHORS: dict[str, Any] = {
     "training_steps": 10_000,
     "batch_size": 8192,
     "learning_rate": 1e-3,
+    "lambda_diffuse": 5e-4,
+    "lambda_part": 5e-3,
+    "lambda_semantic": 1e-3,
+    "sigma_albedo": 0.05 / 3.0,
+    "sigma_position": 0.3 / 3.0,
     "hash_levels": 32,
     "hash_features": 2,
     "hash_log2_size": 19,
@@ -69,11 +72,6 @@ AUTHORS: dict[str, Any] = {
     "reject_views": False,
     "correct_exposure": False,
 }
-# Weights of l_e, l_d and l_p (with parts, with semantic masks), sigma_a and sigma_x of the semantic kernel.
-LAMBDA_EMISSION, LAMBDA_DIFFUSE, LAMBDA_PART, LAMBDA_SEMANTIC = 1.0, 5e-4, 5e-3, 1e-3
-SIGMA_ALBEDO, SIGMA_POSITION = 0.05 / 3.0, 0.3 / 3.0
-# A triangle emits if the mean of the mask at so many points exceeds the threshold.
-EMITTER_THRESHOLD, EMITTER_SAMPLES = 0.01, 100
 _SAMPLES = ("diffuse_spp", "specular_spp", "refine_diffuse_spp", "refine_specular_spp")
 # Added to the weight of each pixel in sigma' and m' (authors' code; Eq. 19 leaves groups without highlights
 # undefined).
@@ -132,24 +130,17 @@ class Batch:
     specular: torch.Tensor
 
 
-class PaperNetwork(ColorNetwork):
-    """MLP_brdf as in the paper: it knows nothing of units, starts anywhere, and finds all five values."""
+class PaperNetwork(BrdfNetwork):
+    """MLP_brdf as in the paper: it knows nothing of units, and starts anywhere."""
 
     def __init__(
         self, settings: Settings, levels: int, generator: torch.Generator, device: torch.device
     ) -> None:
         super().__init__(settings, levels, np.full((1, 5), 0.5), generator, device)
-        self.lowest = settings.roughness_min
 
-    def predict(self, positions: torch.Tensor) -> Prediction:
+    def forward(self, positions: torch.Tensor, units: torch.Tensor | None = None) -> Prediction:
         """Evaluate at (N, 3) positions in [0, 1]."""
-        values = super().forward(positions, torch.full_like(positions[:, 0], -1, dtype=torch.int64))
-        roughness = self.lowest + (1.0 - self.lowest) * values[:, 3]
-        return Prediction(values[:, :3], roughness, values[:, 4])
-
-    def forward(self, positions: torch.Tensor, units: torch.Tensor) -> torch.Tensor:
-        """The base colours (N, 3) alone; units are ignored."""
-        return self.predict(positions).base_color
+        return super().forward(positions, torch.full_like(positions[:, 0], -1, dtype=torch.int64))
 
 
 def batch_means(values: torch.Tensor, weight: torch.Tensor, part: torch.Tensor) -> torch.Tensor:
@@ -174,30 +165,31 @@ def reference_loss(
     batch: Batch,
     levels: torch.Tensor,
     part_kind: str,
+    settings: Settings,
     partners: torch.Tensor,
 ) -> torch.Tensor:
     """l + l_e + l_d + l_p of one batch, sigma' and m' being the batch's means (paper Eq. 15 to 20)."""
-    prediction = brdf.predict(batch.position)
+    prediction = brdf(batch.position)
     raw = emission(batch.position)
     kd, ks = losses.reflectances(prediction)
     s0, s1 = losses.interpolate_specular(batch.specular, prediction.roughness, levels)
     highlight = ks * s0 + s1
     loss = losses.rendering_loss(kd * batch.diffuse + highlight, emission_mask(raw), batch.radiance)
-    loss = loss + LAMBDA_EMISSION * losses.emission_loss(raw)
-    loss = loss + LAMBDA_DIFFUSE * losses.diffuse_loss(prediction)
+    loss = loss + settings.lambda_emission * losses.emission_loss(raw)
+    loss = loss + settings.lambda_diffuse * losses.diffuse_loss(prediction)
     if part_kind == "part":
         weight = highlight.detach().abs().sum(dim=1) + LEAST_WEIGHT
         values = torch.stack([prediction.roughness, prediction.metallic], dim=1)
         distance = (values - batch_means(values, weight, batch.part)).abs().sum(dim=1)
-        loss = loss + LAMBDA_PART * (distance * (batch.part >= 0)).mean()
+        loss = loss + settings.lambda_part * (distance * (batch.part >= 0)).mean()
     elif part_kind == "semantic":
-        loss = loss + LAMBDA_SEMANTIC * losses.semantic_loss(
+        loss = loss + settings.lambda_semantic * losses.semantic_loss(
             prediction,
             batch.position,
             batch.part,
             partners,
-            SIGMA_ALBEDO,
-            SIGMA_POSITION,
+            settings.sigma_albedo,
+            settings.sigma_position,
         )
     return loss
 
@@ -229,7 +221,7 @@ class ReferenceEstimation(Estimation):
 
     def _new_networks(self, index: int) -> None:
         generator = torch.Generator().manual_seed(self.settings.seed + index)
-        self.network = PaperNetwork(self.settings, self.settings.hash_levels, generator, self.device)
+        self.brdf = PaperNetwork(self.settings, self.settings.hash_levels, generator, self.device)
         self.mask = EmissionNetwork(generator, self.device)
 
     def _show(self, name: str) -> None:
@@ -288,28 +280,12 @@ class ReferenceEstimation(Estimation):
     def _material_values(self) -> np.ndarray:
         """(M * 6, 5) base colour, roughness and metallic of each cache entry, by the network."""
         entries, points, triangles = self._places
-        seen, units = triangles < 0, self.units
+        fields, seen = self._room_fields(), triangles < 0
         values = np.empty((len(entries), 5), np.float32)
-        values[seen] = self._values_at(points[seen])
-        materials = self._values_at(self.cells.points)[:, 3:]
-        fields = RoomFields(self._colors(), units, self.cells, materials)
+        none = np.full(int(seen.sum()), -1)
+        values[seen] = np.column_stack(fields.fields.query(points[seen], none))
         values[~seen] = np.column_stack(fields.query(points[~seen], triangles[~seen]))
         return pool(self.observations.grid, entries, values)[0]
-
-    @torch.no_grad()
-    def _values_at(self, points: np.ndarray) -> np.ndarray:
-        """(N, 5) float32 base colour, roughness and metallic by the network at (N, 3) points, metres."""
-        found = []
-        for start in range(0, max(len(points), 1), CHUNK):
-            inputs = torch.from_numpy(self.box.normalise(points[start : start + CHUNK])).to(self.device)
-            made = self.network.predict(inputs)
-            columns = [made.base_color, made.roughness[:, None], made.metallic[:, None]]
-            found.append(torch.cat(columns, dim=1).cpu().numpy())
-        return np.concatenate(found)
-
-    def _cell_materials(self) -> np.ndarray:
-        values = self._values_at(self.cells.points)[:, 3:]
-        return np.column_stack([values, np.full_like(values, UNIFORM_DEVIATION)])
 
     # Stage 2, in each round
 
@@ -324,13 +300,13 @@ class ReferenceEstimation(Estimation):
 
     def _train(self) -> dict[str, Any]:
         """Nothing is left to do after the last round."""
-        self.checkpoints.save_tensors("training", self.network.state_dict())
+        self._save_networks("training", Networks(self.brdf, self.mask), self.emitting)
         return {}
 
     def _optimise(self, index: int, steps: int, progress: Callable[[float], None]) -> None:
         """Adam on random pixels; both networks change in place."""
         settings = self.settings
-        parameters = [*self.network.parameters(), *self.mask.parameters()]
+        parameters = [*self.brdf.parameters(), *self.mask.parameters()]
         optimiser = torch.optim.Adam(parameters, lr=settings.learning_rate, fused=True)
         levels = torch.from_numpy(self.levels).to(self.device)
         part = self.parts.triangle_part[np.asarray(self.pixels.triangle)]  # only hits are looked up
@@ -352,7 +328,7 @@ class ReferenceEstimation(Estimation):
                 )
             )
             partners = torch.from_numpy(rng.integers(0, size, min(_PARTNERS, size))).to(self.device)
-            loss = reference_loss(self.network, self.mask, batch, levels, self.parts.kind, partners)
+            loss = reference_loss(self.brdf, self.mask, batch, levels, self.parts.kind, settings, partners)
             optimiser.zero_grad(set_to_none=True)
             loss.backward()
             optimiser.step()
@@ -363,8 +339,8 @@ class ReferenceEstimation(Estimation):
         return masked_triangles(
             self.room,
             lambda positions: mask_at(self.mask, self.box, positions),
-            EMITTER_THRESHOLD,
-            EMITTER_SAMPLES,
+            self.settings.emitter_threshold,
+            self.settings.emitter_samples,
             np.random.default_rng([self.settings.seed, 3, 0]),
         )
 

@@ -17,8 +17,8 @@ from fipt_blender.core.estimate.state import spread_views
 from fipt_blender.core.light.baking import open_shadings
 from fipt_blender.core.light.observations import observe
 from fipt_blender.core.light.shadings import roughness_levels
-from fipt_blender.core.material.closed_form import colors_at, fit_cells
-from fipt_blender.core.material.grouping import group_pixels
+from fipt_blender.core.material.seen import room_box
+from fipt_blender.core.material.training_input import training_input
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import Settings
 from fipt_blender.core.scene.labels import choose_parts, room_pieces
@@ -53,12 +53,17 @@ class StoredEstimate:
         levels = (settings.roughness_levels, settings.roughness_min, settings.roughness_spacing)
         self._levels = roughness_levels(*levels)
         self._shadings = open_shadings(run.stage / "shadings", len(self.pixels), len(self._levels))
+        self._box = room_box(room.bounds)
 
     def closed_form(self, settings: Settings) -> ClosedForm:
         """The estimate with other settings; those of earlier stages have no effect."""
-        data = group_pixels(self._observations, self._pieces, self._shadings, self._levels, settings)
-        cells, _ = fit_cells(data)
-        rows = np.asarray(self._observations.pool)
-        roughness, metallic = data.material_of(np.arange(len(data.group))).T
-        kd = colors_at(cells, data, rows, 0.5) * (1.0 - metallic[rows, None])
-        return ClosedForm(rows, kd, roughness, metallic)
+        data, initial = training_input(
+            self._observations, self._pieces, self._shadings, self._levels, self._box.normalise, settings
+        )
+        group = np.asarray(data.group)
+        known = group >= 0
+        roughness, metallic = np.ones(len(group), np.float32), np.zeros(len(group), np.float32)
+        roughness[known] = data.group_roughness[group[known]]
+        metallic[known] = data.group_metallic[group[known]]
+        kd = initial.base_color * (1.0 - initial.metallic[:, None])
+        return ClosedForm(initial.rows, kd, roughness, metallic)

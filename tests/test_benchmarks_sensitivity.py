@@ -24,10 +24,10 @@ def make_maps(rows: int, columns: int) -> Maps:
 
 
 def test_each_setting_is_halved_and_doubled() -> None:
-    settings = make_settings("draft", {"lambda_joint": 0.25, "roughness_levels": 5})
-    made = sensitivity.variants(settings, ["lambda_joint", "roughness_levels"], 2)
+    settings = make_settings("draft", {"lambda_diffuse": 0.25, "roughness_levels": 5})
+    made = sensitivity.variants(settings, ["lambda_diffuse", "roughness_levels"], 2)
     assert [each.label for each in made] == [
-        "as it is", "seed 1", "lambda_joint = 0.125", "lambda_joint = 0.5",
+        "as it is", "seed 1", "lambda_diffuse = 0.125", "lambda_diffuse = 0.5",
         "roughness_levels = 2", "roughness_levels = 10",
     ]  # fmt: skip
     assert made[0].settings == settings and made[1].settings == replace(settings, seed=1)

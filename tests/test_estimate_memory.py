@@ -16,9 +16,10 @@ from fipt_blender.core.light import emitters, environment, observations
 from fipt_blender.core.light.baking import open_shadings
 from fipt_blender.core.light.emitters import EmitterPixels, bright_triangles, group_fixtures
 from fipt_blender.core.light.observations import Observations, observe
-from fipt_blender.core.material import grouping, pixel_samples
+from fipt_blender.core.material import pixel_samples
+from fipt_blender.core.material import training_input as training_input_module
 from fipt_blender.core.material.closed_form import fit_cells
-from fipt_blender.core.material.grouping import group_pixels, material_units
+from fipt_blender.core.material.training_input import material_units, training_input
 from fipt_blender.core.run import threads
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.scene.pixels import NO_TRIANGLE, PixelStore
@@ -69,11 +70,12 @@ def window(pixels: PixelStore) -> None:
 def learn_from(seen: Observations, pieces: np.ndarray | None) -> None:
     levels = np.array([0.1, 0.5, 1.0], np.float32)
     shadings = open_shadings(seen.folder, len(seen.pixels), len(levels), create=True)
-    data = group_pixels(seen, pieces, shadings, levels, SETTINGS)
-    assert len(data.group) == len(seen.pixels) and np.isfinite(data.materials.mean).all()
-    cells, bright = fit_cells(data)
+    data, estimate = training_input(seen, pieces, shadings, levels, lambda position: position, SETTINGS)
+    assert len(estimate.roughness) == len(estimate.rows) < len(data.pool) <= len(seen.pixels)
+    assert 400 < len(estimate.rows) < 600
+    cells, bright = fit_cells(seen, data)
     assert len(bright) == len(seen.parts.triangle_part) and 0 < len(cells.keys) < len(seen.pixels)
-    units = material_units(data, cells, pieces)
+    units = material_units(seen, pieces, data)
     assert len(units.triangle) == len(seen.parts.triangle_part)
 
 
@@ -103,7 +105,7 @@ def test_memory_of_the_views(action: str, tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(observations, "FOOTPRINT_PIXELS", 1000)
     monkeypatch.setattr(exposure, "GAIN_PIXELS", 5000)
     monkeypatch.setattr(environment, "MOST_PIXELS", 3)
-    monkeypatch.setattr(grouping, "MOST_PIXELS", 500)
+    monkeypatch.setattr(training_input_module, "PROJECTION_PIXELS", 500)
     monkeypatch.setattr(pixel_samples, "LAMP_PIXELS", 200)
     # How many views are in memory at the same moment is otherwise chance.
     monkeypatch.setattr(threads, "MOST_THREADS", 1)

@@ -16,6 +16,7 @@ import pytest
 import torch
 
 from fipt_blender.core.estimate import material_stages, stages
+from fipt_blender.core.material import training
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
@@ -63,6 +64,15 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")
+def quick_start():
+    """Few steps towards the closed-form guess: results need to be equal here, not good."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (training, material_stages):
+            patch.setattr(module, "PRETRAINING_STEPS", 4)
+        yield
+
+
+@pytest.fixture(scope="module")
 def capture():
     return panel_capture()
 
@@ -73,7 +83,7 @@ def work(run: RunFolder) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def fresh(capture, tmp_path_factory: pytest.TempPathFactory):
+def fresh(quick_start, capture, tmp_path_factory: pytest.TempPathFactory):
     """Makes run folders of complete estimations, by rounds and by the stage whose settings are changed."""
     made: dict[tuple[int, str], RunFolder] = {}
 
@@ -227,7 +237,7 @@ def test_another_number_of_rounds_keeps_those_that_are_done(fresh, tmp_path: Pat
 
 
 def test_a_resumed_run_repeats_the_warnings_of_finished_stages(
-    capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    quick_start, capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     images = [image * np.float32(1.6 if index == 2 else 1.0) for index, image in enumerate(capture.images)]
     run = write_run(tmp_path / "run", replace(capture, images=images), **BASE)
@@ -236,7 +246,7 @@ def test_a_resumed_run_repeats_the_warnings_of_finished_stages(
         raise FiptError("disk-full", "The disk is full.", "Free some space.")
 
     with monkeypatch.context() as patch:
-        patch.setattr(material_stages, "train", stop)
+        patch.setattr(material_stages, "pretrain", stop)
         with pytest.raises(FiptError):
             run_here(run)
     for done in (["training"], []):
@@ -247,7 +257,7 @@ def test_a_resumed_run_repeats_the_warnings_of_finished_stages(
 
 
 def test_stages_that_take_no_time_have_no_rate(
-    capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    quick_start, capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Clocks may tick only every 16 ms."""
     monkeypatch.setattr(stages, "time", SimpleNamespace(monotonic=lambda: 7.0))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.light.baking import ShadingStore
@@ -18,8 +19,8 @@ from fipt_blender.core.light.evidence import (
     relative_residual,
     spill_free_fraction,
 )
-from fipt_blender.core.material.projection import specular_at
-from fipt_blender.core.optics.factorised import color_line
+from fipt_blender.core.material.losses import factorised_rendering
+from fipt_blender.core.material.networks import Prediction
 from fipt_blender.core.scene.labels import Parts
 from fipt_blender.core.scene.pixels import NO_TRIANGLE, PixelStore, open_pixels
 from samples.small_rooms import make_room
@@ -79,15 +80,17 @@ def test_no_material_reflects_more_than_the_bound() -> None:
     shadings = rng.random((50, 3)), rng.random((50, 4, 2, 3))
     bound = most_reflected(*shadings)
     levels = np.linspace(0.02, 1.0, 4)
-    highest, rows = np.zeros((50, 3)), np.arange(50)
+    diffuse, specular = (torch.from_numpy(each) for each in shadings)
+    highest = np.zeros((50, 3))
     for color in (0.0, 0.5, 1.0):
         for metallic in (0.0, 0.5, 1.0):
             for roughness in (*levels, 0.4):
-                s0, s1 = specular_at(shadings[1], rows, levels, np.full(50, roughness))
-                slope, offset = color_line(shadings[0], s0, s1, metallic)
-                highest = np.maximum(highest, slope * color + offset)
-    assert (highest <= bound + 1e-6).all()
-    assert highest == pytest.approx(bound, abs=1e-6)  # and some material reaches it
+                size = torch.ones(50, dtype=torch.float64)
+                material = Prediction(color * size[:, None].expand(50, 3), roughness * size, metallic * size)
+                made = factorised_rendering(material, diffuse, specular, torch.from_numpy(levels)).numpy()
+                highest = np.maximum(highest, made)
+    assert (highest <= bound + 1e-9).all()
+    assert highest == pytest.approx(bound, abs=1e-9)  # and some material reaches it
 
 
 def test_light_is_unexplained_channel_by_channel() -> None:

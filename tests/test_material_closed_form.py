@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.light.baking import ShadingStore
 from fipt_blender.core.light.observations import Observations, observe
 from fipt_blender.core.material.closed_form import (
     MARKED_SHARE,
@@ -18,7 +17,7 @@ from fipt_blender.core.material.closed_form import (
     render_rows,
     triangle_emission,
 )
-from fipt_blender.core.material.pixel_samples import GroupedPixels, GroupMaterials
+from fipt_blender.core.material.training import TrainingData
 from samples.panel_pixels import IS_PANEL, PARTS, ROOM, SETTINGS, make_pixels
 
 LEVELS = np.array([0.1, 0.5, 1.0], np.float32)
@@ -33,7 +32,7 @@ def seen(tmp_path: Path) -> Observations:
 
 
 @pytest.fixture
-def data(seen: Observations) -> GroupedPixels:
+def data(seen: Observations) -> TrainingData:
     """Pixels whose radiance is Eq. 5 of parts of one colour, one of them metallic; the panel is a lamp."""
     pixels, rng = seen.pixels, np.random.default_rng(0)
     part = np.asarray(seen.part)
@@ -48,10 +47,22 @@ def data(seen: Observations) -> GroupedPixels:
     radiance = kd * diffuse + ks * s0 + s1
     radiance[IS_PANEL[pixels.triangle]] = 50.0
     pixels.own[:], pixels.weight[:] = radiance, np.where(pixels.pure, 1.0, 0.25)
-    mean = np.column_stack([roughness, metallic]).astype(np.float32)
-    materials = GroupMaterials(mean, np.zeros_like(mean))
-    shadings = ShadingStore(diffuse, specular)
-    return GroupedPixels(seen, shadings, LEVELS, part, materials, np.zeros(WALLS + 1, bool))
+    return TrainingData(
+        pool=seen.pool,
+        donor=seen.donor,
+        position=pixels.position,
+        radiance=pixels.own,
+        label=part,
+        group=part,
+        diffuse=diffuse,
+        specular=specular,
+        levels=LEVELS,
+        semantic=False,
+        group_roughness=roughness,
+        group_metallic=metallic,
+        group_errors=np.zeros((len(roughness), 2), np.float32),
+        normalise=lambda positions: positions,
+    )
 
 
 def reflecting(seen: Observations) -> np.ndarray:
@@ -61,8 +72,8 @@ def reflecting(seen: Observations) -> np.ndarray:
 
 
 def test_cells_have_the_colours_of_their_parts_and_lamps_are_marked(seen, data) -> None:
-    cells, bright = fit_cells(data)
-    group = cells.group
+    cells, bright = fit_cells(seen, data)
+    group = cells.keys % (cells.groups + 1) - 1
     walls = group < WALLS
     np.testing.assert_allclose(cells.color[walls], COLORS[group[walls]], atol=2e-3)
     assert (cells.color[~walls] == 1.0).all() and not cells.emission.any()
@@ -75,13 +86,13 @@ def test_cells_have_the_colours_of_their_parts_and_lamps_are_marked(seen, data) 
 
 
 def test_the_rendering_of_the_closed_form_is_the_photograph(seen, data) -> None:
-    cells, _ = fit_cells(data)
+    cells, _ = fit_cells(seen, data)
     rows = reflecting(seen)
-    rendered = render_rows(cells, data, rows)
+    rendered = render_rows(cells, seen, data, rows)
     np.testing.assert_allclose(rendered, seen.pixels.own[rows], rtol=0.01)
     # Where no cell is known the surface is taken as white.
     none = replace(cells, keys=cells.keys[:1], color=cells.color[:1])
-    assert (render_rows(none, data, rows[-5:]) >= rendered[-5:]).all()
+    assert (render_rows(none, seen, data, rows[-5:]) >= rendered[-5:]).all()
 
 
 def test_values_of_an_entry_are_means_over_its_pixels() -> None:
@@ -93,7 +104,8 @@ def test_values_of_an_entry_are_means_over_its_pixels() -> None:
         emission=np.zeros((3, 3), np.float32),
         pixels=np.array([1.0, 3.0, 1.0]),
         triangle=np.array([7, 8, 9]),
-        materials=np.array([[0.4, 1.0], [0.8, 0.0], [1.0, 0.0]]),
+        roughness=np.array([0.4, 0.8, 1.0]),
+        metallic=np.array([1.0, 0.0, 0.0]),
     )
     entries, values, triangle = cells.by_entry()
     assert entries.tolist() == [3, 5] and triangle.tolist() == [8, 9]
@@ -103,10 +115,9 @@ def test_values_of_an_entry_are_means_over_its_pixels() -> None:
 def test_paths_follow_groups_that_may_be_smooth() -> None:
     none = np.zeros(0)
     roughness = np.array([0.86, 0.86, 0.4, 1.0])  # the last is of pixels without a group
-    materials = np.column_stack([roughness, np.zeros(4)])
-    cells = CellEstimate(none, 3, np.zeros((0, 3)), np.zeros((0, 3)), none, none, materials)
+    cells = CellEstimate(none, 3, np.zeros((0, 3)), np.zeros((0, 3)), none, none, roughness, np.zeros(4))
     errors = np.array([0.3, 0.2, 0.3])
-    followed = followed_by_paths(cells, errors, limit=0.6).materials[:, 0]
+    followed = followed_by_paths(cells, errors, limit=0.6).roughness
     assert 0.5 < followed[0] < np.float16(0.6)  # tables may be of half precision
     np.testing.assert_array_equal(followed[1:], roughness[1:])
 
@@ -114,15 +125,15 @@ def test_paths_follow_groups_that_may_be_smooth() -> None:
 def test_emission_that_is_fitted_jointly_is_found_where_light_varies(seen, data) -> None:
     shine = np.array([0.3, 0.2, 0.1])
     on = (np.asarray(data.group) == 0) & (np.asarray(seen.pixels.triangle) >= 0)
-    seen.pixels.own[on] += shine
-    alone, _ = fit_cells(data)
-    cells, _ = fit_cells(data, joint=1e-6)
-    group = cells.group
+    data.radiance[on] += shine
+    alone, _ = fit_cells(seen, data)
+    cells, _ = fit_cells(seen, data, joint=1e-6)
+    group = cells.keys % (cells.groups + 1) - 1
     clear = (group == 0) & (cells.pixels >= 5)
     assert np.median(np.abs(cells.emission[clear] - shine)) < 0.01
     assert np.median(np.abs(cells.color[clear] - COLORS[0])) < 0.01
     assert np.median(np.abs(alone.color[clear] - COLORS[0])) > 0.05
-    mean = triangle_emission(cells, data)
+    mean = triangle_emission(cells, seen, data)
     assert np.abs(mean[:2] - shine).max() < 0.1 and mean[2:12].max() < 0.05
-    strong, _ = fit_cells(data, joint=1e3)
+    strong, _ = fit_cells(seen, data, joint=1e3)
     assert not strong.emission[group < WALLS].any()

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fipt_blender.core.light.baking import ShadingStore
 from fipt_blender.core.material import confidence
 from fipt_blender.core.material.cell_errors import groups_of_cells
 from fipt_blender.core.material.confidence import (
@@ -18,7 +17,7 @@ from fipt_blender.core.material.confidence import (
     standard_errors,
 )
 from fipt_blender.core.material.groups import Units
-from fipt_blender.core.material.pixel_samples import GroupedPixels, GroupMaterials
+from fipt_blender.core.material.pixel_samples import PixelSamples
 from fipt_blender.core.material.projection import RADIANCE_FLOOR
 from fipt_blender.core.material.seen import Box, SeenCells
 
@@ -42,11 +41,19 @@ def synthetic(
     lobe = gloss * rng.uniform(0.5, 1.5, count) * light[cell]
     by_level = lobe[:, None] / (1.0 + LEVELS)
     specular = np.broadcast_to(by_level[:, :, None, None], (count, len(LEVELS), 2, 3))
-
-    def at(color: np.ndarray, radiance: np.ndarray) -> LinearisedPixels:
-        return linearised(radiance, color[cell], diffuse, specular, cell, view)
-
-    at_truth = at(true, np.ones((count, 3)))
+    roughness, metallic = np.full(count, 0.5, np.float32), np.zeros(count, np.float32)
+    samples = PixelSamples(
+        np.arange(count),
+        np.ones((count, 3)),
+        diffuse,
+        specular,
+        LEVELS,
+        cell,
+        np.zeros_like(cell),
+        view,
+        np.ones(count, np.float32),
+    )
+    at_truth = linearise(samples, true[cell], roughness, metallic)
     rendered = 1.0 - at_truth.residual
     errors = rng.standard_normal((cells, VIEWS, 3))[cell, view] + 0.1 * rng.standard_normal((count, 3))
     radiance = rendered + noise * (rendered + RADIANCE_FLOOR) * errors
@@ -61,47 +68,27 @@ def synthetic(
         axis=1,
     )
     color = true + change
-    return at(color, radiance), color, true
+    return linearise(replace(samples, radiance=radiance), color[cell], roughness, metallic), color, true
 
 
-def linearised(
-    radiance: np.ndarray,
-    color: np.ndarray,
-    diffuse: np.ndarray,
-    specular: np.ndarray,
-    cell: np.ndarray,
-    view: np.ndarray,
-    material: tuple[float, float] = (0.5, 0.0),
-    error: tuple[float, float] = (0.0, 0.0),
-) -> LinearisedPixels:
-    """Pixels of one group with this material and its errors, linearised at these base colours (N, 3)."""
-    rows = np.arange(len(cell))
-    pixels = SimpleNamespace(own=radiance, view_of=lambda rows: view[rows])
-    materials = GroupMaterials(np.array([material], np.float32), np.array([error], np.float32))
-    data = GroupedPixels(
-        SimpleNamespace(pixels=pixels), ShadingStore(diffuse, specular), LEVELS, np.zeros_like(cell),
-        materials, np.zeros(1, bool),
-    )  # fmt: skip
-    return linearise(data, rows, color, cell, np.zeros_like(cell))
-
-
-def test_changes_are_those_of_the_rendering() -> None:
-    """By a step of base colour, and by errors of roughness and metallic."""
+def test_derivatives_are_those_of_the_rendering():
     rng = np.random.default_rng(0)
     radiance, color, diffuse = rng.uniform(0.1, 0.9, (3, 50, 3))
-    specular, index = rng.uniform(0.0, 2.0, (50, 6, 2, 3)), np.zeros(50, int)
-
-    def at(color: np.ndarray, roughness: float, metallic: float) -> LinearisedPixels:
-        errors = (0.02, 0.05)
-        return linearised(radiance, color, diffuse, specular, index, index, (roughness, metallic), errors)
-
-    here = at(color, 0.5, 0.4)
-    for change, low, high in (
-        (here.by_color, here, at(color + 1.0, 0.5, 0.4)),
-        (2.0 * here.by_roughness, at(color, 0.48, 0.4), at(color, 0.52, 0.4)),
-        (2.0 * here.by_metallic, at(color, 0.5, 0.35), at(color, 0.5, 0.45)),
+    roughness, metallic = rng.uniform(0.05, 0.95, (2, 50))
+    specular = rng.uniform(0.0, 2.0, (50, 6, 2, 3))
+    index = np.zeros(50, int)
+    samples = PixelSamples(
+        np.arange(50), radiance, diffuse, specular, LEVELS, index, index, index, np.ones(50, np.float32)
+    )
+    at = lambda a, s, m: linearise(samples, a, s, m)  # noqa: E731
+    here, step = at(color, roughness, metallic), 1e-4
+    for moved, slope in (
+        (at(color + step, roughness, metallic), here.by_color),
+        (at(color, roughness + step, metallic), here.by_roughness),
+        (at(color, roughness, metallic + step), here.by_metallic),
     ):
-        np.testing.assert_allclose(low.residual - high.residual, change, atol=1e-4)
+        difference = (here.residual - moved.residual) / step
+        assert np.quantile(np.abs(difference - slope), 0.95) < 0.01  # a few steps cross a level
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.03])
@@ -111,7 +98,7 @@ def test_expected_errors_of_colour_are_the_actual_errors(monkeypatch, noise):
     monkeypatch.setattr(confidence, "FLOOR", 0.0)
     light = np.repeat([0.02, 0.1, 1.0], 300)
     pixels, color, true = synthetic(900, light, noise, np.random.default_rng(1), gloss=0.0)
-    expected = standard_errors(pixels)
+    expected = standard_errors(pixels, np.zeros((900, 2)))
     actual = np.sqrt(((color - true) ** 2).mean(axis=1))
     for level in np.unique(light):
         cells = light == level
@@ -127,20 +114,21 @@ def test_expected_errors_of_colour_are_the_actual_errors(monkeypatch, noise):
 def test_colour_is_uncertain_where_it_compensates_an_uncertain_material():
     """A metallic that is wrong by 0.1 changes the diffuse reflectance of a surface without gloss by 10 %."""
     pixels, color, _ = synthetic(200, np.full(200, 0.5), 0.002, np.random.default_rng(2), gloss=0.0)
-    known = standard_errors(pixels)
-    # Without gloss a metallic of 0.1 takes a tenth of the reflected light away.
-    unknown = standard_errors(replace(pixels, by_metallic=-0.1 * color[pixels.cell] * pixels.by_color))
+    known, unknown = (standard_errors(pixels, np.tile([0.0, error], (200, 1))) for error in (0.0, 0.1))
     added = np.sqrt(unknown**2 - known**2)
     assert added == pytest.approx(0.1 * np.sqrt((color**2).mean(axis=1)), rel=0.1)
+    # Without gloss, roughness changes nothing.
+    assert standard_errors(pixels, np.tile([0.2, 0.0], (200, 1))) == pytest.approx(known)
 
 
 def test_errors_never_exceed_those_of_the_uniform_prior():
     pixels, *_ = synthetic(20, np.full(20, 0.5), 0.01, np.random.default_rng(3))
-    color_error = standard_errors(replace(pixels, by_color=np.zeros_like(pixels.by_color)))
+    certain = np.zeros((20, 2))
+    color_error = standard_errors(replace(pixels, by_color=np.zeros_like(pixels.by_color)), certain)
     assert color_error == pytest.approx(UNIFORM_DEVIATION, rel=1e-3)
-    assert standard_errors(replace(pixels, by_roughness=10.0 * pixels.by_color)).max() <= UNIFORM_DEVIATION
-    worse = standard_errors(replace(pixels, residual=pixels.residual + 0.2))
-    better = standard_errors(pixels)
+    assert standard_errors(pixels, np.full((20, 2), 10.0)).max() <= UNIFORM_DEVIATION
+    worse = standard_errors(replace(pixels, residual=pixels.residual + 0.2), certain)
+    better = standard_errors(pixels, certain)
     assert worse.mean() > 2 * better.mean()
 
 
@@ -154,9 +142,9 @@ def test_many_units_stay_apart() -> None:
     part = np.array([-1, 0, 8190, 8191, 8192, 16384, 16384 + 8191, 100_000, 116_384], np.int32)
     for single in (True, False):
         units = Units(part, np.full(part.max() + 1, single))
-        box = Box(np.zeros(3), 1.0)
+        fields = SimpleNamespace(box=Box(np.zeros(3), 1.0))
         cells = SeenCells(np.arange(len(part)), np.full((len(part), 3), 0.5, np.float32), part)
-        assert len(np.unique(groups_of_cells(units, box, cells))) == len(part)
+        assert len(np.unique(groups_of_cells(units, fields, cells))) == len(part)
 
 
 def test_base_color_is_less_certain_on_a_scan() -> None:

@@ -9,8 +9,7 @@ import pytest
 
 from fipt_blender.core.light.baking import open_shadings
 from fipt_blender.core.light.observations import observe
-from fipt_blender.core.material import grouping
-from fipt_blender.core.material.grouping import group_pixels
+from fipt_blender.core.material import training_input as training_input_module
 from fipt_blender.core.material.groups import (
     NO_GROUP,
     color_class,
@@ -19,6 +18,7 @@ from fipt_blender.core.material.groups import (
     piece_units,
     similarity,
 )
+from fipt_blender.core.material.training_input import training_input
 from fipt_blender.core.scene.grouped import numbered
 from fipt_blender.core.scene.labels import NO_PART, Parts
 from samples.panel_pixels import ROOM, SETTINGS, make_pixels
@@ -99,28 +99,26 @@ def test_pieces_of_one_roughness_are_units_and_others_belong_to_their_class():
     parts = Parts(np.array([0, 0, 0, 1, 1, 1, NO_PART], np.int32), "semantic")
     triangle, group = np.array([0, 1, 2, 2, 3, 3, 4, 4]), np.array([0, 1, 0, 2, NO_GROUP, 0, 2, 0])
     pixels = np.array([50, 50, 50, 50, 90, 10, 95, 5])
-    units = piece_units(
-        parts, piece, triangle, group, pixels, np.array([[0.4, 0.0], [0.45, 0.0], [1.0, 0.0]])
-    )
+    units = piece_units(parts, piece, triangle, group, pixels, np.array([0.4, 0.45, 1.0]), np.zeros(3))
     assert units.triangle.tolist() == [2, 2, 0, 1, 3, 1, NO_PART]
     assert units.single.tolist() == [False, False, True, True]
     assert units.is_single(np.array([3, 0, NO_PART])).tolist() == [True, False, False]
-    metal = piece_units(parts, piece, triangle, group, pixels, np.array([[0.4, 0.0], [0.4, 1.0], [0.4, 0.0]]))
+    metal = piece_units(parts, piece, triangle, group, pixels, np.full(3, 0.4), np.array([0.0, 1.0, 0.0]))
     assert metal.single.tolist() == [False, False, True, True] and metal.triangle[0] == 0  # half of it metal
     assert part_units(parts).single.all()
 
 
 def test_pixels_outside_the_sample_have_their_own_colour(tmp_path, monkeypatch: pytest.MonkeyPatch):
     """Each surface of the box has one colour, so groups are surfaces, however small the sample is."""
-    monkeypatch.setattr(grouping, "MOST_PIXELS", 300)
-    monkeypatch.setattr(grouping, "LEAST_PIXELS", 50)
+    monkeypatch.setattr(training_input_module, "PROJECTION_PIXELS", 300)
+    monkeypatch.setattr(training_input_module, "LEAST_PIXELS", 50)
     pixels = make_pixels(tmp_path / "pixels", 6)
     nothing = Parts(np.full(len(ROOM.triangles), NO_PART, np.int32), "none")
     seen = observe(ROOM, pixels, nothing, SETTINGS, tmp_path / "observed")
     shadings = open_shadings(tmp_path / "shadings", len(pixels), 3, create=True)
     shadings.diffuse[:] = 2.0
     levels, pieces = np.array([0.1, 0.5, 1.0], np.float32), ROOM.triangle_object
-    data = group_pixels(seen, pieces, shadings, levels, SETTINGS)
+    data, _ = training_input(seen, pieces, shadings, levels, lambda position: position, SETTINGS)
     known = np.asarray(data.group) >= 0
     surface = pieces[pixels.triangle[known]]
     assert known.sum() > 0.9 * len(seen.pool)

@@ -1,13 +1,21 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hash grid and network against values by hand or in double precision, and differences."""
+"""Hash grid, network and losses against values by hand or in double precision, and differences."""
 
 import numpy as np
 import pytest
 import torch
 
+from fipt_blender.core.material import losses
+from fipt_blender.core.material.emission_mask import EmissionNetwork, emission_mask, positional_encoding
 from fipt_blender.core.material.hashgrid import HashGrid
-from fipt_blender.core.material.networks import ColorNetwork, typical_colors, useful_hash_levels
+from fipt_blender.core.material.networks import (
+    BrdfNetwork,
+    Prediction,
+    typical_values,
+    useful_hash_levels,
+)
+from fipt_blender.core.optics.factorised import level_roughness
 from fipt_blender.core.run.settings import Settings
 
 CPU = torch.device("cpu")
@@ -113,22 +121,29 @@ def test_hash_grid_gradients_are_the_same_bit_for_bit(rng: np.random.Generator) 
 def test_networks_stay_in_range_and_start_alike() -> None:
     settings = Settings(hash_levels=4, hash_log2_size=10)
     positions = torch.rand((300, 3), generator=torch.Generator().manual_seed(2))
-    first, again = (
-        ColorNetwork(settings, 4, np.full((3, 3), 0.5), torch.Generator().manual_seed(5), CPU)(
-            positions, units_of(positions) - 1
-        )
-        for _ in range(2)
-    )
-    assert torch.equal(first, again) and 0 <= first.min() and first.max() <= 1
+    outputs = []
+    for _ in range(2):
+        generator = torch.Generator().manual_seed(5)
+        brdf = BrdfNetwork(settings, 4, np.full((3, 5), 0.5), generator, CPU)
+        emission = EmissionNetwork(generator, CPU)
+        outputs.append((brdf(positions, units_of(positions) - 1), emission(positions)))
+    (prediction, raw), (again, raw_again) = outputs
+    assert torch.equal(prediction.base_color, again.base_color) and torch.equal(raw, raw_again)
+    assert 0 <= prediction.base_color.min() and prediction.base_color.max() <= 1
+    assert prediction.roughness.min() >= 0.02 and prediction.roughness.max() <= 1
+    assert len(emission.layers) == 7 and emission.layers[3].in_features == 128 + 63  # the skip
+    raw = torch.tensor([-1.0, 0.0, 1.0])
+    assert emission_mask(raw).tolist() == pytest.approx([0.0, 0.0, 1 - np.exp(-1)])
 
 
 def test_the_network_starts_near_the_typical_values_of_each_unit() -> None:
-    typical = np.array([[0.1, 0.2, 0.3], [0.9, 0.8, 1.0], [0.5] * 3])
-    network = ColorNetwork(Settings(hash_levels=4), 4, typical, torch.Generator().manual_seed(0), CPU)
+    typical = np.array([[0.1, 0.2, 0.3, 0.4, 0.0], [0.9, 0.8, 0.7, 1.0, 1.0], [0.5] * 5])
+    brdf = BrdfNetwork(Settings(hash_levels=4), 4, typical, torch.Generator().manual_seed(0), CPU)
     positions = torch.rand((60, 3), generator=torch.Generator().manual_seed(1))
-    found = network(positions, units_of(positions) - 1)  # units -1, 0 and 1; the last row is for none
+    found = brdf(positions, units_of(positions) - 1)  # units -1, 0 and 1; the last row is for none
+    values = torch.cat([found.base_color, found.roughness[:, None], found.metallic[:, None]], dim=1)
     expected = torch.from_numpy(typical).float()[units_of(positions) - 1]
-    assert (found - expected).abs().max() < 0.01
+    assert (values - expected).abs().max() < 0.01
 
 
 def test_units_that_touch_share_no_fine_detail() -> None:
@@ -145,10 +160,17 @@ def test_units_that_touch_share_no_fine_detail() -> None:
     assert torch.equal(after[1], before[1])
 
 
-def test_typical_colours_are_medians_by_weight_and_those_of_all_where_nothing_was_seen() -> None:
-    color = np.repeat([[0.1], [0.3], [0.2], [0.9], [0.5]], 3, axis=1)
-    found = typical_colors(color, np.array([1.0, 5.0, 1.0, 1.0, 1.0]), np.array([0, 0, 0, 2, -1]), 3)
-    assert found[:, 0].tolist() == pytest.approx([0.3, 0.3, 0.9, 0.3])
+def test_typical_values_are_medians_and_those_of_all_where_nothing_was_seen() -> None:
+    values = np.array([[0.1], [0.3], [0.2], [0.9], [0.5]])
+    found = typical_values(values, np.array([0, 0, 0, 2, -1]), 3)
+    assert found[:, 0].tolist() == pytest.approx([0.2, 0.3, 0.9, 0.3])
+
+
+def test_positional_encoding() -> None:
+    x = torch.tensor([[0.25, -0.5, 1.0]], dtype=torch.float64)
+    code = positional_encoding(x, 2)[0].tolist()
+    angles = [np.pi * v * f for v in (0.25, -0.5, 1.0) for f in (1, 2)]
+    assert code == pytest.approx([0.25, -0.5, 1.0, *np.sin(angles), *np.cos(angles)], abs=1e-12)
 
 
 def test_hash_levels_end_at_half_a_pixel() -> None:
@@ -157,3 +179,114 @@ def test_hash_levels_end_at_half_a_pixel() -> None:
     levels = useful_hash_levels(settings, 5.0, 0.02)
     assert 5.0 / (16 * 1.3 ** (levels - 1)) >= 0.01 > 5.0 / (16 * 1.3**levels)
     assert useful_hash_levels(settings, 500.0, 2.0) == levels  # whatever the unit
+
+
+def prediction(seed: int, count: int = 6) -> tuple[torch.Tensor, ...]:
+    """Base colour, roughness and metallic where the losses are differentiable, in double precision."""
+    values = torch.rand((count, 5), generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    values = 0.1 + 0.8 * values
+    return tuple(v.clone().requires_grad_() for v in (values[:, :3], values[:, 3], values[:, 4]))
+
+
+LEVELS = torch.tensor([0.02, 0.3, 1.0], dtype=torch.float64)
+UNIFORM = torch.rand((6, 3, 2, 3), generator=torch.Generator().manual_seed(9), dtype=torch.float64)
+LIGHT = UNIFORM[:, 0, 0] + 0.3
+
+
+def test_specular_shading_at_and_between_levels() -> None:
+    for index, level in enumerate(LEVELS):
+        s0, s1 = losses.interpolate_specular(UNIFORM, level.repeat(6), LEVELS)
+        assert torch.allclose(s0, UNIFORM[:, index, 0]) and torch.allclose(s1, UNIFORM[:, index, 1])
+    quarter = level_roughness(0.25, *LEVELS[1:3])
+    s0, _ = losses.interpolate_specular(UNIFORM, quarter.repeat(6), LEVELS)
+    assert torch.allclose(s0, 0.75 * UNIFORM[:, 1, 0] + 0.25 * UNIFORM[:, 2, 0])
+    s0, _ = losses.interpolate_specular(UNIFORM, torch.full((6,), 0.001, dtype=torch.float64), LEVELS)
+    assert torch.allclose(s0, UNIFORM[:, 0, 0])
+    roughness = prediction(1)[1]
+    assert torch.autograd.gradcheck(lambda r: losses.interpolate_specular(UNIFORM, r, LEVELS), (roughness,))
+
+
+def test_factorised_rendering_by_hand_and_its_gradient() -> None:
+    shadings = torch.tensor([[[[1.0], [0.5]], [[2.0], [0.1]], [[3.0], [0.2]]]], dtype=torch.float64)
+    one = Prediction(*(torch.tensor(v, dtype=torch.float64) for v in ([[0.5, 0.5, 0.2]], [0.3], [0.25])))
+    rendered = losses.factorised_rendering(
+        one, torch.full((1, 3), 4.0, dtype=torch.float64), shadings.expand(1, 3, 2, 3), LEVELS
+    )
+    expected = [1.5 + (0.03 + 0.125) * 2 + 0.1] * 2 + [0.6 + 0.08 * 2 + 0.1]
+    assert rendered[0].tolist() == pytest.approx(expected)
+    values = prediction(2)
+    assert torch.autograd.gradcheck(
+        lambda *v: losses.factorised_rendering(Prediction(*v), LIGHT, UNIFORM, LEVELS), values
+    )
+
+
+def test_tone_mapping_and_rendering_loss() -> None:
+    x = torch.tensor([0.0, 0.001, 1.0, 50.0, -1.0], dtype=torch.float64)
+    logs = np.log1p([0.0, 0.001, 1.0, 50.0, 0.0])
+    curve = np.where(logs <= 0.0031308, 12.92 * logs, 1.055 * logs ** (1 / 2.4) - 0.055)
+    assert losses.tone_map(x).tolist() == pytest.approx(curve.tolist())
+    photographed = torch.full((6, 3), 2.0, dtype=torch.float64)
+    ones = torch.ones(6, dtype=torch.float64)
+    squared = (losses.tone_map(LIGHT) - losses.tone_map(photographed)).square().sum(dim=1)
+    # With alpha = 1 emission explains the photograph; with 0 only the rendering counts.
+    assert float(losses.rendering_loss(LIGHT, ones, photographed)) == 0.0
+    assert float(losses.rendering_loss(LIGHT, ones * 0, photographed)) == pytest.approx(float(squared.mean()))
+    rendered = LIGHT.clone().requires_grad_()
+    alpha = torch.linspace(0.0, 0.9, 6, dtype=torch.float64).requires_grad_()
+    assert torch.autograd.gradcheck(lambda r, a: losses.rendering_loss(r, a, photographed), (rendered, alpha))
+
+
+def test_emission_and_diffuse_terms() -> None:
+    assert float(losses.emission_loss(torch.tensor([1.0, -2.0, 0.0, 0.0]))) == pytest.approx(0.75)
+    values = prediction(3)
+    expected = ((1 - values[1]) + values[2]).mean()
+    assert float(losses.diffuse_loss(Prediction(*values))) == pytest.approx(float(expected.detach()))
+    assert torch.autograd.gradcheck(lambda *v: losses.diffuse_loss(Prediction(*v)), values)
+
+
+def test_part_term_by_hand() -> None:
+    """|0.5 - 0.4| + |0.2 - 0| for the first pixel, 0.3 + 1 for the second; the third has no part."""
+    values = [
+        torch.tensor(v, dtype=torch.float64) for v in ([[0.5] * 3] * 3, [0.5, 0.7, 0.9], [0.2, 0.0, 0.6])
+    ]
+    target = torch.tensor([0.4, 1.0, 1.0], dtype=torch.float64)
+    metal = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
+    known = torch.tensor([True, True, False])
+    assert float(losses.part_loss(Prediction(*values), target, metal, known)) == pytest.approx(1.6 / 3)
+    free = prediction(4, 3)
+    assert torch.autograd.gradcheck(lambda *v: losses.part_loss(Prediction(*v), target, metal, known), free)
+
+
+def test_semantic_term_is_its_equation(rng: np.random.Generator) -> None:
+    """Eq. 20: sigma' is the mean over x' of the same class, weighted by distance in colour and position."""
+    color, roughness, metallic = (v.detach().numpy() for v in prediction(5))
+    positions = rng.random((6, 3)) * 0.2
+    part = np.array([0, 0, 1, 1, -1, 2])
+    partners = np.array([0, 1, 2, 3, 4])
+    total = 0.0
+    for i in range(6):
+        weights, means = 0.0, np.zeros(2)
+        for j in partners:
+            if part[i] != part[j] or part[i] < 0:
+                continue
+            w = np.exp(-((color[i] - color[j]) ** 2).sum() / (2 * 0.3**2))
+            w *= np.exp(-((positions[i] - positions[j]) ** 2).sum() / (2 * 0.1**2))
+            weights += w
+            means += w * np.array([roughness[j], metallic[j]])
+        if weights > 0:  # the last pixel has no partner, the fifth no class
+            total += np.abs(np.array([roughness[i], metallic[i]]) - means / weights).sum()
+    arguments = [torch.from_numpy(a) for a in (positions, part, partners)]
+    loss = losses.semantic_loss(Prediction(*prediction(5)), *arguments, 0.3, 0.1)
+    assert float(loss) == pytest.approx(total / 6, rel=1e-9)
+
+
+def test_semantic_term_has_the_gradient_of_fixed_means() -> None:
+    """sigma' and m' are constant targets: x' gets no gradient."""
+    values = prediction(6)
+    positions = torch.zeros((6, 3), dtype=torch.float64)
+    part, partners = torch.zeros(6, dtype=torch.int64), torch.arange(6)
+    losses.semantic_loss(Prediction(*values), positions, part, partners, 10.0, 10.0).backward()
+    for value in values[1:]:
+        sign = torch.sign(value.detach() - value.detach().mean())
+        assert torch.allclose(value.grad, sign / 6)
+    assert values[0].grad is None or (values[0].grad == 0).all()

@@ -8,23 +8,13 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.material.pixel_samples import PixelSamples, window_means
-from fipt_blender.core.material.projection import (
-    cells_of_groups,
-    constant_groups,
-    fit_colors,
-    residual_weight,
-    specular_at,
-)
-from fipt_blender.core.optics.factorised import color_line
+from fipt_blender.core.material.projection import InitialEstimate, constant_parts, project
 from samples.material_pixels import LEVELS, materials_of, samples_of, synthetic
 
 
-def colors_of(samples: PixelSamples, material: np.ndarray) -> np.ndarray:
-    """(N, 3) least-squares base colour of each pixel's cell, for roughness and metallic (N, 2) of pixels."""
-    s0, s1 = specular_at(samples.specular, samples.rows, samples.levels, material[:, 0])
-    slope, offset = color_line(samples.diffuse, s0, s1, material[:, 1:])
-    cell = cells_of_groups(samples.cell, samples.group)
-    return fit_colors(samples.radiance, slope, offset, residual_weight(samples.radiance), cell)[cell]
+def estimate_of(samples: PixelSamples) -> InitialEstimate:
+    """Both steps of the closed form."""
+    return project(samples, *materials_of(samples))
 
 
 @pytest.mark.parametrize("noise, outliers, within", [(0.0, 0.0, 0.01), (0.03, 0.05, 0.06)])
@@ -37,10 +27,22 @@ def test_known_materials_are_recovered(
     np.testing.assert_allclose(metallic, [metallic for _, metallic in truths], atol=1e-3)
     for estimated, (true, _) in zip(roughness, truths, strict=True):
         assert estimated == pytest.approx(true, abs=0.08)
-    found = colors_of(samples, np.column_stack([roughness, metallic])[samples.group])
+    estimate = project(samples, roughness, metallic)
     for index in range(len(truths)):
         rows = samples.group == index
-        assert np.median(np.abs(found[rows] - color[rows])) < within
+        assert np.median(np.abs(estimate.base_color[rows] - color[rows])) < within
+    assert (estimate.roughness == roughness[samples.group]).all()
+
+
+def test_pixels_without_part_are_diffuse(rng: np.random.Generator) -> None:
+    samples, color = synthetic(rng, [(1.0, 0.0)], 0.01, 0.0)
+    samples.group[:] = -1
+    lamp = samples.cell < 5
+    samples.radiance[lamp] = 40.0
+    estimate = estimate_of(samples)
+    assert (estimate.roughness == 1.0).all() and (estimate.metallic == 0.0).all()
+    assert np.median(np.abs(estimate.base_color[~lamp] - color[~lamp])) < 0.02
+    assert all(len(values) == 0 for values in materials_of(samples))
 
 
 def test_cells_of_different_parts_stay_apart(rng: np.random.Generator) -> None:
@@ -50,8 +52,8 @@ def test_cells_of_different_parts_stay_apart(rng: np.random.Generator) -> None:
     color = np.where(part[:, None] == 0, [0.8, 0.1, 0.1], [0.1, 0.1, 0.8])
     light = rng.uniform(0.5, 2.0, (count, 1)) * np.ones(3)
     specular = np.full((count, len(LEVELS), 2, 3), 1e-3, np.float32)
-    samples = samples_of(color * light, light, specular, np.zeros(count, int), part)
-    np.testing.assert_allclose(colors_of(samples, np.tile([1.0, 0.0], (count, 1))), color, atol=0.01)
+    estimate = estimate_of(samples_of(color * light, light, specular, np.zeros(count, int), part))
+    np.testing.assert_allclose(estimate.base_color, color, atol=0.01)
 
 
 def test_an_empty_part_id_does_no_harm(rng: np.random.Generator) -> None:
@@ -67,7 +69,7 @@ def test_noise_of_the_irradiance_alone_makes_no_lamp(
 ) -> None:
     """A wide panel far from other lamps receives nearly even light; 0.01 is what noise does."""
     light = rng.uniform(1.0 - 0.6 * spread, 1.0 + 0.6 * spread, 2000)
-    assert constant_groups(np.ones(2000), light, np.zeros(2000, int), 1).tolist() == [lamp]
+    assert constant_parts(np.ones(2000), light, np.zeros(2000, int), 1).tolist() == [lamp]
 
 
 def test_parts_of_constant_radiance_under_uneven_light_are_lamps(rng: np.random.Generator) -> None:
@@ -82,11 +84,11 @@ def test_parts_of_constant_radiance_under_uneven_light_are_lamps(rng: np.random.
     irradiance = np.concatenate([light, light, light, even])
     part = np.repeat([0, 1, 2, 3], count)
     order = rng.permutation(len(part))
-    constant = constant_groups(radiance[order], irradiance[order], part[order], 5)
+    constant = constant_parts(radiance[order], irradiance[order], part[order], 5)
     assert constant.tolist() == [True, False, False, False, False]
     # A few pixels prove nothing, and pixels without a part belong to none.
-    assert not constant_groups(panel[:20], light[:20], np.zeros(20, int), 1).any()
-    assert not constant_groups(panel, light, np.full(count, -1), 1).any()
+    assert not constant_parts(panel[:20], light[:20], np.zeros(20, int), 1).any()
+    assert not constant_parts(panel, light, np.full(count, -1), 1).any()
 
 
 def test_roughness_between_levels_is_found(rng: np.random.Generator) -> None:

@@ -12,7 +12,6 @@ from fipt_blender.core.material.groups import Units
 from fipt_blender.core.material.seen import (
     RESOLUTION,
     Box,
-    SeenCells,
     fallback_values,
     room_box,
     seen_cells,
@@ -29,23 +28,13 @@ BOX_4 = Box(np.zeros(3), 4.0)
 
 
 class Ramp:
-    """In place of the network: base colour is linear in x."""
+    """In place of the network: base colour, roughness and metallic are linear in x."""
 
     box = BOX_4
 
     def query(self, positions, units=None):
         x = (np.asarray(positions, np.float32)[:, 0] / 4.0).astype(np.float32)
-        return np.stack([x, 0.5 * x, 0.2 * x], axis=1)
-
-
-def materials_at(positions) -> np.ndarray:
-    """Roughness and metallic, linear in x, too."""
-    x = np.asarray(positions, np.float32)[:, 0] / 4.0
-    return np.stack([1.0 - 0.5 * x, 0.1 * x], axis=1).astype(np.float32)
-
-
-def ramps(units_: Units, cells: SeenCells, *arguments) -> RoomFields:
-    return RoomFields(Ramp(), units_, cells, materials_at(cells.points), *arguments)
+        return np.stack([x, 0.5 * x, 0.2 * x], axis=1), 1.0 - 0.5 * x, 0.1 * x
 
 
 def grid_points(low: float, high: float, z: float, count: int = 40) -> np.ndarray:
@@ -64,15 +53,14 @@ def fields() -> RoomFields:
     part = np.repeat([0, 1], len(points) // 2)
     cells = seen_cells(BOX_4, [(points[:99], part[:99]), (points[99:], part[99:])])
     certain = np.zeros((len(cells.keys), 3), np.float32)
-    return ramps(units([0, 1, 2, -1]), cells, certain)
+    return RoomFields(Ramp(), units([0, 1, 2, -1]), cells, certain)
 
 
 def test_seen_points_take_the_networks_values_and_unseen_ones_their_parts_median(fields):
     points = grid_points(0.05, 0.95, 0.0)
     on = lambda part: np.full(len(points), part)  # noqa: E731
-    seen, *materials = fields.query(points, on(0))
-    np.testing.assert_array_equal(seen, Ramp().query(points))
-    np.testing.assert_allclose(np.stack(materials, axis=1), materials_at(points), atol=0.01)  # of cells
+    for value, expected in zip(fields.query(points, on(0)), Ramp().query(points), strict=True):
+        np.testing.assert_array_equal(value, expected)
     assert (fields.confidence(points, on(0)) == 1.0).all() and not fields.confidence(points, on(1)).any()
     color, roughness, metallic = fields.query(points, on(1))  # part 1 was seen at the other end
     assert np.ptp(color, axis=0).max() == 0.0
@@ -88,14 +76,14 @@ def test_uncertain_values_are_shrunk_towards_their_part_if_it_is_one_material(fi
     plain = fields.query(points, on)
     for error, least, most in ((0.001, 0.8, 1.0), (0.28, 0.0, 0.3)):
         errors = np.full_like(fields.errors, error)
-        shrunk = ramps(units([0, 1, 2, -1], True), fields.cells, errors).query(points, on)
+        shrunk = RoomFields(Ramp(), units([0, 1, 2, -1], True), fields.cells, errors).query(points, on)
         kept = np.ptp(shrunk[0], axis=0) / np.ptp(plain[0], axis=0)
         assert (kept > least).all() and (kept <= most).all()
         # One roughness and metallic, whatever the error of base colour.
         assert np.ptp(shrunk[1]) == np.ptp(shrunk[2]) == 0.0 < np.ptp(plain[1])
         other = Units(fields.units.triangle, np.array([False, True, True]))
         for several_materials in (fields.units, other):
-            values = ramps(several_materials, fields.cells, errors).query(points, on)
+            values = RoomFields(Ramp(), several_materials, fields.cells, errors).query(points, on)
             np.testing.assert_array_equal(values[0], plain[0])
 
 
@@ -103,7 +91,9 @@ def test_what_a_scan_loses_lowers_confidence_and_blurs_nothing(fields):
     points = grid_points(0.05, 0.95, 0.0)
     on = np.zeros(len(points), int)
     errors = np.full_like(fields.errors, 0.001)
-    exact, scan = (ramps(units([0, 1, 2, -1], True), fields.cells, errors, scan) for scan in (False, True))
+    exact, scan = (
+        RoomFields(Ramp(), units([0, 1, 2, -1], True), fields.cells, errors, scan) for scan in (False, True)
+    )
     for one, other in zip(exact.query(points, on), scan.query(points, on), strict=True):
         np.testing.assert_array_equal(one, other)
     assert (scan.confidence(points, on)[:, 0] < exact.confidence(points, on)[:, 0] - 0.1).all()
@@ -125,8 +115,8 @@ def test_neighbours_of_a_seen_cell_count_as_seen(fields):
 def test_without_any_seen_surface_the_networks_values_remain():
     nothing = seen_cells(BOX_4, [])
     points = grid_points(0.0, 4.0, 0.0)
-    values = ramps(units([0]), nothing).query(points, np.zeros(len(points), int))
-    np.testing.assert_array_equal(values[0], Ramp().query(points))
+    values = RoomFields(Ramp(), units([0]), nothing).query(points, np.zeros(len(points), int))
+    np.testing.assert_array_equal(values[0], Ramp().query(points)[0])
 
 
 def test_points_far_from_the_few_seen_ones_take_the_nearest_value():
@@ -145,7 +135,7 @@ def test_textures_and_forward_rendering_have_the_same_materials(tmp_path, fields
 
     room = make_room([[[0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]]])
     points = grid_points(0.0, 2.0, 0.0)
-    floor = ramps(units([0, 0]), seen_cells(BOX_4, [(points, np.zeros(len(points), int))]))
+    floor = RoomFields(Ramp(), units([0, 0]), seen_cells(BOX_4, [(points, np.zeros(len(points), int))]))
     run = RunFolder(tmp_path / "run")
     run.create(make_settings())
     arrays = {name: getattr(room, name, np.zeros(2, np.int32)) for name in ROOM_ARRAYS}

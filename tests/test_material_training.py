@@ -1,26 +1,24 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Training recovers the colours of synthetic pixels, and is reproducible over threads and interruptions."""
+"""Training recovers the materials of synthetic pixels, and is reproducible over threads and interruptions."""
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
-from fipt_blender.core.light.baking import ShadingStore
-from fipt_blender.core.material.networks import ColorNetwork
-from fipt_blender.core.material.pixel_samples import GroupedPixels, GroupMaterials
-from fipt_blender.core.material.seen import Box
+from fipt_blender.core.material.emission_mask import EmissionNetwork, emission_mask
+from fipt_blender.core.material.networks import BrdfNetwork
 from fipt_blender.core.material.training import (
+    Networks,
     Resume,
     Surfaces,
+    TrainingData,
     gather_batch,
     read_checkpoint,
-    rendering_loss,
-    tone_map,
+    total_loss,
     train,
 )
 from fipt_blender.core.run.checkpoints import save_tensors
@@ -32,45 +30,57 @@ SETTINGS = Settings(
     hash_levels=4, hash_log2_size=10, batch_size=512, checkpoint_steps=5, learning_rate=5e-3,
 )  # fmt: skip
 LEVELS = np.array([0.02, 0.5, 1.0], np.float32)
-RED, BLUE = [0.7, 0.2, 0.1], [0.1, 0.3, 0.6]
 
 
-def make_data() -> GroupedPixels:
-    """Matt red pixels and metallic blue ones, a half of the cube each, and a lamp in a corner.
-
-    Triangle 0 is the red half, 1 the blue one and 2 the lamp.
-    """
+def make_data(kind: str = "part") -> TrainingData:
+    """Matt pixels in two halves, one red and one blue, and a lamp in a corner."""
     rng = np.random.default_rng(4)
     count = 4000
     position = rng.random((count, 3)).astype(np.float32)
     part = (position[:, 0] > 0.5).astype(np.int32)
-    color = np.where(part[:, None] == 0, RED, BLUE)
-    diffuse, lobe = rng.uniform(0.5, 1.5, (2, count, 1)) * np.ones(3)
-    specular = np.repeat(np.stack([lobe, 0.1 * lobe], axis=1)[:, None], 3, axis=1)
-    radiance = np.where(part[:, None] == 0, color * diffuse + 0.04 * lobe, color * lobe) + 0.1 * lobe
+    color = np.where(part[:, None] == 0, [0.7, 0.2, 0.1], [0.1, 0.3, 0.6])
+    diffuse = rng.uniform(0.5, 1.5, (count, 1)) * np.ones(3)
+    radiance = color * diffuse
     lamp = np.linalg.norm(position - 1.0, axis=1) < 0.4
     radiance[lamp] = 30.0
-    pixels = SimpleNamespace(
-        own=radiance.astype(np.float32), position=position * 4.0 - 2.0, triangle=np.where(lamp, 2, part)
+    return TrainingData(
+        pool=np.arange(count),
+        donor=np.arange(count),
+        position=position * 4.0 - 2.0,
+        radiance=radiance.astype(np.float32),
+        label=part,
+        group=np.full(count, -1) if kind == "none" else part,
+        diffuse=diffuse.astype(np.float16),
+        specular=np.full((count, 3, 2, 3), 1e-3, np.float16),
+        levels=LEVELS,
+        semantic=kind == "semantic",
+        group_roughness=np.array([1.0, 1.0], np.float32),
+        group_metallic=np.array([0.0, 0.0], np.float32),
+        group_errors=np.zeros((2, 2), np.float32),
+        normalise=lambda world: ((world + 2.0) / 4.0).astype(np.float32),
     )
-    rows = np.arange(count)
-    observations = SimpleNamespace(pixels=pixels, donor=rows, pool=rows)
-    materials = GroupMaterials(np.array([[1.0, 0.0], [0.5, 1.0]], np.float32), np.zeros((2, 2), np.float32))
-    shadings = ShadingStore(diffuse.astype(np.float16), specular.astype(np.float16))
-    return GroupedPixels(observations, shadings, LEVELS, part, materials, np.zeros(2, bool))
 
 
-def make_surfaces() -> Surfaces:
-    """The halves are units; the lamp emits."""
-    unit, emitting = np.array([0, 1, -1]), np.array([False, False, True])
-    return Surfaces(Box(np.full(3, -2.0), 4.0), unit, emitting, np.zeros((0, 3), np.float32))
+def make_surfaces(data: TrainingData) -> Surfaces:
+    """Triangle 0 is the red half, 1 the blue one and 2 the lamp; the halves are units."""
+    triangle = np.where(data.radiance[:, 0] > 20.0, 2, data.label)
+    return Surfaces(
+        triangle, np.array([0, 1, -1]), np.array([False, False, True]), np.zeros((0, 3), np.float32)
+    )
 
 
 def do_train(
-    network: ColorNetwork, steps: int, resume: Resume | None = None, progress=lambda _: None, **changes
+    networks: Networks, steps: int, resume: Resume | None = None, progress=lambda _: None, **changes
 ) -> None:
-    settings = replace(SETTINGS, training_steps=steps, **changes)
-    train(network, make_data(), make_surfaces(), settings, resume, progress)
+    data = make_data()
+    train(
+        networks,
+        data,
+        make_surfaces(data),
+        replace(SETTINGS, training_steps=steps, **changes),
+        resume,
+        progress,
+    )
 
 
 @pytest.fixture
@@ -82,26 +92,28 @@ def one_thread():
     torch.set_num_threads(threads)
 
 
-def make_network() -> ColorNetwork:
-    return ColorNetwork(SETTINGS, 4, np.full((3, 3), 0.5), torch.Generator().manual_seed(1), CPU)
+def make_networks() -> Networks:
+    generator = torch.Generator().manual_seed(1)
+    brdf = BrdfNetwork(SETTINGS, 4, np.full((3, 5), 0.5), generator, CPU)
+    return Networks(brdf, EmissionNetwork(generator, CPU, width=32, depth=2))
 
 
-def weights(network: ColorNetwork) -> list[bytes]:
-    return [value.numpy().tobytes() for value in network.state_dict().values()]
+def weights(networks: Networks) -> list[bytes]:
+    return [value.numpy().tobytes() for state in networks.state().values() for value in state.values()]
 
 
 def test_the_same_seed_gives_the_same_weights_on_all_threads() -> None:
     results = []
     for seed in (0, 0, 1):
-        network = make_network()
-        do_train(network, 6, seed=seed)
-        results.append(weights(network))
+        networks = make_networks()
+        do_train(networks, 6, seed=seed)
+        results.append(weights(networks))
     assert results[0] == results[1]
     assert results[2] != results[0]
 
 
 def test_an_interrupted_training_ends_with_the_same_weights(one_thread, tmp_path: Path) -> None:
-    uninterrupted = make_network()
+    uninterrupted = make_networks()
     do_train(uninterrupted, 12)
 
     def interrupt(share: float) -> None:
@@ -110,16 +122,11 @@ def test_an_interrupted_training_ends_with_the_same_weights(one_thread, tmp_path
 
     checkpoint = tmp_path / "unfinished.pt"
     with pytest.raises(KeyboardInterrupt):
-        do_train(make_network(), 12, Resume(checkpoint), interrupt)
+        do_train(make_networks(), 12, Resume(checkpoint), interrupt)
     assert checkpoint.exists()
-    resumed = make_network()
+    resumed = make_networks()
     shares: list[float] = []
-    do_train(
-        resumed,
-        12,
-        Resume(checkpoint, read_checkpoint(checkpoint, resumed, replace(SETTINGS, training_steps=12))),
-        shares.append,
-    )
+    do_train(resumed, 12, Resume(checkpoint, read_checkpoint(checkpoint, resumed, 12)), shares.append)
     assert shares[0] == pytest.approx(11 / 12)  # from the checkpoint after step 10
     assert weights(uninterrupted) == weights(resumed)
 
@@ -127,8 +134,9 @@ def test_an_interrupted_training_ends_with_the_same_weights(one_thread, tmp_path
 @pytest.mark.parametrize(
     "change",
     [
-        {"network": None},
-        {"network": {}},
+        {"brdf": None},
+        {"brdf": {}},
+        {"emission": {}},
         {"step": 12},
         {"step": "5"},
         {"optimiser": {}},
@@ -137,60 +145,86 @@ def test_an_interrupted_training_ends_with_the_same_weights(one_thread, tmp_path
 )
 def test_a_checkpoint_that_does_not_fit_is_refused(change, tmp_path: Path) -> None:
     checkpoint = tmp_path / "unfinished.pt"
-    do_train(make_network(), 6, Resume(checkpoint))
-    assert read_checkpoint(checkpoint, make_network(), replace(SETTINGS, training_steps=6))["step"] == 5
+    do_train(make_networks(), 6, Resume(checkpoint))
+    assert read_checkpoint(checkpoint, make_networks(), 6)["step"] == 5
     save_tensors(checkpoint, {**torch.load(checkpoint, weights_only=True), **change})
     with pytest.raises(FiptError) as caught:
-        read_checkpoint(checkpoint, make_network(), replace(SETTINGS, training_steps=6))
+        read_checkpoint(checkpoint, make_networks(), 6)
     assert caught.value.code == "file-damaged"
 
 
 @pytest.mark.parametrize("glow", [False, True])
 def test_colours_are_found_beside_a_lamp_that_does_not_count(glow: bool, one_thread) -> None:
-    """Also of a metal. Emission of the red half that is known is subtracted."""
-    network, data, surfaces = make_network(), make_data(), make_surfaces()
-    pixels = data.observations.pixels
+    """Emission of the red half that is known is subtracted."""
+    networks, data = make_networks(), make_data()
+    surfaces = make_surfaces(data)
     if glow:
         emission = np.array([[0.4, 0.3, 0.2], [0.0] * 3, [0.0] * 3], np.float32)
-        pixels.own += emission[pixels.triangle]
-        surfaces = replace(surfaces, emission=emission)
-    train(network, data, surfaces, replace(SETTINGS, training_steps=400), None, lambda _: None)
-    inputs = surfaces.box.normalise(pixels.position)
+        data.radiance += emission[surfaces.triangle]
+        surfaces, networks.emission = replace(surfaces, emission=emission), None
+    train(networks, data, surfaces, replace(SETTINGS, training_steps=400), None, lambda _: None)
+    inputs = torch.from_numpy(data.normalise(data.position))
     with torch.no_grad():
-        unit = torch.from_numpy(surfaces.unit[pixels.triangle])
-        found = network(torch.from_numpy(inputs), unit).numpy()
-    error = np.abs(found - np.where(data.group[:, None] == 0, RED, BLUE)).mean(axis=1)
-    on_lamp = pixels.triangle == 2
+        prediction = networks.brdf(inputs, torch.from_numpy(surfaces.unit[surfaces.triangle]))
+    kd = (prediction.base_color * (1 - prediction.metallic[:, None])).numpy()
+    expected = np.where(data.label[:, None] == 0, [0.7, 0.2, 0.1], [0.1, 0.3, 0.6])
+    on_lamp = surfaces.triangle == 2
+    error = np.abs(kd - expected).mean(axis=1)
     assert error[~on_lamp].mean() < 0.04
-    assert error[~on_lamp & (np.abs(inputs[:, 0] - 0.5) < 0.05)].mean() < 0.06
+    at_border = np.abs(data.normalise(data.position)[:, 0] - 0.5) < 0.05
+    assert error[~on_lamp & at_border].mean() < 0.06
 
 
-def test_tone_mapping_and_rendering_loss() -> None:
-    x = torch.tensor([0.0, 0.001, 1.0, 50.0, -1.0], dtype=torch.float64)
-    logs = np.log1p([0.0, 0.001, 1.0, 50.0, 0.0])
-    curve = np.where(logs <= 0.0031308, 12.92 * logs, 1.055 * logs ** (1 / 2.4) - 0.055)
-    assert tone_map(x).tolist() == pytest.approx(curve.tolist())
-    batch = gather_batch(make_data(), make_surfaces(), np.arange(200), CPU)
-    color = torch.full((200, 3), 0.5)
-    error = tone_map(0.5 * batch.slope + batch.offset) - tone_map(batch.radiance)
-    squared = error.square().sum(dim=1)[batch.counts > 0]
-    assert float(rendering_loss(color, batch)) == pytest.approx(float(squared.sum()) / 200)
+def test_the_mask_finds_a_lamp_that_nothing_has_found_before(one_thread) -> None:
+    """Reflection can't explain the lamp's pixels, so the mask takes them; l_e keeps it small elsewhere."""
+    networks, data = make_networks(), make_data()
+    surfaces = replace(make_surfaces(data), emitting=np.zeros(3, bool))
+    train(networks, data, surfaces, replace(SETTINGS, training_steps=400), None, lambda _: None)
+    with torch.no_grad():
+        raw = networks.emission(torch.from_numpy(data.normalise(data.position)))
+    alpha, on_lamp = emission_mask(raw).numpy(), surfaces.triangle == 2
+    threshold = SETTINGS.emitter_threshold
+    assert np.quantile(alpha[on_lamp], 0.05) > 5.0 * threshold
+    assert np.quantile(alpha[~on_lamp], 0.9) < threshold
+
+
+@pytest.mark.parametrize("kind", ["part", "semantic", "none"])
+def test_every_term_is_in_the_total(kind: str) -> None:
+    """Raising the weight of a term raises the total, unless the data have no such term."""
+    data = make_data(kind)
+    batch = gather_batch(data, make_surfaces(data), np.arange(0, 400), CPU)
+    partners, networks = torch.arange(0, 400, 2), make_networks()
+    with torch.no_grad():  # it starts with hardly any detail
+        networks.brdf.mlp[-1].weight.mul_(1000.0)
+    terms = ("lambda_emission", "lambda_diffuse", "lambda_part", "lambda_semantic")
+
+    def total(**changes: float) -> float:
+        settings = Settings(**{**dict.fromkeys(terms, 0.0), **changes})
+        with torch.no_grad():
+            return float(total_loss(networks, batch, settings, partners))
+
+    base = total()
+    raised = {name: total(**{name: 1.0}) > base + 1e-6 for name in terms}
+    expected = {
+        "lambda_emission": True,
+        "lambda_diffuse": True,
+        "lambda_part": kind != "none",
+        "lambda_semantic": kind == "semantic",
+    }
+    assert raised == expected
 
 
 def test_batches_keep_their_rows_together(rng: np.random.Generator) -> None:
-    data, surfaces = make_data(), make_surfaces()
-    pixels = data.observations.pixels
-    data.group[5] = -1
+    data = make_data()
+    surfaces = make_surfaces(data)
+    data.label[5] = data.group[5] = -1
     rows = rng.permutation(200)
     batch = gather_batch(data, surfaces, rows, CPU)
     order = np.sort(rows)
-    np.testing.assert_array_equal(batch.radiance.numpy(), pixels.own[order])
-    np.testing.assert_array_equal(batch.position.numpy(), surfaces.box.normalise(pixels.position[order]))
-    assert (batch.counts.numpy() == (pixels.triangle[order] != 2)).all()
-    assert batch.unit.numpy().tolist() == surfaces.unit[pixels.triangle[order]].tolist()
-    assert batch.slope.dtype == torch.float32
-    # Eq. 5 by hand, of a pixel without a group (diffuse) and of a metal.
-    np.testing.assert_array_equal(batch.slope[5], data.shadings.diffuse[5].astype(np.float32))
-    metal = np.flatnonzero(data.group[:200] == 1)[0]
-    np.testing.assert_allclose(batch.slope[metal], data.shadings.specular[metal, 1, 0], rtol=1e-5)
-    np.testing.assert_allclose(batch.offset[metal], data.shadings.specular[metal, 1, 1], rtol=1e-5)
+    assert (batch.label.numpy() == data.label[order]).all()
+    assert not batch.grouped[5] and batch.grouped[6]
+    np.testing.assert_array_equal(batch.radiance.numpy(), data.radiance[order])
+    np.testing.assert_array_equal(batch.position.numpy(), data.normalise(data.position[order]))
+    assert (batch.reflects.numpy() == (surfaces.triangle[order] != 2)).all()
+    assert batch.unit.numpy().tolist() == surfaces.unit[surfaces.triangle[order]].tolist()
+    assert batch.diffuse.dtype == torch.float32 and batch.group_roughness[5] == 1.0

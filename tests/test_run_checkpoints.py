@@ -14,8 +14,8 @@ import torch
 
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.material.groups import Units
-from fipt_blender.core.material.inference import ColorField
-from fipt_blender.core.material.networks import ColorNetwork
+from fipt_blender.core.material.inference import Fields
+from fipt_blender.core.material.networks import BrdfNetwork
 from fipt_blender.core.material.seen import Box, seen_cells
 from fipt_blender.core.run import checkpoints, finished_views, method
 from fipt_blender.core.run.checkpoints import Checkpoints, stage_keys, stage_names
@@ -236,11 +236,10 @@ def to_full_disk(path: Path) -> None:
 
 
 def save_fields(run: RunFolder) -> None:
-    network = ColorNetwork(SMALL, 2, np.full((2, 3), 0.5), torch.Generator(), torch.device("cpu"))
+    network = BrdfNetwork(SMALL, 2, np.full((2, 5), 0.5), torch.Generator(), torch.device("cpu"))
     box, part = Box(np.zeros(3), 1.0), np.zeros(1, np.int32)
     cells = seen_cells(box, [(np.zeros((1, 3), np.float32), part)])
-    units, materials = Units(part, np.ones(1, bool)), np.zeros((1, 2), np.float32)
-    RoomFields(ColorField(network, box), units, cells, materials).save(run)
+    RoomFields(Fields(network, box), Units(part, np.ones(1, bool)), cells).save(run)
 
 
 WRITERS = {

@@ -17,9 +17,9 @@ def test_presets_and_changes() -> None:
         settings = dataclasses.asdict(make_settings(preset))
         assert settings["preset"] == preset and values.items() <= settings.items()
     changed = make_settings(
-        "draft", {"seed": "7", "denoise": "false", "lambda_joint": "0", "batch_size": 64.0}
+        "draft", {"seed": "7", "denoise": "false", "lambda_part": "0", "batch_size": 64.0}
     )
-    assert (changed.seed, changed.denoise, changed.lambda_joint, changed.batch_size) == (7, False, 0.0, 64)
+    assert (changed.seed, changed.denoise, changed.lambda_part, changed.batch_size) == (7, False, 0.0, 64)
 
 
 @pytest.mark.parametrize(
@@ -30,7 +30,7 @@ def test_presets_and_changes() -> None:
         ({"batch_size": 1.5}, "setting-invalid"),
         ({"batch_size": 0}, "setting-invalid"),
         ({"learning_rate": float("nan")}, "setting-invalid"),
-        ({"lambda_joint": -1.0}, "setting-invalid"),
+        ({"lambda_part": -1.0}, "setting-invalid"),
         ({"denoise": "perhaps"}, "setting-invalid"),
         ({"device": "abacus"}, "setting-invalid"),
         ({"roughness_levels": 2}, "setting-invalid"),

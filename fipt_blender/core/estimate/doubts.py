@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..material.pixel_samples import GroupedPixels
+from ..material.training import TrainingData
 from ..report.comparison import to_display
 from ..report.pictures import write_png
 from ..run.runfolder import RunFolder, write_json
@@ -90,7 +90,7 @@ def question(metallic: float, errors: np.ndarray, color: float, lamp: bool) -> t
 def write_doubts(
     folder: RunFolder,
     pixels: PixelStore,
-    data: GroupedPixels,
+    data: TrainingData,
     bright: np.ndarray,
     decided: np.ndarray,
     colors: np.ndarray,
@@ -110,14 +110,13 @@ def write_doubts(
     """
     counts, bright_of, decided_of = _counts(pixels, data, bright, decided)
     total = counts.sum(axis=0)
-    doubts = group_doubts(data.materials.error, total, bright_of, decided_of)
+    doubts = group_doubts(data.group_errors, total, bright_of, decided_of)
     order = np.argsort(-doubts.score, kind="stable")[:MOST_DOUBTS]
     shutil.rmtree(folder.doubts, ignore_errors=True)
     entries = []
     for number, group in enumerate(order[doubts.score[order] > 0.0].tolist(), start=1):
         lamp = bool(doubts.lamp[group] >= doubts.material[group])
-        errors = data.materials.error[group]
-        roughness, metallic = (float(value) for value in data.materials.mean[group])
+        errors, metallic = data.group_errors[group], float(data.group_metallic[group])
         word, text = question(metallic, errors, float(colors[group]), lamp)
         view = int(counts[:, group].argmax())
         place, box, picture = _picture(pixels, data, view, group)
@@ -131,7 +130,7 @@ def write_doubts(
                 "point": [round(float(value), 5) for value in pixels.position[place]],
                 "pixels": int(total[group]),
                 "share": round(float(doubts.share[group]), 5),
-                "roughness": round(roughness, 4),
+                "roughness": round(float(data.group_roughness[group]), 4),
                 "metallic": round(metallic, 4),
                 "roughness_error": round(float(errors[0]), 4),
                 "metallic_error": round(float(errors[1]), 4),
@@ -144,10 +143,10 @@ def write_doubts(
 
 
 def _counts(
-    pixels: PixelStore, data: GroupedPixels, bright: np.ndarray, decided: np.ndarray
+    pixels: PixelStore, data: TrainingData, bright: np.ndarray, decided: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(V, G) pixels of each view and group; (G,) share that is bright; (G,) bool, most are decided."""
-    groups, views = data.groups, len(pixels.views)
+    groups, views = len(data.group_roughness), len(pixels.views)
     counts = np.zeros((views, groups), np.int64)
     sums = np.zeros((2, groups))
     for view in range(views):
@@ -160,15 +159,15 @@ def _counts(
     return counts, share[0], share[1] > 0.5
 
 
-def _rows(pixels: PixelStore, data: GroupedPixels, view: int) -> np.ndarray:
+def _rows(pixels: PixelStore, data: TrainingData, view: int) -> np.ndarray:
     """(n,) pixels of a view that have a donor and a group."""
     bounds = pixels.rows(view)
-    used = (np.asarray(data.observations.donor[bounds]) >= 0) & (np.asarray(data.group[bounds]) >= 0)
+    used = (np.asarray(data.donor[bounds]) >= 0) & (np.asarray(data.group[bounds]) >= 0)
     return np.flatnonzero(used) + bounds.start
 
 
 def _picture(
-    pixels: PixelStore, data: GroupedPixels, view: int, group: int
+    pixels: PixelStore, data: TrainingData, view: int, group: int
 ) -> tuple[int, list[int], np.ndarray]:
     """A pixel of a group in a view, near the middle of its pixels; their box; and a picture of it.
 

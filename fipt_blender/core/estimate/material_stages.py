@@ -11,22 +11,31 @@ import numpy as np
 from ..light.evidence import find_emission
 from ..light.lamp_doubt import light_errors
 from ..light.reflecting import separate
-from ..material.cell_errors import add_light_errors, cell_errors, cell_materials, lit_cells
+from ..material.cell_errors import add_light_errors, cell_errors, lit_cells
 from ..material.closed_form import (
     MARKED_SHARE,
     CellEstimate,
-    colors_at,
     fit_cells,
     followed_by_paths,
     render_rows,
     triangle_emission,
 )
-from ..material.fields import RoomFields
-from ..material.grouping import group_pixels
+from ..material.emission_mask import EmissionNetwork, mask_at, masked_triangles
 from ..material.hints import SurfaceHints
-from ..material.networks import ColorNetwork, typical_colors, useful_hash_levels
-from ..material.pixel_samples import GroupedPixels, lamp_pixels
-from ..material.training import Resume, Surfaces, read_checkpoint, train
+from ..material.networks import typical_values, useful_hash_levels
+from ..material.pixel_samples import lamp_pixels
+from ..material.projection import InitialEstimate
+from ..material.training import (
+    PRETRAINING_STEPS,
+    Networks,
+    Resume,
+    Surfaces,
+    TrainingData,
+    pretrain,
+    read_checkpoint,
+    train,
+)
+from ..material.training_input import training_input
 from ..run.checkpoints import HINTED_ESTIMATE, HINTED_LAMPS, HINTED_TRAINING, UNFINISHED, DamagedStage
 from ..run.errors import FiptError
 from ..run.runfolder import write_json
@@ -49,13 +58,13 @@ class MaterialStages(EstimationState):
     def _estimate(self, name: str, refined: bool) -> Facts:
         """The estimate of this name; `refined`: whether shadings are refined with it afterwards."""
         self._input = None  # that of the round before
-        data, cells, bright = self._closed_form()
+        data, initial, cells, bright = self._closed_form()
         joint = self.settings.emission == "joint"
-        self._find_cells(self._material_units(data, cells))
-        known = self._known_emission(data)
+        self._find_cells(self._material_units(data))
+        known = self._known_emission(initial)
         if joint:
             emitting = known > 0
-            self.emission = triangle_emission(cells, data)
+            self.emission = triangle_emission(cells, self.observations, data)
             self.emission[known < 0] = 0.0
         else:
             emitting = self._find_emitters(data, cells, bright > MARKED_SHARE, known)
@@ -65,9 +74,9 @@ class MaterialStages(EstimationState):
         self.diffuse, self.materials = np.zeros((0, 3), np.float16), np.zeros((0, 5), np.float32)
         if refined:
             # Kept for stage 3, which writes over the shadings from which these are made.
-            self.diffuse = self.observations.means(data.shadings.diffuse).astype(np.float16)
+            self.diffuse = self.observations.means(data.diffuse).astype(np.float16)
             limit = self.settings.cache_roughness
-            self.materials = self._entry_values(followed_by_paths(cells, data.materials.error[:, 0], limit))
+            self.materials = self._entry_values(followed_by_paths(cells, data.group_errors[:, 0], limit))
         self._save_estimate(name, emitting)
         return {"cells": len(cells.keys)}
 
@@ -86,17 +95,24 @@ class MaterialStages(EstimationState):
                 "Tick Light Changes Too and estimate again with hints, or use Estimate.",
             )
 
-    def _closed_form(self) -> tuple[GroupedPixels, CellEstimate, np.ndarray]:
-        """The pixels with the materials of their groups by the last shadings, the base colours of all cells,
-        and the share of each triangle's pixels that are brighter than white (T,)."""
+    def _closed_form(self) -> tuple[TrainingData, InitialEstimate, CellEstimate, np.ndarray]:
+        """The data to train on with the last shadings, the closed-form estimate of a sample of them, and
+        that of all cells with the share of each triangle's pixels that are brighter than white (T,)."""
         if self._input is None:
-            shadings, settings = self._open_shadings(), self.settings
-            data = group_pixels(self.observations, self._pieces, shadings, self.levels, settings, self.hints)
-            joint = settings.lambda_joint if settings.emission == "joint" else None
-            self._input = (data, *fit_cells(data, joint))
+            data, initial = training_input(
+                self.observations,
+                self._pieces,
+                self._open_shadings(),
+                self.levels,
+                self.box.normalise,
+                self.settings,
+                self.hints,
+            )
+            joint = self.settings.lambda_joint if self.settings.emission == "joint" else None
+            self._input = (data, initial, *fit_cells(self.observations, data, joint))
         return self._input
 
-    def _known_emission(self, data: GroupedPixels) -> np.ndarray:
+    def _known_emission(self, initial: InitialEstimate) -> np.ndarray:
         """(T,) int8, 1 on triangles that emit in any case, -1 on those that do not, 0 elsewhere.
 
         Parts emit whose radiance is constant although the light on them varies. Photographs that are not HDR
@@ -105,9 +121,9 @@ class MaterialStages(EstimationState):
         part = self.observations.parts.triangle_part
         known = np.zeros(len(part), np.int8)
         if not self.photometry:
-            # Groups are not parts where these are semantic classes.
-            has_part = (part >= 0) & (self._pieces is None)
-            known[has_part] = data.constant[part[has_part]]
+            # Semantic classes, and parts that no pixel saw, have no estimate.
+            has_part = (part >= 0) & (part < len(initial.part_emits))
+            known[has_part] = initial.part_emits[part[has_part]]
         if self.hints is not None:
             told = self.hints.of_triangles(
                 self.hints.emits - (self.hints.left_alone & (self.hints.emits == 0))
@@ -116,75 +132,110 @@ class MaterialStages(EstimationState):
         return known
 
     def _find_emitters(
-        self, data: GroupedPixels, cells: CellEstimate, marked: np.ndarray, known: np.ndarray
+        self, data: TrainingData, cells: CellEstimate, marked: np.ndarray, known: np.ndarray
     ) -> np.ndarray:
         """(T,) bool, triangles that emit; `known`: :meth:`_known_emission`."""
+        estimate = partial(render_rows, cells, self.observations, data)
         shadings, surfaces = self._open_shadings(), self._emitter_surfaces
-        return find_emission(
-            self.room, self.pixels, shadings, marked, known, partial(render_rows, cells, data), surfaces
-        )
+        return find_emission(self.room, self.pixels, shadings, marked, known, estimate, surfaces)
 
     def _closed_form_colors(self, rows: np.ndarray) -> np.ndarray:
         """(R, 3) base colour of the last closed-form estimate in the pixels `rows` (R,)."""
+        entry = np.asarray(self.observations.entry[rows])
         if len(self.materials):
-            return self.materials[np.asarray(self.observations.entry[rows]), :3]
-        data, cells, _ = self._closed_form()
-        return colors_at(cells, data, rows, 0.5)
+            return self.materials[entry, :3]
+        data, _, cells, _ = self._closed_form()
+        place = cells.find(entry, np.asarray(data.group[rows], np.int64))
+        return np.where(place[:, None] >= 0, cells.color[place], np.float32(0.5))
 
     def _resume_estimate(self, name: str) -> None:
         # Emitters are read, not found anew: the shadings they were found with may have been refined since.
         self._group_fixtures(self._load_estimate(name))
 
-    # ---- Stage 2: base colours (Sec. 4.5) ------------------------------------------------------------------
+    # ---- Stage 2: BRDF and emission mask (Sec. 4.5, Eq. 12, 14 to 20); emitters (Sec. 4.4, Eq. 13) ---------
 
     def _train(self) -> Facts:
-        """Fit the network to the photographs."""
-        self.network = self._untrained()
+        """Fit the networks to the closed-form estimate, then to the photographs; find the emitters."""
+        data, initial, _, _ = self._closed_form()
+        surfaces = self._surfaces()
+        networks = self._new_networks(initial)
         checkpoint = self.folder.stage / f"{UNFINISHED}.pt"
         state = None
         if checkpoint.exists():
             try:
-                state = read_checkpoint(checkpoint, self.network, self.settings)
+                state = read_checkpoint(checkpoint, networks, self.settings.training_steps)
             except FiptError as error:
                 self._warn_of_damage(error.text)
                 checkpoint.unlink()
-        facts = self._fit_network("training", Resume(checkpoint, state), 0)
+        fitted = PRETRAINING_STEPS / (PRETRAINING_STEPS + self.settings.training_steps)
+        if state is None:
+            progress = self._progress_within(0.0, fitted)
+            pretrain(networks, data, surfaces, initial, self.settings, progress)
+        progress = self._progress_within(fitted, 1.0)
+        train(networks, data, surfaces, self.settings, Resume(checkpoint, state), progress)
+        facts = self._keep_training("training", networks, self.settings.training_steps)
         checkpoint.unlink(missing_ok=True)
         return facts
 
     def _train_again(self) -> Facts:
-        """Continue from the network that was trained without these hints.
+        """Continue from the networks that were trained without these hints.
 
-        It adds detail to the typical colours of the units, those of the new closed form. The training's last
-        steps are repeated.
+        The networks add detail to the typical values of the units, those of the new closed form. The
+        training's last steps are repeated.
         """
-        self.network = self._untrained()
+        data, initial, _, _ = self._closed_form()
+        networks = self._new_networks(initial)
         try:
             state = self.checkpoints.load_tensors("training", self.device)
-            state["typical"] = self.network.typical
-            self.network.load_state_dict(state)
+            state["brdf"]["typical"] = networks.brdf.state_dict()["typical"]
+            networks.load(state)
         except (FiptError, KeyError, TypeError, RuntimeError) as error:
             raise DamagedStage("training", f"The checkpoint training can't be read ({error}).") from error
         steps = max(round(AGAIN_SHARE * self.settings.training_steps), 1)
-        return self._fit_network(HINTED_TRAINING, None, self.settings.training_steps - steps)
+        first = self.settings.training_steps - steps
+        train(networks, data, self._surfaces(), self.settings, None, self.reporter.progress, first)
+        return self._keep_training(HINTED_TRAINING, networks, steps)
 
-    def _fit_network(self, name: str, resume: Resume | None, first: int) -> Facts:
-        """Train the network from the step `first` on, and keep it in the stage of this name."""
-        data, settings = self._closed_form()[0], self.settings
+    def _surfaces(self) -> Surfaces:
+        """What is known of the surfaces before a training."""
         _, emitting = self._emitters()
         masked = np.zeros_like(emitting) if len(self.emission) else emitting
-        surfaces = Surfaces(self.box, self.units.triangle, masked, self.emission)
-        train(self.network, data, surfaces, settings, resume, self.reporter.progress, first)
-        self.checkpoints.save_tensors(name, self.network.state_dict())
-        return {"steps": settings.training_steps - first, "hash_levels": len(self.network.grid.resolutions)}
+        return Surfaces(self.pixels.triangle, self.units.triangle, masked, self.emission)
 
-    def _untrained(self) -> ColorNetwork:
-        """A network with the typical colours of the units."""
-        _, cells, _ = self._closed_form()
+    def _new_networks(self, initial: InitialEstimate) -> Networks:
+        """Networks that are not trained yet, with the typical values of the units."""
+        unit = self.units.triangle[self.pixels.triangle[initial.rows]]
         hash_levels = useful_hash_levels(self.settings, self.box.extent, self.observations.footprint)
-        unit = self.units.triangle[cells.triangle]
-        typical = typical_colors(cells.color, cells.pixels, unit, len(self.units.single))
-        return self._new_network(hash_levels, typical)
+        typical = typical_values(initial.values, unit, len(self.units.single))
+        self.brdf = self._new_network(hash_levels, typical)
+        return Networks(self.brdf, None if len(self.emission) else self._new_mask())
+
+    def _keep_training(self, name: str, networks: Networks, steps: int) -> Facts:
+        """Find the emitters by trained networks, and keep both."""
+        _, emitting = self._emitters()
+        if networks.emission is not None:
+            emitting = self._masked_emitters(networks.emission)
+            self._group_fixtures(emitting)
+        self._save_networks(name, networks, emitting)
+        return {"steps": steps, "hash_levels": len(networks.brdf.grid.resolutions)}
+
+    def _masked_emitters(self, mask: EmissionNetwork) -> np.ndarray:
+        """(T,) bool, triangles that emit, after the emission mask has been trained.
+
+        Triangles emit that the mask or the closed form marks, and whose radiance reflection can't explain.
+        """
+        settings = self.settings
+        data, initial, cells, bright = self._closed_form()
+        marked = masked_triangles(
+            self.room,
+            partial(mask_at, mask, self.box),
+            settings.emitter_threshold,
+            settings.emitter_samples,
+            np.random.default_rng([settings.seed, 3]),
+            candidates=bright > 0.0,
+        )
+        marked |= bright > MARKED_SHARE
+        return self._find_emitters(data, cells, marked, self._known_emission(initial))
 
     # ---- Results -------------------------------------------------------------------------------------------
 
@@ -192,17 +243,13 @@ class MaterialStages(EstimationState):
         _, emitting = self._emitters()
         shadings = self._open_shadings()
         left_alone = self.observations.left_alone
-        data = self._closed_form()[0]
-        materials = self._cell_materials()
-        unused = emitting if left_alone is None else emitting | left_alone
-        errors = self._cell_errors(data, materials[:, 2:], unused)
+        errors = self._cell_errors(emitting if left_alone is None else emitting | left_alone)
         fixtures, colors = self.fixtures, np.zeros((len(self.fixtures), 3))
         if not len(self.emission):
             pixels = lamp_pixels(self.pixels, shadings, emitting, self.settings.seed)
             fixtures, colors = separate(self.fixtures, pixels)
         light = RoomLight(fixtures, colors, self.observations.environment, self.view_check.lamps)
-        scan = self.room.scan is not None
-        fields = RoomFields(self._colors(), self.units, self.cells, materials[:, :2], errors, scan)
+        fields = self._room_fields(errors)
         write_results(self.folder, fields, light, self.scale, self.reporter)
         areas = area_names(self.hints, self.units)
         names = write_part_list(self.folder, self.room, self.parts, self.views, self.pixels, fields, areas)
@@ -210,34 +257,30 @@ class MaterialStages(EstimationState):
         self._write_doubts(np.array([*names, ""], object)[fields.units.triangle])
         write_json(self.folder.statistics_json, self.summary())
 
-    def _cell_materials(self) -> np.ndarray:
-        """(C, 4) roughness, metallic and their errors in the seen cells."""
-        return cell_materials(self._closed_form()[0], self.units, self.box, self.cells)
-
-    def _cell_errors(self, data: GroupedPixels, of_materials: np.ndarray, unused: np.ndarray) -> np.ndarray:
-        """(C, 3) standard errors in the seen cells, without the pixels of `unused` triangles (T,).
-
-        Those of roughness and metallic are given, (C, 2).
-        """
-        units, colors, cells, seed = self.units, self._colors(), self.cells, self.settings.seed
-        errors = cell_errors(data, units, colors, cells, of_materials, unused, seed)
+    def _cell_errors(self, unused: np.ndarray) -> np.ndarray:
+        """(C, 3) standard errors in the seen cells, without the pixels of `unused` triangles (T,)."""
+        shadings, seed = self._open_shadings(), self.settings.seed
+        data, fields = self._closed_form()[0], self._fields()
+        errors = cell_errors(self.pixels, self.units, shadings, data, fields, self.cells, unused, seed)
         if self.room.scan is None or not self.fixtures:
             return errors
-        lit = lit_cells(data, units, colors, cells, unused, seed)
+        lit = lit_cells(self.pixels, self.units, shadings, fields, self.cells, unused, seed)
         # Detail finer than an edge is lost, and so is the place of what lights and what hides.
         doubt = self.room.scan.edge
         of_light = light_errors(self.room, self.fixtures, (lit.points, lit.normals), doubt, seed)
         return add_light_errors(errors, lit, of_light)
 
     def _write_doubts(self, names: np.ndarray) -> None:
-        data, cells, bright = self._closed_form()
+        data, initial, _, bright = self._closed_form()
         decided = np.zeros(len(bright), bool)
         if self.hints is not None:
             decided = self.hints.of_triangles(self.hints.emits) != 0
-        # One more group, at the end, for pixels without one.
-        count = np.bincount(cells.group % (data.groups + 1), cells.pixels, data.groups + 1)
-        colors = np.bincount(
-            cells.group % (data.groups + 1), cells.pixels * cells.color.mean(axis=1), data.groups + 1
-        )
-        colors = (colors / np.maximum(count, 1e-9))[:-1]
+        colors = _means(initial.base_color.mean(axis=1), data.group[initial.rows], len(data.group_errors))
         write_doubts(self.folder, self.pixels, data, bright, decided, colors, names)
+
+
+def _means(values: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:
+    """(groups,) mean of values (N,) by group (N,), negative for none; 0 without any."""
+    known = group >= 0
+    count = np.bincount(group[known], minlength=groups)
+    return np.bincount(group[known], values[known], minlength=groups) / np.maximum(count, 1)

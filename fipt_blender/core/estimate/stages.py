@@ -7,7 +7,7 @@
     estimate-0      closed-form estimate of the BRDF (Eq. 5); find the emitters (Sec. 4.4)
     refinement-i    stage 3: bake the shadings anew by path tracing (Sec. 4.3, Eq. 10 and 11)
     estimate-i      closed form and emitters with the refined shadings
-    training        stage 2: fit the network of base colours, once (Sec. 4.5)
+    training        stage 2: fit BRDF and emission mask, once, and find the emitters (Sec. 4.5, Eq. 12 to 20)
     hinted-lamps, hinted-refinement
                     closed form, emitters and stage 3 again with hints that were given since, if wanted
     hinted-estimate, hinted-training
@@ -102,8 +102,8 @@ class Estimation(LightStages, MaterialStages):
                     partial(self._resume_estimate, f"estimate-{index}"),
                 )
                 self._show(f"estimate-{index}")
-            load = partial(self._load_network, "training")
-            self._stage("training", "Stage 2: training base colors", self._train, load)
+            load = partial(self._load_networks, "training")
+            self._stage("training", "Stage 2: training materials", self._train, load)
             self._show("training")
             if self.told_again is not None:
                 self._estimate_again(self.told_again)
@@ -132,7 +132,7 @@ class Estimation(LightStages, MaterialStages):
             partial(self._estimate, HINTED_ESTIMATE, False),
             partial(self._resume_estimate, HINTED_ESTIMATE),
         )
-        load = partial(self._load_network, HINTED_TRAINING)
+        load = partial(self._load_networks, HINTED_TRAINING)
         self._stage(HINTED_TRAINING, "Training materials with the hints", self._train_again, load)
         self._show(HINTED_TRAINING)
 

@@ -25,13 +25,16 @@ from ..light.joint import joint_fixtures
 from ..light.observations import Observations
 from ..light.shadings import roughness_levels
 from ..material.closed_form import CellEstimate
-from ..material.grouping import hinted_units, material_units
+from ..material.emission_mask import EmissionNetwork
+from ..material.fields import RoomFields
 from ..material.groups import Units
 from ..material.hints import SurfaceHints, place_hints
-from ..material.inference import ColorField
-from ..material.networks import ColorNetwork, network_generator
-from ..material.pixel_samples import GroupedPixels
+from ..material.inference import Fields
+from ..material.networks import BrdfNetwork, network_generator
+from ..material.projection import InitialEstimate
 from ..material.seen import SeenCells, fallback_values, find_seen_cells, room_box, seen_statistics
+from ..material.training import Networks, TrainingData
+from ..material.training_input import hinted_units, material_units
 from ..optics.lights import EmitterTable
 from ..run.arrays import check_layouts
 from ..run.checkpoints import SHADINGS, Checkpoints, stage_keys
@@ -89,7 +92,7 @@ class EstimationState:
         light_again: whether the hinted stages include a refinement.
         hints: those that are honoured now, on the mesh; None without any.
         observations: what the pixels tell before anything is estimated: cache, environment; divided by hints.
-        network: of base colours, of stage 2.
+        brdf: the BRDF network of stage 2.
         units, cells: surfaces of one material, and where pixels saw them.
         fixtures: the emitters found so far.
         emission: (T, 3) float32 L_e of each triangle if it is fitted jointly, else (0, 3).
@@ -136,7 +139,7 @@ class EstimationState:
         self.parts: Parts
         self._observed: Observations
         self.observations: Observations
-        self.network: ColorNetwork
+        self.brdf: BrdfNetwork
         self.units = Units(np.zeros(0, np.int32), np.zeros(0, bool))
         self.cells: SeenCells
         self.fixtures: list[Fixture] = []
@@ -145,7 +148,7 @@ class EstimationState:
         self.materials: np.ndarray
         self._shadings = SHADINGS
         self._units_before: Units | None = None
-        self._input: tuple[GroupedPixels, CellEstimate, np.ndarray] | None = None
+        self._input: tuple[TrainingData, InitialEstimate, CellEstimate, np.ndarray] | None = None
 
     # Pixels and shadings
 
@@ -203,14 +206,15 @@ class EstimationState:
             left_alone=left_alone if left_alone.any() else None,
         )
 
-    def _material_units(self, data: GroupedPixels, cells: CellEstimate) -> Units:
+    def _material_units(self, data: TrainingData) -> Units:
         """The units of a closed-form estimate."""
         units = self._units_before  # the network knows them by these numbers
         if units is None or self._pieces is None:
-            units = material_units(data, cells, self._pieces)
+            units = material_units(self.observations, self._pieces, data)
         if self.hints is None:
             return units
-        return hinted_units(units, self.observations.parts, self.hints, data.materials)
+        values = data.group_roughness, data.group_metallic
+        return hinted_units(units, self.observations.parts, self.hints, *values)
 
     # Closed form and network
 
@@ -249,23 +253,33 @@ class EstimationState:
         self._find_cells(Units(arrays["unit"], arrays["single"], fixed))
         return arrays["emitting"]
 
-    def _new_network(self, hash_levels: int, typical: np.ndarray) -> ColorNetwork:
-        generator = network_generator(self.settings)
-        return ColorNetwork(self.settings, hash_levels, typical, generator, self.device)
+    def _new_network(self, hash_levels: int, typical: np.ndarray) -> BrdfNetwork:
+        return BrdfNetwork(self.settings, hash_levels, typical, network_generator(self.settings), self.device)
 
-    def _load_network(self, name: str) -> None:
-        """Read back what the training of this name has found.
+    def _new_mask(self) -> EmissionNetwork:
+        return EmissionNetwork(network_generator(self.settings), self.device)
+
+    def _save_networks(self, name: str, networks: Networks, emitting: np.ndarray) -> None:
+        """Keep what the training of this name has found; `emitting` (T,) bool."""
+        tensors = {**networks.state(), "emitting": torch.from_numpy(emitting)}
+        self.checkpoints.save_tensors(name, tensors)
+
+    def _load_networks(self, name: str) -> None:
+        """Read back the materials and the emitters that the training of this name has found.
 
         Raises:
             FiptError: ``file-damaged``.
         """
         state = self.checkpoints.load_tensors(name, self.device)
         try:
-            levels = state["mlp.0.weight"].shape[1] // self.settings.hash_features
-            self.network = self._new_network(levels, np.zeros((len(self.units.single) + 1, 3)))
-            self.network.load_state_dict(state)
+            levels = state["brdf"]["mlp.0.weight"].shape[1] // self.settings.hash_features
+            self.brdf = self._new_network(levels, np.zeros((len(self.units.single) + 1, 5)))
+            self.brdf.load_state_dict(state["brdf"])
+            emitting = state["emitting"].cpu().numpy()
+            check_layouts({"emitting": emitting}, {"emitting": ("b", (len(self.room.triangles),))})
         except (KeyError, AttributeError, IndexError, TypeError, ValueError, RuntimeError) as error:
             raise _unreadable(name, error) from None
+        self._group_fixtures(emitting)
 
     def _find_cells(self, units: Units) -> None:
         """Take the units of the last estimate, and find where pixels saw them; known parts never change."""
@@ -291,8 +305,13 @@ class EstimationState:
         emitting[table.triangles] = True
         return table, emitting
 
-    def _colors(self) -> ColorField:
-        return ColorField(self.network, self.box)
+    def _fields(self) -> Fields:
+        return Fields(self.brdf, self.box)
+
+    def _room_fields(self, errors: np.ndarray | None = None) -> RoomFields:
+        """The estimate on all surfaces; with `errors` (:func:`cell_errors`) shrunk towards its units."""
+        scan = errors is not None and self.room.scan is not None
+        return RoomFields(self._fields(), self.units, self.cells, errors, scan)
 
     @cached_property
     def _emitter_surfaces(self) -> EmitterSurfaces:
@@ -327,7 +346,7 @@ class EstimationState:
     def _network_colors(self, rows: np.ndarray) -> np.ndarray:
         """(R, 3) base colour that the network has for the pixels `rows` (R,)."""
         unit = np.append(self.units.triangle, NO_PART)[np.asarray(self.pixels.triangle[rows])]
-        return self._colors().query(np.asarray(self.pixels.position[rows]), unit)
+        return self._fields().query(np.asarray(self.pixels.position[rows]), unit)[0]
 
     # What is reported of it
 

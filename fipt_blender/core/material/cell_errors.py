@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Roughness and metallic in each seen cell, and standard errors of all values, from the pixels of a run."""
+"""Standard errors of the final estimate in each seen cell, from the pixels of a run and the last shadings."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..light.baking import ShadingStore
 from ..scene.pixels import PixelStore
-from .confidence import FLOOR, concatenate, linearise, standard_errors
+from .confidence import FLOOR, UNIFORM_DEVIATION, concatenate, linearise, standard_errors
 from .groups import Units
-from .inference import ColorField
-from .pixel_samples import UNIFORM_DEVIATION, GroupedPixels, pure_rows
-from .seen import RESOLUTION, Box, SeenCells, cell_keys, fallback_values, seen_statistics
+from .inference import Fields
+from .pixel_samples import pure_rows, read_samples
+from .seen import RESOLUTION, SeenCells, cell_keys
+from .training import TrainingData
 
 # About so many pixels are used; more change only the time.
 PIXELS = 1_500_000
@@ -24,65 +26,50 @@ BLOCK = 8
 UNSAMPLED_QUANTILE = 0.9
 
 
-def cell_materials(data: GroupedPixels, units: Units, box: Box, cells: SeenCells) -> np.ndarray:
-    """(C, 4) float32 mean roughness and metallic, and their errors, of the pixels in each cell.
-
-    Cells without a pixel that has a group take those of their part, or of the nearest cell.
-    """
-    pixels, sums = data.observations.pixels, np.zeros((len(cells.keys), 5))
-    for view in range(len(pixels.views)):
-        rows = pixels.rows(view)
-        grouped = (np.asarray(pixels.triangle[rows]) >= 0) & (np.asarray(data.group[rows]) >= 0)
-        chosen = np.flatnonzero(grouped) + rows.start
-        unit = units.triangle[pixels.triangle[chosen]]
-        key = cell_keys(box, np.asarray(pixels.position[chosen]), unit)
-        place, index = np.unique(np.searchsorted(cells.keys, key), return_inverse=True)
-        columns = (*data.material_of(chosen).T, *data.error_of(chosen).T, None)
-        sums[place] += np.stack([np.bincount(index, column) for column in columns], axis=1)
-    known = sums[:, 4] > 0.0
-    values = (sums[:, :4] / np.maximum(sums[:, 4:], 1.0)).astype(np.float32)
-    if not known.any():
-        unknown = np.array([1.0, 0.0, UNIFORM_DEVIATION, UNIFORM_DEVIATION], np.float32)
-        return np.tile(unknown, (len(values), 1))
-    statistics = seen_statistics(cells.points[known], cells.part[known], values[known])
-    values[~known] = fallback_values(cells.points[~known], cells.part[~known], statistics)
-    return values
-
-
 def cell_errors(
-    data: GroupedPixels,
+    pixels: PixelStore,
     units: Units,
-    colors: ColorField,
+    shadings: ShadingStore,
+    data: TrainingData,
+    fields: Fields,
     cells: SeenCells,
-    material_errors: np.ndarray,
     emitting: np.ndarray,
     seed: int,
 ) -> np.ndarray:
-    """(C, 3) float32 standard errors of base colour, roughness and metallic in the C cells.
+    """(C, 3) float32 standard errors of base colour, roughness and metallic of `fields` in the C cells.
 
     Args:
-        data: of the last closed-form estimate.
-        material_errors: (C, 2) of roughness and metallic (:func:`cell_materials`).
+        shadings: of all pixels.
+        data: of the last closed-form estimate: its groups and their errors.
         emitting: (T,) bool emitting triangles; their pixels are not used.
     """
     errors = np.full((len(cells.keys), 3), UNIFORM_DEVIATION, np.float32)
-    errors[:, 1:] = np.minimum(np.sqrt(material_errors**2 + FLOOR**2), UNIFORM_DEVIATION)
-    drawn = _draw(data.observations.pixels, units, colors.box, cells, ~emitting, seed)
+    drawn = _draw(pixels, units, fields, cells, ~emitting, seed)
     rows, sampled, cell = drawn.rows, drawn.cells, drawn.place
     if not len(rows):
         return errors
-    group_of_cell = groups_of_cells(units, colors.box, cells)
-    group, color = group_of_cell[sampled[cell]], colors.query(drawn.position, drawn.unit)
-    chunks = [slice(start, start + CHUNK) for start in range(0, len(rows), CHUNK)]
-    lines = [linearise(data, rows[some], color[some], cell[some], group[some]) for some in chunks]
-    errors[sampled, 0] = standard_errors(concatenate(lines))
+    group_of_cell = groups_of_cells(units, fields, cells)
+    group = group_of_cell[sampled[cell]]
+    color, roughness, metallic = fields.query(drawn.position, drawn.unit)
+    chunks = []
+    for start in range(0, len(rows), CHUNK):
+        chunk = slice(start, start + CHUNK)
+        samples = read_samples(pixels, shadings, data.levels, rows[chunk], cell[chunk], group[chunk])
+        chunks.append(linearise(samples, color[chunk], roughness[chunk], metallic[chunk]))
+    of_group = np.append(data.group_errors, [[UNIFORM_DEVIATION] * 2], axis=0)
+    of_pixel = np.sqrt(of_group[np.asarray(data.group[rows])] ** 2 + FLOOR**2)
+    count = np.bincount(cell)
+    material_errors = np.stack([np.bincount(cell, column) / count for column in of_pixel.T], axis=1)
+    errors[sampled, 0] = standard_errors(concatenate(chunks), material_errors)
+    errors[sampled, 1:] = np.minimum(material_errors, UNIFORM_DEVIATION)
     unsampled = np.ones(len(errors), bool)
     unsampled[sampled] = False
     for index in np.unique(group_of_cell[unsampled]):
-        known = (group_of_cell == index) & ~unsampled
-        if known.any():
-            typical = np.quantile(errors[known, 0], UNSAMPLED_QUANTILE)
-            errors[(group_of_cell == index) & unsampled, 0] = typical
+        in_group = group_of_cell == index
+        if (in_group & ~unsampled).any():
+            errors[in_group & unsampled] = np.quantile(
+                errors[in_group & ~unsampled], UNSAMPLED_QUANTILE, axis=0
+            )
     return errors
 
 
@@ -105,11 +92,16 @@ class LitCells:
 
 
 def lit_cells(
-    data: GroupedPixels, units: Units, colors: ColorField, cells: SeenCells, emitting: np.ndarray, seed: int
+    pixels: PixelStore,
+    units: Units,
+    shadings: ShadingStore,
+    fields: Fields,
+    cells: SeenCells,
+    emitting: np.ndarray,
+    seed: int,
 ) -> LitCells:
     """The cells with the light on them; arguments as of :func:`cell_errors`."""
-    pixels = data.observations.pixels
-    drawn = _draw(pixels, units, colors.box, cells, ~emitting, seed)
+    drawn = _draw(pixels, units, fields, cells, ~emitting, seed)
     rows, seen = drawn.rows, drawn.cells
     count = np.maximum(np.bincount(drawn.place, minlength=len(seen)), 1)[:, None]
 
@@ -119,8 +111,8 @@ def lit_cells(
 
     normals = means(np.asarray(pixels.normal[rows]).astype(np.float64))
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-6)
-    diffuse = means(np.asarray(data.shadings.diffuse[rows]).astype(np.float64)).mean(axis=1)
-    color = colors.query(cells.points[seen], cells.part[seen]).mean(axis=1)
+    diffuse = means(np.asarray(shadings.diffuse[rows]).astype(np.float64)).mean(axis=1)
+    color = fields.query(cells.points[seen], cells.part[seen])[0].mean(axis=1)
     return LitCells(seen, cells.points[seen].astype(np.float64), normals, color, diffuse)
 
 
@@ -139,9 +131,9 @@ def add_light_errors(errors: np.ndarray, lit: LitCells, light_errors: np.ndarray
     return result
 
 
-def groups_of_cells(units: Units, box: Box, cells: SeenCells) -> np.ndarray:
+def groups_of_cells(units: Units, fields: Fields, cells: SeenCells) -> np.ndarray:
     """(C,) int64 group of each cell: its unit if that is of one material, else its block of cells."""
-    blocks = (box.normalise(cells.points) * (RESOLUTION // BLOCK)).astype(np.int64) @ (1, 64, 64**2)
+    blocks = (fields.box.normalise(cells.points) * (RESOLUTION // BLOCK)).astype(np.int64) @ (1, 64, 64**2)
     blocks = np.where(units.is_single(cells.part), 0, blocks)
     return np.unique((cells.part.astype(np.int64) + 1) * 64**3 + blocks, return_inverse=True)[1]
 
@@ -165,7 +157,7 @@ class _Draw:
 
 
 def _draw(
-    pixels: PixelStore, units: Units, box: Box, cells: SeenCells, marked: np.ndarray, seed: int
+    pixels: PixelStore, units: Units, fields: Fields, cells: SeenCells, marked: np.ndarray, seed: int
 ) -> _Draw:
     """Pixels that see marked triangles (T,) bool; the same ones for the same seed."""
     rng = np.random.default_rng([seed, 5])
@@ -174,7 +166,7 @@ def _draw(
     rows = np.concatenate([_sample_view(pixels, view, marked, probability, rng) for view in views])
     position = np.asarray(pixels.position[rows])
     unit = units.triangle[pixels.triangle[rows]]
-    seen = np.searchsorted(cells.keys, cell_keys(box, position, unit))
+    seen = np.searchsorted(cells.keys, cell_keys(fields.box, position, unit))
     return _Draw(rows, position, unit, *np.unique(seen, return_inverse=True))
 
 

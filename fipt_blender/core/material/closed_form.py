@@ -15,9 +15,12 @@ from functools import partial
 
 import numpy as np
 
+from ..light.observations import Observations
+from ..optics.factorised import color_line
 from ..run.threads import in_threads
-from .pixel_samples import DIFFUSE, GroupedPixels, rows_with_donor
-from .projection import residual_weight
+from .pixel_samples import rows_with_donor
+from .projection import residual_weight, specular_at
+from .training import TrainingData
 
 # Photographed radiance above this multiple of what a white surface would reflect is emission.
 CLEAR_EMISSION = 1.5
@@ -42,7 +45,7 @@ class CellEstimate:
         emission: (C, 3) float32 L_e in units of the capture's median; zero unless it is fitted jointly.
         pixels: (C,) number of pixels, mixed ones by their weight.
         triangle: (C,) int64 a triangle that one of them sees.
-        materials: (groups + 1, 2) roughness and metallic of the groups, and of pixels without one.
+        roughness, metallic: (groups + 1,) of the groups; the last is of pixels without a group.
     """
 
     keys: np.ndarray
@@ -51,7 +54,8 @@ class CellEstimate:
     emission: np.ndarray
     pixels: np.ndarray
     triangle: np.ndarray
-    materials: np.ndarray
+    roughness: np.ndarray
+    metallic: np.ndarray
 
     @property
     def entry(self) -> np.ndarray:
@@ -59,14 +63,10 @@ class CellEstimate:
         return self.keys // (self.groups + 1)
 
     @property
-    def group(self) -> np.ndarray:
-        """(C,) int64 group of each cell, -1 for none."""
-        return self.keys % (self.groups + 1) - 1
-
-    @property
     def values(self) -> np.ndarray:
         """(C, 5) float32 base colour, roughness and metallic of the cells."""
-        return np.column_stack([self.color, self.materials[self.group]])
+        group = self.keys % (self.groups + 1) - 1
+        return np.column_stack([self.color, self.roughness[group], self.metallic[group]]).astype(np.float32)
 
     def find(self, entry: np.ndarray, group: np.ndarray) -> np.ndarray:
         """(N,) int64 cell of cache entries and groups (N,); -1 where no pixel saw the group in the entry."""
@@ -93,26 +93,40 @@ class CellEstimate:
         )
 
 
-def fit_cells(data: GroupedPixels, joint: float | None = None) -> tuple[CellEstimate, np.ndarray]:
+def fit_cells(
+    observations: Observations, data: TrainingData, joint: float | None = None
+) -> tuple[CellEstimate, np.ndarray]:
     """The base colours of all cells, and how much each triangle looks like an emitter.
 
     Args:
+        data: pixels, their shadings, and the roughness and metallic of their groups.
         joint: fit an emission of each cell too, with this weight of its L1 norm (ablation).
 
     Returns:
         The estimate, and (T,) the share of each triangle's pixels that are brighter than a white surface.
     """
-    views = range(len(data.observations.pixels.views))
-    triangles = len(data.observations.parts.triangle_part)
-    keys, triangle = _first_triangles(in_threads(partial(_cells_of_view, data), views))
+    groups = len(data.group_roughness)
+    roughness, metallic = np.append(data.group_roughness, 1.0), np.append(data.group_metallic, 0.0)
+    views = range(len(observations.pixels.views))
+    triangles = len(observations.parts.triangle_part)
+    found = in_threads(partial(_cells_of_view, observations, data), views)
+    keys, triangle = _first_triangles(found)
     count, bright, sums = np.zeros(triangles), np.zeros(triangles), np.zeros((len(keys), 16))
-    for seen in in_threads(partial(_moments_of_view, data), views):
+    for seen in in_threads(partial(_moments_of_view, observations, data, roughness, metallic), views):
         count += np.bincount(seen.triangle, seen.share, minlength=triangles)
         bright += np.bincount(seen.triangle, seen.share * seen.emits, minlength=triangles)
         sums[np.searchsorted(keys, seen.keys)] += seen.sums
-    color, emission = (values.astype(np.float32) for values in _solve(sums, joint))
-    materials = np.append(data.materials.mean, DIFFUSE, axis=0)
-    cells = CellEstimate(keys, data.groups, color, emission, sums[:, 15], triangle, materials)
+    color, emission = _solve(sums, joint)
+    cells = CellEstimate(
+        keys,
+        groups,
+        color.astype(np.float32),
+        emission.astype(np.float32),
+        sums[:, 15],
+        triangle,
+        roughness,
+        metallic,
+    )
     return cells, bright / np.maximum(count, 1e-6)
 
 
@@ -133,18 +147,23 @@ class _ViewMoments:
     emits: np.ndarray
 
 
-def _keyed_rows(data: GroupedPixels, view: int) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) pixels of a view that have a donor, and the keys of their cells; int64."""
-    rows = rows_with_donor(data.observations, view)
-    entry, group = (np.asarray(of[rows], np.int64) for of in (data.observations.entry, data.group))
-    return rows, entry * (data.groups + 1) + group + 1
+def _keyed_rows(
+    observations: Observations, data: TrainingData, view: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(n,) pixels of a view that have a donor, their groups, and the keys of their cells; int64."""
+    rows = rows_with_donor(observations.pixels, data.donor, view)
+    group = np.asarray(data.group[rows], np.int64)
+    key = np.asarray(observations.entry[rows], np.int64) * (len(data.group_roughness) + 1) + group + 1
+    return rows, group, key
 
 
-def _cells_of_view(data: GroupedPixels, view: int) -> tuple[np.ndarray, np.ndarray]:
+def _cells_of_view(
+    observations: Observations, data: TrainingData, view: int
+) -> tuple[np.ndarray, np.ndarray]:
     """(C,) ascending keys of the cells that a view sees, and (C,) the triangle of the first pixel in each."""
-    rows, key = _keyed_rows(data, view)
+    rows, _, key = _keyed_rows(observations, data, view)
     keys, first = np.unique(key, return_index=True)
-    return keys, np.asarray(data.observations.pixels.triangle[rows[first]], np.int64)
+    return keys, np.asarray(observations.pixels.triangle[rows[first]], np.int64)
 
 
 def _first_triangles(views: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
@@ -163,15 +182,16 @@ def _merged(keys: list[np.ndarray], triangle: list[np.ndarray]) -> tuple[np.ndar
     return merged, np.concatenate(triangle)[first]
 
 
-def _moments_of_view(data: GroupedPixels, view: int) -> _ViewMoments:
-    pixels = data.observations.pixels
-    rows, key = _keyed_rows(data, view)
-    donor = data.observations.donor[rows]
-    radiance, diffuse = (
-        np.asarray(array[donor], np.float64) for array in (pixels.own, data.shadings.diffuse)
-    )
-    slope, offset = data.lines(donor, data.material_of(rows))
-    share = np.asarray(pixels.weight[donor], np.float64)
+def _moments_of_view(
+    observations: Observations, data: TrainingData, roughness: np.ndarray, metallic: np.ndarray, view: int
+) -> _ViewMoments:
+    """The moments of one view; roughness and metallic (groups + 1,)."""
+    rows, group, key = _keyed_rows(observations, data, view)
+    donor = data.donor[rows]
+    radiance, diffuse = (np.asarray(array[donor], np.float64) for array in (data.radiance, data.diffuse))
+    s0, s1 = specular_at(data.specular, donor, data.levels, roughness[group])
+    slope, offset = color_line(diffuse, s0, s1, metallic[group][:, None])
+    share = np.asarray(observations.pixels.weight[donor], np.float64)
     white = CLEAR_EMISSION * (np.maximum(diffuse, slope) + offset)
     emits = (radiance > white).all(axis=1) & (radiance.mean(axis=1) > LEAST_EMISSION)
     weight, rest = share[:, None] * residual_weight(radiance), radiance - offset
@@ -179,7 +199,7 @@ def _moments_of_view(data: GroupedPixels, view: int) -> _ViewMoments:
     keys, place = np.unique(key, return_inverse=True)
     columns = [*np.concatenate(moments, axis=1).T, share]
     sums = np.stack([np.bincount(place, column, minlength=len(keys)) for column in columns], axis=1)
-    triangle = np.asarray(pixels.triangle[rows], np.int64)
+    triangle = np.asarray(observations.pixels.triangle[rows], np.int64)
     return _ViewMoments(keys, sums, triangle, share, emits)
 
 
@@ -211,35 +231,35 @@ def followed_by_paths(cells: CellEstimate, errors: np.ndarray, limit: float) -> 
     Args:
         errors: (groups,) standard deviation of the groups' roughness.
     """
-    materials = cells.materials.copy()
-    roughness = materials[:, 0]
-    unsure = (roughness > limit) & (roughness - np.append(errors, 0.0) <= limit)
-    roughness[unsure] = BELOW_LIMIT * limit
-    return replace(cells, materials=materials)
+    lowest = cells.roughness - np.append(errors, 0.0)
+    unsure = (cells.roughness > limit) & (lowest <= limit)
+    return replace(cells, roughness=np.where(unsure, BELOW_LIMIT * limit, cells.roughness))
 
 
-def render_rows(cells: CellEstimate, data: GroupedPixels, rows: np.ndarray) -> np.ndarray:
+def render_rows(
+    cells: CellEstimate, observations: Observations, data: TrainingData, rows: np.ndarray
+) -> np.ndarray:
     """(R, 3) float32 reflected radiance (paper Eq. 5) of the pixels `rows` (R,) with their own shadings.
 
     Pixels in cells without an estimate get that of a white surface.
     """
-    slope, offset = data.lines(rows, data.material_of(rows))
-    return (slope * colors_at(cells, data, rows, 1.0) + offset).astype(np.float32)
+    group = np.asarray(data.group[rows], np.int64)
+    place = cells.find(observations.entry[rows], group)
+    color = np.where(place[:, None] >= 0, cells.color[place], 1.0)
+    s0, s1 = specular_at(data.specular, rows, data.levels, cells.roughness[group])
+    diffuse = np.asarray(data.diffuse[rows], np.float32)
+    slope, offset = color_line(diffuse, s0, s1, cells.metallic[group][:, None])
+    return (slope * color + offset).astype(np.float32)
 
 
-def colors_at(cells: CellEstimate, data: GroupedPixels, rows: np.ndarray, missing: float) -> np.ndarray:
-    """(R, 3) float32 base colour of the cells of the pixels `rows` (R,), `missing` without a cell."""
-    place = cells.find(data.observations.entry[rows], np.asarray(data.group[rows], np.int64))
-    return np.where(place[:, None] >= 0, cells.color[place], np.float32(missing))
-
-
-def triangle_emission(cells: CellEstimate, data: GroupedPixels) -> np.ndarray:
+def triangle_emission(cells: CellEstimate, observations: Observations, data: TrainingData) -> np.ndarray:
     """(T, 3) float32 mean emission of the pixels that see each triangle."""
-    pixels, triangles = data.observations.pixels, len(data.observations.parts.triangle_part)
+    pixels, triangles = observations.pixels, len(observations.parts.triangle_part)
     sums, count = np.zeros((triangles, 3)), np.zeros(triangles)
     for view in range(len(pixels.views)):
-        rows, key = _keyed_rows(data, view)
+        rows, group, _ = _keyed_rows(observations, data, view)
+        emission = cells.emission[cells.find(observations.entry[rows], group)]
         on = np.asarray(pixels.triangle[rows])
-        np.add.at(sums, on, cells.emission[np.searchsorted(cells.keys, key)])
+        np.add.at(sums, on, emission)
         count += np.bincount(on, minlength=triangles)
     return (sums / np.maximum(count, 1.0)[:, None]).astype(np.float32)

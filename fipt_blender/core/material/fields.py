@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The estimated material fields of a run, which can be queried at any surface point, seen or unseen.
 
-results/fields.npz holds the network of base colours with the typical ones of the units, the box to which
-positions are normalised, and the cells that photographs saw with their roughness and metallic; parts.npz
-holds the unit of each triangle and which units are of one material.
+results/fields.npz holds the BRDF network with the typical values of the units, the box to which positions are
+normalised and the cells that photographs saw; parts.npz holds the unit of each triangle and which units are
+of one material.
 Both are plain arrays without pickles.
 """
 
@@ -22,8 +22,8 @@ from ..run.shapes import FIELDS_ARRAYS, PARTS_ARRAYS
 from ..scene.labels import NO_PART
 from .confidence import UNIFORM_DEVIATION, confidence, errors_on_scan
 from .groups import Units
-from .inference import ColorField
-from .networks import ColorNetwork
+from .inference import Fields
+from .networks import BrdfNetwork
 from .part_prior import part_priors, shrink_to_parts
 from .seen import Box, SeenCells, fallback_values, seen_statistics
 
@@ -36,11 +36,10 @@ class RoomFields:
     """Base colour, roughness and metallic on a room's surfaces, seen and unseen, and their confidence.
 
     Args:
-        colors: base colours of seen surfaces.
+        fields: the values on seen surfaces.
         units: of the mesh. If errors are given, points of a unit of one material have its median roughness
             and metallic, and base colours are shrunk towards its median (:mod:`.part_prior`).
         cells: where the photographs saw surfaces.
-        materials: (C, 2) float32 roughness and metallic in each cell (:func:`.cell_errors.cell_materials`).
         errors: (C, 3) float32 standard errors of base colour, roughness and metallic in each cell
             (:func:`.cell_errors.cell_errors`); None if they are not known.
         scan: whether the mesh is a scan: confidence is less there (:func:`.confidence.errors_on_scan`).
@@ -48,18 +47,16 @@ class RoomFields:
 
     def __init__(
         self,
-        colors: ColorField,
+        fields: Fields,
         units: Units,
         cells: SeenCells,
-        materials: np.ndarray,
         errors: np.ndarray | None = None,
         scan: bool = False,
     ) -> None:
-        self.colors, self.units, self.cells, self.scan = colors, units, cells, scan
-        self.materials = materials
+        self.fields, self.units, self.cells, self.scan = fields, units, cells, scan
         unknown = np.full((len(cells.keys), 3), UNIFORM_DEVIATION, np.float32)
         self.errors = unknown if errors is None else errors
-        values = np.column_stack([colors.query(cells.points, cells.part), materials])
+        values = _columns(fields.query(cells.points, cells.part))
         self._statistics = seen_statistics(cells.points, cells.part, values)
         self._prior = None
         if errors is not None and units.single.any():
@@ -79,16 +76,10 @@ class RoomFields:
             (base_color (N, 3), roughness (N,), metallic (N,)), float32; roughness is the paper's sigma.
         """
         part = self.units.triangle[triangles]
-        place = self.cells.find(self.colors.box, positions, part)
-        if not len(self.cells.keys):  # only the network is left
-            return (
-                self.colors.query(positions, part),
-                np.ones(len(part), np.float32),
-                np.zeros(len(part), np.float32),
-            )
-        seen = place >= 0
-        color = self.colors.query(positions[seen], part[seen])
-        seen_values = np.column_stack([color, self.materials[place[seen]]])
+        place = self.cells.find(self.fields.box, positions, part)
+        # Where no surface was seen at all, only the network is left.
+        seen = place >= 0 if len(self.cells.keys) else np.ones(len(positions), bool)
+        seen_values = _columns(self.fields.query(positions[seen], part[seen]))
         if self._prior is not None:
             errors = _color_errors(self.errors[place[seen]])
             seen_values[:, COLOR] = shrink_to_parts(seen_values[:, COLOR], errors, part[seen], self._prior)
@@ -108,7 +99,7 @@ class RoomFields:
 
         See :func:`.confidence.confidence`; arguments as in :meth:`query`.
         """
-        place = self.cells.find(self.colors.box, positions, self.units.triangle[triangles])
+        place = self.cells.find(self.fields.box, positions, self.units.triangle[triangles])
         errors = errors_on_scan(self.errors) if self.scan else self.errors
         of_cell = np.append(confidence(errors), np.zeros((1, 3), np.float32), axis=0)
         return of_cell[place]  # unseen points have -1, the last row
@@ -141,9 +132,9 @@ class RoomFields:
             check_layouts(parts, PARTS_ARRAYS | ({"fixed": ("f", ("U", 2))} if "fixed" in parts else {}))
             if parts["triangle_part"].max(initial=NO_PART) >= len(parts["single"]):
                 raise ValueError(f"{run.parts_npz.name} names parts that it lacks")
-            typical = np.zeros((len(parts["single"]) + 1, 3))
+            typical = np.zeros((len(parts["single"]) + 1, 5))
             device = torch.device(torch_device())
-            network = ColorNetwork(settings, hash_levels, typical, torch.Generator(), device)
+            network = BrdfNetwork(settings, hash_levels, typical, torch.Generator(), device)
             state = {
                 name[len("network/") :]: torch.from_numpy(array)
                 for name, array in arrays.items()
@@ -155,12 +146,11 @@ class RoomFields:
         box = Box(arrays["box_low"].astype(np.float64), float(arrays["box_extent"]))
         cells = SeenCells(arrays["seen_keys"], arrays["seen_points"], arrays["seen_part"])
         units = Units(parts["triangle_part"], parts["single"], parts.get("fixed"))
-        materials, errors = arrays["seen_materials"], arrays["seen_errors"]
-        return cls(ColorField(network, box), units, cells, materials, errors, "scan" in arrays)
+        return cls(Fields(network, box), units, cells, arrays["seen_errors"], "scan" in arrays)
 
     def save(self, run: RunFolder) -> None:
         """Write results/fields.npz and parts.npz."""
-        network, box = self.colors.network, self.colors.box
+        network, box = self.fields.network, self.fields.box
         state = {f"network/{name}": value.cpu().numpy() for name, value in network.state_dict().items()}
         scan = {"scan": np.bool_(True)} if self.scan else {}
         with atomic_path(run.fields_npz) as temporary:
@@ -172,7 +162,6 @@ class RoomFields:
                 seen_keys=self.cells.keys,
                 seen_points=self.cells.points,
                 seen_part=self.cells.part,
-                seen_materials=self.materials,
                 seen_errors=self.errors,
                 **scan,
                 **state,
@@ -185,3 +174,8 @@ class RoomFields:
 def _color_errors(errors: np.ndarray) -> np.ndarray:
     """(N,) standard errors of base colour from those of all values (N, 3)."""
     return np.maximum(errors[:, 0].astype(float), LEAST_ERROR)
+
+
+def _columns(materials: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
+    """(N, 5) float32 of base colour, roughness and metallic."""
+    return np.column_stack(materials).astype(np.float32)

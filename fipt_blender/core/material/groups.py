@@ -100,16 +100,17 @@ def piece_units(
     triangle: np.ndarray,
     group: np.ndarray,
     pixels: np.ndarray,
-    materials: np.ndarray,
+    roughness: np.ndarray,
+    metallic: np.ndarray,
 ) -> Units:
     """Units where no parts are known: connected pieces of the mesh that are of one material, else classes.
 
     Args:
         parts: semantic classes, or none.
         pieces: (T,) int connected piece of each triangle.
-        triangle, group, pixels: (K,) a seen triangle, a group (NO_GROUP for none), and how many pixels of the
-            group see the triangle's surroundings.
-        materials: (G, 2) roughness and metallic of the groups.
+        triangle, group, pixels: (K,) int, the number of pixels that see a triangle and belong to a group
+            (NO_GROUP for none).
+        roughness, metallic: (G,) of the groups.
     """
     label = parts.triangle_part
     classes = int(label.max(initial=-1)) + 1
@@ -118,7 +119,7 @@ def piece_units(
     count = np.bincount(unit_of, pixels, minlength=int(unit.max(initial=-1)) + 1)
     # Pixels without a group are like no others.
     alike = group >= 0
-    for of_group in materials.T:
+    for of_group in (roughness, metallic):
         values = np.append(of_group, 0.0)[group]
         medians = grouped_weighted_median(values, pixels * (group >= 0), unit_of, len(count))
         alike &= np.abs(values - medians[unit_of]) < SAME_MATERIAL

@@ -7,32 +7,37 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from .networks import ColorNetwork
+from .networks import BrdfNetwork
 from .seen import Box
 
 CHUNK = 1 << 17
 
 
-class ColorField:
-    """The network at any world position, observed or not.
+class Fields:
+    """The BRDF network at any world position, observed or not.
 
     Its values mean nothing where no photograph saw a surface; :class:`.fields.RoomFields` replaces them
     there.
     """
 
-    def __init__(self, network: ColorNetwork, box: Box) -> None:
+    def __init__(self, network: BrdfNetwork, box: Box) -> None:
         self.network, self.box = network, box
+        self._device = next(network.parameters()).device
 
     @torch.no_grad()
-    def query(self, positions: np.ndarray, units: np.ndarray) -> np.ndarray:
-        """(N, 3) float32 base colour.
+    def query(self, positions: np.ndarray, units: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Evaluate the network.
 
         Args:
             positions: (N, 3) world metres.
             units: (N,) int units on which they lie, negative for none.
+
+        Returns:
+            (base_color (N, 3), roughness (N,), metallic (N,)), float32; roughness is the paper's sigma.
         """
-        device = self.network.grid.table.device
-        colors = np.empty((len(positions), 3), np.float32)
+        base_color = np.empty((len(positions), 3), np.float32)
+        roughness = np.empty(len(positions), np.float32)
+        metallic = np.empty(len(positions), np.float32)
         for start in range(0, len(positions), CHUNK):
             rows = slice(start, start + CHUNK)
             inputs = torch.from_numpy(self.box.normalise(positions[rows]))
@@ -41,5 +46,8 @@ class ColorField:
             if len(positions) > CHUNK:  # pad the last chunk, so that all chunks share one kernel
                 inputs = torch.nn.functional.pad(inputs, (0, 0, 0, CHUNK - count))
                 unit = torch.nn.functional.pad(unit, (0, CHUNK - count))
-            colors[rows] = self.network(inputs.to(device), unit.to(device))[:count].cpu().numpy()
-        return colors
+            prediction = self.network(inputs.to(self._device), unit.to(self._device))
+            base_color[rows] = prediction.base_color[:count].cpu().numpy()
+            roughness[rows] = prediction.roughness[:count].cpu().numpy()
+            metallic[rows] = prediction.metallic[:count].cpu().numpy()
+        return base_color, roughness, metallic

@@ -2,19 +2,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The network of stage 2 (paper Eq. 14, supplementary "Network architecture").
 
-It maps a position to base colour: a hash grid and two hidden layers of 64. It adds detail to the typical
-colour of each unit (a part, or what takes its place) instead of finding it.
+MLP_brdf maps a position to base colour, roughness and metallic: a hash grid and two hidden layers of 64. Here
+it adds detail to the typical values of each unit (a part, or what takes its place) instead of finding them.
 """
 
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from ..run.settings import Settings
-from ..scene.grouped import grouped_weighted_median
+from ..scene.grouped import grouped_median
 from .hashgrid import HashGrid
 
 # Typical values are kept this far from 0 and 1, where the sigmoid's slope would leave nothing to learn.
@@ -23,13 +24,28 @@ _INSIDE = 0.005
 _FIRST_DETAIL = 0.1
 
 
-class ColorNetwork(torch.nn.Module):
-    """Base colour of positions in the unit cube on units of the mesh.
+@dataclass
+class Prediction:
+    """Output of MLP_brdf at N points.
+
+    Attributes:
+        base_color: (N, 3) in [0, 1].
+        roughness: (N,) in [roughness_min, 1].
+        metallic: (N,) in [0, 1].
+    """
+
+    base_color: torch.Tensor
+    roughness: torch.Tensor
+    metallic: torch.Tensor
+
+
+class BrdfNetwork(torch.nn.Module):
+    """Base colour, roughness and metallic of positions in the unit cube on units of the mesh.
 
     Args:
         levels: of the hash grid.
-        typical: (U + 1, 3) typical base colour of each unit, to which the network adds before the sigmoid;
-            the last row is of surfaces without a unit.
+        typical: (U + 1, 5) typical base colour, roughness and metallic of each unit, to which the network
+            adds before the sigmoid; the last row is of surfaces without a unit.
     """
 
     typical: torch.Tensor
@@ -43,7 +59,9 @@ class ColorNetwork(torch.nn.Module):
         device: torch.device,
     ) -> None:
         super().__init__()
+        self.lowest = settings.roughness_min
         values = torch.from_numpy(typical.astype(np.float32))
+        values[:, 3] = (values[:, 3] - self.lowest) / (1.0 - self.lowest)
         self.register_buffer("typical", torch.logit(values, eps=_INSIDE).to(device))
         self.grid = HashGrid(
             levels,
@@ -54,19 +72,20 @@ class ColorNetwork(torch.nn.Module):
             generator,
             device,
         )
-        widths = [self.grid.width] + [settings.brdf_width] * settings.brdf_depth + [typical.shape[1]]
-        pairs = itertools.pairwise(widths)
-        self.mlp = torch.nn.ModuleList([linear(a, b, generator, device) for a, b in pairs])
+        widths = [self.grid.width] + [settings.brdf_width] * settings.brdf_depth + [5]
+        self.mlp = _mlp(widths, generator, device)
         with torch.no_grad():
             self.mlp[-1].weight.mul_(_FIRST_DETAIL)
 
-    def forward(self, positions: torch.Tensor, units: torch.Tensor) -> torch.Tensor:
-        """(N, 3) base colours at (N, 3) positions in [0, 1] on units (N,) int64, negative for none."""
+    def forward(self, positions: torch.Tensor, units: torch.Tensor) -> Prediction:
+        """Evaluate at (N, 3) positions in [0, 1] on units (N,) int64; negative ones stand for none."""
         units = torch.where(units >= 0, units, len(self.typical) - 1)
         x = self.grid(positions, units)
         for layer in self.mlp[:-1]:
             x = layer(x).relu_()
-        return torch.sigmoid(self.mlp[-1](x) + self.typical[units])
+        value = torch.sigmoid(self.mlp[-1](x) + self.typical[units])
+        roughness = self.lowest + (1.0 - self.lowest) * value[:, 3]
+        return Prediction(value[:, :3], roughness, value[:, 4])
 
 
 def network_generator(settings: Settings) -> torch.Generator:
@@ -74,20 +93,19 @@ def network_generator(settings: Settings) -> torch.Generator:
     return torch.Generator().manual_seed(settings.seed)
 
 
-def typical_colors(color: np.ndarray, weight: np.ndarray, unit: np.ndarray, units: int) -> np.ndarray:
-    """(units + 1, 3) weighted median of each unit's colours, and of all for those without and at the end.
+def typical_values(values: np.ndarray, unit: np.ndarray, units: int) -> np.ndarray:
+    """(units + 1, C) median of the values of each unit, and of all values for those without and at the end.
 
     Args:
-        color: (N, 3). weight: (N,).
+        values: (N, C).
         unit: (N,) int, negative for none.
     """
-    seen = np.bincount(unit[unit >= 0], minlength=units) > 0
-    result = np.empty((units + 1, 3))
-    for column, medians in zip(color.T, result.T, strict=True):
-        medians[:] = grouped_weighted_median(column, weight, np.zeros(len(unit), np.int64), 1)
-        medians[:-1][seen] = grouped_weighted_median(
-            column, weight * (unit >= 0), np.maximum(unit, 0), units
-        )[seen]
+    known = unit >= 0
+    result = np.empty((units + 1, values.shape[1]))
+    result[:] = np.median(values, axis=0)
+    medians = grouped_median(values[known], unit[known], units)
+    seen = np.bincount(unit[known], minlength=units) > 0
+    result[:-1][seen] = medians[seen]
     return result
 
 
@@ -107,6 +125,11 @@ def useful_hash_levels(settings: Settings, extent: float, footprint: float) -> i
             break
         levels += 1
     return levels
+
+
+def _mlp(widths: list[int], generator: torch.Generator, device: torch.device) -> torch.nn.ModuleList:
+    pairs = itertools.pairwise(widths)
+    return torch.nn.ModuleList([linear(a, b, generator, device) for a, b in pairs])
 
 
 def linear(inputs: int, outputs: int, generator: torch.Generator, device: torch.device) -> torch.nn.Linear:

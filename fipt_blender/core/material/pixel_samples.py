@@ -10,20 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..light.baking import ShadingStore
-from ..light.observations import Observations
 from ..light.reflecting import LampPixels
-from ..optics.factorised import color_line
 from ..run.threads import in_threads
 from ..scene.pixels import PixelStore
-from .projection import specular_at
 
 # Number of pixels that sample all lamps, and the least number for each emitting triangle.
 LAMP_PIXELS = 200_000
 LEAST_LAMP_PIXELS = 100
-# Standard deviation of a value of which nothing is known but that it lies in [0, 1].
-UNIFORM_DEVIATION = 12.0**-0.5
-# Roughness and metallic of pixels without a group.
-DIFFUSE = np.array([[1.0, 0.0]], np.float32)
 # Pixels whose windows are averaged at a time, so that their arrays stay in the processor's cache.
 WINDOW_BLOCK = 1 << 13
 
@@ -58,61 +51,24 @@ class PixelSamples:
     weight: np.ndarray
 
 
-@dataclass(frozen=True)
-class GroupMaterials:
-    """Roughness and metallic of each of G groups.
+def read_samples(
+    pixels: PixelStore,
+    shadings: ShadingStore,
+    levels: np.ndarray,
+    rows: np.ndarray,
+    cell: np.ndarray,
+    group: np.ndarray,
+) -> PixelSamples:
+    """The pixels `rows` (N,) as samples.
 
-    Attributes:
-        mean: (G, 2) float32 posterior mean.
-        error: (G, 2) float32 posterior standard deviation.
+    Args:
+        shadings: of all pixels at the roughness `levels` (K,).
+        cell, group: (N,), see :class:`PixelSamples`.
     """
-
-    mean: np.ndarray
-    error: np.ndarray
-
-
-@dataclass(frozen=True)
-class GroupedPixels:
-    """All N pixels of a run with their shadings, and the materials of the groups to which they belong.
-
-    Attributes:
-        observations: the pixels, their cache entries and donors.
-        shadings: at the roughness `levels` (K,).
-        group: (N,) int part of each pixel, or the group in its place (:mod:`.groups`), negative for none.
-        materials: of the groups.
-        constant: (G,) bool, groups whose radiance does not follow irradiance
-            (:func:`.projection.constant_groups`).
-    """
-
-    observations: Observations
-    shadings: ShadingStore
-    levels: np.ndarray
-    group: np.ndarray
-    materials: GroupMaterials
-    constant: np.ndarray
-
-    @property
-    def groups(self) -> int:
-        """Number of groups."""
-        return len(self.materials.mean)
-
-    def material_of(self, rows: np.ndarray) -> np.ndarray:
-        """(R, 2) float32 roughness and metallic of pixels (R,); those without a group are diffuse."""
-        return np.append(self.materials.mean, DIFFUSE, axis=0)[np.asarray(self.group[rows], np.int64)]
-
-    def error_of(self, rows: np.ndarray) -> np.ndarray:
-        """(R, 2) float32 standard deviation of both; unknown without a group."""
-        unknown = np.full((1, 2), UNIFORM_DEVIATION, np.float32)
-        return np.append(self.materials.error, unknown, axis=0)[np.asarray(self.group[rows], np.int64)]
-
-    def lines(self, rows: np.ndarray, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(R, 3) float32 slope and offset of the rendering slope a + offset (paper Eq. 5 and 8) of pixels.
-
-        Args:
-            rows: (R,) pixels. material: (R, 2) roughness and metallic of each.
-        """
-        s0, s1 = specular_at(self.shadings.specular, rows, self.levels, material[:, 0])
-        return color_line(np.asarray(self.shadings.diffuse[rows], np.float32), s0, s1, material[:, 1:])
+    arrays = (pixels.own, shadings.diffuse, shadings.specular)
+    radiance, diffuse, specular = (np.asarray(array[rows], np.float32) for array in arrays)
+    weight = np.asarray(pixels.weight[rows])
+    return PixelSamples(rows, radiance, diffuse, specular, levels, cell, group, pixels.view_of(rows), weight)
 
 
 def window_means(
@@ -171,10 +127,10 @@ def _window_means(
     return [total / count.reshape(-1, *[1] * (total.ndim - 1)) for total in sums]
 
 
-def rows_with_donor(observations: Observations, view: int) -> np.ndarray:
-    """(n,) int64 pixels of a view that have a donor."""
-    rows = observations.pixels.rows(view)
-    return np.flatnonzero(observations.donor[rows] >= 0) + rows.start
+def rows_with_donor(pixels: PixelStore, donor: np.ndarray, view: int) -> np.ndarray:
+    """(n,) int64 pixels of a view that have a donor ((N,) int64, negative for none)."""
+    rows = pixels.rows(view)
+    return np.flatnonzero(donor[rows] >= 0) + rows.start
 
 
 def pure_rows(pixels: PixelStore, view: int, marked: np.ndarray) -> np.ndarray:

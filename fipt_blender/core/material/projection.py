@@ -1,21 +1,25 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The rendering as a line in base colour, and the base colours that fit it best.
+"""Closed-form initial estimate for the networks, by variable projection.
 
-For given roughness and metallic, the factorised rendering (paper Eq. 5) is linear in base colour, so that the
-least-squares base colour of each surface cell has a closed form. Its residuals tell which pair of roughness
-and metallic fits a part best (likelihood.py).
+For given roughness and metallic, the factorised rendering (paper Eq. 5) is linear in base colour. The
+least-squares base colour of each surface cell therefore has a closed form, and its residuals tell which pair
+of roughness and metallic fits a part best (mixture.py). The networks start from this estimate instead of
+random values; the optimisation that follows is the paper's.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from ..optics.factorised import level_share
+from ..optics.factorised import color_line, level_share
+from .pixel_samples import PixelSamples
 
 # Residuals are relative to radiance plus this, in units of the capture's median radiance.
 RADIANCE_FLOOR = 0.05
-# A group emits if the relative spread of its radiance is less than this share of that of its irradiance. In
+# A part emits if the relative spread of its radiance is less than this share of that of its irradiance. In
 # the example rooms surfaces stay above 0.5 and lamps below 0.01.
 CONSTANT_RATIO = 0.15
 # Least relative spread of irradiance for that test: noise of shadings of very few samples reaches 0.040, and
@@ -24,6 +28,31 @@ CONSTANT_RATIO = 0.15
 CONSTANT_IRRADIANCE = 0.042
 CONSTANT_SPREAD = 0.3
 CONSTANT_PIXELS = 30
+
+
+@dataclass(frozen=True)
+class InitialEstimate:
+    """Initial values for N pixels.
+
+    Attributes:
+        rows: (N,) int64 indices among the pixels of the run.
+        base_color: (N, 3) float32 of the pixel's cell.
+        roughness: (N,) float32 of the pixel's group.
+        metallic: (N,) float32 of the pixel's group.
+        part_emits: (parts,) bool, parts whose radiance does not follow irradiance (:func:`constant_parts`);
+            empty where groups take the place of parts.
+    """
+
+    rows: np.ndarray
+    base_color: np.ndarray
+    roughness: np.ndarray
+    metallic: np.ndarray
+    part_emits: np.ndarray
+
+    @property
+    def values(self) -> np.ndarray:
+        """(N, 5) float32 base colour, roughness and metallic."""
+        return np.column_stack([self.base_color, self.roughness, self.metallic])
 
 
 def cells_of_groups(cell: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -54,22 +83,54 @@ def specular_at(
     return s0, s1
 
 
-def constant_groups(
-    radiance: np.ndarray, irradiance: np.ndarray, group: np.ndarray, groups: int
-) -> np.ndarray:
-    """(groups,) bool, groups whose radiance is constant although the light that falls on them varies.
+def project(
+    samples: PixelSamples, group_roughness: np.ndarray, group_metallic: np.ndarray, known_parts: bool = True
+) -> InitialEstimate:
+    """The best base colour of each cell, given the roughness and metallic of each group.
+
+    Args:
+        samples: N pixels; those without a group are taken as diffuse.
+        group_roughness, group_metallic: (groups,) float32 (:func:`.mixture.infer_materials`).
+        known_parts: whether groups are known parts. Other groups may hold pixels of a lamp and of a wall of
+            one colour, and do not tell which parts emit.
+    """
+    groups, group = len(group_roughness), samples.group
+    known = group >= 0
+    cell = cells_of_groups(samples.cell, group)
+    roughness = np.where(known, group_roughness[np.maximum(group, 0)] if groups else 1.0, 1.0)
+    metallic = np.where(known, group_metallic[np.maximum(group, 0)] if groups else 0.0, 0.0)
+    s0, s1 = specular_at(samples.specular, np.arange(len(group)), samples.levels, roughness)
+    slope, offset = color_line(samples.diffuse, s0, s1, metallic[:, None])
+    weight = residual_weight(samples.radiance) * samples.weight[:, None]
+    color = fit_colors(samples.radiance, slope, offset, weight, cell)
+    part_emits = np.zeros(0, bool)
+    if known_parts:
+        part_emits = constant_parts(
+            samples.radiance.mean(axis=1), samples.diffuse.mean(axis=1), group, groups
+        )
+    return InitialEstimate(
+        samples.rows,
+        color[cell].astype(np.float32),
+        roughness.astype(np.float32),
+        metallic.astype(np.float32),
+        part_emits,
+    )
+
+
+def constant_parts(radiance: np.ndarray, irradiance: np.ndarray, part: np.ndarray, parts: int) -> np.ndarray:
+    """(parts,) bool, parts whose radiance is constant although the light that falls on them varies.
 
     No reflection does that, so even a dim lamp is recognised. The relative spread is the distance between the
     10th and the 90th percentile divided by the median, which excludes edges and noise.
 
     Args:
         radiance, irradiance: (N,) mean over the channels.
-        group: (N,) int, negative for none.
+        part: (N,) int, negative for none.
     """
-    result = np.zeros(groups, bool)
-    order = np.argsort(group, kind="stable")
-    bounds = np.searchsorted(group[order], np.arange(groups + 1))
-    for index in range(groups):
+    result = np.zeros(parts, bool)
+    order = np.argsort(part, kind="stable")
+    bounds = np.searchsorted(part[order], np.arange(parts + 1))
+    for index in range(parts):
         rows = order[bounds[index] : bounds[index + 1]]
         if len(rows) < CONSTANT_PIXELS:
             continue

@@ -1,15 +1,14 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Stage 2: fitting base colour to the photographs with fixed shadings (paper Sec. 4.5).
+"""Stage 2: fitting the networks to the photographs with fixed shadings (paper Sec. 4.5).
 
-Roughness, metallic and emission are those of the closed form, so that the rendering is linear in base colour.
 Every random choice depends only on (seed, step), so an interrupted training continues from its last
 checkpoint and ends with the same weights.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,15 +16,95 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..light.emitters import pixels_on
 from ..run.checkpoints import load_tensors, save_tensors
 from ..run.errors import FiptError
 from ..run.settings import Settings
-from .networks import ColorNetwork
-from .pixel_samples import GroupedPixels
-from .seen import Box
+from . import losses
+from .emission_mask import EmissionNetwork, emission_mask
+from .networks import BrdfNetwork
+from .projection import InitialEstimate
 
-# Learning rate at the end of a training, as a share of the initial one; the decay is exponential.
+# Learning rates at the end of a training, as a share of the initial ones; the decay is exponential.
 _FINAL_RATE = 0.1
+PRETRAINING_STEPS = 200
+_PRETRAINING_RATE = 1e-2
+_EMISSION_PRETRAINING_RATE = 3e-3
+# Raw emission mask to which pixels on emitters are fitted in pretraining.
+_EMITTING_RAW_MASK = 1.0
+# One in so many pixels trains the emission network, which costs as much per pixel as all else together.
+_EMISSION_STRIDE = 4
+_PARTNERS = 1024
+
+
+@dataclass
+class Networks:
+    """MLP_brdf, and MLP_emit unless emission is fitted jointly (ablation)."""
+
+    brdf: BrdfNetwork
+    emission: EmissionNetwork | None
+
+    @property
+    def device(self) -> torch.device:
+        """Where both are."""
+        return self.brdf.grid.table.device
+
+    def state(self) -> dict[str, Any]:
+        """Weights of both."""
+        emission = {} if self.emission is None else self.emission.state_dict()
+        return {"brdf": self.brdf.state_dict(), "emission": emission}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Take weights of :meth:`state`.
+
+        Raises:
+            KeyError, RuntimeError, TypeError: where they are those of other networks.
+        """
+        self.brdf.load_state_dict(state["brdf"])
+        if self.emission is not None:
+            self.emission.load_state_dict(state["emission"])
+
+    def trained(self) -> list[torch.nn.Parameter]:
+        """All parameters in the optimiser's order, the hash grid's table first."""
+        emission = [] if self.emission is None else list(self.emission.parameters())
+        return [self.brdf.grid.table, *self.brdf.mlp.parameters(), *emission]
+
+
+@dataclass
+class TrainingData:
+    """Per-pixel arrays from which batches are drawn; they may be memory-mapped.
+
+    Attributes:
+        pool: (P,) int64 indices of the pixels to train on.
+        donor: (N,) int64 index of the pixel whose radiance and shadings each pixel takes: itself, or a pure
+            one beside a mixed one.
+        position: (N, 3) float32 world metres.
+        radiance: (N, 3) float32 in units of the capture's median.
+        label: (N,) int part or semantic class of each pixel, negative for none.
+        group: (N,) int part of each pixel, or the group in its place (:mod:`.groups`), negative for none.
+        diffuse: (N, 3) L_d.
+        specular: (N, K, 2, 3) L_s0 and L_s1.
+        levels: (K,) roughness levels.
+        semantic: whether labels are semantic classes.
+        group_roughness, group_metallic: (groups,) closed-form estimates, sigma' and m' of l_p.
+        group_errors: (groups, 2) standard errors of both.
+        normalise: maps world positions to the unit cube.
+    """
+
+    pool: np.ndarray
+    donor: np.ndarray
+    position: np.ndarray
+    radiance: np.ndarray
+    label: np.ndarray
+    group: np.ndarray
+    diffuse: np.ndarray
+    specular: np.ndarray
+    levels: np.ndarray
+    semantic: bool
+    group_roughness: np.ndarray
+    group_metallic: np.ndarray
+    group_errors: np.ndarray
+    normalise: Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -33,61 +112,180 @@ class Surfaces:
     """What is known of the surfaces that pixels see.
 
     Attributes:
-        box: to which positions are normalised.
+        triangle: (N,) int triangle that each pixel sees, negative where none; may be memory-mapped.
         unit: (T,) int unit of each triangle, negative for none.
-        emitting: (T,) bool, triangles whose pixels show emission, not only reflection: they do not count.
+        emitting: (T,) bool, triangles whose pixels show emission, not only reflection.
         emission: (T, 3) float32 radiance that is subtracted from the pixels of a triangle; (0, 3) for none.
     """
 
-    box: Box
+    triangle: np.ndarray
     unit: np.ndarray
     emitting: np.ndarray
     emission: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass
 class Batch:
-    """B pixels as tensors on the training device.
+    """B pixels of the training data as tensors on the training device.
 
     Attributes:
         position: (B, 3) in the unit cube. unit: (B,) int64, negative for none.
-        radiance: (B, 3) without known emission.
-        slope, offset: (B, 3) of the rendering slope a + offset.
-        counts: (B,) 1, or 0 for pixels that show emission.
+        radiance: (B, 3) without known emission. reflects: (B,) bool, whether it is reflection alone.
+        diffuse: (B, 3). specular: (B, K, 2, 3). levels: (K,).
+        label: (B,) int64, negative for none. grouped: (B,) bool, whether it has a group.
+        group_roughness, group_metallic: (B,) sigma' and m' of its group; 1 and 0 without.
+        semantic: whether labels are semantic classes.
     """
 
     position: torch.Tensor
     unit: torch.Tensor
     radiance: torch.Tensor
-    slope: torch.Tensor
-    offset: torch.Tensor
-    counts: torch.Tensor
+    reflects: torch.Tensor
+    label: torch.Tensor
+    grouped: torch.Tensor
+    diffuse: torch.Tensor
+    specular: torch.Tensor
+    levels: torch.Tensor
+    group_roughness: torch.Tensor
+    group_metallic: torch.Tensor
+    semantic: bool
 
 
-def gather_batch(data: GroupedPixels, surfaces: Surfaces, rows: np.ndarray, device: torch.device) -> Batch:
+def gather_batch(data: TrainingData, surfaces: Surfaces, rows: np.ndarray, device: torch.device) -> Batch:
     """Read the pixels `rows` (B,), in ascending order: sorted access keeps memory-mapped files fast."""
-    rows, pixels = np.sort(rows), data.observations.pixels
-    donors, triangle = data.observations.donor[rows], np.asarray(pixels.triangle[rows])
-    radiance = np.asarray(pixels.own[donors], np.float32)
+    rows = np.sort(rows)
+    donors = data.donor[rows]
+
+    def tensor(array: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(np.asarray(array[donors], np.float32)).to(device)
+
+    triangle = surfaces.triangle[rows]
+    radiance = tensor(data.radiance)
     if len(surfaces.emission):
-        radiance = radiance - surfaces.emission[triangle]
-    slope, offset = data.lines(donors, data.material_of(rows))
-    position = surfaces.box.normalise(np.asarray(pixels.position[rows]))
-    unit, counts = surfaces.unit[triangle].astype(np.int64), ~surfaces.emitting[triangle]
-    arrays = position, unit, radiance, slope, offset, counts.astype(np.float32)
-    return Batch(*(torch.from_numpy(array).to(device) for array in arrays))
+        radiance = radiance - torch.from_numpy(surfaces.emission[triangle]).to(device)
+    label, group = (np.asarray(array[rows], np.int64) for array in (data.label, data.group))
+    # One more entry at -1, for pixels without a group.
+    roughness, metallic = np.append(data.group_roughness, 1.0), np.append(data.group_metallic, 0.0)
+    return Batch(
+        group_roughness=torch.as_tensor(roughness[group], dtype=torch.float32, device=device),
+        group_metallic=torch.as_tensor(metallic[group], dtype=torch.float32, device=device),
+        position=torch.from_numpy(data.normalise(np.asarray(data.position[rows]))).to(device),
+        unit=torch.from_numpy(surfaces.unit[triangle].astype(np.int64)).to(device),
+        radiance=radiance,
+        reflects=torch.from_numpy(~surfaces.emitting[triangle]).to(device),
+        label=torch.from_numpy(label).to(device),
+        grouped=torch.from_numpy(group >= 0).to(device),
+        diffuse=tensor(data.diffuse),
+        specular=tensor(data.specular),
+        levels=torch.from_numpy(data.levels).to(device),
+        semantic=data.semantic,
+    )
 
 
-def tone_map(radiance: torch.Tensor) -> torch.Tensor:
-    """The tone mapping of Munkberg et al. 2022: the sRGB transfer function of log(1 + x)."""
-    x = torch.log1p(radiance.clamp_min(0.0))
-    return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x.clamp_min(1e-7) ** (1.0 / 2.4) - 0.055)
+def total_loss(networks: Networks, batch: Batch, settings: Settings, partners: torch.Tensor) -> torch.Tensor:
+    """l + l_e + l_d + l_p of one batch (paper Eq. 15 to 20).
+
+    The emission mask is trained by every fourth pixel. The others take the mask of the emitters that the
+    closed form has found: 0 or 1.
+
+    Args:
+        partners: (P,) int64 rows of the batch that serve as x' of Eq. 20.
+    """
+    prediction = networks.brdf(batch.position, batch.unit)
+    rendered = losses.factorised_rendering(prediction, batch.diffuse, batch.specular, batch.levels)
+    alpha = 1.0 - batch.reflects.to(rendered.dtype)
+    emission_loss = rendered.new_zeros(())
+    if networks.emission is not None:
+        raw = networks.emission(batch.position[::_EMISSION_STRIDE])
+        alpha[::_EMISSION_STRIDE] = emission_mask(raw)
+        emission_loss = losses.emission_loss(raw) * (len(raw) / len(alpha))
+    loss = losses.rendering_loss(rendered, alpha, batch.radiance) + settings.lambda_emission * emission_loss
+    loss = loss + settings.lambda_diffuse * losses.diffuse_loss(prediction)
+    loss = loss + settings.lambda_part * losses.part_loss(
+        prediction, batch.group_roughness, batch.group_metallic, batch.grouped
+    )
+    if batch.semantic:
+        loss = loss + settings.lambda_semantic * losses.semantic_loss(
+            prediction,
+            batch.position,
+            batch.label,
+            partners,
+            settings.sigma_albedo,
+            settings.sigma_position,
+        )
+    return loss
 
 
-def rendering_loss(color: torch.Tensor, batch: Batch) -> torch.Tensor:
-    """Tone-mapped L2 of base colours (B, 3), mean over the pixels (paper Eq. 15)."""
-    error = tone_map(batch.slope * color + batch.offset) - tone_map(batch.radiance)
-    return (error.square().sum(dim=1) * batch.counts).mean()
+def pretrain(
+    networks: Networks,
+    data: TrainingData,
+    surfaces: Surfaces,
+    estimate: InitialEstimate,
+    settings: Settings,
+    progress: Callable[[float], None],
+) -> None:
+    """Fit the networks to the closed-form estimate and its emitters, before the photographs are used.
+
+    Args:
+        progress: called with the share of steps done.
+    """
+    brdf, emission, device = networks.brdf, networks.emission, networks.device
+    rates = [(list(brdf.parameters()), _PRETRAINING_RATE)]
+    if emission is not None:
+        rates.append((list(emission.parameters()), _EMISSION_PRETRAINING_RATE))
+    optimiser = _Adam(rates, PRETRAINING_STEPS)
+    emitters = pixels_on(surfaces.triangle, surfaces.emitting)
+    size = min(settings.batch_size, len(estimate.rows))
+    # Inside the range of the sigmoid, so that the rendering loss can still move values away from 0 and 1.
+    values = estimate.values.clip(0.02, 0.98)
+    for step in range(PRETRAINING_STEPS):
+        rng = np.random.default_rng([settings.seed, 1000, step])
+        chosen = np.sort(rng.integers(0, len(estimate.rows), size))
+        rows = estimate.rows[chosen]
+        position = torch.from_numpy(data.normalise(np.asarray(data.position[rows]))).to(device)
+        unit = torch.from_numpy(surfaces.unit[surfaces.triangle[rows]].astype(np.int64)).to(device)
+        prediction = brdf(position, unit)
+        outputs = torch.cat(
+            [prediction.base_color, prediction.roughness[:, None], prediction.metallic[:, None]], dim=1
+        )
+        loss = (outputs - torch.from_numpy(values[chosen]).to(device)).square().sum(dim=1).mean()
+        if emission is not None:
+            asked = _emission_rows(rows[::_EMISSION_STRIDE], emitters, rng)
+            target = torch.from_numpy(surfaces.emitting[surfaces.triangle[asked]]).to(device)
+            raw = emission(torch.from_numpy(data.normalise(np.asarray(data.position[asked]))).to(device))
+            loss = loss + (raw - _EMITTING_RAW_MASK * target).square().mean()
+        optimiser.step(step, loss)
+        progress((step + 1) / PRETRAINING_STEPS)
+
+
+def _emission_rows(rows: np.ndarray, emitters: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Pixels `rows` (R,), a quarter of them replaced by pixels on emitters: a bulb may have only a few."""
+    if not len(emitters):
+        return rows
+    quarter = max(len(rows) // 4, 1)
+    return np.concatenate([rows[quarter:], emitters[rng.integers(0, len(emitters), quarter)]])
+
+
+class _Adam:
+    """Adam whose learning rates decay exponentially to `_FINAL_RATE` of their initial values.
+
+    Args:
+        rates: parameters and their initial learning rate.
+        steps: number of steps of the training.
+    """
+
+    def __init__(self, rates: Sequence[tuple[list[torch.nn.Parameter], float]], steps: int) -> None:
+        self._rates, self._steps = [rate for _, rate in rates], steps
+        groups = [{"params": parameters, "lr": rate} for parameters, rate in rates]
+        self.optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), fused=True)
+
+    def step(self, step: int, loss: torch.Tensor) -> None:
+        """Take step number `step` (from 0) down the gradient of `loss`."""
+        for group, rate in zip(self.optimiser.param_groups, self._rates, strict=True):
+            group["lr"] = rate * _FINAL_RATE ** (step / self._steps)
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        self.optimiser.step()
 
 
 @dataclass(frozen=True)
@@ -103,29 +301,32 @@ class Resume:
     state: dict[str, Any] | None = None
 
 
-def read_checkpoint(path: Path, network: ColorNetwork, settings: Settings) -> dict[str, Any]:
+def read_checkpoint(path: Path, networks: Networks, steps: int) -> dict[str, Any]:
     """The state of an unfinished training.
 
     Args:
         path: of the checkpoint that `train` wrote.
-        network: which is to continue; it is not changed.
+        networks: which are to continue; they are not changed.
+        steps: of the training.
 
     Raises:
         FiptError: ``file-damaged``.
     """
-    state = load_tensors(path, network.grid.table.device)
+    table, *dense = networks.trained()
+    state = load_tensors(path, table.device)
     problem = ""
-    weights = state.get("network")
-    if not isinstance(weights, dict) or {key: value.shape for key, value in network.state_dict().items()} != {
-        key: getattr(value, "shape", None) for key, value in weights.items()
-    }:
-        problem = "it is of another network"
+    for name, expected in networks.state().items():
+        weights = state.get(name)
+        if not isinstance(weights, dict) or {key: value.shape for key, value in expected.items()} != {
+            key: getattr(value, "shape", None) for key, value in weights.items()
+        }:
+            problem = f"its {name} network is another one"
     step = state.get("step")
-    if not isinstance(step, int) or not 0 < step < settings.training_steps:
-        problem = f"its step is {step} of {settings.training_steps}"
+    if not isinstance(step, int) or not 0 < step < steps:
+        problem = f"its step is {step} of {steps}"
     try:
-        _adam(network).load_state_dict(state["optimiser"])
-        for index, parameter in enumerate(network.parameters()):
+        _Adam([([table], 0.0), (dense, 0.0)], steps).optimiser.load_state_dict(state["optimiser"])
+        for index, parameter in enumerate((table, *dense)):
             moments = state["optimiser"]["state"].get(index, {})
             if any(moments[key].shape != parameter.shape for key in moments if key != "step"):
                 problem = "its optimiser belongs to another network"
@@ -136,46 +337,42 @@ def read_checkpoint(path: Path, network: ColorNetwork, settings: Settings) -> di
     return state
 
 
-def _adam(network: ColorNetwork) -> torch.optim.Adam:
-    return torch.optim.Adam(network.parameters(), betas=(0.9, 0.99), fused=True)
-
-
 def train(
-    network: ColorNetwork,
-    data: GroupedPixels,
+    networks: Networks,
+    data: TrainingData,
     surfaces: Surfaces,
     settings: Settings,
     resume: Resume | None,
     progress: Callable[[float], None],
     first: int = 0,
 ) -> None:
-    """Optimise the network in place with Adam.
+    """Optimise the networks in place with Adam.
 
     Args:
         first: number of the first step; learning rates and batches are those of a training from 0.
         resume: the checkpoint file, and where the training continues; None writes no file.
         progress: called with the share of steps done.
     """
-    optimiser, steps, start = _adam(network), settings.training_steps, first
+    table, *dense = networks.trained()
+    steps = settings.training_steps
+    optimiser = _Adam([([table], settings.hash_learning_rate), (dense, settings.learning_rate)], steps)
+    start = first
     if resume is not None and resume.state is not None:
-        network.load_state_dict(resume.state["network"])
-        optimiser.load_state_dict(resume.state["optimiser"])
+        networks.load(resume.state)
+        optimiser.optimiser.load_state_dict(resume.state["optimiser"])
         start = int(resume.state["step"])
-    pool = data.observations.pool
-    size = min(settings.batch_size, len(pool))
+    size = min(settings.batch_size, len(data.pool))
     for step in range(start, steps):
         rng = np.random.default_rng([settings.seed, 0, step])
-        rows = pool[rng.integers(0, len(pool), size)]
-        batch = gather_batch(data, surfaces, rows, network.grid.table.device)
-        optimiser.param_groups[0]["lr"] = settings.learning_rate * _FINAL_RATE ** (step / steps)
-        optimiser.zero_grad(set_to_none=True)
-        rendering_loss(network(batch.position, batch.unit), batch).backward()
-        optimiser.step()
+        rows = data.pool[rng.integers(0, len(data.pool), size)]
+        batch = gather_batch(data, surfaces, rows, table.device)
+        partners = torch.from_numpy(rng.integers(0, size, min(_PARTNERS, size))).to(table.device)
+        optimiser.step(step, total_loss(networks, batch, settings, partners))
         progress((step + 1 - first) / (steps - first))
         if resume is not None and (step + 1) % settings.checkpoint_steps == 0 and step + 1 < steps:
             state = {
-                "network": network.state_dict(),
-                "optimiser": optimiser.state_dict(),
+                **networks.state(),
+                "optimiser": optimiser.optimiser.state_dict(),
                 "step": step + 1,
             }
             save_tensors(resume.checkpoint, state)

@@ -8,7 +8,6 @@ settings are imported in the functions that use them. docs/architecture.md descr
 
 from __future__ import annotations
 
-import dataclasses
 import errno
 import os
 from collections.abc import Iterator
@@ -141,7 +140,7 @@ class RunFolder:
         )
 
     def read(self) -> Settings:
-        """Read the settings of the run; those that only other versions know are ignored.
+        """Read the settings of the run.
 
         Raises:
             FiptError: ``run-missing``, ``run-damaged`` or ``run-version``.
@@ -165,10 +164,9 @@ class RunFolder:
                 f"this version of the add-on reads {RUN_VERSION}.",
                 "Start a new run in another folder, or open this one with the version that made it.",
             )
-        from .settings import Settings, make_settings
+        from .settings import make_settings
 
-        known = {field.name for field in dataclasses.fields(Settings)}
-        values = {name: value for name, value in data.get("settings", {}).items() if name in known}
+        values = dict(data.get("settings", {}))
         return make_settings(values.pop("preset", "medium"), values)
 
     def resolve(self, path: str) -> Path:

@@ -109,14 +109,21 @@ class Settings:
     )
 
     training_steps: int = _setting(
-        500,
+        300,
         "stage 2: optimiser steps after the last closed-form estimate (paper: 2 epochs in each round)",
         TRAINING,
     )
     batch_size: int = _setting(8192, "stage 2: pixels per step", TRAINING)
     learning_rate: float = _setting(
-        1e-2, "stage 2: initial learning rate of Adam, which falls to a tenth (paper: 1e-3)", TRAINING
+        1e-3, "stage 2: initial learning rate of Adam, which falls to a tenth", TRAINING
     )
+    hash_learning_rate: float = _setting(
+        3e-3,
+        "stage 2: initial learning rate of the hash grid, of which few pixels reach each entry (paper: 1e-3)",
+        TRAINING,
+    )
+    lambda_emission: float = _setting(1.0, "weight of l_e, the L1 norm of the emission mask", TRAINING)
+    lambda_diffuse: float = _setting(5e-4, "weight of l_d, the preference for diffuse surfaces", TRAINING)
     residual_degrees: float = _setting(
         3.0,
         "closed form of roughness and metallic: degrees of freedom of the residuals' t-distribution; fewer"
@@ -137,6 +144,20 @@ class Settings:
     prior_weight: float = _setting(
         1.0, "closed form: weight of a prior over materials, as a number of parts that follow it", ESTIMATE
     )
+    lambda_part: float = _setting(
+        5e-2,
+        "weight of l_p with part masks, towards the closed form (paper: 5e-3, towards the mean of a batch)",
+        TRAINING,
+    )
+    lambda_semantic: float = _setting(1e-3, "weight of l_p with semantic masks", TRAINING)
+    sigma_albedo: float = _setting(
+        0.05 / 3.0, "semantic kernel: sigma_a, in base colour (authors' code; paper: 1.6e-2)", TRAINING
+    )
+    sigma_position: float = _setting(
+        0.3 / 3.0,
+        "semantic kernel: sigma_x, in edges of the cube around the room (authors' code; paper: 1e-2)",
+        TRAINING,
+    )
     hash_levels: int = _setting(32, "hash grid: levels; those finer than half a pixel are left out", TRAINING)
     hash_features: int = _setting(2, "hash grid: features per level", TRAINING)
     hash_log2_size: int = _setting(19, "hash grid: log2 of the entries per level", TRAINING)
@@ -150,8 +171,7 @@ class Settings:
 
     emission: str = _setting(
         "mask",
-        "mask: emitters are what reflection can't explain (paper: a mask that a network learns); joint: fit"
-        " emission together with base colour (ablation)",
+        "mask: find emitters by an emission mask; joint: fit emission together with base colour (ablation)",
         ESTIMATE,
     )
     lambda_joint: float = _setting(
@@ -161,6 +181,12 @@ class Settings:
     )
     joint_threshold: float = _setting(
         0.01, "joint emission: triangles of which it is less do not emit, in the same units", ESTIMATE
+    )
+    emitter_threshold: float = _setting(
+        0.01, "a triangle whose mean emission mask is above this may be an emitter", TRAINING
+    )
+    emitter_samples: int = _setting(
+        100, "positions per triangle at which the emission mask is sampled", TRAINING
     )
     environment_width: int = _setting(256, "width of the estimated environment map in pixels", SHADINGS)
 
@@ -179,7 +205,7 @@ class Settings:
 
 PRESETS: dict[str, dict[str, Value]] = {
     "draft": {
-        "training_steps": 450,
+        "training_steps": 250,
         "batch_size": 4096,
     },
     "medium": {},
@@ -294,6 +320,10 @@ _MAY_BE_ZERO = {
     "seed",
     "rounds",
     "lambda_joint",
+    "lambda_diffuse",
+    "lambda_emission",
+    "lambda_part",
+    "lambda_semantic",
     "joint_threshold",
     "brdf_depth",
 }

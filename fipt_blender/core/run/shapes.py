@@ -272,7 +272,6 @@ FIELDS_ARRAYS: dict[str, Layout] = {
     "seen_keys": ("i", ("C",)),
     "seen_points": ("f", ("C", 3)),
     "seen_part": ("i", ("C",)),
-    "seen_materials": ("f", ("C", 2)),
     "seen_errors": ("f", ("C", 3)),
 }
 PARTS_ARRAYS: dict[str, Layout] = {"triangle_part": ("i", ("T",)), "single": ("b", ("U",))}

@@ -1,27 +1,13 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""All terms of the paper's loss (Eq. 15 to 20), for the reference of the speed benchmark.
-
-The product fits base colour alone: roughness, metallic and emission have a closed form there.
-"""
+"""The factorised rendering and all terms of the loss (paper Eq. 5, 8 and 15 to 20)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 
-from fipt_blender.core.material.training import tone_map
-from fipt_blender.core.optics import factorised
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Output of MLP_brdf at N points: (N, 3) base colour, (N,) roughness and (N,) metallic."""
-
-    base_color: torch.Tensor
-    roughness: torch.Tensor
-    metallic: torch.Tensor
+from ..optics import factorised
+from .networks import Prediction
 
 
 def interpolate_specular(
@@ -51,6 +37,21 @@ def reflectances(prediction: Prediction) -> tuple[torch.Tensor, torch.Tensor]:
     return factorised.diffuse_reflectance(color, metallic), factorised.specular_reflectance(color, metallic)
 
 
+def factorised_rendering(
+    prediction: Prediction, diffuse: torch.Tensor, specular: torch.Tensor, levels: torch.Tensor
+) -> torch.Tensor:
+    """L_r = kd L_d + ks L_s0 + L_s1 (paper Eq. 5), (N, 3)."""
+    kd, ks = reflectances(prediction)
+    s0, s1 = interpolate_specular(specular, prediction.roughness, levels)
+    return factorised.reflected_radiance(kd, ks, diffuse, s0, s1)
+
+
+def tone_map(radiance: torch.Tensor) -> torch.Tensor:
+    """The tone mapping of Munkberg et al. 2022: the sRGB transfer function of log(1 + x)."""
+    x = torch.log1p(radiance.clamp_min(0.0))
+    return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x.clamp_min(1e-7) ** (1.0 / 2.4) - 0.055)
+
+
 def rendering_loss(rendered: torch.Tensor, alpha: torch.Tensor, photographed: torch.Tensor) -> torch.Tensor:
     """Tone-mapped L2 with the emission mask (paper Eq. 15), mean over pixels.
 
@@ -70,6 +71,22 @@ def emission_loss(raw: torch.Tensor) -> torch.Tensor:
 def diffuse_loss(prediction: Prediction) -> torch.Tensor:
     """l_d without its weight: mean |1 - sigma| + |m| (paper Eq. 17)."""
     return ((1.0 - prediction.roughness).abs() + prediction.metallic.abs()).mean()
+
+
+def part_loss(
+    prediction: Prediction, roughness: torch.Tensor, metallic: torch.Tensor, known: torch.Tensor
+) -> torch.Tensor:
+    """l_p without its weight: L1 distance of roughness and metallic from those of the part (paper Eq. 18).
+
+    The paper's sigma' and m' are means over the part's pixels in the batch, weighted by highlights (Eq. 19).
+    Here they are the part's closed-form estimate, to which all its pixels contribute.
+
+    Args:
+        roughness, metallic: (N,) sigma' and m'.
+        known: (N,) bool, whether a pixel belongs to a part.
+    """
+    distance = (prediction.roughness - roughness).abs() + (prediction.metallic - metallic).abs()
+    return (distance * known).mean()
 
 
 def semantic_loss(

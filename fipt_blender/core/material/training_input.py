@@ -1,19 +1,21 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The groups of pixels that share one material: parts, or what takes their place, and their materials."""
+"""The input of stage 2: the pixels to train on, and the closed-form estimate at a sample of them."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
 from ..light.baking import ShadingStore
 from ..light.cache import SIDES
 from ..light.observations import Observations
+from ..optics.factorised import color_line
 from ..run.settings import Settings
 from ..scene.grouped import numbered
 from ..scene.labels import Parts
 from ..scene.pixels import PixelStore, open_array
-from .closed_form import CellEstimate, fit_cells
 from .groups import (
     LEAST_PIXELS,
     MOST_GROUPS,
@@ -27,15 +29,16 @@ from .groups import (
 )
 from .hints import NO_HINT, SurfaceHints, values_of_hints
 from .mixture import infer_materials
-from .pixel_samples import GroupedPixels, GroupMaterials, PixelSamples, rows_with_donor, window_means
-from .projection import constant_groups
+from .pixel_samples import PixelSamples, read_samples, rows_with_donor, window_means
+from .projection import RADIANCE_FLOOR, InitialEstimate, project
+from .training import TrainingData
 
-# Pixels of which roughness and metallic are estimated; more change only the time.
-MOST_PIXELS = 600_000
+# Pixels of which base colours are estimated; more change only the time.
+PROJECTION_PIXELS = 600_000
 # Groups with fewer pure pixels use their mixed ones too.
 FEW_PIXELS = 30
 # About so many pixels of larger groups determine roughness and metallic; fewer if those of all groups would
-# exceed `MOST_PIXELS`.
+# exceed `PROJECTION_PIXELS`.
 GROUP_PIXELS = 50_000
 # Steps of a Kronecker sequence along three axes and the sides: powers of the root of x^5 = x + 1.
 KRONECKER = 1.1673039782614187 ** -np.arange(1.0, 5.0)
@@ -47,49 +50,74 @@ WIDE_CELL = 2
 NORMAL_STEP = 0.2
 
 
-def group_pixels(
+def training_input(
     observations: Observations,
     pieces: np.ndarray | None,
     shadings: ShadingStore,
     levels: np.ndarray,
+    normalise: Callable[[np.ndarray], np.ndarray],
     settings: Settings,
     hints: SurfaceHints | None = None,
-) -> GroupedPixels:
-    """The groups of all pixels, with the closed-form estimate of their roughness and metallic.
+) -> tuple[TrainingData, InitialEstimate]:
+    """The data to train on, and the closed-form estimate at a sample of its pixels.
 
     Args:
         pieces: (T,) int connected piece of each triangle; None where parts are known.
-        shadings: of all pixels at the roughness `levels` (K,).
         hints: what the artist knows; the parts of the observations are divided by them.
+        shadings: of all pixels at the roughness `levels` (K,).
+        normalise: maps world positions to the unit cube.
     """
     pixels = observations.pixels
+    rows = _sample_rows(pixels, observations.donor, np.random.default_rng([settings.seed, 2]))
     group, color = observations.part, np.zeros((0, 3))
     groups = int(observations.parts.triangle_part.max(initial=-1)) + 1
     if pieces is not None:
-        color = _diffuse_colors(observations, shadings, levels)
+        color = _diffuse_colors(observations, shadings)
         group, groups = _assign_groups(observations, pieces, color, None if hints is None else hints.triangle)
     known = None
     if hints is not None:
         groups += 0 if pieces is None else len(hints.names)
         known = hints.known(groups_of_hints(hints, observations.parts, groups), groups)
+    pure = np.asarray(pixels.pure)
     start = np.random.default_rng([settings.seed, 5]).random()
-    rows, cell = _wide_rows(observations, group, groups, start)
+    wide_rows, wide_cell = _wide_rows(observations, group, groups, start)
     arrays = (pixels.own, shadings.diffuse, shadings.specular)
     widths = np.array([view.width for view in pixels.views])
-    means = window_means(arrays, rows, np.asarray(pixels.pure), group, pixels.ranges, widths)
-    radiance, diffuse, specular = means
-    view, weight = pixels.view_of(rows), np.asarray(pixels.weight[rows])
-    samples = PixelSamples(rows, radiance, diffuse, specular, levels, cell, group[rows], view, weight)
-    alike, constant = None, np.zeros(groups, bool)
-    if pieces is None:
-        # Other groups may hold pixels of a lamp and of a wall of one colour.
-        constant = constant_groups(radiance.mean(axis=1), diffuse.mean(axis=1), samples.group, groups)
-    else:
-        entry = observations.entry[rows]
-        alike = _similarity(samples.group, groups, observations.part[rows], color[entry])
-    light_cell = _light_cells(observations, rows)
-    materials = infer_materials(samples, groups, light_cell, settings, alike, known)
-    return GroupedPixels(observations, shadings, levels, group, materials, constant)
+    radiance, diffuse, specular = window_means(arrays, wide_rows, pure, group, pixels.ranges, widths)
+    view = pixels.view_of(wide_rows)
+    weight = np.asarray(pixels.weight[wide_rows])
+    wide = PixelSamples(
+        wide_rows, radiance, diffuse, specular, levels, wide_cell, group[wide_rows], view, weight
+    )
+    alike = None
+    if pieces is not None:
+        alike = _similarity(wide.group, observations.part[wide_rows], color[observations.entry[wide_rows]])
+    materials = infer_materials(wide, _light_cells(observations, wide_rows), settings, alike, known)
+    materials = materials.padded(groups)
+    if known is not None:
+        materials = materials.within(known)
+    roughness, metallic = materials.roughness, materials.metallic
+    errors = np.column_stack([materials.roughness_error, materials.metallic_error])
+    cell = np.asarray(observations.entry[rows], np.int64)
+    samples = read_samples(pixels, shadings, levels, rows, cell, group[rows])
+    estimate = project(samples, roughness, metallic, known_parts=pieces is None)
+    data = TrainingData(
+        pool=observations.pool,
+        donor=observations.donor,
+        position=pixels.position,
+        radiance=pixels.own,
+        label=observations.part,
+        group=group,
+        diffuse=shadings.diffuse,
+        specular=shadings.specular,
+        levels=levels,
+        semantic=observations.parts.kind == "semantic",
+        group_roughness=roughness,
+        group_metallic=metallic,
+        group_errors=errors,
+        normalise=normalise,
+    )
+    return data, estimate
 
 
 def groups_of_hints(hints: SurfaceHints, parts: Parts, groups: int) -> np.ndarray:
@@ -99,32 +127,57 @@ def groups_of_hints(hints: SurfaceHints, parts: Parts, groups: int) -> np.ndarra
     return groups - len(hints.names) + np.arange(len(hints.names))
 
 
-def hinted_units(units: Units, parts: Parts, hints: SurfaceHints, materials: GroupMaterials) -> Units:
+def hinted_units(
+    units: Units, parts: Parts, hints: SurfaceHints, roughness: np.ndarray, metallic: np.ndarray
+) -> Units:
     """Units divided by hints, with the values of those of which the hints know something.
 
     Args:
         units: without the hints on triangles of their own, where parts are not known.
         parts: divided by the hints.
-        materials: of the groups.
+        roughness, metallic: (G,) of the groups.
     """
     triangle, single = units.triangle, units.single
     if parts.kind != "part":
         triangle = hints.split(triangle, len(single))
         single = np.append(single, np.ones(int(hints.own.sum()), bool))
-    group = groups_of_hints(hints, parts, len(materials.mean))
+    group = groups_of_hints(hints, parts, len(roughness))
     fixed = np.full((len(single), 2), np.nan, np.float32)
     unit = values_of_hints(hints, triangle)
     chosen = (unit >= 0) & (group >= 0) & hints.about_material & ~hints.left_alone
-    fixed[unit[chosen]] = materials.mean[group[chosen]]
+    fixed[unit[chosen], 0], fixed[unit[chosen], 1] = roughness[group[chosen]], metallic[group[chosen]]
     return Units(triangle, single, fixed)
 
 
-def material_units(data: GroupedPixels, cells: CellEstimate, pieces: np.ndarray | None) -> Units:
-    """Units of the mesh by the groups of :func:`group_pixels`; `pieces` as there."""
-    parts = data.observations.parts
+def material_units(observations: Observations, pieces: np.ndarray | None, data: TrainingData) -> Units:
+    """Units of the mesh by the groups of :func:`training_input`; `pieces` as there."""
     if pieces is None:
-        return part_units(parts)
-    return piece_units(parts, pieces, cells.triangle, cells.group, cells.pixels, data.materials.mean)
+        return part_units(observations.parts)
+    pixels, groups = observations.pixels, len(data.group_roughness)
+    keys, count = np.zeros(0, np.int64), np.zeros(0, np.int64)
+    for view in range(len(pixels.views)):
+        rows = rows_with_donor(pixels, data.donor, view)
+        key = pixels.triangle[rows] * np.int64(groups + 1) + data.group[rows] + 1
+        keys, count = _add_counts(keys, count, key)
+    triangle, group = np.divmod(keys, groups + 1)
+    return piece_units(
+        observations.parts, pieces, triangle, group - 1, count, data.group_roughness, data.group_metallic
+    )
+
+
+def _add_counts(keys: np.ndarray, count: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(K,) ascending keys and their (K,) counts, after the values (n,) have been added to them."""
+    new_keys, new_count = np.unique(values, return_counts=True)
+    keys, place = np.unique(np.concatenate([keys, new_keys]), return_inverse=True)
+    return keys, np.bincount(place, np.concatenate([count, new_count])).astype(np.int64)
+
+
+def _sample_rows(pixels: PixelStore, donor: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(M,) int64 pixels that are their own donor: all, or a random sample of about PROJECTION_PIXELS."""
+    views = range(len(pixels.views))
+    share = PROJECTION_PIXELS / max(sum(len(_own_donors(pixels, donor, view)) for view in views), 1)
+    found = (_own_donors(pixels, donor, view) for view in views)
+    return np.concatenate([rows if share >= 1.0 else rows[rng.random(len(rows)) < share] for rows in found])
 
 
 def _own_donors(pixels: PixelStore, donor: np.ndarray, view: int) -> np.ndarray:
@@ -133,14 +186,22 @@ def _own_donors(pixels: PixelStore, donor: np.ndarray, view: int) -> np.ndarray:
     return np.flatnonzero(donor[rows] == np.arange(rows.start, rows.stop)) + rows.start
 
 
-def _diffuse_colors(observations: Observations, shadings: ShadingStore, levels: np.ndarray) -> np.ndarray:
+def _diffuse_colors(observations: Observations, shadings: ShadingStore) -> np.ndarray:
     """(M * 6, 3) least-squares base colour of each cache entry from all its pixels, taken as diffuse."""
-    none = np.broadcast_to(np.int32(NO_GROUP), len(observations.pixels))
-    nothing = GroupMaterials(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32))
-    cells, _ = fit_cells(GroupedPixels(observations, shadings, levels, none, nothing, np.zeros(0, bool)))
-    colors = np.zeros((len(observations.grid.voxels) * SIDES, 3))
-    colors[cells.entry] = cells.color
-    return colors
+    pixels, entries = observations.pixels, len(observations.grid.voxels) * SIDES
+    top, bottom = np.zeros((entries, 3)), np.zeros((entries, 3))
+    for view in range(len(pixels.views)):
+        rows = rows_with_donor(pixels, observations.donor, view)
+        radiance, diffuse, roughest = (
+            np.asarray(array, np.float32)
+            for array in (pixels.own[rows], shadings.diffuse[rows], shadings.specular[rows, -1])
+        )
+        slope, offset = color_line(diffuse, roughest[:, 0], roughest[:, 1], 0.0)
+        weight = slope * pixels.weight[rows, None] / (radiance + RADIANCE_FLOOR) ** 2
+        used, place = np.unique(observations.entry[rows], return_inverse=True)
+        for total, values in ((top, weight * (radiance - offset)), (bottom, weight * slope)):
+            total[used] += np.stack([np.bincount(place, column) for column in values.T], axis=1)
+    return np.clip(top / np.maximum(bottom, 1e-12), 0.0, 1.0)
 
 
 def _assign_groups(
@@ -166,7 +227,7 @@ def _assign_groups(
 
     def combinations(view: int) -> tuple[np.ndarray, np.ndarray]:
         """Pixels of a view with a donor and no hint, and a key for the label, piece and colour of each."""
-        rows = rows_with_donor(observations, view)
+        rows = rows_with_donor(pixels, observations.donor, view)
         rows = rows[of_triangle[pixels.triangle[rows]] < 0]
         columns = (
             observations.part[rows] + 1,
@@ -177,9 +238,7 @@ def _assign_groups(
 
     keys, count = np.zeros(0, np.int64), np.zeros(0, np.int64)
     for view in range(len(pixels.views)):
-        new, number = np.unique(combinations(view)[1], return_counts=True)
-        keys, place = np.unique(np.concatenate([keys, new]), return_inverse=True)
-        count = np.bincount(place, np.concatenate([count, number])).astype(np.int64)
+        keys, count = _add_counts(keys, count, combinations(view)[1])
     label_of_key, piece, color_of_key = np.unravel_index(keys, shape)
     least = max(LEAST_PIXELS, int(count.sum()) // MOST_GROUPS)
     group_of_key = material_groups(label_of_key, piece, color_of_key, count, least)
@@ -190,20 +249,20 @@ def _assign_groups(
         rows, key = combinations(view)
         of_view[rows - pixels.ranges[view]] = group_of_key[np.searchsorted(keys, key)]
         if hint is not None:
-            rows = rows_with_donor(observations, view)
+            rows = rows_with_donor(pixels, observations.donor, view)
             rows = rows[hint[pixels.triangle[rows]] >= 0]
             of_view[rows - pixels.ranges[view]] = groups + hint[pixels.triangle[rows]]
         group[pixels.rows(view)] = of_view
     return group, groups
 
 
-def _similarity(group: np.ndarray, groups: int, label: np.ndarray, color: np.ndarray) -> np.ndarray:
+def _similarity(group: np.ndarray, label: np.ndarray, color: np.ndarray) -> np.ndarray:
     """(G, G) similarity of the groups of pixels (M,) with classes (M,) and base colours (M, 3)."""
-    count = np.maximum(np.bincount(group, minlength=groups), 1)
+    count = np.maximum(np.bincount(group), 1)
     label_of_group = np.zeros(len(count), np.int64)
     label_of_group[group] = label
-    sums = [np.bincount(group, column, minlength=groups) for column in color.T]
-    return similarity(label_of_group, np.stack(sums, axis=1) / count[:, None])
+    mean_color = np.stack([np.bincount(group, column) / count for column in color.T], axis=1)
+    return similarity(label_of_group, mean_color)
 
 
 def _wide_rows(
@@ -247,11 +306,11 @@ def _wide_rows(
 def most_of_each(count: np.ndarray) -> float:
     """The number of pixels up to which each group is used, of which it has so many (G,).
 
-    It is the largest up to `GROUP_PIXELS` with which all together use at most `MOST_PIXELS`.
+    It is the largest up to `GROUP_PIXELS` with which all together use at most `PROJECTION_PIXELS`.
     """
     ascending = np.sort(count)
     before = np.cumsum(ascending) - ascending
-    limits = (MOST_PIXELS - before) / np.arange(len(count), 0, -1)
+    limits = (PROJECTION_PIXELS - before) / np.arange(len(count), 0, -1)
     exceeded = ascending > limits
     return float(min(GROUP_PIXELS, limits[exceeded][0])) if exceeded.any() else float(GROUP_PIXELS)
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The paper's emission mask (Eq. 12 to 14) and the triangles that it marks (Sec. 4.4), for speed.py."""
+"""The emission mask of stage 2 (paper Eq. 12 to 14), and the triangles that it marks (Sec. 4.4)."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from fipt_blender.core.material.inference import CHUNK
-from fipt_blender.core.material.networks import linear
-from fipt_blender.core.material.seen import Box
-from fipt_blender.core.scene.room import Room
+from ..scene.room import Room
+from .inference import CHUNK
+from .networks import linear
+from .seen import Box
 
 
 class EmissionNetwork(torch.nn.Module):
