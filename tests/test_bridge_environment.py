@@ -92,6 +92,21 @@ def make_plan(tmp_path: Path, **changes: object) -> Plan:
     return Plan(**{**values, **changes})
 
 
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A virtual environment with pip alone, which takes seconds to make."""
+    folder = tmp_path_factory.mktemp("bare")
+    environment.make_environment(make_plan(folder))
+    return folder / "env"
+
+
+@pytest.fixture
+def made(bare: Path, tmp_path: Path) -> None:
+    """The environment of `make_plan` is there, and set-up does not make it anew; it has no packages yet."""
+    shutil.copytree(bare, tmp_path / "env", symlinks=True)
+    (tmp_path / "env" / pins.STAMP_NAME).write_text(json.dumps({"installed": True}))
+
+
 @pytest.fixture
 def device_works(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replace the engine's check by one that finds an LLVM, as these environments contain no engine."""
@@ -228,7 +243,7 @@ def locked(wheel: Path, digest: str = "") -> str:
 
 
 def test_locked_packages_are_installed_only_with_the_hashes_of_the_lock(
-    tmp_path: Path, device_works: None
+    tmp_path: Path, device_works: None, made: None
 ) -> None:
     tiny = make_wheel(tmp_path / "wheels", "fipttiny", "1.0")
     other = make_wheel(tmp_path / "wheels", "fiptother", "2.0")
@@ -243,7 +258,7 @@ def test_locked_packages_are_installed_only_with_the_hashes_of_the_lock(
     assert listener.fractions == sorted(listener.fractions)
 
 
-def test_a_source_archive_is_never_built(tmp_path: Path) -> None:
+def test_a_source_archive_is_never_built(tmp_path: Path, made: None) -> None:
     (tmp_path / "wheels").mkdir()
     with tarfile.open(tmp_path / "wheels" / "fipttiny-1.0.tar.gz", "w:gz") as archive:
         code = f"open({str(tmp_path / 'ran')!r}, 'w')".encode()
@@ -256,7 +271,7 @@ def test_a_source_archive_is_never_built(tmp_path: Path) -> None:
 
 
 def test_a_large_build_is_asked_for_before_it_is_downloaded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device_works: None
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device_works: None, made: None
 ) -> None:
     """PyTorch's own site can't be reached, and the package index has the build with CUDA alone."""
     wheels = tmp_path / "wheels"
