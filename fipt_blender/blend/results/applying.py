@@ -19,7 +19,7 @@ from ...bridge.process import Message
 from ...core.run.arrays import read_arrays
 from ...core.run.errors import FiptError
 from ...core.run.parts import read_parts
-from ...core.run.run_files import read_atlas, read_emitters, read_geometry, read_left_alone
+from ...core.run.run_files import read_atlas, read_emitters, read_left_alone, read_outlined
 from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import CORNER_FIELDS_ARRAYS
 from ..lights import fixtures
@@ -235,7 +235,7 @@ def _cleaned_scan(run: RunFolder, room: Room) -> dict[str, np.ndarray] | None:
     """The cleaned copy of the run's scan, None where the mesh is no scan or the scan is to be kept."""
     if not run.read().clean_mesh:
         return None
-    return read_geometry(run, {"vertices": room.vertices, "triangles": room.triangles})
+    return read_outlined(run, {"vertices": room.vertices, "triangles": room.triangles})
 
 
 def _read_corner_fields(path: Path, count: int) -> dict[str, np.ndarray]:

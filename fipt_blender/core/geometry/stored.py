@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..run.run_files import mesh_digest, read_geometry, read_room_files
+from ..run.run_files import mesh_digest, read_geometry, read_outlined, read_room_files
 from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
 from .clean import CleanMesh, clean_mesh
 
@@ -52,13 +52,16 @@ def store_geometry(run: RunFolder, arrays: dict[str, np.ndarray], cleaned: Clean
         )
 
 
-def stored_geometry(run: RunFolder, arrays: dict[str, np.ndarray]) -> CleanMesh | None:
+def stored_geometry(
+    run: RunFolder, arrays: dict[str, np.ndarray], outlined: bool = False
+) -> CleanMesh | None:
     """The cleaned copy of the run's mesh, None where there is none for it.
 
     Args:
         arrays: content of room.npz.
+        outlined: with its vertices on the outlines that masks show, where these are known.
     """
-    stored = read_geometry(run, arrays)
+    stored = read_outlined(run, arrays) if outlined else read_geometry(run, arrays)
     if stored is None:
         return None
     noise = float(stored["noise"])

@@ -25,6 +25,7 @@ from .shapes import (
     EMITTERS,
     GEOMETRY_ARRAYS,
     LEFT_ALONE_ARRAYS,
+    OUTLINES_ARRAYS,
     PANES_ARRAYS,
     ROOM,
     ROOM_ARRAYS,
@@ -190,12 +191,41 @@ def read_geometry(run: RunFolder, arrays: Mapping[str, np.ndarray]) -> dict[str,
     return stored if fits and np.array_equal(stored["source"], mesh_digest(arrays)) else None
 
 
+def read_outlined(run: RunFolder, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray] | None:
+    """geometry.npz with the vertices of outlines.npz, if these were made of it; None where the first is not.
+
+    Args:
+        run: the run folder.
+        arrays: the room's vertices and triangles.
+    """
+    cleaned = read_geometry(run, arrays)
+    outlines = None if cleaned is None else read_outlines(run, cleaned["vertices"])
+    return cleaned if cleaned is None or outlines is None else {**cleaned, "vertices": outlines["vertices"]}
+
+
+def read_outlines(run: RunFolder, cleaned: np.ndarray) -> dict[str, np.ndarray] | None:
+    """outlines.npz, None where there is none that was made of these vertices (V, 3) of geometry.npz."""
+    if not run.outlines_npz.exists():
+        return None
+    try:
+        stored = read_arrays(run.outlines_npz, OUTLINES_ARRAYS)
+    except FiptError:
+        return None
+    fits = stored["vertices"].shape == cleaned.shape and bool(np.isfinite(stored["vertices"]).all())
+    return stored if fits and np.array_equal(stored["cleaned"], array_digest(cleaned)) else None
+
+
+def array_digest(*arrays: np.ndarray) -> np.ndarray:
+    """(32,) uint8 that tells the content of arrays apart."""
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return np.frombuffer(digest.digest(), np.uint8)
+
+
 def mesh_digest(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
     """(32,) uint8 that tells meshes apart, by their vertices and triangles."""
-    digest = hashlib.sha256()
-    for name, kind in (("vertices", np.float32), ("triangles", np.int32)):
-        digest.update(np.ascontiguousarray(arrays[name], kind).tobytes())
-    return np.frombuffer(digest.digest(), np.uint8)
+    return array_digest(arrays["vertices"].astype(np.float32), arrays["triangles"].astype(np.int32))
 
 
 def _within(values: np.ndarray, low: int, end: int) -> bool:

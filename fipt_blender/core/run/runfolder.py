@@ -44,6 +44,7 @@ class RunFolder:
         self.room_json = self.root / "room.json"
         self.geometry_npz = self.root / "geometry.npz"
         self.panes_npz = self.root / "panes.npz"
+        self.outlines_npz = self.root / "outlines.npz"
         self.hints_json = self.root / "hints.json"
         self.hints_again_json = self.root / "hints_again.json"
         self.stage = self.root / "stage"

@@ -251,6 +251,11 @@ GEOMETRY_ARRAYS: dict[str, Layout] = {
     "noise": ("f", ()),
     "source": ("i", (32,)),
 }
+OUTLINES_ARRAYS: dict[str, Layout] = {
+    "vertices": ("f", ("V", 3)),
+    "cleaned": ("i", (32,)),
+    "masks": ("i", (32,)),
+}
 PANES_ARRAYS: dict[str, Layout] = {
     "vertices": ("f", ("V", 3)),
     "triangles": ("i", ("T", 3)),

@@ -189,7 +189,7 @@ def load_room(run: RunFolder) -> Room:
     if not run.room_npz.exists():
         raise FiptError("mesh-missing", f"{run.room_npz} does not exist.", "Export the room's mesh first.")
     arrays, names = read_room_files(run, "mesh-damaged")
-    scan = stored_geometry(run, arrays)
+    scan = stored_geometry(run, arrays, outlined=True)
     if scan is not None:
         arrays |= {"vertices": scan.vertices, "corner_normals": scan.corner_normals}
     room = Room(

@@ -1,0 +1,151 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How far the outlines of parts on a scan lie off the borders of the photographs' masks, view by view."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mitsuba as mi
+import numpy as np
+from scipy.ndimage import distance_transform_edt, map_coordinates
+
+from ..capture.views import View
+from .camera_rays import opaque_vector
+from .room import Room
+
+# Outlines of mesh and mask that are farther apart, in pixels, are not the same.
+REACH = 2.0
+# Pixels around, beyond that reach, in which vertices are looked for.
+_MARGIN = 2.0
+# Least slope of the distance from a border, in pixels per pixel; it is less in the middle of thin parts.
+_LEAST_SLOPE = 0.5
+# What is closer in front of a vertex, in edges of the mesh or pixels, does not hide it.
+_BEFORE_EDGES, _BEFORE_PIXELS = 2.0, 1.0
+
+
+@dataclass(frozen=True)
+class Misses:
+    """How far outlines lie off those of the masks, N times a vertex in a view.
+
+    Attributes:
+        vertex: (N,) int64.
+        gradient: (N, 3) pixels per metre by which a move of the vertex changes the miss.
+        pixels: (N,) signed miss; positive inside the mask's part.
+    """
+
+    vertex: np.ndarray
+    gradient: np.ndarray
+    pixels: np.ndarray
+
+
+def joined(found: Sequence[Misses]) -> Misses:
+    columns = ([getattr(each, name) for each in found] for name in ("vertex", "gradient", "pixels"))
+    return Misses(*(np.concatenate(column) for column in columns))
+
+
+def find_misses(room: Room, label: np.ndarray, view: View, mask: np.ndarray, edge: float) -> Misses:
+    """The misses of one view.
+
+    A vertex is on the outline of its part if the mesh shows the part on the one side of it and something else
+    on the other, across the nearest border of the part's mask.
+
+    Args:
+        room: its coincident vertices are one.
+        label: (T,) id of each triangle, 0 without one.
+        mask: (H, W) ids of the view.
+        edge: of the mesh, metres.
+    """
+    places = room.vertices.astype(np.float64)
+    pose = np.asarray(view.camera_to_world, np.float64)
+    local = (places - pose[:3, 3]) @ pose[:3, :3]
+    depth = np.where(local[:, 2] > 0.0, local[:, 2], np.inf)
+    focal = np.array([view.fx, view.fy])
+    place = local[:, :2] / depth[:, None] * focal + (view.cx, view.cy)
+    inside = (local[:, 2] > 0.0) & ((place > 1.0) & (place < (view.width - 1.0, view.height - 1.0))).all(
+        axis=1
+    )
+    column, row = np.where(inside[:, None], place, 0.0).astype(np.int64).T
+    inside &= _near_borders(mask)[row, column]
+    vertex, part = _labels_of(room.triangles.astype(np.int64), label, inside)
+    off, inward = np.zeros(len(vertex)), np.zeros((len(vertex), 2))
+    near = np.zeros(len(vertex), bool)
+    for number in np.intersect1d(part, mask):
+        own = part == number
+        distance, slope = _sampled(_signed_distance(mask == number), place[vertex[own]])
+        length = np.maximum(np.linalg.norm(slope, axis=1), 1e-9)
+        near[own] = (np.abs(distance) < REACH) & (length > _LEAST_SLOPE)
+        off[own], inward[own] = distance / length, slope / length[:, None]
+    vertex, part, off, inward = vertex[near], part[near], off[near], inward[near]
+    step = np.maximum(1.0, edge * min(view.fx, view.fy) / depth[vertex])[:, None] * inward
+    here, beyond = (_shown(room, label, view, place[vertex] + shift) for shift in (step, -step))
+    kept = (here == part) & (beyond != part) & _visible(room, view, places[vertex], edge)
+    vertex, off, inward = vertex[kept], off[kept], inward[kept]
+    # Derivative of the pixel by the place in the camera's axes.
+    scaled = inward * focal / depth[vertex, None]
+    along = -(scaled * local[vertex, :2]).sum(axis=1) / depth[vertex]
+    gradient = np.concatenate([scaled, along[:, None]], axis=1) @ pose[:3, :3].T
+    return Misses(vertex, gradient, off)
+
+
+def _near_borders(mask: np.ndarray) -> np.ndarray:
+    """(H, W) bool, pixels within reach of a border of the mask."""
+    border = np.zeros(mask.shape, bool)
+    border[:, 1:] |= mask[:, 1:] != mask[:, :-1]
+    border[1:] |= mask[1:] != mask[:-1]
+    return np.asarray(distance_transform_edt(~border) < REACH + _MARGIN) if border.any() else border
+
+
+def _labels_of(triangles: np.ndarray, label: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The chosen vertices (V,) bool with each id of the triangles around them: (N,) vertices, (N,) ids."""
+    used = (chosen[triangles] & (label > 0)[:, None]).reshape(-1)
+    ids = int(label.max(initial=0)) + 1
+    vertex, part = np.divmod(np.unique(triangles.reshape(-1)[used] * ids + np.repeat(label, 3)[used]), ids)
+    return vertex, part
+
+
+def _signed_distance(inside: np.ndarray) -> np.ndarray:
+    """(H, W) pixels between each pixel's centre and the border, which lies half way; positive inside."""
+    return np.asarray(
+        np.where(inside, distance_transform_edt(inside) - 0.5, 0.5 - distance_transform_edt(~inside))
+    )
+
+
+def _sampled(field: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Value (N,) and slope (N, 2) per pixel in x and y of a field at places (N, 2)."""
+    at = place[:, ::-1].T - 0.5
+    down, across = np.gradient(field)
+    value, x, y = (map_coordinates(each, at, order=1, mode="nearest") for each in (field, across, down))
+    return value, np.stack([x, y], axis=1)
+
+
+def _shown(room: Room, label: np.ndarray, view: View, place: np.ndarray) -> np.ndarray:
+    """(N,) id of what the mesh shows at places (N, 2) in a view, 0 for none."""
+    x, y = ((place - (view.cx, view.cy)) / (view.fx, view.fy)).T
+    direction = np.stack([x, y, np.ones_like(x)], axis=1) @ np.asarray(view.camera_to_world)[:3, :3].T
+    triangle = _first_hit(room, view, direction)[0]
+    return np.where(triangle >= 0, label[triangle], 0)
+
+
+def _visible(room: Room, view: View, places: np.ndarray, edge: float) -> np.ndarray:
+    """(N,) bool, whether nothing of the mesh is in front of places (N, 3), but for two edges or a pixel."""
+    direction = places - np.asarray(view.camera_to_world)[:3, 3]
+    distance = np.linalg.norm(direction, axis=1)
+    reached = _first_hit(room, view, direction)[1]
+    return np.asarray(
+        reached
+        > distance - np.maximum(_BEFORE_EDGES * edge, _BEFORE_PIXELS * distance / min(view.fx, view.fy))
+    )
+
+
+def _first_hit(room: Room, view: View, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) triangle, -1 for none, and (N,) distance in metres along directions (N, 3) from the camera."""
+    unit = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
+    if not len(unit):
+        return np.zeros(0, np.int64), np.zeros(0)
+    origin = opaque_vector(mi.Point3f, np.asarray(view.camera_to_world)[:3, 3])
+    surface = room.intersect(mi.Ray3f(origin, mi.Vector3f(*np.ascontiguousarray(unit.T, np.float32))))
+    valid = np.array(surface.valid)
+    triangle = np.where(valid, np.array(surface.triangle).astype(np.int64), -1)
+    return triangle, np.where(valid, np.array(surface.distance), np.inf)
