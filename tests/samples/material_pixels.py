@@ -56,5 +56,6 @@ def samples_of(
 
 def materials_of(samples: PixelSamples) -> tuple[np.ndarray, np.ndarray]:
     """Roughness and metallic of each part."""
-    found = infer_materials(samples, samples.cell, SETTINGS)
-    return found.roughness, found.metallic
+    groups = int(samples.group.max(initial=-1)) + 1
+    roughness, metallic = infer_materials(samples, groups, samples.cell, SETTINGS).mean.T
+    return roughness, metallic

@@ -44,13 +44,6 @@ class KnownMaterials:
         unknown = np.tile([0.0, 1.0], (groups, 1))
         return cls(unknown, unknown.copy(), np.arange(groups))
 
-    def first(self, groups: int) -> KnownMaterials:
-        """What is known of the first groups; those of one material may lose a member that no pixel shows."""
-        same = np.unique(self.same[:groups], return_inverse=True)[1].reshape(-1)
-        lowest = np.full(int(same.max(initial=-1)) + 1, groups)
-        np.minimum.at(lowest, same, np.arange(groups))
-        return KnownMaterials(self.roughness[:groups], self.metallic[:groups], lowest[same])
-
     def allows(self, roughness: np.ndarray, metallic: np.ndarray) -> np.ndarray:
         """(S, G) bool, whether each of the materials (S,) is possible.
 

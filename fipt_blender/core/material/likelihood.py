@@ -56,6 +56,7 @@ def make_candidates(levels: np.ndarray) -> Candidates:
 
 def group_log_likelihoods(
     samples: PixelSamples,
+    groups: int,
     light_cell: np.ndarray,
     prior: np.ndarray,
     settings: Settings,
@@ -72,7 +73,6 @@ def group_log_likelihoods(
         light_cell: (N,) int from 0, cell of one slope on which the same light falls in all views.
         prior: (S,) probability of each of :func:`make_candidates`, for views that tell nothing.
     """
-    groups = int(samples.group.max(initial=-1)) + 1
     candidates = make_candidates(samples.levels)
     used, light_cell = _comparable(samples, light_cell)
     if not len(used.rows):

@@ -28,38 +28,20 @@ ITERATIONS = 20
 
 @dataclass(frozen=True)
 class GroupMaterials:
-    """Posterior mean of each of G groups, and its standard deviation; (G,) float32 each."""
+    """Roughness and metallic of each of G groups.
 
-    roughness: np.ndarray
-    metallic: np.ndarray
-    roughness_error: np.ndarray
-    metallic_error: np.ndarray
+    Attributes:
+        mean: (G, 2) float32 posterior mean.
+        error: (G, 2) float32 posterior standard deviation.
+    """
 
-    def padded(self, groups: int) -> GroupMaterials:
-        """So many groups: those without a sampled pixel, at the end, are diffuse."""
-        missing = max(groups - len(self.roughness), 0)
-        filling = (1.0, 0.0, UNIFORM_DEVIATION, UNIFORM_DEVIATION)
-        values = (self.roughness, self.metallic, self.roughness_error, self.metallic_error)
-        return GroupMaterials(
-            *(np.pad(of, (0, missing), constant_values=to) for of, to in zip(values, filling, strict=True))
-        )
-
-    def within(self, known: KnownMaterials) -> GroupMaterials:
-        """With values within what is known, the same in groups of one material."""
-        moments = []
-        for mean, error, bounds in (
-            (self.roughness, self.roughness_error, known.roughness),
-            (self.metallic, self.metallic_error, known.metallic),
-        ):
-            low, high = bounds.T.astype(np.float32)
-            mean, error = mean[known.same], error[known.same]
-            moments.append((np.clip(mean, low, high), np.minimum(error, (high - low) * UNIFORM_DEVIATION)))
-        (roughness, roughness_error), (metallic, metallic_error) = moments
-        return GroupMaterials(roughness, metallic, roughness_error, metallic_error)
+    mean: np.ndarray
+    error: np.ndarray
 
 
 def infer_materials(
     samples: PixelSamples,
+    groups: int,
     light_cell: np.ndarray,
     settings: Settings,
     similarity: np.ndarray | None = None,
@@ -71,44 +53,32 @@ def infer_materials(
         samples: N pixels; radiance and shadings are best averaged over small windows
             (:func:`.pixel_samples.window_means`), because sharp lobes are noisier than wide ones. Cells are
             large enough that several views see them; pixels without a group are ignored.
+        groups: their number; those without pixels have the room's distribution.
         light_cell: (N,) int from 0, cell of one slope on which the same light falls.
         settings: `residual_degrees`, `pixels_per_sample`, `view_error`, `view_outliers`, `prior_weight`.
         similarity: (groups, groups) prior probability that two groups are of one material
             (:func:`.groups.similarity`); None where each group is known to be one material of its own.
-        known: what is known of the groups, of all that have pixels at least; None for nothing.
+        known: what is known of the groups; None for nothing.
     """
     candidates = make_candidates(samples.levels)
     broad = broad_prior(candidates)
-    likelihood = group_log_likelihoods(samples, light_cell, broad, settings)
-    if known is None:
-        posterior = group_posterior(likelihood, candidates, broad, settings.prior_weight, similarity)
-    else:
-        known = known.first(likelihood.shape[1])
-        posterior = _known_posterior(likelihood, candidates, settings.prior_weight, similarity, known)
-    moments = []
-    for values in (candidates.roughness, candidates.metallic):
-        mean = values @ posterior
-        moments.append((mean, np.sqrt(np.maximum(values**2 @ posterior - mean**2, 0.0))))
-    (roughness, roughness_error), (metallic, metallic_error) = moments
-    result = roughness, metallic, roughness_error, metallic_error
-    return GroupMaterials(*(values.astype(np.float32) for values in result))
-
-
-def _known_posterior(
-    log_likelihood: np.ndarray,
-    candidates: Candidates,
-    weight: float,
-    similarity: np.ndarray | None,
-    known: KnownMaterials,
-) -> np.ndarray:
-    """:func:`group_posterior` where something is known: groups of one material count as one."""
+    known = known or KnownMaterials.none(groups)
+    # Groups of one material count as one.
     lowest, member = np.unique(known.same, return_inverse=True)
-    joint = np.zeros((len(log_likelihood), len(lowest)))
-    np.add.at(joint.T, member.reshape(-1), log_likelihood.T)
+    likelihood = np.zeros((len(broad), len(lowest)))
+    found = group_log_likelihoods(samples, groups, light_cell, broad, settings)
+    np.add.at(likelihood.T, member.reshape(-1), found.T)
     alike = None if similarity is None else similarity[np.ix_(lowest, lowest)]
     allowed = known.allows(candidates.roughness, candidates.metallic)[:, lowest]
-    broad = broad_prior(candidates)
-    return group_posterior(joint, candidates, broad, weight, alike, allowed)[:, member.reshape(-1)]
+    posterior = group_posterior(likelihood, candidates, broad, settings.prior_weight, alike, allowed)
+    values = np.stack([candidates.roughness, candidates.metallic])
+    mean = (values @ posterior).T
+    error = np.sqrt(np.maximum((values**2 @ posterior).T - mean**2, 0.0))
+    mean, error = mean[member.reshape(-1)], error[member.reshape(-1)]
+    # The candidates next to a narrow range are allowed, too.
+    low, high = np.stack([known.roughness, known.metallic], axis=1).transpose(2, 0, 1)
+    mean, error = np.clip(mean, low, high), np.minimum(error, (high - low) * UNIFORM_DEVIATION)
+    return GroupMaterials(mean.astype(np.float32), error.astype(np.float32))
 
 
 def broad_prior(candidates: Candidates) -> np.ndarray:

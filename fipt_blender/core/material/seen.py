@@ -22,12 +22,8 @@ from .groups import Units
 RESOLUTION = 128
 # Cells along an axis with one more at each end, so that neighbours of the outermost cells have keys too.
 SIDE = RESOLUTION + 2
-# Number of seen points kept for the nearest-neighbour search, and of cells along the room's longest edge in
-# which unseen points share their nearest neighbour.
+# Number of seen points kept for the nearest-neighbour search.
 SEEN_POINTS = 4096
-SEARCH_CELLS = 64
-# Largest number of cells from the seen points to an unseen one, so that keys of cells fit into 64 bits.
-MOST_SEARCH_CELLS = 1 << 19
 CHUNK = 1 << 20
 
 
@@ -184,20 +180,6 @@ def fallback_values(positions: np.ndarray, part: np.ndarray, statistics: SeenSta
         unseen_part = statistics.parts[place] != part
         result[~unseen_part] = statistics.medians[place[~unseen_part]]
     if unseen_part.any():
-        result[unseen_part] = statistics.values[_nearest(positions[unseen_part], statistics.positions)]
+        nearest = cKDTree(statistics.positions).query(positions[unseen_part], workers=-1)[1]
+        result[unseen_part] = statistics.values[nearest]
     return result
-
-
-def _nearest(positions: np.ndarray, candidates: np.ndarray) -> np.ndarray:
-    """(N,) int index of the candidate (S, 3) nearest to the centre of each position's search cell."""
-    low = candidates.min(axis=0)
-    # Positions far from candidates that lie close together need larger cells, which can still be numbered.
-    reach = float(np.abs(positions - low).max())
-    size = max(float((candidates.max(axis=0) - low).max()) / SEARCH_CELLS, reach / MOST_SEARCH_CELLS, 1e-9)
-    cell = np.floor((positions - low) / size).astype(np.int64)
-    origin = cell.min(axis=0)
-    shape = cell.max(axis=0) - origin + 1
-    # One key per cell: sorting rows of three would take many times as long.
-    keys, inverse = np.unique(np.ravel_multi_index((cell - origin).T, shape), return_inverse=True)
-    centres = low + (np.stack(np.unravel_index(keys, shape), axis=1) + origin + 0.5) * size
-    return cKDTree(candidates).query(centres)[1][inverse.ravel()]

@@ -91,13 +91,11 @@ def training_input(
     )
     alike = None
     if pieces is not None:
-        alike = _similarity(wide.group, observations.part[wide_rows], color[observations.entry[wide_rows]])
-    materials = infer_materials(wide, _light_cells(observations, wide_rows), settings, alike, known)
-    materials = materials.padded(groups)
-    if known is not None:
-        materials = materials.within(known)
-    roughness, metallic = materials.roughness, materials.metallic
-    errors = np.column_stack([materials.roughness_error, materials.metallic_error])
+        alike = _similarity(
+            wide.group, groups, observations.part[wide_rows], color[observations.entry[wide_rows]]
+        )
+    materials = infer_materials(wide, groups, _light_cells(observations, wide_rows), settings, alike, known)
+    roughness, metallic = materials.mean.T
     cell = np.asarray(observations.entry[rows], np.int64)
     samples = read_samples(pixels, shadings, levels, rows, cell, group[rows])
     estimate = project(samples, roughness, metallic, known_parts=pieces is None)
@@ -114,7 +112,7 @@ def training_input(
         semantic=observations.parts.kind == "semantic",
         group_roughness=roughness,
         group_metallic=metallic,
-        group_errors=errors,
+        group_errors=materials.error,
         normalise=normalise,
     )
     return data, estimate
@@ -256,13 +254,13 @@ def _assign_groups(
     return group, groups
 
 
-def _similarity(group: np.ndarray, label: np.ndarray, color: np.ndarray) -> np.ndarray:
+def _similarity(group: np.ndarray, groups: int, label: np.ndarray, color: np.ndarray) -> np.ndarray:
     """(G, G) similarity of the groups of pixels (M,) with classes (M,) and base colours (M, 3)."""
-    count = np.maximum(np.bincount(group), 1)
+    count = np.maximum(np.bincount(group, minlength=groups), 1)
     label_of_group = np.zeros(len(count), np.int64)
     label_of_group[group] = label
-    mean_color = np.stack([np.bincount(group, column) / count for column in color.T], axis=1)
-    return similarity(label_of_group, mean_color)
+    sums = [np.bincount(group, column, minlength=groups) for column in color.T]
+    return similarity(label_of_group, np.stack(sums, axis=1) / count[:, None])
 
 
 def _wide_rows(
