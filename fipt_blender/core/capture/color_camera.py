@@ -100,7 +100,7 @@ def with_color_camera(rig: Rig, scale: float) -> Rig:
 
 
 @dataclass(frozen=True, eq=False)
-class _Sightings:
+class Sightings:
     """Points that depth images show to be visible from frames.
 
     Attributes:
@@ -125,19 +125,19 @@ def find_color_camera(frames: Sequence[DepthView], scale: float) -> ColorCamera 
     """
     if len(frames) < LEAST_VIEWS:
         return None
-    sightings = _sightings(frames, scale)
+    sightings = find_sightings(frames, scale)
     if len(sightings.point) < LEAST_VIEWS * 1000:
         return None
-    details = [_details(frame, 1.0) for frame in frames]
-    height, width = details[0].shape
+    reduced = [reduced_photograph(frame) for frame in frames]
+    height, width = reduced[0].shape
     first = frames[0].photograph
-    if first is None or any(image.shape != (height, width) for image in details):
+    if first is None or any(image.shape != (height, width) for image in reduced):
         return None
     fx, fy, cx, cy = (value * width / first.width for value in first.lens.parameters)
     camera = np.array([fx, fy, cx, cy])
     found = np.zeros(5)
     for blur, steps in BLURS:
-        images = np.stack([_gradients(_details(frame, blur)) for frame in frames])
+        images = np.stack([gradients(details(image, blur)) for image in reduced])
         for _ in range(steps):
             found, _ = _step(found, images, sightings, camera)
     cost, start = (_step(values, images, sightings, camera)[1] for values in (found, np.zeros(5)))
@@ -145,7 +145,7 @@ def find_color_camera(frames: Sequence[DepthView], scale: float) -> ColorCamera 
     return ColorCamera(log_focal, shift_x, shift_y, x, y, cost / max(start, 1e-12))
 
 
-def _sightings(frames: Sequence[DepthView], scale: float) -> _Sightings:
+def find_sightings(frames: Sequence[DepthView], scale: float) -> Sightings:
     ranges = [read_depth(replace(frame, photograph=None), scale) for frame in frames]
     rng = np.random.default_rng(0)
     chosen = []
@@ -170,69 +170,105 @@ def _sightings(frames: Sequence[DepthView], scale: float) -> _Sightings:
         found.append((index[visible], local[index[visible]]))
     frame = np.repeat(np.arange(len(frames)), [len(index) for index, _ in found])
     point, place = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
-    return _Sightings(point, frame, place, len(points))
+    return Sightings(point, frame, place, len(points))
 
 
-def _details(frame: DepthView, blur: float) -> np.ndarray:
-    """(H, W) details of a photograph at one scale in units of their local size: exposures have no effect."""
+def reduced_photograph(frame: DepthView) -> np.ndarray:
+    """(H, W) logarithm of a photograph's gray values, `WIDTH` pixels wide."""
     view = frame.photograph
     assert view is not None
     gray = read_radiance(view.image).mean(axis=2)
     size = (WIDTH, max(1, round(view.height * WIDTH / view.width)))
     reduced = np.asarray(Image.fromarray(gray.astype(np.float32), "F").resize(size, Image.Resampling.BOX))
     floor = max(DARKEST * float(np.median(reduced)), 1e-12)
-    logarithm = np.log(np.maximum(reduced, 0.0) + floor)
-    details = gaussian_filter(logarithm, blur) - gaussian_filter(logarithm, 4.0 * blur + 10.0)
-    local = np.sqrt(gaussian_filter(details**2, 25.0)) + 0.05
-    return np.asarray(details / local, np.float32)
+    return np.asarray(np.log(np.maximum(reduced, 0.0) + floor))
 
 
-def _gradients(image: np.ndarray) -> np.ndarray:
+def details(logarithm: np.ndarray, blur: float) -> np.ndarray:
+    """(H, W) details of a photograph at one scale in units of their local size: exposures have no effect."""
+    found = gaussian_filter(logarithm, blur) - gaussian_filter(logarithm, 4.0 * blur + 10.0)
+    local = np.sqrt(gaussian_filter(found**2, 25.0)) + 0.05
+    return np.asarray(found / local, np.float32)
+
+
+def gradients(image: np.ndarray) -> np.ndarray:
     """(3, H, W): the image and its derivatives along x and y."""
     return np.stack([image, np.gradient(image, axis=1), np.gradient(image, axis=0)]).astype(np.float32)
 
 
 def _step(
-    found: np.ndarray, images: np.ndarray, sightings: _Sightings, camera: np.ndarray
+    found: np.ndarray, images: np.ndarray, sightings: Sightings, camera: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """Better parameters (log focal, shift x, y, offset x, y), and the disagreement at the given ones.
 
     Args:
-        images: (frames, 3, H, W) of `_gradients`.
+        images: (frames, 3, H, W) of `gradients`.
         camera: fx, fy, cx, cy of the depth camera in their pixels.
     """
-    height, width = images.shape[2:]
     ratio, depth = np.exp(found[0]), sightings.place[:, 2]
     fx, fy = camera[0] * ratio, camera[1] * ratio
     from_x, from_y = (sightings.place[:, axis] + found[3 + axis] for axis in (0, 1))
     x, y = fx * from_x / depth, fy * from_y / depth
-    column, row = x + camera[2] + found[1] - 0.5, y + camera[3] + found[2] - 0.5
-    inside = (column >= 0) & (row >= 0) & (column < width - 1) & (row < height - 1)
-    left = np.clip(column.astype(np.int64), 0, width - 2)
-    top = np.clip(row.astype(np.int64), 0, height - 2)
-    right, down = column - left, row - top
-    value, along_x, along_y = (
-        images[sightings.frame, kind, top, left] * (1.0 - right) * (1.0 - down)
-        + images[sightings.frame, kind, top, left + 1] * right * (1.0 - down)
-        + images[sightings.frame, kind, top + 1, left] * (1.0 - right) * down
-        + images[sightings.frame, kind, top + 1, left + 1] * right * down
-        for kind in range(3)
-    )
+    where = np.stack([x + camera[2] + found[1], y + camera[3] + found[2]], axis=1)
+    inside, (value, along_x, along_y) = sampled(images, sightings.frame, where)
     slopes = [along_x * x + along_y * y, along_x, along_y, along_x * fx / depth, along_y * fy / depth]
 
-    def around_mean(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        total = np.bincount(sightings.point, weight * values, sightings.count)
-        mean = total / np.maximum(np.bincount(sightings.point, weight, sightings.count), 1e-9)
-        return np.asarray(values - mean[sightings.point])
-
-    seen = np.bincount(sightings.point, inside, sightings.count)
-    used = (inside & (seen[sightings.point] >= LEAST_VIEWS)).astype(np.float64)
-    residual = around_mean(value, used)
-    weight = used / (1.0 + (residual / SCALE) ** 2)
-    residual = around_mean(value, weight)
-    jacobian = np.stack([around_mean(slope, weight) for slope in slopes], axis=1)
-    count = max(float(used.sum()), 1.0)
-    prior = np.diag(EXPECTED_SHARE * count / EXPECTED**2)
+    residual, weight, cost = disagreement(value, inside, sightings)
+    jacobian = np.stack([around_mean(slope, weight, sightings) for slope in slopes], axis=1)
+    prior = np.diag(EXPECTED_SHARE * max(np.count_nonzero(weight), 1) / EXPECTED**2)
     normal = (jacobian * weight[:, None]).T @ jacobian + prior
     change = np.linalg.solve(normal, (jacobian * weight[:, None]).T @ residual + prior @ found)
-    return found - change, float((used * np.log1p((residual / SCALE) ** 2)).sum() / count)
+    return found - change, cost
+
+
+def sampled(images: np.ndarray, frame: np.ndarray, where: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Images at places between their pixels.
+
+    Args:
+        images: (frames, 3, H, W) of `gradients`.
+        frame: (N,) image of each place.
+        where: (N, 2) x, y in pixels; the center of the first pixel is (0.5, 0.5).
+
+    Returns:
+        (N,) bool, whether a place is in its image, and (N,) values, slopes along x and along y.
+    """
+    height, width = images.shape[2:]
+    column, row = where.T - 0.5
+    inside = (column >= 0) & (row >= 0) & (column < width - 1) & (row < height - 1)
+    left = np.clip(np.where(inside, column, 0.0).astype(np.int64), 0, width - 2)
+    top = np.clip(np.where(inside, row, 0.0).astype(np.int64), 0, height - 2)
+    right, down = np.where(inside, column - left, 0.0), np.where(inside, row - top, 0.0)
+    return inside, [
+        images[frame, kind, top, left] * (1.0 - right) * (1.0 - down)
+        + images[frame, kind, top, left + 1] * right * (1.0 - down)
+        + images[frame, kind, top + 1, left] * (1.0 - right) * down
+        + images[frame, kind, top + 1, left + 1] * right * down
+        for kind in range(3)
+    ]
+
+
+def around_mean(values: np.ndarray, weight: np.ndarray, sightings: Sightings) -> np.ndarray:
+    """(N,) values of the sightings less the weighted mean of their point."""
+    total = np.bincount(sightings.point, weight * values, sightings.count)
+    mean = total / np.maximum(np.bincount(sightings.point, weight, sightings.count), 1e-9)
+    return np.asarray(values - mean[sightings.point])
+
+
+def disagreement(
+    value: np.ndarray, inside: np.ndarray, sightings: Sightings
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """How the photographs of a point differ from their mean.
+
+    Args:
+        value: (N,) of each sighting. inside: (N,) bool, whether it is in its photograph.
+
+    Returns:
+        (N,) residuals, (N,) robust weights, 0 where too few photographs show the point, and their mean cost.
+    """
+    seen = np.bincount(sightings.point, inside, sightings.count)
+    used = (inside & (seen[sightings.point] >= LEAST_VIEWS)).astype(np.float64)
+    residual = around_mean(value, used, sightings)
+    weight = used / (1.0 + (residual / SCALE) ** 2)
+    residual = around_mean(value, weight, sightings)
+    cost = float((used * np.log1p((residual / SCALE) ** 2)).sum() / max(float(used.sum()), 1.0))
+    return residual, weight, cost

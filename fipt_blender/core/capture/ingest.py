@@ -34,6 +34,7 @@ from .formats import read_rig
 from .images import EXR_SUFFIX, is_rec709, read_ids, read_radiance, read_size, write_exr
 from .ingest_options import IngestOptions, check_options, options_of
 from .ingest_options import add_arguments as add_arguments  # of the command
+from .photograph_poses import with_photograph_poses
 from .points_room import room_note, room_of_points, write_room
 from .rig import Pinhole, Rig, RigView
 from .simplified_mesh import simplified_mesh
@@ -62,6 +63,10 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     rig = source.rig
     views = _assign_splits(_chosen(unique_names(rig.views), options.most_views), options.hold_back)
     _check_files(views)
+    if rig.one_camera:
+        views, note = with_photograph_poses(rig, views, options.scale)
+        if note is not None:
+            reporter.warning(note.code, note.text, note.remedy)
     up_axis = options.up_axis if options.up_axis != "auto" else rig.up_axis or guess_up_axis(views)
     world_from_source = _world_from_source(up_axis, options.scale)
     views = [

@@ -5,15 +5,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from ..light.baking import Baking, ShadingStore, TracedLight, bake_views, baked_light
 from ..light.emitters import EmitterPixels, bright_triangles
+from ..light.environment import Environment
 from ..light.observations import observe
 from ..light.presumed import presume_lamps
 from ..light.shadings import SampleCounts
+from ..light.unseen_light import with_unseen_light
 from ..optics.lights import EmitterTable
 from ..run.checkpoints import HINTED_REFINEMENT, HINTED_SHADINGS
 from ..run.errors import FiptError
@@ -69,7 +72,7 @@ class LightStages(EstimationState):
         """Turn photographs that are not HDR into radiance; None where all are HDR."""
         if not any(view.encoded for view in self.views):
             return None
-        part, folder = self.parts.triangle_part, self.folder.stage / "pixels"
+        part, folder = self._surface_labels(), self.folder.stage / "pixels"
         return adjust_photographs(self.pixels, self.room, part, self.scale, self.settings, folder)
 
     def _readjust_photographs(self, found: Photometry) -> None:
@@ -77,7 +80,7 @@ class LightStages(EstimationState):
 
         Lamps and contrast change that light, therefore it is repeated until the contrast settles.
         """
-        part = self.parts.triangle_part
+        part = self._surface_labels()
         for number in range(MOST_REFITS):
             self._prepare()
             baking = self._baking(*self._first_light(), None, 0)
@@ -109,7 +112,23 @@ class LightStages(EstimationState):
         self._observed = observe(
             self.room, self.pixels, self.parts, self.settings, self.folder.stage / "observed"
         )
+        self._observed = replace(self._observed, environment=self._environment())
         self._use_hints(self.told)
+
+    def _environment(self) -> Environment | None:
+        """What the pixels see outside, with the light from unseen directions where the mesh is open."""
+        settings, observed = self.settings, self._observed
+        pieces = self.parts.triangle_part if self._pieces is None else self._pieces
+        return with_unseen_light(
+            observed.environment,
+            self.pixels,
+            self.room,
+            observed.grid,
+            observed.cache,
+            pieces,
+            settings.environment_width,
+            settings.seed,
+        )
 
     # ---- Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9) ---------------------------------------
 

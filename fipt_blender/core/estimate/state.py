@@ -318,7 +318,9 @@ class EstimationState:
     @cached_property
     def _emitter_surfaces(self) -> EmitterSurfaces:
         """What emits as a whole."""
-        return emitter_surfaces(self.room, self.parts, self.observations.footprint)
+        environment = self.observations.environment
+        inferred = 0.0 if environment is None else environment.unseen_light
+        return emitter_surfaces(self.room, self.parts, self.observations.footprint, inferred)
 
     @cached_property
     def _places(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -118,15 +118,22 @@ def light_on_points(
     Returns:
         `LitPoints.entry` and `LitPoints.direct`.
     """
+    if not len(points[0]):  # Dr.Jit traces no empty set of rays
+        return np.zeros((0, RAYS), np.int32), np.zeros((0, int(lamp.max(initial=-1)) + 2))
     position, normal = (np.ascontiguousarray(array, np.float32) for array in points)
-    entry = _rays(room, grid, position, normal, lamp, seed)
+    entry = hemisphere_rays(room, grid, position, normal, lamp, seed)[0]
     outside = (entry == OUTSIDE).mean(axis=1, keepdims=True)
     return entry, np.concatenate([_direct(room, position, normal, lamp, seed), outside], axis=1)
 
 
-def _rays(
+def hemisphere_rays(
     room: Room, grid: VoxelGrid, position: np.ndarray, normal: np.ndarray, lamp: np.ndarray, seed: int
-) -> np.ndarray:
+) -> tuple[np.ndarray, np.ndarray]:
+    """What cosine-distributed rays from N points meet; arguments as of `light_on_points`.
+
+    Returns:
+        (N, RAYS) int32 as `LitPoints.entry`, and (N, RAYS, 3) unit directions.
+    """
     rng = np.random.default_rng([seed, 21])
     count = len(position)
     number = np.arange(RAYS)
@@ -143,7 +150,7 @@ def _rays(
     entry = grid.entries(place, side)
     entry[lamp[triangle] >= 0] = ON_LAMP
     entry[~valid] = OUTSIDE
-    return entry.astype(np.int32).reshape(count, RAYS)
+    return entry.astype(np.int32).reshape(count, RAYS), direction.reshape(count, RAYS, 3)
 
 
 def _direct(room: Room, position: np.ndarray, normal: np.ndarray, lamp: np.ndarray, seed: int) -> np.ndarray:

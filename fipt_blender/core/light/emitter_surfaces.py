@@ -21,6 +21,9 @@ from ..scene.room import Room
 LEAST_RESIDUAL = 0.3
 # The same on a scan: its shadings are wrong by up to a factor of two, most of all close to lamps.
 LEAST_RESIDUAL_SCAN = 0.6
+# Light that is only inferred comes from infinity. A lamp that nobody saw, close to a surface, makes it
+# brighter than that by about so much.
+UNSEEN_DOUBT = 1.5
 # Edge of the patches of a scan without part masks, in pixel widths.
 PATCH = 2.0
 
@@ -59,21 +62,26 @@ class EmitterSurfaces:
         return result
 
 
-def emitter_surfaces(room: Room, parts: Parts, footprint: float) -> EmitterSurfaces:
+def emitter_surfaces(
+    room: Room, parts: Parts, footprint: float, unseen_light: float = 0.0
+) -> EmitterSurfaces:
     """Triangles of a modelled room; of a scan its parts or, where they are unknown, patches of its segments.
 
     Args:
         footprint: median width of a pixel on the surfaces, metres.
+        unseen_light: share of the light on the surfaces that is only inferred.
     """
     pieces = room_pieces(room)
+    least = LEAST_RESIDUAL if room.scan is None else LEAST_RESIDUAL_SCAN
+    least += (1.0 - least) * (1.0 - UNSEEN_DOUBT**-unseen_light)
     if room.scan is None:
-        return EmitterSurfaces(np.arange(len(room.triangles)), pieces, LEAST_RESIDUAL, footprint)
+        return EmitterSurfaces(np.arange(len(room.triangles)), pieces, least, footprint)
     patch = _patches(room, pieces, PATCH * footprint)
     if parts.kind == "part":
         known = parts.triangle_part >= 0
         patch = numbered([known, np.where(known, parts.triangle_part, patch)])
-        return EmitterSurfaces(patch, patch, LEAST_RESIDUAL_SCAN, footprint)
-    return EmitterSurfaces(patch, pieces, LEAST_RESIDUAL_SCAN, footprint)
+        return EmitterSurfaces(patch, patch, least, footprint)
+    return EmitterSurfaces(patch, pieces, least, footprint)
 
 
 def _patches(room: Room, pieces: np.ndarray, edge: float) -> np.ndarray:

@@ -30,10 +30,15 @@ class Environment:
     Attributes:
         image: (H, 2H, 3) float32 equirectangular map in Blender's layout, world axes.
         observed_share: 0..1, solid-angle share of the map that some pixel saw.
+        seen: (H, 2H) bool, where that is.
+        unseen_light: 0..1, share of the light on the surfaces that comes from elsewhere and is only inferred
+            (:mod:`.unseen_light`).
     """
 
     image: np.ndarray
     observed_share: float
+    seen: np.ndarray
+    unseen_light: float = 0.0
 
 
 def outside_pixels(pixels: PixelStore) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -81,7 +86,8 @@ def estimate_environment(
     share = float(weight[known].sum() / weight.sum())
     if share < LEAST_SHARE:
         return None
-    return Environment(_diffuse(image.reshape(height, width, 3), known.reshape(height, width)), share)
+    seen = known.reshape(height, width)
+    return Environment(_diffuse(image.reshape(height, width, 3), seen), share, seen)
 
 
 def _cells(directions: np.ndarray, width: int) -> np.ndarray:

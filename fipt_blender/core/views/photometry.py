@@ -18,6 +18,7 @@ import numpy as np
 
 from ..light.clipped import Expectation, LampLight, LitPoints, solve_lamps
 from ..light.observations import median_footprint
+from ..light.unseen_light import OPEN
 from ..radiometry.adjustment import adjust
 from ..radiometry.contrast import Source, combined, exif_contrast, usual_contrast
 from ..radiometry.inversion import (
@@ -120,6 +121,8 @@ def solve_light(
         return radiometry, None
     broad = radiometry.contrast.value, UNKNOWN_CONTRAST
     value, deviation = solve_lamps(points, cache, expected, broad).log_contrast
+    # Where the mesh is open, most of the light comes from what nothing shows.
+    error = float(np.hypot(error, max(float(points.direct[:, -1].mean()) - OPEN, 0.0)))
     sources = [source for source in radiometry.sources if source.name != "light"]
     sources.append(Source("light", value, float(np.hypot(deviation, error))))
     found = Radiometry(radiometry.adjustment, combined(sources), tuple(sources))
