@@ -41,19 +41,11 @@ def synthetic(
     lobe = gloss * rng.uniform(0.5, 1.5, count) * light[cell]
     by_level = lobe[:, None] / (1.0 + LEVELS)
     specular = np.broadcast_to(by_level[:, :, None, None], (count, len(LEVELS), 2, 3))
-    roughness, metallic = np.full(count, 0.5, np.float32), np.zeros(count, np.float32)
-    samples = PixelSamples(
-        np.arange(count),
-        np.ones((count, 3)),
-        diffuse,
-        specular,
-        LEVELS,
-        cell,
-        np.zeros_like(cell),
-        view,
-        np.ones(count, np.float32),
-    )
-    at_truth = linearise(samples, true[cell], roughness, metallic)
+
+    def at(color: np.ndarray, radiance: np.ndarray) -> LinearisedPixels:
+        return linearised(radiance, color[cell], diffuse, specular, cell, view)
+
+    at_truth = at(true, np.ones((count, 3)))
     rendered = 1.0 - at_truth.residual
     errors = rng.standard_normal((cells, VIEWS, 3))[cell, view] + 0.1 * rng.standard_normal((count, 3))
     radiance = rendered + noise * (rendered + RADIANCE_FLOOR) * errors
@@ -68,27 +60,45 @@ def synthetic(
         axis=1,
     )
     color = true + change
-    return linearise(replace(samples, radiance=radiance), color[cell], roughness, metallic), color, true
+    return at(color, radiance), color, true
 
 
-def test_derivatives_are_those_of_the_rendering():
+def linearised(
+    radiance: np.ndarray,
+    color: np.ndarray,
+    diffuse: np.ndarray,
+    specular: np.ndarray,
+    cell: np.ndarray,
+    view: np.ndarray,
+    material: tuple[float, float] = (0.5, 0.0),
+    error: tuple[float, float] = (0.0, 0.0),
+) -> LinearisedPixels:
+    """Pixels of one group with this material and its errors, linearised at these base colours (N, 3)."""
+    count, group = len(cell), np.zeros_like(cell)
+    samples = PixelSamples(
+        np.arange(count), radiance, diffuse, specular, LEVELS, cell, group, view, np.ones(count, np.float32)
+    )
+    materials, errors = (np.tile(np.float32(values), (count, 1)) for values in (material, error))
+    return linearise(samples, color, materials, errors)
+
+
+def test_changes_are_those_of_the_rendering() -> None:
+    """By a step of base colour, and by errors of roughness and metallic."""
     rng = np.random.default_rng(0)
     radiance, color, diffuse = rng.uniform(0.1, 0.9, (3, 50, 3))
-    roughness, metallic = rng.uniform(0.05, 0.95, (2, 50))
-    specular = rng.uniform(0.0, 2.0, (50, 6, 2, 3))
-    index = np.zeros(50, int)
-    samples = PixelSamples(
-        np.arange(50), radiance, diffuse, specular, LEVELS, index, index, index, np.ones(50, np.float32)
-    )
-    at = lambda a, s, m: linearise(samples, a, s, m)  # noqa: E731
-    here, step = at(color, roughness, metallic), 1e-4
-    for moved, slope in (
-        (at(color + step, roughness, metallic), here.by_color),
-        (at(color, roughness + step, metallic), here.by_roughness),
-        (at(color, roughness, metallic + step), here.by_metallic),
+    specular, index = rng.uniform(0.0, 2.0, (50, 6, 2, 3)), np.zeros(50, int)
+
+    def at(color: np.ndarray, roughness: float, metallic: float) -> LinearisedPixels:
+        errors = (0.02, 0.05)
+        return linearised(radiance, color, diffuse, specular, index, index, (roughness, metallic), errors)
+
+    here = at(color, 0.5, 0.4)
+    for change, low, high in (
+        (here.by_color, here, at(color + 1.0, 0.5, 0.4)),
+        (2.0 * here.by_roughness, at(color, 0.48, 0.4), at(color, 0.52, 0.4)),
+        (2.0 * here.by_metallic, at(color, 0.5, 0.35), at(color, 0.5, 0.45)),
     ):
-        difference = (here.residual - moved.residual) / step
-        assert np.quantile(np.abs(difference - slope), 0.95) < 0.01  # a few steps cross a level
+        np.testing.assert_allclose(low.residual - high.residual, change, atol=1e-4)
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.03])
@@ -98,7 +108,7 @@ def test_expected_errors_of_colour_are_the_actual_errors(monkeypatch, noise):
     monkeypatch.setattr(confidence, "FLOOR", 0.0)
     light = np.repeat([0.02, 0.1, 1.0], 300)
     pixels, color, true = synthetic(900, light, noise, np.random.default_rng(1), gloss=0.0)
-    expected = standard_errors(pixels, np.zeros((900, 2)))
+    expected = standard_errors(pixels)
     actual = np.sqrt(((color - true) ** 2).mean(axis=1))
     for level in np.unique(light):
         cells = light == level
@@ -114,21 +124,20 @@ def test_expected_errors_of_colour_are_the_actual_errors(monkeypatch, noise):
 def test_colour_is_uncertain_where_it_compensates_an_uncertain_material():
     """A metallic that is wrong by 0.1 changes the diffuse reflectance of a surface without gloss by 10 %."""
     pixels, color, _ = synthetic(200, np.full(200, 0.5), 0.002, np.random.default_rng(2), gloss=0.0)
-    known, unknown = (standard_errors(pixels, np.tile([0.0, error], (200, 1))) for error in (0.0, 0.1))
+    known = standard_errors(pixels)
+    # Without gloss a metallic of 0.1 takes a tenth of the reflected light away.
+    unknown = standard_errors(replace(pixels, by_metallic=-0.1 * color[pixels.cell] * pixels.by_color))
     added = np.sqrt(unknown**2 - known**2)
     assert added == pytest.approx(0.1 * np.sqrt((color**2).mean(axis=1)), rel=0.1)
-    # Without gloss, roughness changes nothing.
-    assert standard_errors(pixels, np.tile([0.2, 0.0], (200, 1))) == pytest.approx(known)
 
 
 def test_errors_never_exceed_those_of_the_uniform_prior():
     pixels, *_ = synthetic(20, np.full(20, 0.5), 0.01, np.random.default_rng(3))
-    certain = np.zeros((20, 2))
-    color_error = standard_errors(replace(pixels, by_color=np.zeros_like(pixels.by_color)), certain)
+    color_error = standard_errors(replace(pixels, by_color=np.zeros_like(pixels.by_color)))
     assert color_error == pytest.approx(UNIFORM_DEVIATION, rel=1e-3)
-    assert standard_errors(pixels, np.full((20, 2), 10.0)).max() <= UNIFORM_DEVIATION
-    worse = standard_errors(replace(pixels, residual=pixels.residual + 0.2), certain)
-    better = standard_errors(pixels, certain)
+    assert standard_errors(replace(pixels, by_roughness=10.0 * pixels.by_color)).max() <= UNIFORM_DEVIATION
+    worse = standard_errors(replace(pixels, residual=pixels.residual + 0.2))
+    better = standard_errors(pixels)
     assert worse.mean() > 2 * better.mean()
 
 

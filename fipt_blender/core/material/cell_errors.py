@@ -50,17 +50,18 @@ def cell_errors(
         return errors
     group_of_cell = groups_of_cells(units, fields, cells)
     group = group_of_cell[sampled[cell]]
-    color, roughness, metallic = fields.query(drawn.position, drawn.unit)
+    color, *values = fields.query(drawn.position, drawn.unit)
+    material = np.stack(values, axis=1)
+    of_group = np.append(data.group_errors, [[UNIFORM_DEVIATION] * 2], axis=0)
+    of_pixel = np.sqrt(of_group[np.asarray(data.group[rows])] ** 2 + FLOOR**2).astype(np.float32)
     chunks = []
     for start in range(0, len(rows), CHUNK):
         chunk = slice(start, start + CHUNK)
         samples = read_samples(pixels, shadings, data.levels, rows[chunk], cell[chunk], group[chunk])
-        chunks.append(linearise(samples, color[chunk], roughness[chunk], metallic[chunk]))
-    of_group = np.append(data.group_errors, [[UNIFORM_DEVIATION] * 2], axis=0)
-    of_pixel = np.sqrt(of_group[np.asarray(data.group[rows])] ** 2 + FLOOR**2)
+        chunks.append(linearise(samples, color[chunk], material[chunk], of_pixel[chunk]))
     count = np.bincount(cell)
     material_errors = np.stack([np.bincount(cell, column) / count for column in of_pixel.T], axis=1)
-    errors[sampled, 0] = standard_errors(concatenate(chunks), material_errors)
+    errors[sampled, 0] = standard_errors(concatenate(chunks))
     errors[sampled, 1:] = np.minimum(material_errors, UNIFORM_DEVIATION)
     unsampled = np.ones(len(errors), bool)
     unsampled[sampled] = False

@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from ..optics import factorised
+from ..optics.factorised import color_line
 from ..scene.grouped import grouped_median
 from .pixel_samples import PixelSamples
 from .projection import residual_weight, specular_at
@@ -55,7 +55,8 @@ class LinearisedPixels:
     Attributes:
         residual: (N, 3) photographed minus rendered radiance.
         weight: (N, 3) weight of the squared residual.
-        by_color, by_roughness, by_metallic: (N, 3) derivatives of the rendered radiance.
+        by_color: (N, 3) derivative of the rendered radiance by base colour.
+        by_roughness, by_metallic: (N, 3) its change where roughness or metallic changes by its error.
         cell: (N,) int, from 0: surface cell, which has one base colour.
         group: (N,) int, from 0: cells of similar residuals; each cell lies in one group.
         view: (N,) int.
@@ -78,39 +79,42 @@ def concatenate(chunks: Sequence[LinearisedPixels]) -> LinearisedPixels:
 
 
 def linearise(
-    samples: PixelSamples, color: np.ndarray, roughness: np.ndarray, metallic: np.ndarray
+    samples: PixelSamples, color: np.ndarray, material: np.ndarray, errors: np.ndarray
 ) -> LinearisedPixels:
-    """Eq. 5 linearised at the estimate: `color` (N, 3), `roughness` (N,) and `metallic` (N,)."""
-    levels, specular = samples.levels, samples.specular
-    low = np.clip(np.searchsorted(levels, roughness, side="right") - 1, 0, len(levels) - 2)
-    rows, above = np.arange(len(roughness)), levels[low + 1]
-    change = specular[rows, low + 1].astype(np.float32) - specular[rows, low].astype(np.float32)
-    steepness = factorised.level_share_slope(roughness, levels[low], above).astype(np.float32)
-    slope = change * steepness[:, None, None]
-    s0, s1 = specular_at(specular, rows, levels, roughness)
-    m = metallic[:, None]
-    kd, ks = factorised.diffuse_reflectance(color, m), factorised.specular_reflectance(color, m)
-    by_color, _ = factorised.color_line(samples.diffuse, s0, s1, m)
-    rendered = factorised.reflected_radiance(kd, ks, samples.diffuse, s0, s1)
+    """Eq. 5 linearised at the estimate.
+
+    Args:
+        color: (N, 3). material, errors: (N, 2) roughness and metallic, and their standard errors.
+    """
+    rows, levels = np.arange(len(color)), samples.levels
+    lowest = np.array([levels[0], 0.0], np.float32)
+
+    def line(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        s0, s1 = specular_at(samples.specular, rows, levels, at[:, 0])
+        return color_line(samples.diffuse, s0, s1, at[:, 1:])
+
+    def rendered(step: np.ndarray) -> np.ndarray:
+        slope, offset = line(np.clip(material + step * errors, lowest, 1.0))
+        return slope * color + offset
+
+    slope, offset = line(material)
+    changes = [0.5 * (rendered(step) - rendered(-step)) for step in np.eye(2, dtype=np.float32)]
     return LinearisedPixels(
-        residual=samples.radiance - rendered,
+        residual=samples.radiance - slope * color - offset,
         weight=residual_weight(samples.radiance),
-        by_color=by_color,
-        by_roughness=ks * slope[:, 0] + slope[:, 1],
-        by_metallic=factorised.metallic_slope(color, samples.diffuse, s0),
+        by_color=slope,
+        by_roughness=changes[0],
+        by_metallic=changes[1],
         cell=samples.cell,
         group=samples.group,
         view=samples.view,
     )
 
 
-def standard_errors(pixels: LinearisedPixels, material_errors: np.ndarray) -> np.ndarray:
+def standard_errors(pixels: LinearisedPixels) -> np.ndarray:
     """(cells,) standard errors of base colour by least squares, root mean square over the channels.
 
     They are never above `UNIFORM_DEVIATION`.
-
-    Args:
-        material_errors: (cells, 2) standard errors of roughness and metallic (:mod:`.mixture`).
     """
     cell, group = pixels.cell, pixels.group
     cells = int(cell.max(initial=-1)) + 1
@@ -123,10 +127,9 @@ def standard_errors(pixels: LinearisedPixels, material_errors: np.ndarray) -> np
     variance = spread * (views * COMMON + 1.0 - COMMON)[:, None] / information
     variance[information <= LEAST_INFORMATION] = np.inf
     variance += FLOOR**2
-    for slope, error in zip((pixels.by_roughness, pixels.by_metallic), material_errors.T, strict=True):
+    for change in (pixels.by_roughness, pixels.by_metallic):
         # Base colour compensates part of a wrong roughness or metallic.
-        compensation = _sums(weighted * slope, cell, cells) / information
-        variance += (compensation * error[:, None]) ** 2
+        variance += (_sums(weighted * change, cell, cells) / information) ** 2
     return np.sqrt(1.0 / (1.0 / np.maximum(variance.mean(axis=1), 1e-12) + UNIFORM_DEVIATION**-2))
 
 

@@ -63,16 +63,6 @@ def level_share(roughness: Any, low: Any, high: Any) -> Any:
     return (roughness**-2 - low**-2) / (high**-2 - low**-2)
 
 
-def level_share_slope(roughness: Any, low: Any, high: Any) -> Any:
-    """Derivative of :func:`level_share` by the roughness."""
-    return -2.0 * roughness**-3 / (high**-2 - low**-2)
-
-
 def level_roughness(share: Any, low: Any, high: Any) -> Any:
     """Roughness at which the upper of two levels has this share: the inverse of :func:`level_share`."""
     return (low**-2 + share * (high**-2 - low**-2)) ** -0.5
-
-
-def metallic_slope(base_color: Any, diffuse: Any, s0: Any) -> Any:
-    """dL_r/dm, the derivative of Eq. 5."""
-    return (base_color - DIELECTRIC_REFLECTANCE) * s0 - base_color * diffuse
