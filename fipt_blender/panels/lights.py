@@ -7,7 +7,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..blend.marks import ANIMATED, FIXTURE, VISIBILITY
+from ..blend.marks import ANIMATED, FIXTURE, NAMED, VISIBILITY
 from .sidebar import Rows, Section, SubSection, draw_text
 
 
@@ -89,12 +89,18 @@ def draw_engine_choice(layout: bpy.types.UILayout, context: bpy.types.Context) -
     column.operator("fipt.prepare_eevee", icon="OUTLINER_OB_LIGHTPROBE")
 
 
+def report_name(item: bpy.types.Object) -> str:
+    """What the report calls a fixture that the artist has renamed; "" for any other object."""
+    name = str(item.get(NAMED, item[FIXTURE])) if FIXTURE in item else ""
+    return "" if name == item.name else name
+
+
 def _draw_light(layout: bpy.types.UILayout, light: bpy.types.PropertyGroup | None) -> None:
     """The settings of the active light."""
     if light is None:
         return
-    if FIXTURE in light.object:
-        layout.label(text=iface_("In the report: {}").format(light.object[FIXTURE]), translate=False)
+    if name := report_name(light.object):
+        layout.label(text=iface_("In the report: {}").format(name), translate=False)
     column = layout.column(align=True)
     column.prop(light, "stops")
     column.prop(light, "factor")
