@@ -245,9 +245,11 @@ def test_a_window_becomes_an_environment(tmp_path: Path) -> None:
     assert 0.02 < data["environment"]["observed_share"] < 0.5
     found = read_radiance(run.environment_exr)
     assert found.shape == (32, 64, 3)
-    # A window's edge may still hide in the last twentieth of a pixel.
-    np.testing.assert_allclose(found, np.tile(radiance, (32, 64, 1)), rtol=0.02)
-    assert np.isclose(found, radiance, rtol=1e-4).mean() > 0.8
+    ratio = np.log(found / np.array(radiance))
+    seen = np.abs(ratio).max(axis=-1) < 1e-4
+    assert 0.06 < seen.mean() < 0.5, "what photographs show is taken as it is"
+    # The rest follows from the light on the surfaces, as much of it enters from where no photograph looks.
+    assert np.abs(ratio).max() < 0.25 and np.sqrt((ratio**2).mean()) < 0.08
     assert "warning" not in {message["type"] for message in messages}
     assert str(run.environment_exr) in messages[-1]["files"]
 
