@@ -1,7 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Panes in flat holes of a scan through which the photographs see nothing of the room and nothing bright.
+"""Surfaces that a scan lacks: panes in its flat holes, and prisms for the parts that it lost.
 
+Photographs see nothing of the room and nothing bright through a hole that is closed.
 Such a hole is a window at night, a mirror or a glossy black surface, which scanners do not see. It is closed
 by a pane, an object of its own, whose material is estimated like any other. A bright one shows what is
 outside, and stays open: the environment lights the room through it.
@@ -15,20 +16,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..capture.views import View
-from ..geometry.adjacency import Mesh, make_mesh
+from ..geometry.adjacency import NONE, Mesh, make_mesh
 from ..geometry.clean import CleanMesh
 from ..geometry.holes import FlatHole, flat_holes
 from ..geometry.stored import store_geometry, stored_geometry
 from ..optics.lights import LUMINANCE
+from ..run.arrays import read_arrays
 from ..run.run_files import PANES, mesh_digest, read_room_files
 from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
+from ..run.shapes import PANES_ARRAYS
 from ..scene.camera_rays import trace_pixels
 from ..scene.room import Room, load_room
+from .lost_parts import OUTSIDE, lost_parts
 
 # A hole counts if so many pixels look into it, and this share of them meets no surface behind it.
 LEAST_PIXELS, LEAST_MISSED = 100, 0.5
-# What is brighter than so many times the median pixel of the photographs lies outside.
-OUTSIDE = 2.0
 
 
 @dataclass
@@ -40,7 +42,7 @@ class _Sight:
 
 
 def close_holes(run: RunFolder, views: Sequence[View]) -> None:
-    """Write panes.npz, and extend geometry.npz, where photographs show that holes of a scan are surfaces.
+    """Write panes.npz, and extend geometry.npz, where photographs show surfaces that a scan lacks.
 
     Nothing changes where the mesh is no scan, or the room has panes already. Mitsuba's variant must be set.
 
@@ -60,21 +62,40 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
     if cleaned is None:
         return
     mesh, _ = make_mesh(cleaned.vertices, arrays["triangles"])
-    holes = flat_holes(mesh, median_edge(mesh))
-    closed = [hole for hole, seen in zip(holes, _sights(load_room(run), holes, views), strict=True) if seen]
-    if not closed:
-        run.panes_npz.unlink(missing_ok=True)
+    edge = median_edge(mesh)
+    holes = flat_holes(mesh, edge)
+    room = load_room(run)
+    closed = [hole for hole, seen in zip(holes, _sights(room, holes, views), strict=True) if seen]
+    run.panes_npz.unlink(missing_ok=True)
+    if closed:
+        vertices, triangles, normals, number = _panes(closed)
+        plane = int(cleaned.plane.max(initial=-1)) + 1 + number
+        _add(run, (vertices, triangles, normals), plane)
+    for surface in lost_parts(load_room(run) if closed else room, views, edge):
+        _add(run, surface, np.full(len(surface[1]), NONE))
+
+
+def _add(run: RunFolder, surface: tuple[np.ndarray, np.ndarray, np.ndarray], plane: np.ndarray) -> None:
+    """Add vertices (V, 3), triangles (T, 3) and corner normals (T, 3, 3) on planes (T,) to panes.npz."""
+    arrays, names = read_room_files(run)
+    cleaned = stored_geometry(run, arrays)
+    if cleaned is None:
         return
-    vertices, triangles, normals, number = _panes(closed)
-    plane = int(cleaned.plane.max(initial=-1)) + 1 + number
+    vertices, triangles, normals = surface
+    source = mesh_digest(arrays)
+    before: dict[str, np.ndarray] = {}
+    if PANES in (names.get("object_ids") or names["objects"]):
+        before = read_arrays(run.panes_npz, PANES_ARRAYS)
+        source = before["source"]
+        triangles = np.concatenate([before["triangles"], triangles + np.int32(len(before["vertices"]))])
     with explained_write_errors(run.root):
         with atomic_path(run.panes_npz) as temporary:
             np.savez(
                 temporary,
-                vertices=vertices,
+                vertices=_after(before, "vertices", vertices),
                 triangles=triangles,
-                corner_normals=normals,
-                source=mesh_digest(arrays),
+                corner_normals=_after(before, "corner_normals", normals),
+                source=source,
             )
         extended = CleanMesh(
             np.concatenate([cleaned.vertices, vertices]),
@@ -83,6 +104,10 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
             cleaned.noise,
         )
         store_geometry(run, read_room_files(run)[0], extended)
+
+
+def _after(before: dict[str, np.ndarray], name: str, values: np.ndarray) -> np.ndarray:
+    return np.concatenate([before[name], values]) if before else values
 
 
 def median_edge(mesh: Mesh) -> float:
