@@ -17,6 +17,7 @@ from scipy.stats import binomtest
 
 from ..capture.views import View
 from ..conventions import project
+from ..geometry.adjacency import NONE
 from ..geometry.prism import prism
 from ..optics.lights import LUMINANCE
 from ..scene.camera_rays import trace_pixels
@@ -65,10 +66,11 @@ class _Sight:
         return np.where(self.mask == part, 1, np.where(known[self.mask], -1, 0)).astype(np.int8)
 
 
-Prism = tuple[np.ndarray, np.ndarray, np.ndarray]
+# Vertices (V, 3), triangles (T, 3), corner normals (T, 3, 3), and plane (T,) or NONE of each triangle.
+Surface = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-def lost_parts(room: Room, views: Sequence[View], edge: float) -> list[Prism]:
+def lost_parts(room: Room, views: Sequence[View], edge: float) -> list[Surface]:
     """Prisms for the parts of part masks that a scan lost.
 
     Mitsuba's variant must be set.
@@ -79,7 +81,7 @@ def lost_parts(room: Room, views: Sequence[View], edge: float) -> list[Prism]:
         edge: median edge of the scan, metres.
 
     Returns:
-        for each what :func:`fipt_blender.core.geometry.prism.prism` returns.
+        for each its surface, whose triangles are on no planes.
     """
     if choose_source(room, views) != "masks":
         return []
@@ -134,7 +136,7 @@ def _lost(sights: Sequence[_Sight]) -> list[int]:
 
 def _prism(
     sights: Sequence[_Sight], part: int, bounds: tuple[np.ndarray, np.ndarray], edge: float
-) -> Prism | None:
+) -> Surface | None:
     """The prism of a part, None where none has its outlines."""
     shown = [sight.shown(part) for sight in sights]
     sizes = [
@@ -161,7 +163,8 @@ def _prism(
     if found is None:
         return None
     footprint, first, last = found
-    return prism(footprint, low + [0.0, 0.0, first * cell], cell, last - first + 1)
+    mesh = prism(footprint, low + [0.0, 0.0, first * cell], cell, last - first + 1)
+    return *mesh, np.full(len(mesh[1]), NONE)
 
 
 def _points(low: np.ndarray, step: float, shape: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ outside, and stays open: the environment lights the room through it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,13 +21,11 @@ from ..geometry.clean import CleanMesh
 from ..geometry.holes import FlatHole, flat_holes
 from ..geometry.stored import store_geometry, stored_geometry
 from ..optics.lights import LUMINANCE
-from ..run.arrays import read_arrays
 from ..run.run_files import PANES, mesh_digest, read_room_files
 from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
-from ..run.shapes import PANES_ARRAYS
 from ..scene.camera_rays import trace_pixels
 from ..scene.room import Room, load_room
-from .lost_parts import OUTSIDE, lost_parts
+from .lost_parts import OUTSIDE, Surface, lost_parts
 
 # A hole counts if so many pixels look into it, and this share of them meets no surface behind it.
 LEAST_PIXELS, LEAST_MISSED = 100, 0.5
@@ -66,36 +64,22 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
     holes = flat_holes(mesh, edge)
     room = load_room(run)
     closed = [hole for hole, seen in zip(holes, _sights(room, holes, views), strict=True) if seen]
-    run.panes_npz.unlink(missing_ok=True)
-    if closed:
-        vertices, triangles, normals, number = _panes(closed)
-        plane = int(cleaned.plane.max(initial=-1)) + 1 + number
-        _add(run, (vertices, triangles, normals), plane)
-    for surface in lost_parts(load_room(run) if closed else room, views, edge):
-        _add(run, surface, np.full(len(surface[1]), NONE))
-
-
-def _add(run: RunFolder, surface: tuple[np.ndarray, np.ndarray, np.ndarray], plane: np.ndarray) -> None:
-    """Add vertices (V, 3), triangles (T, 3) and corner normals (T, 3, 3) on planes (T,) to panes.npz."""
-    arrays, names = read_room_files(run)
-    cleaned = stored_geometry(run, arrays)
-    if cleaned is None:
+    added = _panes(closed) if closed else None
+    for surface in lost_parts(room if added is None else _with(room, added), views, edge):
+        added = surface if added is None else _joined(added, surface)
+    if added is None:
+        run.panes_npz.unlink(missing_ok=True)
         return
-    vertices, triangles, normals = surface
-    source = mesh_digest(arrays)
-    before: dict[str, np.ndarray] = {}
-    if PANES in (names.get("object_ids") or names["objects"]):
-        before = read_arrays(run.panes_npz, PANES_ARRAYS)
-        source = before["source"]
-        triangles = np.concatenate([before["triangles"], triangles + np.int32(len(before["vertices"]))])
+    vertices, triangles, normals, plane = added
+    plane = np.where(plane == NONE, NONE, int(cleaned.plane.max(initial=-1)) + 1 + plane)
     with explained_write_errors(run.root):
         with atomic_path(run.panes_npz) as temporary:
             np.savez(
                 temporary,
-                vertices=_after(before, "vertices", vertices),
+                vertices=vertices,
                 triangles=triangles,
-                corner_normals=_after(before, "corner_normals", normals),
-                source=source,
+                corner_normals=normals,
+                source=mesh_digest(arrays),
             )
         extended = CleanMesh(
             np.concatenate([cleaned.vertices, vertices]),
@@ -106,8 +90,26 @@ def _add(run: RunFolder, surface: tuple[np.ndarray, np.ndarray, np.ndarray], pla
         store_geometry(run, read_room_files(run)[0], extended)
 
 
-def _after(before: dict[str, np.ndarray], name: str, values: np.ndarray) -> np.ndarray:
-    return np.concatenate([before[name], values]) if before else values
+def _with(room: Room, surface: Surface) -> Room:
+    """The room with one more object."""
+    count = len(surface[1])
+    joined = _joined((room.vertices, room.triangles, room.corner_normals, np.zeros(0)), surface)
+    return replace(
+        room,
+        vertices=joined[0],
+        triangles=joined[1],
+        corner_normals=joined[2],
+        triangle_object=np.append(room.triangle_object, np.full(count, len(room.objects), np.int32)),
+        triangle_material=np.append(room.triangle_material, np.full(count, -1, np.int32)),
+        plane=None if room.plane is None else np.append(room.plane, np.full(count, NONE, np.int32)),
+    )
+
+
+def _joined(one: Surface, other: Surface) -> Surface:
+    moved = other[1] + np.int32(len(one[0]))
+    pairs = zip(one, (other[0], moved, *other[2:]), strict=True)
+    vertices, triangles, normals, plane = (np.concatenate(pair) for pair in pairs)
+    return vertices, triangles, normals, plane
 
 
 def median_edge(mesh: Mesh) -> float:
@@ -116,8 +118,8 @@ def median_edge(mesh: Mesh) -> float:
     return float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)))
 
 
-def _panes(holes: Sequence[FlatHole]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices (V, 3), triangles (T, 3), corner normals (T, 3, 3) and hole (T,) of the panes of all holes."""
+def _panes(holes: Sequence[FlatHole]) -> Surface:
+    """The panes of all holes, each with a plane of its own."""
     vertices, triangles, normals, numbers, count = [], [], [], [], 0
     for number, hole in enumerate(holes):
         places, corners = hole.pane()
