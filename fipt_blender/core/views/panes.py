@@ -1,7 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Panes in flat holes of a scan through which the photographs see nothing of the room and nothing bright.
+"""Surfaces that a scan lacks: panes in its flat holes, and prisms for the parts that it lost.
 
+Photographs see nothing of the room and nothing bright through a hole that is closed.
 Such a hole is a window at night, a mirror or a glossy black surface, which scanners do not see. It is closed
 by a pane, an object of its own, whose material is estimated like any other. A bright one shows what is
 outside, and stays open: the environment lights the room through it.
@@ -10,12 +11,12 @@ outside, and stays open: the environment lights the room through it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..capture.views import View
-from ..geometry.adjacency import Mesh, make_mesh
+from ..geometry.adjacency import NONE, Mesh, make_mesh
 from ..geometry.clean import CleanMesh
 from ..geometry.holes import FlatHole, flat_holes
 from ..geometry.stored import store_geometry, stored_geometry
@@ -24,11 +25,10 @@ from ..run.run_files import PANES, mesh_digest, read_room_files
 from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
 from ..scene.camera_rays import trace_pixels
 from ..scene.room import Room, load_room
+from .lost_parts import OUTSIDE, Surface, lost_parts
 
 # A hole counts if so many pixels look into it, and this share of them meets no surface behind it.
 LEAST_PIXELS, LEAST_MISSED = 100, 0.5
-# What is brighter than so many times the median pixel of the photographs lies outside.
-OUTSIDE = 2.0
 
 
 @dataclass
@@ -40,7 +40,7 @@ class _Sight:
 
 
 def close_holes(run: RunFolder, views: Sequence[View]) -> None:
-    """Write panes.npz, and extend geometry.npz, where photographs show that holes of a scan are surfaces.
+    """Write panes.npz, and extend geometry.npz, where photographs show surfaces that a scan lacks.
 
     Nothing changes where the mesh is no scan, or the room has panes already. Mitsuba's variant must be set.
 
@@ -60,13 +60,18 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
     if cleaned is None:
         return
     mesh, _ = make_mesh(cleaned.vertices, arrays["triangles"])
-    holes = flat_holes(mesh, median_edge(mesh))
-    closed = [hole for hole, seen in zip(holes, _sights(load_room(run), holes, views), strict=True) if seen]
-    if not closed:
+    edge = median_edge(mesh)
+    holes = flat_holes(mesh, edge)
+    room = load_room(run)
+    closed = [hole for hole, seen in zip(holes, _sights(room, holes, views), strict=True) if seen]
+    added = _panes(closed) if closed else None
+    for surface in lost_parts(room if added is None else _with(room, added), views, edge):
+        added = surface if added is None else _joined(added, surface)
+    if added is None:
         run.panes_npz.unlink(missing_ok=True)
         return
-    vertices, triangles, normals, number = _panes(closed)
-    plane = int(cleaned.plane.max(initial=-1)) + 1 + number
+    vertices, triangles, normals, plane = added
+    plane = np.where(plane == NONE, NONE, int(cleaned.plane.max(initial=-1)) + 1 + plane)
     with explained_write_errors(run.root):
         with atomic_path(run.panes_npz) as temporary:
             np.savez(
@@ -85,14 +90,36 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
         store_geometry(run, read_room_files(run)[0], extended)
 
 
+def _with(room: Room, surface: Surface) -> Room:
+    """The room with one more object."""
+    count = len(surface[1])
+    joined = _joined((room.vertices, room.triangles, room.corner_normals, np.zeros(0)), surface)
+    return replace(
+        room,
+        vertices=joined[0],
+        triangles=joined[1],
+        corner_normals=joined[2],
+        triangle_object=np.append(room.triangle_object, np.full(count, len(room.objects), np.int32)),
+        triangle_material=np.append(room.triangle_material, np.full(count, -1, np.int32)),
+        plane=None if room.plane is None else np.append(room.plane, np.full(count, NONE, np.int32)),
+    )
+
+
+def _joined(one: Surface, other: Surface) -> Surface:
+    moved = other[1] + np.int32(len(one[0]))
+    pairs = zip(one, (other[0], moved, *other[2:]), strict=True)
+    vertices, triangles, normals, plane = (np.concatenate(pair) for pair in pairs)
+    return vertices, triangles, normals, plane
+
+
 def median_edge(mesh: Mesh) -> float:
     """Metres."""
     corners = mesh.vertices[mesh.triangles]
     return float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)))
 
 
-def _panes(holes: Sequence[FlatHole]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices (V, 3), triangles (T, 3), corner normals (T, 3, 3) and hole (T,) of the panes of all holes."""
+def _panes(holes: Sequence[FlatHole]) -> Surface:
+    """The panes of all holes, each with a plane of its own."""
     vertices, triangles, normals, numbers, count = [], [], [], [], 0
     for number, hole in enumerate(holes):
         places, corners = hole.pane()

@@ -1,0 +1,269 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Surfaces of parts that a scanner lost, from their masks in several views.
+
+Scanners do not see glossy or dark things. Where the masks show a part in front of the scan, an upright prism
+is the simplest shape that has its outlines: a table, a cabinet, a slab.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import binary_closing, binary_fill_holes, binary_opening, label
+from scipy.stats import binomtest
+
+from ..capture.views import View
+from ..conventions import project
+from ..geometry.adjacency import NONE
+from ..geometry.prism import prism
+from ..optics.lights import LUMINANCE
+from ..scene.camera_rays import trace_pixels
+from ..scene.labels import NO_PART, at_border, choose_parts, choose_source
+from ..scene.room import Room
+
+# A part is lost if most of its pixels meet other surfaces in more views than chance explains.
+LEVEL = 0.05
+# Share of the views of a point that may show another part there, for errors of masks and poses.
+MISSES = 0.1
+# Fewer views do not tell how far away a point is.
+LEAST_VIEWS = 3
+# Least intersection over union of the pixels of a part and of its prism: they agree more than they disagree.
+LEAST_OVERLAP = 0.5
+# Cells of the first, coarse search, in cells of the second.
+COARSE = 5
+# What is brighter than so many times the median pixel of the photographs lies outside.
+OUTSIDE = 2.0
+_MOST_POINTS = 4_000_000
+
+
+@dataclass(frozen=True)
+class _Sight:
+    """What a view shows.
+
+    Attributes:
+        view: with masks.
+        mask: (H, W) part ids.
+        distance: (H, W) metres to the scan, infinite where a ray meets nothing.
+        found: (N,) int, for each id, interior pixels that meet a triangle of the part.
+        pixels: (N,) int, for each id, interior pixels.
+        bright: (N,) int, for each id, interior pixels that meet nothing and are bright.
+    """
+
+    view: View
+    mask: np.ndarray
+    distance: np.ndarray
+    found: np.ndarray
+    pixels: np.ndarray
+    bright: np.ndarray
+
+    def shown(self, part: int) -> np.ndarray:
+        """(H, W) int8: 1 where the view shows the part, -1 where another that the scan has, else 0."""
+        known = 2 * self.found >= self.pixels  # what is lost itself may be in front of the part
+        known[0] = True
+        return np.where(self.mask == part, 1, np.where(known[self.mask], -1, 0)).astype(np.int8)
+
+
+# Vertices (V, 3), triangles (T, 3), corner normals (T, 3, 3), and plane (T,) or NONE of each triangle.
+Surface = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def lost_parts(room: Room, views: Sequence[View], edge: float) -> list[Surface]:
+    """Prisms for the parts of part masks that a scan lost.
+
+    Mitsuba's variant must be set.
+
+    Args:
+        room: a scan.
+        views: training views.
+        edge: median edge of the scan, metres.
+
+    Returns:
+        for each its surface, whose triangles are on no planes.
+    """
+    if choose_source(room, views) != "masks":
+        return []
+    sights = _sights(room, views)
+    found = (_prism(sights, part, room.bounds, edge) for part in _lost(sights))
+    return [each for each in found if each is not None]
+
+
+def _sights(room: Room, views: Sequence[View]) -> list[_Sight]:
+    """What the views with masks show."""
+    surfaces = []
+    for view in views:
+        surface = trace_pixels(room, view)
+        valid = np.array(surface.valid)
+        triangle = np.where(valid, np.array(surface.triangle).astype(np.int64), -1)
+        surfaces.append((triangle, np.where(valid, np.array(surface.distance), np.inf)))
+    parts = choose_parts(room, views, [triangle for triangle, _ in surfaces])
+    ids = np.append(np.append(parts.ids, NO_PART)[parts.triangle_part], NO_PART)  # the last: of no triangle
+    masks = [view.part_ids() for view in views]
+    count = 1 + max(int(mask.max()) for mask in masks if mask is not None)
+    luminances = [view.radiance() @ LUMINANCE for view in views]
+    outside = OUTSIDE * float(np.median([np.median(luminance) for luminance in luminances]))
+    sights = []
+    for view, image, luminance, (triangle, reached) in zip(views, masks, luminances, surfaces, strict=True):
+        if image is None:
+            continue
+        mask, inner = np.maximum(image, 0), ~at_border(image)
+        distance = reached.reshape(mask.shape)
+        same = ids[triangle].reshape(mask.shape) == mask
+        bright = np.isinf(distance) & (luminance > outside)
+        counts = (
+            np.bincount(mask[chosen], minlength=count) for chosen in (inner & same, inner, inner & bright)
+        )
+        sights.append(_Sight(view, mask, distance, *counts))
+    return sights
+
+
+def _lost(sights: Sequence[_Sight]) -> list[int]:
+    """Ids of the parts that are lost, by a sign test over the views, and that are not the bright outside."""
+    found, pixels, bright = (
+        np.array([getattr(sight, name) for sight in sights]) for name in ("found", "pixels", "bright")
+    )
+    lost = []
+    for part in np.flatnonzero(pixels.any(axis=0)):
+        seen = pixels[:, part] > 0
+        misses = int((2 * found[seen, part] < pixels[seen, part]).sum())
+        chance = binomtest(misses, int(seen.sum()), alternative="greater").pvalue
+        if part > 0 and chance < LEVEL and 2 * bright[:, part].sum() < pixels[:, part].sum():
+            lost.append(int(part))
+    return lost
+
+
+def _prism(
+    sights: Sequence[_Sight], part: int, bounds: tuple[np.ndarray, np.ndarray], edge: float
+) -> Surface | None:
+    """The prism of a part, None where none has its outlines."""
+    shown = [sight.shown(part) for sight in sights]
+    sizes = [
+        sight.distance[(image > 0) & np.isfinite(sight.distance)] / sight.view.fx
+        for sight, image in zip(sights, shown, strict=True)
+    ]
+    every = np.concatenate(sizes)
+    cell = max(edge, float(np.median(every)) if len(every) else 0.0)
+    low, high = bounds
+    for step in (COARSE * cell, cell):
+        shape = np.maximum(np.ceil((high - low) / step).astype(int), 1)
+        if np.prod(shape) > _MOST_POINTS:
+            return None
+        yes, no = _votes(sights, shown, _points(low, step, shape), edge)
+        yes, no = yes.reshape(shape), no.reshape(shape)
+        if step == cell:
+            break
+        body = _largest((yes >= LEAST_VIEWS) & (yes >= no))
+        if body is None:
+            return None
+        places = np.argwhere(body)
+        low, high = low + (places.min(axis=0) - 1) * step, low + (places.max(axis=0) + 2) * step
+    found = _fitted(sights, shown, (yes, no), (low, cell), edge)
+    if found is None:
+        return None
+    footprint, first, last = found
+    mesh = prism(footprint, low + [0.0, 0.0, first * cell], cell, last - first + 1)
+    return *mesh, np.full(len(mesh[1]), NONE)
+
+
+def _points(low: np.ndarray, step: float, shape: np.ndarray) -> np.ndarray:
+    """(N, 3) centres of the cells of a grid."""
+    return np.asarray(low + (np.indices(tuple(shape)).reshape(3, -1).T + 0.5) * step)
+
+
+def _seen(sight: _Sight, points: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The points (N, 3) that a view sees before the scan: their rows, and row and column of their pixels."""
+    place, depth = project(points, sight.view)
+    within = (depth > 0.0) & (place >= 0.0).all(axis=1)
+    within &= (place[:, 0] < sight.view.width) & (place[:, 1] < sight.view.height)
+    rows = np.flatnonzero(within)
+    x, y = place[rows].astype(np.int64).T
+    distance = np.linalg.norm(points[rows] - sight.view.camera_to_world[:3, 3], axis=1)
+    free = distance < sight.distance[y, x] - tolerance
+    return rows[free], y[free], x[free]
+
+
+def _votes(
+    sights: Sequence[_Sight], shown: Sequence[np.ndarray], points: np.ndarray, tolerance: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) int, how many views show the part at each point (N, 3), and how many show another."""
+    yes, no = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
+    for sight, image in zip(sights, shown, strict=True):
+        rows, y, x = _seen(sight, points, tolerance)
+        yes[rows] += image[y, x] > 0
+        no[rows] += image[y, x] < 0
+    return yes, no
+
+
+def _largest(mask: np.ndarray) -> np.ndarray | None:
+    """The largest connected piece, None of nothing."""
+    pieces, count = label(mask)
+    if not count:
+        return None
+    return np.asarray(pieces == 1 + np.argmax(np.bincount(pieces.reshape(-1))[1:]))
+
+
+def _fitted(
+    sights: Sequence[_Sight],
+    shown: Sequence[np.ndarray],
+    votes: tuple[np.ndarray, np.ndarray],
+    grid: tuple[np.ndarray, float],
+    tolerance: float,
+) -> tuple[np.ndarray, int, int] | None:
+    """Footprint, lowest and highest layer of the prism that fits the masks best, None where none fits.
+
+    The best layer grows up and down as long as it fits better.
+    """
+    low, cell = grid
+    yes, no = votes
+
+    def overlap(first: int, last: int) -> tuple[float, np.ndarray]:
+        agree, differ = (counts[:, :, first : last + 1].sum(axis=2) for counts in (yes, no))
+        layers = last - first + 1
+        body = (agree >= LEAST_VIEWS * layers) & (differ <= MISSES * (agree + differ))
+        piece = _largest(binary_opening(np.pad(body, 1))[1:-1, 1:-1])
+        if piece is None:
+            return 0.0, body
+        footprint = np.asarray(binary_fill_holes(piece))
+        column, row = np.nonzero(footprint)
+        places = np.stack([np.tile(column, layers), np.tile(row, layers)], axis=1)
+        height = np.repeat(np.arange(first, last + 1), len(column))[:, None]
+        points = low + (np.concatenate([places, height], axis=1) + 0.5) * cell
+        return _overlap(sights, shown, points, cell, tolerance), footprint
+
+    layers = yes.shape[2]
+    score, first, last = max((overlap(layer, layer)[0], layer, layer) for layer in range(layers))
+    while True:
+        pairs = [
+            (first - down, last + up)
+            for down, up in ((1, 0), (0, 1), (1, 1), (2, 0), (0, 2))
+            if first >= down and last + up < layers
+        ]
+        better = max(((overlap(*pair)[0], *pair) for pair in pairs), default=(0.0, 0, 0))
+        if better[0] <= score:
+            break
+        score, first, last = better
+    return None if score < LEAST_OVERLAP else (overlap(first, last)[1], first, last)
+
+
+def _overlap(
+    sights: Sequence[_Sight],
+    shown: Sequence[np.ndarray],
+    points: np.ndarray,
+    cell: float,
+    tolerance: float,
+) -> float:
+    """Intersection over union of the part's pixels and those of cells around points (N, 3)"""
+    both = either = 0
+    for sight, image in zip(sights, shown, strict=True):
+        covered = np.zeros(image.shape, bool)
+        rows, y, x = _seen(sight, points, tolerance)
+        covered[y, x] = True
+        if len(rows):
+            distance = np.median(np.linalg.norm(points[rows] - sight.view.camera_to_world[:3, 3], axis=1))
+            size = int(np.ceil(sight.view.fx * cell / distance)) + 1
+            covered = binary_closing(np.pad(covered, size), np.ones((size, size)))[size:-size, size:-size]
+        both += int((covered & (image > 0)).sum())
+        either += int(((covered & (image != 0)) | (image > 0)).sum())
+    return both / max(either, 1)
