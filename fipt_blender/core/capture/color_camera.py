@@ -123,17 +123,12 @@ def find_color_camera(frames: Sequence[DepthView], scale: float) -> ColorCamera 
         frames: with photographs.
         scale: metres per unit of the capture's coordinates.
     """
-    if len(frames) < LEAST_VIEWS:
+    shown = shown_points(frames, scale)
+    first = frames[0].photograph if frames else None
+    if shown is None or first is None:
         return None
-    sightings = find_sightings(frames, scale)
-    if len(sightings.point) < LEAST_VIEWS * 1000:
-        return None
-    reduced = [reduced_photograph(frame) for frame in frames]
-    height, width = reduced[0].shape
-    first = frames[0].photograph
-    if first is None or any(image.shape != (height, width) for image in reduced):
-        return None
-    fx, fy, cx, cy = (value * width / first.width for value in first.lens.parameters)
+    sightings, reduced = shown
+    fx, fy, cx, cy = (value * reduced[0].shape[1] / first.width for value in first.lens.parameters)
     camera = np.array([fx, fy, cx, cy])
     found = np.zeros(5)
     for blur, steps in BLURS:
@@ -145,7 +140,25 @@ def find_color_camera(frames: Sequence[DepthView], scale: float) -> ColorCamera 
     return ColorCamera(log_focal, shift_x, shift_y, x, y, cost / max(start, 1e-12))
 
 
-def find_sightings(frames: Sequence[DepthView], scale: float) -> Sightings:
+def shown_points(frames: Sequence[DepthView], scale: float) -> tuple[Sightings, list[np.ndarray]] | None:
+    """Measured points that frames see, and their reduced photographs.
+
+    None where too few points are seen by several frames, or the photographs differ in size.
+
+    Args:
+        frames: with photographs.
+        scale: metres per unit of the capture's coordinates.
+    """
+    if len(frames) < LEAST_VIEWS:
+        return None
+    sightings = _find_sightings(frames, scale)
+    if len(sightings.point) < LEAST_VIEWS * 1000:
+        return None
+    reduced = [_reduced_photograph(frame) for frame in frames]
+    return None if any(image.shape != reduced[0].shape for image in reduced) else (sightings, reduced)
+
+
+def _find_sightings(frames: Sequence[DepthView], scale: float) -> Sightings:
     ranges = [read_depth(replace(frame, photograph=None), scale) for frame in frames]
     rng = np.random.default_rng(0)
     chosen = []
@@ -173,7 +186,7 @@ def find_sightings(frames: Sequence[DepthView], scale: float) -> Sightings:
     return Sightings(point, frame, place, len(points))
 
 
-def reduced_photograph(frame: DepthView) -> np.ndarray:
+def _reduced_photograph(frame: DepthView) -> np.ndarray:
     """(H, W) logarithm of a photograph's gray values, `WIDTH` pixels wide."""
     view = frame.photograph
     assert view is not None

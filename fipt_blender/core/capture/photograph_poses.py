@@ -17,16 +17,14 @@ import numpy as np
 
 from ..alignment.edges import corrected_pose
 from .color_camera import (
-    LEAST_VIEWS,
     MOST_FRAMES,
     SCALE,
     Sightings,
     details,
     disagreement,
-    find_sightings,
     gradients,
-    reduced_photograph,
     sampled,
+    shown_points,
 )
 from .rig import DepthView, Note, Rig, RigView
 
@@ -104,14 +102,10 @@ def find_motions(frames: Sequence[DepthView], scale: float) -> Motions | None:
         frames: with photographs of one size and pinhole lenses.
         scale: metres per unit of the capture's coordinates.
     """
-    if len(frames) < LEAST_VIEWS:
+    shown = shown_points(frames, scale)
+    if shown is None:
         return None
-    sightings = find_sightings(frames, scale)
-    if len(sightings.point) < LEAST_VIEWS * 1000:
-        return None
-    reduced = [reduced_photograph(frame) for frame in frames]
-    if any(image.shape != reduced[0].shape for image in reduced):
-        return None
+    sightings, reduced = shown
     place, lens = _before_photographs(frames, sightings, reduced[0].shape[1], scale)
     images = np.stack([gradients(details(image, 1.0)) for image in reduced])
     motion = np.zeros((len(frames), 6))

@@ -68,13 +68,13 @@ def estimate_environment(
     height = width // 2
     count = np.zeros(height * width, np.int64)
     for directions, _ in outside():
-        count += np.bincount(_cells(directions, width), minlength=len(count))
+        count += np.bincount(map_cells(directions, width), minlength=len(count))
     if not count.any():
         return None
     share_kept = MOST_PIXELS / np.maximum(count, 1)
     cells, kept = [np.zeros(0, np.int64)], [np.zeros((0, 3), np.float32)]
     for directions, radiance in outside():
-        cell = _cells(directions, width)
+        cell = map_cells(directions, width)
         chosen = rng.random(len(cell)) < share_kept[cell]
         cells.append(cell[chosen])
         kept.append(radiance[chosen])
@@ -90,13 +90,13 @@ def estimate_environment(
     return Environment(_diffuse(image.reshape(height, width, 3), seen), share, seen)
 
 
-def _cells(directions: np.ndarray, width: int) -> np.ndarray:
-    """(N,) int64 row-major cell of the map for each direction (N, 3)."""
+def map_cells(directions: np.ndarray, width: int) -> np.ndarray:
+    """(...,) int64 row-major cell of the map, `width` cells wide, for each direction (..., 3)."""
     height = width // 2
     uv = direction_to_equirect(directions)
-    column = np.clip((uv[:, 0] * width).astype(np.int64), 0, width - 1)
+    column = np.clip((uv[..., 0] * width).astype(np.int64), 0, width - 1)
     # v counts up from the lower edge, rows count down from the upper one
-    row = np.clip(((1.0 - uv[:, 1]) * height).astype(np.int64), 0, height - 1)
+    row = np.clip(((1.0 - uv[..., 1]) * height).astype(np.int64), 0, height - 1)
     return row * width + column
 
 

@@ -16,13 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..conventions import direction_to_equirect, equirect_pixel_directions
+from ..conventions import equirect_pixel_directions
 from ..scene.grouped import numbered
 from ..scene.pixels import PixelStore
 from ..scene.room import Room, triangle_normals
 from .cache import VoxelGrid
 from .clipped import MOST_POINTS, OUTSIDE, POINTS_PER_SAMPLE, hemisphere_rays
-from .environment import Environment
+from .environment import Environment, map_cells
 
 # Mean share of the hemispheres over the points through which unseen light enters, above which a mesh is open.
 # Windows and the holes of scans are below 0.03 in the test rooms.
@@ -132,15 +132,12 @@ def _open_points(
     nothing = np.full(len(room.triangles), -1, np.int32)
     entry, direction = hemisphere_rays(room, grid, np.asarray(pixels.position[where]), normal, nothing, seed)
     image, known = sky
-    uv = direction_to_equirect(direction)
-    height, width = known.shape
-    column = np.minimum((uv[..., 0] * width).astype(np.int64), width - 1)
-    row = np.minimum(((1.0 - uv[..., 1]) * height).astype(np.int64), height - 1)
-    outside = entry == OUTSIDE
-    unknown = outside & ~known[row, column]
+    cell, outside = map_cells(direction, known.shape[1]), entry == OUTSIDE
+    shown = known.reshape(-1)[cell]
+    unknown = outside & ~shown
     if unknown.mean() < OPEN:
         return None
-    seen = np.where(outside[..., None], image[row, column] * known[row, column][..., None], 0.0)
+    seen = np.where((outside & shown)[..., None], image.reshape(-1, 3)[cell], 0.0)
     seen = np.where((entry >= 0)[..., None], cache()[np.maximum(entry, 0)], seen).mean(axis=1)
     ways = zip(unknown, direction, strict=True)
     unseen = np.stack([np.where(part[:, None], sky_parts(way), 0.0).mean(axis=0) for part, way in ways])

@@ -46,6 +46,13 @@ def trace_pixels(
     return room.intersect(mi.Ray3f(opaque_vector(mi.Point3f, pose[:3, 3]), direction))
 
 
+def first_hits(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) int64 triangle of each ray, -1 where it meets none, and (N,) metres to it, infinite there."""
+    valid = np.array(surface.valid)
+    triangle = np.where(valid, np.array(surface.triangle).astype(np.int64), -1)
+    return triangle, np.where(valid, np.array(surface.distance), np.inf)
+
+
 def opaque_vector(kind: type, values: np.ndarray) -> mi.Vector3f:
     """A vector or point (3,) that Dr.Jit does not compile into kernels as a constant."""
     return kind(*[dr.opaque(dr.value_t(kind), float(value)) for value in values])

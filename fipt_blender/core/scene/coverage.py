@@ -14,8 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..capture.views import View
-from .camera_rays import opaque_vector, trace_pixels
-from .pixels import NO_TRIANGLE
+from .camera_rays import first_hits, opaque_vector, trace_pixels
 from .room import Room
 
 GRID = 256  # pixels along the longer side
@@ -58,9 +57,8 @@ def coarse_view(view: View, grid: int = GRID) -> View:
 
 
 def coarse_triangles(room: Room, view: View) -> np.ndarray:
-    """(H * W,) int32 triangle that each pixel sees, NO_TRIANGLE where none."""
-    surface = trace_pixels(room, view)
-    return np.where(np.array(surface.valid), np.array(surface.triangle).astype(np.int32), NO_TRIANGLE)
+    """(H * W,) int32 triangle that each pixel sees, -1 where none."""
+    return first_hits(trace_pixels(room, view))[0].astype(np.int32)
 
 
 def fuse_inputs(

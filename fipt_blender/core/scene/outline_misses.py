@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from ..capture.views import View
-from .camera_rays import opaque_vector
+from .camera_rays import first_hits, opaque_vector
 from .room import Room
 
 # Outlines of mesh and mask that are farther apart, in pixels, are not the same.
@@ -145,7 +145,6 @@ def _first_hit(room: Room, view: View, direction: np.ndarray) -> tuple[np.ndarra
     if not len(unit):
         return np.zeros(0, np.int64), np.zeros(0)
     origin = opaque_vector(mi.Point3f, np.asarray(view.camera_to_world)[:3, 3])
-    surface = room.intersect(mi.Ray3f(origin, mi.Vector3f(*np.ascontiguousarray(unit.T, np.float32))))
-    valid = np.array(surface.valid)
-    triangle = np.where(valid, np.array(surface.triangle).astype(np.int64), -1)
-    return triangle, np.where(valid, np.array(surface.distance), np.inf)
+    return first_hits(
+        room.intersect(mi.Ray3f(origin, mi.Vector3f(*np.ascontiguousarray(unit.T, np.float32))))
+    )

@@ -20,7 +20,7 @@ from ..capture.views import View
 from ..geometry.adjacency import Mesh, face_vectors, make_mesh
 from ..run.run_files import array_digest, read_geometry, read_outlines, read_room_files
 from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
-from .camera_rays import trace_pixels
+from .camera_rays import first_hits, trace_pixels
 from .disagreement import mask_of
 from .labels import Parts, choose_parts, choose_source
 from .outline_misses import Misses, find_misses, joined
@@ -73,11 +73,7 @@ def outline_parts(run: RunFolder, views: Sequence[View]) -> None:
     stored = read_outlines(run, cleaned["vertices"])
     if stored is not None and np.array_equal(stored["masks"], masks):
         return
-    triangles = []
-    for view in views:
-        surface = trace_pixels(room, view)
-        hit = np.where(np.array(surface.valid), np.array(surface.triangle).astype(np.int64), -1)
-        triangles.append(hit)
+    triangles = [first_hits(trace_pixels(room, view))[0] for view in views]
     vertices = outlined_vertices(room, views, choose_parts(room, views, triangles))
     with explained_write_errors(run.root), atomic_path(run.outlines_npz) as temporary:
         np.savez(temporary, vertices=vertices, cleaned=array_digest(cleaned["vertices"]), masks=masks)

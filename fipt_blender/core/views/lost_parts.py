@@ -20,7 +20,7 @@ from ..conventions import project
 from ..geometry.adjacency import NONE
 from ..geometry.prism import prism
 from ..optics.lights import LUMINANCE
-from ..scene.camera_rays import trace_pixels
+from ..scene.camera_rays import first_hits, trace_pixels
 from ..scene.labels import NO_PART, at_border, choose_parts, choose_source
 from ..scene.room import Room
 
@@ -92,26 +92,26 @@ def lost_parts(room: Room, views: Sequence[View], edge: float) -> list[Surface]:
 
 def _sights(room: Room, views: Sequence[View]) -> list[_Sight]:
     """What the views with masks show."""
-    surfaces = []
-    for view in views:
-        surface = trace_pixels(room, view)
-        valid = np.array(surface.valid)
-        triangle = np.where(valid, np.array(surface.triangle).astype(np.int64), -1)
-        surfaces.append((triangle, np.where(valid, np.array(surface.distance), np.inf)))
+    surfaces = [first_hits(trace_pixels(room, view)) for view in views]
     parts = choose_parts(room, views, [triangle for triangle, _ in surfaces])
     ids = np.append(np.append(parts.ids, NO_PART)[parts.triangle_part], NO_PART)  # the last: of no triangle
     masks = [view.part_ids() for view in views]
     count = 1 + max(int(mask.max()) for mask in masks if mask is not None)
-    luminances = [view.radiance() @ LUMINANCE for view in views]
-    outside = OUTSIDE * float(np.median([np.median(luminance) for luminance in luminances]))
+    medians, missing = [], []
+    for view, (_, reached) in zip(views, surfaces, strict=True):
+        luminance = view.radiance() @ LUMINANCE
+        medians.append(np.median(luminance))
+        missing.append(luminance[np.isinf(reached).reshape(luminance.shape)])
+    outside = OUTSIDE * float(np.median(medians))
     sights = []
-    for view, image, luminance, (triangle, reached) in zip(views, masks, luminances, surfaces, strict=True):
+    for view, image, luminance, (triangle, reached) in zip(views, masks, missing, surfaces, strict=True):
         if image is None:
             continue
         mask, inner = np.maximum(image, 0), ~at_border(image)
         distance = reached.reshape(mask.shape)
         same = ids[triangle].reshape(mask.shape) == mask
-        bright = np.isinf(distance) & (luminance > outside)
+        bright = np.isinf(distance)
+        bright[bright] = luminance > outside
         counts = (
             np.bincount(mask[chosen], minlength=count) for chosen in (inner & same, inner, inner & bright)
         )

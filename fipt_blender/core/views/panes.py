@@ -23,7 +23,7 @@ from ..geometry.stored import store_geometry, stored_geometry
 from ..optics.lights import LUMINANCE
 from ..run.run_files import PANES, mesh_digest, read_room_files
 from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
-from ..scene.camera_rays import trace_pixels
+from ..scene.camera_rays import first_hits, trace_pixels
 from ..scene.room import Room, load_room
 from .lost_parts import OUTSIDE, Surface, lost_parts
 
@@ -139,8 +139,7 @@ def _sights(room: Room, holes: Sequence[FlatHole], views: Sequence[View]) -> lis
     for view in views if holes else ():
         luminance = view.radiance().reshape(-1, 3) @ LUMINANCE
         medians.append(np.median(luminance))
-        surface = trace_pixels(room, view)
-        reached = np.where(np.array(surface.valid), np.array(surface.distance), np.inf)
+        reached = first_hits(trace_pixels(room, view))[1]
         origin, directions = view.camera_to_world[:3, 3], view.rays()[1]
         for hole, sight in zip(holes, sights, strict=True):
             enters, distance = hole.crossed(origin, directions)
