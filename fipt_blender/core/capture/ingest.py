@@ -16,28 +16,19 @@ from typing import Any
 import numpy as np
 
 from .. import conventions
-from ..depth.extraction import FusedMesh
-from ..depth.plane_room import PlaneRoom
-from ..depth.ply import write_ply
 from ..run.errors import FiptError
 from ..run.messages import Reporter
 from ..run.runfolder import RunFolder, write_json
 from ..run.settings import make_settings
 from . import checks
-from .align_mesh import aligned_to_mesh
-from .color_camera import with_color_camera
-from .dense_stereo import StereoFusion, stereo_possible
-from .depth_images import Fusion, checked_depths
 from .distortion import is_distorted, lens_pinhole, undistorted_pinhole, undistortion
 from .encoded import file_exposure, is_encoded
-from .formats import read_rig
 from .images import EXR_SUFFIX, is_rec709, read_ids, read_radiance, read_size, write_exr
 from .ingest_options import IngestOptions, check_options, options_of
 from .ingest_options import add_arguments as add_arguments  # of the command
 from .photograph_poses import with_photograph_poses
-from .points_room import room_note, room_of_points, write_room
-from .rig import Pinhole, Rig, RigView
-from .simplified_mesh import simplified_mesh
+from .rig import Pinhole, RigView
+from .source import mesh_fusion, read_source, write_mesh
 from .views import CAPTURE_FORMAT, CAPTURE_VERSION
 
 ID_IMAGES = ("parts", "semantics", "mask")
@@ -59,7 +50,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     reporter.plan([0.1, 0.7, 0.2])
     reporter.stage("cameras", "Reading cameras")
     check_options(options)
-    source = _read_source(capture.absolute(), options, reporter)
+    source = read_source(capture.absolute(), options, reporter)
     rig = source.rig
     views = _assign_splits(_chosen(unique_names(rig.views), options.most_views), options.hold_back)
     _check_files(views)
@@ -75,7 +66,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     ]
     pinholes = [_checked_pinhole(view) for view in views]
 
-    fusion = _fusion(run_folder, capture.absolute(), source, options)
+    fusion = mesh_fusion(run_folder, capture.absolute(), source, options)
     if fusion is not None:
         reporter.plan([0.2, 0.7, 0.1])
     reporter.stage("images", "Checking photographs")
@@ -95,7 +86,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     reporter.stage("write", "Writing the capture")
     if not run_folder.run_json.exists():
         run_folder.create(make_settings())
-    mesh = _write_mesh(run_folder, source, fusion, fused)
+    mesh = write_mesh(run_folder, source, fusion, fused)
     data = {
         "format": CAPTURE_FORMAT,
         "version": CAPTURE_VERSION,
@@ -119,84 +110,6 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
             "undistorted": sum(is_distorted(view.lens, view.width, view.height) for view in views),
         },
     )
-
-
-@dataclass(frozen=True)
-class _Source:
-    """A capture as it was read, and where its mesh comes from.
-
-    Attributes:
-        rig: cameras and images, aligned to the mesh where that was asked for.
-        mesh: the mesh file; None without one.
-        simplified: the same with fewer triangles, which is used instead; None where that is not wanted.
-        planes: the room of planes made from the solve's points; None where that is not wanted.
-        stereo: whether the mesh is made by dense stereo.
-    """
-
-    rig: Rig
-    mesh: Path | None
-    simplified: FusedMesh | None
-    planes: PlaneRoom | None
-    stereo: bool
-
-
-def _read_source(capture: Path, options: IngestOptions, reporter: Reporter) -> _Source:
-    """Read cameras and mesh, and warn of what the user should know of them.
-
-    Raises:
-        FiptError: those of the readers, ``mesh-missing``; those of aligning, of planes and of stereo.
-    """
-    rig = read_rig(capture, options.format, options.read)
-    mesh = _mesh(rig, options)
-    rig = replace(rig, depths=checked_depths(rig.depths))
-    if rig.one_camera:
-        rig = with_color_camera(rig, options.scale)
-    if options.align_mesh:
-        rig = aligned_to_mesh(capture, rig, mesh)
-    notes = list(rig.notes)
-    stereo = options.dense_stereo and mesh is None and not rig.depths
-    if stereo and (without := stereo_possible(rig, otherwise=options.plane_room)) is not None:
-        notes.append(without)
-        stereo = False
-    planes = None
-    if options.plane_room and mesh is None and not stereo:
-        planes = room_of_points(capture, rig)
-        notes.append(room_note(planes))
-    simplified, budget = None, options.fusion.triangles
-    if budget and mesh is not None and (fewer := simplified_mesh(mesh, budget)) is not None:
-        simplified = fewer[0]
-        notes.append(fewer[1])
-    for note in notes:
-        reporter.warning(note.code, note.text, note.remedy)
-    return _Source(rig, mesh, simplified, planes, stereo)
-
-
-def _fusion(run: RunFolder, capture: Path, source: _Source, options: IngestOptions) -> Fusion | None:
-    """What makes the mesh of depths; None where there is another one, or no depths."""
-    if source.stereo:
-        return StereoFusion(run, (), options.fusion, options.scale, capture, source.rig.views)
-    if source.mesh is None and source.planes is None and source.rig.depths:
-        return Fusion(run, source.rig.depths, options.fusion, options.scale)
-    return None
-
-
-def _write_mesh(
-    run: RunFolder, source: _Source, fusion: Fusion | None, fused: FusedMesh | None
-) -> Path | None:
-    """The mesh file of the capture, written where it was made here; None without a mesh.
-
-    Args:
-        fused: by `fusion`, None where the mesh of an earlier start is kept.
-    """
-    if fusion is not None:
-        return run.fused_ply if fused is None else fusion.keep(fused)
-    if source.simplified is not None:
-        write_ply(run.simplified_ply, source.simplified)
-        return run.simplified_ply
-    if source.planes is not None:
-        write_room(run.planes_obj, source.planes)
-        return run.planes_obj
-    return source.mesh
 
 
 def guess_up_axis(views: list[RigView]) -> str:
@@ -295,14 +208,6 @@ def _check_files(views: list[RigView]) -> None:
                     f"{path} has {width} x {height} pixels, but its camera {view.width} x {view.height}.",
                     "Use images of the size for which the cameras were calibrated.",
                 )
-
-
-def _mesh(rig: Rig, options: IngestOptions) -> Path | None:
-    if options.mesh is None:
-        return None if rig.mesh is None else rig.mesh.absolute()
-    if not options.mesh.is_file():
-        raise FiptError("mesh-missing", f"The mesh {options.mesh} does not exist.", "Correct the path.")
-    return options.mesh.absolute()
 
 
 def _checked_pinhole(view: RigView) -> Pinhole:

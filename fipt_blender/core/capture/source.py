@@ -1,0 +1,109 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A capture as it is read, and where its mesh comes from: a file, a copy with fewer triangles,
+depth images, dense stereo, or the points of the solve."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ..depth.extraction import FusedMesh
+from ..depth.plane_room import PlaneRoom
+from ..depth.ply import write_ply
+from ..run.errors import FiptError
+from ..run.messages import Reporter
+from ..run.runfolder import RunFolder
+from .align_mesh import aligned_to_mesh
+from .color_camera import with_color_camera
+from .dense_stereo import StereoFusion, stereo_possible
+from .depth_images import Fusion, checked_depths
+from .formats import read_rig
+from .ingest_options import IngestOptions
+from .points_room import room_note, room_of_points, write_room
+from .rig import Rig
+from .simplified_mesh import simplified_mesh
+
+
+@dataclass(frozen=True)
+class Source:
+    """A capture as it was read, and where its mesh comes from.
+
+    Attributes:
+        rig: cameras and images, aligned to the mesh where that was asked for.
+        mesh: the mesh file; None without one.
+        simplified: the same with fewer triangles, which is used instead; None where that is not wanted.
+        planes: the room of planes made from the solve's points; None where that is not wanted.
+        stereo: whether the mesh is made by dense stereo.
+    """
+
+    rig: Rig
+    mesh: Path | None
+    simplified: FusedMesh | None
+    planes: PlaneRoom | None
+    stereo: bool
+
+
+def read_source(capture: Path, options: IngestOptions, reporter: Reporter) -> Source:
+    """Read cameras and mesh, and warn of what the user should know of them.
+
+    Raises:
+        FiptError: those of the readers, ``mesh-missing``; those of aligning, of planes and of stereo.
+    """
+    rig = read_rig(capture, options.format, options.read)
+    mesh = _mesh(rig, options)
+    rig = replace(rig, depths=checked_depths(rig.depths))
+    if rig.one_camera:
+        rig = with_color_camera(rig, options.scale)
+    if options.align_mesh:
+        rig = aligned_to_mesh(capture, rig, mesh)
+    notes = list(rig.notes)
+    stereo = options.dense_stereo and mesh is None and not rig.depths
+    if stereo and (without := stereo_possible(rig, otherwise=options.plane_room)) is not None:
+        notes.append(without)
+        stereo = False
+    planes = None
+    if options.plane_room and mesh is None and not stereo:
+        planes = room_of_points(capture, rig)
+        notes.append(room_note(planes))
+    simplified, budget = None, options.fusion.triangles
+    if budget and mesh is not None and (fewer := simplified_mesh(mesh, budget)) is not None:
+        simplified = fewer[0]
+        notes.append(fewer[1])
+    for note in notes:
+        reporter.warning(note.code, note.text, note.remedy)
+    return Source(rig, mesh, simplified, planes, stereo)
+
+
+def mesh_fusion(run: RunFolder, capture: Path, source: Source, options: IngestOptions) -> Fusion | None:
+    """What makes the mesh of depths; None where there is another one, or no depths."""
+    if source.stereo:
+        return StereoFusion(run, (), options.fusion, options.scale, capture, source.rig.views)
+    if source.mesh is None and source.planes is None and source.rig.depths:
+        return Fusion(run, source.rig.depths, options.fusion, options.scale)
+    return None
+
+
+def write_mesh(run: RunFolder, source: Source, fusion: Fusion | None, fused: FusedMesh | None) -> Path | None:
+    """The mesh file of the capture, written where it was made here; None without a mesh.
+
+    Args:
+        fused: by `fusion`, None where the mesh of an earlier start is kept.
+    """
+    if fusion is not None:
+        return run.fused_ply if fused is None else fusion.keep(fused)
+    if source.simplified is not None:
+        write_ply(run.simplified_ply, source.simplified)
+        return run.simplified_ply
+    if source.planes is not None:
+        write_room(run.planes_obj, source.planes)
+        return run.planes_obj
+    return source.mesh
+
+
+def _mesh(rig: Rig, options: IngestOptions) -> Path | None:
+    if options.mesh is None:
+        return None if rig.mesh is None else rig.mesh.absolute()
+    if not options.mesh.is_file():
+        raise FiptError("mesh-missing", f"The mesh {options.mesh} does not exist.", "Correct the path.")
+    return options.mesh.absolute()
