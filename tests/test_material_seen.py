@@ -113,7 +113,7 @@ def test_neighbours_of_a_seen_cell_count_as_seen(fields):
 
 
 def test_without_any_seen_surface_the_networks_values_remain():
-    nothing = seen_cells(BOX_4, [])
+    nothing = seen_cells(BOX_4, [(np.zeros((0, 3), np.float32), np.zeros(0, np.int32))])
     points = grid_points(0.0, 4.0, 0.0)
     values = RoomFields(Ramp(), units([0]), nothing).query(points, np.zeros(len(points), int))
     np.testing.assert_array_equal(values[0], Ramp().query(points)[0])

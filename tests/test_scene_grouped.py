@@ -1,13 +1,20 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Medians of groups: the same as numpy's and the standard library's, group by group."""
+"""Sums and medians of groups: the same as numpy's and the standard library's, group by group."""
 
 import statistics
 
 import numpy as np
 import pytest
 
-from fipt_blender.core.scene.grouped import grouped_median, grouped_weighted_median, numbered
+from fipt_blender.core.scene.grouped import (
+    first_by_key,
+    grouped_median,
+    grouped_sums,
+    grouped_weighted_median,
+    numbered,
+    summed_by_key,
+)
 
 
 @pytest.mark.parametrize("dtype", (np.float32, np.float64))
@@ -22,6 +29,29 @@ def test_medians_are_those_of_each_group_alone(rng: np.random.Generator, dtype) 
         assert low[index] == statistics.median_low(members[:, 0].tolist())
         assert high[index] == statistics.median_high(members[:, 0].tolist())
     assert grouped_median(np.zeros((0, 3)), np.zeros(0, int), 2).shape == (2, 3)
+
+
+def test_sums_are_those_of_each_group_alone(rng: np.random.Generator) -> None:
+    values, group = rng.random((300, 3)), rng.integers(0, 40, 300)
+    sums = grouped_sums(values, group, 42)
+    assert sums.shape == (42, 3) and not sums[40:].any()
+    expected = [values[group == index].sum(axis=0) for index in range(42)]
+    np.testing.assert_allclose(sums, expected)
+
+
+def test_keys_in_pieces_give_what_all_of_them_give_at_once(rng: np.random.Generator) -> None:
+    """Whatever the pieces' sizes; some are empty."""
+    keys, values = rng.integers(0, 50, 400), rng.integers(0, 9, 400).astype(float)
+    bounds = np.sort(rng.integers(0, 400, 20))
+    pieces = list(zip(np.split(keys, bounds), np.split(values, bounds), strict=True))
+    expected, first, place = np.unique(keys, return_index=True, return_inverse=True)
+    for found, wanted in (
+        (summed_by_key(pieces), np.bincount(place, values)),
+        (first_by_key(pieces), values[first]),
+        (first_by_key((key, np.tile(value, (3, 1)).T) for key, value in pieces), values[first][:, None]),
+    ):
+        assert (found[0] == expected).all() and (found[1] == wanted).all()
+    assert [len(array) for array in summed_by_key([])] == [0, 0]
 
 
 def test_weights_count_as_repeated_values(rng: np.random.Generator) -> None:

@@ -21,6 +21,7 @@ from ..run.documents import Entries, read_json
 from ..run.parts import readable, unique_names
 from ..run.runfolder import RunFolder, write_json
 from ..run.shapes import PARTS_FORMAT, PARTS_VERSION
+from ..scene.grouped import grouped_sums
 from ..scene.labels import Parts, choose_source, fuse_masks
 from ..scene.pixels import PixelStore
 from ..scene.room import Room, triangle_normals
@@ -112,7 +113,7 @@ def _mean_values(fields: RoomFields, count: int) -> np.ndarray:
     triangle = first[np.searchsorted(units, cells.part[rows])]  # any of the unit's
     points = cells.points[rows].astype(np.float64)
     values = np.column_stack([*fields.query(points, triangle), fields.confidence(points, triangle)])
-    total = np.stack([np.bincount(cells.part[rows], column, minlength=count) for column in values.T], axis=1)
+    total = grouped_sums(values, cells.part[rows], count)
     size = np.bincount(cells.part[rows], minlength=count)[:, None]
     return np.where(size > 0, total / np.maximum(size, 1), np.nan)
 

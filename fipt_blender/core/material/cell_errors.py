@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..light.baking import ShadingStore
+from ..scene.grouped import grouped_sums
 from ..scene.pixels import PixelStore
 from .confidence import FLOOR, UNIFORM_DEVIATION, concatenate, linearise, standard_errors
 from .groups import Units
@@ -59,8 +60,7 @@ def cell_errors(
         chunk = slice(start, start + CHUNK)
         samples = read_samples(pixels, shadings, data.levels, rows[chunk], cell[chunk], group[chunk])
         chunks.append(linearise(samples, color[chunk], material[chunk], of_pixel[chunk]))
-    count = np.bincount(cell)
-    material_errors = np.stack([np.bincount(cell, column) / count for column in of_pixel.T], axis=1)
+    material_errors = grouped_sums(of_pixel, cell) / np.bincount(cell)[:, None]
     errors[sampled, 0] = standard_errors(concatenate(chunks))
     errors[sampled, 1:] = np.minimum(material_errors, UNIFORM_DEVIATION)
     unsampled = np.ones(len(errors), bool)
@@ -107,8 +107,7 @@ def lit_cells(
     count = np.maximum(np.bincount(drawn.place, minlength=len(seen)), 1)[:, None]
 
     def means(values: np.ndarray) -> np.ndarray:
-        columns = [np.bincount(drawn.place, column, minlength=len(seen)) for column in values.T]
-        return np.stack(columns, axis=1) / count
+        return grouped_sums(values, drawn.place, len(seen)) / count
 
     normals = means(np.asarray(pixels.normal[rows]).astype(np.float64))
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-6)

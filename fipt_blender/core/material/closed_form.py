@@ -9,7 +9,6 @@ squares.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -18,6 +17,7 @@ import numpy as np
 from ..light.observations import Observations
 from ..optics.factorised import color_line
 from ..run.threads import in_threads
+from ..scene.grouped import first_by_key, grouped_sums
 from .pixel_samples import rows_with_donor
 from .projection import residual_weight, specular_at
 from .training import TrainingData
@@ -30,8 +30,6 @@ MARKED_SHARE = 0.5
 LEAST_EMISSION = 1.0
 # Roughness of groups that paths follow although they may be rough, in units of the limit; tables are rounded.
 BELOW_LIMIT = 0.99
-# Keys of the cells of single views that are kept before they are merged.
-MERGED_KEYS = 1 << 22
 
 
 @dataclass(frozen=True)
@@ -85,12 +83,8 @@ class CellEstimate:
         entries, first = np.unique(self.entry[order], return_index=True)
         place = np.searchsorted(entries, self.entry)
         count = np.bincount(place, self.pixels)
-        sums = [np.bincount(place, self.pixels * column) for column in self.values.T]
-        return (
-            entries,
-            np.stack(sums, axis=1).astype(np.float32) / count[:, None],
-            self.triangle[order][first],
-        )
+        sums = grouped_sums(self.pixels[:, None] * self.values, place)
+        return entries, sums.astype(np.float32) / count[:, None], self.triangle[order][first]
 
 
 def fit_cells(
@@ -109,8 +103,7 @@ def fit_cells(
     roughness, metallic = np.append(data.group_roughness, 1.0), np.append(data.group_metallic, 0.0)
     views = range(len(observations.pixels.views))
     triangles = len(observations.parts.triangle_part)
-    found = in_threads(partial(_cells_of_view, observations, data), views)
-    keys, triangle = _first_triangles(found)
+    keys, triangle = first_by_key(in_threads(partial(_cells_of_view, observations, data), views))
     count, bright, sums = np.zeros(triangles), np.zeros(triangles), np.zeros((len(keys), 16))
     for seen in in_threads(partial(_moments_of_view, observations, data, roughness, metallic), views):
         count += np.bincount(seen.triangle, seen.share, minlength=triangles)
@@ -166,22 +159,6 @@ def _cells_of_view(
     return keys, np.asarray(observations.pixels.triangle[rows[first]], np.int64)
 
 
-def _first_triangles(views: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    """Ascending keys of all views, and for each the triangle of the first view that has it."""
-    keys, triangle = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
-    for key, on in views:
-        keys.append(key)
-        triangle.append(on)
-        if sum(map(len, keys[1:])) > max(len(keys[0]), MERGED_KEYS):
-            keys, triangle = ([array] for array in _merged(keys, triangle))
-    return _merged(keys, triangle)
-
-
-def _merged(keys: list[np.ndarray], triangle: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    merged, first = np.unique(np.concatenate(keys), return_index=True)
-    return merged, np.concatenate(triangle)[first]
-
-
 def _moments_of_view(
     observations: Observations, data: TrainingData, roughness: np.ndarray, metallic: np.ndarray, view: int
 ) -> _ViewMoments:
@@ -197,8 +174,7 @@ def _moments_of_view(
     weight, rest = share[:, None] * residual_weight(radiance), radiance - offset
     moments = (weight * slope * rest, weight * slope**2, weight * slope, weight * rest, weight)
     keys, place = np.unique(key, return_inverse=True)
-    columns = [*np.concatenate(moments, axis=1).T, share]
-    sums = np.stack([np.bincount(place, column, minlength=len(keys)) for column in columns], axis=1)
+    sums = grouped_sums(np.column_stack([*moments, share]), place)
     triangle = np.asarray(observations.pixels.triangle[rows], np.int64)
     return _ViewMoments(keys, sums, triangle, share, emits)
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from ..optics.factorised import color_line
-from ..scene.grouped import grouped_median
+from ..scene.grouped import grouped_median, grouped_sums
 from .pixel_samples import PixelSamples
 from .projection import residual_weight, specular_at
 
@@ -119,7 +119,7 @@ def standard_errors(pixels: LinearisedPixels) -> np.ndarray:
     cell, group = pixels.cell, pixels.group
     cells = int(cell.max(initial=-1)) + 1
     weighted = pixels.weight * pixels.by_color
-    information = _sums(weighted * pixels.by_color, cell, cells)
+    information = grouped_sums(weighted * pixels.by_color, cell, cells)
     information = np.maximum(information, LEAST_INFORMATION)
     group_of_cell = np.zeros(cells, np.int64)
     group_of_cell[cell] = group
@@ -129,7 +129,7 @@ def standard_errors(pixels: LinearisedPixels) -> np.ndarray:
     variance += FLOOR**2
     for change in (pixels.by_roughness, pixels.by_metallic):
         # Base colour compensates part of a wrong roughness or metallic.
-        variance += (_sums(weighted * change, cell, cells) / information) ** 2
+        variance += (grouped_sums(weighted * change, cell, cells) / information) ** 2
     return np.sqrt(1.0 / (1.0 / np.maximum(variance.mean(axis=1), 1e-12) + UNIFORM_DEVIATION**-2))
 
 
@@ -145,16 +145,11 @@ def _view_variance(
     pair, pair_of_pixel = np.unique(pixels.cell.astype(np.int64) * stride + pixels.view, return_inverse=True)
     cell_of_pair = pair // stride
     weighted = pixels.weight * pixels.by_color
-    score = _sums(weighted * pixels.residual, pair_of_pixel, len(pair))
-    pair_information = np.maximum(_sums(weighted * pixels.by_color, pair_of_pixel, len(pair)), 1e-12)
+    score = grouped_sums(weighted * pixels.residual, pair_of_pixel, len(pair))
+    pair_information = np.maximum(grouped_sums(weighted * pixels.by_color, pair_of_pixel, len(pair)), 1e-12)
     views = np.bincount(cell_of_pair, minlength=len(information)).astype(float)
-    total = _sums(score**2 / pair_information, cell_of_pair, len(information))
+    total = grouped_sums(score**2 / pair_information, cell_of_pair, len(information))
     of_cell = total / np.maximum(views, 1.0)[:, None]
     # The median of a group: a few cells at edges are far off.
     typical = grouped_median(of_cell, group_of_cell, int(group_of_cell.max(initial=-1)) + 1)
     return views, (total + PRIOR_VIEWS * typical[group_of_cell]) / (views + PRIOR_VIEWS)[:, None]
-
-
-def _sums(values: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:
-    """(count, 3) sums of values (N, 3) by their index (N,)."""
-    return np.stack([np.bincount(index, column, minlength=count) for column in values.T], axis=1)

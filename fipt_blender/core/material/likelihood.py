@@ -16,6 +16,7 @@ import numpy as np
 from ..optics.factorised import color_line, level_roughness
 from ..run.settings import Settings
 from ..run.threads import in_threads
+from ..scene.grouped import grouped_sums
 from .pixel_samples import PixelSamples
 from .projection import cells_of_groups, fit_colors, residual_weight
 
@@ -122,8 +123,7 @@ def _shared_light(diffuse: np.ndarray, cell: np.ndarray) -> np.ndarray:
     The same light falls on a cell in all views. A pixel's own L_d has errors that its view shares; the mean
     over views blurs folds and shadows. Neither error is known to be the smaller one.
     """
-    count = np.bincount(cell)
-    means = np.stack([np.bincount(cell, column) / count for column in diffuse.T], axis=1)
+    means = grouped_sums(diffuse, cell) / np.bincount(cell)[:, None]
     return (0.5 * (diffuse + means[cell])).astype(np.float32)
 
 

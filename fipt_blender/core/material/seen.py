@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..scene.grouped import grouped_median
+from ..scene.grouped import first_by_key, grouped_median
 from ..scene.pixels import PixelStore
 from .groups import Units
 
@@ -94,10 +94,10 @@ def find_seen_cells(pixels: PixelStore, units: Units, box: Box) -> SeenCells:
     """The cells in which the pixels of a run saw the units of the mesh."""
 
     def views() -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        for first, last in itertools.pairwise(pixels.ranges):
-            triangle = np.asarray(pixels.triangle[first:last])
+        for index in range(len(pixels.views)):
+            triangle = np.asarray(pixels.triangle[pixels.rows(index)])
             hit = triangle >= 0
-            yield np.asarray(pixels.position[first:last])[hit], units.triangle[triangle[hit]]
+            yield np.asarray(pixels.position[pixels.rows(index)])[hit], units.triangle[triangle[hit]]
 
     return seen_cells(box, views())
 
@@ -106,16 +106,12 @@ def seen_cells(box: Box, views: Iterable[tuple[np.ndarray, np.ndarray]]) -> Seen
     """The pairs of cell and part in which surface points were seen.
 
     Args:
-        views: for each view positions (n, 3), world metres, and their parts (n,) int, negative for none.
+        views: for each view, of which there is at least one, positions (n, 3), world metres, and their parts
+            (n,) int, negative for none.
     """
-    keys, points = np.zeros(0, np.int64), np.zeros((0, 3), np.float32)
-    parts = np.zeros(0, np.int32)
-    for positions, part in views:
-        new, place = np.unique(cell_keys(box, positions, part), return_index=True)
-        keys, kept = np.unique(np.concatenate([keys, new]), return_index=True)
-        points = np.concatenate([points, positions[place].astype(np.float32)])[kept]
-        parts = np.concatenate([parts, part[place].astype(np.int32)])[kept]
-    return SeenCells(keys, points, parts)
+    keyed = ((cell_keys(box, points, part), points.astype(np.float32)) for points, part in views)
+    keys, points = first_by_key(keyed)
+    return SeenCells(keys, points, (keys // SIDE**3 - 1).astype(np.int32))
 
 
 def cell_keys(box: Box, positions: np.ndarray, part: np.ndarray) -> np.ndarray:

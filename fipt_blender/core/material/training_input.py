@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from ..light.cache import SIDES
 from ..light.observations import Observations
 from ..optics.factorised import color_line
 from ..run.settings import Settings
-from ..scene.grouped import numbered
+from ..scene.grouped import grouped_sums, numbered, summed_by_key
 from ..scene.labels import Parts
 from ..scene.pixels import PixelStore, open_array
 from .groups import (
@@ -152,22 +152,18 @@ def material_units(observations: Observations, pieces: np.ndarray | None, data: 
     if pieces is None:
         return part_units(observations.parts)
     pixels, groups = observations.pixels, len(data.group_roughness)
-    keys, count = np.zeros(0, np.int64), np.zeros(0, np.int64)
-    for view in range(len(pixels.views)):
-        rows = rows_with_donor(pixels, data.donor, view)
-        key = pixels.triangle[rows] * np.int64(groups + 1) + data.group[rows] + 1
-        keys, count = _add_counts(keys, count, key)
+
+    def views() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        for view in range(len(pixels.views)):
+            rows = rows_with_donor(pixels, data.donor, view)
+            key = pixels.triangle[rows] * np.int64(groups + 1) + data.group[rows] + 1
+            yield key, np.ones(len(key))
+
+    keys, count = summed_by_key(views())
     triangle, group = np.divmod(keys, groups + 1)
     return piece_units(
         observations.parts, pieces, triangle, group - 1, count, data.group_roughness, data.group_metallic
     )
-
-
-def _add_counts(keys: np.ndarray, count: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(K,) ascending keys and their (K,) counts, after the values (n,) have been added to them."""
-    new_keys, new_count = np.unique(values, return_counts=True)
-    keys, place = np.unique(np.concatenate([keys, new_keys]), return_inverse=True)
-    return keys, np.bincount(place, np.concatenate([count, new_count])).astype(np.int64)
 
 
 def _sample_rows(pixels: PixelStore, donor: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -198,7 +194,7 @@ def _diffuse_colors(observations: Observations, shadings: ShadingStore) -> np.nd
         weight = slope * pixels.weight[rows, None] / (radiance + RADIANCE_FLOOR) ** 2
         used, place = np.unique(observations.entry[rows], return_inverse=True)
         for total, values in ((top, weight * (radiance - offset)), (bottom, weight * slope)):
-            total[used] += np.stack([np.bincount(place, column) for column in values.T], axis=1)
+            total[used] += grouped_sums(values, place)
     return np.clip(top / np.maximum(bottom, 1e-12), 0.0, 1.0)
 
 
@@ -234,9 +230,8 @@ def _assign_groups(
         )
         return rows, np.ravel_multi_index(columns, shape)
 
-    keys, count = np.zeros(0, np.int64), np.zeros(0, np.int64)
-    for view in range(len(pixels.views)):
-        keys, count = _add_counts(keys, count, combinations(view)[1])
+    every = (combinations(view)[1] for view in range(len(pixels.views)))
+    keys, count = summed_by_key((key, np.ones(len(key))) for key in every)
     label_of_key, piece, color_of_key = np.unravel_index(keys, shape)
     least = max(LEAST_PIXELS, int(count.sum()) // MOST_GROUPS)
     group_of_key = material_groups(label_of_key, piece, color_of_key, count, least)
@@ -259,8 +254,7 @@ def _similarity(group: np.ndarray, groups: int, label: np.ndarray, color: np.nda
     count = np.maximum(np.bincount(group, minlength=groups), 1)
     label_of_group = np.zeros(len(count), np.int64)
     label_of_group[group] = label
-    sums = [np.bincount(group, column, minlength=groups) for column in color.T]
-    return similarity(label_of_group, np.stack(sums, axis=1) / count[:, None])
+    return similarity(label_of_group, grouped_sums(color, group, groups) / count[:, None])
 
 
 def _wide_rows(

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..scene.grouped import grouped_sums
+
 TERMS = 3  # r², r⁴, r⁶ of the logarithm of the share of light
 LEAST_OBSERVATIONS = 300  # of points that at least two views see
 LEAST_SIGNIFICANCE = 4.0  # standard errors by which the corner must be darker
@@ -93,7 +95,7 @@ def fit_falloff(observations: Observations) -> Falloff | None:
         weights = np.clip(1.0 - (residual / (_OUTLIER * sigma)) ** 2, 0.0, None) ** 2
     coefficients = solution[:TERMS]
     # Errors of one view's or point's observations are alike, so that they count by points, not by pixels.
-    scores = _sums(centered * (weights * residual)[:, None], point)
+    scores = grouped_sums(centered * (weights * residual)[:, None], point)
     inverse = np.linalg.inv(normal)
     covariance = inverse @ (scores.T @ scores) @ inverse
     log_error = float(np.sqrt(np.ones(TERMS) @ covariance[:TERMS, :TERMS] @ np.ones(TERMS)))
@@ -125,10 +127,8 @@ def _shared(point: np.ndarray) -> np.ndarray:
 
 def _without_means(values: np.ndarray, point: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Values (N, C) minus their weighted means over each point."""
-    means = _sums(values * weights[:, None], point) / np.maximum(np.bincount(point, weights), 1e-12)[:, None]
+    means = (
+        grouped_sums(values * weights[:, None], point)
+        / np.maximum(np.bincount(point, weights), 1e-12)[:, None]
+    )
     return np.asarray(values - means[point])
-
-
-def _sums(values: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """(P, C) sums of values (N, C) over each point."""
-    return np.stack([np.bincount(point, column) for column in values.T], axis=1)

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..capture.views import View
 from .camera_rays import opaque_vector, trace_pixels
+from .grouped import grouped_sums
 from .room import Room
 
 # Row of the sample in each column of sixteenths of a pixel: one in each row and in each of 4 x 4 strata. Of
@@ -58,7 +59,7 @@ class Fragments:
         group = np.cumsum(first) - 1
         coverage = np.bincount(group, self.coverage[order])
         weighted = self.position[order] * self.coverage[order, None]
-        position = np.stack([np.bincount(group, column) for column in weighted.T], axis=1)
+        position = grouped_sums(weighted, group)
         chosen = order[first]
         made = Fragments(self.pixel[chosen], self.label[chosen], coverage, position / coverage[:, None])
         return made, chosen

@@ -1,15 +1,18 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Numbers of groups, and medians of their values, all groups at once."""
+"""Numbers of groups, and sums and medians of their values, all groups at once."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Literal
 
 import numpy as np
 
 MOST_KEYS = 1 << 62  # so that keys fit into 64 bits
+
+# Keys (n,) int64, and a value (n, ...) for each.
+Keyed = tuple[np.ndarray, np.ndarray]
 
 
 def numbered(columns: Sequence[np.ndarray]) -> np.ndarray:
@@ -28,6 +31,48 @@ def numbered(columns: Sequence[np.ndarray]) -> np.ndarray:
 
 def _ranks(values: np.ndarray) -> np.ndarray:
     return np.unique(values, return_inverse=True)[1].astype(np.int64)
+
+
+def grouped_sums(values: np.ndarray, group: np.ndarray, count: int = 0) -> np.ndarray:
+    """(G, C) float64 sum of each group's values, column by column.
+
+    Args:
+        values: (N, C) numbers.
+        group: (N,) int from 0.
+        count: least number of groups G.
+    """
+    return np.stack([np.bincount(group, column, count) for column in values.T], axis=1)
+
+
+def summed_by_key(pieces: Iterable[Keyed]) -> Keyed:
+    """Each key of all pieces once, ascending, and the sum of its values, float64; those are (n,)."""
+    empty = np.zeros(0, np.int64), np.zeros(0)
+    return _merged(pieces, lambda values, _, place: np.bincount(place, values), [empty])
+
+
+def first_by_key(pieces: Iterable[Keyed]) -> Keyed:
+    """Each key of all pieces, of which there is at least one, once, ascending, and its first value."""
+    return _merged(pieces, lambda values, first, _: values[first], [])
+
+
+def _merged(
+    pieces: Iterable[Keyed],
+    combine: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+    held: list[Keyed],
+) -> Keyed:
+    """Each key once; `combine` makes their values of all values, the keys' first rows and the rows' keys."""
+
+    def merge(some: Sequence[Keyed]) -> Keyed:
+        keys, values = (np.concatenate(arrays) for arrays in zip(*some, strict=True))
+        keys, first, place = np.unique(keys, return_index=True, return_inverse=True)
+        return keys, combine(values, first, place)
+
+    for piece in pieces:
+        held.append(merge([piece]))
+        # Merging costs a sort of all keys, so that it waits until the pending ones are as many.
+        if sum(len(keys) for keys, _ in held[1:]) > len(held[0][0]):
+            held = [merge(held)]
+    return merge(held)
 
 
 def grouped_median(

@@ -8,7 +8,7 @@ majority so that all views agree (paper, supplementary "Semantic segmentation ac
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,6 +17,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from ..capture.views import View
 from ..geometry.adjacency import weld
 from .components import mesh_components
+from .grouped import summed_by_key
 from .room import Room
 from .segments import scan_segments
 from .smooth_parts import Votes, smooth_labels
@@ -169,39 +170,25 @@ def count_votes(
         triangles: for each view the (H * W,) triangle that each pixel sees, negative where none.
         border_vote: weight of pixels beside those of another id.
     """
-    key, votes = np.zeros(0, np.int64), np.zeros(0)
-    pending: list[tuple[np.ndarray, np.ndarray]] = []
-    for mask, triangle in zip(masks, triangles, strict=True):
-        if mask is None:
-            continue
-        ids = mask.reshape(-1).astype(np.int64)
-        valid = (ids > 0) & (triangle >= 0)
-        weight = np.ones(int(valid.sum()))
-        if border_vote < 1.0:
-            weight[at_border(mask).reshape(-1)[valid]] = border_vote
-        pixel_keys = triangle[valid].astype(np.int64) * _IDS + ids[valid]
-        keys, place = np.unique(pixel_keys, return_inverse=True)
-        pending.append((keys, np.bincount(place.reshape(-1), weight, minlength=len(keys))))
-        # Merging costs a sort of all keys, so that it waits until the pending ones are as many.
-        if sum(len(keys) for keys, _ in pending) > len(key):
-            key, votes = _summed(key, votes, pending)
-            pending = []
-    key, votes = _summed(key, votes, pending)
+
+    def views() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        for mask, triangle in zip(masks, triangles, strict=True):
+            if mask is None:
+                continue
+            ids = mask.reshape(-1).astype(np.int64)
+            valid = (ids > 0) & (triangle >= 0)
+            weight = np.ones(int(valid.sum()))
+            if border_vote < 1.0:
+                weight[at_border(mask).reshape(-1)[valid]] = border_vote
+            yield triangle[valid].astype(np.int64) * _IDS + ids[valid], weight
+
+    key, votes = summed_by_key(views())
     return Votes(key // _IDS, key % _IDS, votes)
 
 
 def at_border(mask: np.ndarray) -> np.ndarray:
     """(H, W) bool, pixels with another id among the eight beside them."""
     return np.asarray(maximum_filter(mask, 3) != minimum_filter(mask, 3))
-
-
-def _summed(
-    key: np.ndarray, votes: np.ndarray, more: Sequence[tuple[np.ndarray, np.ndarray]]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Each key once, ascending, and the sum of its votes."""
-    keys, counts = zip((key, votes), *more, strict=True)
-    key, inverse = np.unique(np.concatenate(keys), return_inverse=True)
-    return key, np.bincount(inverse.reshape(-1), np.concatenate(counts), minlength=len(key))
 
 
 def spread_labels(labels: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ from ..run.run_files import array_digest, read_geometry, read_outlines, read_roo
 from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
 from .camera_rays import first_hits, trace_pixels
 from .disagreement import mask_of
+from .grouped import grouped_sums
 from .labels import Parts, choose_parts, choose_source
 from .outline_misses import Misses, find_misses, joined
 from .room import Room, load_room
@@ -116,7 +117,7 @@ def _plane_stiffness(mesh: Mesh, plane: np.ndarray | None, deviation: float) -> 
     on = plane >= 0
     normals, areas = face_vectors(mesh.vertices, mesh.triangles)
     weighted = (normals * areas[:, None])[on]
-    total = np.stack([np.bincount(plane[on], weighted[:, axis]) for axis in range(3)], axis=1)
+    total = grouped_sums(weighted, plane[on])
     total = total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)
     vertex, number = np.divmod(np.unique(mesh.triangles[on] * len(total) + plane[on][:, None]), len(total))
     normal = total[number]

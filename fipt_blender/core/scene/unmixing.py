@@ -22,6 +22,7 @@ from scipy.sparse.linalg import spsolve
 from ..capture.views import View
 from ..run.per_view import LocalWorkers, Workers
 from .fragments import OUTSIDE, Fragments, trace_fragments
+from .grouped import grouped_sums
 from .pixels import LEFT_OUT, NO_TRIANGLE, PixelStore
 from .room import Room
 
@@ -223,10 +224,7 @@ def posterior(
         (F, 3) each; means are not negative, variances include the error of the coverage.
     """
     coverage, pixel = fragments.coverage[:, None], fragments.pixel
-
-    def added(values: np.ndarray) -> np.ndarray:
-        return np.stack([np.bincount(pixel, column, len(radiance)) for column in values.T], axis=1)
-
+    added = partial(grouped_sums, group=pixel, count=len(radiance))
     residual = radiance - added(coverage * mean)
     noise = (NOISE * radiance) ** 2 + COVERAGE_ERROR**2 * added((mean - radiance[pixel]) ** 2) + 1e-12
     gain = coverage * variance / (added(coverage**2 * variance) + noise)[pixel]
@@ -264,11 +262,7 @@ def fit_unknown(
     group = np.unique(some.label[unknown], return_inverse=True)[1].ravel()
     count = np.bincount(group)[:, None]
     chosen, photographed = involved[unknown], radiance[pixels]
-
-    def added(values: np.ndarray) -> np.ndarray:
-        return np.stack([np.bincount(group, column) for column in values.T], axis=1)
-
-    first = added(photographed[place[unknown]]) / count
+    first = grouped_sums(photographed[place[unknown]], group) / count
     spread = (SPREAD * first) ** 2
     for _ in range(ITERATIONS):
         mean[chosen], variance[chosen] = 0.0, spread[group]
@@ -277,7 +271,10 @@ def fit_unknown(
         found, errors = (
             values[unknown] for values in posterior(some, photographed, mean[involved], variance[involved])
         )
-        squares = added(errors + (found - centre[group]) ** 2) + SPREAD_FRAGMENTS * (SPREAD * centre) ** 2
+        squares = (
+            grouped_sums(errors + (found - centre[group]) ** 2, group)
+            + SPREAD_FRAGMENTS * (SPREAD * centre) ** 2
+        )
         spread = squares / (count + SPREAD_FRAGMENTS)
     variance[chosen] = spread[group]
     return mean, variance
@@ -303,8 +300,7 @@ def _least_squares(
     shape = len(radiance), len(first)
     shares = csr_matrix((fragments.coverage[unknown], (pixel[unknown], group)), shape)
     explained, spread = (
-        np.stack([np.bincount(pixel, column, len(radiance)) for column in values.T], axis=1)
-        for values in (coverage * mean, coverage**2 * variance)
+        grouped_sums(values, pixel, len(radiance)) for values in (coverage * mean, coverage**2 * variance)
     )
     weight = 1.0 / (spread + (NOISE * radiance) ** 2 + 1e-12)
     prior = 1.0 / ((UNKNOWN * first.mean(axis=1)) ** 2 + 1e-12)
