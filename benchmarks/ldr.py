@@ -3,8 +3,11 @@
 """Makes a capture of photographs that are not HDR out of one that is, with a camera drawn by chance.
 
     python benchmarks/ldr.py CAPTURE --output DIR --seed 1 [--format jpg|png|exr] [--exif none|rounded|exact]
+                             [--frames 3 --stops 2]
 
 The capture has the FIPT authors' synthetic layout. Everything but the photographs is linked to the original.
+With more than one frame, each training pose has so many photographs, which differ in exposure: a bracket
+whose photographs are views of their own.
 DIR/ldr.json tells the true response, exposures and white balances; the engine never reads it.
 """
 
@@ -129,8 +132,50 @@ def write_photograph(path: Path, values: np.ndarray, camera: Camera, exposure: f
     image.save(path, quality=QUALITY, subsampling=0, exif=tags)
 
 
-def make_capture(source: Path, target: Path, seed: int, suffix: str = ".jpg", exif: str = "none") -> Camera:
+@dataclass(frozen=True)
+class Bracket:
+    """Exposures of one pose, the middle one of which is automatic.
+
+    Attributes:
+        frames: number of them.
+        stops: EV between neighbours.
+    """
+
+    frames: int = 1
+    stops: float = 2.0
+
+    @property
+    def factors(self) -> np.ndarray:
+        """(frames,) exposures relative to the automatic one."""
+        return 2.0 ** (self.stops * (np.arange(self.frames) - (self.frames - 1) / 2.0))
+
+    def stems(self, stem: str) -> list[str]:
+        """Names of the frames of a view, whose name starts with its number."""
+        number, rest = _numbered(stem)
+        return [f"{int(number) * self.frames + frame:03d}{rest}" for frame in range(self.frames)]
+
+
+SINGLE = Bracket()
+
+
+def _numbered(stem: str) -> tuple[str, str]:
+    """The digits that a name starts with, and the rest."""
+    rest = stem.lstrip("0123456789")
+    return stem[: len(stem) - len(rest)], rest
+
+
+def make_capture(
+    source: Path,
+    target: Path,
+    seed: int,
+    suffix: str = ".jpg",
+    exif: str = "none",
+    bracket: Bracket = SINGLE,
+) -> Camera:
     """Write the capture and its truth; the camera that took it.
+
+    Args:
+        bracket: of the training views; held-back ones have one photograph.
 
     Raises:
         FiptError: where the source has no readable photographs in the expected layout.
@@ -138,15 +183,17 @@ def make_capture(source: Path, target: Path, seed: int, suffix: str = ".jpg", ex
     camera = draw_camera(np.random.default_rng(seed), suffix, exif)
     views: dict[str, Any] = {}
     for number, split in enumerate(name for name in SPLITS if (source / name).is_dir()):
-        link_others(source / split, target / split, {"Image", "transforms.json"})
+        own = bracket if split == SPLITS[0] else SINGLE
+        link_others(source / split, target / split, {"Image", "transforms.json"}, own)
         for index, path in enumerate(sorted((source / split / "Image").glob("*.exr"))):
             rng = np.random.default_rng([seed, number, index])
             radiance = read_radiance(path)
             gains = draw_gains(radiance, rng)
-            name = Path(split, "Image", path.stem + suffix)
-            write_photograph(target / name, photograph(radiance, gains, camera, rng), camera, gains[1])
-            views[f"{split}/{path.stem.removesuffix('_0001')}"] = {"gains": gains.tolist(), "hdr": str(path)}
-        write_rig(source / split / "transforms.json", target / split / "transforms.json", suffix)
+            for stem, factor in zip(own.stems(path.stem), own.factors, strict=True):
+                name, light = Path(split, "Image", stem + suffix), gains * factor
+                write_photograph(target / name, photograph(radiance, light, camera, rng), camera, light[1])
+                views[f"{split}/{stem.removesuffix('_0001')}"] = {"gains": light.tolist(), "hdr": str(path)}
+        write_rig(source / split / "transforms.json", target / split / "transforms.json", suffix, own)
     link_others(source, target, set(SPLITS))
     light = np.linspace(0.0, 1.0, CURVE_STEPS)
     truth = {"camera": asdict(camera), "light": light.tolist(), "values": camera.respond(light).tolist()}
@@ -154,23 +201,33 @@ def make_capture(source: Path, target: Path, seed: int, suffix: str = ".jpg", ex
     return camera
 
 
-def link_others(source: Path, target: Path, made: set[str]) -> None:
-    """Link everything in a folder but what is made anew."""
+def link_others(source: Path, target: Path, made: set[str], bracket: Bracket = SINGLE) -> None:
+    """Link everything in a folder but what is made anew, images of views for each frame of a bracket."""
     target.mkdir(parents=True, exist_ok=True)
     for path in sorted(source.iterdir()):
-        place = target / path.name
-        if path.name not in made and not place.exists():
-            os.symlink(path.resolve(), place)
+        if path.name in made:
+            continue
+        if bracket.frames > 1 and path.is_dir():
+            link_others(path, target / path.name, set(), bracket)
+            continue
+        several = bracket.frames > 1 and _numbered(path.stem)[0]
+        for stem in bracket.stems(path.stem) if several else [path.stem]:
+            place = target / (stem + path.suffix)
+            if not place.exists():
+                os.symlink(path.resolve(), place)
 
 
-def write_rig(source: Path, target: Path, suffix: str) -> None:
+def write_rig(source: Path, target: Path, suffix: str, bracket: Bracket = SINGLE) -> None:
     """Copy transforms.json with the photographs' new names."""
     data = json.loads(source.read_text(encoding="utf-8"))
+    frames = []
     for index, frame in enumerate(data["frames"]):
         path = str(frame.get("file_path") or "")
-        name = path if path.lower().endswith(".exr") else f"Image/{index:03d}_0001.exr"
-        frame["file_path"] = str(Path(name).with_suffix(suffix))
-    write_json(target, data)
+        name = Path(path if path.lower().endswith(".exr") else f"Image/{index:03d}_0001.exr")
+        frames += [
+            {**frame, "file_path": str(name.with_name(stem + suffix))} for stem in bracket.stems(name.stem)
+        ]
+    write_json(target, {**data, "frames": frames})
 
 
 def camera_errors(run: RunFolder, capture: Path) -> dict[str, float] | None:
@@ -268,9 +325,13 @@ def main(argv: Sequence[str]) -> int:
         default="none",
         help="how the files tell their exposure: not, in thirds of a stop, or exactly (default: none)",
     )
+    parser.add_argument("--frames", type=int, default=1, help="photographs of each training pose")
+    parser.add_argument("--stops", type=float, default=2.0, help="EV between them (default: 2)")
     arguments = parser.parse_args(list(argv))
+    bracket = Bracket(arguments.frames, arguments.stops)
+    suffix = f".{arguments.format}"
     camera = make_capture(
-        arguments.capture, arguments.output, arguments.seed, f".{arguments.format}", arguments.exif
+        arguments.capture, arguments.output, arguments.seed, suffix, arguments.exif, bracket
     )
     print(camera)
     return 0

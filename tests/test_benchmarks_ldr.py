@@ -58,6 +58,23 @@ def test_exact_exposures_are_exact(tmp_path, source):
     assert np.array(ratio) / ratio[0] == pytest.approx(1.0, abs=1e-4)
 
 
+def test_the_photographs_of_a_bracket_are_views_of_one_pose(tmp_path, source):
+    ldr.make_capture(source, tmp_path / "one", seed=3, exif="exact")
+    ldr.make_capture(source, tmp_path / "out", seed=3, exif="exact", bracket=ldr.Bracket(3, 1.5))
+    single, views = (read_rig(tmp_path / name, "auto", ReadOptions()).views for name in ("one", "out"))
+    assert [view.name for view in views] == [f"train/{number:03d}" for number in range(6)] + ["val/000"]
+    for number, view in enumerate(views[:6]):
+        before = single[number // 3]
+        assert np.allclose(view.camera_to_world, before.camera_to_world)
+        ratio = file_exposure(view.image) / file_exposure(before.image)
+        assert ratio == pytest.approx(2.0 ** (1.5 * (number % 3 - 1)), rel=1e-3)
+        assert (view.parts is None) == (before.parts is None)
+        if view.parts:
+            assert view.parts.resolve() == before.parts.resolve()
+    truth = json.loads((tmp_path / "out" / ldr.TRUTH).read_text())["views"]
+    assert set(truth) == {view.name for view in views}
+
+
 @pytest.mark.parametrize("exif", ["none", "exact"])
 def test_photographs_without_adjustment_are_decoded_codes(tmp_path, source, exif):
     ldr.make_capture(source, tmp_path / "jpg", seed=3, suffix=".png", exif=exif)
