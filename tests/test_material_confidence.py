@@ -17,8 +17,7 @@ from fipt_blender.core.material.confidence import (
     standard_errors,
 )
 from fipt_blender.core.material.groups import Units
-from fipt_blender.core.material.pixel_samples import PixelSamples
-from fipt_blender.core.material.projection import RADIANCE_FLOOR
+from fipt_blender.core.material.pixel_samples import RADIANCE_FLOOR, PixelSamples
 from fipt_blender.core.material.seen import Box, SeenCells
 
 LEVELS = np.linspace(0.02, 1.0, 6).astype(np.float32)

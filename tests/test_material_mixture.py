@@ -27,10 +27,7 @@ def infer(samples: PixelSamples, similarity: np.ndarray | None = None) -> GroupM
 
 def first_cells(samples: PixelSamples, cells: int) -> PixelSamples:
     """The pixels of the first cells of each group."""
-    kept = samples.cell % CELLS < cells
-    return PixelSamples(
-        **{name: values if name == "levels" else values[kept] for name, values in vars(samples).items()}
-    )
+    return samples.take(samples.cell % CELLS < cells)
 
 
 def with_view_errors(
@@ -73,9 +70,7 @@ def test_no_gloss_in_errors_that_views_share() -> None:
 def test_order_of_pixels_and_numbers_of_views_do_not_matter(rng: np.random.Generator) -> None:
     samples = with_view_errors(rng, [(1.0, 0.0), (float(LEVELS[4]), 0.0), (float(LEVELS[3]), 1.0)], 0.1, 0.01)
     order = rng.permutation(len(samples.rows))
-    arrays = {name: values if name == "levels" else values[order] for name, values in vars(samples).items()}
-    arrays["view"] = rng.permutation(VIEWS)[arrays["view"]]
-    shuffled = infer(PixelSamples(**arrays))
+    shuffled = infer(samples.take(order, view=rng.permutation(VIEWS)[samples.view[order]]))
     for one, other in zip(vars(infer(samples)).values(), vars(shuffled).values(), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-3)
 
@@ -185,9 +180,7 @@ def test_cells_of_any_wall_are_drawn_evenly(start: float) -> None:
 def test_blocks_of_pixels_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
     samples, _ = synthetic(np.random.default_rng(3), [(0.3, 0.0), (1.0, 0.0), (0.4, 1.0)], 0.02, 0.0)
     mixed = np.random.default_rng(4).permutation(len(samples.rows))  # cells are in no order
-    samples = PixelSamples(
-        **{name: values if name == "levels" else values[mixed] for name, values in vars(samples).items()}
-    )
+    samples = samples.take(mixed)
     whole = infer(samples)
     monkeypatch.setattr(likelihood, "BLOCK", 37)
     blocks = infer(samples)

@@ -29,7 +29,7 @@ def test_errors_are_those_of_the_best_linear_estimate(spread: float, error: floa
     """The mean square error is tau^2 e^2 / (tau^2 + e^2), the least that a linear estimate can have."""
     true, estimates, errors = surface(spread, error, 1)
     part = np.zeros(COUNT, int)
-    priors = part_priors(estimates, errors, part)
+    priors = part_priors(estimates, errors, part, 1)
     assert priors.outliers[0] < 0.02
     assert abs(priors.spread[0] - spread) < 0.1 * spread + 0.013  # small spreads converge slowly
     shrunk = shrink_to_parts(estimates, errors, part, priors)
@@ -47,7 +47,7 @@ def test_a_picture_on_the_wall_stays() -> None:
     picture = np.arange(80)
     estimates[picture] = [0.2, 0.2, 0.3]
     part = np.zeros(COUNT, int)
-    shrunk = shrink_to_parts(estimates, errors, part, part_priors(estimates, errors, part))
+    shrunk = shrink_to_parts(estimates, errors, part, part_priors(estimates, errors, part, 1))
     np.testing.assert_allclose(shrunk[picture], estimates[picture], atol=0.01)
     assert rms(shrunk[80:] - MEDIAN) < 0.15 * rms(estimates[80:] - MEDIAN)
 
@@ -56,13 +56,13 @@ def test_parts_are_separate_and_other_values_unchanged() -> None:
     _, estimates, errors = surface(0.0, 0.05, 3)
     part = np.arange(COUNT) % 4 - 1
     estimates[part == 2] -= 0.3
-    priors = part_priors(estimates, errors, part)
-    assert priors.parts.tolist() == [0, 1, 2]
+    priors = part_priors(estimates, errors, part, 8)
+    assert np.flatnonzero(np.isfinite(priors.spread)).tolist() == [0, 1, 2]
     shrunk = shrink_to_parts(estimates, errors, part, priors)
     assert (shrunk[part == -1] == estimates[part == -1]).all()
     for index, median in ((0, MEDIAN), (1, MEDIAN), (2, MEDIAN - 0.3)):
         assert rms(shrunk[part == index] - median) < 0.15 * rms(estimates[part == index] - median)
     unknown = shrink_to_parts(estimates[:4], errors[:4], np.full(4, 7), priors)
     assert (unknown == estimates[:4]).all()
-    nothing = part_priors(estimates, errors, np.full(COUNT, -1))
+    nothing = part_priors(estimates, errors, np.full(COUNT, -1), 8)
     assert (shrink_to_parts(estimates, errors, part, nothing) == estimates).all()

@@ -34,7 +34,7 @@ class Ramp:
 
     def query(self, positions, units=None):
         x = (np.asarray(positions, np.float32)[:, 0] / 4.0).astype(np.float32)
-        return np.stack([x, 0.5 * x, 0.2 * x], axis=1), 1.0 - 0.5 * x, 0.1 * x
+        return np.stack([x, 0.5 * x, 0.2 * x, 1.0 - 0.5 * x, 0.1 * x], axis=1)
 
 
 def grid_points(low: float, high: float, z: float, count: int = 40) -> np.ndarray:
@@ -59,8 +59,7 @@ def fields() -> RoomFields:
 def test_seen_points_take_the_networks_values_and_unseen_ones_their_parts_median(fields):
     points = grid_points(0.05, 0.95, 0.0)
     on = lambda part: np.full(len(points), part)  # noqa: E731
-    for value, expected in zip(fields.query(points, on(0)), Ramp().query(points), strict=True):
-        np.testing.assert_array_equal(value, expected)
+    np.testing.assert_array_equal(np.column_stack(fields.query(points, on(0))), Ramp().query(points))
     assert (fields.confidence(points, on(0)) == 1.0).all() and not fields.confidence(points, on(1)).any()
     color, roughness, metallic = fields.query(points, on(1))  # part 1 was seen at the other end
     assert np.ptp(color, axis=0).max() == 0.0
@@ -116,14 +115,14 @@ def test_without_any_seen_surface_the_networks_values_remain():
     nothing = seen_cells(BOX_4, [(np.zeros((0, 3), np.float32), np.zeros(0, np.int32))])
     points = grid_points(0.0, 4.0, 0.0)
     values = RoomFields(Ramp(), units([0]), nothing).query(points, np.zeros(len(points), int))
-    np.testing.assert_array_equal(values[0], Ramp().query(points)[0])
+    np.testing.assert_array_equal(values[0], Ramp().query(points)[:, :3])
 
 
 def test_points_far_from_the_few_seen_ones_take_the_nearest_value():
     """A scan of a whole building of which a corner was photographed; here by one pixel, then by two."""
     for points in ([[1.0, 1.0, 1.0]], [[1.0, 1.0, 1.0], [1.0 + 1e-5, 1.0, 1.0]]):
         seen = np.array(points, np.float32)
-        statistics = seen_statistics(seen, np.zeros(len(seen), int), seen)
+        statistics = seen_statistics(seen, np.zeros(len(seen), int), seen, 2)
         far = np.array([[-300.0, 50.0, 4.0], [1.0, 1.0, 1.0], [2e3, 1e3, -5e2]], np.float32)
         values = fallback_values(far, np.ones(3, int), statistics)
         np.testing.assert_allclose(values, 1.0, atol=1e-4)

@@ -11,7 +11,7 @@ import numpy as np
 from ..light.evidence import find_emission
 from ..light.lamp_doubt import light_errors
 from ..light.reflecting import separate
-from ..material.cell_errors import add_light_errors, cell_errors, lit_cells
+from ..material.cell_errors import add_light_errors, cell_errors, draw_pixels, lit_cells
 from ..material.closed_form import (
     MARKED_SHARE,
     CellEstimate,
@@ -261,10 +261,11 @@ class MaterialStages(EstimationState):
         """(C, 3) standard errors in the seen cells, without the pixels of `unused` triangles (T,)."""
         shadings, seed = self._open_shadings(), self.settings.seed
         data, fields = self._closed_form()[0], self._fields()
-        errors = cell_errors(self.pixels, self.units, shadings, data, fields, self.cells, unused, seed)
+        drawn = draw_pixels(self.pixels, self.units, self.box, self.cells, unused, seed)
+        errors = cell_errors(drawn, self.pixels, self.units, shadings, data, fields, self.cells)
         if self.room.scan is None or not self.fixtures:
             return errors
-        lit = lit_cells(self.pixels, self.units, shadings, fields, self.cells, unused, seed)
+        lit = lit_cells(drawn, self.pixels, shadings, fields, self.cells)
         # Detail finer than an edge is lost, and so is the place of what lights and what hides.
         doubt = self.room.scan.edge
         of_light = light_errors(self.room, self.fixtures, (lit.points, lit.normals), doubt, seed)

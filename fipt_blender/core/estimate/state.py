@@ -340,9 +340,9 @@ class EstimationState:
         if has_cell.any():
             result[has_cell] = values[place[has_cell]]
             unit = np.append(self.units.triangle, NO_PART)
-            statistics = seen_statistics(
-                points[has_cell], unit[seen_triangle[place[has_cell]]], result[has_cell]
-            )
+            seen_unit = unit[seen_triangle[place[has_cell]]]
+            units = len(self.units.single)
+            statistics = seen_statistics(points[has_cell], seen_unit, result[has_cell], units)
             missing = ~has_cell
             result[missing] = fallback_values(points[missing], unit[triangles[missing]], statistics)
         return pool(self.observations.grid, entries, result)[0]
@@ -350,7 +350,7 @@ class EstimationState:
     def _network_colors(self, rows: np.ndarray) -> np.ndarray:
         """(R, 3) base colour that the network has for the pixels `rows` (R,)."""
         unit = np.append(self.units.triangle, NO_PART)[np.asarray(self.pixels.triangle[rows])]
-        return self._fields().query(np.asarray(self.pixels.position[rows]), unit)[0]
+        return self._fields().query(np.asarray(self.pixels.position[rows]), unit)[:, :3]
 
     # What is reported of it
 

@@ -15,7 +15,7 @@ from .confidence import FLOOR, UNIFORM_DEVIATION, concatenate, linearise, standa
 from .groups import Units
 from .inference import Fields
 from .pixel_samples import pure_rows, read_samples
-from .seen import RESOLUTION, SeenCells, cell_keys
+from .seen import RESOLUTION, Box, SeenCells, cell_keys
 from .training import TrainingData
 
 # About so many pixels are used; more change only the time.
@@ -27,39 +27,72 @@ BLOCK = 8
 UNSAMPLED_QUANTILE = 0.9
 
 
+@dataclass(frozen=True)
+class DrawnPixels:
+    """About `PIXELS` pure pixels, and the K cells that they see.
+
+    Attributes:
+        rows: (n,) int64 of the pixels.
+        position, unit: (n, 3) metres, (n,) int of the surface.
+        cells: (K,) int64 index of each cell, ascending.
+        place: (n,) int64 index into `cells`.
+    """
+
+    rows: np.ndarray
+    position: np.ndarray
+    unit: np.ndarray
+    cells: np.ndarray
+    place: np.ndarray
+
+
+def draw_pixels(
+    pixels: PixelStore, units: Units, box: Box, cells: SeenCells, unused: np.ndarray, seed: int
+) -> DrawnPixels:
+    """Pure pixels at random, none of `unused` triangles ((T,) bool)."""
+    rng = np.random.default_rng([seed, 5])
+    probability = PIXELS / max(len(pixels), 1)
+    drawn = []
+    for view in range(len(pixels.views)):
+        bounds = pixels.rows(view)
+        chosen = rng.random(bounds.stop - bounds.start) < probability
+        candidates = pure_rows(pixels, view, ~unused)
+        drawn.append(candidates[chosen[candidates - bounds.start]])
+    rows = np.concatenate(drawn)
+    position = np.asarray(pixels.position[rows])
+    unit = units.triangle[pixels.triangle[rows]]
+    seen = np.searchsorted(cells.keys, cell_keys(box, position, unit))
+    return DrawnPixels(rows, position, unit, *np.unique(seen, return_inverse=True))
+
+
 def cell_errors(
+    drawn: DrawnPixels,
     pixels: PixelStore,
     units: Units,
     shadings: ShadingStore,
     data: TrainingData,
     fields: Fields,
     cells: SeenCells,
-    emitting: np.ndarray,
-    seed: int,
 ) -> np.ndarray:
     """(C, 3) float32 standard errors of base colour, roughness and metallic of `fields` in the C cells.
 
     Args:
         shadings: of all pixels.
         data: of the last closed-form estimate: its groups and their errors.
-        emitting: (T,) bool emitting triangles; their pixels are not used.
     """
     errors = np.full((len(cells.keys), 3), UNIFORM_DEVIATION, np.float32)
-    drawn = _draw(pixels, units, fields, cells, ~emitting, seed)
     rows, sampled, cell = drawn.rows, drawn.cells, drawn.place
     if not len(rows):
         return errors
     group_of_cell = groups_of_cells(units, fields, cells)
     group = group_of_cell[sampled[cell]]
-    color, *values = fields.query(drawn.position, drawn.unit)
-    material = np.stack(values, axis=1)
+    values = fields.query(drawn.position, drawn.unit)
     of_group = np.append(data.group_errors, [[UNIFORM_DEVIATION] * 2], axis=0)
     of_pixel = np.sqrt(of_group[np.asarray(data.group[rows])] ** 2 + FLOOR**2).astype(np.float32)
     chunks = []
     for start in range(0, len(rows), CHUNK):
         chunk = slice(start, start + CHUNK)
         samples = read_samples(pixels, shadings, data.levels, rows[chunk], cell[chunk], group[chunk])
-        chunks.append(linearise(samples, color[chunk], material[chunk], of_pixel[chunk]))
+        chunks.append(linearise(samples, values[chunk, :3], values[chunk, 3:], of_pixel[chunk]))
     material_errors = grouped_sums(of_pixel, cell) / np.bincount(cell)[:, None]
     errors[sampled, 0] = standard_errors(concatenate(chunks))
     errors[sampled, 1:] = np.minimum(material_errors, UNIFORM_DEVIATION)
@@ -93,16 +126,9 @@ class LitCells:
 
 
 def lit_cells(
-    pixels: PixelStore,
-    units: Units,
-    shadings: ShadingStore,
-    fields: Fields,
-    cells: SeenCells,
-    emitting: np.ndarray,
-    seed: int,
+    drawn: DrawnPixels, pixels: PixelStore, shadings: ShadingStore, fields: Fields, cells: SeenCells
 ) -> LitCells:
     """The cells with the light on them; arguments as of :func:`cell_errors`."""
-    drawn = _draw(pixels, units, fields, cells, ~emitting, seed)
     rows, seen = drawn.rows, drawn.cells
     count = np.maximum(np.bincount(drawn.place, minlength=len(seen)), 1)[:, None]
 
@@ -112,7 +138,7 @@ def lit_cells(
     normals = means(np.asarray(pixels.normal[rows]).astype(np.float64))
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-6)
     diffuse = means(np.asarray(shadings.diffuse[rows]).astype(np.float64)).mean(axis=1)
-    color = fields.query(cells.points[seen], cells.part[seen])[0].mean(axis=1)
+    color = fields.query(cells.points[seen], cells.part[seen])[:, :3].mean(axis=1)
     return LitCells(seen, cells.points[seen].astype(np.float64), normals, color, diffuse)
 
 
@@ -136,45 +162,3 @@ def groups_of_cells(units: Units, fields: Fields, cells: SeenCells) -> np.ndarra
     blocks = (fields.box.normalise(cells.points) * (RESOLUTION // BLOCK)).astype(np.int64) @ (1, 64, 64**2)
     blocks = np.where(units.is_single(cells.part), 0, blocks)
     return np.unique((cells.part.astype(np.int64) + 1) * 64**3 + blocks, return_inverse=True)[1]
-
-
-@dataclass(frozen=True)
-class _Draw:
-    """About `PIXELS` pure pixels, and the K cells that they see.
-
-    Attributes:
-        rows: (n,) int64 of the pixels.
-        position, unit: (n, 3) metres, (n,) int of the surface.
-        cells: (K,) int64 index of each cell, ascending.
-        place: (n,) int64 index into `cells`.
-    """
-
-    rows: np.ndarray
-    position: np.ndarray
-    unit: np.ndarray
-    cells: np.ndarray
-    place: np.ndarray
-
-
-def _draw(
-    pixels: PixelStore, units: Units, fields: Fields, cells: SeenCells, marked: np.ndarray, seed: int
-) -> _Draw:
-    """Pixels that see marked triangles (T,) bool; the same ones for the same seed."""
-    rng = np.random.default_rng([seed, 5])
-    probability = PIXELS / max(len(pixels), 1)
-    views = range(len(pixels.views))
-    rows = np.concatenate([_sample_view(pixels, view, marked, probability, rng) for view in views])
-    position = np.asarray(pixels.position[rows])
-    unit = units.triangle[pixels.triangle[rows]]
-    seen = np.searchsorted(cells.keys, cell_keys(fields.box, position, unit))
-    return _Draw(rows, position, unit, *np.unique(seen, return_inverse=True))
-
-
-def _sample_view(
-    pixels: PixelStore, view: int, marked: np.ndarray, probability: float, rng: np.random.Generator
-) -> np.ndarray:
-    """(n,) int64 pure pixels of a view that see marked triangles, each drawn with the given probability."""
-    bounds = pixels.rows(view)
-    drawn = rng.random(bounds.stop - bounds.start) < probability
-    candidates = pure_rows(pixels, view, marked)
-    return candidates[drawn[candidates - bounds.start]]

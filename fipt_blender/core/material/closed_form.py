@@ -18,8 +18,8 @@ from ..light.observations import Observations
 from ..optics.factorised import color_line
 from ..run.threads import in_threads
 from ..scene.grouped import first_by_key, grouped_sums
-from .pixel_samples import rows_with_donor
-from .projection import residual_weight, specular_at
+from .pixel_samples import residual_weight, rows_with_donor
+from .projection import specular_at
 from .training import TrainingData
 
 # Photographed radiance above this multiple of what a white surface would reflect is emission.

@@ -17,8 +17,8 @@ import numpy as np
 
 from ..optics.factorised import color_line
 from ..scene.grouped import grouped_median, grouped_sums
-from .pixel_samples import PixelSamples
-from .projection import residual_weight, specular_at
+from .pixel_samples import PixelSamples, residual_weight
+from .projection import specular_at
 
 # Standard deviation of a value of which nothing is known but that it lies in [0, 1].
 UNIFORM_DEVIATION = 12.0**-0.5

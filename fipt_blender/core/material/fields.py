@@ -56,12 +56,12 @@ class RoomFields:
         self.fields, self.units, self.cells, self.scan = fields, units, cells, scan
         unknown = np.full((len(cells.keys), 3), UNIFORM_DEVIATION, np.float32)
         self.errors = unknown if errors is None else errors
-        values = _columns(fields.query(cells.points, cells.part))
-        self._statistics = seen_statistics(cells.points, cells.part, values)
+        values = fields.query(cells.points, cells.part)
+        self._statistics = seen_statistics(cells.points, cells.part, values, len(units.single))
         self._prior = None
         if errors is not None and units.single.any():
             part = np.where(units.is_single(cells.part), cells.part, NO_PART)
-            self._prior = part_priors(values[:, COLOR], _color_errors(errors), part)
+            self._prior = part_priors(values[:, COLOR], _color_errors(errors), part, len(units.single))
 
     def query(
         self, positions: np.ndarray, triangles: np.ndarray
@@ -79,7 +79,7 @@ class RoomFields:
         place = self.cells.find(self.fields.box, positions, part)
         # Where no surface was seen at all, only the network is left.
         seen = place >= 0 if len(self.cells.keys) else np.ones(len(positions), bool)
-        seen_values = _columns(self.fields.query(positions[seen], part[seen]))
+        seen_values = self.fields.query(positions[seen], part[seen])
         if self._prior is not None:
             errors = _color_errors(self.errors[place[seen]])
             seen_values[:, COLOR] = shrink_to_parts(seen_values[:, COLOR], errors, part[seen], self._prior)
@@ -174,8 +174,3 @@ class RoomFields:
 def _color_errors(errors: np.ndarray) -> np.ndarray:
     """(N,) standard errors of base colour from those of all values (N, 3)."""
     return np.maximum(errors[:, 0].astype(float), LEAST_ERROR)
-
-
-def _columns(materials: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
-    """(N, 5) float32 of base colour, roughness and metallic."""
-    return np.column_stack(materials).astype(np.float32)

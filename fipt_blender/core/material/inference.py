@@ -25,19 +25,14 @@ class Fields:
         self._device = next(network.parameters()).device
 
     @torch.no_grad()
-    def query(self, positions: np.ndarray, units: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Evaluate the network.
+    def query(self, positions: np.ndarray, units: np.ndarray) -> np.ndarray:
+        """(N, 5) float32 base colour, roughness (the paper's sigma) and metallic.
 
         Args:
             positions: (N, 3) world metres.
             units: (N,) int units on which they lie, negative for none.
-
-        Returns:
-            (base_color (N, 3), roughness (N,), metallic (N,)), float32; roughness is the paper's sigma.
         """
-        base_color = np.empty((len(positions), 3), np.float32)
-        roughness = np.empty(len(positions), np.float32)
-        metallic = np.empty(len(positions), np.float32)
+        result = np.empty((len(positions), 5), np.float32)
         for start in range(0, len(positions), CHUNK):
             rows = slice(start, start + CHUNK)
             inputs = torch.from_numpy(self.box.normalise(positions[rows]))
@@ -47,7 +42,5 @@ class Fields:
                 inputs = torch.nn.functional.pad(inputs, (0, 0, 0, CHUNK - count))
                 unit = torch.nn.functional.pad(unit, (0, CHUNK - count))
             prediction = self.network(inputs.to(self._device), unit.to(self._device))
-            base_color[rows] = prediction.base_color[:count].cpu().numpy()
-            roughness[rows] = prediction.roughness[:count].cpu().numpy()
-            metallic[rows] = prediction.metallic[:count].cpu().numpy()
-        return base_color, roughness, metallic
+            result[rows] = prediction.values[:count].cpu().numpy()
+        return result

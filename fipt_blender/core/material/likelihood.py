@@ -17,8 +17,8 @@ from ..optics.factorised import color_line, level_roughness
 from ..run.settings import Settings
 from ..run.threads import in_threads
 from ..scene.grouped import grouped_sums
-from .pixel_samples import PixelSamples
-from .projection import cells_of_groups, fit_colors, residual_weight
+from .pixel_samples import PixelSamples, residual_weight
+from .projection import cells_of_groups, fit_colors
 
 # Distance between the candidates' roughness, in baked levels: the posterior is wider than half of it.
 STEP = 0.25
@@ -89,8 +89,8 @@ def group_log_likelihoods(
     common = view_errors(means, pixels, group, variance, settings)
     errors = settings.pixels_per_sample + pixels * (common / variance)[group]
 
-    def densities(block: _Block) -> tuple[_Block, np.ndarray]:
-        scale = (settings.residual_degrees * variance[block.samples.group]).astype(np.float32)
+    def densities(block: PixelSamples) -> tuple[PixelSamples, np.ndarray]:
+        scale = (settings.residual_degrees * variance[block.group]).astype(np.float32)
         return block, _log_densities(block, candidates, scale, settings.residual_degrees)
 
     by_pixel = np.empty((len(prior), len(used.rows)))
@@ -105,16 +105,15 @@ def group_log_likelihoods(
 
 
 def _comparable(samples: PixelSamples, light_cell: np.ndarray) -> tuple[PixelSamples, np.ndarray]:
-    """The pixels with a group that share their cell with others, cells numbered by group, and light cells."""
+    """The pixels with a group that share their cell with others, and their light cells.
+
+    Cells are numbered by group, and `rows` from 0.
+    """
     cell = cells_of_groups(samples.cell, samples.group)
     light = cells_of_groups(light_cell, samples.group)
     kept = (samples.group >= 0) & (np.bincount(cell)[cell] > 1)
-    arrays = {
-        name: getattr(samples, name)[kept]
-        for name in ("rows", "radiance", "diffuse", "specular", "group", "view", "weight")
-    }
     cell, light = (np.unique(values[kept], return_inverse=True)[1] for values in (cell, light))
-    return PixelSamples(levels=samples.levels, cell=cell, **arrays), light
+    return samples.take(kept, cell=cell, rows=np.arange(len(cell))), light
 
 
 def _shared_light(diffuse: np.ndarray, cell: np.ndarray) -> np.ndarray:
@@ -135,44 +134,28 @@ def _lines(samples: PixelSamples, place: float, metallic: float) -> tuple[np.nda
     return color_line(samples.diffuse, specular[:, 0], specular[:, 1], np.float32(metallic))
 
 
-@dataclass(frozen=True)
-class _Block:
-    """The pixels of some cells: few enough for their arrays to stay in the processor's cache.
+def _blocks(samples: PixelSamples) -> list[PixelSamples]:
+    """All pixels in blocks of complete cells, few enough for their arrays to stay in the processor's cache.
 
-    Attributes:
-        rows: (n,) their places among all pixels.
-        samples: n pixels; cells are numbered within the block.
-        weight: (n, 3) of the squared residuals.
+    Cells are numbered within a block, and the pixels of a cell keep their order.
     """
-
-    rows: np.ndarray
-    samples: PixelSamples
-    weight: np.ndarray
-
-
-def _blocks(samples: PixelSamples) -> list[_Block]:
-    """All pixels in blocks of complete cells; those of a cell keep their order."""
     order = np.argsort(samples.cell, kind="stable")
     first = np.searchsorted(samples.cell[order], np.arange(int(samples.cell[order[-1]]) + 1))
     begins = first[np.unique(np.searchsorted(first, np.arange(0, len(order), BLOCK), side="right") - 1)]
-    found = []
-    for rows in np.split(order, begins[1:]):
-        names = ("rows", "radiance", "diffuse", "specular", "group", "view", "weight")
-        arrays = {name: getattr(samples, name)[rows] for name in names}
-        cell = samples.cell[rows] - samples.cell[rows[0]]
-        weight = residual_weight(arrays["radiance"]) * arrays["weight"][:, None]
-        found.append(_Block(rows, PixelSamples(levels=samples.levels, cell=cell, **arrays), weight))
-    return found
+    cell = samples.cell
+    return [samples.take(rows, cell=cell[rows] - cell[rows[0]]) for rows in np.split(order, begins[1:])]
 
 
-def _squared(block: _Block, lines: tuple[np.ndarray, np.ndarray], robust: np.ndarray | None) -> np.ndarray:
+def _squared(
+    samples: PixelSamples, lines: tuple[np.ndarray, np.ndarray], robust: np.ndarray | None
+) -> np.ndarray:
     """(n,) squared weighted residuals, mean over the channels, with the least-squares base colours.
 
     Args:
         lines: slope and offset (:func:`_lines`).
         robust: (n,) factors of the weights for the base colours; None for 1.
     """
-    samples, weight = block.samples, block.weight
+    weight = samples.square_weight
     slope, offset = lines
     color_weight = weight if robust is None else weight * robust[:, None]
     color = fit_colors(samples.radiance, slope, offset, color_weight, samples.cell).astype(np.float32)
@@ -181,7 +164,7 @@ def _squared(block: _Block, lines: tuple[np.ndarray, np.ndarray], robust: np.nda
 
 
 def _residual_variance(
-    blocks: list[_Block], group: np.ndarray, groups: int, least: float
+    blocks: list[PixelSamples], group: np.ndarray, groups: int, least: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """(groups,) variance of the relative residuals with the best material, at least `least` squared.
 
@@ -190,10 +173,10 @@ def _residual_variance(
     Args:
         group: (N,) of all pixels.
     """
-    materials = list(itertools.product(range(len(blocks[0].samples.levels)), (0.0, 1.0)))
+    materials = list(itertools.product(range(len(blocks[0].levels)), (0.0, 1.0)))
 
-    def squares(block: _Block) -> tuple[_Block, np.ndarray]:
-        lines = (_lines(block.samples, *material) for material in materials)
+    def squares(block: PixelSamples) -> tuple[PixelSamples, np.ndarray]:
+        lines = (_lines(block, *material) for material in materials)
         return block, np.stack([_squared(block, line, None) for line in lines])
 
     squared = np.empty((len(materials), len(group)), np.float32)
@@ -210,23 +193,23 @@ def _residual_variance(
     return np.maximum(median / MEDIAN_OF_SQUARE, least**2), np.array(materials)[best]
 
 
-def _residuals(blocks: list[_Block], best: np.ndarray, variance: np.ndarray) -> np.ndarray:
+def _residuals(blocks: list[PixelSamples], best: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """(N,) relative residuals, mean over the channels, with the best material (groups, 2) of each group.
 
     They are limited to `MOST_DEVIATIONS` standard deviations (variance: (groups,)).
     """
 
-    def residuals(block: _Block) -> tuple[_Block, np.ndarray]:
-        samples, (place, metallic) = block.samples, best[block.samples.group].T
-        s0, s1 = np.moveaxis(samples.specular[np.arange(len(place)), place.astype(np.int64)], 1, 0)
-        slope, offset = color_line(samples.diffuse, s0, s1, metallic[:, None].astype(np.float32))
-        color = fit_colors(samples.radiance, slope, offset, block.weight, samples.cell)
-        residual = samples.radiance - offset - color[samples.cell] * slope
-        return block, (residual * np.sqrt(residual_weight(samples.radiance))).mean(axis=1)
+    def residuals(block: PixelSamples) -> tuple[PixelSamples, np.ndarray]:
+        place, metallic = best[block.group].T
+        s0, s1 = np.moveaxis(block.specular[np.arange(len(place)), place.astype(np.int64)], 1, 0)
+        slope, offset = color_line(block.diffuse, s0, s1, metallic[:, None].astype(np.float32))
+        color = fit_colors(block.radiance, slope, offset, block.square_weight, block.cell)
+        residual = block.radiance - offset - color[block.cell] * slope
+        return block, (residual * np.sqrt(residual_weight(block.radiance))).mean(axis=1)
 
     result = np.empty(sum(len(block.rows) for block in blocks))
     for block, found in in_threads(residuals, blocks):
-        most = MOST_DEVIATIONS * np.sqrt(variance[block.samples.group])
+        most = MOST_DEVIATIONS * np.sqrt(variance[block.group])
         result[block.rows] = np.clip(found, -most, most)
     return result
 
@@ -251,7 +234,9 @@ def view_errors(
     return np.maximum(found, settings.view_error**2)
 
 
-def _log_densities(block: _Block, candidates: Candidates, scale: np.ndarray, degrees: float) -> np.ndarray:
+def _log_densities(
+    samples: PixelSamples, candidates: Candidates, scale: np.ndarray, degrees: float
+) -> np.ndarray:
     """(S, n) logarithm of Student's t-density of the residuals, up to a constant, times the pixels' weights.
 
     Base colours are fitted twice, the second time with the weights of the t-distribution.
@@ -261,9 +246,9 @@ def _log_densities(block: _Block, candidates: Candidates, scale: np.ndarray, deg
     """
     result = np.empty((len(candidates.place), len(scale)))
     for row, place, metallic in zip(result, candidates.place, candidates.metallic, strict=True):
-        lines = _lines(block.samples, place, metallic)
-        robust = 1.0 / (scale + _squared(block, lines, None))
-        squared = _squared(block, lines, robust)
+        lines = _lines(samples, place, metallic)
+        robust = 1.0 / (scale + _squared(samples, lines, None))
+        squared = _squared(samples, lines, robust)
         # Mixed pixels tell less.
-        row[:] = -0.5 * (degrees + 1.0) * np.log1p(squared / scale) * block.samples.weight
+        row[:] = -0.5 * (degrees + 1.0) * np.log1p(squared / scale) * samples.weight
     return result

@@ -15,8 +15,8 @@ import numpy as np
 import torch
 
 from ..run.settings import Settings
-from ..scene.grouped import grouped_median
 from .hashgrid import HashGrid
+from .seen import unit_medians
 
 # Typical values are kept this far from 0 and 1, where the sigmoid's slope would leave nothing to learn.
 _INSIDE = 0.005
@@ -37,6 +37,11 @@ class Prediction:
     base_color: torch.Tensor
     roughness: torch.Tensor
     metallic: torch.Tensor
+
+    @property
+    def values(self) -> torch.Tensor:
+        """(N, 5) base colour, roughness and metallic."""
+        return torch.cat([self.base_color, self.roughness[:, None], self.metallic[:, None]], dim=1)
 
 
 class BrdfNetwork(torch.nn.Module):
@@ -100,13 +105,8 @@ def typical_values(values: np.ndarray, unit: np.ndarray, units: int) -> np.ndarr
         values: (N, C).
         unit: (N,) int, negative for none.
     """
-    known = unit >= 0
-    result = np.empty((units + 1, values.shape[1]))
-    result[:] = np.median(values, axis=0)
-    medians = grouped_median(values[known], unit[known], units)
-    seen = np.bincount(unit[known], minlength=units) > 0
-    result[:-1][seen] = medians[seen]
-    return result
+    medians, every = unit_medians(values, unit, units), np.median(values, axis=0)
+    return np.vstack([np.where(np.isnan(medians), every, medians), every])
 
 
 def useful_hash_levels(settings: Settings, extent: float, footprint: float) -> int:

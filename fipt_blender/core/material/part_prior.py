@@ -27,23 +27,21 @@ CHUNK = 1 << 20
 
 @dataclass(frozen=True)
 class PartPriors:
-    """Distribution of the values of each part.
+    """Distribution of the values of each of P parts; NaN without any.
 
     Attributes:
-        parts: (P,) int64, ascending.
         median: (P, C).
         spread: (P,) standard deviation tau of the true values around it, without outliers.
         outliers: (P,) share of outliers, which may have any value in [0, 1].
     """
 
-    parts: np.ndarray
     median: np.ndarray
     spread: np.ndarray
     outliers: np.ndarray
 
 
-def part_priors(values: np.ndarray, errors: np.ndarray, part: np.ndarray) -> PartPriors:
-    """The distribution of each part, by expectation maximisation.
+def part_priors(values: np.ndarray, errors: np.ndarray, part: np.ndarray, parts: int) -> PartPriors:
+    """The distribution of each of so many parts, by expectation maximisation.
 
     Args:
         values: (K, C) in [0, 1], at points distributed evenly over the surfaces.
@@ -51,14 +49,13 @@ def part_priors(values: np.ndarray, errors: np.ndarray, part: np.ndarray) -> Par
         part: (K,) int, negative for none.
     """
     order = np.argsort(part, kind="stable")
-    order = order[part[order] >= 0]
-    parts, starts = np.unique(part[order], return_index=True)
-    fits = [_fit(values[rows], errors[rows]) for rows in np.split(order, starts[1:]) if len(rows)]
-    median, spread, outliers = zip(*fits, strict=True) if fits else ((), (), ())
-    shape = len(parts), values.shape[1]
-    return PartPriors(
-        parts.astype(np.int64), np.array(median).reshape(shape), np.array(spread), np.array(outliers)
-    )
+    bounds = np.searchsorted(part[order], np.arange(parts + 1))
+    priors = PartPriors(np.full((parts, values.shape[1]), np.nan), *np.full((2, parts), np.nan))
+    for index, rows in enumerate(np.split(order, bounds)[1:-1]):
+        if len(rows):
+            fit = _fit(values[rows], errors[rows])
+            priors.median[index], priors.spread[index], priors.outliers[index] = fit
+    return priors
 
 
 def shrink_to_parts(
@@ -71,11 +68,10 @@ def shrink_to_parts(
         part: (N,) int.
     """
     result = values.copy()
-    if not len(priors.parts):
-        return result
-    for start in range(0, len(values), CHUNK):
-        rows = slice(start, start + CHUNK)
-        place = np.minimum(np.searchsorted(priors.parts, part[rows]), len(priors.parts) - 1)
+    known = np.append(np.isfinite(priors.spread), False)[np.maximum(part, -1)]
+    every = np.flatnonzero(known)
+    for rows in np.split(every, range(CHUNK, len(every), CHUNK)):
+        place = part[rows]
         median = priors.median[place]
         offset = values[rows] - median
         distance = np.sqrt((offset**2).mean(axis=1))
@@ -83,9 +79,7 @@ def shrink_to_parts(
         total = variance + errors[rows] ** 2
         inlier = _inlier_probability(distance, total, priors.outliers[place], values.shape[1])
         factor = inlier * variance / total + (1.0 - inlier)
-        known = priors.parts[place] == part[rows]
-        shrunk = median + offset * np.where(known, factor, 1.0)[:, None]
-        result[rows] = np.where(known[:, None], shrunk, values[rows])
+        result[rows] = median + offset * factor[:, None]
     return result
 
 

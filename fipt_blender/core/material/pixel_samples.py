@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +21,8 @@ LAMP_PIXELS = 200_000
 LEAST_LAMP_PIXELS = 100
 # Pixels whose windows are averaged at a time, so that their arrays stay in the processor's cache.
 WINDOW_BLOCK = 1 << 13
+# Residuals are relative to radiance plus this, in units of the capture's median radiance.
+RADIANCE_FLOOR = 0.05
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,22 @@ class PixelSamples:
     group: np.ndarray
     view: np.ndarray
     weight: np.ndarray
+
+    def take(self, chosen: np.ndarray, **changes: np.ndarray) -> PixelSamples:
+        """The samples `chosen` ((n,) int or (N,) bool), with other values of the attributes `changes`."""
+        names = {field.name for field in fields(self)} - {"levels", *changes}
+        arrays: dict[str, Any] = {name: getattr(self, name)[chosen] for name in names}
+        return PixelSamples(levels=self.levels, **arrays, **changes)
+
+    @cached_property
+    def square_weight(self) -> np.ndarray:
+        """(N, 3) weight of the squared residuals of the pixels' radiance."""
+        return residual_weight(self.radiance) * self.weight[:, None]
+
+
+def residual_weight(radiance: np.ndarray) -> np.ndarray:
+    """Weight of squared residuals, the same shape: they count relative to the photographed radiance."""
+    return 1.0 / (radiance + RADIANCE_FLOOR) ** 2
 
 
 def read_samples(

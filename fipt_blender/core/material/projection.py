@@ -17,8 +17,6 @@ import numpy as np
 from ..optics.factorised import color_line, level_share
 from .pixel_samples import PixelSamples
 
-# Residuals are relative to radiance plus this, in units of the capture's median radiance.
-RADIANCE_FLOOR = 0.05
 # A part emits if the relative spread of its radiance is less than this share of that of its irradiance. In
 # the example rooms surfaces stay above 0.5 and lamps below 0.01.
 CONSTANT_RATIO = 0.15
@@ -61,11 +59,6 @@ def cells_of_groups(cell: np.ndarray, group: np.ndarray) -> np.ndarray:
     return np.unique(key, return_inverse=True)[1]
 
 
-def residual_weight(radiance: np.ndarray) -> np.ndarray:
-    """Weight of squared residuals, the same shape: they count relative to the photographed radiance."""
-    return 1.0 / (radiance + RADIANCE_FLOOR) ** 2
-
-
 def specular_at(
     specular: np.ndarray, rows: np.ndarray, levels: np.ndarray, roughness: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -101,8 +94,7 @@ def project(
     metallic = np.where(known, group_metallic[np.maximum(group, 0)] if groups else 0.0, 0.0)
     s0, s1 = specular_at(samples.specular, np.arange(len(group)), samples.levels, roughness)
     slope, offset = color_line(samples.diffuse, s0, s1, metallic[:, None])
-    weight = residual_weight(samples.radiance) * samples.weight[:, None]
-    color = fit_colors(samples.radiance, slope, offset, weight, cell)
+    color = fit_colors(samples.radiance, slope, offset, samples.square_weight, cell)
     part_emits = np.zeros(0, bool)
     if known_parts:
         part_emits = constant_parts(

@@ -132,34 +132,34 @@ class SeenStatistics:
     """Values of the seen points of a room.
 
     Attributes:
-        parts: (P,) int64 parts with a seen point, ascending.
-        medians: (P, C) of the values of each.
+        medians: (U, C) of the values of each part, NaN without any.
         positions: (S, 3) a subset of the seen points, world metres.
         values: (S, C) of this subset.
     """
 
-    parts: np.ndarray
     medians: np.ndarray
     positions: np.ndarray
     values: np.ndarray
 
 
-def seen_statistics(positions: np.ndarray, part: np.ndarray, values: np.ndarray) -> SeenStatistics:
-    """Medians of the parts and a subset of the points, which should lie evenly on the seen surfaces.
+def unit_medians(values: np.ndarray, unit: np.ndarray, units: int) -> np.ndarray:
+    """(units, C) median of the values (N, C) of each unit ((N,) int, negative for none); NaN without any."""
+    known = unit >= 0
+    medians = grouped_median(values[known], unit[known], units)
+    medians[np.bincount(unit[known], minlength=units) == 0] = np.nan
+    return medians
+
+
+def seen_statistics(
+    positions: np.ndarray, part: np.ndarray, values: np.ndarray, parts: int
+) -> SeenStatistics:
+    """Medians of so many parts and a subset of the points, which should lie evenly on the seen surfaces.
 
     Args:
-        positions: (N, 3) world metres. part: (N,) int, negative for none. values: (N, C).
+        positions: (N, 3) world metres. part: (N,) int, negative for none. values: (N, C) float32.
     """
-    parts, group = np.unique(part, return_inverse=True)
-    medians = grouped_median(values, group, len(parts))
-    known = parts >= 0
     stride = max(len(positions) // SEEN_POINTS, 1)
-    return SeenStatistics(
-        parts[known].astype(np.int64),
-        medians.astype(np.float32)[known],
-        positions[::stride],
-        values[::stride],
-    )
+    return SeenStatistics(unit_medians(values, part, parts), positions[::stride], values[::stride])
 
 
 def fallback_values(positions: np.ndarray, part: np.ndarray, statistics: SeenStatistics) -> np.ndarray:
@@ -169,12 +169,9 @@ def fallback_values(positions: np.ndarray, part: np.ndarray, statistics: SeenSta
         positions: (N, 3) world metres. part: (N,) int, negative for none.
         statistics: of at least one seen point.
     """
-    result = np.empty((len(positions), statistics.values.shape[1]), np.float32)
-    unseen_part = np.ones(len(positions), bool)
-    if len(statistics.parts):
-        place = np.minimum(np.searchsorted(statistics.parts, part), len(statistics.parts) - 1)
-        unseen_part = statistics.parts[place] != part
-        result[~unseen_part] = statistics.medians[place[~unseen_part]]
+    without_part = np.full((1, statistics.medians.shape[1]), np.nan, np.float32)
+    result = np.append(statistics.medians, without_part, axis=0)[np.maximum(part, -1)]
+    unseen_part = np.isnan(result[:, 0])
     if unseen_part.any():
         nearest = cKDTree(statistics.positions).query(positions[unseen_part], workers=-1)[1]
         result[unseen_part] = statistics.values[nearest]

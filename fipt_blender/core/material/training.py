@@ -245,10 +245,7 @@ def pretrain(
         position = torch.from_numpy(data.normalise(np.asarray(data.position[rows]))).to(device)
         unit = torch.from_numpy(surfaces.unit[surfaces.triangle[rows]].astype(np.int64)).to(device)
         prediction = brdf(position, unit)
-        outputs = torch.cat(
-            [prediction.base_color, prediction.roughness[:, None], prediction.metallic[:, None]], dim=1
-        )
-        loss = (outputs - torch.from_numpy(values[chosen]).to(device)).square().sum(dim=1).mean()
+        loss = (prediction.values - torch.from_numpy(values[chosen]).to(device)).square().sum(dim=1).mean()
         if emission is not None:
             asked = _emission_rows(rows[::_EMISSION_STRIDE], emitters, rng)
             target = torch.from_numpy(surfaces.emitting[surfaces.triangle[asked]]).to(device)

@@ -29,8 +29,8 @@ from .groups import (
 )
 from .hints import NO_HINT, SurfaceHints, values_of_hints
 from .mixture import infer_materials
-from .pixel_samples import PixelSamples, read_samples, rows_with_donor, window_means
-from .projection import RADIANCE_FLOOR, InitialEstimate, project
+from .pixel_samples import RADIANCE_FLOOR, PixelSamples, read_samples, rows_with_donor, window_means
+from .projection import InitialEstimate, project
 from .training import TrainingData
 
 # Pixels of which base colours are estimated; more change only the time.
