@@ -79,7 +79,7 @@ def opencv_to_fipt_camera(camera_to_world: ArrayLike) -> FloatArray:
 # --- world axes, scale -----------------------------------------------------------------------------------
 
 
-def world_from_source(up_axis: str = "z", metres_per_unit: float = 1.0) -> FloatArray:
+def world_from_source(up_axis: str, metres_per_unit: float = 1.0) -> FloatArray:
     """Similarity (4, 4) from source coordinates to Blender's world: up is rotated to Z, then scaled.
 
     Args:

@@ -148,13 +148,13 @@ class Capture:
         return [view for view in self.views if view.split == "held_back"]
 
 
-def load_capture(run: RunFolder, path: Path | None = None) -> Capture:
-    """Read capture.json of a run, or another file of its format.
+def load_capture(run: RunFolder) -> Capture:
+    """Read capture.json of a run.
 
     Raises:
         FiptError: ``file-missing``, ``file-damaged``, ``capture-version`` or ``path-outside``.
     """
-    path = path or run.capture_json
+    path = run.capture_json
     data = read_json(path)
     if data.get("format") != CAPTURE_FORMAT or data.get("version") != CAPTURE_VERSION:
         raise FiptError(

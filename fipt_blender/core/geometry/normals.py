@@ -57,9 +57,7 @@ def filter_normals(
     return result
 
 
-def follow_normals(
-    mesh: Mesh, normals: np.ndarray, reach: float, held: np.ndarray | None = None, rounds: int = VERTEX_ROUNDS
-) -> np.ndarray:
+def follow_normals(mesh: Mesh, normals: np.ndarray, reach: float, held: np.ndarray) -> np.ndarray:
     """(V, 3) float64 vertices moved so that the triangles have the given normals, as well as they can.
 
     Args:
@@ -68,7 +66,7 @@ def follow_normals(
         held: (V,) bool, vertices that stay.
     """
     start = mesh.vertices
-    free = np.arange(len(start)) if held is None else np.flatnonzero(~held)
+    free = np.flatnonzero(~held)
     around = mesh.around[free]
     # Triangles of which no vertex moves pull none either.
     used = np.flatnonzero(np.bincount(around.indices, minlength=len(normals)))
@@ -80,7 +78,7 @@ def follow_normals(
     spread = [around @ ((areas * wanted[:, column])[:, None] * wanted) for column in range(3)]
     local = (start - start.mean(axis=0)).astype(np.float32)
     now = local.copy()
-    for _ in range(rounds):
+    for _ in range(VERTEX_ROUNDS):
         middle = (now[corner[:, 0]] + now[corner[:, 1]] + now[corner[:, 2]]) / 3.0
         height = areas * np.einsum("tc,tc->t", wanted, middle)
         lifted = around @ (height[:, None] * wanted)

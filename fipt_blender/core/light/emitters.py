@@ -28,6 +28,8 @@ ALIKE = 1.5
 # A triangle's radiance is measured if its pixels are worth at least so many pure ones; others take that of
 # their neighbours.
 LEAST_MEASURED = 1.0
+# Triangles that are so many times as bright as the room's mean are aimed at before emitters are known.
+BRIGHT = 8.0
 # Pixels per chunk: arrays of all pixels of a large capture would take gigabytes.
 CHUNK = 1 << 20
 
@@ -211,7 +213,7 @@ def emitter_table(fixtures: list[Fixture]) -> EmitterTable:
 
 
 def bright_triangles(
-    room: Room, triangle: np.ndarray, front: np.ndarray, radiance: np.ndarray, factor: float = 8.0
+    room: Room, triangle: np.ndarray, front: np.ndarray, radiance: np.ndarray
 ) -> EmitterTable:
     """Triangles to sample before any emitter is known: those much brighter than the room's mean.
 
@@ -232,7 +234,7 @@ def bright_triangles(
     light = np.maximum(sides[0] @ LUMINANCE, sides[1] @ LUMINANCE)
     seen = light > 0
     mean = float(np.average(light[seen], weights=room.areas[seen])) if (room.areas * seen).sum() > 0 else 0.0
-    bright = np.flatnonzero(light > factor * mean) if mean > 0 else np.zeros(0, np.int64)
+    bright = np.flatnonzero(light > BRIGHT * mean) if mean > 0 else np.zeros(0, np.int64)
     return EmitterTable(
         bright.astype(np.int32), sides[0][bright].astype(np.float32), sides[1][bright].astype(np.float32)
     )

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from ..alignment.surface import closest_points
 from ..run.hints import DIELECTRIC, METAL, UNKNOWN, Hint
+from ..scene.grouped import numbered
 from ..scene.labels import NO_PART, Parts
 
 NO_HINT = -1
@@ -152,7 +153,7 @@ def place_hints(
         pieces: (T,) int connected pieces; None where parts are known.
     """
     corners = np.asarray(vertices, np.float64)[triangles]
-    surface = parts.triangle_part if pieces is None else _pairs(parts.triangle_part, pieces)
+    surface = parts.triangle_part if pieces is None else numbered([parts.triangle_part, pieces])
     triangle = np.full(len(triangles), NO_HINT, np.int32)
     problems: list[str] = []
     for number, hint in enumerate(hints):
@@ -259,8 +260,3 @@ def _balls(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(T, 3) centers of triangles (T, 3, 3), and (T,) distance of the farthest corner from each."""
     centers = corners.mean(axis=1)
     return centers, np.linalg.norm(corners - centers[:, None], axis=2).max(axis=1)
-
-
-def _pairs(label: np.ndarray, pieces: np.ndarray) -> np.ndarray:
-    """(T,) int from 0, one number for each pair of a label and a piece."""
-    return np.unique(np.stack([label, pieces]), axis=1, return_inverse=True)[1].reshape(-1)

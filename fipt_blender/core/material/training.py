@@ -9,6 +9,7 @@ checkpoint and ends with the same weights.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -311,26 +312,20 @@ def read_checkpoint(path: Path, networks: Networks, steps: int) -> dict[str, Any
     """
     table, *dense = networks.trained()
     state = load_tensors(path, table.device)
-    problem = ""
-    for name, expected in networks.state().items():
-        weights = state.get(name)
-        if not isinstance(weights, dict) or {key: value.shape for key, value in expected.items()} != {
-            key: getattr(value, "shape", None) for key, value in weights.items()
-        }:
-            problem = f"its {name} network is another one"
-    step = state.get("step")
-    if not isinstance(step, int) or not 0 < step < steps:
-        problem = f"its step is {step} of {steps}"
     try:
+        deepcopy(networks).load(state)
         _Adam([([table], 0.0), (dense, 0.0)], steps).optimiser.load_state_dict(state["optimiser"])
         for index, parameter in enumerate((table, *dense)):
             moments = state["optimiser"]["state"].get(index, {})
             if any(moments[key].shape != parameter.shape for key in moments if key != "step"):
-                problem = "its optimiser belongs to another network"
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        problem = f"its optimiser can't be read: {error!r}"
-    if problem:
-        raise FiptError("file-damaged", f"{path} can't be read ({problem}).", "Start the estimation again.")
+                raise ValueError("its optimiser belongs to another network")
+        step = state["step"]
+        if not isinstance(step, int) or not 0 < step < steps:
+            raise ValueError(f"its step is {step} of {steps}")
+    except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+        raise FiptError(
+            "file-damaged", f"{path} can't be read ({error!r}).", "Start the estimation again."
+        ) from None
     return state
 
 

@@ -78,23 +78,14 @@ def training_input(
     if hints is not None:
         groups += 0 if pieces is None else len(hints.names)
         known = hints.known(groups_of_hints(hints, observations.parts, groups), groups)
-    pure = np.asarray(pixels.pure)
     start = np.random.default_rng([settings.seed, 5]).random()
     wide_rows, wide_cell = _wide_rows(observations, group, groups, start)
-    arrays = (pixels.own, shadings.diffuse, shadings.specular)
-    widths = np.array([view.width for view in pixels.views])
-    radiance, diffuse, specular = window_means(arrays, wide_rows, pure, group, pixels.ranges, widths)
-    view = pixels.view_of(wide_rows)
-    weight = np.asarray(pixels.weight[wide_rows])
-    wide = PixelSamples(
-        wide_rows, radiance, diffuse, specular, levels, wide_cell, group[wide_rows], view, weight
-    )
+    wide = _wide_samples(observations, shadings, levels, group, wide_rows, wide_cell)
     alike = None
     if pieces is not None:
-        alike = _similarity(
-            wide.group, groups, observations.part[wide_rows], color[observations.entry[wide_rows]]
-        )
-    materials = infer_materials(wide, groups, _light_cells(observations, wide_rows), settings, alike, known)
+        label, seen_color = observations.part[wide.rows], color[observations.entry[wide.rows]]
+        alike = _similarity(wide.group, groups, label, seen_color)
+    materials = infer_materials(wide, groups, _light_cells(observations, wide.rows), settings, alike, known)
     roughness, metallic = materials.mean.T
     cell = np.asarray(observations.entry[rows], np.int64)
     samples = read_samples(pixels, shadings, levels, rows, cell, group[rows])
@@ -293,6 +284,24 @@ def _wide_rows(
         found.append(np.column_stack([rows, cell])[kept])
     rows, *cells = np.concatenate(found).T
     return rows, numbered(cells)
+
+
+def _wide_samples(
+    observations: Observations,
+    shadings: ShadingStore,
+    levels: np.ndarray,
+    group: np.ndarray,
+    rows: np.ndarray,
+    cell: np.ndarray,
+) -> PixelSamples:
+    """The pixels `rows` (M,) in the wide cells `cell` (M,), as means over small windows; `group`: (N,)."""
+    pixels = observations.pixels
+    arrays = (pixels.own, shadings.diffuse, shadings.specular)
+    widths = np.array([view.width for view in pixels.views])
+    pure = np.asarray(pixels.pure)
+    radiance, diffuse, specular = window_means(arrays, rows, pure, group, pixels.ranges, widths)
+    view, weight = pixels.view_of(rows), np.asarray(pixels.weight[rows])
+    return PixelSamples(rows, radiance, diffuse, specular, levels, cell, group[rows], view, weight)
 
 
 def most_of_each(count: np.ndarray) -> float:

@@ -54,7 +54,6 @@ class Segmenter:
 
     Args:
         folder: of the model, as `save_pretrained` of transformers writes it.
-        device: of torch.
 
     Attributes:
         classes: their names by id.
@@ -64,7 +63,7 @@ class Segmenter:
             transformers.
     """
 
-    def __init__(self, folder: Path, device: str = "cpu") -> None:
+    def __init__(self, folder: Path) -> None:
         config = self._read(folder / "config.json", _CONFIG)
         kind = config["model_type"]
         if kind not in CLASSES:
@@ -80,14 +79,13 @@ class Segmenter:
             raise _unusable(folder, "its images have not three channels")
         self._windows = kind == "eomt"  # its input is a square of one size
         self._side = int(config.get("image_size", _SHORT_SIDE)) if self._windows else _short_side(processor)
-        self._device = device
         # Only its training needs OneFormer's encoder of texts.
         changes = {"is_training": False} if kind == "oneformer" else {}
-        self._model = _load(folder, CLASSES[kind], changes).to(device).eval()
+        self._model = _load(folder, CLASSES[kind], changes).eval()
         self._more = {}
         if kind == "oneformer":
             task = _task_tokens(folder, int(config.get("task_seq_len", _TASK_WORDS)))
-            self._more = {"task_inputs": task.to(device)}
+            self._more = {"task_inputs": task}
         self.classes = {int(key): name for key, name in config["id2label"].items() if key.isdecimal()}
 
     @staticmethod
@@ -112,7 +110,7 @@ class Segmenter:
         multiple = 1 if self._windows else _MULTIPLE
         size = (_rounded(height * scale, multiple), _rounded(width * scale, multiple))
         values = (picture.astype(np.float32) / 255.0 - self._mean) / self._std
-        pixels = torch.from_numpy(values).permute(2, 0, 1)[None].to(self._device)
+        pixels = torch.from_numpy(values).permute(2, 0, 1)[None]
         pixels = torch.nn.functional.interpolate(
             pixels, size=size, mode="bilinear", align_corners=False, antialias=True
         )

@@ -43,7 +43,7 @@ def choose_exposure(median_radiance: float) -> float:
     return 0.18 / median_radiance
 
 
-def clipped(radiance: np.ndarray, exposure: float = 1.0) -> np.ndarray:
+def clipped(radiance: np.ndarray, exposure: float) -> np.ndarray:
     """Scene-linear values clipped to [0, 1], float64; NaN becomes 0."""
     scaled = np.asarray(radiance, np.float64) * exposure
     return np.clip(np.nan_to_num(scaled, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)

@@ -73,7 +73,7 @@ class Scan:
         return float(np.median(self.adjacency.length))
 
 
-def find_scan(vertices: np.ndarray, triangles: np.ndarray, cleaned: bool = False) -> Scan | None:
+def find_scan(vertices: np.ndarray, triangles: np.ndarray, cleaned: bool) -> Scan | None:
     """The surface of a mesh that is a scan, None for a modelled mesh.
 
     Args:

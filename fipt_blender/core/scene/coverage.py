@@ -46,9 +46,9 @@ def view_coverage(room: Room, view: View) -> Coverage:
     return Coverage(seen, seen | centroid_in_sight, float((triangle >= 0).mean()))
 
 
-def coarse_view(view: View, grid: int = GRID) -> View:
-    """The same camera with at most `grid` pixels along its longer side."""
-    factor = min(1.0, grid / max(view.width, view.height))
+def coarse_view(view: View) -> View:
+    """The same camera with at most `GRID` pixels along its longer side."""
+    factor = min(1.0, GRID / max(view.width, view.height))
     width, height = max(1, round(view.width * factor)), max(1, round(view.height * factor))
     x, y = width / view.width, height / view.height
     return replace(

@@ -14,6 +14,8 @@ import numpy as np
 
 # Candidate texels per chunk, which limits the memory of a chunk to about 0.5 GB.
 CHUNK_TEXELS = 2_000_000
+# Texels by which texels outside a triangle are near: one that is thinner than a texel is not lost.
+REACH = 0.75
 _SLACK = 0.01  # texels; more than any rounding error of the tests below
 
 
@@ -142,14 +144,13 @@ def _nearest_on_border(corners: np.ndarray, point: np.ndarray) -> tuple[np.ndarr
 
 
 def nearest_triangle_map(
-    corners: np.ndarray, width: int, height: int, reach: float = 0.75
+    corners: np.ndarray, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """For each texel near a triangle, the nearest triangle and the point on it.
 
     Args:
         corners: (T,3,2) positions in texels.
         width, height: of the image.
-        reach: see `covered_texels`.
 
     Returns:
         texel (M,) i64 flat indices, sorted and unique; triangle (M,) i64; barycentric (M,3) f32.
@@ -158,7 +159,7 @@ def nearest_triangle_map(
     best_distance = np.full(width * height, np.inf, np.float32)
     best_triangle = np.full(width * height, -1, np.int64)
     best_weights = np.zeros((width * height, 3), np.float32)
-    for texel, triangle, weights, distance in covered_texels(corners, width, height, reach):
+    for texel, triangle, weights, distance in covered_texels(corners, width, height, REACH):
         closer = np.flatnonzero(distance < best_distance[texel])
         texel, distance = texel[closer], distance[closer]
         np.minimum.at(best_distance, texel, distance)

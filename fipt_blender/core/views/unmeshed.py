@@ -114,7 +114,7 @@ class _Rays:
 
 
 def unmeshed_lights(
-    cells: SurfaceCells, footprint: float, rng: np.random.Generator, scan: bool = False
+    cells: SurfaceCells, footprint: float, rng: np.random.Generator, scan: bool
 ) -> list[UnmeshedLight]:
     """Lamps in front of the mesh, those seen by most views first.
 
