@@ -12,27 +12,35 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.light import baking
 from fipt_blender.core.material.fields import RoomFields
+from fipt_blender.core.optics.environment import EnvironmentLight
+from fipt_blender.core.optics.lights import EmitterTable
 from fipt_blender.core.run import finished_views
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.scene.pixels import trace_view
 from samples.camera_poses import look_at
 from samples.small_captures import (
     COLORS,
+    HEIGHT,
     PANEL_RADIANCE,
     PANEL_TRIANGLES,
+    WIDTH,
     SmallCapture,
+    matt,
     panel_capture,
+    photograph_room,
     run_here,
     window_capture,
     write_run,
 )
-from samples.small_rooms import surface_points
+from samples.small_rooms import BOX, make_room, surface_points
 
 ROOT = Path(__file__).resolve().parent.parent
 STAGES = ["pixels", "shadings", "estimate-0", "refinement-1", "estimate-1", "training"]
@@ -94,6 +102,16 @@ def same(first: RunFolder, second: RunFolder) -> None:
     assert arrays.keys() == others.keys()
     assert emitters == other_emitters
     assert [name for name in arrays if arrays[name].tobytes() != others[name].tobytes()] == []
+
+
+def connected_room_without_a_wall() -> tuple[SmallCapture, np.ndarray]:
+    """Gray walls of one connected mesh, lit by what no photograph shows; and their base colours (10, 3)."""
+    colors = np.repeat([[0.7, 0.68, 0.66], [0.8] * 3, [0.3] * 3, [0.55] * 3, [0.45, 0.45, 0.46]], 2, axis=0)
+    room = make_room([*BOX[:4], BOX[5]], parts="semantics", objects=np.zeros(5, int))
+    places = [(-1.5, 1.7), (0.0, 0.6), (1.5, 2.2), (0.8, 1.5), (-0.7, 2.4)]
+    cameras = [[[1.8, y, z], [-2.0, -0.7 * y, 3.0 - z]] for y, z in places]
+    outside = EnvironmentLight(np.tile(np.array([3.0, 3.5, 4.0], np.float32), (8, 16, 1)))
+    return photograph_room(room, matt(colors), EmitterTable.empty(), outside, cameras), colors
 
 
 def color_errors(run: RunFolder, capture: SmallCapture) -> np.ndarray:
@@ -313,3 +331,22 @@ def test_another_versions_run_folder(tmp_path: Path, capture: SmallCapture) -> N
     assert status == 1
     assert [(message["type"], message["code"]) for message in messages] == [("error", "run-version")]
     assert not any(run.stage.iterdir()) and not any(run.results.iterdir())
+
+
+def test_classes_tell_walls_of_one_piece_apart_where_light_enters(tmp_path: Path) -> None:
+    """The light from directions that no photograph shows follows from surfaces of one albedo each."""
+    capture, colors = connected_room_without_a_wall()
+    run = write_run(tmp_path / "run", capture)
+    data = json.loads(run.capture_json.read_text())
+    for view, camera in zip(data["views"], load_capture(run).train, strict=True):
+        triangle = trace_view(capture.room, camera).triangle.reshape(HEIGHT, WIDTH)
+        view["semantics"] = f"images/{Path(view['image']).stem}.png"
+        ids = np.where(triangle >= 0, triangle // 2 + 1, 0).astype(np.uint8)
+        Image.fromarray(ids).save(run.root / view["semantics"])
+    run.capture_json.write_text(json.dumps(data))
+    run_here(run)
+    points, _, triangle = surface_points(capture.room, 200, np.random.default_rng(0), np.arange(10))
+    color, _, metallic = RoomFields.load(run).query(points, triangle)
+    wrong = np.abs(color * (1 - metallic[:, None]) - colors[triangle]).mean(axis=1).reshape(5, -1)
+    assert wrong.mean(axis=1).max() < 0.06  # 0.38 where all walls have one albedo
+    assert read_radiance(run.environment_exr).mean(axis=(0, 1)) == pytest.approx([3.0, 3.5, 4.0], rel=0.15)

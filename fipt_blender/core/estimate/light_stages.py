@@ -118,14 +118,13 @@ class LightStages(EstimationState):
     def _environment(self) -> Environment | None:
         """What the pixels see outside, with the light from unseen directions where the mesh is open."""
         settings, observed = self.settings, self._observed
-        pieces = self.parts.triangle_part if self._pieces is None else self._pieces
         return with_unseen_light(
             observed.environment,
             self.pixels,
             self.room,
             observed.grid,
             observed.cache,
-            pieces,
+            self._surface_labels(),
             settings.environment_width,
             settings.seed,
         )

@@ -34,7 +34,7 @@ PARTS, CONCENTRATION = 32, 8.0
 LEVEL, PART_LEVEL, COLOR, PART_COLOR = 2.0, 0.7, 0.15, 0.1
 # Median and standard deviation (of the logarithm) of the albedos in a room, the highest, and its deviation.
 ALBEDO, ALBEDO_SPREAD, MOST_ALBEDO, MOST_SPREAD = 0.4, 0.7, 0.85, 0.1
-# Surfaces of one piece whose colors differ by less, in logarithms of ratios, have one albedo.
+# Points of one surface whose colors differ by less, in logarithms of ratios, have one albedo.
 COLOR_STEP = 0.25
 LEAST_POINTS, LEAST_GROUP = 200, 8
 LEAST_WEIGHT = 0.5  # of pixels that are used
@@ -73,7 +73,7 @@ def with_unseen_light(
 
     Args:
         cache: returns the radiance (M * 6, 3) of the cache's entries; called only where the mesh is open.
-        label: (T,) int piece of each triangle, negative without.
+        label: (T,) int surface of each triangle, on which points of one color have one albedo.
         width: of the map in pixels.
     """
     known = np.zeros((width // 2, width), bool) if environment is None else environment.seen
