@@ -125,8 +125,6 @@ def test_unusable_cameras_are_refused(scene, tmp_path):
     assert code() == "camera-model"
     item.data.type = "PERSP"
     good = background.image
-    background.image = photograph(tmp_path / "ldr.png", 32, 16, "PNG")
-    assert code() == "image-ldr"
     background.image = bpy.data.images.new("generated", 32, 16, float_buffer=True)
     assert code() == "image-missing"
     background.image = good
@@ -135,6 +133,13 @@ def test_unusable_cameras_are_refused(scene, tmp_path):
     parent.scale = (1.0, 1.0, 3.0)
     item.parent = parent
     assert code() == "alignment-uneven"
+
+
+def test_photographs_that_are_not_hdr_are_taken(scene, tmp_path):
+    item = own_camera(scene, tmp_path / "photo.exr", (32, 16))
+    item.data.background_images[0].image = photograph(tmp_path / "photo.jpg", 32, 16, "JPEG")
+    path, skipped = scene_cameras.write_scene_cameras(scene, RunFolder(tmp_path / "run"))
+    assert frames(path)["photo"]["file_path"].endswith("photo.jpg") and skipped == []
 
 
 def test_pose_of_a_constrained_camera_is_the_evaluated_one(scene):

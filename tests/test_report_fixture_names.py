@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from fipt_blender.core.report.fixture_names import NamedMesh, fixture_names, words
+from fipt_blender.core.report.fixture_names import fixture_names, words
 from fipt_blender.core.run.parts import RoomPart, RoomParts, free_name
 
 SHELL = ((0.0, 0.0, 0.0), (6.0, 5.0, 3.0))
@@ -17,7 +19,7 @@ _FACES = [
 ]  # fmt: skip
 
 
-def room_of(*boxes: tuple[str, tuple, tuple], material: str = "") -> tuple[NamedMesh, list[np.ndarray]]:
+def room_of(*boxes: tuple[str, tuple, tuple], material: str = "") -> tuple[SimpleNamespace, list[np.ndarray]]:
     """A room of boxes (object, low, high), and the triangles of each; the last box may have a material."""
     vertices, triangles, owner, pieces = [], [], [], []
     objects = list(dict.fromkeys(name for name, _, _ in boxes))
@@ -31,7 +33,7 @@ def room_of(*boxes: tuple[str, tuple, tuple], material: str = "") -> tuple[Named
     of_material = np.full(count, -1, np.int32)
     if material:
         of_material[pieces[-1]] = 0
-    room = NamedMesh(
+    room = SimpleNamespace(
         vertices=np.array(vertices, np.float32),
         triangles=np.array(triangles, np.int32),
         triangle_object=np.array(owner, np.int32),

@@ -25,7 +25,7 @@ def make_parser() -> argparse.ArgumentParser:
     """The parser of all commands and options."""
     parser = argparse.ArgumentParser(
         prog="fipt",
-        description="Estimate the materials and lights of a room from posed HDR photographs and its mesh.",
+        description="Estimate the materials and lights of a room from posed photographs and its mesh.",
     )
     parser.add_argument("--version", action="version", version=f"fipt {PRODUCT_VERSION}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -63,7 +63,7 @@ def _add_estimate(commands: _Commands) -> argparse.ArgumentParser:
     add("--up-axis", choices=up_axes, default="auto", help="up axis of the capture; --up-axis=-y for -y")
     add("--scale", type=float, default=1.0, metavar="S", help="meters per unit of the capture (default: 1)")
     add("--hold-back", type=int, metavar="N", help="hold back every N-th view for comparison; 0 for none")
-    add("--images", type=Path, metavar="DIR", help="folder of the HDR photographs")
+    add("--images", type=Path, metavar="DIR", help="folder of the photographs")
     add("--views", type=int, default=0, metavar="N", help="use N photographs, evenly spread (default: all)")
     add("--voxel", type=float, metavar="M", help="meters, of a mesh fused from depth images (default: 0.02)")
     add(

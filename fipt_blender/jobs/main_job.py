@@ -142,27 +142,8 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
 
         return RoomSteps(options, run)
 
-    texture_values = {name: getattr(options.settings, name) for name in TEXTURE_SETTINGS}
-    renders: dict[str, Callable[[], list[Message] | None]] = {
-        "rerender": lambda: room().rerender(),
-        "relight": lambda: room().relight(),
-        "insert": lambda: room().insert(),
-    }
-    capture, ingest = options.capture.absolute(), ingest_arguments(options)
-    mesh, images = (None if path is None else path.absolute() for path in (options.mesh, options.images))
-    steps = [
-        replace(
-            ingest_step(run, capture, ingest, "Reading the capture", 5.0),
-            inputs={
-                "version": PRODUCT_VERSION,
-                "capture": folder_fingerprint(capture, exclude=run.root),
-                "mesh": None if mesh is None else mesh_fingerprint(mesh, exclude=run.root),
-                "images": None if images is None else folder_fingerprint(images, exclude=run.root),
-                "arguments": ingest,
-            },
-            outputs=[run.capture_json],
-            reset=lambda: _remove(run.capture_json, run.images),
-        ),
+    return [
+        _capture_step(options, run),
         Step(
             "import",
             "Importing the room and its cameras",
@@ -180,11 +161,44 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
             reset=lambda: _remove(run.room_npz, run.room_json),
         ),
         estimate_step(run, options.settings, options.resume, options.cluster),
+        *_result_steps(options, run, room),
+        *_render_steps(options, run, room),
+        Step(
+            "report",
+            "Writing the report",
+            5.0,
+            command=["report", str(run.root)],
+            outputs=[run.report / "index.html"],
+            reset=lambda: _remove(run.report),
+        ),
+    ]
+
+
+def _capture_step(options: MainJobOptions, run: RunFolder) -> Step:
+    capture, arguments = options.capture.absolute(), ingest_arguments(options)
+    mesh, images = (None if path is None else path.absolute() for path in (options.mesh, options.images))
+    return replace(
+        ingest_step(run, capture, arguments, "Reading the capture", 5.0),
+        inputs={
+            "version": PRODUCT_VERSION,
+            "capture": folder_fingerprint(capture, exclude=run.root),
+            "mesh": None if mesh is None else mesh_fingerprint(mesh, exclude=run.root),
+            "images": None if images is None else folder_fingerprint(images, exclude=run.root),
+            "arguments": arguments,
+        },
+        outputs=[run.capture_json],
+        reset=lambda: _remove(run.capture_json, run.images),
+    )
+
+
+def _result_steps(options: MainJobOptions, run: RunFolder, room: Callable[[], RoomSteps]) -> list[Step]:
+    """From the estimate to the .blend file."""
+    return [
         Step(
             "atlas",
             "Creating texture coordinates",
             5.0,
-            inputs=texture_values,
+            inputs={name: getattr(options.settings, name) for name in TEXTURE_SETTINGS},
             function=lambda: room().make_atlas(),
             outputs=[run.atlas_npz, run.atlas_json],
             repeat=True,
@@ -207,26 +221,23 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
             restore=lambda: room().open_blend(),
         ),
     ]
-    for kind in options.renders:
-        steps.append(
-            Step(
-                f"render-{kind}",
-                _RENDER_TEXTS[kind],
-                20.0,
-                inputs={"spp": options.render_spp, "view": options.render_view},
-                function=renders[kind],
-                outputs=[run.renders_json],
-                reset=(lambda: _remove(run.renders)) if kind == options.renders[0] else None,
-            )
-        )
-    steps.append(
+
+
+def _render_steps(options: MainJobOptions, run: RunFolder, room: Callable[[], RoomSteps]) -> list[Step]:
+    functions: dict[str, Callable[[], list[Message] | None]] = {
+        "rerender": lambda: room().rerender(),
+        "relight": lambda: room().relight(),
+        "insert": lambda: room().insert(),
+    }
+    return [
         Step(
-            "report",
-            "Writing the report",
-            5.0,
-            command=["report", str(run.root)],
-            outputs=[run.report / "index.html"],
-            reset=lambda: _remove(run.report),
+            f"render-{kind}",
+            _RENDER_TEXTS[kind],
+            20.0,
+            inputs={"spp": options.render_spp, "view": options.render_view},
+            function=functions[kind],
+            outputs=[run.renders_json],
+            reset=(lambda: _remove(run.renders)) if kind == options.renders[0] else None,
         )
-    )
-    return steps
+        for kind in options.renders
+    ]

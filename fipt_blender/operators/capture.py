@@ -131,7 +131,7 @@ class FIPT_OT_import_capture(_ImportJob, bpy.types.Operator):
 
 
 class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
-    """Use the scene's own cameras as the capture. Each camera needs its HDR photograph as background image"""
+    """Use the scene's own cameras as the capture. Each camera needs its photograph as background image"""
 
     bl_idname = "fipt.use_scene_cameras"
     bl_label = "Use Scene Cameras"

@@ -71,7 +71,7 @@ class FIPT_PT_capture(Section, bpy.types.Panel):
         if not settings.views:
             layout.operator("fipt.use_scene_cameras", icon="CAMERA_DATA")
             if not settings.path:
-                text = "Select the folder that contains your HDR photographs and their solved cameras."
+                text = "Select the folder that contains your photographs and their solved cameras."
                 draw_text(layout, context, text, icon="INFO")
                 layout.operator("fipt.try_example", icon="HOME")
         _draw_import(layout, context)

@@ -134,7 +134,7 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
     )
     images: bpy.props.StringProperty(
         name="Photographs",
-        description="Folder of the HDR photographs, if they are not where the camera file says",
+        description="Folder of the photographs, if they are not where the camera file says",
         subtype="DIR_PATH",
     )
     scale: bpy.props.FloatProperty(

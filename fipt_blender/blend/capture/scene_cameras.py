@@ -48,7 +48,7 @@ def write_scene_cameras(scene: bpy.types.Scene, run: RunFolder) -> tuple[Path, l
         The file, and the names of the cameras that were left out because they have no photograph.
 
     Raises:
-        FiptError: ``cameras-none``, ``camera-model`` for one that is not perspective, ``image-ldr``,
+        FiptError: ``cameras-none``, ``camera-model`` for one that is not perspective,
             ``image-missing``, ``background-moved``, ``alignment-uneven``.
     """
     items = sorted((item for item in scene.objects if item.type == "CAMERA"), key=lambda item: item.name)
@@ -59,7 +59,7 @@ def write_scene_cameras(scene: bpy.types.Scene, run: RunFolder) -> tuple[Path, l
             f"None of the scene's {len(items)} cameras has a photograph as its background image."
             if items
             else "The scene has no cameras.",
-            "Give each camera its HDR photograph: Camera properties > Background Images > Add Image.",
+            "Give each camera its photograph: Camera properties > Background Images > Add Image.",
         )
     path = run.scene_cameras / "transforms.json"
     write_json(path, {"up_axis": "z", "frames": [describe_camera(scene, item) for item in chosen]})
@@ -117,9 +117,7 @@ def describe_camera(scene: bpy.types.Scene, item: bpy.types.Object) -> dict[str,
     path = photograph_path(item, background.image)
     width, height = (int(value) for value in background.image.size)
     if not width or not height:
-        raise FiptError(
-            "image-unreadable", f"The photograph {path} can't be read.", "Export it again as OpenEXR."
-        )
+        raise FiptError("image-unreadable", f"The photograph {path} can't be read.", "Export it again.")
     fx, fy, cx, cy = photograph_lens(item, background, frame_of(scene, item), width, height)
     return {
         "name": item.name,
@@ -138,22 +136,15 @@ def photograph_path(item: bpy.types.Object, image: bpy.types.Image) -> Path:
     """The file of a camera's photograph.
 
     Raises:
-        FiptError: ``image-ldr`` or ``image-missing``.
+        FiptError: ``image-missing``.
     """
     path = Path(bpy.path.abspath(image.filepath, library=image.library)) if image.filepath else None
-    if path is not None and path.suffix.lower() != ".exr":
-        raise FiptError(
-            "image-ldr",
-            f"The photograph {path.name} of the camera '{item.name}' is not an OpenEXR file."
-            " 8-bit photographs lack the radiance of lamps.",
-            "Merge an exposure bracket into an HDR image, save it as OpenEXR (.exr), and use that.",
-        )
     if path is None or not path.is_file():
         shown_name = path or f"'{image.name}'"
         raise FiptError(
             "image-missing",
             f"The photograph {shown_name} of the camera '{item.name}' is not a file on disk.",
-            "Save or unpack the image as an OpenEXR file, or restore the file.",
+            "Save or unpack the image, or restore the file.",
         )
     return path
 

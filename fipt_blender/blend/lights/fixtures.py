@@ -18,7 +18,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ...core.report.fixture_names import NamedMesh, fixture_names
+from ...core.report.fixture_names import fixture_names
 from ...core.run.parts import RoomParts, free_name
 from ..marks import BACK, BASE, FIXTURE, FIXTURE_SOURCES, NAMED, object_id
 from ..outliner import FIXTURES, collection
@@ -79,15 +79,7 @@ def split_off(
         fixture = polygon_fixture[original_polygons(mesh)]
         for number in np.unique(fixture[fixture >= 0]):
             pieces[number].append(_Piece(item, mesh, np.flatnonzero(fixture == number)))
-    named = NamedMesh(
-        room.vertices,
-        room.triangles,
-        room.triangle_object,
-        room.triangle_material,
-        room.objects,
-        room.materials,
-    )
-    names = fixture_names(named, entries, parts)
+    names = fixture_names(room, entries, parts)
     made = [
         _make(entry, name, parts) for entry, name, parts in zip(entries, names, pieces, strict=True) if parts
     ]

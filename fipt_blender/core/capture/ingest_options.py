@@ -74,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="hold back every Nth view if the capture defines no held-back views; 0 for none",
     )
     parser.add_argument(
-        "--images", type=Path, metavar="FOLDER", help="folder of the HDR images (not for fipt-synthetic)"
+        "--images", type=Path, metavar="FOLDER", help="folder of the photographs (not for fipt-synthetic)"
     )
     parser.add_argument("--clamp-negative", action="store_true", help="set negative radiance to zero")
     parser.add_argument(

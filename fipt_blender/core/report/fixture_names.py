@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -37,16 +37,21 @@ _TABLE_SHARE = 0.55  # of the room's height: lamps above hang
 _STRIP, _FLAT, _BULB = 4.0, 0.15, 0.3  # length by width; thickness by width; metres
 
 
-@dataclass(frozen=True)
-class NamedMesh:
+class NamedMesh(Protocol):
     """What names are made of: arrays of room.npz and names of room.json (docs/architecture.md)."""
 
-    vertices: np.ndarray
-    triangles: np.ndarray
-    triangle_object: np.ndarray
-    triangle_material: np.ndarray
-    objects: Sequence[str]
-    materials: Sequence[str]
+    @property
+    def vertices(self) -> np.ndarray: ...
+    @property
+    def triangles(self) -> np.ndarray: ...
+    @property
+    def triangle_object(self) -> np.ndarray: ...
+    @property
+    def triangle_material(self) -> np.ndarray: ...
+    @property
+    def objects(self) -> Sequence[str]: ...
+    @property
+    def materials(self) -> Sequence[str]: ...
 
 
 def run_fixture_names(run: RunFolder, entries: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -60,14 +65,7 @@ def run_fixture_names(run: RunFolder, entries: Sequence[Mapping[str, Any]]) -> l
         FiptError: ``file-missing`` or ``file-damaged``.
     """
     arrays, names = read_room_files(run)
-    mesh = NamedMesh(
-        arrays["vertices"],
-        arrays["triangles"],
-        arrays["triangle_object"],
-        arrays["triangle_material"],
-        names["objects"],
-        names["materials"],
-    )
+    mesh = SimpleNamespace(**arrays, objects=names["objects"], materials=names["materials"])
     return fixture_names(mesh, entries, read_parts(run, mesh.triangle_object, mesh.objects))
 
 
