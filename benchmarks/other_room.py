@@ -8,7 +8,7 @@
     python3 dev.py accuracy DIR
 
 Only the meshes of the scene file (version 0.5, OBJ) are used. The plan, a JSON file, tells what the room
-gets: scale (metres a unit), lamps, flat panels of light, materials of meshes, textures, and where cameras stand.
+gets: scale (metres a unit), lamps, flat panels of light, materials of meshes, textures, where cameras stand.
 """
 
 from __future__ import annotations
