@@ -283,7 +283,7 @@ class ReferenceEstimation(Estimation):
         fields, seen = self._room_fields(), triangles < 0
         values = np.empty((len(entries), 5), np.float32)
         none = np.full(int(seen.sum()), -1)
-        values[seen] = np.column_stack(fields.fields.query(points[seen], none))
+        values[seen] = fields.fields.query(points[seen], none)
         values[~seen] = np.column_stack(fields.query(points[~seen], triangles[~seen]))
         return pool(self.observations.grid, entries, values)[0]
 

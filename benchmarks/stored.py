@@ -65,5 +65,5 @@ class StoredEstimate:
         roughness, metallic = np.ones(len(group), np.float32), np.zeros(len(group), np.float32)
         roughness[known] = data.group_roughness[group[known]]
         metallic[known] = data.group_metallic[group[known]]
-        kd = initial.base_color * (1.0 - initial.metallic[:, None])
+        kd = initial.values[:, :3] * (1.0 - initial.values[:, 4:])
         return ClosedForm(initial.rows, kd, roughness, metallic)

@@ -15,7 +15,7 @@ from benchmarks.reference import AUTHORS, bake_apart, batch_means, reference_set
 from benchmarks.speed_engine import kept_path
 from benchmarks.turns import merged, take_turns
 from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
-from fipt_blender.core.light.cache import SurfaceLookup, make_grid, pool
+from fipt_blender.core.light.cache import SurfaceLookup, pool
 from fipt_blender.core.light.radiance import CachedRadiance
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
 from fipt_blender.core.material.emission_mask import masked_triangles
@@ -27,6 +27,7 @@ from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.scene.room import Room, load_room, triangle_normals
 from samples.camera_poses import look_at
+from samples.shading_points import make_grid
 from samples.small_captures import QUICK, panel_capture, write_run
 from samples.small_rooms import BOX, agree, bulb, make_room, mesh_room, surface_points
 

@@ -6,7 +6,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from fipt_blender.core.light.cache import SIDES, SurfaceLookup, make_grid, pool, side_index
+from fipt_blender.core.light.cache import SIDES, SurfaceLookup, pool, side_index
+from samples.shading_points import make_grid
 from samples.small_rooms import BOX, make_room, surface_points
 
 SHELF = [[-1.0, 0.3, 1.0], [1.0, 0.3, 1.0], [1.2, 0.9, 1.7], [-0.8, 0.9, 1.7]]

@@ -30,8 +30,8 @@ def test_known_materials_are_recovered(
     estimate = project(samples, roughness, metallic)
     for index in range(len(truths)):
         rows = samples.group == index
-        assert np.median(np.abs(estimate.base_color[rows] - color[rows])) < within
-    assert (estimate.roughness == roughness[samples.group]).all()
+        assert np.median(np.abs(estimate.values[rows, :3] - color[rows])) < within
+    assert (estimate.values[:, 3] == roughness[samples.group]).all()
 
 
 def test_pixels_without_part_are_diffuse(rng: np.random.Generator) -> None:
@@ -40,8 +40,8 @@ def test_pixels_without_part_are_diffuse(rng: np.random.Generator) -> None:
     lamp = samples.cell < 5
     samples.radiance[lamp] = 40.0
     estimate = estimate_of(samples)
-    assert (estimate.roughness == 1.0).all() and (estimate.metallic == 0.0).all()
-    assert np.median(np.abs(estimate.base_color[~lamp] - color[~lamp])) < 0.02
+    assert (estimate.values[:, 3:] == [1.0, 0.0]).all()
+    assert np.median(np.abs(estimate.values[~lamp, :3] - color[~lamp])) < 0.02
     assert all(len(values) == 0 for values in materials_of(samples))
 
 
@@ -53,7 +53,7 @@ def test_cells_of_different_parts_stay_apart(rng: np.random.Generator) -> None:
     light = rng.uniform(0.5, 2.0, (count, 1)) * np.ones(3)
     specular = np.full((count, len(LEVELS), 2, 3), 1e-3, np.float32)
     estimate = estimate_of(samples_of(color * light, light, specular, np.zeros(count, int), part))
-    np.testing.assert_allclose(estimate.base_color, color, atol=0.01)
+    np.testing.assert_allclose(estimate.values[:, :3], color, atol=0.01)
 
 
 def test_an_empty_part_id_does_no_harm(rng: np.random.Generator) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.tracer.surfaces import LatticeMaterials
-from fipt_blender.core.light.cache import make_grid, pool, unseen_points
+from fipt_blender.core.light.cache import pool, unseen_points
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.material.groups import Units
 from fipt_blender.core.material.seen import (
@@ -22,6 +22,7 @@ from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.run.shapes import ROOM_ARRAYS
 from fipt_blender.core.textures import bake
+from samples.shading_points import make_grid
 from samples.small_rooms import BOX, make_room
 
 BOX_4 = Box(np.zeros(3), 4.0)

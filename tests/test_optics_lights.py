@@ -8,7 +8,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from fipt_blender.core.optics.lights import AreaLights, EmitterTable, power_heuristic
+from benchmarks.tracer.forward import power_heuristic
+from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 
 # triangle 0 emits nothing, 1 both sides, 2 its back, 3 its front but has no area, 4 its front
 VERTICES = np.array(

@@ -21,7 +21,7 @@ from fipt_blender.core.conventions import PinholeView
 from fipt_blender.core.optics import brdf, factorised
 from fipt_blender.core.optics.denoise import Denoiser
 from fipt_blender.core.optics.environment import EnvironmentLight
-from fipt_blender.core.optics.lights import AreaLights, DirectSample, EmitterTable, power_heuristic
+from fipt_blender.core.optics.lights import AreaLights, DirectSample, EmitterTable
 from fipt_blender.core.scene.room import Room
 
 PATHS_AT_ONCE = 1 << 20  # bounds memory: about 100 MB of state in a recorded loop
@@ -222,6 +222,12 @@ def trace_paths(lit: LitRoom, ray: mi.Ray3f, generator: mi.PCG32, settings: Rend
     )
     end = PathState(*dr.while_loop(tuple(start), lambda active, *_: active, step, label="paths"))
     return PathResult(radiance=end.radiance, albedo=end.albedo, normal=end.normal)
+
+
+def power_heuristic(pdf: mi.Float, other: mi.Float) -> mi.Float:
+    """Veach's power heuristic (exponent 2): weight of a sample of density `pdf` against density `other`."""
+    ratio = other / pdf  # of densities, so that their squares can't overflow
+    return dr.select(pdf > 0, 1.0 / (1.0 + ratio * ratio), 0.0)
 
 
 def camera_rays(view: PinholeView, pixel: mi.UInt32, shift: mi.Point2f) -> mi.Ray3f:

@@ -5,7 +5,7 @@
 import mitsuba as mi
 import numpy as np
 
-from fipt_blender.core.light.cache import SurfaceLookup, VoxelGrid, make_grid, pool
+from fipt_blender.core.light.cache import SurfaceLookup, VoxelGrid, fill_grid, grid_frame, pool
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
 from fipt_blender.core.optics.lights import EmitterTable
 from fipt_blender.core.scene.room import Room
@@ -14,6 +14,19 @@ from samples.small_rooms import surface_points
 LEVELS = np.array([0.1, 0.4, 1.0], np.float32)
 LAMP = [[-0.5, -0.5, 2.6], [-0.5, 0.5, 2.6], [0.5, 0.5, 2.6], [0.5, -0.5, 2.6]]
 NOTHING = EmitterTable.empty()
+
+
+def make_grid(
+    room: Room, positions: np.ndarray, normals: np.ndarray, resolution: int, rng: np.random.Generator
+) -> VoxelGrid:
+    """Grid over the room's bounds with a row for each voxel that contains surface.
+
+    Args:
+        positions: (N, 3) seen surface points, metres.
+        normals: (N, 3) their geometric normals on the seen side.
+    """
+    frame = grid_frame(room, resolution)
+    return fill_grid(room, frame, frame.flat_index(positions, normals), rng)
 
 
 def grid_of(room: Room, resolution: int = 48) -> VoxelGrid:

@@ -276,7 +276,7 @@ class MaterialStages(EstimationState):
         decided = np.zeros(len(bright), bool)
         if self.hints is not None:
             decided = self.hints.of_triangles(self.hints.emits) != 0
-        colors = _means(initial.base_color.mean(axis=1), data.group[initial.rows], len(data.group_errors))
+        colors = _means(initial.values[:, :3].mean(axis=1), data.group[initial.rows], len(data.group_errors))
         write_doubts(self.folder, self.pixels, data, bright, decided, colors, names)
 
 

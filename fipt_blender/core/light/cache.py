@@ -70,19 +70,6 @@ def side_index(normals: np.ndarray) -> np.ndarray:
     return side
 
 
-def make_grid(
-    room: Room, positions: np.ndarray, normals: np.ndarray, resolution: int, rng: np.random.Generator
-) -> VoxelGrid:
-    """Grid over the room's bounds with a row for each voxel that contains surface.
-
-    Args:
-        positions: (N, 3) seen surface points, metres.
-        normals: (N, 3) their geometric normals on the seen side.
-    """
-    frame = grid_frame(room, resolution)
-    return fill_grid(room, frame, frame.flat_index(positions, normals), rng)
-
-
 def grid_frame(room: Room, resolution: int) -> VoxelGrid:
     """The grid over the room's bounds, without rows."""
     low, high = room.bounds

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -114,26 +115,14 @@ def window_means(
     Returns:
         (M, ...) float32 each.
     """
-    blocks = [rows[start : start + WINDOW_BLOCK] for start in range(0, max(len(rows), 1), WINDOW_BLOCK)]
-    means = list(in_threads(lambda block: _window_means(arrays, block, pure, group, ranges, widths), blocks))
-    return [np.concatenate(found) for found in zip(*means, strict=True)]
 
-
-def _window_means(
-    arrays: Sequence[np.ndarray],
-    rows: np.ndarray,
-    pure: np.ndarray,
-    group: np.ndarray,
-    ranges: np.ndarray,
-    widths: np.ndarray,
-) -> list[np.ndarray]:
-    sums = [np.zeros((len(rows), *array.shape[1:]), np.float32) for array in arrays]
-    count = np.zeros(len(rows), np.float32)
-    view = np.searchsorted(ranges, rows, side="right") - 1
-    first, end, width, row_group = ranges[view], ranges[view + 1], widths[view], group[rows]
-    column = (rows - first) % width
-    for down in (-1, 0, 1):
-        for right in (-1, 0, 1):
+    def of_block(rows: np.ndarray) -> list[np.ndarray]:
+        sums = [np.zeros((len(rows), *array.shape[1:]), np.float32) for array in arrays]
+        count = np.zeros(len(rows), np.float32)
+        view = np.searchsorted(ranges, rows, side="right") - 1
+        first, end, width, row_group = ranges[view], ranges[view + 1], widths[view], group[rows]
+        column = (rows - first) % width
+        for down, right in itertools.product((-1, 0, 1), repeat=2):
             neighbour = rows + down * width + right
             inside = (neighbour >= first) & (neighbour < end)
             inside &= (column + right >= 0) & (column + right < width)
@@ -144,7 +133,10 @@ def _window_means(
             for total, array in zip(sums, arrays, strict=True):
                 total[index] += array[neighbour[index]]
             count[index] += 1.0
-    return [total / count.reshape(-1, *[1] * (total.ndim - 1)) for total in sums]
+        return [total / count.reshape(-1, *[1] * (total.ndim - 1)) for total in sums]
+
+    blocks = [rows[start : start + WINDOW_BLOCK] for start in range(0, max(len(rows), 1), WINDOW_BLOCK)]
+    return [np.concatenate(found) for found in zip(*in_threads(of_block, blocks), strict=True)]
 
 
 def rows_with_donor(pixels: PixelStore, donor: np.ndarray, view: int) -> np.ndarray:

@@ -34,23 +34,14 @@ class InitialEstimate:
 
     Attributes:
         rows: (N,) int64 indices among the pixels of the run.
-        base_color: (N, 3) float32 of the pixel's cell.
-        roughness: (N,) float32 of the pixel's group.
-        metallic: (N,) float32 of the pixel's group.
+        values: (N, 5) float32 base colour of the pixel's cell, roughness and metallic of its group.
         part_emits: (parts,) bool, parts whose radiance does not follow irradiance (:func:`constant_parts`);
             empty where groups take the place of parts.
     """
 
     rows: np.ndarray
-    base_color: np.ndarray
-    roughness: np.ndarray
-    metallic: np.ndarray
+    values: np.ndarray
     part_emits: np.ndarray
-
-    @property
-    def values(self) -> np.ndarray:
-        """(N, 5) float32 base colour, roughness and metallic."""
-        return np.column_stack([self.base_color, self.roughness, self.metallic])
 
 
 def cells_of_groups(cell: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -100,13 +91,8 @@ def project(
         part_emits = constant_parts(
             samples.radiance.mean(axis=1), samples.diffuse.mean(axis=1), group, groups
         )
-    return InitialEstimate(
-        samples.rows,
-        color[cell].astype(np.float32),
-        roughness.astype(np.float32),
-        metallic.astype(np.float32),
-        part_emits,
-    )
+    values = np.column_stack([color[cell], roughness, metallic]).astype(np.float32)
+    return InitialEstimate(samples.rows, values, part_emits)
 
 
 def constant_parts(radiance: np.ndarray, irradiance: np.ndarray, part: np.ndarray, parts: int) -> np.ndarray:

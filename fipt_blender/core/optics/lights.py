@@ -262,11 +262,5 @@ def solid_angle_pdf(pdf_area: mi.Float, distance: mi.Float, cosine: mi.Float) ->
     return dr.select(facing > 1e-6, pdf_area * distance * distance / facing, 0.0)
 
 
-def power_heuristic(pdf: mi.Float, other: mi.Float) -> mi.Float:
-    """Veach's power heuristic (exponent 2): weight of a sample of density `pdf` against density `other`."""
-    ratio = other / pdf  # of densities, so that their squares can't overflow
-    return dr.select(pdf > 0, 1.0 / (1.0 + ratio * ratio), 0.0)
-
-
 def _columns(kind: type, array: np.ndarray) -> mi.Vector3f:
     return kind(*[mi.Float(np.ascontiguousarray(column, np.float32)) for column in np.asarray(array).T])
