@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..scene.adjacency import Scan
 from ..scene.grouped import numbered
 from ..scene.labels import Parts, room_pieces
 from ..scene.pixels import PixelStore
@@ -76,7 +77,7 @@ def emitter_surfaces(
     least += (1.0 - least) * (1.0 - UNSEEN_DOUBT**-unseen_light)
     if room.scan is None:
         return EmitterSurfaces(np.arange(len(room.triangles)), pieces, least, footprint)
-    patch = _patches(room, pieces, PATCH * footprint)
+    patch = surface_patches(room.scan, pieces, PATCH * footprint)
     if parts.kind == "part":
         known = parts.triangle_part >= 0
         patch = numbered([known, np.where(known, parts.triangle_part, patch)])
@@ -84,14 +85,13 @@ def emitter_surfaces(
     return EmitterSurfaces(patch, pieces, least, footprint)
 
 
-def _patches(room: Room, pieces: np.ndarray, edge: float) -> np.ndarray:
-    """(T,) int64 patch of each triangle: a piece of the mesh in a cube, on one of six sides.
+def surface_patches(scan: Scan, pieces: np.ndarray, edge: float) -> np.ndarray:
+    """(T,) int64 patch of each triangle of a scan: a piece of the mesh in a cube, on one of six sides.
 
     Args:
         pieces: (T,) int. edge: of the cubes, metres.
     """
-    assert room.scan is not None
-    cross, centers = room.scan.cross, room.scan.centers
+    cross, centers = scan.cross, scan.centers
     axis = np.abs(cross).argmax(axis=1)
     side = 2 * axis + (cross[np.arange(len(cross)), axis] < 0.0)
     cube = np.floor((centers - centers.min(axis=0)) / max(edge, 1e-9)).astype(np.int64)

@@ -13,10 +13,13 @@ import numpy as np
 from ..geometry.adjacency import weld
 from ..light.cache import Pool, VoxelGrid, fill_grid, grid_frame
 from ..light.clipped import MOST_LAMPS, MOST_POINTS, LampLight, LitPoints, light_on_points
+from ..light.emitter_surfaces import PATCH, surface_patches
 from ..radiometry.adjustment import usable
 from ..radiometry.inversion import Radiometry, is_clipped
 from ..run.settings import Settings
-from ..scene.components import mesh_components
+from ..scene.adjacency import Scan
+from ..scene.components import graph_components, mesh_components
+from ..scene.grouped import numbered
 from ..scene.pixels import NO_TRIANGLE, PixelStore
 from ..scene.room import Room, triangle_normals
 from .codes import Codes
@@ -80,10 +83,18 @@ class ClippedSurfaces:
         return result
 
 
-def find_clipped_surfaces(room: Room, codes: Codes) -> np.ndarray:
+def find_clipped_surfaces(room: Room, codes: Codes, label: np.ndarray, footprint: float) -> np.ndarray:
     """(T,) int32 clipped surface that each triangle belongs to, from 0; -1 without.
 
     A surface is connected triangles most of whose pixels are clipped; the largest `MOST_LAMPS` in the views.
+    Triangles of a scan are smaller than pixels, many of them seen by none, and a lamp and the wall around it
+    are one mesh. There, patches of one label take the place of triangles, and a surface has one label. A
+    label most of whose pixels are clipped is one surface: bars before a lamp divide it, and the light of its
+    pieces could not be told apart.
+
+    Args:
+        label: (T,) int part or piece of each triangle.
+        footprint: median width of a pixel on the surfaces, metres.
     """
     pixels = codes.pixels
     count, clipped = np.zeros((2, len(room.triangles)))
@@ -93,15 +104,39 @@ def find_clipped_surfaces(room: Room, codes: Codes) -> np.ndarray:
         hit = triangle >= 0
         np.add.at(count, triangle[hit], 1.0)
         np.add.at(clipped, triangle[hit], is_clipped(codes.of_view(index))[hit].astype(np.float64))
+    mostly = clipped > MOSTLY * count
+    if room.scan is not None:
+        mostly = _mostly(surface_patches(room.scan, label, PATCH * footprint), clipped, count)
     lamp = np.full(len(room.triangles), -1, np.int32)
-    members = np.flatnonzero(clipped > MOSTLY * count)
+    members = np.flatnonzero(mostly)
     if len(members):
-        component = mesh_components(weld(room.vertices)[room.triangles][members])
+        if room.scan is None:
+            component = mesh_components(weld(room.vertices)[room.triangles][members])
+        else:
+            whole = _mostly(numbered([label]), clipped, count)
+            component = _pieces_of_scan(room.scan, members, label, whole)
         order = np.argsort(-np.bincount(component, clipped[members]), kind="stable")[:MOST_LAMPS]
         rank = np.full(int(component.max()) + 1, -1, np.int32)
         rank[order] = np.arange(len(order))
         lamp[members] = rank[component]
     return lamp
+
+
+def _mostly(group: np.ndarray, clipped: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """(T,) bool, triangles of groups ((T,) int from 0) of whose pixels, `count` (T,), most are `clipped`."""
+    return np.asarray((np.bincount(group, clipped) > MOSTLY * np.bincount(group, count))[group])
+
+
+def _pieces_of_scan(scan: Scan, members: np.ndarray, label: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """(n,) int64 piece, from 0, of each of some triangles (n,): connected and of one label (T,), or all of a
+    label where it is one piece ((T,) bool)."""
+    place = np.full(len(label), -1, np.int64)
+    place[members] = np.arange(len(members))
+    pairs = scan.adjacency.pairs
+    pairs = pairs[(place[pairs] >= 0).all(axis=1) & (label[pairs[:, 0]] == label[pairs[:, 1]])]
+    component = graph_components(place[pairs], len(members))
+    together = whole[members]
+    return numbered([together, np.where(together, label[members], component)])
 
 
 @dataclass(frozen=True, eq=False)

@@ -92,13 +92,14 @@ def adjust_photographs(
         folder: for memory-mapped arrays.
     """
     codes, basis = Codes.of(pixels, scale, folder), response_basis()
-    cells = surface_cells(pixels, room, part, median_footprint(pixels))
+    footprint = median_footprint(pixels)
+    cells = surface_cells(pixels, room, part, footprint)
     adjustment = adjust(calm_samples(cells, codes), len(codes.encoded), basis)
     exposures = np.array([pixels.views[index].exposure or np.nan for index in codes.encoded])
     told = exif_contrast(adjustment.log_gains.mean(axis=1), exposures)
     sources = [usual_contrast(basis), *([told] if told else [])]
     radiometry = Radiometry(adjustment, combined(sources), tuple(sources))
-    lamp = find_clipped_surfaces(room, codes)
+    lamp = find_clipped_surfaces(room, codes, part, footprint)
     lit = light_on_surfaces(room, part, lamp, codes, radiometry, settings)
     expected = Expectation.of(lit.bound, radiometry.contrast.value)
     radiometry, light = solve_light(radiometry, lit.points, lit.cache, expected, LIGHT_DEVIATION)
