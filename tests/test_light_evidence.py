@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What single pixels testify about emission, and where their light may be another surface's."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from fipt_blender.core.light.emitter_surfaces import emitter_surfaces
 from fipt_blender.core.light.evidence import (
     extend_to_components,
     find_emission,
+    most_nearby,
     most_reflected,
     neighbourhood_maximum,
     relative_residual,
@@ -57,12 +59,15 @@ def emission(
     constant: tuple[int, ...] = (),
     estimate: float = 0.5,
     gloss: float = 0.0,
+    diffuse: np.ndarray | float = 1.0,
+    reach: int = 0,
 ) -> list[int]:
-    """Triangles that emit where L_d is 1 and L_s0 is `gloss` everywhere."""
+    """Triangles that emit where L_d is 1, or as given for each pixel, and L_s0 is `gloss` everywhere."""
     count, ids = len(pixels), np.arange(len(ROOM.triangles))
     specular = np.zeros((count, 2, 2, 3), np.float16)
     specular[:, 0, 0] = gloss
-    shadings = ShadingStore(np.ones((count, 3), np.float16), specular)
+    light = np.broadcast_to(np.reshape(diffuse, (-1, 1)), (count, 3)).astype(np.float16)
+    shadings = ShadingStore(light, specular)
     found = find_emission(
         ROOM,
         pixels,
@@ -70,7 +75,7 @@ def emission(
         np.isin(ids, marked),
         np.isin(ids, constant).astype(np.int8),
         lambda rows: np.full((len(rows), 3), estimate),
-        emitter_surfaces(ROOM, Parts(ids, "none"), 0.01),
+        replace(emitter_surfaces(ROOM, Parts(ids, "none"), 0.01), reach=reach),
     )
     return np.flatnonzero(found).tolist()
 
@@ -182,3 +187,20 @@ def test_unjudged_triangles_join_a_piece_that_mostly_emits() -> None:
     assert extend_to_components(areas, piece, emits, judged).tolist() == [True, True, True, False, False]
     judged[2] = True  # a dark side of twice the area
     assert extend_to_components(areas, piece, emits, judged).tolist() == [True, False, False, False, False]
+
+
+def test_a_rim_that_faces_sideways_on_a_scan_may_show_the_paper_beside_it(tmp_path: Path) -> None:
+    """A rim, on which the scan lets little light fall, is as bright as the lit paper beside it."""
+    light = np.array([1.0, 1.0, 0.2, 0.2, 1.0, 1.0])
+    rim = store(tmp_path, [(["..LL.."], [[0.8, 0.8, 0.9, 0.9, 0.8, 0.8]])] * 2)
+    assert emission(rim, diffuse=np.tile(light, 2)) == [LAMP, LAMP + 1]
+    assert emission(rim, diffuse=np.tile(light, 2), reach=1) == []
+    lamp = store(tmp_path, [(["..LL.."], [[0.8, 0.8, 4.0, 4.0, 0.8, 0.8]])] * 2)
+    assert emission(lamp, diffuse=np.tile(light, 2), reach=1) == [LAMP, LAMP + 1]
+
+
+def test_light_beside_is_that_of_the_mesh_in_each_channel() -> None:
+    reflected = np.array([[1.0, 5.0, 0.0], [2.0, 1.0, 0.0], [9.0, 9.0, 9.0], [0.0, 0.0, 0.0]])
+    hit = np.array([True, True, False, True])
+    expected = [[2.0, 5.0, 0.0], [2.0, 5.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
+    assert most_nearby(reflected, hit, (1, 4), 1).tolist() == expected

@@ -38,12 +38,14 @@ class EmitterSurfaces:
         component: (T,) int of larger surfaces, from 0: what no pixel judged emits if most around it does.
         least_residual: share of its radiance that reflection must leave unexplained.
         footprint: median width of a pixel on the surfaces, metres.
+        reach: number of pixels by which the surface that a pixel shows may be beside the one that it hits.
     """
 
     unit: np.ndarray
     component: np.ndarray
     least_residual: float
     footprint: float
+    reach: int = 0
 
     @cached_property
     def single(self) -> bool:
@@ -77,12 +79,14 @@ def emitter_surfaces(
     least += (1.0 - least) * (1.0 - UNSEEN_DOUBT**-unseen_light)
     if room.scan is None:
         return EmitterSurfaces(np.arange(len(room.triangles)), pieces, least, footprint)
+    # Detail finer than an edge is lost: rims of thin things face sideways, and pixels show what is beside.
+    reach = round(room.scan.edge / max(footprint, 1e-9))
     patch = surface_patches(room.scan, pieces, PATCH * footprint)
     if parts.kind == "part":
         known = parts.triangle_part >= 0
         patch = numbered([known, np.where(known, parts.triangle_part, patch)])
-        return EmitterSurfaces(patch, patch, least, footprint)
-    return EmitterSurfaces(patch, pieces, least, footprint)
+        return EmitterSurfaces(patch, patch, least, footprint, reach)
+    return EmitterSurfaces(patch, pieces, least, footprint, reach)
 
 
 def surface_patches(scan: Scan, pieces: np.ndarray, edge: float) -> np.ndarray:

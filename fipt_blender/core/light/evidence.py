@@ -65,12 +65,14 @@ def find_emission(
     for index in range(len(pixels.views)):
         rows = pixels.rows(index)
         triangle, own, weight = (np.asarray(a[rows]) for a in (pixels.triangle, pixels.own, pixels.weight))
+        size = pixels.views[index].height, pixels.views[index].width
         reflected = _reflected(shadings, rows, triangle, own, marked, estimate)
+        if surfaces.reach:
+            reflected = most_nearby(reflected, triangle >= 0, size, surfaces.reach)
         error = _doubt(own, weight)
         hit = (triangle >= 0) & (weight > 0.0)
         dark = relative_residual(own * (1.0 + error[:, None]), reflected) < least
         evidence.oppose(unit[triangle[hit & dark]], weight[hit & dark])
-        size = pixels.views[index].height, pixels.views[index].width
         brightest = neighbourhood_maximum(np.asarray(pixels.radiance[rows]) @ LUMINANCE, size)
         sure = own * np.maximum(1.0 - error, 0.0)[:, None]
         fraction = spill_free_fraction(sure @ LUMINANCE, brightest)
@@ -166,6 +168,17 @@ def most_reflected(diffuse: np.ndarray, specular: np.ndarray) -> np.ndarray:
     """
     s0, s1 = specular[:, :, 0], specular[:, :, 1]
     return (np.maximum(diffuse[:, None] + DIELECTRIC_REFLECTANCE * s0, s0) + s1).max(axis=1)
+
+
+def most_nearby(reflected: np.ndarray, hit: np.ndarray, size: tuple[int, int], reach: int) -> np.ndarray:
+    """(n, 3) largest of reflected radiances (n, 3) within `reach` pixels that hit the mesh, in each channel.
+
+    Args:
+        hit: (n,) bool. size: (height, width) of the view.
+    """
+    image = np.where(hit[:, None], reflected, 0.0).reshape(*size, 3)
+    width = 2 * reach + 1
+    return np.asarray(maximum_filter(image, (width, width, 1), mode="nearest")).reshape(-1, 3)
 
 
 def relative_residual(radiance: np.ndarray, reflected: np.ndarray) -> np.ndarray:
