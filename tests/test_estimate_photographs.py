@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from benchmarks.ldr import Camera, draw_gains, photograph, write_photograph
+from fipt_blender.core.capture.encoded import srgb_decoded
 from fipt_blender.core.estimate import light_stages
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from samples.small_captures import (
@@ -58,6 +60,9 @@ def test_a_clipped_panel_is_found_with_its_radiance(tmp_path: Path) -> None:
     assert messages[-1]["type"] == "done"
     assert [m["code"] for m in messages if m["type"] == "warning"].count("lamps-clipped") == 1
     photometry = json.loads(run.statistics_json.read_text())["photometry"]
+    pictures = [np.asarray(Image.open(path), np.float64) / 255.0 for path in run.images.glob("*.png")]
+    median = np.median(np.concatenate([srgb_decoded(each).mean(axis=-1).ravel() for each in pictures]))
+    assert photometry["median_shown"] == pytest.approx(median, rel=0.05)
     exposures = np.array([view["exposure_ev"] for view in photometry["views"].values()])
     offsets = exposures - np.log2(gains).mean(axis=1)
     assert np.abs(offsets - np.median(offsets)).max() < 0.12

@@ -114,6 +114,10 @@ def test_exposure_and_other_lights(scene):
     scene.view_settings.exposure = 3.0
     assert ops.match_exposure() == {"FINISHED"}
     assert scene.view_settings.exposure == pytest.approx(math.log2(0.18 / 0.36))
+    scene.fipt.lights.median_shown = 0.72  # photographs that are not HDR show it brighter
+    ops.match_exposure()
+    assert scene.view_settings.exposure == pytest.approx(1.0)
+    scene.fipt.lights.property_unset("median_shown")
     ops.show_map(shown="BASE_COLOR")
     scene.fipt.lights.median_radiance = 0.18
     ops.match_exposure()

@@ -281,7 +281,7 @@ class FIPT_OT_remove_light_groups(bpy.types.Operator):
 
 
 class FIPT_OT_match_exposure(bpy.types.Operator):
-    """Set the scene's exposure so that the median of the photographs is middle gray"""
+    """Set the scene's exposure so that a render is as bright as the photographs"""
 
     bl_idname = "fipt.match_exposure"
     bl_label = "Exposure from Photographs"

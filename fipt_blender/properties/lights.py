@@ -294,6 +294,11 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
     median_radiance: bpy.props.FloatProperty(
         description="Median radiance of the photographs, in their unit; 0 if unknown", min=0.0
     )
+    median_shown: bpy.props.FloatProperty(
+        description="Value between black and white at which the photographs show their median radiance",
+        default=0.18,
+        min=1e-6,
+    )
 
     def result_world(self) -> bpy.types.World | None:
         """The world that applying results created for the scene, whether it is shown or not."""

@@ -203,7 +203,7 @@ class FIPT_MaterialsSettings(bpy.types.PropertyGroup):
     )
     match_exposure: bpy.props.BoolProperty(
         name="Match Exposure",
-        description="Set the scene's exposure so that the median of the photographs is middle gray",
+        description="Set the scene's exposure so that a render is as bright as the photographs",
         default=True,
     )
     mute_lights: bpy.props.BoolProperty(

@@ -56,7 +56,8 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> list[str]:
     settings.parts.clear()
     for name in ("active_part", "object_count", "image_count", "applied_mode", "kept_before", "kept_view"):
         settings.property_unset(name)
-    scene.fipt.lights.property_unset("median_radiance")
+    for name in ("median_radiance", "median_shown"):
+        scene.fipt.lights.property_unset(name)
     restore_solid_views(scene)
     clear_view(scene, False)
     light_state.list_lights(scene)

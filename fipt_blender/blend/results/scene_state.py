@@ -22,6 +22,8 @@ from ..room.originals import result_meshes
 from .materials import result_materials
 from .part_list import note_parts
 
+MIDDLE_GREY = 0.18
+
 
 def finish(scene: bpy.types.Scene, run: RunFolder) -> None:
     """Bring the panel's state up to date after `apply_results` and `apply_environment`.
@@ -53,6 +55,7 @@ def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:
     settings.applied_mode = str(read_json(run.atlas_json, ATLAS, "Apply the results again.")["mode"])
     settings.shown = "ESTIMATED"  # its update function shows them
     scene.fipt.lights.median_radiance = median_radiance(run)
+    scene.fipt.lights.median_shown = median_shown(run)
     note_missing(scene, run)
     note_parts(scene, run)
     light_state.list_lights(scene)
@@ -66,8 +69,21 @@ def median_radiance(run: RunFolder) -> float:
         return 0.0
 
 
+def median_shown(run: RunFolder) -> float:
+    """The value between black and white at which the photographs show their median radiance.
+
+    Photographs that are not HDR have one; HDR photographs are shown with their median at middle grey.
+    """
+    try:
+        found = read_json(run.statistics_json, STATISTICS).get("photometry", {})
+        value = float(found.get("median_shown", MIDDLE_GREY))
+    except (FiptError, AttributeError, TypeError, ValueError):
+        return MIDDLE_GREY
+    return value if 0.0 < value < 1.0 else MIDDLE_GREY
+
+
 def match_exposure(scene: bpy.types.Scene) -> float:
-    """Set the scene's exposure so that the photographs' median is middle grey; returns the stops.
+    """Set the scene's exposure so that a render is as bright as the photographs; returns the stops.
 
     Raises:
         FiptError: ``radiance-unknown``.
@@ -79,7 +95,7 @@ def match_exposure(scene: bpy.types.Scene) -> float:
             "The brightness of the photographs is not known.",
             "Apply the results first.",
         )
-    stops = math.log2(0.18 / median)
+    stops = math.log2(scene.fipt.lights.median_shown / median)
     kept = scene.fipt.materials.kept_view
     if kept:  # while a map is shown: the exposure is set when the scene's view settings come back
         scene.fipt.materials.kept_view = json.dumps({**json.loads(kept), "exposure": stops})

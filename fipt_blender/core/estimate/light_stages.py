@@ -42,6 +42,7 @@ class LightStages(EstimationState):
         self.pixels = open_pixels(self.folder.stage / "pixels", self.views, create=True)
         self.scale = fill_pixels(self.pixels, self.room, self._progress_within(0.0, 0.4), self.workers)
         self._sort_pixels(0.4, 0.7)
+        shown = self.scale
         found = self._adjust_photographs()
         self.view_check = check_views(
             self.pixels, self.room, self.parts.triangle_part, self.settings, self.reporter
@@ -51,6 +52,7 @@ class LightStages(EstimationState):
         self._unmix(found, self._progress_within(0.8, 0.85 if found else 1.0))
         if found:
             self._readjust_photographs(found)
+            self.photometry["median_shown"] = shown
         self.checkpoints.remember("scale", self.scale)
         self.checkpoints.remember("photometry", self.photometry)
         self.checkpoints.remember("view_check", self.view_check.facts())
