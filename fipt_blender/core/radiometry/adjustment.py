@@ -177,15 +177,13 @@ class _System:
         rows: R of them.
         design: (R, P) of the unknowns.
         target: (R,) what they shall explain, together with the points.
-        at_prediction: (R,) mean shape at the predicted codes.
-        slope: (R,) of the shape there.
+        slope: (R,) of the shape at the predicted codes.
         prior: (P,) precision of the unknowns, whose expectation is 0.
     """
 
     rows: _Rows
     design: csr_matrix
     target: np.ndarray
-    at_prediction: np.ndarray
     slope: np.ndarray
     prior: np.ndarray
 
@@ -210,7 +208,7 @@ class _System:
             ]
         )
         slopes, mean = slope(shape, predicted), interpolated(basis.mean, predicted)
-        return cls(rows, design, -mean - slopes * (rows.code - predicted), mean, slopes, prior)
+        return cls(rows, design, -mean - slopes * (rows.code - predicted), slopes, prior)
 
     @property
     def columns(self) -> int:

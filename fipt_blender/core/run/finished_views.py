@@ -22,9 +22,9 @@ class FinishedViews:
     Args:
         path: the file.
         key: key of the stage (`stage_keys`), on which the views' results depend.
-        flush: writes the results to the disk; called before each note.
 
     Attributes:
+        flush: writes the results to the disk; called before each note.
         views: indices of the finished views; some may not be noted yet.
         rays: primary rays traced for them.
 
@@ -32,9 +32,9 @@ class FinishedViews:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
 
-    def __init__(self, path: Path, key: str, flush: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, path: Path, key: str) -> None:
         self._path, self._key = path, key
-        self.flush = flush
+        self.flush: Callable[[], None] = lambda: None
         self.views: set[int] = set()
         self.rays = 0
         self._noted = time.monotonic()
