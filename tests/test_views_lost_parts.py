@@ -9,21 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.capture.images import write_exr
-from fipt_blender.core.capture.views import View
 from fipt_blender.core.geometry.prism import prism
-from fipt_blender.core.geometry.stored import prepare_geometry
 from fipt_blender.core.run.run_files import PANES
-from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.scene.camera_rays import trace_pixels
 from fipt_blender.core.scene.room import Room, load_room
+from fipt_blender.core.views import panes
 from fipt_blender.core.views.panes import close_holes
+from fipt_blender.core.views.sights import part_sights
+from samples.part_views import THING_PART, looking_views, write_run
 from samples.scans import scanned_box
 from samples.small_rooms import mesh_room
 
-SIZE, FOCAL = 96, 60.0
 LOW, HIGH = np.array([-0.6, -0.4, 0.3]), np.array([0.6, 0.4, 0.7])
-BOX_PART, ROOM_PART = 7, 1
 
 
 def box() -> tuple[np.ndarray, np.ndarray]:
@@ -41,41 +38,6 @@ def true_room(scan: Room) -> Room:
         np.concatenate([scan.triangles, triangles + len(scan.vertices)]),
         np.repeat([0, 1], [count, len(triangles)]),
     )
-
-
-def looking_views(folder: Path, room: Room, radiance: float = 1.0) -> list[View]:
-    """Views from around the middle of the room, downwards and nearly level, with masks of its objects."""
-    views = []
-    for number in range(12):
-        angle = 2.0 * np.pi * number / 12
-        place = np.array([1.7 * np.cos(angle), 1.7 * np.sin(angle), (0.5, 1.3, 2.2)[number % 3]])
-        forward = np.array([0.0, 0.0, 0.5]) - place
-        forward /= np.linalg.norm(forward)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        pose = np.eye(4)
-        pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-        pose[:3, 3] = place
-        image, parts = folder / f"{number}.exr", folder / f"parts_{number}.exr"
-        view = View(
-            str(number), "train", image, SIZE, SIZE, FOCAL, FOCAL, SIZE / 2, SIZE / 2, pose, parts=parts
-        )
-        surface = trace_pixels(room, view)
-        lost = room.triangle_object[np.array(surface.triangle)] == 1
-        write_exr(image, np.full((SIZE, SIZE, 3), radiance, np.float32))
-        write_exr(parts, np.where(lost, BOX_PART, ROOM_PART).reshape(SIZE, SIZE).astype(np.float32))
-        views.append(view)
-    return views
-
-
-def write_run(root: Path, room: Room, parts: str) -> RunFolder:
-    run = RunFolder(root)
-    names = ("vertices", "triangles", "corner_normals", "triangle_object", "triangle_material")
-    polygons = np.arange(len(room.triangles), dtype=np.int32)
-    np.savez(run.room_npz, triangle_polygon=polygons, **{name: getattr(room, name) for name in names})
-    write_json(run.room_json, {"objects": ["scan"], "materials": ["scan"], "parts": parts})
-    prepare_geometry(run)
-    return run
 
 
 def inside(points: np.ndarray, room: Room, added: np.ndarray) -> np.ndarray:
@@ -106,7 +68,7 @@ def test_a_lost_box_is_put_back(tmp_path: Path, rng: np.random.Generator) -> Non
     # The pixels of its mask now meet it.
     for view in views[:3]:
         surface = trace_pixels(room, view)
-        mask = view.part_ids() == BOX_PART
+        mask = view.part_ids() == THING_PART
         assert (added[np.array(surface.triangle)].reshape(mask.shape) & mask).sum() > 0.85 * mask.sum()
     # Once more: the room has it.
     written = run.panes_npz.read_bytes()
@@ -120,7 +82,23 @@ def test_nothing_is_added_where_nothing_is_lost_or_no_masks_are_used(tmp_path: P
     run = write_run(tmp_path, scan, parts)
     shown = scan if parts == "masks" else true_room(scan)
     close_holes(run, looking_views(tmp_path, shown))
-    assert not run.panes_npz.exists() and load_room(run).objects == ("scan",)
+    assert load_room(run).objects == ("scan",)
+
+
+def test_masks_that_ask_for_nothing_are_searched_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scan, _ = scanned_box(cells=60, noise=0.003)
+    run = write_run(tmp_path, scan, "masks")
+    views = looking_views(tmp_path, scan)
+    close_holes(run, views)
+    searched = []
+    monkeypatch.setattr(panes, "part_sights", lambda *given: searched.append(given) or part_sights(*given))
+    close_holes(run, views)
+    assert not searched and load_room(run).objects == ("scan",)
+    # Other masks are searched again.
+    close_holes(run, looking_views(tmp_path, true_room(scan)))
+    assert searched and load_room(run).objects == ("scan", PANES)
 
 
 def test_a_prism_is_closed_and_faces_outwards() -> None:

@@ -84,7 +84,7 @@ def test_a_dark_opening_gets_a_pane(tmp_path: Path) -> None:
 def test_what_shows_the_outside_or_a_surface_stays_open(tmp_path: Path, behind: bool, through: float) -> None:
     run = write_run(tmp_path, opened(behind))
     close_holes(run, [view(tmp_path, through)])
-    assert not run.panes_npz.exists() and PANES not in load_room(run).objects
+    assert PANES not in load_room(run).objects
 
 
 def test_a_modelled_room_is_never_closed(tmp_path: Path) -> None:

@@ -103,16 +103,32 @@ def _with_panes(
 
 
 def _read_panes(run: RunFolder, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray] | None:
-    """panes.npz, None where there is none for this mesh."""
+    """panes.npz, None where there is none for this mesh or nothing in it."""
     if not run.panes_npz.exists():
         return None
     try:
         panes = read_arrays(run.panes_npz, PANES_ARRAYS)
     except FiptError:
         return None
-    fits = _within(panes["triangles"], 0, len(panes["vertices"]))
+    fits = len(panes["triangles"]) > 0 and _within(panes["triangles"], 0, len(panes["vertices"]))
     fits &= all(bool(np.isfinite(panes[name]).all()) for name in ("vertices", "corner_normals"))
     return panes if fits and np.array_equal(panes["source"], mesh_digest(arrays)) else None
+
+
+def has_searched_panes(run: RunFolder, arrays: Mapping[str, np.ndarray], masks: np.ndarray) -> bool:
+    """Whether panes.npz says that these masks (32,) show nothing that this mesh lacks.
+
+    Args:
+        run: the run folder.
+        arrays: the room's vertices and triangles.
+        masks: digest of masks and cameras.
+    """
+    try:
+        panes = read_arrays(run.panes_npz, PANES_ARRAYS)
+    except FiptError:
+        return False
+    fits = np.array_equal(panes["source"], mesh_digest(arrays)) and not len(panes["triangles"])
+    return fits and np.array_equal(panes.get("masks", []), masks)
 
 
 def read_atlas(run: RunFolder, triangles: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

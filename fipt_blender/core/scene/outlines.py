@@ -23,7 +23,7 @@ from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
 from .camera_rays import first_hits, trace_pixels
 from .disagreement import mask_of
 from .grouped import grouped_sums
-from .labels import Parts, choose_parts, choose_source
+from .labels import Parts, choose_parts, choose_source, masks_digest
 from .outline_misses import Misses, find_misses, joined
 from .room import Room, load_room
 
@@ -68,9 +68,8 @@ def outline_parts(run: RunFolder, views: Sequence[View]) -> None:
     if source not in ("masks", "semantics"):
         run.outlines_npz.unlink(missing_ok=True)
         return
-    images = [view.part_ids() if source == "masks" else view.semantic_ids() for view in views]
-    poses = [np.append(view.camera_to_world, view.intrinsics) for view in views]
-    masks = array_digest(*poses, *(image for image in images if image is not None))
+    images = (view.part_ids() if source == "masks" else view.semantic_ids() for view in views)
+    masks = masks_digest(views, images)
     stored = read_outlines(run, cleaned["vertices"])
     if stored is not None and np.array_equal(stored["masks"], masks):
         return

@@ -9,117 +9,44 @@ is the simplest shape that has its outlines: a table, a cabinet, a slab.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import binary_closing, binary_fill_holes, binary_opening, label
 from scipy.stats import binomtest
 
-from ..capture.views import View
-from ..conventions import project
 from ..geometry.adjacency import NONE
 from ..geometry.prism import prism
-from ..optics.lights import LUMINANCE
-from ..scene.camera_rays import first_hits, trace_pixels
-from ..scene.labels import NO_PART, at_border, choose_parts, choose_source
-from ..scene.room import Room
+from .sights import LEAST_VIEWS, MISSES, Sight
 
 # A part is lost if most of its pixels meet other surfaces in more views than chance explains.
 LEVEL = 0.05
-# Share of the views of a point that may show another part there, for errors of masks and poses.
-MISSES = 0.1
-# Fewer views do not tell how far away a point is.
-LEAST_VIEWS = 3
 # Least intersection over union of the pixels of a part and of its prism: they agree more than they disagree.
 LEAST_OVERLAP = 0.5
 # Cells of the first, coarse search, in cells of the second.
 COARSE = 5
-# What is brighter than so many times the median pixel of the photographs lies outside.
-OUTSIDE = 2.0
 _MOST_POINTS = 4_000_000
-
-
-@dataclass(frozen=True)
-class _Sight:
-    """What a view shows.
-
-    Attributes:
-        view: with masks.
-        mask: (H, W) part ids.
-        distance: (H, W) metres to the scan, infinite where a ray meets nothing.
-        found: (N,) int, for each id, interior pixels that meet a triangle of the part.
-        pixels: (N,) int, for each id, interior pixels.
-        bright: (N,) int, for each id, interior pixels that meet nothing and are bright.
-    """
-
-    view: View
-    mask: np.ndarray
-    distance: np.ndarray
-    found: np.ndarray
-    pixels: np.ndarray
-    bright: np.ndarray
-
-    def shown(self, part: int) -> np.ndarray:
-        """(H, W) int8: 1 where the view shows the part, -1 where another that the scan has, else 0."""
-        known = 2 * self.found >= self.pixels  # what is lost itself may be in front of the part
-        known[0] = True
-        return np.where(self.mask == part, 1, np.where(known[self.mask], -1, 0)).astype(np.int8)
 
 
 # Vertices (V, 3), triangles (T, 3), corner normals (T, 3, 3), and plane (T,) or NONE of each triangle.
 Surface = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-def lost_parts(room: Room, views: Sequence[View], edge: float) -> list[Surface]:
+def lost_parts(sights: Sequence[Sight], bounds: tuple[np.ndarray, np.ndarray], edge: float) -> list[Surface]:
     """Prisms for the parts of part masks that a scan lost.
 
-    Mitsuba's variant must be set.
-
     Args:
-        room: a scan.
-        views: training views.
+        sights: of training views.
+        bounds: lowest and highest corner of the scan, metres.
         edge: median edge of the scan, metres.
 
     Returns:
         for each its surface, whose triangles are on no planes.
     """
-    if choose_source(room, views) != "masks":
-        return []
-    sights = _sights(room, views)
-    found = (_prism(sights, part, room.bounds, edge) for part in _lost(sights))
+    found = (_prism(sights, part, bounds, edge) for part in _lost(sights))
     return [each for each in found if each is not None]
 
 
-def _sights(room: Room, views: Sequence[View]) -> list[_Sight]:
-    """What the views with masks show."""
-    surfaces = [first_hits(trace_pixels(room, view)) for view in views]
-    parts = choose_parts(room, views, [triangle for triangle, _ in surfaces])
-    ids = np.append(np.append(parts.ids, NO_PART)[parts.triangle_part], NO_PART)  # the last: of no triangle
-    masks = [view.part_ids() for view in views]
-    count = 1 + max(int(mask.max()) for mask in masks if mask is not None)
-    medians, missing = [], []
-    for view, (_, reached) in zip(views, surfaces, strict=True):
-        luminance = view.radiance() @ LUMINANCE
-        medians.append(np.median(luminance))
-        missing.append(luminance[np.isinf(reached).reshape(luminance.shape)])
-    outside = OUTSIDE * float(np.median(medians))
-    sights = []
-    for view, image, luminance, (triangle, reached) in zip(views, masks, missing, surfaces, strict=True):
-        if image is None:
-            continue
-        mask, inner = np.maximum(image, 0), ~at_border(image)
-        distance = reached.reshape(mask.shape)
-        same = ids[triangle].reshape(mask.shape) == mask
-        bright = np.isinf(distance)
-        bright[bright] = luminance > outside
-        counts = (
-            np.bincount(mask[chosen], minlength=count) for chosen in (inner & same, inner, inner & bright)
-        )
-        sights.append(_Sight(view, mask, distance, *counts))
-    return sights
-
-
-def _lost(sights: Sequence[_Sight]) -> list[int]:
+def _lost(sights: Sequence[Sight]) -> list[int]:
     """Ids of the parts that are lost, by a sign test over the views, and that are not the bright outside."""
     found, pixels, bright = (
         np.array([getattr(sight, name) for sight in sights]) for name in ("found", "pixels", "bright")
@@ -135,7 +62,7 @@ def _lost(sights: Sequence[_Sight]) -> list[int]:
 
 
 def _prism(
-    sights: Sequence[_Sight], part: int, bounds: tuple[np.ndarray, np.ndarray], edge: float
+    sights: Sequence[Sight], part: int, bounds: tuple[np.ndarray, np.ndarray], edge: float
 ) -> Surface | None:
     """The prism of a part, None where none has its outlines."""
     shown = [sight.shown(part) for sight in sights]
@@ -172,25 +99,13 @@ def _points(low: np.ndarray, step: float, shape: np.ndarray) -> np.ndarray:
     return np.asarray(low + (np.indices(tuple(shape)).reshape(3, -1).T + 0.5) * step)
 
 
-def _seen(sight: _Sight, points: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The points (N, 3) that a view sees before the scan: their rows, and row and column of their pixels."""
-    place, depth = project(points, sight.view)
-    within = (depth > 0.0) & (place >= 0.0).all(axis=1)
-    within &= (place[:, 0] < sight.view.width) & (place[:, 1] < sight.view.height)
-    rows = np.flatnonzero(within)
-    x, y = place[rows].astype(np.int64).T
-    distance = np.linalg.norm(points[rows] - sight.view.camera_to_world[:3, 3], axis=1)
-    free = distance < sight.distance[y, x] - tolerance
-    return rows[free], y[free], x[free]
-
-
 def _votes(
-    sights: Sequence[_Sight], shown: Sequence[np.ndarray], points: np.ndarray, tolerance: float
+    sights: Sequence[Sight], shown: Sequence[np.ndarray], points: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N,) int, how many views show the part at each point (N, 3), and how many show another."""
     yes, no = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
     for sight, image in zip(sights, shown, strict=True):
-        rows, y, x = _seen(sight, points, tolerance)
+        rows, y, x = sight.seen(points, tolerance)
         yes[rows] += image[y, x] > 0
         no[rows] += image[y, x] < 0
     return yes, no
@@ -205,7 +120,7 @@ def _largest(mask: np.ndarray) -> np.ndarray | None:
 
 
 def _fitted(
-    sights: Sequence[_Sight],
+    sights: Sequence[Sight],
     shown: Sequence[np.ndarray],
     votes: tuple[np.ndarray, np.ndarray],
     grid: tuple[np.ndarray, float],
@@ -248,7 +163,7 @@ def _fitted(
 
 
 def _overlap(
-    sights: Sequence[_Sight],
+    sights: Sequence[Sight],
     shown: Sequence[np.ndarray],
     points: np.ndarray,
     cell: float,
@@ -258,10 +173,10 @@ def _overlap(
     both = either = 0
     for sight, image in zip(sights, shown, strict=True):
         covered = np.zeros(image.shape, bool)
-        rows, y, x = _seen(sight, points, tolerance)
+        rows, y, x = sight.seen(points, tolerance)
         covered[y, x] = True
         if len(rows):
-            distance = np.median(np.linalg.norm(points[rows] - sight.view.camera_to_world[:3, 3], axis=1))
+            distance = np.median(np.linalg.norm(points[rows] - sight.place, axis=1))
             size = int(np.ceil(sight.view.fx * cell / distance)) + 1
             covered = binary_closing(np.pad(covered, size), np.ones((size, size)))[size:-size, size:-size]
         both += int((covered & (image > 0)).sum())

@@ -1,6 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Surfaces that a scan lacks: panes in its flat holes, and prisms for the parts that it lost.
+"""Surfaces that a scan lacks: panes in its flat holes, prisms for the parts that it lost, and what completes
+those that it tore.
 
 Photographs see nothing of the room and nothing bright through a hole that is closed.
 Such a hole is a window at night, a mirror or a glossy black surface, which scanners do not see. It is closed
@@ -21,11 +22,14 @@ from ..geometry.clean import CleanMesh
 from ..geometry.holes import FlatHole, flat_holes
 from ..geometry.stored import store_geometry, stored_geometry
 from ..optics.lights import LUMINANCE
-from ..run.run_files import PANES, mesh_digest, read_room_files
+from ..run.run_files import PANES, has_searched_panes, mesh_digest, read_room_files
 from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
 from ..scene.camera_rays import first_hits, trace_pixels
+from ..scene.labels import choose_source, masks_digest
 from ..scene.room import Room, load_room
-from .lost_parts import OUTSIDE, Surface, lost_parts
+from .lost_parts import Surface, lost_parts
+from .sights import OUTSIDE, part_sights
+from .torn_parts import torn_parts
 
 # A hole counts if so many pixels look into it, and this share of them meets no surface behind it.
 LEAST_PIXELS, LEAST_MISSED = 100, 0.5
@@ -42,7 +46,8 @@ class _Sight:
 def close_holes(run: RunFolder, views: Sequence[View]) -> None:
     """Write panes.npz, and extend geometry.npz, where photographs show surfaces that a scan lacks.
 
-    Nothing changes where the mesh is no scan, or the room has panes already. Mitsuba's variant must be set.
+    Nothing changes where the mesh is no scan, where the room has panes already, or where these masks were
+    searched before. Mitsuba's variant must be set.
 
     Args:
         views: training views.
@@ -57,7 +62,9 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
     if PANES in (names.get("object_ids") or names["objects"]):
         return
     cleaned = stored_geometry(run, arrays)
-    if cleaned is None:
+    use_masks = names.get("parts", "masks") in ("auto", "masks")
+    masks = masks_digest(views, (view.part_ids() for view in views if use_masks))
+    if cleaned is None or has_searched_panes(run, arrays, masks):
         return
     mesh, _ = make_mesh(cleaned.vertices, arrays["triangles"])
     edge = median_edge(mesh)
@@ -65,13 +72,10 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
     room = load_room(run)
     closed = [hole for hole, seen in zip(holes, _sights(room, holes, views), strict=True) if seen]
     added = _panes(closed) if closed else None
-    for surface in lost_parts(room if added is None else _with(room, added), views, edge):
+    for surface in _of_parts(room if added is None else _with(room, added), views, edge):
         added = surface if added is None else _joined(added, surface)
-    if added is None:
-        run.panes_npz.unlink(missing_ok=True)
-        return
-    vertices, triangles, normals, plane = added
-    plane = np.where(plane == NONE, NONE, int(cleaned.plane.max(initial=-1)) + 1 + plane)
+    nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3, 3)), np.zeros(0, np.int32)
+    vertices, triangles, normals, plane = nothing if added is None else added
     with explained_write_errors(run.root):
         with atomic_path(run.panes_npz) as temporary:
             np.savez(
@@ -80,7 +84,11 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
                 triangles=triangles,
                 corner_normals=normals,
                 source=mesh_digest(arrays),
+                masks=masks,
             )
+        if added is None:
+            return
+        plane = np.where(plane == NONE, NONE, int(cleaned.plane.max(initial=-1)) + 1 + plane)
         extended = CleanMesh(
             np.concatenate([cleaned.vertices, vertices]),
             np.concatenate([cleaned.corner_normals, normals]),
@@ -88,6 +96,15 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
             cleaned.noise,
         )
         store_geometry(run, read_room_files(run)[0], extended)
+
+
+def _of_parts(room: Room, views: Sequence[View], edge: float) -> list[Surface]:
+    """What part masks show and the scan lacks."""
+    if choose_source(room, views) != "masks":
+        return []
+    sights, label = part_sights(room, views)
+    lost = lost_parts(sights, room.bounds, edge)
+    return lost + torn_parts(room, label, sights, lost, edge)
 
 
 def _with(room: Room, surface: Surface) -> Room:

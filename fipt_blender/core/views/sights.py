@@ -1,0 +1,126 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the views with part masks show of points in front of a scan."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..capture.views import View
+from ..conventions import project
+from ..optics.lights import LUMINANCE
+from ..scene.camera_rays import first_hits, trace_pixels
+from ..scene.labels import NO_PART, at_border, choose_parts
+from ..scene.room import Room
+
+# Share of the views of a point that may show another part there, for errors of masks and poses.
+MISSES = 0.1
+# Fewer views do not tell how far away a point is.
+LEAST_VIEWS = 3
+# A plane of the scan is of the parts that have this share of its area.
+LEAST_OWN = 0.5
+# What is brighter than so many times the median pixel of the photographs lies outside.
+OUTSIDE = 2.0
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What a view shows.
+
+    Attributes:
+        view: with masks.
+        mask: (H, W) part ids.
+        distance: (H, W) float32 metres to the scan, infinite where a ray meets nothing.
+        same: (H, W) bool, whether the scan shows the mask's part.
+        found: (N,) int, for each id, interior pixels that meet a triangle of the part.
+        pixels: (N,) int, for each id, interior pixels.
+        bright: (N,) int, for each id, interior pixels that meet nothing and are bright.
+    """
+
+    view: View
+    mask: np.ndarray
+    distance: np.ndarray
+    same: np.ndarray
+    found: np.ndarray
+    pixels: np.ndarray
+    bright: np.ndarray
+
+    @property
+    def place(self) -> np.ndarray:
+        """(3,) of the camera, metres."""
+        return np.asarray(self.view.camera_to_world[:3, 3])
+
+    def shown(self, part: int) -> np.ndarray:
+        """(H, W) int8: 1 where the view shows the part, -1 where another that the scan has, else 0."""
+        known = 2 * self.found >= self.pixels  # what is lost itself may be in front of the part
+        known[0] = True
+        return np.where(self.mask == part, 1, np.where(known[self.mask], -1, 0)).astype(np.int8)
+
+    def seen(self, points: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The points (N, 3) that the view sees before the scan: their rows, and row and column of pixels.
+
+        Args:
+            tolerance: metres by which they are in front of it.
+        """
+        place, depth = project(points, self.view)
+        within = (depth > 0.0) & (place >= 0.0).all(axis=1)
+        within &= (place[:, 0] < self.view.width) & (place[:, 1] < self.view.height)
+        rows = np.flatnonzero(within)
+        x, y = place[rows].astype(np.int64).T
+        free = np.linalg.norm(points[rows] - self.place, axis=1) < self.distance[y, x] - tolerance
+        return rows[free], y[free], x[free]
+
+
+def part_sights(room: Room, views: Sequence[View]) -> tuple[list[Sight], np.ndarray]:
+    """What the views with masks show of a scan, and (T,) the id of the part of each triangle, or NO_PART.
+
+    What is behind a part that the scan lacks takes its label. Planes tell some of these triangles: they have
+    no part here.
+    """
+    surfaces = [first_hits(trace_pixels(room, view)) for view in views]
+    parts = choose_parts(room, views, [triangle for triangle, _ in surfaces])
+    label = np.append(parts.ids, NO_PART)[parts.triangle_part]
+    ids = np.append(label, NO_PART)  # the last: of no triangle
+    label = np.where(_on_other_planes(label, room), NO_PART, label)
+    own = np.append(label, NO_PART)
+    masks = [view.part_ids() for view in views]
+    count = 1 + max(int(mask.max()) for mask in masks if mask is not None)
+    medians, missing = [], []
+    for view, (_, reached) in zip(views, surfaces, strict=True):
+        luminance = view.radiance() @ LUMINANCE
+        medians.append(np.median(luminance))
+        missing.append(luminance[np.isinf(reached).reshape(luminance.shape)])
+    outside = OUTSIDE * float(np.median(medians))
+    sights = []
+    for view, image, luminance, (triangle, reached) in zip(views, masks, missing, surfaces, strict=True):
+        if image is None:
+            continue
+        mask, inner = np.maximum(image, 0), ~at_border(image)
+        distance = reached.reshape(mask.shape).astype(np.float32)
+        found = ids[triangle].reshape(mask.shape) == mask
+        bright = np.isinf(distance)
+        bright[bright] = luminance > outside
+        counts = (
+            np.bincount(mask[chosen], minlength=count) for chosen in (inner & found, inner, inner & bright)
+        )
+        same = own[triangle].reshape(mask.shape) == mask
+        sights.append(Sight(view, mask, distance, same, *counts))
+    return sights, label
+
+
+def _on_other_planes(label: np.ndarray, room: Room) -> np.ndarray:
+    """(T,) bool, triangles on planes of which their parts have less than half."""
+    other = np.zeros(len(label), bool)
+    if room.plane is None:
+        return other
+    on = room.plane >= 0
+    count = int(label.max(initial=0)) + 1
+    key = room.plane[on].astype(np.int64) * count + np.maximum(label[on], 0)
+    key, place = np.unique(key, return_inverse=True)
+    area = np.bincount(place, room.areas[on])
+    total = np.bincount(key // count, area)
+    other[on] = (area < LEAST_OWN * total[key // count])[place]
+    return other

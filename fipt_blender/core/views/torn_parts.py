@@ -1,0 +1,224 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Surfaces that complete parts which a scan tore, from what it has of them and their masks.
+
+A voxel that both sides of a thin shade or vase cross holds neither, so that scans tear them; and a scanner
+sees only patches of glossy ones. Light then passes where it should not. What is left of a part tells its
+shape, a surface of revolution or nearly plane sheets, which is continued where the masks show the part and
+the scan has nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import mitsuba as mi
+import numpy as np
+from scipy.ndimage import binary_dilation, binary_opening, binary_propagation
+from scipy.ndimage import label as connected
+
+from ..geometry.adjacency import NONE, face_vectors
+from ..geometry.revolution import Revolution, fit_revolutions
+from ..geometry.sheet import Sheet, fit_sheets
+from ..scene.camera_rays import first_hits, trace_pixels
+from ..scene.room import Room
+from .lost_parts import Surface
+from .sights import LEAST_VIEWS, MISSES, Sight
+
+# Triangles of a part within so many edges are of one thing; fewer triangles do not tell a shape.
+APART, LEAST_TRIANGLES = 2.0, 100
+# Share of a surface of revolution that the scan must have or the masks must show.
+LEAST_KNOWN = 0.5
+# Sheets complete parts of which this share of the pixels meets others.
+TORN = 0.05
+# A view shows the front of a cell if the cosine there is larger.
+LEAST_COSINE = 0.2
+# The scan has a cell if it has a surface within so many edges in front of and behind it, seen at places so
+# far from its middle, in cells, along both axes.
+WITHIN, _BESIDE = 0.75, (-0.25, 0.25)
+
+
+Shape = Revolution | Sheet
+
+
+def torn_parts(
+    room: Room, label: np.ndarray, sights: Sequence[Sight], lost: Sequence[Surface], edge: float
+) -> list[Surface]:
+    """Surfaces that complete the torn parts of a scan.
+
+    Mitsuba's variant must be set.
+
+    Args:
+        room: the scan.
+        label: (T,) id of the part of each triangle, 0 or less for none.
+        sights: of training views.
+        lost: what is added for other reasons.
+        edge: median edge of the scan, metres.
+
+    Returns:
+        for each its surface, whose triangles are on no planes.
+    """
+    normals, areas = face_vectors(room.vertices.astype(np.float64), room.triangles)
+    middles = room.vertices.astype(np.float64)[room.triangles].mean(axis=1)
+    pixels, found = (sum(getattr(sight, name) for sight in sights) for name in ("pixels", "found"))
+    parts = np.unique(label[label > 0])
+    completion = _Completion(room, sights, edge)
+    for surface in lost:
+        completion.put(surface)
+    completion.look()
+    flat = np.ones(len(label), bool)
+    for part in parts:
+        for thing in _things(middles, np.flatnonzero(label == part), APART * edge):
+            for revolution in fit_revolutions(middles[thing], normals[thing], areas[thing], edge):
+                completion.add(revolution, part, _missing_round)
+                flat[thing] = False
+    completion.look()  # not before: the inside of a shade would be hidden by its outside
+    rng = np.random.default_rng(0)
+    for part in parts[found[parts] < (1.0 - TORN) * pixels[parts]]:
+        rows = np.flatnonzero((label == part) & flat)
+        sheets = fit_sheets(middles[rows], normals[rows], areas[rows], edge, LEAST_TRIANGLES, rng)
+        # What is nearer is completed first, and hides what is behind it.
+        for sheet in sorted(sheets, key=lambda sheet: completion.distance(sheet, part)):
+            completion.add(sheet, part, _missing_flat)
+            completion.look()
+    return completion.added[len(lost) :]
+
+
+class _Completion:
+    """Surfaces that are added to a scan one after the other.
+
+    Args:
+        room: the scan.
+        sights: of it.
+        edge: median edge of the scan, metres.
+    """
+
+    def __init__(self, room: Room, sights: Sequence[Sight], edge: float) -> None:
+        self._rooms, self._sights, self._edge = [room], list(sights), edge
+        self._seen = 1
+        self.added: list[Surface] = []
+
+    def put(self, surface: Surface) -> None:
+        """Add a surface."""
+        self.added.append(surface)
+        none = np.full(len(surface[1]), NONE, np.int32)
+        self._rooms.append(Room(*surface[:3], none, none))
+
+    def look(self) -> None:
+        """From now on, views see nothing behind what has been added."""
+        for room in self._rooms[self._seen :]:
+            for number, sight in enumerate(self._sights):
+                reached = first_hits(trace_pixels(room, sight.view))[1].reshape(sight.distance.shape)
+                nearer = reached < sight.distance
+                distance = np.where(nearer, reached, sight.distance).astype(np.float32)
+                self._sights[number] = replace(sight, distance=distance, same=sight.same | nearer)
+        self._seen = len(self._rooms)
+
+    def add(self, shape: Shape, part: int, missing: Callable[[np.ndarray, _Votes], np.ndarray]) -> None:
+        """Add the missing cells of a shape, if there are any.
+
+        Args:
+            missing: which cells (R, S) are, by those that there are already and what views show.
+        """
+        has = np.logical_or.reduce([_on_scan(shape, room, self._edge) for room in self._rooms])
+        chosen = missing(has, _votes(shape, self._sights, part, self._edge))
+        if chosen.any():
+            vertices, triangles, normals = shape.surface(chosen)
+            self.put((vertices, triangles, normals, np.full(len(triangles), NONE)))
+
+    def distance(self, shape: Shape, part: int) -> float:
+        """Mean distance in metres between views and the cells that they show."""
+        votes = _votes(shape, self._sights, part, self._edge)
+        return float(votes.distance.sum() / max(votes.yes.sum(), 1))
+
+
+@dataclass(frozen=True)
+class _Votes:
+    """What views show at the fronts of cells before the scan.
+
+    Attributes:
+        yes: (R, S) int, views that show the part, which the scan does not have there.
+        there: (R, S) int, views that show the part, which the scan has behind the cell, off the shape.
+        no: (R, S) int, views that show another part.
+        distance: (R, S) metres, sum of the distances of the first ones.
+    """
+
+    yes: np.ndarray
+    there: np.ndarray
+    no: np.ndarray
+    distance: np.ndarray
+
+    @property
+    def wrong(self) -> np.ndarray:
+        """(R, S) bool, cells where the part is not."""
+        views = self.yes + self.there + self.no
+        return np.asarray((self.no > MISSES * views) | (self.there > self.yes))
+
+
+def _things(middles: np.ndarray, rows: np.ndarray, apart: float) -> list[np.ndarray]:
+    """Triangles `rows` of a part in pieces that lie apart, without those of few triangles."""
+    cell = np.floor(middles[rows] / apart).astype(np.int64)
+    cell += 1 - cell.min(axis=0)
+    grid = np.zeros(cell.max(axis=0) + 2, bool)
+    grid[tuple(cell.T)] = True
+    piece = connected(grid, np.ones((3, 3, 3)))[0][tuple(cell.T)]
+    pieces = (rows[piece == number] for number in np.flatnonzero(np.bincount(piece) >= LEAST_TRIANGLES))
+    return list(pieces)
+
+
+def _on_scan(shape: Shape, room: Room, edge: float) -> np.ndarray:
+    """(R, S) bool, cells where the scan has a surface that faces the same way."""
+    has = np.ones(shape.shape, bool)
+    for down in _BESIDE:
+        for across in _BESIDE:
+            places, facing = (each.reshape(-1, 3) for each in shape.cells(down, across))
+            start = places + WITHIN * edge * facing
+            ray = mi.Ray3f(*(mi.Vector3f(*each.T.astype(np.float32)) for each in (start, -facing)))
+            surface = room.intersect(ray)
+            there = np.array(surface.front) & (first_hits(surface)[1] < 2.0 * WITHIN * edge)
+            has &= there.reshape(has.shape)
+    return has
+
+
+def _votes(shape: Shape, sights: Sequence[Sight], part: int, tolerance: float) -> _Votes:
+    """What views show of a part at the cells of a shape, which are so many metres before the scan."""
+    centres, facing = (each.reshape(-1, 3) for each in shape.cells())
+    yes, there, no, distance = np.zeros((4, len(centres)))
+    for sight in sights:
+        ray = sight.place - centres
+        rows = np.flatnonzero((ray * facing).sum(axis=1) > LEAST_COSINE * np.linalg.norm(ray, axis=1))
+        seen, y, x = sight.seen(centres[rows], tolerance)
+        rows = rows[seen]
+        shown, same = sight.shown(part)[y, x], sight.same[y, x]
+        yes[rows] += (shown > 0) & ~same
+        # Through a hole, the other side of a round thing is seen, too.
+        away = -ray[rows] / np.linalg.norm(ray[rows], axis=1, keepdims=True)
+        behind = sight.place + np.where(np.isfinite(far := sight.distance[y, x]), far, 0.0)[:, None] * away
+        there[rows] += (shown > 0) & same & ~shape.near(behind, 2.0 * tolerance)
+        no[rows] += shown < 0
+        distance[rows] += ((shown > 0) & ~same) * np.linalg.norm(ray[rows], axis=1)
+    return _Votes(*(each.reshape(shape.shape) for each in (yes, there, no, distance)))
+
+
+def _missing_round(has: np.ndarray, votes: _Votes) -> np.ndarray:
+    """(R, S) bool, cells to be added to a surface of revolution; none where masks do not ask for them.
+
+    Cells that no view sees are added, too: the thing is round.
+    """
+    wanted = ~has & ~votes.wrong
+    if not (wanted & (votes.yes >= LEAST_VIEWS)).any():
+        return np.zeros(has.shape, bool)
+    if (has | (wanted & (votes.yes > 0))).mean() < LEAST_KNOWN:
+        return np.zeros(has.shape, bool)
+    # One cell more at the borders, so that no gap is left between what is there and what is added.
+    around = np.concatenate([wanted[:, -1:], wanted, wanted[:, :1]], axis=1)
+    return np.asarray(binary_dilation(around)[:, 1:-1] & ~votes.wrong)
+
+
+def _missing_flat(has: np.ndarray, votes: _Votes) -> np.ndarray:
+    """(R, S) bool, cells to be added to a sheet: those that views show, unless they are fringes."""
+    shows = ~has & (votes.yes >= LEAST_VIEWS) & ~votes.wrong
+    wanted = shows & binary_opening(shows | has, np.ones((3, 3)))
+    wanted &= binary_propagation(binary_opening(shows, np.ones((3, 3))), mask=wanted)
+    return np.asarray(wanted | (binary_dilation(wanted) & has))

@@ -1,0 +1,54 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Views around a thing in the middle of a room, with part masks, and runs of scans of that room."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.capture.views import View
+from fipt_blender.core.geometry.stored import prepare_geometry
+from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.scene.camera_rays import trace_pixels
+from fipt_blender.core.scene.room import Room
+
+SIZE, FOCAL = 96, 60.0
+THING_PART, ROOM_PART = 7, 1
+
+
+def looking_views(folder: Path, room: Room, radiance: float = 1.0) -> list[View]:
+    """Views from around the middle of the room, downwards and nearly level, with masks of its objects."""
+    views = []
+    for number in range(12):
+        angle = 2.0 * np.pi * number / 12
+        place = np.array([1.7 * np.cos(angle), 1.7 * np.sin(angle), (0.5, 1.3, 2.2)[number % 3]])
+        forward = np.array([0.0, 0.0, 0.5]) - place
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        pose = np.eye(4)
+        pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+        pose[:3, 3] = place
+        image, parts = folder / f"{number}.exr", folder / f"parts_{number}.exr"
+        view = View(
+            str(number), "train", image, SIZE, SIZE, FOCAL, FOCAL, SIZE / 2, SIZE / 2, pose, parts=parts
+        )
+        surface = trace_pixels(room, view)
+        lost = room.triangle_object[np.array(surface.triangle)] == 1
+        write_exr(image, np.full((SIZE, SIZE, 3), radiance, np.float32))
+        write_exr(parts, np.where(lost, THING_PART, ROOM_PART).reshape(SIZE, SIZE).astype(np.float32))
+        views.append(view)
+    return views
+
+
+def write_run(root: Path, room: Room, parts: str) -> RunFolder:
+    run = RunFolder(root)
+    names = ("vertices", "triangles", "corner_normals", "triangle_object", "triangle_material")
+    polygons = np.arange(len(room.triangles), dtype=np.int32)
+    np.savez(run.room_npz, triangle_polygon=polygons, **{name: getattr(room, name) for name in names})
+    write_json(run.room_json, {"objects": ["scan"], "materials": ["scan"], "parts": parts})
+    prepare_geometry(run)
+    return run
