@@ -18,6 +18,8 @@ import pytest
 from fipt_blender.blend.lights import light_state
 from fipt_blender.blend.marks import KEPT_PHOTOGRAPH, STOPS, estimated_objects
 from fipt_blender.blend.pictures import check_pictures, composite, image_files, orders, render_job, view_check
+from fipt_blender.blend.pictures.cycles import exposure_of
+from fipt_blender.blend.results.scene_state import median_shown
 from fipt_blender.core.report.comparison import ERROR_STOPS, psnr
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.messages import parse_message
@@ -314,6 +316,17 @@ def test_the_main_job_goes_on_without_a_photograph(run):
     radiance, (warning,) = steps.photographed_radiance(VIEW)
     assert np.median(radiance) == 0.25
     assert "val_000.exr" in warning["text"] and warning["code"] == "image-missing" and warning["remedy"]
+
+
+def test_a_photograph_that_is_not_hdr_has_no_radiance_of_its_own(run):
+    """Its values are not in the unit of the estimate: the median of all photographs sets the exposure."""
+    write_json(run.statistics_json, {"radiance_scale": 0.06, "photometry": {"median_shown": 0.24}})
+    data = json.loads(run.capture_json.read_text())
+    for view in data["views"]:
+        view |= {"encoded": True, "exposure": None}
+    write_json(run.capture_json, data)
+    radiance, warnings = RoomSteps(None, run).photographed_radiance(VIEW)
+    assert exposure_of(radiance, median_shown(run)) == pytest.approx(2.0) and not warnings
 
 
 def test_polls(run):

@@ -28,7 +28,7 @@ from ..blend.pictures.cycles import RenderOptions, exposure_of, set_up_scene
 from ..blend.pictures.image_files import photograph
 from ..blend.pictures.renders import render_list
 from ..blend.results.applying import apply_results
-from ..blend.results.scene_state import median_radiance
+from ..blend.results.scene_state import median_radiance, median_shown
 from ..blend.room.arrays import read_room
 from ..blend.room.atlas import make_atlas
 from ..blend.room.exporting import export_slices
@@ -96,7 +96,7 @@ class RoomSteps:
         scene = bpy.context.scene
         view, _ = self._view()
         radiance, warnings = self.photographed_radiance(view)
-        set_up_scene(scene, exposure_of(radiance))
+        set_up_scene(scene, exposure_of(radiance, median_shown(self._run)))
         cameras.use_view(scene, cameras.find_camera(view, scene))
         path = self._run.root / BLEND_NAME
         with panel_state():
@@ -167,8 +167,13 @@ class RoomSteps:
         render_list(self._run, bpy.context.scene, kind, views, options)
 
     def photographed_radiance(self, name: str) -> tuple[np.ndarray, list[Message]]:
-        """Radiances (...) of a view's photograph; if that is missing, the median of all, and a warning."""
+        """Radiances (...) of a view's photograph; if that is missing, the median of all, and a warning.
+
+        The values of a photograph that is not HDR are no radiances: the median of all takes their place.
+        """
         view = preferred_views(read_capture(self._run.capture_json), name)[0]
+        if view.get("encoded"):
+            return np.array([median_radiance(self._run)]), []
         try:
             return photograph(self._run, view), []
         except FiptError as error:

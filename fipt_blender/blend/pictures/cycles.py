@@ -109,10 +109,11 @@ def set_up_scene(scene: bpy.types.Scene, exposure: float = 0.0) -> None:
     scene.view_settings.gamma = 1.0
 
 
-def exposure_of(radiance: np.ndarray) -> float:
-    """Stops that map the median of the positive radiances to middle grey (0.18); 0 if there are none."""
+def exposure_of(radiance: np.ndarray, shown: float = 0.18) -> float:
+    """Stops that map the median of the positive radiances to a value between black and white, middle grey if
+    none is given; 0 if there are none."""
     positive = radiance[radiance > 0.0]
-    return float(np.log2(0.18 / np.median(positive))) if positive.size else 0.0
+    return float(np.log2(shown / np.median(positive))) if positive.size else 0.0
 
 
 def render_exr(scene: bpy.types.Scene, path: Path, options: RenderOptions) -> None:
