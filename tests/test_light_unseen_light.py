@@ -13,7 +13,14 @@ from fipt_blender.core.capture.views import View
 from fipt_blender.core.conventions import equirect_pixel_directions
 from fipt_blender.core.light.clipped import OUTSIDE, hemisphere_rays
 from fipt_blender.core.light.environment import Environment
-from fipt_blender.core.light.unseen_light import sky_parts, with_unseen_light
+from fipt_blender.core.light.unseen_light import (
+    PARTS,
+    OpenPoints,
+    seen_sky,
+    sky_parts,
+    solve_sky,
+    with_unseen_light,
+)
 from fipt_blender.core.scene.pixels import PixelStore, open_pixels, trace_view
 from fipt_blender.core.scene.room import Room, triangle_normals
 from samples.camera_poses import look_at
@@ -37,7 +44,7 @@ def sky(directions: np.ndarray, seed: int) -> np.ndarray:
 def light(room: Room, position: np.ndarray, normal: np.ndarray, of) -> np.ndarray:
     """(N, 3) irradiance over pi; `of` maps directions to the radiance from outside."""
     nothing = np.full(len(room.triangles), -1, np.int32)
-    entry, direction = hemisphere_rays(room, grid_of(room), position, normal, nothing, 5)
+    entry, direction = hemisphere_rays(room, grid_of(room), position, normal, nothing, [5])
     return np.where((entry == OUTSIDE)[..., None], of(direction), INDIRECT).mean(axis=1)
 
 
@@ -99,6 +106,39 @@ def test_what_was_seen_outside_stays(tmp_path: Path) -> None:
     found = found_light(pixels, OPEN_BOX, before)
     assert found is not None and found.observed_share == 0.3
     assert (found.image[seen] == 3.0).all() and (found.image[~seen] != 3.0).all()
+
+
+def test_noise_of_the_light_is_no_sky_where_it_is_dark_outside() -> None:
+    """Noise of the light seems less beside a bright sky; photographs of the outside tell better."""
+    rng = np.random.default_rng(3)
+    count = 1500
+    group = np.arange(count) % len(ALBEDO)
+    true = np.exp(rng.normal(0.0, 0.5, (count, 1))) * np.array([1.0, 0.9, 0.8])
+    noisy = true * np.exp(rng.normal(0.0, 0.4, (count, 1)))
+    unseen = 0.2 * rng.random((count, 1)) * rng.dirichlet(np.full(PARTS, 0.3), count)
+    points = OpenPoints(np.log(ALBEDO[group] * true), group, noisy, unseen)
+    image, known = np.zeros((WIDTH // 2, WIDTH, 3)), np.zeros((WIDTH // 2, WIDTH), bool)
+
+    def share(sky: np.ndarray) -> float:
+        cast = unseen @ sky
+        return float((cast.sum(axis=1) / (noisy + cast).sum(axis=1)).mean())
+
+    assert share(solve_sky(points, seen_sky(image, known))) > 0.05
+    known[6:9] = True
+    assert share(solve_sky(points, seen_sky(image, known))) < 0.01
+
+
+def test_parts_that_photographs_show_have_their_radiance() -> None:
+    radiance = np.array([3.0, 2.0, 1.0])
+    image = np.broadcast_to(radiance, (WIDTH // 2, WIDTH, 3))
+    known = np.ones(image.shape[:2], bool)
+    log_radiance, share = seen_sky(image, known)
+    np.testing.assert_allclose(log_radiance, np.broadcast_to(np.log(radiance), (PARTS, 3)))
+    np.testing.assert_allclose(share, 1.0)
+    known[WIDTH // 4 :] = False  # below the horizon
+    upper = sky_parts(np.array([[0.0, 0.0, 1.0]]))[0].argmax()
+    share = seen_sky(image, known)[1]
+    assert share[upper] > 0.9 and share.min() < 0.1 and abs(share.mean() - 0.5) < 0.02
 
 
 def test_a_closed_room_has_the_environment_that_was_seen(tmp_path: Path) -> None:

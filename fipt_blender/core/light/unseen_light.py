@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..conventions import equirect_pixel_directions
-from ..scene.grouped import numbered
+from ..scene.grouped import grouped_sums, numbered
 from ..scene.pixels import PixelStore
 from ..scene.room import Room, triangle_normals
 from .cache import VoxelGrid
@@ -37,6 +37,11 @@ ALBEDO, ALBEDO_SPREAD, MOST_ALBEDO, MOST_SPREAD = 0.4, 0.7, 0.85, 0.1
 # Points of one surface whose colors differ by less, in logarithms of ratios, have one albedo.
 COLOR_STEP = 0.25
 LEAST_POINTS, LEAST_GROUP = 200, 8
+# Times that the rays over each hemisphere are drawn. Where they are few, those that meet a lamp by chance make
+# B noisy, and a bright sky would fit the points better since it hides that noise.
+BATCHES = 8
+# Radiance of what photographs show outside below which it gives no light, in units of the capture's median.
+DARK_OUTSIDE = 0.01
 LEAST_WEIGHT = 0.5  # of pixels that are used
 _ITERATIONS, _LONGEST_STEP, _DEGREES = 40, 0.5, 3.0
 _DARKEST = 1e-4  # radiance, in units of the capture's median
@@ -81,7 +86,7 @@ def with_unseen_light(
     points = _open_points(pixels, room, grid, cache, label, (image, known), seed)
     if points is None:
         return environment
-    radiance = solve_sky(points)
+    radiance = solve_sky(points, seen_sky(image, known))
     unseen = ~known
     filled = image.copy()
     filled[unseen] = sky_parts(equirect_pixel_directions(width, width // 2)[unseen]) @ radiance
@@ -129,18 +134,10 @@ def _open_points(
     side = np.where(pixels.front[where], 1.0, -1.0)[:, None]
     triangle = np.asarray(pixels.triangle[where])
     normal = (triangle_normals(room.vertices, room.triangles)[triangle] * side).astype(np.float32)
-    nothing = np.full(len(room.triangles), -1, np.int32)
-    entry, direction = hemisphere_rays(room, grid, np.asarray(pixels.position[where]), normal, nothing, seed)
-    image, known = sky
-    cell, outside = map_cells(direction, known.shape[1]), entry == OUTSIDE
-    shown = known.reshape(-1)[cell]
-    unknown = outside & ~shown
-    if unknown.mean() < OPEN:
+    light = _gathered(room, grid, (np.asarray(pixels.position[where]), normal), cache, sky, seed)
+    if light is None:
         return None
-    seen = np.where((outside & shown)[..., None], image.reshape(-1, 3)[cell], 0.0)
-    seen = np.where((entry >= 0)[..., None], cache()[np.maximum(entry, 0)], seen).mean(axis=1)
-    ways = zip(unknown, direction, strict=True)
-    unseen = np.stack([np.where(part[:, None], sky_parts(way), 0.0).mean(axis=0) for part, way in ways])
+    seen, unseen = light
     logs = np.log(np.asarray(pixels.own[where], np.float64))
     ratio = np.floor((logs[:, [0, 2]] - logs[:, [1]]) / COLOR_STEP).astype(np.int64)
     group = numbered([label[triangle], *ratio.T])
@@ -148,16 +145,67 @@ def _open_points(
     if np.count_nonzero(enough) < LEAST_POINTS:
         return None
     group = np.unique(group[enough], return_inverse=True)[1].reshape(-1)
-    return OpenPoints(logs[enough], group, seen[enough].astype(np.float64), unseen[enough])
+    return OpenPoints(logs[enough], group, seen[enough], unseen[enough])
 
 
-def solve_sky(points: OpenPoints) -> np.ndarray:
-    """(K, 3) radiance of the parts of the sky."""
+def _gathered(
+    room: Room,
+    grid: VoxelGrid,
+    points: tuple[np.ndarray, np.ndarray],
+    cache: Callable[[], np.ndarray],
+    sky: tuple[np.ndarray, np.ndarray],
+    seed: int,
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """`OpenPoints.seen` and `.unseen` of points (N, 3) with normals (N, 3); None where the mesh is closed."""
+    image, known = sky
+    nothing = np.full(len(room.triangles), -1, np.int32)
+    seen, unseen = np.zeros((len(points[0]), 3)), np.zeros((len(points[0]), PARTS))
+    for batch in range(BATCHES):
+        entry, direction = hemisphere_rays(room, grid, *points, nothing, [seed, 23, batch])
+        cell, outside = map_cells(direction, known.shape[1]), entry == OUTSIDE
+        shown = known.reshape(-1)[cell]
+        unknown = outside & ~shown
+        if batch == 0:
+            if unknown.mean() < OPEN:
+                return None
+            inside = cache()
+        radiance = np.where((outside & shown)[..., None], image.reshape(-1, 3)[cell], 0.0)
+        seen += np.where((entry >= 0)[..., None], inside[np.maximum(entry, 0)], radiance).mean(axis=1)
+        point = np.nonzero(unknown)[0]
+        unseen += grouped_sums(sky_parts(direction[unknown]), point, len(unseen)) / entry.shape[1]
+    return seen / BATCHES, unseen / BATCHES
+
+
+def seen_sky(image: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What photographs show of the parts of the sky.
+
+    Args:
+        image: (H, W, 3) radiance in an equirectangular map. known: (H, W) bool, where it was seen.
+
+    Returns:
+        (K, 3) logarithm of the radiance, at least `DARK_OUTSIDE`, and (K,) share of each part that was seen.
+    """
+    height, width = known.shape
+    solid = np.repeat(np.cos((np.arange(height) + 0.5) / height * np.pi - np.pi / 2), width)
+    weight = sky_parts(equirect_pixel_directions(width, height).reshape(-1, 3)) * solid[:, None]
+    mine = weight * known.reshape(-1, 1)
+    mean = mine.T @ image.reshape(-1, 3) / np.maximum(mine.sum(axis=0), 1e-12)[:, None]
+    return np.log(np.maximum(mean, DARK_OUTSIDE)), mine.sum(axis=0) / weight.sum(axis=0)
+
+
+def solve_sky(points: OpenPoints, observed: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """(K, 3) radiance of the parts of the sky.
+
+    Args:
+        observed: what photographs show of them (:func:`seen_sky`).
+    """
     parts = points.unseen.shape[1]
-    precision = _sky_precision(parts)
-    x, spread = np.zeros(3 * parts), 0.15
+    prior, evidence = _sky_precision(parts), _evidence_precision(observed[1])
+    expected = np.linalg.solve(prior + evidence, evidence @ observed[0].T.reshape(-1))
+    precision = prior + evidence
+    x, spread = expected.copy(), 0.15
     for _ in range(_ITERATIONS):
-        normal, pull = precision.copy(), -precision @ x
+        normal, pull = precision.copy(), precision @ (expected - x)
         left = []
         for channel in range(3):
             mine = slice(channel * parts, (channel + 1) * parts)
@@ -231,3 +279,13 @@ def _sky_precision(parts: int) -> np.ndarray:
     gray = np.full((3, 3), 1.0 / 3.0)
     covariance = 3.0 * np.kron(gray, level) + np.kron(np.eye(3) - gray, color)
     return np.asarray(np.linalg.inv(covariance))
+
+
+def _evidence_precision(share: np.ndarray) -> np.ndarray:
+    """(3 K, 3 K), as `_sky_precision`, of what photographs show of the shares (K,) of the parts.
+
+    The directions of a part that were seen stand for its others as well as a part does for its neighbors.
+    """
+    gray = np.full((3, 3), 1.0 / 3.0)
+    level, color = np.diag(share / PART_LEVEL**2), np.diag(share / PART_COLOR**2)
+    return np.asarray(np.kron(gray, level) / 3.0 + np.kron(np.eye(3) - gray, color))
