@@ -37,8 +37,8 @@ ALBEDO, ALBEDO_SPREAD, MOST_ALBEDO, MOST_SPREAD = 0.4, 0.7, 0.85, 0.1
 # Points of one surface whose colors differ by less, in logarithms of ratios, have one albedo.
 COLOR_STEP = 0.25
 LEAST_POINTS, LEAST_GROUP = 200, 8
-# Times that the rays over each hemisphere are drawn. Where they are few, those that meet a lamp by chance make
-# B noisy, and a bright sky would fit the points better since it hides that noise.
+# Times that the rays over each hemisphere are drawn. Where they are few, those that meet a lamp by chance
+# make B noisy, and a bright sky fits the points better because it hides that noise.
 BATCHES = 8
 # Radiance of what photographs show outside below which it gives no light, in units of the capture's median.
 DARK_OUTSIDE = 0.01
