@@ -71,7 +71,7 @@ def learn_from(seen: Observations, pieces: np.ndarray | None) -> None:
     levels = np.array([0.1, 0.5, 1.0], np.float32)
     shadings = open_shadings(seen.folder, len(seen.pixels), len(levels), create=True)
     data, estimate = training_input(seen, pieces, shadings, levels, lambda position: position, SETTINGS)
-    assert len(estimate.roughness) == len(estimate.rows) < len(data.pool) <= len(seen.pixels)
+    assert len(estimate.values) == len(estimate.rows) < len(data.pool) <= len(seen.pixels)
     assert 400 < len(estimate.rows) < 600
     cells, bright = fit_cells(seen, data)
     assert len(bright) == len(seen.parts.triangle_part) and 0 < len(cells.keys) < len(seen.pixels)

@@ -44,7 +44,7 @@ def sky(directions: np.ndarray, seed: int) -> np.ndarray:
 def light(room: Room, position: np.ndarray, normal: np.ndarray, of) -> np.ndarray:
     """(N, 3) irradiance over pi; `of` maps directions to the radiance from outside."""
     nothing = np.full(len(room.triangles), -1, np.int32)
-    entry, direction = hemisphere_rays(room, grid_of(room), position, normal, nothing, [5])
+    entry, direction = hemisphere_rays(room, grid_of(room), position, normal, nothing, 5)
     return np.where((entry == OUTSIDE)[..., None], of(direction), INDIRECT).mean(axis=1)
 
 

@@ -334,7 +334,7 @@ def test_own_cameras_become_the_capture(scene, sample, tmp_path):
     first = scene.fipt.run_folder
     assert ops.use_scene_cameras() == {"FINISHED"} and scene.fipt.run_folder == first
     bpy.data.images[0].filepath = str(tmp_path / "photo.jpg")
-    assert "OpenEXR" in refused(ops.use_scene_cameras)
+    assert "not a file on disk" in refused(ops.use_scene_cameras)
     assert len(settings.views) == 3
 
 

@@ -11,7 +11,6 @@ the walls as it should.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mitsuba as mi
@@ -122,25 +121,20 @@ def light_on_points(
     if not len(points[0]):  # Dr.Jit traces no empty set of rays
         return np.zeros((0, RAYS), np.int32), np.zeros((0, int(lamp.max(initial=-1)) + 2))
     position, normal = (np.ascontiguousarray(array, np.float32) for array in points)
-    entry = hemisphere_rays(room, grid, position, normal, lamp, [seed, 21])[0]
+    entry = hemisphere_rays(room, grid, position, normal, lamp, seed)[0]
     outside = (entry == OUTSIDE).mean(axis=1, keepdims=True)
     return entry, np.concatenate([_direct(room, position, normal, lamp, seed), outside], axis=1)
 
 
 def hemisphere_rays(
-    room: Room,
-    grid: VoxelGrid,
-    position: np.ndarray,
-    normal: np.ndarray,
-    lamp: np.ndarray,
-    seed: Sequence[int],
+    room: Room, grid: VoxelGrid, position: np.ndarray, normal: np.ndarray, lamp: np.ndarray, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """What cosine-distributed rays from N points meet; arguments as of `light_on_points`.
 
     Returns:
         (N, RAYS) int32 as `LitPoints.entry`, and (N, RAYS, 3) unit directions.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng([seed, 21])
     count = len(position)
     number = np.arange(RAYS)
     golden = (number * 0.6180339887498949)[None] + rng.random((count, 1))

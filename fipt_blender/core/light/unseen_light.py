@@ -5,8 +5,8 @@
 At points of the surfaces the photographs are albedo (B + sum of e_k D_k): B is the irradiance from all that
 was seen, D_k that of a smooth part of the sky around the room of radiance 1, where it is unseen and the mesh
 open. The albedo of a surface of one color is constant. In logarithms it is eliminated, and the e_k are found
-by robust least squares. Their level follows from shadows and, less surely, from what albedos are usual: none
-is above that of white paint.
+by robust least squares. Their level follows from shadows, from what photographs show of the outside and, less
+surely, from what albedos are usual: none is above that of white paint.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..conventions import equirect_pixel_directions
-from ..scene.grouped import grouped_sums, numbered
+from ..scene.grouped import numbered
 from ..scene.pixels import PixelStore
 from ..scene.room import Room, triangle_normals
 from .cache import VoxelGrid
@@ -37,9 +37,6 @@ ALBEDO, ALBEDO_SPREAD, MOST_ALBEDO, MOST_SPREAD = 0.4, 0.7, 0.85, 0.1
 # Points of one surface whose colors differ by less, in logarithms of ratios, have one albedo.
 COLOR_STEP = 0.25
 LEAST_POINTS, LEAST_GROUP = 200, 8
-# Times that the rays over each hemisphere are drawn. Where they are few, those that meet a lamp by chance
-# make B noisy, and a bright sky fits the points better because it hides that noise.
-BATCHES = 8
 # Radiance of what photographs show outside below which it gives no light, in units of the capture's median.
 DARK_OUTSIDE = 0.01
 LEAST_WEIGHT = 0.5  # of pixels that are used
@@ -134,10 +131,18 @@ def _open_points(
     side = np.where(pixels.front[where], 1.0, -1.0)[:, None]
     triangle = np.asarray(pixels.triangle[where])
     normal = (triangle_normals(room.vertices, room.triangles)[triangle] * side).astype(np.float32)
-    light = _gathered(room, grid, (np.asarray(pixels.position[where]), normal), cache, sky, seed)
-    if light is None:
+    nothing = np.full(len(room.triangles), -1, np.int32)
+    entry, direction = hemisphere_rays(room, grid, np.asarray(pixels.position[where]), normal, nothing, seed)
+    image, known = sky
+    cell, outside = map_cells(direction, known.shape[1]), entry == OUTSIDE
+    shown = known.reshape(-1)[cell]
+    unknown = outside & ~shown
+    if unknown.mean() < OPEN:
         return None
-    seen, unseen = light
+    seen = np.where((outside & shown)[..., None], image.reshape(-1, 3)[cell], 0.0)
+    seen = np.where((entry >= 0)[..., None], cache()[np.maximum(entry, 0)], seen).mean(axis=1)
+    ways = zip(unknown, direction, strict=True)
+    unseen = np.stack([np.where(part[:, None], sky_parts(way), 0.0).mean(axis=0) for part, way in ways])
     logs = np.log(np.asarray(pixels.own[where], np.float64))
     ratio = np.floor((logs[:, [0, 2]] - logs[:, [1]]) / COLOR_STEP).astype(np.int64)
     group = numbered([label[triangle], *ratio.T])
@@ -145,35 +150,7 @@ def _open_points(
     if np.count_nonzero(enough) < LEAST_POINTS:
         return None
     group = np.unique(group[enough], return_inverse=True)[1].reshape(-1)
-    return OpenPoints(logs[enough], group, seen[enough], unseen[enough])
-
-
-def _gathered(
-    room: Room,
-    grid: VoxelGrid,
-    points: tuple[np.ndarray, np.ndarray],
-    cache: Callable[[], np.ndarray],
-    sky: tuple[np.ndarray, np.ndarray],
-    seed: int,
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """`OpenPoints.seen` and `.unseen` of points (N, 3) with normals (N, 3); None where the mesh is closed."""
-    image, known = sky
-    nothing = np.full(len(room.triangles), -1, np.int32)
-    seen, unseen = np.zeros((len(points[0]), 3)), np.zeros((len(points[0]), PARTS))
-    for batch in range(BATCHES):
-        entry, direction = hemisphere_rays(room, grid, *points, nothing, [seed, 23, batch])
-        cell, outside = map_cells(direction, known.shape[1]), entry == OUTSIDE
-        shown = known.reshape(-1)[cell]
-        unknown = outside & ~shown
-        if batch == 0:
-            if unknown.mean() < OPEN:
-                return None
-            inside = cache()
-        radiance = np.where((outside & shown)[..., None], image.reshape(-1, 3)[cell], 0.0)
-        seen += np.where((entry >= 0)[..., None], inside[np.maximum(entry, 0)], radiance).mean(axis=1)
-        point = np.nonzero(unknown)[0]
-        unseen += grouped_sums(sky_parts(direction[unknown]), point, len(unseen)) / entry.shape[1]
-    return seen / BATCHES, unseen / BATCHES
+    return OpenPoints(logs[enough], group, seen[enough].astype(np.float64), unseen[enough])
 
 
 def seen_sky(image: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
