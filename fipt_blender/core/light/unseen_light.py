@@ -154,20 +154,20 @@ def _open_points(
 
 
 def seen_sky(image: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What photographs show of the parts of the sky.
+    """How bright photographs show the parts of the sky.
 
     Args:
         image: (H, W, 3) radiance in an equirectangular map. known: (H, W) bool, where it was seen.
 
     Returns:
-        (K, 3) logarithm of the radiance, at least `DARK_OUTSIDE`, and (K,) share of each part that was seen.
+        (K,) mean logarithm of radiance, at least `DARK_OUTSIDE`, and (K,) share of each part that was seen.
     """
     height, width = known.shape
     solid = np.repeat(np.cos((np.arange(height) + 0.5) / height * np.pi - np.pi / 2), width)
     weight = sky_parts(equirect_pixel_directions(width, height).reshape(-1, 3)) * solid[:, None]
     mine = weight * known.reshape(-1, 1)
-    mean = mine.T @ image.reshape(-1, 3) / np.maximum(mine.sum(axis=0), 1e-12)[:, None]
-    return np.log(np.maximum(mean, DARK_OUTSIDE)), mine.sum(axis=0) / weight.sum(axis=0)
+    level = np.log(np.maximum(image.reshape(-1, 3), DARK_OUTSIDE)).mean(axis=1)
+    return mine.T @ level / np.maximum(mine.sum(axis=0), 1e-12), mine.sum(axis=0) / weight.sum(axis=0)
 
 
 def solve_sky(points: OpenPoints, observed: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
@@ -178,7 +178,7 @@ def solve_sky(points: OpenPoints, observed: tuple[np.ndarray, np.ndarray]) -> np
     """
     parts = points.unseen.shape[1]
     prior, evidence = _sky_precision(parts), _evidence_precision(observed[1])
-    expected = np.linalg.solve(prior + evidence, evidence @ observed[0].T.reshape(-1))
+    expected = np.linalg.solve(prior + evidence, evidence @ np.tile(observed[0], 3))
     precision = prior + evidence
     x, spread = expected.copy(), 0.15
     for _ in range(_ITERATIONS):
@@ -259,10 +259,9 @@ def _sky_precision(parts: int) -> np.ndarray:
 
 
 def _evidence_precision(share: np.ndarray) -> np.ndarray:
-    """(3 K, 3 K), as `_sky_precision`, of what photographs show of the shares (K,) of the parts.
+    """(3 K, 3 K), as `_sky_precision`, of how bright photographs show the shares (K,) of the parts.
 
     The directions of a part that were seen stand for its others as well as a part does for its neighbors.
+    Their color, that of a wall or of grass, tells little about that of the light.
     """
-    gray = np.full((3, 3), 1.0 / 3.0)
-    level, color = np.diag(share / PART_LEVEL**2), np.diag(share / PART_COLOR**2)
-    return np.asarray(np.kron(gray, level) / 3.0 + np.kron(np.eye(3) - gray, color))
+    return np.asarray(np.kron(np.full((3, 3), 1.0 / 9.0), np.diag(share / PART_LEVEL**2)))
