@@ -381,7 +381,7 @@ def test_enabling_loads_nothing_heavy_and_disabling_leaves_nothing(tmp_path: Pat
     assert {name for name in parts if name.startswith("blend")} <= START_OF_BLEND
     later = ("bridge.process", "bridge.step", "bridge.sequence", "core.run.settings", "jobs.main_job")
     assert not [name for name in parts if name.startswith((*later, "jobs.run_job", "jobs.data_job"))]
-    # 0.016 s of the processor's time on an idle machine.
-    assert any(enable()["seconds"] < 0.05 for _ in range(5))
+    # 0.016 s of the processor's time on an idle machine, above 0.05 s on a busy one.
+    assert any(enable()["seconds"] < 0.1 for _ in range(5))
     assert "FIPT_OT_set_up_engine" in answer["classes"]
     assert answer["left"] == [] and answer["state"] is False
