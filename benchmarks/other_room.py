@@ -36,6 +36,7 @@ import make_room  # noqa: E402
 import room_cameras  # noqa: E402
 import room_textures  # noqa: E402
 from room_export import ObjectArrays, write_obj, write_tables  # noqa: E402
+from room_files import obj_rows  # noqa: E402
 from room_materials import RoomMaterial  # noqa: E402
 
 OBJECT_CLASS = 16  # of materials for which the plan names none
@@ -131,18 +132,10 @@ def read_shapes(scene: Path, plan: Plan) -> Iterator[ObjectArrays]:
 
 def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
     """Vertices (V, 3), triangles (T, 3), and, if any, normals (T, 3, 3) and UVs (T, 3, 2) of corners."""
-    rows: dict[str, list[list[float]]] = {"v": [], "vt": [], "vn": []}
-    faces = []
-    for line in path.read_text().splitlines():
-        kind, _, rest = line.partition(" ")
-        if kind in rows:
-            rows[kind].append([float(word) for word in rest.split()])
-        elif kind == "f":
-            faces.append([[int(number or 0) - 1 for number in word.split("/")] for word in rest.split()])
-    index = np.array(faces)
-    normals = np.array(rows["vn"])[index[..., 2]] if rows["vn"] else None
-    uv = np.array(rows["vt"])[index[..., 1], :2] if rows["vt"] else None
-    return np.array(rows["v"]), index[..., 0], normals, uv
+    rows, index = obj_rows(path)
+    normals = np.array(rows["vn"])[index[..., 2] - 1] if rows["vn"] else None
+    uv = np.array(rows["vt"])[index[..., 1] - 1, :2] if rows["vt"] else None
+    return np.array(rows["v"]), index[..., 0] - 1, normals, uv
 
 
 def panel(name: str, described: dict[str, Any], scale: float) -> ObjectArrays:
@@ -215,27 +208,14 @@ def drawn_poses(
     return chosen
 
 
-def write_relight(folder: Path, plan: Plan, poses: list[np.ndarray]) -> None:
-    """relight.json: a warm area light of 0.8 m below the ceiling, amid what the cameras look at."""
+def relight_corners(plan: Plan) -> np.ndarray:
+    """(4, 3) corners of the lamp of relit views: 0.8 m wide, below the ceiling, amid what the cameras see."""
     low, high = np.array(plan.cameras["look_low"]), np.array(plan.cameras["look_high"])
-    middle = (low + high) / 2 * plan.scale
+    x, _, z = (low + high) / 2 * plan.scale
     y = plan.cameras["high"][1] * plan.scale - 0.25
-    around = [(-0.4, -0.4), (0.4, -0.4), (0.4, 0.4), (-0.4, 0.4)]
-    table = {
-        "comment": "the room's emitters off (black); one added one-sided rectangle, visible to the camera",
-        "light": {
-            "vertices": [[middle[0] + x, y, middle[2] + z] for x, z in around],
-            "faces": [[0, 1, 2], [0, 2, 3]],
-            "radiance": [50.0, 38.0, 25.0],
-            "normal": [0.0, -1.0, 0.0],
-        },
-        "camera_angle_x": room_cameras.FOV_X,
-        "views": [
-            {"image": f"relight/{k:03d}_0001.exr", "val_index": k, "transform_matrix": pose.tolist()}
-            for k, pose in enumerate(poses)
-        ],
-    }
-    (folder / "relight.json").write_text(json.dumps(table, indent=1) + "\n")
+    return np.array(
+        [(x - 0.4, y, z - 0.4), (x + 0.4, y, z - 0.4), (x + 0.4, y, z + 0.4), (x - 0.4, y, z + 0.4)]
+    )
 
 
 def make(options: argparse.Namespace) -> None:
@@ -264,7 +244,7 @@ def make(options: argparse.Namespace) -> None:
         rng = np.random.default_rng([options.seed, stream])
         held_back = drawn_poses(tree, plan, count, height / width, rng)
         make_room.write_cameras(out / split, held_back, width, height)
-    write_relight(out, plan, held_back[:3])
+    make_room.write_relight(out, held_back[:3], relight_corners(plan), [50.0, 38.0, 25.0])
     print(f"{len(objects)} meshes, {len(triangles)} triangles, {options.views} + {len(held_back)} views")
 
 

@@ -108,19 +108,15 @@ def write_cameras(folder: Path, poses: list[np.ndarray], width: int, height: int
     (folder / "transforms.json").write_text(json.dumps(table, indent=1) + "\n")
 
 
-def write_relight(folder: Path, poses: list[np.ndarray]) -> None:
-    """relight.json: a warm area light under the ceiling, for views with the room's own fixtures off."""
-    x, y, z = -0.9, -0.3, 2.8
-    corners = np.array(
-        [(x - 0.4, y - 0.3, z), (x - 0.4, y + 0.3, z), (x + 0.4, y + 0.3, z), (x + 0.4, y - 0.3, z)]
-    )
+def write_relight(folder: Path, poses: list[np.ndarray], corners: np.ndarray, radiance: list[float]) -> None:
+    """relight.json: a lamp that faces down, with corners (4, 3), for views with all other lamps off."""
     table = {
         "comment": "the room's emitters off (black, non-reflecting surfaces); one added one-sided rectangle; "
         "its back is black; it is visible to the camera",
         "light": {
-            "vertices": room_cameras.y_up(corners).tolist(),
+            "vertices": corners.tolist(),
             "faces": [[0, 1, 2], [0, 2, 3]],
-            "radiance": [90.0, 68.0, 44.0],
+            "radiance": radiance,
             "normal": [0.0, -1.0, 0.0],
         },
         "camera_angle_x": room_cameras.FOV_X,
@@ -130,6 +126,13 @@ def write_relight(folder: Path, poses: list[np.ndarray]) -> None:
         ],
     }
     (folder / "relight.json").write_text(json.dumps(table, indent=1) + "\n")
+
+
+def relight_corners() -> np.ndarray:
+    """(4, 3) corners of the lamp of relit views, under the ceiling."""
+    x, y, z = -0.9, -0.3, 2.8
+    corners = [(x - 0.4, y - 0.3, z), (x - 0.4, y + 0.3, z), (x + 0.4, y + 0.3, z), (x + 0.4, y - 0.3, z)]
+    return room_cameras.y_up(np.array(corners))
 
 
 def main() -> int:
@@ -167,7 +170,7 @@ def main() -> int:
     training = room_cameras.training_poses(tree, options.views, options.seed, height / width)
     write_cameras(out / "train", training, width, height)
     write_cameras(out / "val", held_back, width, height)
-    write_relight(out, held_back[:3])
+    write_relight(out, held_back[:3], relight_corners(), [90.0, 68.0, 44.0])
     views = f"{len(training)} + {len(held_back)} views"
     print(f"{len(objects)} objects, {len(triangles)} triangles, {views}", flush=True)
     if options.no_render:

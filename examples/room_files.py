@@ -41,8 +41,8 @@ class Capture:
     height: int
 
 
-def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(corners, normals, uv) of a triangulated OBJ whose faces are `v/t/n` or `v//n`."""
+def obj_rows(path: Path) -> tuple[dict[str, list[list[float]]], np.ndarray]:
+    """Rows of `v`, `vt` and `vn` of a triangulated OBJ, and (T, 3, 1 to 3) numbers of its faces (0: none)."""
     rows: dict[str, list[list[float]]] = {"v": [], "vt": [], "vn": []}
     faces = []
     for line in path.read_text().splitlines():
@@ -51,7 +51,12 @@ def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             rows[kind].append([float(word) for word in rest.split()])
         elif kind == "f":
             faces.append([[int(number or 0) for number in word.split("/")] for word in rest.split()])
-    index = np.array(faces)
+    return rows, np.array(faces)
+
+
+def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(corners, normals, uv) of a triangulated OBJ whose faces are `v/t/n` or `v//n`."""
+    rows, index = obj_rows(path)
     uv = np.array([[0.0, 0.0], *rows["vt"]], np.float32)  # index 0: no UV
     corners, normals = (np.array(rows[kind], np.float32) for kind in ("v", "vn"))
     return corners[index[..., 0] - 1], normals[index[..., 2] - 1], uv[index[..., 1]]

@@ -54,14 +54,19 @@ def joined(scan: Room, vertices: np.ndarray, triangles: np.ndarray, thing: int) 
     )
 
 
+def in_hole(places: np.ndarray) -> np.ndarray:
+    """(N,) bool, which places (N, 3) are in the hole on the front of each thing."""
+    near = np.abs(places[:, [0, 2]] - [0.1, 0.5]) < 0.2
+    return near.all(axis=1) & (places[:, 1] < 0.1)
+
+
 @pytest.mark.parametrize("thing", [shade, board])
 def test_a_hole_in_a_part_is_filled(
     tmp_path: Path, rng: np.random.Generator, thing: Callable[[], tuple[np.ndarray, np.ndarray]]
 ) -> None:
     scan, _ = scanned_box(cells=60, noise=NOISE)
     vertices, triangles = thing()
-    middle = vertices[triangles].mean(axis=1)
-    hole = (np.abs(middle[:, 0] - 0.1) < 0.2) & (middle[:, 1] < 0.1) & (np.abs(middle[:, 2] - 0.5) < 0.2)
+    hole = in_hole(vertices[triangles].mean(axis=1))
     assert 0.05 < hole.mean() < 0.3
     noisy = vertices + rng.normal(0.0, NOISE, vertices.shape)
     run = write_run(tmp_path, joined(scan, noisy, triangles[~hole], 0), "masks")
@@ -91,8 +96,7 @@ def test_whole_parts_and_true_holes_stay(
 ) -> None:
     scan, _ = scanned_box(cells=60, noise=NOISE)
     vertices, triangles = thing()
-    middle = vertices[triangles].mean(axis=1)
-    hole = (np.abs(middle[:, 0] - 0.1) < 0.2) & (middle[:, 1] < 0.1) & (np.abs(middle[:, 2] - 0.5) < 0.2)
+    hole = in_hole(vertices[triangles].mean(axis=1))
     noisy = vertices + rng.normal(0.0, NOISE, vertices.shape)
     for name, left in (("whole", triangles), ("open", triangles[~hole])):
         folder = tmp_path / name

@@ -126,3 +126,9 @@ def unit(vectors: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
     """Vectors (N, 3) scaled to length 1; those of no length become `otherwise` (N, 3)."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.where(length > 1e-12, vectors / np.maximum(length, 1e-12), otherwise)
+
+
+def without_unused(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (U,) that triangles (T, 3) use, ascending, and the triangles (T, 3) int32 in their order."""
+    used, index = np.unique(triangles, return_inverse=True)
+    return used, index.reshape(-1, 3).astype(np.int32)

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from .adjacency import without_unused
+
 # Rounds that take the steps of the cells out of a footprint's border.
 _ROUNDS = 6
 
@@ -43,7 +45,8 @@ def prism(
     up = np.broadcast_to([0.0, 0.0, 1.0], (len(flat), 3, 3))
     triangles = np.concatenate([flat[:, ::-1], flat + layers * count, walls])
     normals = np.concatenate([-up, up, outward[walls % count]])
-    return _without_unused(vertices, triangles, normals)
+    used, triangles = without_unused(triangles)
+    return vertices[used].astype(np.float32), triangles, normals.astype(np.float32)
 
 
 def _border(cells: np.ndarray) -> np.ndarray:
@@ -71,14 +74,3 @@ def _outward(places: np.ndarray, border: np.ndarray) -> np.ndarray:
     for end in (0, 1):
         np.add.at(normal, border[:, end], np.stack([along[:, 1], -along[:, 0], 0.0 * along[:, 0]], axis=1))
     return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
-
-
-def _without_unused(
-    vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    used, index = np.unique(triangles, return_inverse=True)
-    return (
-        vertices[used].astype(np.float32),
-        index.reshape(-1, 3).astype(np.int32),
-        normals.astype(np.float32),
-    )

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .adjacency import without_unused
+
 # Triangles that face up or down by more than this sine tell little about an axis or a radius.
 STEEPEST = 0.87
 # Share of the area that must lie within half a row of the surface, and most degrees between the normals
@@ -75,15 +77,10 @@ class Revolution:
         corners = [(row, column), (row, column + 1), (row + 1, column + 1), (row + 1, column)]
         index = np.stack([down * count + across % count for down, across in corners], axis=1)
         triangles = index[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)[:, :: self.side]
-        used, triangles = np.unique(triangles, return_inverse=True)
+        used, triangles = without_unused(triangles)
         ends = np.arange(rows + 1.0), np.arange(float(count))
         places, normals = self._places(*ends).reshape(-1, 3), self._normals(*ends).reshape(-1, 3)
-        triangles = triangles.reshape(-1, 3)
-        return (
-            places[used].astype(np.float32),
-            triangles.astype(np.int32),
-            normals[used][triangles].astype(np.float32),
-        )
+        return places[used].astype(np.float32), triangles, normals[used][triangles].astype(np.float32)
 
     def _radii(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Radius at heights in rows, and its slope."""

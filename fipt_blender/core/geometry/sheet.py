@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from .adjacency import without_unused
+
 # Triangles within so many cells of a plane, which face its front by at least this cosine, are of its sheet.
 BAND, LEAST_FACING = 2.0, 0.5
 # Planes that are tried, and triangles that each is tried on.
@@ -75,15 +77,10 @@ class Sheet:
         row, column = np.nonzero(chosen)
         corners = [(row, column), (row + 1, column), (row + 1, column + 1), (row, column + 1)]
         index = np.stack([down * columns + across for down, across in corners], axis=1)
-        used, triangles = np.unique(index[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3), return_inverse=True)
-        triangles = triangles.reshape(-1, 3)
+        used, triangles = without_unused(index[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3))
         places = self._places(np.arange(float(rows)), np.arange(float(columns)), self.height)
-        normals = self._normals().reshape(-1, 3)[used]
-        return (
-            places.reshape(-1, 3)[used].astype(np.float32),
-            triangles.astype(np.int32),
-            normals[triangles].astype(np.float32),
-        )
+        normals = self._normals().reshape(-1, 3)[used][triangles]
+        return places.reshape(-1, 3)[used].astype(np.float32), triangles, normals.astype(np.float32)
 
     def _places(self, row: np.ndarray, column: np.ndarray, height: np.ndarray) -> np.ndarray:
         flat = self.corner + self.step * (
