@@ -17,7 +17,7 @@ from fipt_blender.core.estimate.state import spread_views
 from fipt_blender.core.light.baking import open_shadings
 from fipt_blender.core.light.observations import observe
 from fipt_blender.core.light.shadings import roughness_levels
-from fipt_blender.core.material.seen import room_box
+from fipt_blender.core.material.closed_form import fit_cells
 from fipt_blender.core.material.training_input import training_input
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import Settings
@@ -53,17 +53,12 @@ class StoredEstimate:
         levels = (settings.roughness_levels, settings.roughness_min, settings.roughness_spacing)
         self._levels = roughness_levels(*levels)
         self._shadings = open_shadings(run.stage / "shadings", len(self.pixels), len(self._levels))
-        self._box = room_box(room.bounds)
 
     def closed_form(self, settings: Settings) -> ClosedForm:
         """The estimate with other settings; those of earlier stages have no effect."""
-        data, initial = training_input(
-            self._observations, self._pieces, self._shadings, self._levels, self._box.normalise, settings
-        )
-        group = np.asarray(data.group)
-        known = group >= 0
-        roughness, metallic = np.ones(len(group), np.float32), np.zeros(len(group), np.float32)
-        roughness[known] = data.group_roughness[group[known]]
-        metallic[known] = data.group_metallic[group[known]]
-        kd = initial.values[:, :3] * (1.0 - initial.values[:, 4:])
-        return ClosedForm(initial.rows, kd, roughness, metallic)
+        data = training_input(self._observations, self._pieces, self._shadings, self._levels, settings)
+        cells, _ = fit_cells(data)
+        rows = np.asarray(self._observations.pool)
+        values = cells.values[cells.of_pixels(data, rows)]
+        material = data.materials.of_pixels[data.group]
+        return ClosedForm(rows, values[:, :3] * (1.0 - values[:, 4:]), *material.T)

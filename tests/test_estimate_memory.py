@@ -70,12 +70,10 @@ def window(pixels: PixelStore) -> None:
 def learn_from(seen: Observations, pieces: np.ndarray | None) -> None:
     levels = np.array([0.1, 0.5, 1.0], np.float32)
     shadings = open_shadings(seen.folder, len(seen.pixels), len(levels), create=True)
-    data, estimate = training_input(seen, pieces, shadings, levels, lambda position: position, SETTINGS)
-    assert len(estimate.values) == len(estimate.rows) < len(data.pool) <= len(seen.pixels)
-    assert 400 < len(estimate.rows) < 600
-    cells, bright = fit_cells(seen, data)
+    data = training_input(seen, pieces, shadings, levels, SETTINGS)
+    cells, bright = fit_cells(data)
     assert len(bright) == len(seen.parts.triangle_part) and 0 < len(cells.keys) < len(seen.pixels)
-    units = material_units(seen, pieces, data)
+    units = material_units(pieces, data)
     assert len(units.triangle) == len(seen.parts.triangle_part)
 
 

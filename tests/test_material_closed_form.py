@@ -8,16 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fipt_blender.core.light.baking import ShadingStore
 from fipt_blender.core.light.observations import Observations, observe
 from fipt_blender.core.material.closed_form import (
     MARKED_SHARE,
     CellEstimate,
+    TrainingData,
     fit_cells,
     followed_by_paths,
     render_rows,
     triangle_emission,
 )
-from fipt_blender.core.material.training import TrainingData
+from fipt_blender.core.material.mixture import GroupMaterials
 from samples.panel_pixels import IS_PANEL, PARTS, ROOM, SETTINGS, make_pixels
 
 LEVELS = np.array([0.1, 0.5, 1.0], np.float32)
@@ -47,22 +49,8 @@ def data(seen: Observations) -> TrainingData:
     radiance = kd * diffuse + ks * s0 + s1
     radiance[IS_PANEL[pixels.triangle]] = 50.0
     pixels.own[:], pixels.weight[:] = radiance, np.where(pixels.pure, 1.0, 0.25)
-    return TrainingData(
-        pool=seen.pool,
-        donor=seen.donor,
-        position=pixels.position,
-        radiance=pixels.own,
-        label=part,
-        group=part,
-        diffuse=diffuse,
-        specular=specular,
-        levels=LEVELS,
-        semantic=False,
-        group_roughness=roughness,
-        group_metallic=metallic,
-        group_errors=np.zeros((len(roughness), 2), np.float32),
-        normalise=lambda positions: positions,
-    )
+    materials = GroupMaterials(np.column_stack([roughness, metallic]), np.zeros((len(roughness), 2)))
+    return TrainingData(seen, ShadingStore(diffuse, specular), LEVELS, part, materials, np.zeros(0, bool))
 
 
 def reflecting(seen: Observations) -> np.ndarray:
@@ -72,40 +60,46 @@ def reflecting(seen: Observations) -> np.ndarray:
 
 
 def test_cells_have_the_colours_of_their_parts_and_lamps_are_marked(seen, data) -> None:
-    cells, bright = fit_cells(seen, data)
-    group = cells.keys % (cells.groups + 1) - 1
+    cells, bright = fit_cells(data)
+    group = cells.group
     walls = group < WALLS
     np.testing.assert_allclose(cells.color[walls], COLORS[group[walls]], atol=2e-3)
     assert (cells.color[~walls] == 1.0).all() and not cells.emission.any()
     assert ((bright > MARKED_SHARE) == IS_PANEL).all()
     np.testing.assert_array_equal(ROOM.triangle_object[cells.triangle], group)
     rows = reflecting(seen)
-    found = cells.find(seen.entry[rows], data.group[rows])
-    assert (found >= 0).all() and (cells.keys[found] // 8 == seen.entry[rows]).all()
-    assert cells.find(np.array([0]), np.array([6]))[0] == -1
+    found = cells.of_pixels(data, rows)
+    assert (found >= 0).all() and (cells.entry[found] == seen.entry[rows]).all()
+
+
+def test_pixels_without_a_group_are_diffuse(seen, data) -> None:
+    specular = data.shadings.specular[:, -1]
+    seen.pixels.own[:] = 0.5 * data.shadings.diffuse + 0.04 * specular[:, 0] + specular[:, 1]
+    none, group = np.zeros((0, 2)), np.full(len(seen.pixels), -1)
+    cells, _ = fit_cells(replace(data, group=group, materials=GroupMaterials(none, none)))
+    np.testing.assert_array_equal(cells.entry, np.unique(seen.entry[np.asarray(seen.donor) >= 0]))
+    np.testing.assert_allclose(cells.values, [[0.5, 0.5, 0.5, 1.0, 0.0]] * len(cells.keys), atol=2e-3)
 
 
 def test_the_rendering_of_the_closed_form_is_the_photograph(seen, data) -> None:
-    cells, _ = fit_cells(seen, data)
+    cells, _ = fit_cells(data)
     rows = reflecting(seen)
-    rendered = render_rows(cells, seen, data, rows)
+    rendered = render_rows(cells, data, rows)
     np.testing.assert_allclose(rendered, seen.pixels.own[rows], rtol=0.01)
     # Where no cell is known the surface is taken as white.
     none = replace(cells, keys=cells.keys[:1], color=cells.color[:1])
-    assert (render_rows(none, seen, data, rows[-5:]) >= rendered[-5:]).all()
+    assert (render_rows(none, data, rows[-5:]) >= rendered[-5:]).all()
 
 
 def test_values_of_an_entry_are_means_over_its_pixels() -> None:
     """Entry 3 has a pixel of no group and three of group 1, entry 5 one of group 0."""
     cells = CellEstimate(
         keys=np.array([9, 11, 16]),
-        groups=2,
         color=np.array([[0.2] * 3, [0.6] * 3, [0.9] * 3], np.float32),
         emission=np.zeros((3, 3), np.float32),
         pixels=np.array([1.0, 3.0, 1.0]),
         triangle=np.array([7, 8, 9]),
-        roughness=np.array([0.4, 0.8, 1.0]),
-        metallic=np.array([1.0, 0.0, 0.0]),
+        materials=np.array([[0.4, 1.0], [0.8, 0.0], [1.0, 0.0]]),
     )
     entries, values, triangle = cells.by_entry()
     assert entries.tolist() == [3, 5] and triangle.tolist() == [8, 9]
@@ -115,9 +109,10 @@ def test_values_of_an_entry_are_means_over_its_pixels() -> None:
 def test_paths_follow_groups_that_may_be_smooth() -> None:
     none = np.zeros(0)
     roughness = np.array([0.86, 0.86, 0.4, 1.0])  # the last is of pixels without a group
-    cells = CellEstimate(none, 3, np.zeros((0, 3)), np.zeros((0, 3)), none, none, roughness, np.zeros(4))
+    materials = np.column_stack([roughness, np.zeros(4)])
+    cells = CellEstimate(none, np.zeros((0, 3)), np.zeros((0, 3)), none, none, materials)
     errors = np.array([0.3, 0.2, 0.3])
-    followed = followed_by_paths(cells, errors, limit=0.6).roughness
+    followed = followed_by_paths(cells, errors, limit=0.6).materials[:, 0]
     assert 0.5 < followed[0] < np.float16(0.6)  # tables may be of half precision
     np.testing.assert_array_equal(followed[1:], roughness[1:])
 
@@ -125,15 +120,15 @@ def test_paths_follow_groups_that_may_be_smooth() -> None:
 def test_emission_that_is_fitted_jointly_is_found_where_light_varies(seen, data) -> None:
     shine = np.array([0.3, 0.2, 0.1])
     on = (np.asarray(data.group) == 0) & (np.asarray(seen.pixels.triangle) >= 0)
-    data.radiance[on] += shine
-    alone, _ = fit_cells(seen, data)
-    cells, _ = fit_cells(seen, data, joint=1e-6)
-    group = cells.keys % (cells.groups + 1) - 1
+    seen.pixels.own[on] += shine
+    alone, _ = fit_cells(data)
+    cells, _ = fit_cells(data, joint=1e-6)
+    group = cells.group
     clear = (group == 0) & (cells.pixels >= 5)
     assert np.median(np.abs(cells.emission[clear] - shine)) < 0.01
     assert np.median(np.abs(cells.color[clear] - COLORS[0])) < 0.01
     assert np.median(np.abs(alone.color[clear] - COLORS[0])) > 0.05
-    mean = triangle_emission(cells, seen, data)
+    mean = triangle_emission(cells, data)
     assert np.abs(mean[:2] - shine).max() < 0.1 and mean[2:12].max() < 0.05
-    strong, _ = fit_cells(seen, data, joint=1e3)
+    strong, _ = fit_cells(data, joint=1e3)
     assert not strong.emission[group < WALLS].any()

@@ -3,11 +3,13 @@
 """Expected standard errors compared with the actual errors of synthetic pixels."""
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from fipt_blender.core.light.baking import ShadingStore
 from fipt_blender.core.material import confidence
 from fipt_blender.core.material.cell_errors import groups_of_cells
 from fipt_blender.core.material.confidence import (
@@ -17,7 +19,8 @@ from fipt_blender.core.material.confidence import (
     standard_errors,
 )
 from fipt_blender.core.material.groups import Units
-from fipt_blender.core.material.pixel_samples import RADIANCE_FLOOR, PixelSamples
+from fipt_blender.core.material.pixel_samples import RADIANCE_FLOOR
+from fipt_blender.core.material.projection import color_lines
 from fipt_blender.core.material.seen import Box, SeenCells
 
 LEVELS = np.linspace(0.02, 1.0, 6).astype(np.float32)
@@ -42,7 +45,7 @@ def synthetic(
     specular = np.broadcast_to(by_level[:, :, None, None], (count, len(LEVELS), 2, 3))
 
     def at(color: np.ndarray, radiance: np.ndarray) -> LinearisedPixels:
-        return linearised(radiance, color[cell], diffuse, specular, cell, view)
+        return linearised(radiance, color[cell], diffuse, specular)
 
     at_truth = at(true, np.ones((count, 3)))
     rendered = 1.0 - at_truth.residual
@@ -67,29 +70,30 @@ def linearised(
     color: np.ndarray,
     diffuse: np.ndarray,
     specular: np.ndarray,
-    cell: np.ndarray,
-    view: np.ndarray,
     material: tuple[float, float] = (0.5, 0.0),
     error: tuple[float, float] = (0.0, 0.0),
 ) -> LinearisedPixels:
-    """Pixels of one group with this material and its errors, linearised at these base colours (N, 3)."""
-    count, group = len(cell), np.zeros_like(cell)
-    samples = PixelSamples(
-        np.arange(count), radiance, diffuse, specular, LEVELS, cell, group, view, np.ones(count, np.float32)
-    )
-    materials, errors = (np.tile(np.float32(values), (count, 1)) for values in (material, error))
-    return linearise(samples, color, materials, errors)
+    """Pixels of this material and its errors, linearised at these base colours (N, 3)."""
+    materials, errors = (np.tile(np.float32(values), (len(color), 1)) for values in (material, error))
+    lines = partial(color_lines, ShadingStore(diffuse, specular), LEVELS, np.arange(len(color)))
+    return linearise(radiance, lines, color, materials, errors)
+
+
+def errors_of(pixels: LinearisedPixels) -> np.ndarray:
+    """Standard errors of :func:`synthetic` pixels."""
+    cell, rest = np.divmod(np.arange(len(pixels.residual)), VIEWS * EACH)
+    return standard_errors(pixels, cell, np.zeros_like(cell), rest // EACH)
 
 
 def test_changes_are_those_of_the_rendering() -> None:
     """By a step of base colour, and by errors of roughness and metallic."""
     rng = np.random.default_rng(0)
     radiance, color, diffuse = rng.uniform(0.1, 0.9, (3, 50, 3))
-    specular, index = rng.uniform(0.0, 2.0, (50, 6, 2, 3)), np.zeros(50, int)
+    specular = rng.uniform(0.0, 2.0, (50, 6, 2, 3))
 
     def at(color: np.ndarray, roughness: float, metallic: float) -> LinearisedPixels:
         errors = (0.02, 0.05)
-        return linearised(radiance, color, diffuse, specular, index, index, (roughness, metallic), errors)
+        return linearised(radiance, color, diffuse, specular, (roughness, metallic), errors)
 
     here = at(color, 0.5, 0.4)
     for change, low, high in (
@@ -107,7 +111,7 @@ def test_expected_errors_of_colour_are_the_actual_errors(monkeypatch, noise):
     monkeypatch.setattr(confidence, "FLOOR", 0.0)
     light = np.repeat([0.02, 0.1, 1.0], 300)
     pixels, color, true = synthetic(900, light, noise, np.random.default_rng(1), gloss=0.0)
-    expected = standard_errors(pixels)
+    expected = errors_of(pixels)
     actual = np.sqrt(((color - true) ** 2).mean(axis=1))
     for level in np.unique(light):
         cells = light == level
@@ -123,20 +127,22 @@ def test_expected_errors_of_colour_are_the_actual_errors(monkeypatch, noise):
 def test_colour_is_uncertain_where_it_compensates_an_uncertain_material():
     """A metallic that is wrong by 0.1 changes the diffuse reflectance of a surface without gloss by 10 %."""
     pixels, color, _ = synthetic(200, np.full(200, 0.5), 0.002, np.random.default_rng(2), gloss=0.0)
-    known = standard_errors(pixels)
+    known = errors_of(pixels)
     # Without gloss a metallic of 0.1 takes a tenth of the reflected light away.
-    unknown = standard_errors(replace(pixels, by_metallic=-0.1 * color[pixels.cell] * pixels.by_color))
+    unknown = errors_of(
+        replace(pixels, by_metallic=-0.1 * color.repeat(VIEWS * EACH, axis=0) * pixels.by_color)
+    )
     added = np.sqrt(unknown**2 - known**2)
     assert added == pytest.approx(0.1 * np.sqrt((color**2).mean(axis=1)), rel=0.1)
 
 
 def test_errors_never_exceed_those_of_the_uniform_prior():
     pixels, *_ = synthetic(20, np.full(20, 0.5), 0.01, np.random.default_rng(3))
-    color_error = standard_errors(replace(pixels, by_color=np.zeros_like(pixels.by_color)))
+    color_error = errors_of(replace(pixels, by_color=np.zeros_like(pixels.by_color)))
     assert color_error == pytest.approx(UNIFORM_DEVIATION, rel=1e-3)
-    assert standard_errors(replace(pixels, by_roughness=10.0 * pixels.by_color)).max() <= UNIFORM_DEVIATION
-    worse = standard_errors(replace(pixels, residual=pixels.residual + 0.2))
-    better = standard_errors(pixels)
+    assert errors_of(replace(pixels, by_roughness=10.0 * pixels.by_color)).max() <= UNIFORM_DEVIATION
+    worse = errors_of(replace(pixels, residual=pixels.residual + 0.2))
+    better = errors_of(pixels)
     assert worse.mean() > 2 * better.mean()
 
 

@@ -99,11 +99,13 @@ def test_pieces_of_one_roughness_are_units_and_others_belong_to_their_class():
     parts = Parts(np.array([0, 0, 0, 1, 1, 1, NO_PART], np.int32), "semantic")
     triangle, group = np.array([0, 1, 2, 2, 3, 3, 4, 4]), np.array([0, 1, 0, 2, NO_GROUP, 0, 2, 0])
     pixels = np.array([50, 50, 50, 50, 90, 10, 95, 5])
-    units = piece_units(parts, piece, triangle, group, pixels, np.array([0.4, 0.45, 1.0]), np.zeros(3))
+    materials = np.array([[0.4, 0.0], [0.45, 0.0], [1.0, 0.0], [1.0, 0.0]])
+    units = piece_units(parts, piece, triangle, group, pixels, materials)
     assert units.triangle.tolist() == [2, 2, 0, 1, 3, 1, NO_PART]
     assert units.single.tolist() == [False, False, True, True]
     assert units.is_single(np.array([3, 0, NO_PART])).tolist() == [True, False, False]
-    metal = piece_units(parts, piece, triangle, group, pixels, np.full(3, 0.4), np.array([0.0, 1.0, 0.0]))
+    materials = np.array([[0.4, 0.0], [0.4, 1.0], [0.4, 0.0], [1.0, 0.0]])
+    metal = piece_units(parts, piece, triangle, group, pixels, materials)
     assert metal.single.tolist() == [False, False, True, True] and metal.triangle[0] == 0  # half of it metal
     assert part_units(parts).single.all()
 
@@ -118,7 +120,7 @@ def test_pixels_outside_the_sample_have_their_own_colour(tmp_path, monkeypatch: 
     shadings = open_shadings(tmp_path / "shadings", len(pixels), 3, create=True)
     shadings.diffuse[:] = 2.0
     levels, pieces = np.array([0.1, 0.5, 1.0], np.float32), ROOM.triangle_object
-    data, _ = training_input(seen, pieces, shadings, levels, lambda position: position, SETTINGS)
+    data = training_input(seen, pieces, shadings, levels, SETTINGS)
     known = np.asarray(data.group) >= 0
     surface = pieces[pixels.triangle[known]]
     assert known.sum() > 0.9 * len(seen.pool)

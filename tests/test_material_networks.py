@@ -249,12 +249,11 @@ def test_part_term_by_hand() -> None:
     values = [
         torch.tensor(v, dtype=torch.float64) for v in ([[0.5] * 3] * 3, [0.5, 0.7, 0.9], [0.2, 0.0, 0.6])
     ]
-    target = torch.tensor([0.4, 1.0, 1.0], dtype=torch.float64)
-    metal = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
+    target = torch.tensor([[0.4, 0.0], [1.0, 1.0], [1.0, 0.0]], dtype=torch.float64)
     known = torch.tensor([True, True, False])
-    assert float(losses.part_loss(Prediction(*values), target, metal, known)) == pytest.approx(1.6 / 3)
+    assert float(losses.part_loss(Prediction(*values), target, known)) == pytest.approx(1.6 / 3)
     free = prediction(4, 3)
-    assert torch.autograd.gradcheck(lambda *v: losses.part_loss(Prediction(*v), target, metal, known), free)
+    assert torch.autograd.gradcheck(lambda *v: losses.part_loss(Prediction(*v), target, known), free)
 
 
 def test_semantic_term_is_its_equation(rng: np.random.Generator) -> None:

@@ -7,14 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fipt_blender.core.material.pixel_samples import PixelSamples, window_means
-from fipt_blender.core.material.projection import InitialEstimate, constant_parts, project
-from samples.material_pixels import LEVELS, materials_of, samples_of, synthetic
-
-
-def estimate_of(samples: PixelSamples) -> InitialEstimate:
-    """Both steps of the closed form."""
-    return project(samples, *materials_of(samples))
+from fipt_blender.core.light.baking import ShadingStore
+from fipt_blender.core.material.pixel_samples import window_means
+from fipt_blender.core.material.projection import color_lines, constant_parts, fit_colors
+from samples.material_pixels import LEVELS, materials_of, synthetic
 
 
 @pytest.mark.parametrize("noise, outliers, within", [(0.0, 0.0, 0.01), (0.03, 0.05, 0.06)])
@@ -23,37 +19,16 @@ def test_known_materials_are_recovered(
 ) -> None:
     truths = [(1.0, 0.0), (float(LEVELS[3]), 0.0), (float(LEVELS[2]), 1.0), (float(LEVELS[5]), 1.0)]
     samples, color = synthetic(rng, truths, noise, outliers)
-    roughness, metallic = materials_of(samples)
+    roughness, metallic = materials = materials_of(samples)
     np.testing.assert_allclose(metallic, [metallic for _, metallic in truths], atol=1e-3)
     for estimated, (true, _) in zip(roughness, truths, strict=True):
         assert estimated == pytest.approx(true, abs=0.08)
-    estimate = project(samples, roughness, metallic)
+    shadings, rows = ShadingStore(samples.diffuse, samples.specular), np.arange(len(samples.group))
+    lines = color_lines(shadings, LEVELS, rows, np.stack(materials, axis=1)[samples.group])
+    found = fit_colors(samples.radiance, *lines, samples.square_weight, samples.cell)[samples.cell]
     for index in range(len(truths)):
         rows = samples.group == index
-        assert np.median(np.abs(estimate.values[rows, :3] - color[rows])) < within
-    assert (estimate.values[:, 3] == roughness[samples.group]).all()
-
-
-def test_pixels_without_part_are_diffuse(rng: np.random.Generator) -> None:
-    samples, color = synthetic(rng, [(1.0, 0.0)], 0.01, 0.0)
-    samples.group[:] = -1
-    lamp = samples.cell < 5
-    samples.radiance[lamp] = 40.0
-    estimate = estimate_of(samples)
-    assert (estimate.values[:, 3:] == [1.0, 0.0]).all()
-    assert np.median(np.abs(estimate.values[~lamp, :3] - color[~lamp])) < 0.02
-    assert all(len(values) == 0 for values in materials_of(samples))
-
-
-def test_cells_of_different_parts_stay_apart(rng: np.random.Generator) -> None:
-    """The same voxel holds a red and a blue part."""
-    count = 400
-    part = np.arange(count) % 2
-    color = np.where(part[:, None] == 0, [0.8, 0.1, 0.1], [0.1, 0.1, 0.8])
-    light = rng.uniform(0.5, 2.0, (count, 1)) * np.ones(3)
-    specular = np.full((count, len(LEVELS), 2, 3), 1e-3, np.float32)
-    estimate = estimate_of(samples_of(color * light, light, specular, np.zeros(count, int), part))
-    np.testing.assert_allclose(estimate.values[:, :3], color, atol=0.01)
+        assert np.median(np.abs(found[rows] - color[rows])) < within
 
 
 def test_an_empty_part_id_does_no_harm(rng: np.random.Generator) -> None:
@@ -61,6 +36,8 @@ def test_an_empty_part_id_does_no_harm(rng: np.random.Generator) -> None:
     roughness, metallic = materials_of(replace(samples, group=samples.group * 2))  # part 1 has no pixel
     assert len(roughness) == 3 and np.isfinite(roughness).all()
     assert metallic[2] == pytest.approx(1.0, abs=1e-3)
+    none = materials_of(replace(samples, group=np.full_like(samples.group, -1)))
+    assert all(len(values) == 0 for values in none)
 
 
 @pytest.mark.parametrize(("spread", "lamp"), [(0.05, True), (0.01, False)])

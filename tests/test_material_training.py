@@ -4,18 +4,22 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
+from fipt_blender.core.light.baking import ShadingStore
+from fipt_blender.core.material.closed_form import TrainingData
 from fipt_blender.core.material.emission_mask import EmissionNetwork, emission_mask
+from fipt_blender.core.material.mixture import GroupMaterials
 from fipt_blender.core.material.networks import BrdfNetwork
+from fipt_blender.core.material.seen import Box
 from fipt_blender.core.material.training import (
     Networks,
     Resume,
     Surfaces,
-    TrainingData,
     gather_batch,
     read_checkpoint,
     total_loss,
@@ -43,30 +47,31 @@ def make_data(kind: str = "part") -> TrainingData:
     radiance = color * diffuse
     lamp = np.linalg.norm(position - 1.0, axis=1) < 0.4
     radiance[lamp] = 30.0
-    return TrainingData(
+    observations = SimpleNamespace(
         pool=np.arange(count),
         donor=np.arange(count),
-        position=position * 4.0 - 2.0,
-        radiance=radiance.astype(np.float32),
-        label=part,
-        group=np.full(count, -1) if kind == "none" else part,
-        diffuse=diffuse.astype(np.float16),
-        specular=np.full((count, 3, 2, 3), 1e-3, np.float16),
-        levels=LEVELS,
-        semantic=kind == "semantic",
-        group_roughness=np.array([1.0, 1.0], np.float32),
-        group_metallic=np.array([0.0, 0.0], np.float32),
-        group_errors=np.zeros((2, 2), np.float32),
-        normalise=lambda world: ((world + 2.0) / 4.0).astype(np.float32),
+        part=part,
+        parts=SimpleNamespace(kind=kind),
+        pixels=SimpleNamespace(
+            position=position * 4.0 - 2.0,
+            own=radiance.astype(np.float32),
+            triangle=np.where(lamp, 2, part),
+        ),
+    )
+    return TrainingData(
+        observations,
+        ShadingStore(diffuse.astype(np.float16), np.full((count, 3, 2, 3), 1e-3, np.float16)),
+        LEVELS,
+        np.full(count, -1) if kind == "none" else part.copy(),
+        GroupMaterials(np.array([[1.0, 0.0]] * 2, np.float32), np.zeros((2, 2), np.float32)),
+        np.zeros(0, bool),
     )
 
 
-def make_surfaces(data: TrainingData) -> Surfaces:
+def make_surfaces() -> Surfaces:
     """Triangle 0 is the red half, 1 the blue one and 2 the lamp; the halves are units."""
-    triangle = np.where(data.radiance[:, 0] > 20.0, 2, data.label)
-    return Surfaces(
-        triangle, np.array([0, 1, -1]), np.array([False, False, True]), np.zeros((0, 3), np.float32)
-    )
+    emitting, emission = np.array([False, False, True]), np.zeros((0, 3), np.float32)
+    return Surfaces(Box(np.full(3, -2.0), 4.0), np.array([0, 1, -1]), emitting, emission)
 
 
 def do_train(
@@ -76,7 +81,7 @@ def do_train(
     train(
         networks,
         data,
-        make_surfaces(data),
+        make_surfaces(),
         replace(SETTINGS, training_steps=steps, **changes),
         resume,
         progress,
@@ -156,33 +161,34 @@ def test_a_checkpoint_that_does_not_fit_is_refused(change, tmp_path: Path) -> No
 @pytest.mark.parametrize("glow", [False, True])
 def test_colours_are_found_beside_a_lamp_that_does_not_count(glow: bool, one_thread) -> None:
     """Emission of the red half that is known is subtracted."""
-    networks, data = make_networks(), make_data()
-    surfaces = make_surfaces(data)
+    networks, data, surfaces = make_networks(), make_data(), make_surfaces()
+    seen, pixels = data.observations, data.observations.pixels
     if glow:
         emission = np.array([[0.4, 0.3, 0.2], [0.0] * 3, [0.0] * 3], np.float32)
-        data.radiance += emission[surfaces.triangle]
+        pixels.own += emission[pixels.triangle]
         surfaces, networks.emission = replace(surfaces, emission=emission), None
     train(networks, data, surfaces, replace(SETTINGS, training_steps=400), None, lambda _: None)
-    inputs = torch.from_numpy(data.normalise(data.position))
+    inputs = torch.from_numpy(surfaces.box.normalise(pixels.position))
     with torch.no_grad():
-        prediction = networks.brdf(inputs, torch.from_numpy(surfaces.unit[surfaces.triangle]))
+        prediction = networks.brdf(inputs, torch.from_numpy(surfaces.unit[pixels.triangle]))
     kd = (prediction.base_color * (1 - prediction.metallic[:, None])).numpy()
-    expected = np.where(data.label[:, None] == 0, [0.7, 0.2, 0.1], [0.1, 0.3, 0.6])
-    on_lamp = surfaces.triangle == 2
+    expected = np.where(seen.part[:, None] == 0, [0.7, 0.2, 0.1], [0.1, 0.3, 0.6])
+    on_lamp = pixels.triangle == 2
     error = np.abs(kd - expected).mean(axis=1)
     assert error[~on_lamp].mean() < 0.04
-    at_border = np.abs(data.normalise(data.position)[:, 0] - 0.5) < 0.05
+    at_border = np.abs(surfaces.box.normalise(pixels.position)[:, 0] - 0.5) < 0.05
     assert error[~on_lamp & at_border].mean() < 0.06
 
 
 def test_the_mask_finds_a_lamp_that_nothing_has_found_before(one_thread) -> None:
     """Reflection can't explain the lamp's pixels, so the mask takes them; l_e keeps it small elsewhere."""
     networks, data = make_networks(), make_data()
-    surfaces = replace(make_surfaces(data), emitting=np.zeros(3, bool))
+    surfaces = replace(make_surfaces(), emitting=np.zeros(3, bool))
     train(networks, data, surfaces, replace(SETTINGS, training_steps=400), None, lambda _: None)
+    pixels = data.observations.pixels
     with torch.no_grad():
-        raw = networks.emission(torch.from_numpy(data.normalise(data.position)))
-    alpha, on_lamp = emission_mask(raw).numpy(), surfaces.triangle == 2
+        raw = networks.emission(torch.from_numpy(surfaces.box.normalise(pixels.position)))
+    alpha, on_lamp = emission_mask(raw).numpy(), pixels.triangle == 2
     threshold = SETTINGS.emitter_threshold
     assert np.quantile(alpha[on_lamp], 0.05) > 5.0 * threshold
     assert np.quantile(alpha[~on_lamp], 0.9) < threshold
@@ -192,7 +198,7 @@ def test_the_mask_finds_a_lamp_that_nothing_has_found_before(one_thread) -> None
 def test_every_term_is_in_the_total(kind: str) -> None:
     """Raising the weight of a term raises the total, unless the data have no such term."""
     data = make_data(kind)
-    batch = gather_batch(data, make_surfaces(data), np.arange(0, 400), CPU)
+    batch = gather_batch(data, make_surfaces(), np.arange(0, 400), CPU)
     partners, networks = torch.arange(0, 400, 2), make_networks()
     with torch.no_grad():  # it starts with hardly any detail
         networks.brdf.mlp[-1].weight.mul_(1000.0)
@@ -215,16 +221,16 @@ def test_every_term_is_in_the_total(kind: str) -> None:
 
 
 def test_batches_keep_their_rows_together(rng: np.random.Generator) -> None:
-    data = make_data()
-    surfaces = make_surfaces(data)
-    data.label[5] = data.group[5] = -1
+    data, surfaces = make_data(), make_surfaces()
+    seen, pixels = data.observations, data.observations.pixels
+    seen.part[5] = data.group[5] = -1
     rows = rng.permutation(200)
     batch = gather_batch(data, surfaces, rows, CPU)
     order = np.sort(rows)
-    assert (batch.label.numpy() == data.label[order]).all()
+    assert (batch.label.numpy() == seen.part[order]).all()
     assert not batch.grouped[5] and batch.grouped[6]
-    np.testing.assert_array_equal(batch.radiance.numpy(), data.radiance[order])
-    np.testing.assert_array_equal(batch.position.numpy(), data.normalise(data.position[order]))
-    assert (batch.reflects.numpy() == (surfaces.triangle[order] != 2)).all()
-    assert batch.unit.numpy().tolist() == surfaces.unit[surfaces.triangle[order]].tolist()
-    assert batch.diffuse.dtype == torch.float32 and batch.group_roughness[5] == 1.0
+    np.testing.assert_array_equal(batch.radiance.numpy(), pixels.own[order])
+    np.testing.assert_array_equal(batch.position.numpy(), surfaces.box.normalise(pixels.position[order]))
+    assert (batch.reflects.numpy() == (pixels.triangle[order] != 2)).all()
+    assert batch.unit.numpy().tolist() == surfaces.unit[pixels.triangle[order]].tolist()
+    assert batch.diffuse.dtype == torch.float32 and batch.group_material[5].tolist() == [1.0, 0.0]

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..material.training import TrainingData
+from ..material.closed_form import CellEstimate, TrainingData
+from ..material.pixel_samples import rows_with_donor
 from ..report.comparison import to_display
 from ..report.pictures import write_png
 from ..run.runfolder import RunFolder, write_json
 from ..run.shapes import DOUBTS_FORMAT, DOUBTS_VERSION
-from ..scene.pixels import PixelStore
 
 MOST_DOUBTS = 20
 # Standard deviation of roughness or metallic, or of whether a part emits, from which a part is doubtful.
@@ -89,37 +89,38 @@ def question(metallic: float, errors: np.ndarray, color: float, lamp: bool) -> t
 
 def write_doubts(
     folder: RunFolder,
-    pixels: PixelStore,
     data: TrainingData,
+    cells: CellEstimate,
     bright: np.ndarray,
     decided: np.ndarray,
-    colors: np.ndarray,
     names: np.ndarray,
 ) -> None:
     """Write results/doubts.json and its pictures, the most doubtful part first.
 
     Args:
-        data: of the last closed-form estimate.
+        data, cells: the last closed-form estimate.
         bright: (T,) share of each triangle's pixels that are brighter than a white surface.
         decided: (T,) bool, triangles of which hints say whether they emit.
-        colors: (G,) mean base color of the groups.
         names: (T,) name of each triangle's part, "" without one.
 
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
-    counts, bright_of, decided_of = _counts(pixels, data, bright, decided)
+    pixels, materials = data.observations.pixels, data.materials
+    counts, bright_of, decided_of = _counts(data, bright, decided)
     total = counts.sum(axis=0)
-    doubts = group_doubts(data.group_errors, total, bright_of, decided_of)
+    doubts = group_doubts(materials.error, total, bright_of, decided_of)
     order = np.argsort(-doubts.score, kind="stable")[:MOST_DOUBTS]
     shutil.rmtree(folder.doubts, ignore_errors=True)
     entries = []
     for number, group in enumerate(order[doubts.score[order] > 0.0].tolist(), start=1):
         lamp = bool(doubts.lamp[group] >= doubts.material[group])
-        errors, metallic = data.group_errors[group], float(data.group_metallic[group])
-        word, text = question(metallic, errors, float(colors[group]), lamp)
+        errors, (roughness, metallic) = materials.error[group], materials.mean[group].tolist()
+        own = cells.group == group
+        color = float(np.average(cells.color[own].mean(axis=1), weights=cells.pixels[own]))
+        word, text = question(metallic, errors, color, lamp)
         view = int(counts[:, group].argmax())
-        place, box, picture = _picture(pixels, data, view, group)
+        place, box, picture = _picture(data, view, group)
         path = folder.doubts / f"{number:02d}.png"
         write_png(path, picture)
         entries.append(
@@ -130,7 +131,7 @@ def write_doubts(
                 "point": [round(float(value), 5) for value in pixels.position[place]],
                 "pixels": int(total[group]),
                 "share": round(float(doubts.share[group]), 5),
-                "roughness": round(float(data.group_roughness[group]), 4),
+                "roughness": round(roughness, 4),
                 "metallic": round(metallic, 4),
                 "roughness_error": round(float(errors[0]), 4),
                 "metallic_error": round(float(errors[1]), 4),
@@ -143,14 +144,15 @@ def write_doubts(
 
 
 def _counts(
-    pixels: PixelStore, data: TrainingData, bright: np.ndarray, decided: np.ndarray
+    data: TrainingData, bright: np.ndarray, decided: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(V, G) pixels of each view and group; (G,) share that is bright; (G,) bool, most are decided."""
-    groups, views = len(data.group_roughness), len(pixels.views)
+    pixels, groups = data.observations.pixels, len(data.materials.mean)
+    views = len(pixels.views)
     counts = np.zeros((views, groups), np.int64)
     sums = np.zeros((2, groups))
     for view in range(views):
-        rows = _rows(pixels, data, view)
+        rows = _rows(data, view)
         group, triangle = np.asarray(data.group[rows]), np.asarray(pixels.triangle[rows])
         counts[view] = np.bincount(group, minlength=groups)
         for total, of_triangle in zip(sums, (bright, decided), strict=True):
@@ -159,23 +161,21 @@ def _counts(
     return counts, share[0], share[1] > 0.5
 
 
-def _rows(pixels: PixelStore, data: TrainingData, view: int) -> np.ndarray:
+def _rows(data: TrainingData, view: int) -> np.ndarray:
     """(n,) pixels of a view that have a donor and a group."""
-    bounds = pixels.rows(view)
-    used = (np.asarray(data.donor[bounds]) >= 0) & (np.asarray(data.group[bounds]) >= 0)
-    return np.flatnonzero(used) + bounds.start
+    rows = rows_with_donor(data.observations, view)
+    return rows[data.group[rows] >= 0]
 
 
-def _picture(
-    pixels: PixelStore, data: TrainingData, view: int, group: int
-) -> tuple[int, list[int], np.ndarray]:
+def _picture(data: TrainingData, view: int, group: int) -> tuple[int, list[int], np.ndarray]:
     """A pixel of a group in a view, near the middle of its pixels; their box; and a picture of it.
 
     The box is left, top, right, bottom in pixels, the last two not included; the picture (h, w, 3) in [0, 1].
     """
+    pixels = data.observations.pixels
     bounds = pixels.rows(view)
     width, height = pixels.views[view].width, pixels.views[view].height
-    rows = _rows(pixels, data, view)
+    rows = _rows(data, view)
     rows = rows[np.asarray(data.group[rows]) == group]
     y, x = np.divmod(rows - bounds.start, width)
     low, high = np.quantile([x, y], [0.02, 0.98], axis=1)

@@ -15,6 +15,7 @@ from ..material.cell_errors import add_light_errors, cell_errors, draw_pixels, l
 from ..material.closed_form import (
     MARKED_SHARE,
     CellEstimate,
+    TrainingData,
     fit_cells,
     followed_by_paths,
     render_rows,
@@ -24,13 +25,11 @@ from ..material.emission_mask import EmissionNetwork, mask_at, masked_triangles
 from ..material.hints import SurfaceHints
 from ..material.networks import typical_values, useful_hash_levels
 from ..material.pixel_samples import lamp_pixels
-from ..material.projection import InitialEstimate
 from ..material.training import (
     PRETRAINING_STEPS,
     Networks,
     Resume,
     Surfaces,
-    TrainingData,
     pretrain,
     read_checkpoint,
     train,
@@ -58,13 +57,13 @@ class MaterialStages(EstimationState):
     def _estimate(self, name: str, refined: bool) -> Facts:
         """The estimate of this name; `refined`: whether shadings are refined with it afterwards."""
         self._input = None  # that of the round before
-        data, initial, cells, bright = self._closed_form()
+        data, cells, bright = self._closed_form()
         joint = self.settings.emission == "joint"
         self._find_cells(self._material_units(data))
-        known = self._known_emission(initial)
+        known = self._known_emission(data)
         if joint:
             emitting = known > 0
-            self.emission = triangle_emission(cells, self.observations, data)
+            self.emission = triangle_emission(cells, data)
             self.emission[known < 0] = 0.0
         else:
             emitting = self._find_emitters(data, cells, bright > MARKED_SHARE, known)
@@ -74,9 +73,9 @@ class MaterialStages(EstimationState):
         self.diffuse, self.materials = np.zeros((0, 3), np.float16), np.zeros((0, 5), np.float32)
         if refined:
             # Kept for stage 3, which writes over the shadings from which these are made.
-            self.diffuse = self.observations.means(data.diffuse).astype(np.float16)
+            self.diffuse = self.observations.means(data.shadings.diffuse).astype(np.float16)
             limit = self.settings.cache_roughness
-            self.materials = self._entry_values(followed_by_paths(cells, data.group_errors[:, 0], limit))
+            self.materials = self._entry_values(followed_by_paths(cells, data.materials.error[:, 0], limit))
         self._save_estimate(name, emitting)
         return {"cells": len(cells.keys)}
 
@@ -95,24 +94,19 @@ class MaterialStages(EstimationState):
                 "Tick Light Changes Too and estimate again with hints, or use Estimate.",
             )
 
-    def _closed_form(self) -> tuple[TrainingData, InitialEstimate, CellEstimate, np.ndarray]:
-        """The data to train on with the last shadings, the closed-form estimate of a sample of them, and
-        that of all cells with the share of each triangle's pixels that are brighter than white (T,)."""
+    def _closed_form(self) -> tuple[TrainingData, CellEstimate, np.ndarray]:
+        """The data to train on with the last shadings, the closed-form estimate of all cells, and the share
+        of each triangle's pixels that are brighter than white (T,)."""
         if self._input is None:
-            data, initial = training_input(
-                self.observations,
-                self._pieces,
-                self._open_shadings(),
-                self.levels,
-                self.box.normalise,
-                self.settings,
-                self.hints,
+            shadings, settings = self._open_shadings(), self.settings
+            data = training_input(
+                self.observations, self._pieces, shadings, self.levels, settings, self.hints
             )
-            joint = self.settings.lambda_joint if self.settings.emission == "joint" else None
-            self._input = (data, initial, *fit_cells(self.observations, data, joint))
+            joint = settings.lambda_joint if settings.emission == "joint" else None
+            self._input = (data, *fit_cells(data, joint))
         return self._input
 
-    def _known_emission(self, initial: InitialEstimate) -> np.ndarray:
+    def _known_emission(self, data: TrainingData) -> np.ndarray:
         """(T,) int8, 1 on triangles that emit in any case, -1 on those that do not, 0 elsewhere.
 
         Parts emit whose radiance is constant although the light on them varies. Photographs that are not HDR
@@ -122,8 +116,8 @@ class MaterialStages(EstimationState):
         known = np.zeros(len(part), np.int8)
         if not self.photometry:
             # Semantic classes, and parts that no pixel saw, have no estimate.
-            has_part = (part >= 0) & (part < len(initial.part_emits))
-            known[has_part] = initial.part_emits[part[has_part]]
+            has_part = (part >= 0) & (part < len(data.constant))
+            known[has_part] = data.constant[part[has_part]]
         if self.hints is not None:
             told = self.hints.of_triangles(
                 self.hints.emits - (self.hints.left_alone & (self.hints.emits == 0))
@@ -135,17 +129,16 @@ class MaterialStages(EstimationState):
         self, data: TrainingData, cells: CellEstimate, marked: np.ndarray, known: np.ndarray
     ) -> np.ndarray:
         """(T,) bool, triangles that emit; `known`: :meth:`_known_emission`."""
-        estimate = partial(render_rows, cells, self.observations, data)
+        estimate = partial(render_rows, cells, data)
         shadings, surfaces = self._open_shadings(), self._emitter_surfaces
         return find_emission(self.room, self.pixels, shadings, marked, known, estimate, surfaces)
 
     def _closed_form_colors(self, rows: np.ndarray) -> np.ndarray:
         """(R, 3) base colour of the last closed-form estimate in the pixels `rows` (R,)."""
-        entry = np.asarray(self.observations.entry[rows])
         if len(self.materials):
-            return self.materials[entry, :3]
-        data, _, cells, _ = self._closed_form()
-        place = cells.find(entry, np.asarray(data.group[rows], np.int64))
+            return self.materials[self.observations.entry[rows], :3]
+        data, cells, _ = self._closed_form()
+        place = cells.of_pixels(data, rows)
         return np.where(place[:, None] >= 0, cells.color[place], np.float32(0.5))
 
     def _resume_estimate(self, name: str) -> None:
@@ -156,9 +149,9 @@ class MaterialStages(EstimationState):
 
     def _train(self) -> Facts:
         """Fit the networks to the closed-form estimate, then to the photographs; find the emitters."""
-        data, initial, _, _ = self._closed_form()
+        data, cells, _ = self._closed_form()
         surfaces = self._surfaces()
-        networks = self._new_networks(initial)
+        networks = self._new_networks(cells)
         checkpoint = self.folder.stage / f"{UNFINISHED}.pt"
         state = None
         if checkpoint.exists():
@@ -170,7 +163,7 @@ class MaterialStages(EstimationState):
         fitted = PRETRAINING_STEPS / (PRETRAINING_STEPS + self.settings.training_steps)
         if state is None:
             progress = self._progress_within(0.0, fitted)
-            pretrain(networks, data, surfaces, initial, self.settings, progress)
+            pretrain(networks, data, surfaces, cells, self.settings, progress)
         progress = self._progress_within(fitted, 1.0)
         train(networks, data, surfaces, self.settings, Resume(checkpoint, state), progress)
         facts = self._keep_training("training", networks, self.settings.training_steps)
@@ -183,8 +176,8 @@ class MaterialStages(EstimationState):
         The networks add detail to the typical values of the units, those of the new closed form. The
         training's last steps are repeated.
         """
-        data, initial, _, _ = self._closed_form()
-        networks = self._new_networks(initial)
+        data, cells, _ = self._closed_form()
+        networks = self._new_networks(cells)
         try:
             state = self.checkpoints.load_tensors("training", self.device)
             state["brdf"]["typical"] = networks.brdf.state_dict()["typical"]
@@ -200,13 +193,13 @@ class MaterialStages(EstimationState):
         """What is known of the surfaces before a training."""
         _, emitting = self._emitters()
         masked = np.zeros_like(emitting) if len(self.emission) else emitting
-        return Surfaces(self.pixels.triangle, self.units.triangle, masked, self.emission)
+        return Surfaces(self.box, self.units.triangle, masked, self.emission)
 
-    def _new_networks(self, initial: InitialEstimate) -> Networks:
+    def _new_networks(self, cells: CellEstimate) -> Networks:
         """Networks that are not trained yet, with the typical values of the units."""
-        unit = self.units.triangle[self.pixels.triangle[initial.rows]]
+        unit = self.units.triangle[cells.triangle]
         hash_levels = useful_hash_levels(self.settings, self.box.extent, self.observations.footprint)
-        typical = typical_values(initial.values, unit, len(self.units.single))
+        typical = typical_values(cells.values, unit, len(self.units.single))
         self.brdf = self._new_network(hash_levels, typical)
         return Networks(self.brdf, None if len(self.emission) else self._new_mask())
 
@@ -225,7 +218,7 @@ class MaterialStages(EstimationState):
         Triangles emit that the mask or the closed form marks, and whose radiance reflection can't explain.
         """
         settings = self.settings
-        data, initial, cells, bright = self._closed_form()
+        data, cells, bright = self._closed_form()
         marked = masked_triangles(
             self.room,
             partial(mask_at, mask, self.box),
@@ -235,7 +228,7 @@ class MaterialStages(EstimationState):
             candidates=bright > 0.0,
         )
         marked |= bright > MARKED_SHARE
-        return self._find_emitters(data, cells, marked, self._known_emission(initial))
+        return self._find_emitters(data, cells, marked, self._known_emission(data))
 
     # ---- Results -------------------------------------------------------------------------------------------
 
@@ -259,29 +252,20 @@ class MaterialStages(EstimationState):
 
     def _cell_errors(self, unused: np.ndarray) -> np.ndarray:
         """(C, 3) standard errors in the seen cells, without the pixels of `unused` triangles (T,)."""
-        shadings, seed = self._open_shadings(), self.settings.seed
-        data, fields = self._closed_form()[0], self._fields()
+        data, fields, seed = self._closed_form()[0], self._fields(), self.settings.seed
         drawn = draw_pixels(self.pixels, self.units, self.box, self.cells, unused, seed)
-        errors = cell_errors(drawn, self.pixels, self.units, shadings, data, fields, self.cells)
+        errors = cell_errors(drawn, data, self.units, fields, self.cells)
         if self.room.scan is None or not self.fixtures:
             return errors
-        lit = lit_cells(drawn, self.pixels, shadings, fields, self.cells)
+        lit = lit_cells(drawn, data, fields, self.cells)
         # Detail finer than an edge is lost, and so is the place of what lights and what hides.
         doubt = self.room.scan.edge
         of_light = light_errors(self.room, self.fixtures, (lit.points, lit.normals), doubt, seed)
         return add_light_errors(errors, lit, of_light)
 
     def _write_doubts(self, names: np.ndarray) -> None:
-        data, initial, _, bright = self._closed_form()
+        data, cells, bright = self._closed_form()
         decided = np.zeros(len(bright), bool)
         if self.hints is not None:
             decided = self.hints.of_triangles(self.hints.emits) != 0
-        colors = _means(initial.values[:, :3].mean(axis=1), data.group[initial.rows], len(data.group_errors))
-        write_doubts(self.folder, self.pixels, data, bright, decided, colors, names)
-
-
-def _means(values: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:
-    """(groups,) mean of values (N,) by group (N,), negative for none; 0 without any."""
-    known = group >= 0
-    count = np.bincount(group[known], minlength=groups)
-    return np.bincount(group[known], values[known], minlength=groups) / np.maximum(count, 1)
+        write_doubts(self.folder, data, cells, bright, decided, names)

@@ -24,16 +24,15 @@ from ..light.emitters import EmitterPixels, Fixture, emitter_table, group_fixtur
 from ..light.joint import joint_fixtures
 from ..light.observations import Observations
 from ..light.shadings import roughness_levels
-from ..material.closed_form import CellEstimate
+from ..material.closed_form import CellEstimate, TrainingData
 from ..material.emission_mask import EmissionNetwork
 from ..material.fields import RoomFields
 from ..material.groups import Units
 from ..material.hints import SurfaceHints, place_hints
 from ..material.inference import Fields
 from ..material.networks import BrdfNetwork, network_generator
-from ..material.projection import InitialEstimate
 from ..material.seen import SeenCells, fallback_values, find_seen_cells, room_box, seen_statistics
-from ..material.training import Networks, TrainingData
+from ..material.training import Networks
 from ..material.training_input import hinted_units, material_units
 from ..optics.lights import EmitterTable
 from ..run.arrays import check_layouts
@@ -150,7 +149,7 @@ class EstimationState:
         self.materials: np.ndarray
         self._shadings = SHADINGS
         self._units_before: Units | None = None
-        self._input: tuple[TrainingData, InitialEstimate, CellEstimate, np.ndarray] | None = None
+        self._input: tuple[TrainingData, CellEstimate, np.ndarray] | None = None
 
     # Pixels and shadings
 
@@ -212,11 +211,10 @@ class EstimationState:
         """The units of a closed-form estimate."""
         units = self._units_before  # the network knows them by these numbers
         if units is None or self._pieces is None:
-            units = material_units(self.observations, self._pieces, data)
+            units = material_units(self._pieces, data)
         if self.hints is None:
             return units
-        values = data.group_roughness, data.group_metallic
-        return hinted_units(units, self.observations.parts, self.hints, *values)
+        return hinted_units(units, self.observations.parts, self.hints, data.materials)
 
     # Closed form and network
 

@@ -4,23 +4,23 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from ..light.baking import ShadingStore
 from ..scene.grouped import grouped_sums
 from ..scene.pixels import PixelStore
-from .confidence import FLOOR, UNIFORM_DEVIATION, concatenate, linearise, standard_errors
+from .closed_form import TrainingData
+from .confidence import FLOOR, UNIFORM_DEVIATION, linearise, standard_errors
 from .groups import Units
 from .inference import Fields
-from .pixel_samples import pure_rows, read_samples
+from .projection import color_lines
 from .seen import RESOLUTION, Box, SeenCells, cell_keys
-from .training import TrainingData
 
 # About so many pixels are used; more change only the time.
 PIXELS = 1_500_000
-CHUNK = 1 << 16
 # Edge, in cells, of the blocks of similar residuals outside units of one material.
 BLOCK = 8
 # Quantile of the errors of a group's cells that its cells without pure pixels take.
@@ -51,13 +51,11 @@ def draw_pixels(
     """Pure pixels at random, none of `unused` triangles ((T,) bool)."""
     rng = np.random.default_rng([seed, 5])
     probability = PIXELS / max(len(pixels), 1)
-    drawn = []
-    for view in range(len(pixels.views)):
-        bounds = pixels.rows(view)
-        chosen = rng.random(bounds.stop - bounds.start) < probability
-        candidates = pure_rows(pixels, view, ~unused)
-        drawn.append(candidates[chosen[candidates - bounds.start]])
+    ranges = itertools.pairwise(pixels.ranges)
+    drawn = [np.flatnonzero(rng.random(end - start) < probability) + start for start, end in ranges]
     rows = np.concatenate(drawn)
+    triangle = pixels.triangle[rows]
+    rows = rows[(triangle >= 0) & pixels.pure[rows] & ~unused[triangle]]
     position = np.asarray(pixels.position[rows])
     unit = units.triangle[pixels.triangle[rows]]
     seen = np.searchsorted(cells.keys, cell_keys(box, position, unit))
@@ -65,36 +63,26 @@ def draw_pixels(
 
 
 def cell_errors(
-    drawn: DrawnPixels,
-    pixels: PixelStore,
-    units: Units,
-    shadings: ShadingStore,
-    data: TrainingData,
-    fields: Fields,
-    cells: SeenCells,
+    drawn: DrawnPixels, data: TrainingData, units: Units, fields: Fields, cells: SeenCells
 ) -> np.ndarray:
     """(C, 3) float32 standard errors of base colour, roughness and metallic of `fields` in the C cells.
 
     Args:
-        shadings: of all pixels.
-        data: of the last closed-form estimate: its groups and their errors.
+        data: the last shadings, and groups with their errors.
     """
     errors = np.full((len(cells.keys), 3), UNIFORM_DEVIATION, np.float32)
     rows, sampled, cell = drawn.rows, drawn.cells, drawn.place
     if not len(rows):
         return errors
     group_of_cell = groups_of_cells(units, fields, cells)
-    group = group_of_cell[sampled[cell]]
     values = fields.query(drawn.position, drawn.unit)
-    of_group = np.append(data.group_errors, [[UNIFORM_DEVIATION] * 2], axis=0)
-    of_pixel = np.sqrt(of_group[np.asarray(data.group[rows])] ** 2 + FLOOR**2).astype(np.float32)
-    chunks = []
-    for start in range(0, len(rows), CHUNK):
-        chunk = slice(start, start + CHUNK)
-        samples = read_samples(pixels, shadings, data.levels, rows[chunk], cell[chunk], group[chunk])
-        chunks.append(linearise(samples, values[chunk, :3], values[chunk, 3:], of_pixel[chunk]))
+    of_group = np.append(data.materials.error, [[UNIFORM_DEVIATION] * 2], axis=0)
+    of_pixel = np.sqrt(of_group[data.group[rows]] ** 2 + FLOOR**2).astype(np.float32)
+    pixels = data.observations.pixels
+    lines = partial(color_lines, data.shadings, data.levels, rows)
+    linearised = linearise(pixels.own[rows], lines, values[:, :3], values[:, 3:], of_pixel)
+    errors[sampled, 0] = standard_errors(linearised, cell, group_of_cell[sampled[cell]], pixels.view_of(rows))
     material_errors = grouped_sums(of_pixel, cell) / np.bincount(cell)[:, None]
-    errors[sampled, 0] = standard_errors(concatenate(chunks))
     errors[sampled, 1:] = np.minimum(material_errors, UNIFORM_DEVIATION)
     unsampled = np.ones(len(errors), bool)
     unsampled[sampled] = False
@@ -125,9 +113,7 @@ class LitCells:
     diffuse: np.ndarray
 
 
-def lit_cells(
-    drawn: DrawnPixels, pixels: PixelStore, shadings: ShadingStore, fields: Fields, cells: SeenCells
-) -> LitCells:
+def lit_cells(drawn: DrawnPixels, data: TrainingData, fields: Fields, cells: SeenCells) -> LitCells:
     """The cells with the light on them; arguments as of :func:`cell_errors`."""
     rows, seen = drawn.rows, drawn.cells
     count = np.maximum(np.bincount(drawn.place, minlength=len(seen)), 1)[:, None]
@@ -135,9 +121,9 @@ def lit_cells(
     def means(values: np.ndarray) -> np.ndarray:
         return grouped_sums(values, drawn.place, len(seen)) / count
 
-    normals = means(np.asarray(pixels.normal[rows]).astype(np.float64))
+    normals = means(np.asarray(data.observations.pixels.normal[rows], np.float64))
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-6)
-    diffuse = means(np.asarray(shadings.diffuse[rows]).astype(np.float64)).mean(axis=1)
+    diffuse = means(np.asarray(data.shadings.diffuse[rows], np.float64)).mean(axis=1)
     color = fields.query(cells.points[seen], cells.part[seen])[:, :3].mean(axis=1)
     return LitCells(seen, cells.points[seen].astype(np.float64), normals, color, diffuse)
 

@@ -14,13 +14,13 @@ from functools import partial
 
 import numpy as np
 
+from ..light.baking import ShadingStore
 from ..light.observations import Observations
-from ..optics.factorised import color_line
 from ..run.threads import in_threads
 from ..scene.grouped import first_by_key, grouped_sums
+from .mixture import GroupMaterials
 from .pixel_samples import residual_weight, rows_with_donor
-from .projection import specular_at
-from .training import TrainingData
+from .projection import color_lines
 
 # Photographed radiance above this multiple of what a white surface would reflect is emission.
 CLEAR_EMISSION = 1.5
@@ -33,44 +33,66 @@ BELOW_LIMIT = 0.99
 
 
 @dataclass(frozen=True)
+class TrainingData:
+    """The pixels of a run with their shadings and groups; per-pixel arrays may be memory-mapped.
+
+    Attributes:
+        observations: N pixels, and the P of them to train on.
+        shadings: of all pixels at the roughness `levels` (K,).
+        group: (N,) int part of each pixel, or the group in its place (:mod:`.groups`), negative for none.
+        materials: closed-form estimate of the groups, sigma' and m' of l_p.
+        constant: (parts,) bool, parts whose radiance does not follow irradiance (:func:`.constant_parts`).
+            Empty where groups take the place of parts: one may hold pixels of a lamp and of a wall.
+    """
+
+    observations: Observations
+    shadings: ShadingStore
+    levels: np.ndarray
+    group: np.ndarray
+    materials: GroupMaterials
+    constant: np.ndarray
+
+
+@dataclass(frozen=True)
 class CellEstimate:
     """Values of C cells, in ascending order of their keys.
 
     Attributes:
         keys: (C,) int64: cache entry times the number of groups plus one, plus the group plus one.
-        groups: number of groups.
         color: (C, 3) float32 base colour.
         emission: (C, 3) float32 L_e in units of the capture's median; zero unless it is fitted jointly.
         pixels: (C,) number of pixels, mixed ones by their weight.
         triangle: (C,) int64 a triangle that one of them sees.
-        roughness, metallic: (groups + 1,) of the groups; the last is of pixels without a group.
+        materials: (groups + 1, 2) roughness and metallic (:attr:`.GroupMaterials.of_pixels`).
     """
 
     keys: np.ndarray
-    groups: int
     color: np.ndarray
     emission: np.ndarray
     pixels: np.ndarray
     triangle: np.ndarray
-    roughness: np.ndarray
-    metallic: np.ndarray
+    materials: np.ndarray
 
     @property
     def entry(self) -> np.ndarray:
         """(C,) int64 cache entry of each cell."""
-        return self.keys // (self.groups + 1)
+        return self.keys // len(self.materials)
+
+    @property
+    def group(self) -> np.ndarray:
+        """(C,) int64 group of each cell, -1 for none."""
+        return self.keys % len(self.materials) - 1
 
     @property
     def values(self) -> np.ndarray:
         """(C, 5) float32 base colour, roughness and metallic of the cells."""
-        group = self.keys % (self.groups + 1) - 1
-        return np.column_stack([self.color, self.roughness[group], self.metallic[group]]).astype(np.float32)
+        return np.column_stack([self.color, self.materials[self.group]]).astype(np.float32)
 
-    def find(self, entry: np.ndarray, group: np.ndarray) -> np.ndarray:
-        """(N,) int64 cell of cache entries and groups (N,); -1 where no pixel saw the group in the entry."""
-        wanted = entry.astype(np.int64) * (self.groups + 1) + group + 1
+    def of_pixels(self, data: TrainingData, rows: np.ndarray) -> np.ndarray:
+        """(R,) int64 cell of the pixels `rows` (R,); -1 for those whose cell has no estimate."""
+        wanted = _keys(data, rows)
         place = np.minimum(np.searchsorted(self.keys, wanted), len(self.keys) - 1)
-        return np.where(self.keys[place] == wanted, place, -1) if len(self.keys) else np.full(len(entry), -1)
+        return np.where(self.keys[place] == wanted, place, -1) if len(self.keys) else np.full(len(rows), -1)
 
     def by_entry(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The cells of each cache entry together.
@@ -87,9 +109,7 @@ class CellEstimate:
         return entries, sums.astype(np.float32) / count[:, None], self.triangle[order][first]
 
 
-def fit_cells(
-    observations: Observations, data: TrainingData, joint: float | None = None
-) -> tuple[CellEstimate, np.ndarray]:
+def fit_cells(data: TrainingData, joint: float | None = None) -> tuple[CellEstimate, np.ndarray]:
     """The base colours of all cells, and how much each triangle looks like an emitter.
 
     Args:
@@ -99,84 +119,54 @@ def fit_cells(
     Returns:
         The estimate, and (T,) the share of each triangle's pixels that are brighter than a white surface.
     """
-    groups = len(data.group_roughness)
-    roughness, metallic = np.append(data.group_roughness, 1.0), np.append(data.group_metallic, 0.0)
-    views = range(len(observations.pixels.views))
-    triangles = len(observations.parts.triangle_part)
-    keys, triangle = first_by_key(in_threads(partial(_cells_of_view, observations, data), views))
-    count, bright, sums = np.zeros(triangles), np.zeros(triangles), np.zeros((len(keys), 16))
-    for seen in in_threads(partial(_moments_of_view, observations, data, roughness, metallic), views):
-        count += np.bincount(seen.triangle, seen.share, minlength=triangles)
-        bright += np.bincount(seen.triangle, seen.share * seen.emits, minlength=triangles)
-        sums[np.searchsorted(keys, seen.keys)] += seen.sums
-    color, emission = _solve(sums, joint)
-    cells = CellEstimate(
-        keys,
-        groups,
-        color.astype(np.float32),
-        emission.astype(np.float32),
-        sums[:, 15],
-        triangle,
-        roughness,
-        metallic,
-    )
-    return cells, bright / np.maximum(count, 1e-6)
+    views = range(len(data.observations.pixels.views))
+    triangles = len(data.observations.parts.triangle_part)
+    keys, triangle = first_by_key(in_threads(partial(_cells_of_view, data), views))
+    counts, sums = np.zeros((2, triangles)), np.zeros((len(keys), 16))
+    for view_keys, view_sums, *view_counts in in_threads(partial(_moments_of_view, data), views):
+        sums[np.searchsorted(keys, view_keys)] += view_sums
+        counts += view_counts
+    color, emission = (values.astype(np.float32) for values in _solve(sums, joint))
+    cells = CellEstimate(keys, color, emission, sums[:, 15], triangle, data.materials.of_pixels)
+    return cells, counts[1] / np.maximum(counts[0], 1e-6)
 
 
-@dataclass(frozen=True)
-class _ViewMoments:
-    """What the n pixels of a view add to the C cells in which they lie.
-
-    Attributes:
-        keys: (C,) int64, ascending.
-        sums: (C, 16) weighted moments of :func:`_solve`, and the sum of the weights.
-        triangle: (n,) int64 that each pixel sees. share: (n,) weight. emits: (n,) bool, brighter than white.
-    """
-
-    keys: np.ndarray
-    sums: np.ndarray
-    triangle: np.ndarray
-    share: np.ndarray
-    emits: np.ndarray
+def _keys(data: TrainingData, rows: np.ndarray) -> np.ndarray:
+    """(R,) int64 keys of the cells (:class:`CellEstimate`) of pixels with a donor."""
+    entry, group = (np.asarray(array[rows], np.int64) for array in (data.observations.entry, data.group))
+    return entry * (len(data.materials.mean) + 1) + group + 1
 
 
-def _keyed_rows(
-    observations: Observations, data: TrainingData, view: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(n,) pixels of a view that have a donor, their groups, and the keys of their cells; int64."""
-    rows = rows_with_donor(observations.pixels, data.donor, view)
-    group = np.asarray(data.group[rows], np.int64)
-    key = np.asarray(observations.entry[rows], np.int64) * (len(data.group_roughness) + 1) + group + 1
-    return rows, group, key
-
-
-def _cells_of_view(
-    observations: Observations, data: TrainingData, view: int
-) -> tuple[np.ndarray, np.ndarray]:
+def _cells_of_view(data: TrainingData, view: int) -> tuple[np.ndarray, np.ndarray]:
     """(C,) ascending keys of the cells that a view sees, and (C,) the triangle of the first pixel in each."""
-    rows, _, key = _keyed_rows(observations, data, view)
-    keys, first = np.unique(key, return_index=True)
-    return keys, np.asarray(observations.pixels.triangle[rows[first]], np.int64)
+    rows = rows_with_donor(data.observations, view)
+    keys, first = np.unique(_keys(data, rows), return_index=True)
+    return keys, np.asarray(data.observations.pixels.triangle[rows[first]], np.int64)
 
 
-def _moments_of_view(
-    observations: Observations, data: TrainingData, roughness: np.ndarray, metallic: np.ndarray, view: int
-) -> _ViewMoments:
-    """The moments of one view; roughness and metallic (groups + 1,)."""
-    rows, group, key = _keyed_rows(observations, data, view)
-    donor = data.donor[rows]
-    radiance, diffuse = (np.asarray(array[donor], np.float64) for array in (data.radiance, data.diffuse))
-    s0, s1 = specular_at(data.specular, donor, data.levels, roughness[group])
-    slope, offset = color_line(diffuse, s0, s1, metallic[group][:, None])
-    share = np.asarray(observations.pixels.weight[donor], np.float64)
+def _moments_of_view(data: TrainingData, view: int) -> tuple[np.ndarray, ...]:
+    """What a view adds to the C cells that it sees and to the T triangles.
+
+    Returns:
+        (C,) int64 keys, ascending; (C, 16) weighted moments of :func:`_solve`, and the sum of the weights;
+        (T,) weight of the pixels on each triangle, and (T,) of those that are brighter than white surfaces.
+    """
+    observations, pixels = data.observations, data.observations.pixels
+    rows = rows_with_donor(observations, view)
+    donor = observations.donor[rows]
+    radiance, diffuse = (
+        np.asarray(array[donor], np.float64) for array in (pixels.own, data.shadings.diffuse)
+    )
+    slope, offset = color_lines(data.shadings, data.levels, donor, data.materials.of_pixels[data.group[rows]])
+    share = np.asarray(pixels.weight[donor], np.float64)
     white = CLEAR_EMISSION * (np.maximum(diffuse, slope) + offset)
     emits = (radiance > white).all(axis=1) & (radiance.mean(axis=1) > LEAST_EMISSION)
     weight, rest = share[:, None] * residual_weight(radiance), radiance - offset
     moments = (weight * slope * rest, weight * slope**2, weight * slope, weight * rest, weight)
-    keys, place = np.unique(key, return_inverse=True)
+    keys, place = np.unique(_keys(data, rows), return_inverse=True)
     sums = grouped_sums(np.column_stack([*moments, share]), place)
-    triangle = np.asarray(observations.pixels.triangle[rows], np.int64)
-    return _ViewMoments(keys, sums, triangle, share, emits)
+    triangle, triangles = pixels.triangle[rows], len(observations.parts.triangle_part)
+    return keys, sums, *(np.bincount(triangle, each, triangles) for each in (share, share * emits))
 
 
 def _solve(sums: np.ndarray, joint: float | None) -> tuple[np.ndarray, np.ndarray]:
@@ -207,35 +197,30 @@ def followed_by_paths(cells: CellEstimate, errors: np.ndarray, limit: float) -> 
     Args:
         errors: (groups,) standard deviation of the groups' roughness.
     """
-    lowest = cells.roughness - np.append(errors, 0.0)
-    unsure = (cells.roughness > limit) & (lowest <= limit)
-    return replace(cells, roughness=np.where(unsure, BELOW_LIMIT * limit, cells.roughness))
+    roughness = cells.materials[:, 0]
+    unsure = (roughness > limit) & (roughness - np.append(errors, 0.0) <= limit)
+    followed = np.where(unsure, BELOW_LIMIT * limit, roughness)
+    return replace(cells, materials=np.column_stack([followed, cells.materials[:, 1]]))
 
 
-def render_rows(
-    cells: CellEstimate, observations: Observations, data: TrainingData, rows: np.ndarray
-) -> np.ndarray:
+def render_rows(cells: CellEstimate, data: TrainingData, rows: np.ndarray) -> np.ndarray:
     """(R, 3) float32 reflected radiance (paper Eq. 5) of the pixels `rows` (R,) with their own shadings.
 
     Pixels in cells without an estimate get that of a white surface.
     """
-    group = np.asarray(data.group[rows], np.int64)
-    place = cells.find(observations.entry[rows], group)
+    place = cells.of_pixels(data, rows)
     color = np.where(place[:, None] >= 0, cells.color[place], 1.0)
-    s0, s1 = specular_at(data.specular, rows, data.levels, cells.roughness[group])
-    diffuse = np.asarray(data.diffuse[rows], np.float32)
-    slope, offset = color_line(diffuse, s0, s1, cells.metallic[group][:, None])
+    slope, offset = color_lines(data.shadings, data.levels, rows, cells.materials[data.group[rows]])
     return (slope * color + offset).astype(np.float32)
 
 
-def triangle_emission(cells: CellEstimate, observations: Observations, data: TrainingData) -> np.ndarray:
+def triangle_emission(cells: CellEstimate, data: TrainingData) -> np.ndarray:
     """(T, 3) float32 mean emission of the pixels that see each triangle."""
-    pixels, triangles = observations.pixels, len(observations.parts.triangle_part)
+    triangles = len(data.observations.parts.triangle_part)
     sums, count = np.zeros((triangles, 3)), np.zeros(triangles)
-    for view in range(len(pixels.views)):
-        rows, group, _ = _keyed_rows(observations, data, view)
-        emission = cells.emission[cells.find(observations.entry[rows], group)]
-        on = np.asarray(pixels.triangle[rows])
-        np.add.at(sums, on, emission)
+    for view in range(len(data.observations.pixels.views)):
+        rows = rows_with_donor(data.observations, view)
+        on = np.asarray(data.observations.pixels.triangle[rows])
+        np.add.at(sums, on, cells.emission[cells.of_pixels(data, rows)])
         count += np.bincount(on, minlength=triangles)
     return (sums / np.maximum(count, 1.0)[:, None]).astype(np.float32)

@@ -10,15 +10,13 @@ within a view, so the views are the independent samples.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from ..optics.factorised import color_line
 from ..scene.grouped import grouped_median, grouped_sums
-from .pixel_samples import PixelSamples, residual_weight
-from .projection import specular_at
+from .pixel_samples import residual_weight
 
 # Standard deviation of a value of which nothing is known but that it lies in [0, 1].
 UNIFORM_DEVIATION = 12.0**-0.5
@@ -57,9 +55,6 @@ class LinearisedPixels:
         weight: (N, 3) weight of the squared residual.
         by_color: (N, 3) derivative of the rendered radiance by base colour.
         by_roughness, by_metallic: (N, 3) its change where roughness or metallic changes by its error.
-        cell: (N,) int, from 0: surface cell, which has one base colour.
-        group: (N,) int, from 0: cells of similar residuals; each cell lies in one group.
-        view: (N,) int.
     """
 
     residual: np.ndarray
@@ -67,63 +62,51 @@ class LinearisedPixels:
     by_color: np.ndarray
     by_roughness: np.ndarray
     by_metallic: np.ndarray
-    cell: np.ndarray
-    group: np.ndarray
-    view: np.ndarray
-
-
-def concatenate(chunks: Sequence[LinearisedPixels]) -> LinearisedPixels:
-    """The pixels of all chunks, in order."""
-    names = [field.name for field in fields(LinearisedPixels)]
-    return LinearisedPixels(*(np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in names))
 
 
 def linearise(
-    samples: PixelSamples, color: np.ndarray, material: np.ndarray, errors: np.ndarray
+    radiance: np.ndarray,
+    lines: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    color: np.ndarray,
+    material: np.ndarray,
+    errors: np.ndarray,
 ) -> LinearisedPixels:
     """Eq. 5 linearised at the estimate.
 
     Args:
+        radiance: (N, 3) photographed.
+        lines: roughness and metallic (N, 2) to slope and offset of the rendering (:func:`.color_lines`).
         color: (N, 3). material, errors: (N, 2) roughness and metallic, and their standard errors.
     """
-    rows, levels = np.arange(len(color)), samples.levels
-    lowest = np.array([levels[0], 0.0], np.float32)
-
-    def line(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        s0, s1 = specular_at(samples.specular, rows, levels, at[:, 0])
-        return color_line(samples.diffuse, s0, s1, at[:, 1:])
 
     def rendered(step: np.ndarray) -> np.ndarray:
-        slope, offset = line(np.clip(material + step * errors, lowest, 1.0))
+        slope, offset = lines(np.clip(material + step * errors, 0.0, 1.0))
         return slope * color + offset
 
-    slope, offset = line(material)
+    slope, offset = lines(material)
     changes = [0.5 * (rendered(step) - rendered(-step)) for step in np.eye(2, dtype=np.float32)]
-    return LinearisedPixels(
-        residual=samples.radiance - slope * color - offset,
-        weight=residual_weight(samples.radiance),
-        by_color=slope,
-        by_roughness=changes[0],
-        by_metallic=changes[1],
-        cell=samples.cell,
-        group=samples.group,
-        view=samples.view,
-    )
+    return LinearisedPixels(radiance - slope * color - offset, residual_weight(radiance), slope, *changes)
 
 
-def standard_errors(pixels: LinearisedPixels) -> np.ndarray:
+def standard_errors(
+    pixels: LinearisedPixels, cell: np.ndarray, group: np.ndarray, view: np.ndarray
+) -> np.ndarray:
     """(cells,) standard errors of base colour by least squares, root mean square over the channels.
 
     They are never above `UNIFORM_DEVIATION`.
+
+    Args:
+        cell: (N,) int, from 0: surface cell of each pixel, which has one base colour.
+        group: (N,) int, from 0: cells of similar residuals; each cell lies in one group.
+        view: (N,) int.
     """
-    cell, group = pixels.cell, pixels.group
     cells = int(cell.max(initial=-1)) + 1
     weighted = pixels.weight * pixels.by_color
     information = grouped_sums(weighted * pixels.by_color, cell, cells)
     information = np.maximum(information, LEAST_INFORMATION)
     group_of_cell = np.zeros(cells, np.int64)
     group_of_cell[cell] = group
-    views, spread = _view_variance(pixels, information, group_of_cell)
+    views, spread = _view_variance(pixels, cell, view, information, group_of_cell)
     variance = spread * (views * COMMON + 1.0 - COMMON)[:, None] / information
     variance[information <= LEAST_INFORMATION] = np.inf
     variance += FLOOR**2
@@ -134,15 +117,20 @@ def standard_errors(pixels: LinearisedPixels) -> np.ndarray:
 
 
 def _view_variance(
-    pixels: LinearisedPixels, information: np.ndarray, group_of_cell: np.ndarray
+    pixels: LinearisedPixels,
+    cell: np.ndarray,
+    view: np.ndarray,
+    information: np.ndarray,
+    group_of_cell: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(cells,) number of views of each cell, and (cells, 3) variance of a view's weighted residual.
 
     Args:
+        cell, view: (N,) int of the pixels.
         information: (cells, 3). group_of_cell: (cells,) int.
     """
-    stride = int(pixels.view.max(initial=0)) + 1
-    pair, pair_of_pixel = np.unique(pixels.cell.astype(np.int64) * stride + pixels.view, return_inverse=True)
+    stride = int(view.max(initial=0)) + 1
+    pair, pair_of_pixel = np.unique(cell.astype(np.int64) * stride + view, return_inverse=True)
     cell_of_pair = pair // stride
     weighted = pixels.weight * pixels.by_color
     score = grouped_sums(weighted * pixels.residual, pair_of_pixel, len(pair))

@@ -100,8 +100,7 @@ def piece_units(
     triangle: np.ndarray,
     group: np.ndarray,
     pixels: np.ndarray,
-    roughness: np.ndarray,
-    metallic: np.ndarray,
+    materials: np.ndarray,
 ) -> Units:
     """Units where no parts are known: connected pieces of the mesh that are of one material, else classes.
 
@@ -110,7 +109,7 @@ def piece_units(
         pieces: (T,) int connected piece of each triangle.
         triangle, group, pixels: (K,) int, the number of pixels that see a triangle and belong to a group
             (NO_GROUP for none).
-        roughness, metallic: (G,) of the groups.
+        materials: (G + 1, 2) roughness and metallic of the groups; the last row, at -1, is of no group.
     """
     label = parts.triangle_part
     classes = int(label.max(initial=-1)) + 1
@@ -119,8 +118,7 @@ def piece_units(
     count = np.bincount(unit_of, pixels, minlength=int(unit.max(initial=-1)) + 1)
     # Pixels without a group are like no others.
     alike = group >= 0
-    for of_group in (roughness, metallic):
-        values = np.append(of_group, 0.0)[group]
+    for values in materials[group].T:
         medians = grouped_weighted_median(values, pixels * (group >= 0), unit_of, len(count))
         alike &= np.abs(values - medians[unit_of]) < SAME_MATERIAL
     single = (np.bincount(unit_of, pixels * alike, minlength=len(count)) >= SAME_SHARE * count) & (count > 0)

@@ -161,10 +161,23 @@ def place_hints(
             triangle[_area(hint, corners)] = number
     areas = triangle >= 0
     entries = list(hints)
+
+    def take(number: int, at: int) -> None:
+        """Note hint `number` on the surface of triangle `at`, without the areas."""
+        name = entries[number].name
+        if areas[at]:
+            problems.append(f"'{name}' lies in the area '{entries[triangle[at]].name}'.")
+            return
+        if surface[at] == NO_PART:
+            problems.append(f"'{name}' lies on a surface without a part.")
+            return
+        if triangle[at] >= 0:
+            problems.append(f"'{entries[triangle[at]].name}' is on the same part as '{name}'.")
+        triangle[(surface == surface[at]) & ~areas] = number
+
     for number, hint in enumerate(hints):
         if not hint.area:
-            at = int(nearest_triangles(np.array(hint.points[:1]), corners)[0])
-            _take_part(number, at, surface, areas, triangle, entries, problems)
+            take(number, int(nearest_triangles(np.array(hint.points[:1]), corners)[0]))
     same = np.arange(len(hints))
     for number, hint in enumerate(hints):
         if hint.same_as is None:
@@ -173,32 +186,11 @@ def place_hints(
         if triangle[at] < 0:
             entries.append(Hint(points=(hint.same_as,), name=f"like {hint.name}"))
             same = np.append(same, len(entries) - 1)
-            _take_part(len(entries) - 1, at, surface, areas, triangle, entries, problems)
+            take(len(entries) - 1, at)
         if triangle[at] >= 0:
             same[same == same[number]] = same[triangle[at]]
     own = np.array([hint.area or pieces is not None for hint in entries], bool)
     return _placed(entries, triangle, own, same, problems)
-
-
-def _take_part(
-    number: int,
-    at: int,
-    surface: np.ndarray,
-    areas: np.ndarray,
-    triangle: np.ndarray,
-    hints: Sequence[Hint],
-    problems: list[str],
-) -> None:
-    """Note hint `number` on the surface of triangle `at`, without the areas, in `triangle` (T,)."""
-    if areas[at]:
-        problems.append(f"'{hints[number].name}' lies in the area '{hints[triangle[at]].name}'.")
-        return
-    if surface[at] == NO_PART:
-        problems.append(f"'{hints[number].name}' lies on a surface without a part.")
-        return
-    if triangle[at] >= 0:
-        problems.append(f"'{hints[triangle[at]].name}' is on the same part as '{hints[number].name}'.")
-    triangle[(surface == surface[at]) & ~areas] = number
 
 
 def _placed(

@@ -16,9 +16,9 @@ import numpy as np
 from ..optics.factorised import color_line, level_roughness
 from ..run.settings import Settings
 from ..run.threads import in_threads
-from ..scene.grouped import grouped_sums
+from ..scene.grouped import grouped_sums, numbered
 from .pixel_samples import PixelSamples, residual_weight
-from .projection import cells_of_groups, fit_colors
+from .projection import fit_colors
 
 # Distance between the candidates' roughness, in baked levels: the posterior is wider than half of it.
 STEP = 0.25
@@ -109,8 +109,7 @@ def _comparable(samples: PixelSamples, light_cell: np.ndarray) -> tuple[PixelSam
 
     Cells are numbered by group, and `rows` from 0.
     """
-    cell = cells_of_groups(samples.cell, samples.group)
-    light = cells_of_groups(light_cell, samples.group)
+    cell, light = (numbered([values, samples.group]) for values in (samples.cell, light_cell))
     kept = (samples.group >= 0) & (np.bincount(cell)[cell] > 1)
     cell, light = (np.unique(values[kept], return_inverse=True)[1] for values in (cell, light))
     return samples.take(kept, cell=cell, rows=np.arange(len(cell))), light

@@ -73,20 +73,17 @@ def diffuse_loss(prediction: Prediction) -> torch.Tensor:
     return ((1.0 - prediction.roughness).abs() + prediction.metallic.abs()).mean()
 
 
-def part_loss(
-    prediction: Prediction, roughness: torch.Tensor, metallic: torch.Tensor, known: torch.Tensor
-) -> torch.Tensor:
+def part_loss(prediction: Prediction, material: torch.Tensor, known: torch.Tensor) -> torch.Tensor:
     """l_p without its weight: L1 distance of roughness and metallic from those of the part (paper Eq. 18).
 
     The paper's sigma' and m' are means over the part's pixels in the batch, weighted by highlights (Eq. 19).
     Here they are the part's closed-form estimate, to which all its pixels contribute.
 
     Args:
-        roughness, metallic: (N,) sigma' and m'.
+        material: (N, 2) sigma' and m'.
         known: (N,) bool, whether a pixel belongs to a part.
     """
-    distance = (prediction.roughness - roughness).abs() + (prediction.metallic - metallic).abs()
-    return (distance * known).mean()
+    return ((prediction.values[:, 3:] - material).abs().sum(dim=1) * known).mean()
 
 
 def semantic_loss(

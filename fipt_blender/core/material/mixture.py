@@ -38,6 +38,11 @@ class GroupMaterials:
     mean: np.ndarray
     error: np.ndarray
 
+    @property
+    def of_pixels(self) -> np.ndarray:
+        """(G + 1, 2) the means; the last row, at -1, is of pixels without a group, which are diffuse."""
+        return np.append(self.mean, [[1.0, 0.0]], axis=0)
+
 
 def infer_materials(
     samples: PixelSamples,

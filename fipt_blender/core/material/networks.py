@@ -78,7 +78,8 @@ class BrdfNetwork(torch.nn.Module):
             device,
         )
         widths = [self.grid.width] + [settings.brdf_width] * settings.brdf_depth + [5]
-        self.mlp = _mlp(widths, generator, device)
+        layers = (linear(a, b, generator, device) for a, b in itertools.pairwise(widths))
+        self.mlp = torch.nn.ModuleList(layers)
         with torch.no_grad():
             self.mlp[-1].weight.mul_(_FIRST_DETAIL)
 
@@ -125,11 +126,6 @@ def useful_hash_levels(settings: Settings, extent: float, footprint: float) -> i
             break
         levels += 1
     return levels
-
-
-def _mlp(widths: list[int], generator: torch.Generator, device: torch.device) -> torch.nn.ModuleList:
-    pairs = itertools.pairwise(widths)
-    return torch.nn.ModuleList([linear(a, b, generator, device) for a, b in pairs])
 
 
 def linear(inputs: int, outputs: int, generator: torch.Generator, device: torch.device) -> torch.nn.Linear:

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from ..light.baking import ShadingStore
+from ..light.emitters import pixels_on
+from ..light.observations import Observations
 from ..light.reflecting import LampPixels
 from ..run.threads import in_threads
 from ..scene.pixels import PixelStore
@@ -72,26 +74,6 @@ def residual_weight(radiance: np.ndarray) -> np.ndarray:
     return 1.0 / (radiance + RADIANCE_FLOOR) ** 2
 
 
-def read_samples(
-    pixels: PixelStore,
-    shadings: ShadingStore,
-    levels: np.ndarray,
-    rows: np.ndarray,
-    cell: np.ndarray,
-    group: np.ndarray,
-) -> PixelSamples:
-    """The pixels `rows` (N,) as samples.
-
-    Args:
-        shadings: of all pixels at the roughness `levels` (K,).
-        cell, group: (N,), see :class:`PixelSamples`.
-    """
-    arrays = (pixels.own, shadings.diffuse, shadings.specular)
-    radiance, diffuse, specular = (np.asarray(array[rows], np.float32) for array in arrays)
-    weight = np.asarray(pixels.weight[rows])
-    return PixelSamples(rows, radiance, diffuse, specular, levels, cell, group, pixels.view_of(rows), weight)
-
-
 def window_means(
     arrays: Sequence[np.ndarray],
     rows: np.ndarray,
@@ -139,34 +121,20 @@ def window_means(
     return [np.concatenate(found) for found in zip(*in_threads(of_block, blocks), strict=True)]
 
 
-def rows_with_donor(pixels: PixelStore, donor: np.ndarray, view: int) -> np.ndarray:
-    """(n,) int64 pixels of a view that have a donor ((N,) int64, negative for none)."""
-    rows = pixels.rows(view)
-    return np.flatnonzero(donor[rows] >= 0) + rows.start
-
-
-def pure_rows(pixels: PixelStore, view: int, marked: np.ndarray) -> np.ndarray:
-    """(n,) int64 pure pixels of a view that see a marked triangle ((T,) bool)."""
-    rows = pixels.rows(view)
-    triangle = np.asarray(pixels.triangle[rows])
-    wanted = (triangle >= 0) & np.asarray(pixels.pure[rows]) & marked[np.maximum(triangle, 0)]
-    return np.flatnonzero(wanted) + rows.start
+def rows_with_donor(observations: Observations, view: int) -> np.ndarray:
+    """(n,) int64 pixels of a view that have a donor."""
+    rows = observations.pixels.rows(view)
+    return np.flatnonzero(observations.donor[rows] >= 0) + rows.start
 
 
 def lamp_pixels(pixels: PixelStore, shadings: ShadingStore, emitting: np.ndarray, seed: int) -> LampPixels:
     """A random sample of the pure pixels that see emitting triangles ((T,) bool)."""
-    views = range(len(pixels.views))
-    count = np.zeros(len(emitting), np.int64)
-    for view in views:
-        np.add.at(count, pixels.triangle[pure_rows(pixels, view, emitting)], 1)
+    rows = pixels_on(pixels.triangle, emitting)
+    rows = rows[pixels.pure[rows]]
+    count = np.bincount(pixels.triangle[rows], minlength=len(emitting))
     most = max(LAMP_PIXELS // max(int(emitting.sum()), 1), LEAST_LAMP_PIXELS)
-    probability = most / np.maximum(count, 1)
-    rng = np.random.default_rng([seed, 7])
-    sampled = [np.zeros(0, np.int64)]
-    for view in views:
-        candidates = pure_rows(pixels, view, emitting)
-        sampled.append(candidates[rng.random(len(candidates)) < probability[pixels.triangle[candidates]]])
-    rows = np.concatenate(sampled)
+    drawn = np.random.default_rng([seed, 7]).random(len(rows))
+    rows = rows[drawn < (most / np.maximum(count, 1))[pixels.triangle[rows]]]
     return LampPixels(
         triangle=np.asarray(pixels.triangle[rows]),
         front=np.asarray(pixels.front[rows]),

@@ -22,9 +22,10 @@ from ..run.checkpoints import load_tensors, save_tensors
 from ..run.errors import FiptError
 from ..run.settings import Settings
 from . import losses
+from .closed_form import CellEstimate, TrainingData
 from .emission_mask import EmissionNetwork, emission_mask
 from .networks import BrdfNetwork
-from .projection import InitialEstimate
+from .seen import Box
 
 # Learning rates at the end of a training, as a share of the initial ones; the decay is exponential.
 _FINAL_RATE = 0.1
@@ -71,55 +72,18 @@ class Networks:
         return [self.brdf.grid.table, *self.brdf.mlp.parameters(), *emission]
 
 
-@dataclass
-class TrainingData:
-    """Per-pixel arrays from which batches are drawn; they may be memory-mapped.
-
-    Attributes:
-        pool: (P,) int64 indices of the pixels to train on.
-        donor: (N,) int64 index of the pixel whose radiance and shadings each pixel takes: itself, or a pure
-            one beside a mixed one.
-        position: (N, 3) float32 world metres.
-        radiance: (N, 3) float32 in units of the capture's median.
-        label: (N,) int part or semantic class of each pixel, negative for none.
-        group: (N,) int part of each pixel, or the group in its place (:mod:`.groups`), negative for none.
-        diffuse: (N, 3) L_d.
-        specular: (N, K, 2, 3) L_s0 and L_s1.
-        levels: (K,) roughness levels.
-        semantic: whether labels are semantic classes.
-        group_roughness, group_metallic: (groups,) closed-form estimates, sigma' and m' of l_p.
-        group_errors: (groups, 2) standard errors of both.
-        normalise: maps world positions to the unit cube.
-    """
-
-    pool: np.ndarray
-    donor: np.ndarray
-    position: np.ndarray
-    radiance: np.ndarray
-    label: np.ndarray
-    group: np.ndarray
-    diffuse: np.ndarray
-    specular: np.ndarray
-    levels: np.ndarray
-    semantic: bool
-    group_roughness: np.ndarray
-    group_metallic: np.ndarray
-    group_errors: np.ndarray
-    normalise: Callable[[np.ndarray], np.ndarray]
-
-
 @dataclass(frozen=True)
 class Surfaces:
-    """What is known of the surfaces that pixels see.
+    """What is known of the T triangles before a training.
 
     Attributes:
-        triangle: (N,) int triangle that each pixel sees, negative where none; may be memory-mapped.
-        unit: (T,) int unit of each triangle, negative for none.
-        emitting: (T,) bool, triangles whose pixels show emission, not only reflection.
-        emission: (T, 3) float32 radiance that is subtracted from the pixels of a triangle; (0, 3) for none.
+        box: to which positions are normalised.
+        unit: (T,) int unit of each, negative for none.
+        emitting: (T,) bool, those whose pixels show emission, not only reflection.
+        emission: (T, 3) float32 radiance that is subtracted from their pixels; (0, 3) for none.
     """
 
-    triangle: np.ndarray
+    box: Box
     unit: np.ndarray
     emitting: np.ndarray
     emission: np.ndarray
@@ -134,7 +98,7 @@ class Batch:
         radiance: (B, 3) without known emission. reflects: (B,) bool, whether it is reflection alone.
         diffuse: (B, 3). specular: (B, K, 2, 3). levels: (K,).
         label: (B,) int64, negative for none. grouped: (B,) bool, whether it has a group.
-        group_roughness, group_metallic: (B,) sigma' and m' of its group; 1 and 0 without.
+        group_material: (B, 2) sigma' and m' of its group; 1 and 0 without.
         semantic: whether labels are semantic classes.
     """
 
@@ -147,40 +111,49 @@ class Batch:
     diffuse: torch.Tensor
     specular: torch.Tensor
     levels: torch.Tensor
-    group_roughness: torch.Tensor
-    group_metallic: torch.Tensor
+    group_material: torch.Tensor
     semantic: bool
 
 
 def gather_batch(data: TrainingData, surfaces: Surfaces, rows: np.ndarray, device: torch.device) -> Batch:
     """Read the pixels `rows` (B,), in ascending order: sorted access keeps memory-mapped files fast."""
     rows = np.sort(rows)
-    donors = data.donor[rows]
+    observations = data.observations
+    donors = observations.donor[rows]
 
     def tensor(array: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.asarray(array[donors], np.float32)).to(device)
 
-    triangle = surfaces.triangle[rows]
-    radiance = tensor(data.radiance)
+    triangle = observations.pixels.triangle[rows]
+    radiance = tensor(observations.pixels.own)
     if len(surfaces.emission):
         radiance = radiance - torch.from_numpy(surfaces.emission[triangle]).to(device)
-    label, group = (np.asarray(array[rows], np.int64) for array in (data.label, data.group))
-    # One more entry at -1, for pixels without a group.
-    roughness, metallic = np.append(data.group_roughness, 1.0), np.append(data.group_metallic, 0.0)
+    label, group = (np.asarray(array[rows], np.int64) for array in (observations.part, data.group))
+    material = data.materials.of_pixels[group].astype(np.float32)
+    position, unit = _places(data, surfaces, rows, device)
     return Batch(
-        group_roughness=torch.as_tensor(roughness[group], dtype=torch.float32, device=device),
-        group_metallic=torch.as_tensor(metallic[group], dtype=torch.float32, device=device),
-        position=torch.from_numpy(data.normalise(np.asarray(data.position[rows]))).to(device),
-        unit=torch.from_numpy(surfaces.unit[triangle].astype(np.int64)).to(device),
+        position=position,
+        unit=unit,
         radiance=radiance,
         reflects=torch.from_numpy(~surfaces.emitting[triangle]).to(device),
         label=torch.from_numpy(label).to(device),
         grouped=torch.from_numpy(group >= 0).to(device),
-        diffuse=tensor(data.diffuse),
-        specular=tensor(data.specular),
+        diffuse=tensor(data.shadings.diffuse),
+        specular=tensor(data.shadings.specular),
         levels=torch.from_numpy(data.levels).to(device),
-        semantic=data.semantic,
+        group_material=torch.from_numpy(material).to(device),
+        semantic=observations.parts.kind == "semantic",
     )
+
+
+def _places(
+    data: TrainingData, surfaces: Surfaces, rows: np.ndarray, device: torch.device
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """(R, 3) positions of pixels in the unit cube, and (R,) int64 units."""
+    pixels = data.observations.pixels
+    position = surfaces.box.normalise(np.asarray(pixels.position[rows]))
+    unit = surfaces.unit[pixels.triangle[rows]].astype(np.int64)
+    return torch.from_numpy(position).to(device), torch.from_numpy(unit).to(device)
 
 
 def total_loss(networks: Networks, batch: Batch, settings: Settings, partners: torch.Tensor) -> torch.Tensor:
@@ -202,9 +175,7 @@ def total_loss(networks: Networks, batch: Batch, settings: Settings, partners: t
         emission_loss = losses.emission_loss(raw) * (len(raw) / len(alpha))
     loss = losses.rendering_loss(rendered, alpha, batch.radiance) + settings.lambda_emission * emission_loss
     loss = loss + settings.lambda_diffuse * losses.diffuse_loss(prediction)
-    loss = loss + settings.lambda_part * losses.part_loss(
-        prediction, batch.group_roughness, batch.group_metallic, batch.grouped
-    )
+    loss = loss + settings.lambda_part * losses.part_loss(prediction, batch.group_material, batch.grouped)
     if batch.semantic:
         loss = loss + settings.lambda_semantic * losses.semantic_loss(
             prediction,
@@ -221,7 +192,7 @@ def pretrain(
     networks: Networks,
     data: TrainingData,
     surfaces: Surfaces,
-    estimate: InitialEstimate,
+    cells: CellEstimate,
     settings: Settings,
     progress: Callable[[float], None],
 ) -> None:
@@ -235,23 +206,22 @@ def pretrain(
     if emission is not None:
         rates.append((list(emission.parameters()), _EMISSION_PRETRAINING_RATE))
     optimiser = _Adam(rates, PRETRAINING_STEPS)
-    emitters = pixels_on(surfaces.triangle, surfaces.emitting)
-    size = min(settings.batch_size, len(estimate.rows))
+    pool, triangle = data.observations.pool, data.observations.pixels.triangle
+    emitters = pixels_on(triangle, surfaces.emitting)
+    size = min(settings.batch_size, len(pool))
     # Inside the range of the sigmoid, so that the rendering loss can still move values away from 0 and 1.
-    values = estimate.values.clip(0.02, 0.98)
+    values = cells.values.clip(0.02, 0.98)
     for step in range(PRETRAINING_STEPS):
         rng = np.random.default_rng([settings.seed, 1000, step])
-        chosen = np.sort(rng.integers(0, len(estimate.rows), size))
-        rows = estimate.rows[chosen]
-        position = torch.from_numpy(data.normalise(np.asarray(data.position[rows]))).to(device)
-        unit = torch.from_numpy(surfaces.unit[surfaces.triangle[rows]].astype(np.int64)).to(device)
-        prediction = brdf(position, unit)
-        loss = (prediction.values - torch.from_numpy(values[chosen]).to(device)).square().sum(dim=1).mean()
+        rows = np.sort(pool[rng.integers(0, len(pool), size)])
+        target = torch.from_numpy(values[cells.of_pixels(data, rows)]).to(device)
+        prediction = brdf(*_places(data, surfaces, rows, device))
+        loss = (prediction.values - target).square().sum(dim=1).mean()
         if emission is not None:
             asked = _emission_rows(rows[::_EMISSION_STRIDE], emitters, rng)
-            target = torch.from_numpy(surfaces.emitting[surfaces.triangle[asked]]).to(device)
-            raw = emission(torch.from_numpy(data.normalise(np.asarray(data.position[asked]))).to(device))
-            loss = loss + (raw - _EMITTING_RAW_MASK * target).square().mean()
+            emits = torch.from_numpy(surfaces.emitting[triangle[asked]]).to(device)
+            raw = emission(_places(data, surfaces, asked, device)[0])
+            loss = loss + (raw - _EMITTING_RAW_MASK * emits).square().mean()
         optimiser.step(step, loss)
         progress((step + 1) / PRETRAINING_STEPS)
 
@@ -353,10 +323,11 @@ def train(
         networks.load(resume.state)
         optimiser.optimiser.load_state_dict(resume.state["optimiser"])
         start = int(resume.state["step"])
-    size = min(settings.batch_size, len(data.pool))
+    pool = data.observations.pool
+    size = min(settings.batch_size, len(pool))
     for step in range(start, steps):
         rng = np.random.default_rng([settings.seed, 0, step])
-        rows = data.pool[rng.integers(0, len(data.pool), size)]
+        rows = pool[rng.integers(0, len(pool), size)]
         batch = gather_batch(data, surfaces, rows, table.device)
         partners = torch.from_numpy(rng.integers(0, size, min(_PARTNERS, size))).to(table.device)
         optimiser.step(step, total_loss(networks, batch, settings, partners))

@@ -1,21 +1,21 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The input of stage 2: the pixels to train on, and the closed-form estimate at a sample of them."""
+"""The input of stage 2: the pixels with their groups, and the materials of the groups."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
 from ..light.baking import ShadingStore
 from ..light.cache import SIDES
 from ..light.observations import Observations
-from ..optics.factorised import color_line
 from ..run.settings import Settings
 from ..scene.grouped import grouped_sums, numbered, summed_by_key
 from ..scene.labels import Parts
-from ..scene.pixels import PixelStore, open_array
+from ..scene.pixels import open_array
+from .closed_form import TrainingData, fit_cells
 from .groups import (
     LEAST_PIXELS,
     MOST_GROUPS,
@@ -28,12 +28,11 @@ from .groups import (
     similarity,
 )
 from .hints import NO_HINT, SurfaceHints, values_of_hints
-from .mixture import infer_materials
-from .pixel_samples import RADIANCE_FLOOR, PixelSamples, read_samples, rows_with_donor, window_means
-from .projection import InitialEstimate, project
-from .training import TrainingData
+from .mixture import GroupMaterials, infer_materials
+from .pixel_samples import PixelSamples, rows_with_donor, window_means
+from .projection import constant_parts
 
-# Pixels of which base colours are estimated; more change only the time.
+# Pixels from which roughness and metallic are estimated; more change only the time.
 PROJECTION_PIXELS = 600_000
 # Groups with fewer pure pixels use their mixed ones too.
 FEW_PIXELS = 30
@@ -55,25 +54,22 @@ def training_input(
     pieces: np.ndarray | None,
     shadings: ShadingStore,
     levels: np.ndarray,
-    normalise: Callable[[np.ndarray], np.ndarray],
     settings: Settings,
     hints: SurfaceHints | None = None,
-) -> tuple[TrainingData, InitialEstimate]:
-    """The data to train on, and the closed-form estimate at a sample of its pixels.
+) -> TrainingData:
+    """The pixels with their shadings, groups and the materials of these.
 
     Args:
         pieces: (T,) int connected piece of each triangle; None where parts are known.
         hints: what the artist knows; the parts of the observations are divided by them.
         shadings: of all pixels at the roughness `levels` (K,).
-        normalise: maps world positions to the unit cube.
     """
-    pixels = observations.pixels
-    rows = _sample_rows(pixels, observations.donor, np.random.default_rng([settings.seed, 2]))
     group, color = observations.part, np.zeros((0, 3))
     groups = int(observations.parts.triangle_part.max(initial=-1)) + 1
     if pieces is not None:
-        color = _diffuse_colors(observations, shadings)
-        group, groups = _assign_groups(observations, pieces, color, None if hints is None else hints.triangle)
+        color = _diffuse_colors(observations, shadings, levels)
+        hint = np.full(len(pieces), NO_HINT) if hints is None else hints.triangle
+        group, groups = _assign_groups(observations, pieces, color, hint)
     known = None
     if hints is not None:
         groups += 0 if pieces is None else len(hints.names)
@@ -81,32 +77,15 @@ def training_input(
     start = np.random.default_rng([settings.seed, 5]).random()
     wide_rows, wide_cell = _wide_rows(observations, group, groups, start)
     wide = _wide_samples(observations, shadings, levels, group, wide_rows, wide_cell)
-    alike = None
-    if pieces is not None:
+    alike, constant = None, np.zeros(0, bool)
+    if pieces is None:
+        radiance, irradiance = wide.radiance.mean(axis=1), wide.diffuse.mean(axis=1)
+        constant = constant_parts(radiance, irradiance, wide.group, groups)
+    else:
         label, seen_color = observations.part[wide.rows], color[observations.entry[wide.rows]]
         alike = _similarity(wide.group, groups, label, seen_color)
     materials = infer_materials(wide, groups, _light_cells(observations, wide.rows), settings, alike, known)
-    roughness, metallic = materials.mean.T
-    cell = np.asarray(observations.entry[rows], np.int64)
-    samples = read_samples(pixels, shadings, levels, rows, cell, group[rows])
-    estimate = project(samples, roughness, metallic, known_parts=pieces is None)
-    data = TrainingData(
-        pool=observations.pool,
-        donor=observations.donor,
-        position=pixels.position,
-        radiance=pixels.own,
-        label=observations.part,
-        group=group,
-        diffuse=shadings.diffuse,
-        specular=shadings.specular,
-        levels=levels,
-        semantic=observations.parts.kind == "semantic",
-        group_roughness=roughness,
-        group_metallic=metallic,
-        group_errors=materials.error,
-        normalise=normalise,
-    )
-    return data, estimate
+    return TrainingData(observations, shadings, levels, group, materials, constant)
 
 
 def groups_of_hints(hints: SurfaceHints, parts: Parts, groups: int) -> np.ndarray:
@@ -116,81 +95,56 @@ def groups_of_hints(hints: SurfaceHints, parts: Parts, groups: int) -> np.ndarra
     return groups - len(hints.names) + np.arange(len(hints.names))
 
 
-def hinted_units(
-    units: Units, parts: Parts, hints: SurfaceHints, roughness: np.ndarray, metallic: np.ndarray
-) -> Units:
+def hinted_units(units: Units, parts: Parts, hints: SurfaceHints, materials: GroupMaterials) -> Units:
     """Units divided by hints, with the values of those of which the hints know something.
 
     Args:
         units: without the hints on triangles of their own, where parts are not known.
         parts: divided by the hints.
-        roughness, metallic: (G,) of the groups.
+        materials: of the groups.
     """
     triangle, single = units.triangle, units.single
     if parts.kind != "part":
         triangle = hints.split(triangle, len(single))
         single = np.append(single, np.ones(int(hints.own.sum()), bool))
-    group = groups_of_hints(hints, parts, len(roughness))
+    group = groups_of_hints(hints, parts, len(materials.mean))
     fixed = np.full((len(single), 2), np.nan, np.float32)
     unit = values_of_hints(hints, triangle)
     chosen = (unit >= 0) & (group >= 0) & hints.about_material & ~hints.left_alone
-    fixed[unit[chosen], 0], fixed[unit[chosen], 1] = roughness[group[chosen]], metallic[group[chosen]]
+    fixed[unit[chosen]] = materials.mean[group[chosen]]
     return Units(triangle, single, fixed)
 
 
-def material_units(observations: Observations, pieces: np.ndarray | None, data: TrainingData) -> Units:
+def material_units(pieces: np.ndarray | None, data: TrainingData) -> Units:
     """Units of the mesh by the groups of :func:`training_input`; `pieces` as there."""
+    observations, groups = data.observations, len(data.materials.mean)
     if pieces is None:
         return part_units(observations.parts)
-    pixels, groups = observations.pixels, len(data.group_roughness)
 
     def views() -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        for view in range(len(pixels.views)):
-            rows = rows_with_donor(pixels, data.donor, view)
-            key = pixels.triangle[rows] * np.int64(groups + 1) + data.group[rows] + 1
+        for view in range(len(observations.pixels.views)):
+            rows = rows_with_donor(observations, view)
+            key = observations.pixels.triangle[rows] * np.int64(groups + 1) + data.group[rows] + 1
             yield key, np.ones(len(key))
 
     keys, count = summed_by_key(views())
     triangle, group = np.divmod(keys, groups + 1)
-    return piece_units(
-        observations.parts, pieces, triangle, group - 1, count, data.group_roughness, data.group_metallic
-    )
+    return piece_units(observations.parts, pieces, triangle, group - 1, count, data.materials.of_pixels)
 
 
-def _sample_rows(pixels: PixelStore, donor: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(M,) int64 pixels that are their own donor: all, or a random sample of about PROJECTION_PIXELS."""
-    views = range(len(pixels.views))
-    share = PROJECTION_PIXELS / max(sum(len(_own_donors(pixels, donor, view)) for view in views), 1)
-    found = (_own_donors(pixels, donor, view) for view in views)
-    return np.concatenate([rows if share >= 1.0 else rows[rng.random(len(rows)) < share] for rows in found])
-
-
-def _own_donors(pixels: PixelStore, donor: np.ndarray, view: int) -> np.ndarray:
-    """(n,) int64 pixels of a view that are their own donor."""
-    rows = pixels.rows(view)
-    return np.flatnonzero(donor[rows] == np.arange(rows.start, rows.stop)) + rows.start
-
-
-def _diffuse_colors(observations: Observations, shadings: ShadingStore) -> np.ndarray:
-    """(M * 6, 3) least-squares base colour of each cache entry from all its pixels, taken as diffuse."""
-    pixels, entries = observations.pixels, len(observations.grid.voxels) * SIDES
-    top, bottom = np.zeros((entries, 3)), np.zeros((entries, 3))
-    for view in range(len(pixels.views)):
-        rows = rows_with_donor(pixels, observations.donor, view)
-        radiance, diffuse, roughest = (
-            np.asarray(array, np.float32)
-            for array in (pixels.own[rows], shadings.diffuse[rows], shadings.specular[rows, -1])
-        )
-        slope, offset = color_line(diffuse, roughest[:, 0], roughest[:, 1], 0.0)
-        weight = slope * pixels.weight[rows, None] / (radiance + RADIANCE_FLOOR) ** 2
-        used, place = np.unique(observations.entry[rows], return_inverse=True)
-        for total, values in ((top, weight * (radiance - offset)), (bottom, weight * slope)):
-            total[used] += grouped_sums(values, place)
-    return np.clip(top / np.maximum(bottom, 1e-12), 0.0, 1.0)
+def _diffuse_colors(observations: Observations, shadings: ShadingStore, levels: np.ndarray) -> np.ndarray:
+    """(M * 6, 3) base colour of each cache entry from all its pixels, taken as diffuse; 0 without any."""
+    none = np.zeros((0, 2), np.float32)
+    group = np.broadcast_to(np.int32(NO_GROUP), len(observations.pixels))
+    data = TrainingData(observations, shadings, levels, group, GroupMaterials(none, none), np.zeros(0, bool))
+    cells, _ = fit_cells(data)
+    color = np.zeros((len(observations.grid.voxels) * SIDES, 3), np.float32)
+    color[cells.entry] = cells.color
+    return color
 
 
 def _assign_groups(
-    observations: Observations, pieces: np.ndarray, color: np.ndarray, hint: np.ndarray | None
+    observations: Observations, pieces: np.ndarray, color: np.ndarray, hint: np.ndarray
 ) -> tuple[np.ndarray, int]:
     """(N,) int32 group of each pixel with a donor, NO_GROUP for the others; memory-mapped. And their number.
 
@@ -199,10 +153,9 @@ def _assign_groups(
 
     Args:
         color: (M * 6, 3) base colour of each cache entry.
-        hint: (T,) int hint of each triangle, negative for none; None without hints.
+        hint: (T,) int hint of each triangle, negative for none.
     """
     pixels = observations.pixels
-    of_triangle = np.full(len(pieces), NO_HINT) if hint is None else hint
     classes, class_of_entry = np.unique(color_class(color), return_inverse=True)
     shape = (
         int(observations.parts.triangle_part.max(initial=-1)) + 2,
@@ -210,18 +163,19 @@ def _assign_groups(
         len(classes),
     )
 
-    def combinations(view: int) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels of a view with a donor and no hint, and a key for the label, piece and colour of each."""
-        rows = rows_with_donor(pixels, observations.donor, view)
-        rows = rows[of_triangle[pixels.triangle[rows]] < 0]
+    def combinations(view: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pixels of a view with a donor: those of hints, the others, and label, piece, colour as a key."""
+        rows = rows_with_donor(observations, view)
+        hinted = hint[pixels.triangle[rows]] >= 0
+        rows, of_hints = rows[~hinted], rows[hinted]
         columns = (
             observations.part[rows] + 1,
             pieces[pixels.triangle[rows]],
             class_of_entry[observations.entry[rows]],
         )
-        return rows, np.ravel_multi_index(columns, shape)
+        return of_hints, rows, np.ravel_multi_index(columns, shape)
 
-    every = (combinations(view)[1] for view in range(len(pixels.views)))
+    every = (combinations(view)[2] for view in range(len(pixels.views)))
     keys, count = summed_by_key((key, np.ones(len(key))) for key in every)
     label_of_key, piece, color_of_key = np.unravel_index(keys, shape)
     least = max(LEAST_PIXELS, int(count.sum()) // MOST_GROUPS)
@@ -229,14 +183,10 @@ def _assign_groups(
     groups = int(group_of_key.max(initial=NO_GROUP)) + 1
     group = open_array(observations.folder / "group.npy", (len(pixels),), np.int32, create=True)
     for view in range(len(pixels.views)):
-        of_view = np.full(pixels.views[view].height * pixels.views[view].width, NO_GROUP, np.int32)
-        rows, key = combinations(view)
-        of_view[rows - pixels.ranges[view]] = group_of_key[np.searchsorted(keys, key)]
-        if hint is not None:
-            rows = rows_with_donor(pixels, observations.donor, view)
-            rows = rows[hint[pixels.triangle[rows]] >= 0]
-            of_view[rows - pixels.ranges[view]] = groups + hint[pixels.triangle[rows]]
-        group[pixels.rows(view)] = of_view
+        of_hints, rows, key = combinations(view)
+        group[pixels.rows(view)] = NO_GROUP
+        group[rows] = group_of_key[np.searchsorted(keys, key)]
+        group[of_hints] = groups + hint[pixels.triangle[of_hints]]
     return group, groups
 
 
@@ -260,12 +210,12 @@ def _wide_rows(
         group: (N,) int of all pixels, of `groups`, negative for none.
         start: in [0, 1), a random number for :func:`drawn`.
     """
-    pixels, donor = observations.pixels, observations.donor
+    pixels = observations.pixels
     views = range(len(pixels.views))
 
     def known(view: int) -> np.ndarray:
-        rows = _own_donors(pixels, donor, view)
-        return rows[group[rows] >= 0]
+        rows = rows_with_donor(observations, view)
+        return rows[(observations.donor[rows] == rows) & (group[rows] >= 0)]
 
     count = np.zeros((2, groups), np.int64)
     for rows in map(known, views):
