@@ -163,7 +163,7 @@ class MaterialStages(EstimationState):
         fitted = PRETRAINING_STEPS / (PRETRAINING_STEPS + self.settings.training_steps)
         if state is None:
             progress = self._progress_within(0.0, fitted)
-            pretrain(networks, data, surfaces, cells, self.settings, progress)
+            pretrain(networks.brdf, data, surfaces, cells, self.settings, progress)
         progress = self._progress_within(fitted, 1.0)
         train(networks, data, surfaces, self.settings, Resume(checkpoint, state), progress)
         facts = self._keep_training("training", networks, self.settings.training_steps)

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..light.emitters import pixels_on
 from ..run.checkpoints import load_tensors, save_tensors
 from ..run.errors import FiptError
 from ..run.settings import Settings
@@ -31,9 +30,6 @@ from .seen import Box
 _FINAL_RATE = 0.1
 PRETRAINING_STEPS = 200
 _PRETRAINING_RATE = 1e-2
-_EMISSION_PRETRAINING_RATE = 3e-3
-# Raw emission mask to which pixels on emitters are fitted in pretraining.
-_EMITTING_RAW_MASK = 1.0
 # One in so many pixels trains the emission network, which costs as much per pixel as all else together.
 _EMISSION_STRIDE = 4
 _PARTNERS = 1024
@@ -45,11 +41,6 @@ class Networks:
 
     brdf: BrdfNetwork
     emission: EmissionNetwork | None
-
-    @property
-    def device(self) -> torch.device:
-        """Where both are."""
-        return self.brdf.grid.table.device
 
     def state(self) -> dict[str, Any]:
         """Weights of both."""
@@ -189,49 +180,31 @@ def total_loss(networks: Networks, batch: Batch, settings: Settings, partners: t
 
 
 def pretrain(
-    networks: Networks,
+    brdf: BrdfNetwork,
     data: TrainingData,
     surfaces: Surfaces,
     cells: CellEstimate,
     settings: Settings,
     progress: Callable[[float], None],
 ) -> None:
-    """Fit the networks to the closed-form estimate and its emitters, before the photographs are used.
+    """Fit the BRDF network to the closed-form estimate, before the photographs are used.
 
     Args:
         progress: called with the share of steps done.
     """
-    brdf, emission, device = networks.brdf, networks.emission, networks.device
-    rates = [(list(brdf.parameters()), _PRETRAINING_RATE)]
-    if emission is not None:
-        rates.append((list(emission.parameters()), _EMISSION_PRETRAINING_RATE))
-    optimiser = _Adam(rates, PRETRAINING_STEPS)
-    pool, triangle = data.observations.pool, data.observations.pixels.triangle
-    emitters = pixels_on(triangle, surfaces.emitting)
+    device = brdf.grid.table.device
+    optimiser = _Adam([(list(brdf.parameters()), _PRETRAINING_RATE)], PRETRAINING_STEPS)
+    pool, donor = data.observations.pool, data.observations.donor
     size = min(settings.batch_size, len(pool))
     # Inside the range of the sigmoid, so that the rendering loss can still move values away from 0 and 1.
     values = cells.values.clip(0.02, 0.98)
     for step in range(PRETRAINING_STEPS):
         rng = np.random.default_rng([settings.seed, 1000, step])
-        rows = np.sort(pool[rng.integers(0, len(pool), size)])
+        rows = np.sort(donor[pool[rng.integers(0, len(pool), size)]])
         target = torch.from_numpy(values[cells.of_pixels(data, rows)]).to(device)
         prediction = brdf(*_places(data, surfaces, rows, device))
-        loss = (prediction.values - target).square().sum(dim=1).mean()
-        if emission is not None:
-            asked = _emission_rows(rows[::_EMISSION_STRIDE], emitters, rng)
-            emits = torch.from_numpy(surfaces.emitting[triangle[asked]]).to(device)
-            raw = emission(_places(data, surfaces, asked, device)[0])
-            loss = loss + (raw - _EMITTING_RAW_MASK * emits).square().mean()
-        optimiser.step(step, loss)
+        optimiser.step(step, (prediction.values - target).square().sum(dim=1).mean())
         progress((step + 1) / PRETRAINING_STEPS)
-
-
-def _emission_rows(rows: np.ndarray, emitters: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Pixels `rows` (R,), a quarter of them replaced by pixels on emitters: a bulb may have only a few."""
-    if not len(emitters):
-        return rows
-    quarter = max(len(rows) // 4, 1)
-    return np.concatenate([rows[quarter:], emitters[rng.integers(0, len(emitters), quarter)]])
 
 
 class _Adam:
