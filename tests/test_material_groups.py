@@ -113,7 +113,6 @@ def test_pieces_of_one_roughness_are_units_and_others_belong_to_their_class():
 def test_pixels_outside_the_sample_have_their_own_colour(tmp_path, monkeypatch: pytest.MonkeyPatch):
     """Each surface of the box has one colour, so groups are surfaces, however small the sample is."""
     monkeypatch.setattr(training_input_module, "PROJECTION_PIXELS", 300)
-    monkeypatch.setattr(training_input_module, "LEAST_PIXELS", 50)
     pixels = make_pixels(tmp_path / "pixels", 6)
     nothing = Parts(np.full(len(ROOM.triangles), NO_PART, np.int32), "none")
     seen = observe(ROOM, pixels, nothing, SETTINGS, tmp_path / "observed")

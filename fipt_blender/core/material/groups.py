@@ -16,14 +16,13 @@ from ..scene.grouped import grouped_weighted_median, numbered
 from ..scene.labels import Parts
 
 NO_GROUP = -1
-# Least number of pixels of a group: fewer hardly determine its gloss.
-LEAST_PIXELS = 1000
 # Added to base colours before they are compared, because their errors are about as large on dark surfaces as
 # on bright ones.
 COLOR_LIFT = 0.05
 BRIGHTNESS_STEP = 1.0  # stops
 CHROMA_STEP = 0.1
-# Largest number of groups, so that arrays over pairs of groups do not grow with the capture.
+# Largest number of groups, so that arrays over pairs of groups do not grow with the capture: one has at least
+# this share of all pixels.
 MOST_GROUPS = 2000
 # Standard deviation of the base colours of similar groups, in stops.
 SIMILAR_COLOR = 0.15

@@ -17,7 +17,6 @@ from ..scene.labels import Parts
 from ..scene.pixels import open_array
 from .closed_form import TrainingData, fit_cells
 from .groups import (
-    LEAST_PIXELS,
     MOST_GROUPS,
     NO_GROUP,
     Units,
@@ -178,7 +177,7 @@ def _assign_groups(
     every = (combinations(view)[2] for view in range(len(pixels.views)))
     keys, count = summed_by_key((key, np.ones(len(key))) for key in every)
     label_of_key, piece, color_of_key = np.unravel_index(keys, shape)
-    least = max(LEAST_PIXELS, int(count.sum()) // MOST_GROUPS)
+    least = max(FEW_PIXELS, int(count.sum()) // MOST_GROUPS)
     group_of_key = material_groups(label_of_key, piece, color_of_key, count, least)
     groups = int(group_of_key.max(initial=NO_GROUP)) + 1
     group = open_array(observations.folder / "group.npy", (len(pixels),), np.int32, create=True)
