@@ -92,8 +92,8 @@ def test_similar_groups_are_of_one_class_and_similar_colour():
     assert (likeness[0, 2:] < 0.1).all()
 
 
-def test_pieces_of_one_roughness_are_units_and_others_belong_to_their_class():
-    # Piece 0: two groups of one roughness; 1: a matt and a glossy half; 2: hardly any pixel has a group;
+def test_surfaces_of_one_material_are_units_and_others_belong_to_their_class():
+    # Piece 0: two groups of one roughness; 1: a triangle that is half matt and half glossy; 2: hardly any pixel has a group;
     # 3: a tenth are outliers; 4: unseen.
     piece = np.array([0, 0, 1, 2, 3, 4, 1])
     parts = Parts(np.array([0, 0, 0, 1, 1, 1, NO_PART], np.int32), "semantic")
@@ -104,9 +104,13 @@ def test_pieces_of_one_roughness_are_units_and_others_belong_to_their_class():
     assert units.triangle.tolist() == [2, 2, 0, 1, 3, 1, NO_PART]
     assert units.single.tolist() == [False, False, True, True]
     assert units.is_single(np.array([3, 0, NO_PART])).tolist() == [True, False, False]
-    materials = np.array([[0.4, 0.0], [0.4, 1.0], [0.4, 0.0], [1.0, 0.0]])
+    # One triangle of piece 0 is metal: both are units, if a tenth of the piece's pixels see it.
+    materials = np.array([[0.4, 0.0], [0.4, 1.0], [1.0, 0.0], [1.0, 0.0]])
     metal = piece_units(parts, piece, triangle, group, pixels, materials)
-    assert metal.single.tolist() == [False, False, True, True] and metal.triangle[0] == 0  # half of it metal
+    assert metal.triangle.tolist() == [2, 4, 0, 1, 3, 1, NO_PART]
+    assert metal.single.tolist() == [False, False, True, True, True]
+    few = piece_units(parts, piece, triangle, group, np.array([95, 5, 50, 50, 90, 10, 95, 5]), materials)
+    assert few.triangle[1] == few.triangle[0] and few.single[few.triangle[0]]  # an outlier
     assert part_units(parts).single.all()
 
 

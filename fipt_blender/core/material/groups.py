@@ -103,6 +103,9 @@ def piece_units(
 ) -> Units:
     """Units where no parts are known: connected pieces of the mesh that are of one material, else classes.
 
+    In a piece of several materials, such as a mirror with its frame, the triangles of the most frequent one
+    are a unit, then those of the next, as long as they have a tenth of the piece's pixels.
+
     Args:
         parts: semantic classes, or none.
         pieces: (T,) int connected piece of each triangle.
@@ -110,22 +113,38 @@ def piece_units(
             (NO_GROUP for none).
         materials: (G + 1, 2) roughness and metallic of the groups; the last row, at -1, is of no group.
     """
-    label = parts.triangle_part
-    classes = int(label.max(initial=-1)) + 1
-    unit = numbered([label, pieces])
-    unit_of = unit[triangle]
-    count = np.bincount(unit_of, pixels, minlength=int(unit.max(initial=-1)) + 1)
-    # Pixels without a group are like no others.
-    alike = group >= 0
-    for values in materials[group].T:
-        medians = grouped_weighted_median(values, pixels * (group >= 0), unit_of, len(count))
-        alike &= np.abs(values - medians[unit_of]) < SAME_MATERIAL
-    single = (np.bincount(unit_of, pixels * alike, minlength=len(count)) >= SAME_SHARE * count) & (count > 0)
-    number = classes + np.cumsum(single) - 1
-    return Units(
-        np.where(single[unit], number[unit], label).astype(np.int32),
-        np.concatenate([np.zeros(classes, bool), np.ones(int(single.sum()), bool)]),
-    )
+    label, piece = parts.triangle_part, numbered([parts.triangle_part, pieces])
+    size = np.bincount(piece[triangle], pixels, minlength=int(piece.max(initial=-1)) + 1)
+    unit, classes = label.astype(np.int64), int(label.max(initial=-1)) + 1
+    units, free = classes, np.ones(len(piece), bool)
+    while True:
+        alike = _most_frequent(materials[group], pixels * (free[triangle] & (group >= 0)), piece[triangle])
+        seen = pixels * free[triangle]
+        whole = _share(piece[triangle], seen, alike, len(size)) >= SAME_SHARE
+        found = free & (whole[piece] | (_share(triangle, seen, alike, len(piece)) >= SAME_SHARE))
+        of_unit = np.bincount(piece[triangle], seen * found[triangle], minlength=len(size))
+        found &= ((of_unit > 0) & (of_unit >= (1.0 - SAME_SHARE) * size))[piece]
+        if not found.any():
+            return Units(unit.astype(np.int32), np.arange(units) >= classes)
+        number = numbered([piece[found]])
+        unit[found] = units + number
+        units += int(number.max()) + 1
+        free &= ~found
+
+
+def _most_frequent(values: np.ndarray, pixels: np.ndarray, piece: np.ndarray) -> np.ndarray:
+    """(K,) bool, whether values (K, 2) are within SAME_MATERIAL of the medians of their piece (K,)."""
+    alike = pixels > 0
+    for column in values.T:
+        medians = grouped_weighted_median(column, pixels, piece, int(piece.max(initial=-1)) + 1)
+        alike &= np.abs(column - medians[piece]) < SAME_MATERIAL
+    return alike
+
+
+def _share(number: np.ndarray, pixels: np.ndarray, chosen: np.ndarray, count: int) -> np.ndarray:
+    """(count,) share of the pixels (K,) with a number (K,) that are chosen (K,), 0 without any."""
+    total = np.bincount(number, pixels, minlength=count)
+    return np.bincount(number, pixels * chosen, minlength=count) / np.maximum(total, 1)
 
 
 def similarity(label: np.ndarray, color: np.ndarray) -> np.ndarray:
