@@ -11,9 +11,10 @@ import pytest
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.geometry.adjacency import Mesh
+from fipt_blender.core.run.run_files import PANES
 from fipt_blender.core.scene.adjacency import find_adjacency
 from fipt_blender.core.scene.disagreement import disagreeing
-from fipt_blender.core.scene.labels import Parts, label_parts, room_pieces
+from fipt_blender.core.scene.labels import Parts, choose_source, label_parts, room_pieces
 from fipt_blender.core.scene.segments import absorb_small
 from fipt_blender.core.scene.smooth_parts import Votes, smooth_labels, without_specks
 from samples.scans import scanned_box
@@ -100,6 +101,18 @@ def test_segments_of_a_scan_are_its_planes_and_smooth_pieces() -> None:
     assert all(len(np.unique(segment[side == index])) == 1 for index in (0, 1))
     flat, _ = scanned_box(noise=0.0)
     assert len(np.unique(room_pieces(flat))) == 1  # connected pieces, as for any modelled room
+
+
+def test_objects_and_materials_of_a_scan_are_parts_only_if_asked_for() -> None:
+    """A pane that was added is a second object, and the pages of a scan's texture are materials."""
+    for noise, chosen in ((0.003, "none"), (0.0, "materials")):
+        room, side = scanned_box(noise=noise)
+        paged = (side % 2).astype(np.int32)
+        room = replace(
+            room, triangle_object=paged, triangle_material=paged, objects=("scan", PANES), parts="auto"
+        )
+        assert choose_source(room, []) == chosen
+        assert choose_source(replace(room, parts="objects"), []) == "objects"
 
 
 def test_small_components_join_the_neighbour_with_the_longest_border() -> None:

@@ -11,7 +11,8 @@ SOURCES = (
     (
         "auto",
         "Automatic",
-        "Use masks if the capture has them, otherwise material slots, otherwise objects",
+        "Use masks if the capture has them, otherwise material slots, otherwise objects; "
+        "with a scan, masks or nothing",
         "SHADERFX",
     ),
     (

@@ -56,6 +56,10 @@ def choose_parts(room: Room, views: Sequence[View], triangles: Sequence[np.ndarr
     return label_parts(room, source, images, triangles)
 
 
+# Sources that are images beside the photographs.
+IMAGE_SOURCES = ("masks", "semantics")
+
+
 def usable_sources(room: Room, views: Sequence[View]) -> list[str]:
     """The sources that distinguish any surfaces, in the order in which ``auto`` prefers them."""
     usable = {
@@ -70,12 +74,14 @@ def usable_sources(room: Room, views: Sequence[View]) -> list[str]:
 def choose_source(room: Room, views: Sequence[View]) -> str:
     """The source that room.json names, with ``auto`` resolved; semantics or none where masks are missing.
 
-    ``auto`` never takes loose pieces, because scans contain many fragments that are not parts.
+    ``auto`` never takes loose pieces, because scans contain many fragments that are not parts. Of a scan it
+    takes masks only: its materials are pages of a texture, and its objects tiles, or panes that were added.
     """
     usable = usable_sources(room, views)
     source = room.parts
     if source == "auto":
-        return usable[0] if usable else "none"
+        parts = [name for name in usable if name in IMAGE_SOURCES or room.scan is None]
+        return parts[0] if parts else "none"
     if source == "masks" and "masks" not in usable:
         source = "semantics"
     return "none" if source == "semantics" and "semantics" not in usable else source
@@ -97,7 +103,7 @@ def label_parts(
         return Parts(_compact(room.triangle_material), "part")
     if source == "loose":
         return Parts(room_pieces(room), "part")
-    if source in ("masks", "semantics"):
+    if source in IMAGE_SOURCES:
         spread = _fused_labels(room, images, triangles)
         kind = "part" if source == "masks" else "semantic"
         return Parts(_compact(spread), kind, np.unique(spread[spread >= 0]))
