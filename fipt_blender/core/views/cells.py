@@ -69,7 +69,16 @@ class CellGrid:
         triangle = np.asarray(pixels.triangle[rows])
         key = (place[:, 0] * (MOST_CELLS + 4) + place[:, 1]) * (MOST_CELLS + 4) + place[:, 2]
         key = key * 12 + self.side[triangle] * 2 + np.asarray(pixels.front[rows])
-        return key * (int(self.part.max(initial=0)) + 2) + self.part[triangle] + 1
+        return key * self._parts + self.part[triangle] + 1
+
+    def axes(self, keys: np.ndarray) -> np.ndarray:
+        """(M,) int64 dominant axis, 0 to 2, of the normals in the cells of these keys (M,)."""
+        return np.asarray(keys // self._parts % 12 // 4)
+
+    @property
+    def _parts(self) -> int:
+        """Number of parts with none."""
+        return int(self.part.max(initial=0)) + 2
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ user is told.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -21,7 +22,7 @@ from ..scene.room import Room
 from .alignment import misaligned_views
 from .cells import SurfaceCells, surface_cells
 from .exposure import exposure_gains, unlike_exposures
-from .unmeshed import measure, shown_by, unmeshed_lights
+from .unmeshed import measure, most_reflected_at, shown_by, unmeshed_lights
 
 
 @dataclass(frozen=True)
@@ -100,14 +101,18 @@ def _leave_out_unmeshed(
     """Leave out the pixels that show a lamp which the mesh lacks; return these lamps (:class:`ViewCheck`).
 
     Otherwise the lamp would appear on the walls behind it, as bright albedo or as emitters that do not exist.
+    So would a white table that a scanner lost: its pixels are left out, too, but it is no lamp.
     """
     pixels = cells.pixels
     footprint = median_footprint(pixels)
     lamps = unmeshed_lights(cells, footprint, np.random.default_rng([settings.seed, 4]), scan)
     margin = 1.5 * footprint
     balls = [measure(pixels, lamp, margin) for lamp in lamps]
+    reflected = most_reflected_at(cells, np.array([lamp.position for lamp in lamps]).reshape(-1, 3))
     for lamp in lamps:
         _leave_out(pixels, shown_by(pixels, lamp, margin))
+    shine = [ball.radiance.mean() > most for ball, most in zip(balls, reflected, strict=True)]
+    lamps, balls = list(itertools.compress(lamps, shine)), list(itertools.compress(balls, shine))
     positions = [[round(float(x), 3) for x in lamp.position] for lamp in lamps]
     if lamps:
         places = "; ".join(

@@ -9,6 +9,7 @@ not meet, and those of a mirror image meet behind the surface.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +38,9 @@ TRIES = 2000
 # Rays that are used; more only cost time.
 MOST_RAYS = 20_000
 MOST_LAMPS = 8
+# Unit vectors to the faces, edges and corners of a cube.
+_FACING = np.array([n for n in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(n)])
+_FACING /= np.linalg.norm(_FACING, axis=1, keepdims=True)
 
 
 @dataclass(frozen=True)
@@ -142,6 +146,30 @@ def unmeshed_lights(
             lamps.append(lamp)
         rays = rays.among(~near)
     return lamps
+
+
+def most_reflected_at(cells: SurfaceCells, places: np.ndarray) -> np.ndarray:
+    """(P,) highest grey radiance that a white surface at some places (P, 3) could reflect.
+
+    It faces where most light comes from, and nothing hides any of the cells' light. A lamp without mesh is
+    brighter; a table that a scanner lost may be white.
+    """
+    radiance, count, position = np.zeros(cells.count), np.zeros(cells.count), np.zeros((cells.count, 3))
+    for index in range(len(cells.pixels.views)):
+        in_view = cells.of_view(index)
+        np.add.at(radiance, in_view.cell, np.exp(in_view.value))
+        np.add.at(count, in_view.cell, 1.0)
+        np.add.at(position, in_view.cell, np.asarray(cells.pixels.position[in_view.rows], np.float64))
+    seen = count > 0
+    flux = radiance[seen] / count[seen] * cells.grid.size**2 / np.pi
+    axis, center = cells.grid.axes(cells.keys[seen])[:, None], position[seen] / count[seen, None]
+    most = []
+    for place in places:
+        distance = np.maximum(np.linalg.norm(center - place, axis=1), cells.grid.size)
+        direction = (center - place) / distance[:, None]
+        emitted = flux * np.abs(np.take_along_axis(direction, axis, axis=1)[:, 0]) / distance**2
+        most.append((emitted @ np.maximum(direction @ _FACING.T, 0.0)).max())
+    return np.array(most)
 
 
 def measure(pixels: PixelStore, lamp: UnmeshedLight, margin: float) -> Ball:
