@@ -82,3 +82,24 @@ def test_a_lamp_that_a_scan_lacks_is_named_too(with_bulb: SmallCapture, tmp_path
     _, check, _ = run_check(tmp_path, replace(with_bulb, room=scan))
     (lamp,) = check.lamps
     assert lamp["position"] == pytest.approx(PLACE, abs=0.06)
+
+
+def test_a_white_table_without_mesh_is_left_out_but_no_lamp(tmp_path: Path) -> None:
+    """Below a lamp it is the brightest thing beside it: less bright than white, which a lamp exceeds."""
+    top = [[-0.2, -0.2, 0.9], [0.2, -0.2, 0.9], [0.2, 0.2, 0.9], [-0.2, 0.2, 0.9]]
+    whole, lacking = (make_room([*BOX, PANEL, *more], parts="objects") for more in ([top], []))
+    colors = np.repeat(np.array([*([[0.04] * 3] * 6), [0.0] * 3, [0.85] * 3]), 2, axis=0)
+    materials = TriangleMaterials(colors, np.ones(16), np.zeros(16))
+    corners = [(1.7, 0.3), (-1.6, 0.8), (0.4, 1.7), (0.2, -1.7), (-1.5, -1.4), (1.5, 1.4)]
+    down = [[[x, y, 2.6], [-0.2 * x, -0.2 * y, 0.4]] for x, y in corners]
+    capture = photograph_room(
+        whole,
+        materials,
+        table([12, 13], [30.0, 25.0, 20.0]),
+        cameras=[*down, *CAMERAS[1:6:2]],
+        scale=2,
+        spp=32,
+    )
+    pixels, check, messages = run_check(tmp_path, replace(capture, room=lacking))
+    assert check.lamps == [] and messages == []
+    assert 0.0 < (np.asarray(pixels.triangle) == LEFT_OUT).mean() < 0.1
