@@ -187,8 +187,7 @@ def _objects_beside(scene: bpy.types.Scene) -> list[Message]:
     ]
     if not names:
         return []
-    verb = "is" if len(names) == 1 else "are"
-    text = f"The scene has other objects, which {verb} rendered with the room: {list_names(names)}."
+    text = f"The scene has objects besides the room, which will be rendered, too: {list_names(names)}."
     return [_warning("objects-beside", text, "Delete those that do not belong there.")]
 
 
