@@ -209,6 +209,18 @@ def test_a_capture_without_mesh_warns(run, scene):
     assert len(scene.fipt.capture.views) == 5
 
 
+def test_objects_of_a_new_file_are_told_once(run, scene):
+    bpy.ops.mesh.primitive_cube_add()
+    cube = bpy.context.object
+    hidden = cube.copy()
+    hidden.hide_render = True
+    scene.collection.objects.link(hidden)
+    (warning,) = bring_in(run)
+    assert warning["code"] == "objects-beside"
+    assert warning["text"].endswith(f": '{cube.name}'.")
+    assert bring_in(run) == []  # the same capture again
+
+
 def test_masks_of_a_folder(run, scene, tmp_path):
     bring_in(run)
     parts, folder = scene.fipt.parts, tmp_path / "masks"

@@ -134,18 +134,19 @@ def test_captures_of_both_kinds(tmp_path):
     assert warning["text"].startswith("2 of 3 photographs") and "Prepare" in warning["remedy"]
 
 
-def test_check_views_tells_the_clipped_share(tmp_path):
+@pytest.mark.parametrize(("rows", "warning"), [(1, ""), (2, "20.0 % of its pixels look over-exposed")])
+def test_check_views_warns_of_single_photographs_that_are_not_hdr(tmp_path, rows, warning):
+    """That all of them are not HDR is told by the import: a list of nothing but warnings tells nothing."""
     room = make_room(BOX)
     codes = np.full((10, 10, 3), 120, np.uint8)
-    codes[:2] = 253
+    codes[:rows] = 253
     Image.fromarray(codes).save(tmp_path / "a.png")
     pose = np.eye(4)
     pose[2, 3] = 1.0
     view = View("a", "train", tmp_path / "a.png", 10, 10, 9.0, 9.0, 5.0, 5.0, pose, encoded=True)
     facts = photograph_facts(view, room)
-    assert facts["clipped_share"] == pytest.approx(0.2) and facts["looks_ldr"]
-    text = view_warning(facts | {"room_share": 1.0, "much_off": False})
-    assert "8-bit" in text and "20.0 % of its pixels are clipped" in text
+    assert facts["clipped_share"] == pytest.approx(0.1 * rows) and not facts["looks_ldr"]
+    assert view_warning(facts | {"room_share": 1.0, "much_off": False}) == warning
 
 
 def test_hdr_captures_say_nothing_of_it(tmp_path):

@@ -87,6 +87,21 @@ def test_colmap_point_cloud_is_no_mesh(tmp_path):
     assert read(tmp_path).mesh == tmp_path / "dense" / "meshed-poisson.ply"
 
 
+def test_the_only_mesh_needs_no_certain_name(tmp_path):
+    write_transforms(tmp_path, make_samples(2))
+    for known in ("scene", "mesh"):
+        for file in tmp_path.glob(f"{known}.*"):
+            file.unlink()
+    write_mesh(tmp_path / "Flat, 2nd floor.OBJ")
+    assert read(tmp_path).mesh == tmp_path / "Flat, 2nd floor.OBJ"
+    (tmp_path / "points.ply").write_text("ply\nformat ascii 1.0\nelement vertex 0\nend_header\n")
+    assert read(tmp_path).mesh == tmp_path / "Flat, 2nd floor.OBJ"  # a point cloud is none
+    write_mesh(tmp_path / "furniture.obj")
+    assert read(tmp_path).mesh is None  # which one is the room is not known
+    write_mesh(tmp_path / "mesh.obj")
+    assert read(tmp_path).mesh == tmp_path / "mesh.obj"
+
+
 def test_damaged_colmap(tmp_path):
     write_colmap(tmp_path, make_samples(2), text=False)
     (tmp_path / "sparse" / "0" / "images.bin").write_bytes(b"\x05\0\0")

@@ -140,6 +140,13 @@ def panel_is_ready(options: MainJobOptions, blend: Path) -> None:
         assert state.materials.object_count == 2 and state.materials.texture_size == "512"
         assert state.estimate.preset == "draft" and state.estimate.changes == ""
         assert not bpy.context.scene.camera.data.show_background_images, "the photograph hides no results"
+        spaces = [
+            area.spaces.active
+            for screen in bpy.data.screens
+            for area in screen.areas
+            if area.type == "VIEW_3D"
+        ]
+        assert spaces and {space.region_3d.view_perspective for space in spaces} == {"CAMERA"}
         assert bpy.ops.fipt.revert() == {"FINISHED"} and bpy.ops.fipt.look_through(step=1) == {"FINISHED"}
     finally:
         fipt_blender.unregister()

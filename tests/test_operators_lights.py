@@ -189,7 +189,7 @@ def test_a_light_is_aimed_from_in_front_of_obstacles():
     place, direction = aim(scene, graph, Vector((1, 0, 0)), Vector((0, 0, 1)), 4.0)
     assert 1.0 < place.z < 2.5 and direction.dot(Vector((0, 0, -1))) > 0.999
     place, direction = aim(scene, graph, Vector((1, 0, 2.5)), Vector((0, 0, -1)), 1.0)
-    assert place.z == pytest.approx(1.5, abs=0.01) and direction.z > 0.999
+    assert 2.4 < place.z < 2.5 and direction.z < -0.999  # it hangs there
 
 
 def test_a_converted_fixture_follows_its_settings(scene):

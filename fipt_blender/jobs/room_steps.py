@@ -17,6 +17,7 @@ from ..blend import outliner
 from ..blend.capture import cameras, mesh_import
 from ..blend.capture.exporting import export_capture
 from ..blend.capture.importing import not_in_room
+from ..blend.capture.look import enter_camera_on_opening
 from ..blend.capture.view_geometry import view_geometry
 from ..blend.insert.sample_objects import insert_object
 from ..blend.insert.support import Support, choose_view
@@ -71,7 +72,9 @@ class RoomSteps:
         capture = read_capture(self._run.capture_json)
         if not capture["mesh"]:
             raise FiptError(
-                "mesh-missing", "There is no mesh beside the cameras.", "Give the room's mesh file (--mesh)."
+                "mesh-missing",
+                "No mesh of the room was found beside the cameras: there is none, or there are several.",
+                "Give the room's mesh file (--mesh).",
             )
         matrix = np.array(capture["world_from_source"], np.float64)
         mesh_import.import_room(self._run.resolve(capture["mesh"]), matrix)
@@ -98,6 +101,7 @@ class RoomSteps:
         radiance, warnings = self.photographed_radiance(view)
         set_up_scene(scene, exposure_of(radiance, median_shown(self._run)))
         cameras.use_view(scene, cameras.find_camera(view, scene))
+        enter_camera_on_opening()
         path = self._run.root / BLEND_NAME
         with panel_state():
             remember_run(scene, self._options, self._run)

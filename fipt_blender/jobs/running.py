@@ -144,6 +144,13 @@ def refuse(info: RunningJob, error: FiptError) -> None:
     redraw()
 
 
+def settle(kind: str, code: str) -> None:
+    """Drop a warning of the last job of a kind, once its remedy was followed."""
+    info = _last.get(kind)
+    if info is not None:
+        info.warnings[:] = [message for message in info.warnings if message["code"] != code]
+
+
 def cancel() -> None:
     """Ask the running job to stop, which takes at most two seconds. Finished steps are kept.
 

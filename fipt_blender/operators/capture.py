@@ -13,6 +13,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from .. import machine
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
+from ..jobs import running
 from .job_operator import JobOperator
 from .polls import in_object_mode
 from .reporting import report_warnings, reports_errors
@@ -206,6 +207,7 @@ class FIPT_OT_import_mesh(bpy.types.Operator):
         path = self.filepath or scene.fipt.capture.mesh
         matrix = importing.source_matrix(scene, run)
         names = importing.import_mesh(scene, Path(bpy.path.abspath(path)), matrix)
+        running.settle("capture", "mesh-missing")
         self.report({"INFO"}, iface_("The room consists of {} meshes").format(len(names)))
         return {"FINISHED"}
 
@@ -244,6 +246,7 @@ class FIPT_OT_set_room(bpy.types.Operator):
                 self.report({"ERROR"}, " ".join(["No mesh objects are selected.", *advice]))
                 return {"CANCELLED"}
             set_room(scene, meshes)
+        running.settle("capture", "mesh-missing")
         count = len(scene.fipt.capture.room_objects(scene))
         self.report({"INFO"}, iface_("The room consists of {} meshes").format(count))
         report_warnings(self, left_out)

@@ -24,7 +24,7 @@ class FIPT_OT_add_light(PicksInViewport, bpy.types.Operator):
     bl_label = "Add Light"
     bl_description = (
         "Add an area light with a size and power that suit the room: at the 3D cursor shining down, or"
-        " pointing at the surface that you click"
+        " pointing at the surface that you click. On a ceiling, it hangs there and shines down"
     )
     bl_options = {"REGISTER", "UNDO"}
     text_in_header = True

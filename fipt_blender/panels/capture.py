@@ -5,14 +5,14 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Collection
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..jobs import running
-from ..jobs.job_scene import uses_run_folder
 from . import swatches
-from .job import draw_job
+from .job import draw_error, draw_job
 from .presets import FIPT_PT_import_presets
 from .sidebar import Rows, Section, SubSection, draw_text
 
@@ -31,7 +31,7 @@ class FIPT_UL_views(Rows, bpy.types.UIList):
         row.prop(item, "enabled", text="")
         name = row.row(align=True)
         name.active = item.enabled
-        name.label(text=item.name, translate=False)
+        name.label(text=shown_name(item.name, context.scene.fipt.capture.views), translate=False)
         if item.camera not in bpy.data.objects:
             row.label(text="", icon="CANCEL")
         elif item.warning:
@@ -39,6 +39,12 @@ class FIPT_UL_views(Rows, bpy.types.UIList):
         elif item.checked:
             row.label(text="", icon="CHECKMARK")
         row.prop(item, "split", text="", icon_only=True, emboss=False)
+
+
+def shown_name(name: str, views: Collection[bpy.types.PropertyGroup]) -> str:
+    """A view's name without the folder where all are in one: the end of long names is cut off in lists."""
+    folder = name.rpartition("/")[0] + "/"
+    return name.removeprefix(folder) if all(view.name.startswith(folder) for view in views) else name
 
 
 class FIPT_MT_tick_views(bpy.types.Menu):
@@ -231,10 +237,8 @@ def _draw_import(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     job = running.last("capture")
     if running.current() is not None or job is None or job.error is None:
         return
-    if job.scene_name == context.scene.name and not uses_run_folder(context.scene, job.run_folder):
-        box = layout.box()
-        draw_text(box, context, job.error["text"], icon="ERROR", alert=True)
-        draw_text(box, context, job.error["remedy"], icon="INFO")
+    if job.scene_name == context.scene.name and not running.belongs_to(job, context.scene):
+        draw_error(layout, context, job.error, None)
 
 
 def shown_colors(scene: bpy.types.Scene) -> str:

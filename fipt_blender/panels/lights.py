@@ -66,13 +66,14 @@ class FIPT_PT_lights(Section, bpy.types.Panel):
             row.operator("fipt.switch_lights", text="All On", icon="LIGHT").on = True
             _draw_light(layout, settings.active_light())
         elif context.scene.fipt.materials.object_count:
-            draw_text(layout, context, "No lights were found in this room.", icon="INFO")
+            text = "No lamps were found. The room is lit by the environment (windows) alone."
+            draw_text(layout, context, text, icon="INFO")
         else:
             layout.operator("fipt.list_lights", text="List Lights", icon="FILE_REFRESH")
         if settings.needs_cycles():
             draw_engine_choice(layout, context)
         if settings.missing_lamps:
-            text = "The photographs show lamps that the mesh lacks."
+            text = "The photographs show bright spots where the mesh has nothing. If these are lamps:"
             draw_text(layout, context, text, icon="ERROR")
             layout.operator("fipt.add_missing_lamps", icon="LIGHT_POINT")
         column = layout.column(align=True)

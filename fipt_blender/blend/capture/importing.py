@@ -46,6 +46,7 @@ def import_capture(run: RunFolder, path: str) -> Slices[list[Message]]:
     """
     capture = read_capture(run.ingest_json)
     is_reimport = bpy.context.scene.fipt.capture.imported_path == path
+    others = [] if is_reimport else _objects_beside(bpy.context.scene)
     if not is_reimport:
         _remove_cameras(bpy.context.scene, {view["name"] for view in capture["views"]})
     size = cameras.display_size(capture)
@@ -58,7 +59,7 @@ def import_capture(run: RunFolder, path: str) -> Slices[list[Message]]:
     yield 0.9
     fill_views(bpy.context.scene, run, keep=is_reimport)
     bpy.context.scene.fipt.capture.imported_path = path
-    return warnings
+    return warnings + others
 
 
 def fill_views(scene: bpy.types.Scene, run: RunFolder, keep: bool = False) -> None:
@@ -162,8 +163,9 @@ def _import_room(scene: bpy.types.Scene, run: RunFolder, capture: dict[str, Any]
     if not capture["mesh"]:
         if present:
             return []
-        text = "The capture has no mesh of the room."
-        return [_warning("mesh-missing", text, "Import one, or select the room's meshes and choose them.")]
+        text = "No mesh of the room was found beside the cameras."
+        remedy = "Press Import Mesh, or select the room's objects and press From Selection."
+        return [_warning("mesh-missing", text, remedy)]
     path, matrix = run.resolve(capture["mesh"]), np.array(capture["world_from_source"], np.float64)
     imported = [item for item in present if is_imported(item)]
     if any(item[IMPORTED] == _origin(path, matrix) for item in imported):
@@ -173,6 +175,20 @@ def _import_room(scene: bpy.types.Scene, run: RunFolder, capture: dict[str, Any]
         return [_warning("mesh-kept", text, "Use Import Mesh to import it.")]
     import_mesh(scene, path, matrix)
     return []
+
+
+def _objects_beside(scene: bpy.types.Scene) -> list[Message]:
+    """A warning about what is rendered and is not the room, such as the cube of a new file."""
+    room = scene.fipt.capture.room_objects(scene)
+    names = [
+        item.name
+        for item in scene.objects
+        if item.type in (*_SHAPES, "MESH") and not item.hide_render and item not in room
+    ]
+    if not names:
+        return []
+    text = f"The scene has objects besides the room, which will be rendered, too: {list_names(names)}."
+    return [_warning("objects-beside", text, "Delete those that do not belong there.")]
 
 
 def _origin(path: Path, matrix: np.ndarray) -> str:
@@ -221,5 +237,5 @@ def room_missing() -> FiptError:
     return FiptError(
         "room-missing",
         "No meshes are chosen as the room.",
-        "Import the room's mesh, or select its objects and press Set from Selection.",
+        "Press Import Mesh, or select the room's objects and press From Selection (Capture > Room).",
     )

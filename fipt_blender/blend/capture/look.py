@@ -34,6 +34,14 @@ def enter_camera(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
     watch(scene)
 
 
+def enter_camera_on_opening() -> None:
+    """Let the 3D views of a file written without a window show its scene's camera and the materials."""
+    for screen in bpy.data.screens:
+        for space in (area.spaces.active for area in screen.areas if area.type == "VIEW_3D"):
+            space.region_3d.view_perspective = "CAMERA"
+            space.shading.type = "MATERIAL"
+
+
 def camera_missing(view: bpy.types.PropertyGroup) -> FiptError:
     """The error for a view whose camera was deleted."""
     return FiptError(

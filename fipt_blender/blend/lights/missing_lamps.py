@@ -48,7 +48,7 @@ def add_missing(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 def _add(scene: bpy.types.Scene, lamp: Mapping[str, Any]) -> bpy.types.Object:
     """A point light of a ball's position, radius (metres) and radiance."""
-    data = bpy.data.lights.new("FIPT Missing Lamp", "POINT")
+    data = bpy.data.lights.new("Missing Lamp", "POINT")
     data.shadow_soft_size = lamp["radius"]
     if hasattr(data, "use_soft_falloff"):  # without it the falloff is that of a sphere
         data.use_soft_falloff = False

@@ -20,6 +20,8 @@ from .placement import room_light_power
 
 _SIZE_SHARE = 0.2  # of the room's shorter side
 _DISTANCE_SHARE = 0.35  # of the room's diagonal: distance to the lit surface
+_CEILING = -0.7  # vertical component of a ceiling's normal
+_CLEARANCE = 0.05  # metres between a ceiling and its lamp; a scan is bumpy
 _PLAIN_SIZE, _PLAIN_WATTS = 1.0, 100.0  # without a room
 
 
@@ -83,9 +85,10 @@ def add_light(
 def aim(
     scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, point: Vector, normal: Vector, distance: float
 ) -> tuple[Vector, Vector]:
-    """Location of a light that is aimed at a point of the room, and the unit direction to that point.
+    """Location of a light that is aimed at a point of the room, and the unit direction in which it shines.
 
-    It lies in front of the surface, raised where possible, and closer where something is in between.
+    It lies in front of the surface, raised where possible, and closer where something is in between. At a
+    ceiling it hangs below the point and shines down, as a lamp does.
 
     Args:
         scene: the scene, whose visible objects block the light.
@@ -94,9 +97,9 @@ def aim(
         normal: unit normal there, on the side to light.
         distance: metres from the point where nothing is in between.
     """
-    outwards = normal.copy()
-    if normal.z > -0.7:  # not for a ceiling
-        outwards = (normal + Vector((0.0, 0.0, 0.7))).normalized()
+    if normal.z < _CEILING:
+        return point + _CLEARANCE * normal, normal.copy()
+    outwards = (normal + Vector((0.0, 0.0, 0.7))).normalized()
     start = point + 1e-3 * distance * normal
     hit, position, *_ = scene.ray_cast(depsgraph, start, outwards)
     free = (position - start).length if hit else math.inf

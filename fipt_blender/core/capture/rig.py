@@ -247,14 +247,34 @@ def _shortened(part: str) -> str:
 
 
 def find_mesh(folders: Sequence[Path], stems: Sequence[str]) -> Path | None:
-    """The first mesh with faces among STEM.obj, .ply, .glb, .gltf; folders are searched one after another."""
+    """The mesh of a capture's room: OBJ, PLY with faces, GLB or glTF.
+
+    Args:
+        folders: searched one after another.
+        stems: names without suffix, the best first. Without a file of these names, the only mesh in the
+            folders is taken; of several, none.
+    """
     for folder in folders:
         for stem in stems:
             for suffix in MESH_SUFFIXES:
                 path = folder / (stem + suffix)
-                if path.is_file() and (suffix != ".ply" or _ply_has_faces(path)):
+                if path.is_file() and _has_faces(path):
                     return path
-    return None
+    others = {path.resolve(): path for folder in folders for path in _meshes(folder)}
+    return next(iter(others.values())) if len(others) == 1 else None
+
+
+def _meshes(folder: Path) -> list[Path]:
+    """All meshes in a folder, by name."""
+    if not folder.is_dir():
+        return []
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in MESH_SUFFIXES)
+    return [path for path in files if path.is_file() and _has_faces(path)]
+
+
+def _has_faces(path: Path) -> bool:
+    """Whether a mesh file has faces as far as its header tells."""
+    return path.suffix.lower() != ".ply" or _ply_has_faces(path)
 
 
 def _ply_has_faces(path: Path) -> bool:

@@ -36,7 +36,6 @@ from ..run.checkpoints import (
 from ..run.errors import FiptError
 from ..run.hints import Hint
 from ..run.runfolder import explained_write_errors
-from ..run.settings import Settings
 from .light_stages import LightStages
 from .material_stages import MaterialStages
 from .previews import Preview
@@ -44,10 +43,11 @@ from .state import Facts
 
 # Expected time of each kind of stage relative to stage 1, for the progress bar only.
 _WEIGHTS = {
-    "pixels": 0.1,
+    "pixels": 0.5,
+    "encoded-pixels": 1.2,
     "shadings": 1.0,
-    "estimate": 0.4,
-    "refinement": 1.2,
+    "estimate": 0.3,
+    "refinement": 1.6,
     "training": 1.2,
     "hinted": 0.4,
     HINTED_REFINEMENT: 1.2,
@@ -76,13 +76,14 @@ class Estimation(LightStages, MaterialStages):
     def _do_stages(self) -> None:
         rounds = self.settings.rounds
         self._shadings, self._units_before = SHADINGS, None  # after damage, all stages come by once more
-        self.reporter.plan(_stage_weights(self.settings, self.told_again is not None, self.light_again))
+        names = stage_names(rounds, self.told_again is not None, self.light_again)
+        self.reporter.plan(_stage_weights(names, any(view.encoded for view in self.views)))
         with explained_write_errors(self.folder.stage):
             self._stage("pixels", "Tracing the photographs' pixels", self._trace, self._load_pixels)
             self._prepare()
             self._stage(
                 "shadings",
-                "Stage 1: baking shadings from the photographs",
+                "Baking shadings from the photographs",
                 self._bake,
                 partial(self._load_shadings, "shadings"),
             )
@@ -91,7 +92,7 @@ class Estimation(LightStages, MaterialStages):
                 if index:
                     self._stage(
                         f"refinement-{index}",
-                        f"Stage 3: refining shadings (round {index + 1} of {rounds + 1})",
+                        f"Refining shadings (round {index + 1} of {rounds + 1})",
                         partial(self._refine, f"refinement-{index}", index),
                         partial(self._load_shadings, f"refinement-{index}"),
                     )
@@ -103,7 +104,7 @@ class Estimation(LightStages, MaterialStages):
                 )
                 self._show(f"estimate-{index}")
             load = partial(self._load_networks, "training")
-            self._stage("training", "Stage 2: training materials", self._train, load)
+            self._stage("training", "Training materials", self._train, load)
             self._show("training")
             if self.told_again is not None:
                 self._estimate_again(self.told_again)
@@ -122,7 +123,7 @@ class Estimation(LightStages, MaterialStages):
             )
             self._stage(
                 HINTED_REFINEMENT,
-                "Stage 3: refining shadings with the hints",
+                "Refining shadings with the hints",
                 self._refine_again,
                 self._load_shadings_again,
             )
@@ -177,7 +178,12 @@ class Estimation(LightStages, MaterialStages):
         self.reporter.progress(1.0, force=True, pictures=relative)
 
 
-def _stage_weights(settings: Settings, hinted: bool, light: bool) -> list[float]:
-    """Expected share of time of each stage, in no unit; for the progress bar."""
-    names = stage_names(settings.rounds, hinted, light)
-    return [_WEIGHTS.get(name) or _WEIGHTS[name.partition("-")[0]] for name in names]
+def _stage_weights(names: Sequence[str], encoded: bool) -> list[float]:
+    """Expected share of time of each stage, in no unit; for the progress bar.
+
+    Args:
+        names: of the stages.
+        encoded: whether photographs are not HDR; their radiance is found in the stage `pixels`.
+    """
+    kinds = ("encoded-pixels" if encoded and name == "pixels" else name for name in names)
+    return [_WEIGHTS.get(kind) or _WEIGHTS[kind.partition("-")[0]] for kind in kinds]

@@ -144,7 +144,7 @@ class Reporter:
         fraction = sum(self._weights[:stage]) + self._weights[stage] * min(max(stage_fraction, 0.0), 1.0)
         done = fraction - self._done_before_start
         elapsed = now - self._started
-        remaining = elapsed * (1.0 - fraction) / done if done > 0.02 else None
+        remaining = elapsed * (1.0 - fraction) / done if done > 0.05 else None
         self._write(
             {
                 "type": "progress",

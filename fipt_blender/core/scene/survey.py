@@ -18,6 +18,7 @@ from ..capture.encoded import srgb_encoded
 from ..capture.images import read_radiance
 from ..capture.views import View, load_capture
 from ..device.variant import set_variant
+from ..radiometry.inversion import MUCH_CLIPPED as MUCH_CLIPPED_ENCODED
 from ..radiometry.inversion import is_clipped
 from ..run.errors import FiptError
 from ..run.messages import Reporter
@@ -100,13 +101,14 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
 
 
 def photograph_facts(view: View, room: Room) -> dict[str, Any]:
-    """Whether the photograph is missing or unusable, its over-exposed share, whether it looks 8-bit, and how
-    many pixels the mesh's edges are off its own, None where that can't be told.
+    """Whether the photograph is missing or unusable, its over-exposed share, whether it is no HDR file or
+    an HDR file that looks 8-bit, and how many pixels the mesh's edges are off its own, None where that can't
+    be told.
     """
     from .misfit import view_misfit
 
     facts: dict[str, Any] = {"image_missing": False, "image_problem": "", "clipped_share": 0.0}
-    facts |= {"looks_ldr": False, "misfit": None, "much_off": False}
+    facts |= {"looks_ldr": False, "encoded": False, "misfit": None, "much_off": False}
     try:
         pixels = read_radiance(view.image)
         if pixels.shape[:2] != (view.height, view.width):
@@ -119,8 +121,8 @@ def photograph_facts(view: View, room: Room) -> dict[str, Any]:
     clipped, looks_ldr = statistics.clipped, statistics.looks_ldr
     if view.encoded:
         codes = srgb_encoded(pixels.reshape(-1, 3)) * 255.0
-        clipped, looks_ldr = float(is_clipped(codes).mean()), True
-    facts |= {"clipped_share": clipped, "looks_ldr": looks_ldr}
+        clipped, looks_ldr = float(is_clipped(codes).mean()), False  # the import has told of it
+    facts |= {"clipped_share": clipped, "looks_ldr": looks_ldr, "encoded": view.encoded}
     found = view_misfit(room, view, pixels)
     if found is None:
         return facts
@@ -148,6 +150,6 @@ def view_warning(facts: dict[str, Any]) -> str:
         share = 100.0 * facts["clipped_share"]
         clipped = f"; {share:.1f} % of its pixels are clipped" if share else ""
         return f"looks like an 8-bit photograph, without the true radiance of lamps{clipped}"
-    if facts["clipped_share"] > MUCH_CLIPPED:
+    if facts["clipped_share"] > (MUCH_CLIPPED_ENCODED if facts["encoded"] else MUCH_CLIPPED):
         return f"{100.0 * facts['clipped_share']:.1f} % of its pixels look over-exposed"
     return ""

@@ -121,10 +121,10 @@ def _leave_out_unmeshed(
         )
         reporter.warning(
             "lamp-without-mesh",
-            f"The photographs show {len(lamps)} lamps where the mesh has nothing: {places}. These pixels are "
-            "left out, but the light of these lamps is missing from the estimate.",
+            f"The photographs show {len(lamps)} bright spots where the mesh has nothing: {places}. These"
+            " pixels are left out. If these are lamps, their light is missing from the estimate.",
             "Model each lamp there (a simple shape of its size is enough) and run again, or use Add Missing"
-            " Lamps in the section Lights.",
+            " Lamps in the section Lights. Other things that the scan has lost need nothing.",
         )
     return [
         {"position": place, "radius": ball.radius, "radiance": ball.radiance.tolist(), "views": lamp.views}

@@ -248,5 +248,5 @@ def warn_of_photographs(facts: dict[str, Any], reporter: Reporter) -> None:
             "lamps-clipped",
             f"{len(lamps)} bright surfaces are clipped in the photographs. Their radiance is found from the"
             f" light that they cast, of {vague} of them only roughly.",
-            "Check the radiance of these lamps in the section Lights.",
+            "Check the power of those that are lamps in the section Lights.",
         )

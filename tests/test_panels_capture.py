@@ -1,0 +1,54 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the section Capture draws."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import bpy
+import pytest
+
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.jobs import running
+from fipt_blender.panels import capture
+
+pytestmark = pytest.mark.usefixtures("registered")
+
+
+@pytest.mark.parametrize(
+    ("names", "shown"),
+    [
+        (["images/IMG_1", "images/IMG_2"], "IMG_1"),
+        (["train/000", "val/000"], "train/000"),
+        (["a/left/1", "a/left/2"], "1"),
+        (["000", "001"], "000"),
+    ],
+)
+def test_names_of_views_without_their_common_folder(names, shown):
+    views = [SimpleNamespace(name=name) for name in names]
+    assert capture.shown_name(names[0], views) == shown
+
+
+@pytest.mark.parametrize("has_run", [False, True])
+def test_a_failed_import_is_told_once(monkeypatch, tmp_path, has_run):
+    """Before a first import the scene has no run folder; later it has that of the last one that succeeded."""
+    scene = bpy.context.scene
+    scene.fipt.run_folder = str(tmp_path / "earlier") if has_run else ""
+    info = running.RunningJob("Import Capture", "capture", scene.name, tmp_path / "failed")
+    running.refuse(info, FiptError("odd", "The file is odd.", "Export it again."))
+    drawn: list[str] = []
+    told = lambda layout, context, error, run: drawn.append(error["text"])  # noqa: E731
+    monkeypatch.setattr(capture, "draw_error", told)
+    monkeypatch.setattr("fipt_blender.panels.job.draw_error", told)
+    capture._draw_import(None, bpy.context)
+    assert drawn == ["The file is odd."]
+
+
+def test_a_warning_goes_once_its_remedy_was_followed(tmp_path):
+    info = running.RunningJob("Import Capture", "capture", bpy.context.scene.name, tmp_path)
+    info.warnings += [{"code": "mesh-missing"}, {"code": "images-not-hdr"}]
+    running.refuse(info, FiptError("odd", "The file is odd.", "Export it again."))
+    bpy.ops.mesh.primitive_cube_add()
+    assert bpy.ops.fipt.set_room() == {"FINISHED"}
+    assert info.warnings == [{"code": "images-not-hdr"}]
