@@ -105,12 +105,7 @@ def sample_surface(room: Room, spacing: float, rng: np.random.Generator) -> tupl
     wanted *= min(1.0, 4e6 / max(wanted.sum(), 1.0))
     counts = np.maximum(np.ceil(wanted).astype(np.int64), 1)
     triangle = np.repeat(np.arange(len(counts)), counts)
-    u, v = rng.random((2, len(triangle)))
-    root = np.sqrt(u)
-    corners = room.vertices[room.triangles[triangle]].astype(np.float64)
-    weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=1)
-    points = np.einsum("nc,ncd->nd", weights, corners)
-    return points, triangle
+    return room.points_on(triangle, *rng.random((2, len(triangle)))), triangle
 
 
 def unseen_points(

@@ -162,10 +162,7 @@ def _direct(room: Room, position: np.ndarray, normal: np.ndarray, lamp: np.ndarr
         members = np.flatnonzero(lamp == index)
         area = np.maximum(room.areas[members].astype(np.float64), 1e-12)
         chosen = members[rng.choice(len(members), LAMP_SAMPLES, p=area / area.sum())]
-        u, v = rng.random((2, LAMP_SAMPLES))
-        root = np.sqrt(u)
-        weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=1)
-        place = np.einsum("nc,ncd->nd", weights, room.vertices[room.triangles[chosen]].astype(np.float64))
+        place = room.points_on(chosen, *rng.random((2, LAMP_SAMPLES)))
         toward = (place[None] - position[:, None]).reshape(-1, 3)
         distance = np.linalg.norm(toward, axis=1)
         direction = toward / np.maximum(distance, 1e-9)[:, None]

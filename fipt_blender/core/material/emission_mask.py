@@ -89,15 +89,7 @@ def masked_triangles(
     asked = np.arange(len(marked)) if candidates is None else np.flatnonzero(candidates)
     for start in range(0, len(asked), 4096):
         chunk = asked[start : start + 4096]
-        mean = mask(random_points(room, chunk, samples, rng)).reshape(-1, samples).mean(axis=1)
-        marked[chunk] = mean > threshold
+        u, v = rng.random((2, len(chunk), samples), dtype=np.float32)
+        alpha = mask(room.points_on(chunk[:, None], u, v).reshape(-1, 3))
+        marked[chunk] = alpha.reshape(-1, samples).mean(axis=1) > threshold
     return marked
-
-
-def random_points(room: Room, triangles: np.ndarray, samples: int, rng: np.random.Generator) -> np.ndarray:
-    """(len(triangles) * samples, 3) float32 points, uniform on each triangle."""
-    u, v = rng.random((2, len(triangles), samples), dtype=np.float32)
-    root = np.sqrt(u)
-    weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=-1)
-    corners = room.vertices[room.triangles[triangles]]
-    return np.einsum("tsc,tcd->tsd", weights, corners).reshape(-1, 3)

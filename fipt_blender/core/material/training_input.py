@@ -67,11 +67,9 @@ def training_input(
     groups = int(observations.parts.triangle_part.max(initial=-1)) + 1
     if pieces is not None:
         color = _diffuse_colors(observations, shadings, levels)
-        hint = np.full(len(pieces), NO_HINT) if hints is None else hints.triangle
-        group, groups = _assign_groups(observations, pieces, color, hint)
+        group, groups = _assign_groups(observations, pieces, color, hints)
     known = None
     if hints is not None:
-        groups += 0 if pieces is None else len(hints.names)
         known = hints.known(groups_of_hints(hints, observations.parts, groups), groups)
     start = np.random.default_rng([settings.seed, 5]).random()
     wide_rows, wide_cell = _wide_rows(observations, group, groups, start)
@@ -143,7 +141,7 @@ def _diffuse_colors(observations: Observations, shadings: ShadingStore, levels: 
 
 
 def _assign_groups(
-    observations: Observations, pieces: np.ndarray, color: np.ndarray, hint: np.ndarray
+    observations: Observations, pieces: np.ndarray, color: np.ndarray, hints: SurfaceHints | None
 ) -> tuple[np.ndarray, int]:
     """(N,) int32 group of each pixel with a donor, NO_GROUP for the others; memory-mapped. And their number.
 
@@ -152,9 +150,9 @@ def _assign_groups(
 
     Args:
         color: (M * 6, 3) base colour of each cache entry.
-        hint: (T,) int hint of each triangle, negative for none.
     """
     pixels = observations.pixels
+    hint = np.full(len(pieces), NO_HINT) if hints is None else hints.triangle
     classes, class_of_entry = np.unique(color_class(color), return_inverse=True)
     shape = (
         int(observations.parts.triangle_part.max(initial=-1)) + 2,
@@ -186,7 +184,7 @@ def _assign_groups(
         group[pixels.rows(view)] = NO_GROUP
         group[rows] = group_of_key[np.searchsorted(keys, key)]
         group[of_hints] = groups + hint[pixels.triangle[of_hints]]
-    return group, groups
+    return group, groups + (0 if hints is None else len(hints.names))
 
 
 def _similarity(group: np.ndarray, groups: int, label: np.ndarray, color: np.ndarray) -> np.ndarray:

@@ -101,6 +101,12 @@ class Room:
         """(T,) float64 triangle areas in square metres."""
         return 0.5 * np.linalg.norm(_edge_cross(self.vertices, self.triangles), axis=1)
 
+    def points_on(self, triangles: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(..., 3) points on triangles (...), evenly distributed where u and v (...) are so in [0, 1)."""
+        root = np.sqrt(u)
+        weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=-1)
+        return np.einsum("...c,...cd->...d", weights, self.vertices[self.triangles[triangles]])
+
     @cached_property
     def scan(self) -> Scan | None:
         """The surface of a scanned mesh, None for a modelled one; takes seconds for a million triangles."""
