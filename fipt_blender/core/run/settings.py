@@ -115,10 +115,10 @@ class Settings:
     )
     batch_size: int = _setting(8192, "stage 2: pixels per step", TRAINING)
     learning_rate: float = _setting(
-        1e-3, "stage 2: initial learning rate of Adam, which falls to a tenth", TRAINING
+        3e-3, "stage 2: initial learning rate of Adam, which falls to a tenth (paper: 1e-3)", TRAINING
     )
     hash_learning_rate: float = _setting(
-        3e-3,
+        1e-2,
         "stage 2: initial learning rate of the hash grid, of which few pixels reach each entry (paper: 1e-3)",
         TRAINING,
     )
@@ -218,6 +218,8 @@ PRESETS: dict[str, dict[str, Value]] = {
         "refine_specular_spp": 32,
         "refine_light_spp": 64,
         "training_steps": 4000,
+        "learning_rate": 1e-3,
+        "hash_learning_rate": 3e-3,
         "roughness_levels": 12,
     },
 }
