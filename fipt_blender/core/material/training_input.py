@@ -112,8 +112,13 @@ def hinted_units(units: Units, parts: Parts, hints: SurfaceHints, materials: Gro
     return Units(triangle, single, fixed)
 
 
-def material_units(pieces: np.ndarray | None, data: TrainingData) -> Units:
-    """Units of the mesh by the groups of :func:`training_input`; `pieces` as there."""
+def material_units(pieces: np.ndarray | None, patch: np.ndarray, data: TrainingData) -> Units:
+    """Units of the mesh by the groups of :func:`training_input`.
+
+    Args:
+        pieces: as there.
+        patch: (T,) int patch of each triangle, the least that is a unit.
+    """
     observations, groups = data.observations, len(data.materials.mean)
     if pieces is None:
         return part_units(observations.parts)
@@ -126,7 +131,8 @@ def material_units(pieces: np.ndarray | None, data: TrainingData) -> Units:
 
     keys, count = summed_by_key(views())
     triangle, group = np.divmod(keys, groups + 1)
-    return piece_units(observations.parts, pieces, triangle, group - 1, count, data.materials.of_pixels)
+    materials = data.materials.of_pixels
+    return piece_units(observations.parts, pieces, patch, triangle, group - 1, count, materials)
 
 
 def _diffuse_colors(observations: Observations, shadings: ShadingStore, levels: np.ndarray) -> np.ndarray:
