@@ -73,7 +73,7 @@ def learn_from(seen: Observations, pieces: np.ndarray | None) -> None:
     data = training_input(seen, pieces, shadings, levels, SETTINGS)
     cells, bright = fit_cells(data)
     assert len(bright) == len(seen.parts.triangle_part) and 0 < len(cells.keys) < len(seen.pixels)
-    units = material_units(pieces, np.arange(len(seen.parts.triangle_part)), data)
+    units = material_units(pieces, data, scan=False)
     assert len(units.triangle) == len(seen.parts.triangle_part)
 
 

@@ -100,22 +100,20 @@ def test_surfaces_of_one_material_are_units_and_others_belong_to_their_class():
     triangle, group = np.array([0, 1, 2, 2, 3, 3, 4, 4]), np.array([0, 1, 0, 2, NO_GROUP, 0, 2, 0])
     pixels = np.array([50, 50, 50, 50, 90, 10, 95, 5])
     materials = np.array([[0.4, 0.0], [0.45, 0.0], [1.0, 0.0], [1.0, 0.0]])
-    units = piece_units(parts, piece, np.arange(7), triangle, group, pixels, materials)
+    units = piece_units(parts, piece, triangle, group, pixels, materials)
     assert units.triangle.tolist() == [2, 2, 0, 1, 3, 1, NO_PART]
     assert units.single.tolist() == [False, False, True, True]
     assert units.is_single(np.array([3, 0, NO_PART])).tolist() == [True, False, False]
     # One triangle of piece 0 is metal: both are units, if a tenth of the piece's pixels see it.
     materials = np.array([[0.4, 0.0], [0.4, 1.0], [1.0, 0.0], [1.0, 0.0]])
-    metal = piece_units(parts, piece, np.arange(7), triangle, group, pixels, materials)
+    metal = piece_units(parts, piece, triangle, group, pixels, materials)
     assert metal.triangle.tolist() == [2, 4, 0, 1, 3, 1, NO_PART]
     assert metal.single.tolist() == [False, False, True, True, True]
+    undivided = piece_units(parts, piece, triangle, group, pixels, materials, divided=False)
+    assert undivided.triangle[:2].tolist() == [0, 0] and undivided.single.tolist() == [False, False, True]
     pixels[:2] = 95, 5
-    few = piece_units(parts, piece, np.arange(7), triangle, group, pixels, materials)
+    few = piece_units(parts, piece, triangle, group, pixels, materials)
     assert few.triangle[:2].tolist() == [2, 2] and few.single[2]  # an outlier
-    # A patch of both is no unit of one.
-    pixels[:2] = 50, 50
-    mixed = piece_units(parts, piece, np.array([0, 0, 1, 2, 3, 4, 5]), triangle, group, pixels, materials)
-    assert mixed.triangle[:2].tolist() == [0, 0]
     assert part_units(parts).single.all()
 
 

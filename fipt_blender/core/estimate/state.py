@@ -211,7 +211,7 @@ class EstimationState:
         """The units of a closed-form estimate."""
         units = self._units_before  # the network knows them by these numbers
         if units is None or self._pieces is None:
-            units = material_units(self._pieces, self._emitter_surfaces.unit, data)
+            units = material_units(self._pieces, data, self.room.scan is not None)
         if self.hints is None:
             return units
         return hinted_units(units, self.observations.parts, self.hints, data.materials)

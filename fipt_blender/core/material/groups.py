@@ -96,40 +96,39 @@ def material_groups(
 def piece_units(
     parts: Parts,
     pieces: np.ndarray,
-    patch: np.ndarray,
     triangle: np.ndarray,
     group: np.ndarray,
     pixels: np.ndarray,
     materials: np.ndarray,
+    divided: bool = True,
 ) -> Units:
     """Units where no parts are known: connected pieces of the mesh that are of one material, else classes.
 
-    In a piece of several materials, such as a mirror with its frame, the patches of the most frequent one
+    In a piece of several materials, such as a mirror with its frame, the triangles of the most frequent one
     are a unit, then those of the next, as long as they have a tenth of the piece's pixels.
 
     Args:
         parts: semantic classes, or none.
         pieces: (T,) int connected piece of each triangle.
-        patch: (T,) int patch of each triangle, the least that is a unit.
         triangle, group, pixels: (K,) int, the number of pixels that see a triangle and belong to a group
             (NO_GROUP for none).
         materials: (G + 1, 2) roughness and metallic of the groups; the last row, at -1, is of no group.
+        divided: whether pieces of several materials are; otherwise they are no units.
     """
-    piece = numbered([parts.triangle_part, pieces])
-    _, first, patch = np.unique(numbered([piece, patch]), return_index=True, return_inverse=True)
-    label, piece, place = parts.triangle_part[first], piece[first], patch[triangle]
-    size = np.bincount(piece[place], pixels, minlength=int(piece.max(initial=-1)) + 1)
+    label, piece = parts.triangle_part, numbered([parts.triangle_part, pieces])
+    size = np.bincount(piece[triangle], pixels, minlength=int(piece.max(initial=-1)) + 1)
     unit, classes = label.astype(np.int64), int(label.max(initial=-1)) + 1
     units, free = classes, np.ones(len(piece), bool)
     while True:
-        seen = pixels * free[place]
-        alike = _most_frequent(materials[group], seen * (group >= 0), piece[place])
-        whole = _share(piece[place], seen, alike, len(size)) >= SAME_SHARE
-        found = free & (whole[piece] | (_share(place, seen, alike, len(piece)) >= SAME_SHARE))
-        of_unit = np.bincount(piece[place], seen * found[place], minlength=len(size))
+        alike = _most_frequent(materials[group], pixels * (free[triangle] & (group >= 0)), piece[triangle])
+        seen = pixels * free[triangle]
+        found = free & (_share(piece[triangle], seen, alike, len(size)) >= SAME_SHARE)[piece]
+        if divided:
+            found |= free & (_share(triangle, seen, alike, len(piece)) >= SAME_SHARE)
+        of_unit = np.bincount(piece[triangle], seen * found[triangle], minlength=len(size))
         found &= ((of_unit > 0) & (of_unit >= (1.0 - SAME_SHARE) * size))[piece]
         if not found.any():
-            return Units(unit[patch].astype(np.int32), np.arange(units) >= classes)
+            return Units(unit.astype(np.int32), np.arange(units) >= classes)
         number = numbered([piece[found]])
         unit[found] = units + number
         units += int(number.max()) + 1

@@ -112,12 +112,10 @@ def hinted_units(units: Units, parts: Parts, hints: SurfaceHints, materials: Gro
     return Units(triangle, single, fixed)
 
 
-def material_units(pieces: np.ndarray | None, patch: np.ndarray, data: TrainingData) -> Units:
-    """Units of the mesh by the groups of :func:`training_input`.
+def material_units(pieces: np.ndarray | None, data: TrainingData, scan: bool) -> Units:
+    """Units of the mesh by the groups of :func:`training_input`; `pieces` as there.
 
-    Args:
-        pieces: as there.
-        patch: (T,) int patch of each triangle, the least that is a unit.
+    Pieces of a scan are not divided: the pixels of what it lacks spoil its triangles.
     """
     observations, groups = data.observations, len(data.materials.mean)
     if pieces is None:
@@ -132,7 +130,7 @@ def material_units(pieces: np.ndarray | None, patch: np.ndarray, data: TrainingD
     keys, count = summed_by_key(views())
     triangle, group = np.divmod(keys, groups + 1)
     materials = data.materials.of_pixels
-    return piece_units(observations.parts, pieces, patch, triangle, group - 1, count, materials)
+    return piece_units(observations.parts, pieces, triangle, group - 1, count, materials, divided=not scan)
 
 
 def _diffuse_colors(observations: Observations, shadings: ShadingStore, levels: np.ndarray) -> np.ndarray:
