@@ -41,7 +41,7 @@ def test_a_failed_import_is_told_once(monkeypatch, tmp_path, has_run):
     told = lambda layout, context, error, run: drawn.append(error["text"])  # noqa: E731
     monkeypatch.setattr(capture, "draw_error", told)
     monkeypatch.setattr("fipt_blender.panels.job.draw_error", told)
-    capture._draw_import(None, bpy.context)
+    capture.draw_import(None, bpy.context)
     assert drawn == ["The file is odd."]
 
 

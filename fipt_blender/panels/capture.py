@@ -80,7 +80,7 @@ class FIPT_PT_capture(Section, bpy.types.Panel):
                 text = "Select the folder that contains your photographs and their solved cameras."
                 draw_text(layout, context, text, icon="INFO")
                 layout.operator("fipt.try_example", icon="HOME")
-        _draw_import(layout, context)
+        draw_import(layout, context)
 
 
 class FIPT_PT_capture_import(SubSection, bpy.types.Panel):
@@ -231,7 +231,7 @@ def draw_legend(layout: bpy.types.UILayout) -> None:
         row.label(text=level.label, icon_value=swatches.icon(level.color), translate=False)
 
 
-def _draw_import(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+def draw_import(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """Progress of the import, or why the last one failed; a failed import no longer has a run folder."""
     draw_job(layout, context, "capture")
     job = running.last("capture")
