@@ -15,6 +15,7 @@ import numpy as np
 
 from ..capture.views import View
 from .camera_rays import first_hits, opaque_vector, trace_pixels
+from .labels import IMAGE_SOURCES
 from .room import Room
 
 GRID = 256  # pixels along the longer side
@@ -72,7 +73,7 @@ def fuse_inputs(
     Raises:
         FiptError: those of reading the id images.
     """
-    if source not in ("masks", "semantics"):
+    if source not in IMAGE_SOURCES:
         return [], []
     images: list[np.ndarray | None] = []
     triangles = []

@@ -24,6 +24,8 @@ from .segments import scan_segments
 from .smooth_parts import Votes, smooth_labels
 
 NO_PART = -1
+# Sources that are images beside the photographs.
+IMAGE_SOURCES = ("masks", "semantics")
 _IDS = 1 << 32  # larger than any id
 # Weight of pixels at borders of masks on a scan, whose borders lie elsewhere by about a pixel.
 BORDER_VOTE = 0.1
@@ -56,10 +58,6 @@ def choose_parts(room: Room, views: Sequence[View], triangles: Sequence[np.ndarr
     return label_parts(room, source, images, triangles)
 
 
-# Sources that are images beside the photographs.
-IMAGE_SOURCES = ("masks", "semantics")
-
-
 def usable_sources(room: Room, views: Sequence[View]) -> list[str]:
     """The sources that distinguish any surfaces, in the order in which ``auto`` prefers them."""
     usable = {
@@ -72,19 +70,23 @@ def usable_sources(room: Room, views: Sequence[View]) -> list[str]:
 
 
 def choose_source(room: Room, views: Sequence[View]) -> str:
-    """The source that room.json names, with ``auto`` resolved; semantics or none where masks are missing.
-
-    ``auto`` never takes loose pieces, because scans contain many fragments that are not parts. Of a scan it
-    takes masks only: its materials are pages of a texture, and its objects tiles, or panes that were added.
-    """
+    """The source that room.json names, with ``auto`` resolved; semantics or none where masks are missing."""
     usable = usable_sources(room, views)
     source = room.parts
     if source == "auto":
-        parts = [name for name in usable if name in IMAGE_SOURCES or room.scan is None]
-        return parts[0] if parts else "none"
+        return automatic_source(room, usable)
     if source == "masks" and "masks" not in usable:
         source = "semantics"
     return "none" if source == "semantics" and "semantics" not in usable else source
+
+
+def automatic_source(room: Room, usable: Sequence[str]) -> str:
+    """What ``auto`` stands for, by :func:`usable_sources`.
+
+    Loose pieces never count, because scans contain many fragments that are not parts. Of a scan masks alone
+    count: its materials are pages of a texture, and its objects tiles, or panes that were added.
+    """
+    return next((name for name in usable if name in IMAGE_SOURCES or room.scan is None), "none")
 
 
 def label_parts(

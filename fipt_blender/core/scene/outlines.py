@@ -23,7 +23,7 @@ from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
 from .camera_rays import first_hits, trace_pixels
 from .disagreement import mask_of
 from .grouped import grouped_sums
-from .labels import Parts, choose_parts, choose_source, masks_digest
+from .labels import IMAGE_SOURCES, Parts, choose_parts, choose_source, masks_digest
 from .outline_misses import Misses, find_misses, joined
 from .room import Room, load_room
 
@@ -65,7 +65,7 @@ def outline_parts(run: RunFolder, views: Sequence[View]) -> None:
         return
     room = replace(load_room(run), vertices=cleaned["vertices"])
     source = choose_source(room, views)
-    if source not in ("masks", "semantics"):
+    if source not in IMAGE_SOURCES:
         run.outlines_npz.unlink(missing_ok=True)
         return
     images = (view.part_ids() if source == "masks" else view.semantic_ids() for view in views)

@@ -7,7 +7,6 @@ parts. A quick check for the artist before an estimation, which does not read it
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,7 +50,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     set_variant(arguments.device)
     # Mitsuba's types exist only after the variant is set.
     from .coverage import fuse_inputs, view_coverage
-    from .labels import choose_source, label_parts, usable_sources
+    from .labels import automatic_source, label_parts, usable_sources
     from .room import load_room
 
     folder = RunFolder(arguments.folder)
@@ -71,7 +70,8 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     reporter.stage("parts", "Finding the parts")
     train = [view for view in capture.train if view.image.is_file()]
     labels = {}
-    sources = [*usable_sources(room, train), "loose"]
+    usable = usable_sources(room, train)
+    sources = [*usable, "loose"]
     for index, source in enumerate(sources):
         images, triangles = fuse_inputs(room, train, source)
         labels[source] = label_parts(room, source, images, triangles).triangle_part
@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
             "version": SURVEY_VERSION,
             "views": entries,
             "parts": {
-                "auto": choose_source(replace(room, parts="auto"), train),
+                "auto": automatic_source(room, usable),
                 "counts": {source: len(np.unique(part[part >= 0])) for source, part in labels.items()},
             },
         },
