@@ -106,9 +106,11 @@ def _leave_out_unmeshed(
     pixels = cells.pixels
     footprint = median_footprint(pixels)
     lamps = unmeshed_lights(cells, footprint, np.random.default_rng([settings.seed, 4]), scan)
+    if not lamps:
+        return []
     margin = 1.5 * footprint
     balls = [measure(pixels, lamp, margin) for lamp in lamps]
-    reflected = most_reflected_at(cells, np.array([lamp.position for lamp in lamps]).reshape(-1, 3))
+    reflected = most_reflected_at(cells, np.array([lamp.position for lamp in lamps]))
     for lamp in lamps:
         _leave_out(pixels, shown_by(pixels, lamp, margin))
     shine = [ball.radiance.mean() > most for ball, most in zip(balls, reflected, strict=True)]

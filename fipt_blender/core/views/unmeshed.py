@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from ..scene.grouped import grouped_median
+from ..scene.grouped import grouped_median, grouped_sums
 from ..scene.pixels import PixelStore
 from .cells import CellPixels, SurfaceCells
 
@@ -154,15 +154,16 @@ def most_reflected_at(cells: SurfaceCells, places: np.ndarray) -> np.ndarray:
     It faces where most light comes from, and nothing hides any of the cells' light. A lamp without mesh is
     brighter; a table that a scanner lost may be white.
     """
-    radiance, count, position = np.zeros(cells.count), np.zeros(cells.count), np.zeros((cells.count, 3))
+    sums = np.zeros((cells.count, 5))
     for index in range(len(cells.pixels.views)):
         in_view = cells.of_view(index)
-        np.add.at(radiance, in_view.cell, np.exp(in_view.value))
-        np.add.at(count, in_view.cell, 1.0)
-        np.add.at(position, in_view.cell, np.asarray(cells.pixels.position[in_view.rows], np.float64))
-    seen = count > 0
-    flux = radiance[seen] / count[seen] * cells.grid.size**2 / np.pi
-    axis, center = cells.grid.axes(cells.keys[seen])[:, None], position[seen] / count[seen, None]
+        ones, position = np.ones(len(in_view.rows)), cells.pixels.position[in_view.rows]
+        values = np.column_stack([ones, np.exp(in_view.value), position])
+        sums += grouped_sums(values, in_view.cell, cells.count)
+    seen = sums[:, 0] > 0.0
+    means = sums[seen, 1:] / sums[seen, :1]
+    flux, center = means[:, 0] * cells.grid.size**2 / np.pi, means[:, 1:]
+    axis = cells.grid.axes(cells.keys[seen])[:, None]
     most = []
     for place in places:
         distance = np.maximum(np.linalg.norm(center - place, axis=1), cells.grid.size)
