@@ -116,16 +116,17 @@ def piece_units(
         divided: whether pieces of several materials are; otherwise they are no units.
     """
     label, piece = parts.triangle_part, numbered([parts.triangle_part, pieces])
-    size = np.bincount(piece[triangle], pixels, minlength=int(piece.max(initial=-1)) + 1)
+    place = piece[triangle]
+    size = np.bincount(place, pixels, minlength=int(piece.max(initial=-1)) + 1)
     unit, classes = label.astype(np.int64), int(label.max(initial=-1)) + 1
     units, free = classes, np.ones(len(piece), bool)
     while True:
-        alike = _most_frequent(materials[group], pixels * (free[triangle] & (group >= 0)), piece[triangle])
         seen = pixels * free[triangle]
-        found = free & (_share(piece[triangle], seen, alike, len(size)) >= SAME_SHARE)[piece]
+        alike = _most_frequent(materials[group], seen * (group >= 0), place)
+        found = free & (_share(place, seen, alike, len(size)) >= SAME_SHARE)[piece]
         if divided:
             found |= free & (_share(triangle, seen, alike, len(piece)) >= SAME_SHARE)
-        of_unit = np.bincount(piece[triangle], seen * found[triangle], minlength=len(size))
+        of_unit = np.bincount(place, seen * found[triangle], minlength=len(size))
         found &= ((of_unit > 0) & (of_unit >= (1.0 - SAME_SHARE) * size))[piece]
         if not found.any():
             return Units(unit.astype(np.int32), np.arange(units) >= classes)
