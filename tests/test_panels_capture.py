@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import bpy
 import pytest
 
@@ -26,8 +24,11 @@ pytestmark = pytest.mark.usefixtures("registered")
     ],
 )
 def test_names_of_views_without_their_common_folder(names, shown):
-    views = [SimpleNamespace(name=name) for name in names]
-    assert capture.shown_name(names[0], views) == shown
+    settings = bpy.context.scene.fipt.capture
+    for name in names:
+        settings.views.add().name = name
+    settings.count_views()
+    assert capture.shown_name(names[0], settings.name_prefix) == shown
 
 
 @pytest.mark.parametrize("has_run", [False, True])

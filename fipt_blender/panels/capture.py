@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
@@ -31,7 +30,7 @@ class FIPT_UL_views(Rows, bpy.types.UIList):
         row.prop(item, "enabled", text="")
         name = row.row(align=True)
         name.active = item.enabled
-        name.label(text=shown_name(item.name, context.scene.fipt.capture.views), translate=False)
+        name.label(text=shown_name(item.name, context.scene.fipt.capture.name_prefix), translate=False)
         if item.camera not in bpy.data.objects:
             row.label(text="", icon="CANCEL")
         elif item.warning:
@@ -41,10 +40,14 @@ class FIPT_UL_views(Rows, bpy.types.UIList):
         row.prop(item, "split", text="", icon_only=True, emboss=False)
 
 
-def shown_name(name: str, views: Collection[bpy.types.PropertyGroup]) -> str:
-    """A view's name without the folder where all are in one: the end of long names is cut off in lists."""
+def shown_name(name: str, prefix: str) -> str:
+    """A view's name without the folder where all are in one: the end of long names is cut off in lists.
+
+    Args:
+        prefix: what the names of all views start with.
+    """
     folder = name.rpartition("/")[0] + "/"
-    return name.removeprefix(folder) if all(view.name.startswith(folder) for view in views) else name
+    return name.removeprefix(folder) if prefix.startswith(folder) else name
 
 
 class FIPT_MT_tick_views(bpy.types.Menu):

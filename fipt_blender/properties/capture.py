@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -234,6 +235,7 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         subtype="FACTOR",
         update=_opacity_changed,
     )
+    name_prefix: bpy.props.StringProperty(description="What the names of all views start with")
     train_count: bpy.props.IntProperty(description="Number of ticked views for estimation")
     held_back_count: bpy.props.IntProperty(description="Number of ticked views that are held back")
     warning_count: bpy.props.IntProperty(description="Number of ticked views with a warning")
@@ -258,7 +260,9 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         return [] if room is None else list(room.all_objects)
 
     def count_views(self) -> None:
-        """Update the numbers that the panel shows for all views together."""
+        """Update what the panel shows of all views together."""
+        # By characters, as names need no folders; the list asks only for whole folders.
+        self.name_prefix = os.path.commonprefix([view.name for view in self.views])  # noqa: RUF071
         used = [view for view in self.views if view.enabled and view.camera in bpy.data.objects]
         self.train_count = sum(view.split == "train" for view in used)
         self.held_back_count = len(used) - self.train_count
