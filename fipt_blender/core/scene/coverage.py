@@ -109,4 +109,6 @@ def _centroids_seen(room: Room, view: View) -> tuple[np.ndarray, np.ndarray]:
     hit = room.scene.ray_intersect_preliminary(ray, coherent=False)
     reached = hit.prim_index == dr.arange(mi.UInt32, len(room.triangles))
     unhidden = hit.is_valid() & (reached | (hit.t > distance * (1.0 - _COINCIDENT)))
-    return np.array(inside & unhidden), np.array(unhidden)
+    seen = inside & unhidden
+    dr.eval(seen, unhidden)  # one after the other, each would be traced
+    return np.array(seen), np.array(unhidden)

@@ -6,11 +6,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 
 from ..alignment.edges import EdgeFit, MeshEdges, fit_edges, mesh_edges
 from ..capture.views import View
-from .camera_rays import trace_pixels
+from .camera_rays import opaque_vector, trace_pixels
 from .room import Room
 
 TRACED = 960  # pixels along the longer side that are traced at least, and at most twice as many
@@ -53,15 +55,13 @@ def view_edges(room: Room, view: View) -> MeshEdges:
         view, width=width, height=height, fx=view.fx * x, fy=view.fy * y, cx=view.cx * x, cy=view.cy * y
     )
     surface = trace_pixels(room, finer)
-    valid = np.array(surface.valid, bool)
-    position, normal = (
-        np.array(values).T.astype(np.float64) for values in (surface.position, surface.normal)
-    )
     pose = np.asarray(view.camera_to_world, np.float64)
-    points = np.where(
-        valid[:, None], (np.where(valid[:, None], position, 0.0) - pose[:3, 3]) @ pose[:3, :3], 0.0
-    )
-    normals = np.where(valid[:, None], normal @ pose[:3, :3], 0.0)
+    axes = [opaque_vector(mi.Vector3f, pose[:3, axis]) for axis in range(3)]
+    toward = surface.position - opaque_vector(mi.Point3f, pose[:3, 3])
+    point = mi.Vector3f(*(dr.select(surface.valid, dr.dot(toward, axis), 0.0) for axis in axes))
+    normal = mi.Vector3f(*(dr.dot(surface.normal, axis) for axis in axes))
+    dr.eval(surface.valid, point, normal)  # one after the other, each would be traced
+    valid, points, normals = np.array(surface.valid), np.array(point).T, np.array(normal).T
     shape = (height, width)
     edges = mesh_edges(
         points.reshape(*shape, 3),
