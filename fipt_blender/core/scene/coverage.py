@@ -28,7 +28,8 @@ class Coverage:
 
     Attributes:
         seen: (T,) bool, whether any of each triangle is seen.
-        in_sight: (T,) bool, whether it is seen, or its centroid would be if the camera turned to it.
+        in_sight: (T,) bool, whether it is seen or, of triangles that were not known, its centroid would be if
+            the camera turned to it.
         room_share: 0..1, share of the pixels that see the mesh.
     """
 
@@ -37,12 +38,17 @@ class Coverage:
     room_share: float
 
 
-def view_coverage(room: Room, view: View) -> Coverage:
-    """Which triangles a view sees, whatever their size."""
+def view_coverage(room: Room, view: View, known: np.ndarray) -> Coverage:
+    """Which triangles a view sees, whatever their size.
+
+    Args:
+        known: (T,) bool, triangles that are in sight of earlier views: it does not matter any more whether
+            they would be seen if this camera turned to them, so that fewer rays are traced.
+    """
     triangle = coarse_triangles(room, coarse_view(view))
     seen = np.zeros(len(room.triangles), bool)
     seen[triangle[triangle >= 0]] = True
-    centroid_seen, centroid_in_sight = _centroids_seen(room, view)
+    centroid_seen, centroid_in_sight = _centroids_seen(room, view, known)
     seen |= centroid_seen
     return Coverage(seen, seen | centroid_in_sight, float((triangle >= 0).mean()))
 
@@ -89,9 +95,9 @@ def fuse_inputs(
     return images, triangles
 
 
-def _centroids_seen(room: Room, view: View) -> tuple[np.ndarray, np.ndarray]:
+def _centroids_seen(room: Room, view: View, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(T,) bool each: whether each triangle's centroid is in the image and nothing hides it, and whether
-    nothing hides it, in the image or not.
+    nothing hides it, in the image or, unless it is `known`, not.
     """
     corners = [mi.Int32(np.ascontiguousarray(room.triangles[:, axis], np.int32)) for axis in range(3)]
     table = mi.Float(np.ascontiguousarray(room.vertices, np.float32).reshape(-1))
@@ -104,11 +110,16 @@ def _centroids_seen(room: Room, view: View) -> tuple[np.ndarray, np.ndarray]:
     fx, fy, cx, cy, width, height = (dr.opaque(mi.Float, float(value)) for value in parameters)
     column, row = fx * x / z + cx, fy * y / z + cy
     inside = (z > 0.0) & (column >= 0.0) & (column <= width) & (row >= 0.0) & (row <= height)
+    traced = inside | ~mi.Bool(np.ascontiguousarray(known))
+    dr.eval(inside, traced, toward)
+    index = dr.compress(traced)
+    if not dr.width(index):
+        return np.zeros(len(known), bool), np.zeros(len(known), bool)
+    toward = dr.gather(mi.Vector3f, toward, index)
     distance = dr.norm(toward)
     ray = mi.Ray3f(origin, toward / dr.maximum(distance, 1e-20))
     hit = room.scene.ray_intersect_preliminary(ray, coherent=False)
-    reached = hit.prim_index == dr.arange(mi.UInt32, len(room.triangles))
-    unhidden = hit.is_valid() & (reached | (hit.t > distance * (1.0 - _COINCIDENT)))
-    seen = inside & unhidden
-    dr.eval(seen, unhidden)  # one after the other, each would be traced
-    return np.array(seen), np.array(unhidden)
+    reached = hit.prim_index == index
+    unhidden = dr.zeros(mi.Bool, len(room.triangles))
+    dr.scatter(unhidden, hit.is_valid() & (reached | (hit.t > distance * (1.0 - _COINCIDENT))), index)
+    return np.array(inside & unhidden), np.array(unhidden)

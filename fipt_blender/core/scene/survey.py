@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     seen = np.zeros((len(capture.views), len(room.triangles)), bool)
     in_sight = np.zeros(len(room.triangles), bool)
     for index, view in enumerate(capture.views):
-        coverage = view_coverage(room, view)
+        coverage = view_coverage(room, view, known=in_sight)
         seen[index] = coverage.seen
         in_sight |= coverage.in_sight
         facts = {"name": view.name, "room_share": coverage.room_share, **photograph_facts(view, room)}
