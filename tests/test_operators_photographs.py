@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Photographs over the room: they hide results only where the artist looks through them."""
+"""Photographs over the room: they hide results only where the artist wants to see them."""
 
 from __future__ import annotations
 
@@ -33,29 +33,57 @@ def photographs(scene) -> list[bpy.types.Camera]:
     return found
 
 
-def test_photographs_cover_results_only_where_the_artist_looks_through_them(scene, photographs):
+def test_photographs_cover_results_only_where_the_artist_switches_them_on(scene, photographs):
     def covering() -> list[bool]:
         return [data.show_background_images for data in photographs]
 
+    capture = scene.fipt.capture
     assert covering() == [True, True]
     assert ops.apply_results("EXEC_DEFAULT") == {"FINISHED"}
     assert covering() == [False, False]
+    ops.look_through(view="a")
+    assert covering() == [False, False], "the results are what one looks at"
     scene.fipt.materials.shown = "ORIGINAL"
     assert covering() == [True, True]
     scene.fipt.materials.shown = "ROUGHNESS"
     assert covering() == [False, False]
-    ops.look_through(view="a")
+    capture.photograph_over_results = True
     assert covering() == [True, False]
+    ops.look_through(view="b")
+    assert covering() == [True, True]
+    capture.photograph_over_results = False
     scene.fipt.materials.shown = "METALLIC"
     assert covering() == [False, False]
-    scene.fipt.capture.photograph_opacity = 0.7
-    assert covering() == [True, False]
     scene.fipt.materials.shown = "ESTIMATED"
     ops.set_backdrop(mode="PHOTOGRAPH")  # behind the room it hides nothing
     scene.fipt.materials.shown = "ROUGHNESS"
     assert covering() == [True, True]
     ops.set_backdrop(mode="ROOM")
     assert covering() == [False, False]
-    del photographs[1]["fipt_covered"]  # as if the artist had switched it off
     ops.revert()
-    assert covering() == [True, False]
+    assert covering() == [True, True]
+
+
+def test_the_pie_menu_shows_and_hides_the_photograph(scene, photographs):
+    first, second = photographs
+    assert ops.look_through(toggle=True) == {"FINISHED"}
+    assert not first.show_background_images and not scene.fipt.capture.photograph_over_mesh
+    ops.look_through(step=1)
+    assert not second.show_background_images
+    ops.look_through(toggle=True)
+    assert second.show_background_images
+    ops.look_through(view="a", toggle=True)  # another view: its photograph is wanted
+    assert first.show_background_images
+
+
+def test_a_comparison_with_the_viewport_goes_on_where_another_map_is_shown(scene, photographs):
+    data, photograph = photographs[0], photographs[0].background_images[0].image
+    ops.apply_results("EXEC_DEFAULT")
+    assert ops.compare(mode="VIEWPORT") == {"FINISHED"}
+    scene.fipt.materials.shown = "ROUGHNESS"
+    assert scene.fipt.check.compare == "VIEWPORT" and data.show_background_images
+    assert data.background_images[0].image != photograph
+    ops.revert()
+    assert scene.fipt.check.compare == "VIEWPORT" and data.background_images[0].image != photograph
+    ops.compare(mode="OFF")
+    assert data.background_images[0].image == photograph and data.show_background_images

@@ -20,7 +20,6 @@ PIXEL_ASPECT = "fipt_pixel_aspect"
 LOOKED_PAST = "fipt_looked_past"  # hidden while another view is looked through: view layers, whether selected
 # Stored with the camera's data:
 KEPT_PHOTOGRAPH = "fipt_photograph"  # the photograph, while another picture lies over the view
-COVERED = "fipt_covered"  # the background image is hidden while results are shown
 
 # --- objects and meshes of the room ------------------------------------------------------------------------
 OBJECT_ID = "fipt_object_id"  # by which runs find the object again: the name of its first export

@@ -203,6 +203,11 @@ def tick() -> float | None:
     return _WATCH_SECONDS if job.waits and not info.stopping else _WORK_SECONDS
 
 
+def count_text(count: int) -> str:
+    """How many warnings there are, in words."""
+    return iface_("1 warning") if count == 1 else iface_("{} warnings").format(count)
+
+
 def belongs_to(info: RunningJob, scene: bpy.types.Scene) -> bool:
     """Whether an ended job was this scene's: on its run folder, or refused before it had one."""
     if scene.fipt.run_folder:
@@ -268,7 +273,8 @@ def _end() -> None:
     if info.error is not None:
         show_notice(iface_("{} failed: {}").format(iface_(info.title), info.error["text"]), "ERROR")
     elif info.state == "finished":
-        show_notice(iface_("{}: finished").format(iface_(info.title)), "INFO")
+        text = iface_("{}: finished").format(iface_(info.title))
+        show_notice(f"{text}, {count_text(len(info.warnings))}" if info.warnings else text, "INFO")
 
 
 def _as_message(error: FiptError) -> Message:

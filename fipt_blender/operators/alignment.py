@@ -89,7 +89,10 @@ class FIPT_OT_pick_pair(WaitsForClicks, bpy.types.Operator):
         self._picked: tuple[str, Vector] | None = None
         self._sights: list[PickedSight] = []
         settings = context.scene.fipt.capture
-        self._before = (settings.active_view, settings.photograph_opacity, self._leave_camera(context))
+        self._shown = {
+            name: getattr(settings, name) for name in ("photograph_opacity", settings.photograph_switch())
+        }
+        self._before = (settings.active_view, self._leave_camera(context))
         return self.wait_for_clicks(context, _MESH_TEXT)
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -118,8 +121,10 @@ class FIPT_OT_pick_pair(WaitsForClicks, bpy.types.Operator):
         if self._picked is None:
             self.report({"WARNING"}, "There is no mesh under the mouse pointer")
             return {"RUNNING_MODAL"}
-        context.scene.fipt.capture.photograph_opacity = 1.0
-        self._look(context, context.scene.fipt.capture.active_view)
+        settings = context.scene.fipt.capture
+        settings.photograph_opacity = 1.0
+        setattr(settings, settings.photograph_switch(), True)
+        self._look(context, settings.active_view)
         self.say(context, _PHOTO_TEXT)
         return {"RUNNING_MODAL"}
 
@@ -167,8 +172,9 @@ class FIPT_OT_pick_pair(WaitsForClicks, bpy.types.Operator):
         """Stop waiting and restore the viewport."""
         super().cancel(context)
         settings = context.scene.fipt.capture
-        active, opacity, was_camera = self._before
-        settings.photograph_opacity = opacity
+        active, was_camera = self._before
+        for name, value in self._shown.items():
+            setattr(settings, name, value)
         if context.area is None:
             return
         if was_camera and settings.views:

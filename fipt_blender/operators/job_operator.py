@@ -33,7 +33,8 @@ class StartsJob:
     def poll(cls, context: bpy.types.Context) -> bool:
         job = running.current()
         if job is not None:
-            cls.poll_message_set(iface_("{} is running").format(iface_(job.title)))  # type: ignore[attr-defined]
+            text = iface_("{} is running. Wait for its end, or stop it with Esc").format(iface_(job.title))
+            cls.poll_message_set(text)  # type: ignore[attr-defined]
             return False
         return True
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class FIPT_OT_look_through(bpy.types.Operator):
-    """Look through the camera of a view, with its photograph over the room"""
+    """Look through the camera of a view"""
 
     bl_idname = "fipt.look_through"
     bl_label = "Look Through View"
@@ -39,13 +39,19 @@ class FIPT_OT_look_through(bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
+    toggle: bpy.props.BoolProperty(
+        name="Toggle Photograph",
+        description="Also show the photograph over the view, or hide it if it is shown",
+        options={"SKIP_SAVE"},
+    )
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         return has_views(cls, context)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.capture.look import camera_missing, look_through
+        from ..blend.capture.look import camera_missing, look_through, shows_photograph
 
         settings = context.scene.fipt.capture
         index = settings.active_view
@@ -55,6 +61,9 @@ class FIPT_OT_look_through(bpy.types.Operator):
                 self.report({"ERROR"}, f"There is no view '{self.view}'. Use the name of a view in the list.")
                 return {"CANCELLED"}
         index = (index + self.step) % len(settings.views)
+        if self.toggle:
+            shown = shows_photograph(context.scene, settings.views[index], context)
+            setattr(settings, settings.photograph_switch(), not shown)
         if look_through(context.scene, settings.views[index], context) is None:
             raise camera_missing(settings.views[index])
         settings.active_view = index

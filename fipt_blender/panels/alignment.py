@@ -7,7 +7,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from .job import draw_job
+from .job import draw_job, draw_warnings, job_warnings
 from .sidebar import Rows, SubSection, draw_text
 
 
@@ -79,6 +79,7 @@ class FIPT_PT_capture_pairs(SubSection, bpy.types.Panel):
                 row.operator(
                     "fipt.choose_placement", text=text, translate=False, depress=active
                 ).index = index
+        draw_warnings(layout, context, "align", job_warnings(context, "align"))
 
     def _draw_pairs(self, context: bpy.types.Context) -> None:
         """Picking, the list of pairs, and aligning by them."""

@@ -11,7 +11,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..jobs import running
 from . import swatches
-from .job import draw_error, draw_job
+from .job import draw_error, draw_job, draw_warnings, job_warnings
 from .presets import FIPT_PT_import_presets
 from .sidebar import Rows, Section, SubSection, draw_text
 
@@ -84,6 +84,7 @@ class FIPT_PT_capture(Section, bpy.types.Panel):
                 draw_text(layout, context, text, icon="INFO")
                 layout.operator("fipt.try_example", icon="HOME")
         draw_import(layout, context)
+        draw_warnings(layout, context, "capture", job_warnings(context, "capture"))
 
 
 class FIPT_PT_capture_import(SubSection, bpy.types.Panel):
@@ -97,18 +98,31 @@ class FIPT_PT_capture_import(SubSection, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()
         settings = context.scene.fipt.capture
-        layout.prop(settings, "format")
+        column = layout.column(align=True)
+        column.prop(settings, "mesh")
+        column.prop(settings, "align_mesh")
         column = layout.column(align=True)
         column.prop(settings, "up_axis")
         column.prop(settings, "scale")
+
+
+class FIPT_PT_capture_import_advanced(SubSection, bpy.types.Panel):
+    """Options that few captures need"""
+
+    bl_label = "Advanced"
+    bl_parent_id = "FIPT_PT_capture_import"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        settings = context.scene.fipt.capture
         column = layout.column(align=True)
+        column.prop(settings, "format")
         column.prop(settings, "images")
-        column.prop(settings, "mesh")
-        column.prop(settings, "align_mesh")
+        column.prop(settings, "hold_back")
+        column = layout.column(align=True)
+        column.prop(settings, "triangles")
         column.prop(settings, "plane_room")
         column.prop(settings, "dense_stereo")
-        column.prop(settings, "triangles")
-        layout.prop(settings, "hold_back")
         column = layout.column(align=True)
         column.prop(settings, "clamp_negative")
         row = column.row()
@@ -133,6 +147,9 @@ class FIPT_PT_capture_room(SubSection, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("fipt.set_room", text="From Selection", icon="RESTRICT_SELECT_OFF")
         row.operator("fipt.import_mesh", text="Import Mesh", icon="MESH_DATA")
+        if settings.views and not settings.room_objects(context.scene):
+            text = "The room has no mesh. Import one, or select the objects that form the room."
+            draw_text(layout, context, iface_(text), icon="ERROR")
         row = layout.row(align=True)
         row.prop(settings, "triangles")
         row.operator("fipt.simplify_room", text="", icon="MOD_DECIM")
@@ -162,7 +179,7 @@ class FIPT_PT_capture_views(SubSection, bpy.types.Panel):
         column.operator("fipt.look_through", text="", icon="TRIA_DOWN").step = 1
         column.separator()
         column.menu("FIPT_MT_tick_views", text="", icon="DOWNARROW_HLT")
-        layout.prop(settings, "photograph_opacity", slider=True)
+        _draw_photograph(layout, settings)
         _draw_active(layout, context, settings)
         counts = iface_("{} for estimation, {} held back").format(
             settings.train_count, settings.held_back_count
@@ -172,6 +189,18 @@ class FIPT_PT_capture_views(SubSection, bpy.types.Panel):
         draw_job(layout, context, "survey")
         if settings.unseen_share >= 0.0:
             _draw_survey(layout, context, settings)
+        draw_warnings(layout, context, "survey", job_warnings(context, "survey"))
+
+
+def _draw_photograph(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
+    """Whether and how strongly the photograph lies over the room."""
+    row = layout.row(align=True)
+    switch = settings.photograph_switch()
+    shown = getattr(settings, switch)
+    row.prop(settings, switch, text="", icon="HIDE_OFF" if shown else "HIDE_ON")
+    slider = row.row(align=True)
+    slider.active = shown
+    slider.prop(settings, "photograph_opacity", slider=True)
 
 
 def _draw_active(
@@ -255,6 +284,7 @@ CLASSES = (
     FIPT_MT_tick_views,
     FIPT_PT_capture,
     FIPT_PT_capture_import,
+    FIPT_PT_capture_import_advanced,
     FIPT_PT_capture_room,
     FIPT_PT_capture_views,
 )

@@ -8,7 +8,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..properties.check import COMPARISONS
-from .job import draw_job
+from .job import draw_job, draw_warnings, job_warnings
 from .presets import FIPT_PT_check_presets
 from .sidebar import Rows, Section
 
@@ -57,6 +57,7 @@ class FIPT_PT_check(Section, bpy.types.Panel):
         row.operator("fipt.write_report", icon="FILE_TEXT")
         row.operator("fipt.open_report", text="", icon="URL")
         draw_job(layout, context, "report")
+        draw_warnings(layout, context, "check", job_warnings(context, "check", "report"))
 
     def _draw_views(self, context: bpy.types.Context, settings: bpy.types.PropertyGroup) -> None:
         layout = self.layout

@@ -12,9 +12,10 @@ from bpy.app.translations import pgettext_iface as iface_
 from ..core.run.runfolder import RunFolder
 from ..jobs import running, runstate
 from ..jobs.previews import estimate_pictures
-from .job import draw_error, draw_job, draw_messages
+from .job import draw_error, draw_job, draw_warnings, job_warnings
 from .presets import FIPT_PT_estimate_presets
-from .sidebar import Section, SubSection
+from .sidebar import Section, SubSection, draw_text
+from .statusbar import status_text
 
 # Settings in one column belong together.
 _ADVANCED = (
@@ -43,17 +44,22 @@ class FIPT_PT_estimate(Section, bpy.types.Panel):
         draw_setting(column, settings, "rounds")
 
         state = runstate.known(context.scene.fipt.run_folder)
-        column = layout.column(align=True)
-        if running.current() is None:
+        job = running.current()
+        if job is not None and job.kind == "estimate":
+            draw_job(layout, context, "estimate")
+            _draw_pictures(layout, tuple(job.pictures))
+        else:
+            column = layout.column(align=True)
             column.scale_y = 1.4
             column.operator("fipt.estimate", icon="PLAY")
             if state.stages and not state.finished:
                 column.operator("fipt.resume", icon="FILE_REFRESH")
-        is_running = draw_job(layout, context, "estimate")
-        if not is_running:
+            if job is not None:
+                _draw_waiting(layout, context, job)
+            draw_job(layout, context, "estimate")
             _draw_state(layout, context, state)
-        job = running.current() if is_running else None
-        _draw_pictures(layout, tuple(job.pictures) if job else state.pictures)
+        warnings = job_warnings(context, "estimate") if _was_here(job) else state.warnings
+        draw_warnings(layout, context, "estimate", warnings)
 
 
 class FIPT_PT_estimate_advanced(SubSection, bpy.types.Panel):
@@ -82,17 +88,32 @@ def draw_setting(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup, 
 
 
 def _draw_state(layout: bpy.types.UILayout, context: bpy.types.Context, state: runstate.RunState) -> None:
-    """The state of the run folder; also its messages where this Blender has run no estimation."""
+    """The state of the run folder, the way on, and its error where this Blender has run no estimation."""
+    if state.error is not None and running.last("estimate") is None:
+        folder = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
+        draw_error(layout, context, state.error, folder)
     if state.finished:
-        layout.label(text="Finished. Apply the results below", icon="CHECKMARK")
+        layout.label(text="Finished", icon="CHECKMARK")
     elif state.stages:
         text = iface_("Stopped. Finished stages: {}").format(state.stages)
         layout.label(text=text, icon="PAUSE", translate=False)
-    if running.last("estimate") is None:
-        if state.error is not None:
-            folder = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
-            draw_error(layout, context, state.error, folder)
-        draw_messages(layout, context, state.warnings)
+    _draw_pictures(layout, state.pictures)
+    if state.finished:
+        layout.operator("fipt.apply_results", icon="MATERIAL")
+
+
+def _was_here(job: running.RunningJob | None) -> bool:
+    """Whether this Blender runs or has run an estimation."""
+    return running.last("estimate") is not None or (job is not None and job.kind == "estimate")
+
+
+def _draw_waiting(layout: bpy.types.UILayout, context: bpy.types.Context, job: running.RunningJob) -> None:
+    """The other job, for whose end Estimate has to wait, with a button that stops it."""
+    column = layout.column(align=True)
+    draw_text(column, context, iface_("Estimate can start when this job has ended:"), icon="SORTTIME")
+    row = column.row(align=True)
+    row.progress(factor=job.fraction, text=status_text(job))
+    row.operator("fipt.cancel", text="", icon="X")
 
 
 def _draw_pictures(layout: bpy.types.UILayout, paths: tuple[Path, ...]) -> None:

@@ -8,7 +8,7 @@ import os
 
 import bpy
 
-from .job import draw_job
+from .job import draw_job, draw_warnings, job_warnings
 from .sidebar import Section, SubSection, draw_text
 
 
@@ -74,6 +74,7 @@ class FIPT_PT_insert_picture(SubSection, bpy.types.Panel):
         draw_job(layout, context, "insert")
         if settings.picture:
             layout.label(text=os.path.basename(settings.picture), icon="CHECKMARK", translate=False)
+        draw_warnings(layout, context, "insert", job_warnings(context, "insert"))
 
 
 CLASSES = (FIPT_PT_insert, FIPT_PT_insert_picture)

@@ -1,10 +1,13 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How a section draws its job: progress while it runs, then its error and warnings with their remedies."""
+"""How a section draws its job: progress while it runs, its error with the remedy, and its warnings.
+
+What the artist does next comes first: a section draws the warnings last, folded to one line.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import bpy
@@ -20,19 +23,46 @@ if TYPE_CHECKING:
 
 
 def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, kind: str) -> bool:
-    """Draw the running job of a kind, or the outcome of the last one; returns whether one is running."""
+    """Draw the running job of a kind, or the error of the last one; returns whether one is running."""
     job = running.current()
     if job is not None and job.kind == kind:
         draw_progress(layout, context, job)
-        draw_messages(layout, context, job.warnings)
         return True
     job = running.last(kind)
-    if job is not None and running.belongs_to(job, context.scene):
-        if job.error is not None:
-            run = RunFolder(job.run_folder) if context.scene.fipt.run_folder else None
-            draw_error(layout, context, job.error, run)
-        draw_messages(layout, context, job.warnings)
+    if job is not None and job.error is not None and running.belongs_to(job, context.scene):
+        run = RunFolder(job.run_folder) if context.scene.fipt.run_folder else None
+        draw_error(layout, context, job.error, run)
     return False
+
+
+def job_warnings(context: bpy.types.Context, *kinds: str) -> list[Message]:
+    """Warnings of the scene's jobs of these kinds: of each the one that is running, or the last one."""
+    current, found = running.current(), []
+    for kind in kinds:
+        if current is not None and current.kind == kind:
+            found += current.warnings
+        elif (job := running.last(kind)) is not None and running.belongs_to(job, context.scene):
+            found += job.warnings
+    return found
+
+
+def draw_warnings(
+    layout: bpy.types.UILayout, context: bpy.types.Context, name: str, messages: Sequence[Message]
+) -> None:
+    """One line that counts warnings; a click opens it and shows them with their remedies.
+
+    Args:
+        layout: that of a panel, as Blender allows nothing that folds inside rows, columns and boxes.
+        name: under which the panel keeps whether the line is open.
+        messages: the warnings; nothing is drawn without any.
+    """
+    if not messages:
+        return
+    header, body = layout.panel(f"fipt_warnings_{name}", default_closed=True)
+    header.label(text=running.count_text(len(messages)), icon="ERROR", translate=False)
+    if body is not None:
+        for message in messages:
+            _draw_message(body, context, message)
 
 
 def draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, job: running.RunningJob) -> None:
@@ -62,8 +92,7 @@ def draw_error(
         run: the run folder with the log, if there is one.
     """
     box = layout.box()
-    draw_text(box, context, error["text"], icon="ERROR", alert=True)
-    draw_text(box, context, error["remedy"], icon="INFO")
+    _draw_message(box, context, error, alert=True)
     column = box.column(align=True)
     if error["code"] in ("engine-missing", "package-missing"):
         button = column.operator("preferences.addon_show", text="Open Preferences", icon="PREFERENCES")
@@ -74,14 +103,13 @@ def draw_error(
         column.operator("wm.path_open", text="Show Log", icon="TEXT").filepath = str(run.log)
 
 
-def draw_messages(
-    layout: bpy.types.UILayout, context: bpy.types.Context, messages: Iterable[Message]
+def _draw_message(
+    layout: bpy.types.UILayout, context: bpy.types.Context, message: Message, alert: bool = False
 ) -> None:
-    """Warnings with their remedies."""
-    for message in messages:
-        column = layout.column(align=True)
-        draw_text(column, context, message["text"], icon="ERROR")
-        draw_text(column, context, message["remedy"], icon="BLANK1")
+    """What is wrong, and what helps."""
+    column = layout.column(align=True)
+    draw_text(column, context, message["text"], icon="ERROR", alert=alert)
+    draw_text(column, context, message["remedy"], icon="INFO")
 
 
 def time_text(seconds: float) -> str:

@@ -8,7 +8,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..jobs import running
-from .job import draw_job
+from .job import draw_job, draw_warnings, job_warnings
 from .lights import draw_engine_choice
 from .sidebar import Rows, Section, SubSection, draw_text
 
@@ -26,8 +26,13 @@ class FIPT_PT_materials(Section, bpy.types.Panel):
         row.scale_y = 1.4
         row.operator("fipt.apply_results", icon="MATERIAL")
         draw_job(layout, context, "materials")
-        if not settings.object_count:
-            return
+        if settings.object_count:
+            self._draw_results(context, settings)
+        draw_warnings(layout, context, "materials", job_warnings(context, "materials"))
+
+    def _draw_results(self, context: bpy.types.Context, settings: bpy.types.PropertyGroup) -> None:
+        """What is shown of the results, and what can be done with them."""
+        layout = self.layout
         layout.separator()
         column = layout.column()
         column.enabled = context.mode == "OBJECT"

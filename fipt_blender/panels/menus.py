@@ -142,7 +142,7 @@ class FIPT_MT_pie(bpy.types.Menu):
 
     def draw(self, context: bpy.types.Context) -> None:
         pie = self.layout.menu_pie()
-        pie.operator("fipt.look_through", text="Photograph", icon="IMAGE_DATA")  # left
+        pie.operator("fipt.look_through", text="Photograph", icon="IMAGE_DATA").toggle = True  # left
         button = pie.operator("fipt.compare", text="Compare", icon="MOD_MIRROR")  # right
         button.mode, button.toggle = "VIEWPORT", True
         pie.menu("FIPT_MT_maps", text="Map", icon="NODE_TEXTURE")  # below

@@ -9,7 +9,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.run.runfolder import RunFolder
 from ..jobs import running
-from .job import draw_error, draw_messages, draw_progress
+from .job import draw_error, draw_progress, draw_warnings
 from .sidebar import Rows, Section, SubSection, draw_text
 
 _KIND = "photographs"
@@ -82,7 +82,7 @@ class FIPT_PT_photographs(Section, bpy.types.Panel):
         job = running.current()
         if job is not None and job.kind == _KIND:
             draw_progress(layout, context, job)
-            draw_messages(layout, context, job.warnings)
+            draw_warnings(layout, context, _KIND, job.warnings)
             return
         if settings.registered_count >= 0 and job is None:
             _draw_outcome(layout, settings)
@@ -171,7 +171,7 @@ def _draw_groups(
 def _draw_last_job(
     layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup
 ) -> None:
-    """The error of the last job on these photographs, and its warnings folded below the way on."""
+    """The error and the warnings of the last job on these photographs."""
     job = running.last(_KIND)
     if job is None or job.run_folder != settings.capture_folder():
         return
@@ -179,14 +179,7 @@ def _draw_last_job(
         draw_error(layout, context, job.error, RunFolder(job.run_folder))
         if settings.groups:
             layout.operator("fipt.open_photographs_report", icon="URL")
-    if job.warnings:
-        header, body = layout.panel_prop(settings, "show_warnings")
-        text = (
-            iface_("{} warnings").format(len(job.warnings)) if len(job.warnings) > 1 else iface_("1 warning")
-        )
-        header.label(text=text, icon="ERROR", translate=False)
-        if body is not None:
-            draw_messages(body, context, job.warnings)
+    draw_warnings(layout, context, _KIND, job.warnings)
 
 
 def _was_stopped(settings: bpy.types.PropertyGroup) -> bool:

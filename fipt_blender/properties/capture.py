@@ -57,7 +57,7 @@ def _active_changed(self: FIPT_CaptureSettings, context: bpy.types.Context) -> N
         look_through(self.id_data, self.views[self.active_view], context)
 
 
-def _opacity_changed(self: FIPT_CaptureSettings, context: bpy.types.Context) -> None:
+def _photograph_changed(self: FIPT_CaptureSettings, context: bpy.types.Context) -> None:
     from ..blend.capture.look import refresh_photograph
 
     refresh_photograph(self.id_data)
@@ -233,7 +233,18 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         min=0.0,
         max=1.0,
         subtype="FACTOR",
-        update=_opacity_changed,
+        update=_photograph_changed,
+    )
+    photograph_over_mesh: bpy.props.BoolProperty(
+        name="Show Photograph",
+        description="Show the photograph over the room when looking through its camera",
+        default=True,
+        update=_photograph_changed,
+    )
+    photograph_over_results: bpy.props.BoolProperty(
+        name="Show Photograph",
+        description="Show the photograph over the room's results when looking through its camera",
+        update=_photograph_changed,
     )
     name_prefix: bpy.props.StringProperty(description="What the names of all views start with")
     train_count: bpy.props.IntProperty(description="Number of ticked views for estimation")
@@ -246,6 +257,14 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         description="Share of the room's surface that no ticked view sees; negative before a check",
         default=-1.0,
     )
+
+    def photograph_switch(self) -> str:
+        """Name of the property that says whether photographs are shown: as long as the room has no results
+        they help to align it, afterwards they would be in the way of what the artist wants to see.
+        """
+        results = self.id_data.fipt.materials
+        over_results = results.object_count and results.shown != "ORIGINAL"
+        return "photograph_over_results" if over_results else "photograph_over_mesh"
 
     def room_objects(self, scene: bpy.types.Scene) -> list[bpy.types.Object]:
         """The mesh objects of a scene's room, without the fixtures that applying results created."""

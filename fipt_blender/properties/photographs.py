@@ -132,9 +132,6 @@ class FIPT_PhotographsSettings(bpy.types.PropertyGroup):
     active_group: bpy.props.IntProperty(name="Group", options=set())
     active_photograph: bpy.props.IntProperty(name="Photograph", options=set())
     listed: bpy.props.StringProperty(description="Digest of the groups in prepare.json when they were listed")
-    show_warnings: bpy.props.BoolProperty(
-        name="Show Warnings", description="Show the warnings of the last job and what helps", options=set()
-    )
     registered_count: bpy.props.IntProperty(
         description="Number of views with a camera; negative before the cameras are solved", default=-1
     )

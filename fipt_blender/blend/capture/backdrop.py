@@ -12,7 +12,6 @@ import bpy
 
 from ..marks import (
     CATCHER,
-    COVERED,
     KEPT_FILM,
     KEPT_PHOTOGRAPH,
     all_view_cameras,
@@ -47,25 +46,28 @@ def set_backdrop(scene: bpy.types.Scene, mode: str, room: Iterable[bpy.types.Obj
     elif KEPT_FILM in scene:
         scene.render.film_transparent = bool(scene[KEPT_FILM])
         remove_marks(scene, KEPT_FILM)
+    show_photographs(scene)
+
+
+def show_photographs(scene: bpy.types.Scene) -> None:
+    """`show_photograph` for all views, also those over which another picture lies."""
     for camera in all_view_cameras(scene):
         show_photograph(scene, camera)
-    results = scene.fipt.materials
-    if results.object_count and results.shown != "ORIGINAL":
-        clear_view(scene, True)
 
 
 def show_photograph(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
-    """Show a view's photograph in front of the room or, as the backdrop, behind it."""
+    """Show a view's photograph in front of the room, if the panel says so, or as the backdrop behind it."""
     data = camera.data
-    data.pop(COVERED, None)
     kept = data.get(KEPT_PHOTOGRAPH)
     if kept is not None:
         if data.background_images:
             data.background_images[0].image = kept
         remove_marks(data, KEPT_PHOTOGRAPH)
     behind = scene.fipt.insert.backdrop == "PHOTOGRAPH"
-    opacity = 1.0 if behind else scene.fipt.capture.photograph_opacity
-    data.show_background_images = opacity > 0.0
+    settings = scene.fipt.capture
+    shown = behind or getattr(settings, settings.photograph_switch())
+    opacity = 1.0 if behind else settings.photograph_opacity
+    data.show_background_images = shown and opacity > 0.0
     for background in data.background_images:
         # Behind a closed room it would be hidden, except where the room is transparent.
         background.display_depth = "BACK" if behind else "FRONT"
@@ -75,7 +77,6 @@ def show_photograph(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
 def show_picture(camera: bpy.types.Object, image: bpy.types.Image) -> None:
     """Show another image over the view, opaque, until `show_photograph`."""
     data = camera.data
-    data.pop(COVERED, None)
     if not data.background_images:
         data.background_images.new().frame_method = "STRETCH"
     background = data.background_images[0]
@@ -83,17 +84,3 @@ def show_picture(camera: bpy.types.Object, image: bpy.types.Image) -> None:
         data[KEPT_PHOTOGRAPH] = background.image
     background.image, background.display_depth, background.alpha = image, "FRONT", 1.0
     data.show_background_images = True
-
-
-def clear_view(scene: bpy.types.Scene, clear: bool) -> None:
-    """Hide the images that lie over the room, so that its materials or maps are seen; or show them again.
-
-    Looking through a view, or changing the photograph's opacity, shows that view's image again as well.
-    """
-    behind = scene.fipt.insert.backdrop == "PHOTOGRAPH"
-    for data in {camera.data for camera in all_view_cameras(scene)}:
-        if clear and data.show_background_images and not behind:
-            data.show_background_images = False
-            data[COVERED] = True
-        elif not clear and data.pop(COVERED, None) is not None:
-            data.show_background_images = True

@@ -18,7 +18,7 @@ from ...core.report.comparison import resize_to
 from ...core.run.errors import FiptError
 from ..image_datablocks import LINEAR, image_values, load_radiance
 from ..marks import KEPT_PHOTOGRAPH, PICTURE, VIEW, all_view_cameras
-from .backdrop import show_photograph, show_picture
+from .backdrop import show_photograph, show_photographs, show_picture
 
 NAME = "FIPT Compare"
 _MAX_WIDTH = 1920  # of the picture: a wider one would not follow the pointer
@@ -89,6 +89,12 @@ def follow(scene: bpy.types.Scene) -> None:
             start(scene, mode)
         except FiptError:
             end(scene)
+
+
+def refresh(scene: bpy.types.Scene) -> None:
+    """Show over all views what belongs there: the comparison, else photographs if the panel says so."""
+    show_photographs(scene)
+    follow(scene)
 
 
 def end(scene: bpy.types.Scene) -> None:

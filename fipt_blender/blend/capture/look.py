@@ -27,6 +27,15 @@ def look_through(
     return camera
 
 
+def shows_photograph(
+    scene: bpy.types.Scene, view: bpy.types.PropertyGroup, context: bpy.types.Context
+) -> bool:
+    """Whether 3D views look through a view's camera now, with its photograph."""
+    camera, spaces = view.camera_object(), view_spaces(context, scene)
+    inside = all(space.region_3d.view_perspective == "CAMERA" for space in spaces)
+    return camera is not None and scene.camera == camera and inside and camera.data.show_background_images
+
+
 def enter_camera(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
     """Let 3D views look through the scene's camera, without the cameras of other views in the picture."""
     for space in view_spaces(context, scene):

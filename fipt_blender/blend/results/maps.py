@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import bpy
 
 from ...core.run.errors import FiptError
-from ..capture.backdrop import clear_view
+from ..capture.compare import end, refresh
 from ..lights import light_state
 from ..lights.world import show_original_world
 from ..marks import MAP, room_with_results
@@ -61,7 +61,9 @@ def show(scene: bpy.types.Scene, shown: str) -> None:
         target.hide_viewport = target.hide_render = shown == "ORIGINAL"
     show_original_world(scene, shown == "ORIGINAL")
     light_state.refresh(scene)
-    clear_view(scene, shown != "ORIGINAL")
+    if scene.fipt.check.compare == "RENDER":  # it would hide the map
+        end(scene)
+    refresh(scene)
     _show_in_view(scene, shown)
     _draw_in_solid_views(scene, shown)
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..capture.backdrop import clear_view
+from ..capture.compare import refresh
 from ..lights import light_state
 from ..lights.eevee import restore_eevee
 from ..lights.light_groups import remove_light_groups
@@ -59,6 +59,6 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> list[str]:
     for name in ("median_radiance", "median_shown"):
         scene.fipt.lights.property_unset(name)
     restore_solid_views(scene)
-    clear_view(scene, False)
+    refresh(scene)
     light_state.list_lights(scene)
     return restored
