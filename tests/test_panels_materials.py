@@ -12,26 +12,9 @@ import pytest
 from fipt_blender.blend.results import part_list
 from fipt_blender.blend.results.adjust import Adjustment
 from fipt_blender.panels import materials
+from samples.layouts import Layout
 
 pytestmark = pytest.mark.usefixtures("registered")
-
-
-class Layout:
-    """Stands in for Blender's: notes labels."""
-
-    def __init__(self, labels: list[str]) -> None:
-        vars(self)["labels"] = labels
-
-    def __setattr__(self, name: str, value: object) -> None:
-        """Settings of a layout do not matter here."""
-
-    def __getattr__(self, name: str):
-        def call(*arguments, **options):
-            if name == "label":
-                self.labels.append(options["text"])
-            return Layout(self.labels)
-
-        return call
 
 
 @pytest.mark.parametrize(

@@ -27,23 +27,8 @@ class FIPT_PT_materials(Section, bpy.types.Panel):
         row.operator("fipt.apply_results", icon="MATERIAL")
         draw_job(layout, context, "materials")
         if settings.object_count:
-            self._draw_results(context, settings)
+            _draw_results(layout, context, settings)
         draw_warnings(layout, context, "materials", job_warnings(context, "materials"))
-
-    def _draw_results(self, context: bpy.types.Context, settings: bpy.types.PropertyGroup) -> None:
-        """What is shown of the results, and what can be done with them."""
-        layout = self.layout
-        layout.separator()
-        column = layout.column()
-        column.enabled = context.mode == "OBJECT"
-        column.prop(settings, "shown")
-        text = "{} objects, {} images" if settings.applied_mode == "uv" else "{} objects with attributes"
-        text = iface_(text).format(settings.object_count, 4 * settings.image_count)
-        layout.label(text=text, icon="CHECKMARK", translate=False)
-        if settings.shown == "ESTIMATED" and context.scene.fipt.lights.needs_cycles():
-            draw_engine_choice(layout, context)
-        layout.operator("fipt.export_room", text="Export Room...", icon="EXPORT")
-        layout.operator("fipt.revert", icon="LOOP_BACK")
 
 
 class FIPT_PT_materials_settings(SubSection, bpy.types.Panel):
@@ -72,6 +57,23 @@ class FIPT_PT_materials_settings(SubSection, bpy.types.Panel):
         column.prop(settings, "match_exposure")
         column.prop(settings, "mute_lights")
         column.prop(settings, "use_cycles")
+
+
+def _draw_results(
+    layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup
+) -> None:
+    """What is shown of the results, and what can be done with them."""
+    layout.separator()
+    column = layout.column()
+    column.enabled = context.mode == "OBJECT"
+    column.prop(settings, "shown")
+    text = "{} objects, {} images" if settings.applied_mode == "uv" else "{} objects with attributes"
+    text = iface_(text).format(settings.object_count, 4 * settings.image_count)
+    layout.label(text=text, icon="CHECKMARK", translate=False)
+    if settings.shown == "ESTIMATED" and context.scene.fipt.lights.needs_cycles():
+        draw_engine_choice(layout, context)
+    layout.operator("fipt.export_room", text="Export Room...", icon="EXPORT")
+    layout.operator("fipt.revert", icon="LOOP_BACK")
 
 
 class FIPT_UL_part_materials(Rows, bpy.types.UIList):
