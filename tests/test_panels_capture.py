@@ -10,6 +10,7 @@ import pytest
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.jobs import running
 from fipt_blender.panels import capture
+from samples.layouts import drawn_by
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -53,3 +54,27 @@ def test_a_warning_goes_once_its_remedy_was_followed(tmp_path):
     bpy.ops.mesh.primitive_cube_add()
     assert bpy.ops.fipt.set_room() == {"FINISHED"}
     assert info.warnings == [{"code": "images-not-hdr"}]
+
+
+def room_texts() -> str:
+    """What the panel Room tells."""
+    return " ".join(drawn_by(capture.FIPT_PT_capture_room)[0])
+
+
+def test_a_room_without_mesh_is_told_as_long_as_it_has_none():
+    assert "no mesh" not in room_texts(), "before an import nothing is missing"
+    bpy.context.scene.fipt.capture.views.add().name = "a"
+    assert "The room has no mesh" in room_texts()
+    bpy.ops.mesh.primitive_cube_add()
+    assert bpy.ops.fipt.set_room() == {"FINISHED"}
+    assert "no mesh" not in room_texts()
+
+
+def test_few_import_settings_are_shown_at_first():
+    """The others are in a subpanel that is closed."""
+    settings = bpy.context.scene.fipt.capture
+    panels = (capture.FIPT_PT_capture_import, capture.FIPT_PT_capture_import_advanced)
+    first, others = (drawn_by(panel)[1] for panel in panels)
+    assert 1 <= len(first) <= 4 and not set(first) & set(others)
+    assert all(hasattr(settings, name) for name in first + others)
+    assert "DEFAULT_CLOSED" in capture.FIPT_PT_capture_import_advanced.bl_options

@@ -5,35 +5,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import bpy
 import pytest
 
 from fipt_blender.jobs import running, runstate
 from fipt_blender.panels import estimate, materials
-from samples.layouts import Layout
+from samples.layouts import drawn_by
 
 pytestmark = pytest.mark.usefixtures("registered")
 
 WARNINGS = [
     {"code": code, "text": f"The {code} is odd.", "remedy": f"Mend the {code}."} for code in ("lamp", "wall")
 ]
-
-
-def drawn_by(panel: type, is_open: bool = False) -> list[str]:
-    """Labels and operators that a panel draws."""
-    drawn: list[str] = []
-    context = SimpleNamespace(
-        scene=bpy.context.scene,
-        space_data=bpy.context.space_data,
-        mode="OBJECT",
-        region=None,
-        preferences=bpy.context.preferences,
-    )
-    layout = Layout(drawn, is_open)
-    panel.draw(SimpleNamespace(fields=lambda: layout, layout=layout), context)
-    return drawn
 
 
 def set_running(monkeypatch, kind: str, title: str, folder: Path) -> running.RunningJob:
@@ -55,13 +39,13 @@ def finished(monkeypatch, tmp_path) -> None:
 
 @pytest.mark.usefixtures("finished")
 def test_after_an_estimation_the_way_on_comes_before_its_warnings():
-    drawn = drawn_by(estimate.FIPT_PT_estimate)
+    drawn = drawn_by(estimate.FIPT_PT_estimate)[0]
     assert drawn[-3:] == ["Finished", "fipt.apply_results", "2 warnings"]
 
 
 @pytest.mark.usefixtures("finished")
 def test_opened_warnings_show_what_helps():
-    drawn = drawn_by(estimate.FIPT_PT_estimate, is_open=True)
+    drawn = drawn_by(estimate.FIPT_PT_estimate, is_open=True)[0]
     told = ["The lamp is odd.", "Mend the lamp.", "The wall is odd.", "Mend the wall."]
     assert drawn[-5:] == ["2 warnings", *told]
 
@@ -71,21 +55,21 @@ def test_warnings_of_an_estimation_that_another_blender_has_run(monkeypatch, tmp
     state = runstate.RunState(stages=5, finished=True, warnings=tuple(WARNINGS[:1]))
     monkeypatch.setattr(runstate, "known", lambda folder: state)
     monkeypatch.setattr(running, "last", lambda kind: None)
-    assert drawn_by(estimate.FIPT_PT_estimate)[-1] == "1 warning"
+    assert drawn_by(estimate.FIPT_PT_estimate)[0][-1] == "1 warning"
 
 
 @pytest.mark.usefixtures("finished")
 def test_while_an_estimation_runs_only_its_own_warnings_are_counted(monkeypatch, tmp_path):
     job = set_running(monkeypatch, "estimate", "Estimate", tmp_path)
-    drawn = drawn_by(estimate.FIPT_PT_estimate)
+    drawn = drawn_by(estimate.FIPT_PT_estimate)[0]
     assert "42%" in drawn and "fipt.estimate" not in drawn and "2 warnings" not in drawn
     job.warnings += WARNINGS
-    assert drawn_by(estimate.FIPT_PT_estimate)[-1] == "2 warnings"
+    assert drawn_by(estimate.FIPT_PT_estimate)[0][-1] == "2 warnings"
 
 
 def test_estimate_says_for_what_it_waits_and_how_to_stop_that(monkeypatch, tmp_path):
     set_running(monkeypatch, "survey", "Check Views", tmp_path)
-    drawn = drawn_by(estimate.FIPT_PT_estimate)
+    drawn = drawn_by(estimate.FIPT_PT_estimate)[0]
     assert drawn.index("fipt.estimate") < drawn.index("Check Views: 42%") < drawn.index("fipt.cancel")
     with pytest.raises(RuntimeError, match=r"Check Views is running\. Wait for its end, or stop it with Esc"):
         bpy.ops.fipt.estimate()
@@ -99,5 +83,5 @@ def test_warnings_of_apply_results_come_last(monkeypatch, tmp_path, applied):
     job = running.RunningJob("Apply Results", "materials", scene.name, tmp_path, state="finished")
     job.warnings += WARNINGS
     monkeypatch.setattr(running, "last", lambda kind: job if kind == "materials" else None)
-    drawn = drawn_by(materials.FIPT_PT_materials)
+    drawn = drawn_by(materials.FIPT_PT_materials)[0]
     assert drawn[-1] == "2 warnings" and ("fipt.revert" in drawn) is applied
