@@ -104,8 +104,7 @@ def pixel_statistics(path: Path, pixels: np.ndarray) -> PixelStatistics:
             f"{path} contains NaN or infinity in {int(bad.sum())} pixels, the first at column {x}, row {y}.",
             "Repair the HDR merge or the render, or paint over these pixels.",
         )
-    flat = pixels.reshape(-1, 3)
-    sample = np.ascontiguousarray(flat[:: -(-len(flat) // SAMPLED_PIXELS)])
+    sample = pixel_sample(pixels)
     positive = sample[sample > 0.0]
     return PixelStatistics(
         minimum=minimum,
@@ -113,6 +112,12 @@ def pixel_statistics(path: Path, pixels: np.ndarray) -> PixelStatistics:
         looks_ldr=maximum > 0.0 and _is_8bit(sample),
         clipped=_clipped_share(sample),
     )
+
+
+def pixel_sample(pixels: np.ndarray) -> np.ndarray:
+    """(N, 3) values of at most `SAMPLED_PIXELS` pixels all over a photograph (height, width, 3)."""
+    flat = pixels.reshape(-1, 3)
+    return np.ascontiguousarray(flat[:: -(-len(flat) // SAMPLED_PIXELS)])
 
 
 def _is_8bit(values: np.ndarray) -> bool:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..capture.checks import pixel_statistics
+from ..capture.checks import pixel_sample, pixel_statistics
 from ..capture.encoded import srgb_encoded
 from ..capture.images import read_radiance
 from ..capture.views import View, load_capture
@@ -120,7 +120,7 @@ def photograph_facts(view: View, room: Room) -> dict[str, Any]:
         return facts | {"image_missing": missing, "image_problem": "" if missing else error.text}
     clipped, looks_ldr = statistics.clipped, statistics.looks_ldr
     if view.encoded:
-        codes = srgb_encoded(pixels.reshape(-1, 3)) * 255.0
+        codes = srgb_encoded(pixel_sample(pixels)) * 255.0
         clipped, looks_ldr = float(is_clipped(codes).mean()), False  # the import has told of it
     facts |= {"clipped_share": clipped, "looks_ldr": looks_ldr, "encoded": view.encoded}
     found = view_misfit(room, view, pixels)
