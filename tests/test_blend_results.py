@@ -98,6 +98,8 @@ def test_restoring_undoes_applying(room):
     assert applied.fixtures == ["Panel"] and applied.materials == ["Panel FIPT", "Cube FIPT"]
     assert [slot.material.name for slot in objects[1].material_slots] == applied.materials[1:]
     assert len(objects[0].data.polygons) == 2  # the third is the fixture
+    # Blender would draw edges without faces, black where a lamp on a scan had thousands.
+    assert (len(objects[0].data.vertices), len(objects[0].data.edges)) == (6, 7)
     again = applying.apply_results(run, objects)
     assert again == applied and len(objects[0].data.polygons) == 2
     assert originals.restore_original(objects) == [item.name for item in objects]

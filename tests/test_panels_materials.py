@@ -40,6 +40,27 @@ def test_solid_shading_does_not_show_the_sliders(monkeypatch, shading, hue, told
     parts.clear()
 
 
+@pytest.mark.parametrize(
+    ("shading", "shown", "offered"),
+    [("SOLID", "ESTIMATED", True), ("SOLID", "ROUGHNESS", False), ("MATERIAL", "ESTIMATED", False)],
+)
+def test_the_light_is_a_click_away_where_the_viewport_shows_textures_alone(shading, shown, offered):
+    settings = bpy.context.scene.fipt.materials
+    settings.object_count = 1
+    settings.shown = shown
+    properties: list[str] = []
+    context = SimpleNamespace(
+        scene=bpy.context.scene,
+        space_data=SimpleNamespace(shading=SimpleNamespace(type=shading)),
+        mode="OBJECT",
+        region=None,
+        preferences=bpy.context.preferences,
+    )
+    panel = SimpleNamespace(fields=lambda: Layout([], properties=properties))
+    materials.FIPT_PT_materials.draw(panel, context)
+    assert ("type" in properties) is offered
+
+
 def test_after_apply_the_parts_come_first_and_settings_are_closed():
     parts, settings = materials.FIPT_PT_materials_parts, materials.FIPT_PT_materials_settings
     assert parts.bl_order < settings.bl_order

@@ -70,10 +70,21 @@ def _draw_results(
     text = "{} objects, {} images" if settings.applied_mode == "uv" else "{} objects with attributes"
     text = iface_(text).format(settings.object_count, 4 * settings.image_count)
     layout.label(text=text, icon="CHECKMARK", translate=False)
-    if settings.shown == "ESTIMATED" and context.scene.fipt.lights.needs_cycles():
-        draw_engine_choice(layout, context)
+    if settings.shown == "ESTIMATED":
+        _draw_preview(layout, context)
+        if context.scene.fipt.lights.needs_cycles():
+            draw_engine_choice(layout, context)
     layout.operator("fipt.export_room", text="Export Room...", icon="EXPORT")
     layout.operator("fipt.revert", icon="LOOP_BACK")
+
+
+def _draw_preview(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Rendered shading, where the viewport shows the textures alone."""
+    shading = getattr(context.space_data, "shading", None)
+    if shading is not None and shading.type in ("SOLID", "WIREFRAME"):
+        row = layout.row()
+        row.use_property_split = False
+        row.prop_enum(shading, "type", "RENDERED", text="Preview Light")
 
 
 class FIPT_UL_part_materials(Rows, bpy.types.UIList):

@@ -29,7 +29,7 @@ class Layout:
             part = Layout(self.drawn, self.is_open, self.properties)
             if name in ("label", "progress"):
                 self.drawn.append(options["text"])
-            elif name == "prop":
+            elif name in ("prop", "prop_enum"):
                 self.properties.append(arguments[1])
             elif name == "operator":
                 self.drawn.append(arguments[0])

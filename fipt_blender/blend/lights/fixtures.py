@@ -154,11 +154,12 @@ def _make(entry: Mapping[str, Any], name: str, pieces: list[_Piece]) -> NewFixtu
 
 
 def _remove_polygons(mesh: bpy.types.Mesh, polygons: np.ndarray) -> None:
+    """Remove polygons with the edges and vertices that only they have, which Blender would draw as lines."""
     number_polygons(mesh)
     bm = bmesh.new()
     bm.from_mesh(mesh)
     bm.faces.ensure_lookup_table()
-    bmesh.ops.delete(bm, geom=[bm.faces[int(index)] for index in polygons], context="FACES_ONLY")
+    bmesh.ops.delete(bm, geom=[bm.faces[int(index)] for index in polygons], context="FACES")
     bm.to_mesh(mesh)
     bm.free()
     mesh.update()
