@@ -210,6 +210,7 @@ def _draw_active(
     if not 0 <= settings.active_view < len(settings.views):
         return
     view = settings.views[settings.active_view]
+    name = shown_name(view.name, settings.name_prefix)
     if view.camera not in bpy.data.objects:
         draw_text(
             layout,
@@ -218,10 +219,10 @@ def _draw_active(
             icon="CANCEL",
         )
     elif view.warning:
-        draw_text(layout, context, f"{view.name}: {view.warning}", icon="ERROR")
+        draw_text(layout, context, f"{name}: {view.warning}", icon="ERROR")
     elif view.checked:
         text = iface_("{}: {:.0f}% of the pixels show the room, {:.1f}% look overexposed")
-        text = text.format(view.name, 100.0 * view.room_share, 100.0 * view.clipped_share)
+        text = text.format(name, 100.0 * view.room_share, 100.0 * view.clipped_share)
         if view.misfit >= 0.0:
             text += iface_(", the mesh is {:.1f} pixels off").format(view.misfit)
         draw_text(layout, context, text, icon="CHECKMARK")

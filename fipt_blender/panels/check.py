@@ -8,6 +8,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..properties.check import COMPARISONS
+from .capture import shown_name
 from .job import draw_job, draw_warnings, job_warnings
 from .presets import FIPT_PT_check_presets
 from .sidebar import Rows, Section
@@ -24,7 +25,8 @@ class FIPT_UL_checked_views(Rows, bpy.types.UIList):
         index: int,
     ) -> None:
         icon_name = "HIDE_OFF" if item.held_back else "IMAGE_DATA"
-        _draw_row(layout, item.name, f"{item.psnr:.1f}", f"{item.psnr_linear:.1f}", icon_name)
+        name = shown_name(item.name, context.scene.fipt.capture.name_prefix)
+        _draw_row(layout, name, f"{item.psnr:.1f}", f"{item.psnr_linear:.1f}", icon_name)
 
 
 def _draw_row(layout: bpy.types.UILayout, name: str, first: str, second: str, icon: str) -> None:
