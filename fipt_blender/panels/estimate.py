@@ -45,10 +45,7 @@ class FIPT_PT_estimate(Section, bpy.types.Panel):
 
         state = runstate.known(context.scene.fipt.run_folder)
         job = running.current()
-        if job is not None and job.kind == "estimate":
-            draw_job(layout, context, "estimate")
-            _draw_pictures(layout, tuple(job.pictures))
-        else:
+        if job is None or job.kind != "estimate":
             column = layout.column(align=True)
             column.scale_y = 1.4
             column.operator("fipt.estimate", icon="PLAY")
@@ -56,10 +53,13 @@ class FIPT_PT_estimate(Section, bpy.types.Panel):
                 column.operator("fipt.resume", icon="FILE_REFRESH")
             if job is not None:
                 _draw_waiting(layout, context, job)
-            draw_job(layout, context, "estimate")
+        is_running = draw_job(layout, context, "estimate")
+        if job is not None and is_running:
+            _draw_pictures(layout, tuple(job.pictures))
+        else:
             _draw_state(layout, context, state)
-        warnings = job_warnings(context, "estimate") if _was_here(job) else state.warnings
-        draw_warnings(layout, context, "estimate", warnings)
+        elsewhere = () if is_running else state.warnings  # by another Blender
+        draw_warnings(layout, context, "estimate", job_warnings(context, "estimate") or elsewhere)
 
 
 class FIPT_PT_estimate_advanced(SubSection, bpy.types.Panel):
@@ -100,11 +100,6 @@ def _draw_state(layout: bpy.types.UILayout, context: bpy.types.Context, state: r
     _draw_pictures(layout, state.pictures)
     if state.finished:
         layout.operator("fipt.apply_results", icon="MATERIAL")
-
-
-def _was_here(job: running.RunningJob | None) -> bool:
-    """Whether this Blender runs or has run an estimation."""
-    return running.last("estimate") is not None or (job is not None and job.kind == "estimate")
 
 
 def _draw_waiting(layout: bpy.types.UILayout, context: bpy.types.Context, job: running.RunningJob) -> None:
