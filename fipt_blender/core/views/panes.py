@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Surfaces that a scan lacks: panes in its flat holes, prisms for the parts that it lost, and what completes
-those that it tore.
+"""Surfaces that a scan lacks: panes in its flat holes, prisms for the things that it lost, and what completes
+the parts that it tore.
 
 Photographs see nothing of the room and nothing bright through a hole that is closed.
 Such a hole is a window at night, a mirror or a glossy black surface, which scanners do not see. It is closed
@@ -28,6 +28,7 @@ from ..scene.camera_rays import first_hits, trace_pixels
 from ..scene.labels import choose_source, masks_digest
 from ..scene.room import Room, load_room
 from .lost_parts import Surface, lost_parts
+from .lost_surfaces import lost_surfaces
 from .sights import OUTSIDE, part_sights
 from .torn_parts import torn_parts
 
@@ -72,7 +73,7 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
     room = load_room(run)
     closed = [hole for hole, seen in zip(holes, _sights(room, holes, views), strict=True) if seen]
     added = _panes(closed) if closed else None
-    for surface in _of_parts(room if added is None else _with(room, added), views, edge):
+    for surface in _things(room if added is None else _with(room, added), views, edge):
         added = surface if added is None else _joined(added, surface)
     nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3, 3)), np.zeros(0, np.int32)
     vertices, triangles, normals, plane = nothing if added is None else added
@@ -98,10 +99,10 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
         store_geometry(run, read_room_files(run)[0], extended)
 
 
-def _of_parts(room: Room, views: Sequence[View], edge: float) -> list[Surface]:
-    """What part masks show and the scan lacks."""
+def _things(room: Room, views: Sequence[View], edge: float) -> list[Surface]:
+    """What photographs show and the scan lacks: by part masks, which tell more, where there are any."""
     if choose_source(room, views) != "masks":
-        return []
+        return lost_surfaces(room, views, edge)
     sights, label = part_sights(room, views)
     lost = lost_parts(sights, room.bounds, edge)
     return lost + torn_parts(room, label, sights, lost, edge)
