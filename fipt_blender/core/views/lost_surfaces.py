@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import itertools
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import mitsuba as mi
 import numpy as np
@@ -51,7 +52,7 @@ LEAST_SHARE = 0.02
 # Share of the cells inside a prism in which the scan has a surface: scanners look into shades, not tables.
 MOST_INSIDE = 0.01
 # Cells by which a prism grows or shrinks at a time.
-STEPS = (4, 2, 1)
+STEPS = (3, 1)
 # Rounds in which the views' exposures are found.
 _ROUNDS = 3
 _CHUNK = 20_000
@@ -296,7 +297,7 @@ class _Prism:
         layers: lowest and highest.
         mesh: vertices, triangles and corner normals.
         rows, distance: (m,) int pixels that see it, and metres to it.
-        cell, doubt: (n,) of the pixels that the search touches, as in :class:`_Pixels`.
+        cell, doubt: (n,) of the pixels that the search touches.
         by_view: (V,) pixels of each view whose disagreement it takes away.
     """
 
@@ -335,12 +336,14 @@ class _Search:
         low: (3,) lowest corner of the box, metres.
         entering: (m,) int pixels whose rays enter the box.
         touched: (n,) int these, and all that see the same places of the scan; ascending.
+        place: (n,) int from 0, cell of the pixels that are touched, -1 without one.
     """
 
     pixels: _Pixels
     low: np.ndarray
     entering: np.ndarray
     touched: np.ndarray
+    place: np.ndarray
 
     @classmethod
     def within(cls, pixels: _Pixels, box: Box) -> _Search:
@@ -351,7 +354,9 @@ class _Search:
         behind[-1] = False  # no surface at all
         touched = behind[pixels.cell]
         touched[entering] = True
-        return cls(pixels, box[0], entering, np.flatnonzero(touched))
+        rows = np.flatnonzero(touched)
+        cells, place = np.unique(pixels.cell[rows], return_inverse=True)
+        return cls(pixels, box[0], entering, rows, place - int((cells[:1] < 0).sum()))
 
     def prism(self, footprint: np.ndarray, layers: tuple[int, int]) -> _Prism:
         """A prism over cells of the box, and what it explains."""
@@ -365,13 +370,12 @@ class _Search:
         hides = np.flatnonzero(reached < pixels.distance[self.entering] - pixels.size)
         rows, hits = self.entering[hides], (triangle[hides], reached[hides])
         own = _cells(pixels.views, room, view[hides], direction[hides], hits, pixels.size)
-        view, color, cell, before = (
-            values[self.touched] for values in (pixels.view, pixels.color, pixels.cell, pixels.doubt)
-        )
-        cell[np.searchsorted(self.touched, rows)] = own + pixels.cell.max() + 1
+        view, color, before = (values[self.touched] for values in (pixels.view, pixels.color, pixels.doubt))
+        cell = self.place.copy()
+        cell[np.searchsorted(self.touched, rows)] = own + int(self.place.max()) + 1
         seen = cell >= 0
         doubt = np.full(len(cell), np.nan, np.float32)
-        doubt[seen] = _doubts(view[seen], np.unique(cell[seen], return_inverse=True)[1], color[seen])
+        doubt[seen] = _doubts(view[seen], cell[seen], color[seen])
         # What too few views see tells nothing.
         by_view = np.bincount(view, np.nan_to_num(before - doubt), len(pixels.views))
         return _Prism(self.low, footprint, layers, mesh, rows, hits[1], cell, doubt, by_view)
@@ -380,8 +384,8 @@ class _Search:
         """The pixels with a prism before the scan."""
         pixels = self.pixels
         distance, cell, doubt = pixels.distance.copy(), pixels.cell.copy(), pixels.doubt.copy()
-        distance[found.rows], cell[self.touched] = found.distance, found.cell
-        doubt[self.touched] = found.doubt
+        distance[found.rows], doubt[self.touched] = found.distance, found.doubt
+        cell[self.touched] = np.where(found.cell >= 0, found.cell + pixels.cell.max() + 1, -1)
         return replace(pixels, distance=distance, cell=cell, doubt=doubt)
 
 
@@ -404,13 +408,14 @@ def _fitted(pixels: _Pixels, box: Box, middles: np.ndarray) -> tuple[_Prism, _Pi
     search = _Search.within(pixels, box)
     best = search.prism(footprint, (layer, layer))
     for step in STEPS:
-        better = True
-        while better:
-            better = False
-            for change in _changes(best, step, int(shape[2])):
-                tried = search.prism(*change)
-                if tried.score > best.score:
-                    best, better = tried, True
+        kind, failed = 0, 0
+        while failed < len(_CHANGES):
+            change = _CHANGES[kind](best, step, int(shape[2]))
+            tried = None if change is None else search.prism(*change)
+            if tried is not None and tried.score > best.score:
+                best, failed = tried, 0
+            else:
+                kind, failed = (kind + 1) % len(_CHANGES), failed + 1
     changed = best.by_view[best.by_view != 0.0]
     chance = binomtest(int((changed > 0.0).sum()), len(changed), alternative="greater").pvalue
     likely = best.score >= LEAST_SHARE * pixels.disagreement and chance < LEVEL
@@ -419,18 +424,31 @@ def _fitted(pixels: _Pixels, box: Box, middles: np.ndarray) -> tuple[_Prism, _Pi
     return best, search.accepted(best)
 
 
-def _changes(best: _Prism, step: int, height: int) -> Iterator[tuple[np.ndarray, tuple[int, int]]]:
-    """Footprints and layers that differ by a step from a prism's, in a box of so many layers."""
+Change = tuple[np.ndarray, tuple[int, int]]  # footprint and layers
+
+
+def _taller(best: _Prism, step: int, height: int, down: int, up: int) -> Change | None:
+    """The prism with its ends moved by so many steps, in a box of so many layers."""
     first, last = best.layers
-    for down, up in ((step, 0), (0, step), (-step, 0), (0, -step)):
-        layers = max(first - down, 0), min(last + up, height - 1)
-        if layers != best.layers and layers[0] <= layers[1]:
-            yield best.footprint, layers
-    for along, by in itertools.product((0, 1), (step, -step)):
-        moved = _moved(best.footprint, along, by)
-        yield best.footprint | moved, best.layers
-        if (best.footprint & moved).any():
-            yield best.footprint & moved, best.layers
+    layers = max(first - down * step, 0), min(last + up * step, height - 1)
+    return None if layers == best.layers or layers[0] > layers[1] else (best.footprint, layers)
+
+
+def _wider(best: _Prism, step: int, _: int, along: int, by: int, grows: bool) -> Change | None:
+    """The prism with one side of its footprint moved by a step."""
+    moved = _moved(best.footprint, along, by * step)
+    footprint = best.footprint | moved if grows else best.footprint & moved
+    same = (footprint == best.footprint).all()
+    return None if same or not footprint.any() else (footprint, best.layers)
+
+
+_CHANGES: list[Callable[[_Prism, int, int], Change | None]] = [
+    *(partial(_taller, down=down, up=up) for down, up in ((1, 0), (0, 1), (-1, 0), (0, -1))),
+    *(
+        partial(_wider, along=along, by=by, grows=grows)
+        for grows, along, by in itertools.product((True, False), (0, 1), (1, -1))
+    ),
+]
 
 
 def _moved(mask: np.ndarray, along: int, by: int) -> np.ndarray:
