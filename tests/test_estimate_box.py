@@ -217,7 +217,9 @@ def test_views_baked_before_a_kill_are_not_baked_again(
 
     monkeypatch.setattr(finished_views, "NOTE_SECONDS", 0.0)
     monkeypatch.setattr(baking, "bake_view", bake)
-    limit = rounds * count + 2
+    # While the fourth view is traced, the third one may still be denoised in another thread.
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    limit = rounds * count + 3
     with pytest.raises(KeyboardInterrupt):
         run_here(run)
     if damaged:

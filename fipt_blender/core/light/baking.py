@@ -22,7 +22,7 @@ from ..optics.denoise import Denoiser
 from ..optics.environment import EnvironmentLight
 from ..optics.lights import AreaLights, EmitterTable
 from ..run.finished_views import FinishedViews
-from ..run.per_view import Workers
+from ..run.per_view import TwoSteps, Workers
 from ..scene.camera_rays import opaque_vector, trace_pixels
 from ..scene.pixels import PixelStore, ViewPixels, open_array
 from ..scene.room import Room, triangle_normals
@@ -119,12 +119,14 @@ class Baking:
     masking: str
     seed: int
 
-    def prepare(self) -> Callable[[ViewPixels], BakedView]:
-        """The function of one view."""
+    def prepare(self) -> TwoSteps[ViewPixels, NoisyView, BakedView]:
+        """The function of one view: a view is denoised while the next one is traced."""
         set_masking(self.masking)
         lights = AreaLights(self.room.vertices, self.room.triangles, self.emitters)
         tables = TriangleTables.of(self.room, self.labels)
-        return partial(bake_view, self, self._source(lights), lights, tables)
+        return TwoSteps(
+            partial(bake_view, self, self._source(lights), lights, tables), partial(finish_view, self)
+        )
 
     def _source(self, lights: AreaLights) -> RadianceSource:
         environment = None if self.environment is None else EnvironmentLight(self.environment)
@@ -143,6 +145,23 @@ class Baking:
             cache_roughness=traced.cache_roughness,
             depth=traced.depth,
         )
+
+
+@dataclass(frozen=True)
+class NoisyView:
+    """Shadings of one view as they were traced.
+
+    Attributes:
+        shadings: of all N pixels.
+        normal: (N, 3) float32 mean normals, not of unit length; zero without denoising.
+        size: height and width in pixels.
+        rays: number of primary rays traced.
+    """
+
+    shadings: Shadings
+    normal: np.ndarray
+    size: tuple[int, int]
+    rays: int
 
 
 @dataclass(frozen=True)
@@ -201,8 +220,8 @@ def bake_view(
     lights: AreaLights,
     tables: TriangleTables,
     pixels: ViewPixels,
-) -> BakedView:
-    """Shadings of one view.
+) -> NoisyView:
+    """Trace the shadings of one view.
 
     Args:
         source, lights, tables: of `baking`.
@@ -222,14 +241,20 @@ def bake_view(
         shadings.diffuse[chunk], shadings.specular[chunk] = baked.diffuse, baked.specular
         if baking.denoise:
             normal[chunk] = means([points.normal], len(SUBPIXELS))
+    samples = counts.diffuse + counts.specular * len(levels) + (counts.light if lights.count else 0)
+    return NoisyView(shadings, normal, (view.height, view.width), len(rows) * samples * len(SUBPIXELS))
+
+
+def finish_view(baking: Baking, view: NoisyView) -> BakedView:
+    """Denoise the shadings of one view, if wanted, and round them."""
+    shadings, normal = view.shadings, view.normal
     if baking.denoise:
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
-        shadings = denoised(shadings, normal, (view.height, view.width), baking.denoise_specular)
+        normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
+        shadings = denoised(shadings, normal, view.size, baking.denoise_specular)
     diffuse, specular = (
         array.clip(0.0, HALF_LARGEST).astype(np.float16) for array in (shadings.diffuse, shadings.specular)
     )
-    samples = counts.diffuse + counts.specular * len(levels) + (counts.light if lights.count else 0)
-    return BakedView(diffuse, specular, len(rows) * samples * len(SUBPIXELS))
+    return BakedView(diffuse, specular, view.rays)
 
 
 def samples_per_start(samples: int) -> int:

@@ -8,10 +8,14 @@ Results depend only on the work and the view, not on which process does it, how 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Protocol, TypeVar
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+from .threads import in_threads
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Between = TypeVar("Between")
 Item_contra = TypeVar("Item_contra", contravariant=True)
 Result_co = TypeVar("Result_co", covariant=True)
 
@@ -21,6 +25,23 @@ class ViewWork(Protocol[Item_contra, Result_co]):
 
     def prepare(self) -> Callable[[Item_contra], Result_co]:
         """The function of one view; called in the process that does the work (kernels, ray queries)."""
+
+
+@dataclass(frozen=True)
+class TwoSteps(Generic[Item, Between, Result]):
+    """A function of one view in two steps, of which the second may run while other views are at the first.
+
+    Attributes:
+        first: always called in one thread, one view at a time, as Dr.Jit needs it.
+        second: called in another thread.
+    """
+
+    first: Callable[[Item], Between]
+    second: Callable[[Between], Result]
+
+    def __call__(self, item: Item) -> Result:
+        """Both steps, one after the other."""
+        return self.second(self.first(item))
 
 
 class Workers(Protocol):
@@ -39,5 +60,7 @@ class LocalWorkers:
     def map(self, work: ViewWork[Item, Result], items: Iterable[Item]) -> Iterator[tuple[int, Result]]:
         """See :class:`Workers`."""
         do = work.prepare()
-        for index, item in enumerate(items):
-            yield index, do(item)
+        if isinstance(do, TwoSteps):
+            yield from enumerate(in_threads(do.second, map(do.first, items), most=1))
+        else:
+            yield from enumerate(map(do, items))

@@ -16,13 +16,19 @@ Result = TypeVar("Result")
 MOST_THREADS = 8  # each has arrays of its own in memory
 
 
-def in_threads(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+def in_threads(
+    function: Callable[[Item], Result], items: Iterable[Item], most: int = MOST_THREADS
+) -> Iterator[Result]:
     """Yield the results of independent calls in the order of the items, whatever the number of threads.
 
     An item is read when a thread is about to be free, so that only a few are in memory at a time.
+
+    Args:
+        most: threads besides this one, which reads the items.
     """
-    count = min(os.cpu_count() or 1, MOST_THREADS)
-    if count == 1:
+    cores = os.cpu_count() or 1
+    count = min(cores, most)
+    if cores == 1:
         yield from map(function, items)
         return
     with ThreadPoolExecutor(count) as pool:
