@@ -38,7 +38,7 @@ def reference_weights(grid: HashGrid, positions: np.ndarray) -> np.ndarray:
     """(N, levels, table rows) trilinear weights in double precision, by Eq. 4 of Müller et al. with units."""
     unit = np.arange(len(positions), dtype=np.uint64) % 3 * 3674653429 % 2**32
     unit ^= unit >> 15
-    result = np.zeros((len(positions), len(grid.resolutions), int(grid.offsets[-1])))
+    result = np.zeros((len(positions), len(grid.resolutions), len(grid.table)))
     for level, resolution in enumerate(grid.resolutions):
         scaled = positions.astype(np.float64) * resolution
         cell = np.floor(scaled).astype(np.int64)
@@ -51,7 +51,7 @@ def reference_weights(grid: HashGrid, positions: np.ndarray) -> np.ndarray:
                 hashed = corner.astype(np.uint64) * np.array([1, 2654435761, 805459861], np.uint64)
                 entry = ((hashed[:, 0] ^ hashed[:, 1] ^ hashed[:, 2] ^ unit) % 2**12).astype(np.int64)
             weight = np.abs(1 - np.array([x, y, z]) - fraction).prod(axis=1)
-            np.add.at(result, (np.arange(len(cell)), level, entry + grid.offsets[level]), weight)
+            np.add.at(result, (np.arange(len(cell)), level, entry + grid.levels[level][2]), weight)
     return result
 
 

@@ -188,39 +188,34 @@ class Pool:
 
     def filled(self) -> tuple[np.ndarray, np.ndarray]:
         """The same with missing means filled; see :func:`pool`."""
-        grid, mean = self._grid, self.mean()[0]
         observed, values = self._observed()
-        missing = np.flatnonzero(self._weight <= 0.0)
-        side = missing % SIDES
-        # Means that the coarser voxels add up, how many each is the sum of, and the coarse entry of each.
-        number, entry = np.ones(len(observed), np.int64), observed
-        voxel, size = grid.voxels, grid.resolution
-        holder = np.arange(len(voxel))
-        while len(missing) and size > 1:
+        # Upwards: means that the coarser voxels add up, and how many each is the sum of.
+        number, entry, means = np.ones(len(observed), np.int64), observed, values
+        voxel, size = self._grid.voxels, self._grid.resolution
+        coarser = []  # of each coarser grid: the voxel that holds each finer one, entries with values, means
+        while size > 1:
             x, y, z = np.unravel_index(voxel, (size,) * 3)
             size = (size + 1) // 2
             coarse = ((x >> 1) * size + (y >> 1)) * size + (z >> 1)
             exists = np.zeros(size**3, bool)
             exists[coarse] = True
             voxel, parent = np.flatnonzero(exists), (np.cumsum(exists) - 1)[coarse]
-            holder = parent[holder]
             key = parent[entry // SIDES] * SIDES + entry % SIDES
             totals = len(voxel) * SIDES
             number = np.bincount(key, number, minlength=totals).astype(np.int64)
             entry = np.flatnonzero(number)
             values = np.stack([np.bincount(key, column, minlength=totals)[entry] for column in values.T], 1)
             number = number[entry]
-            place = np.full(totals, -1)
-            place[entry] = np.arange(len(entry))
-            source = place[holder[missing // SIDES] * SIDES + side]
-            filled = source >= 0
-            means = (values / number[:, None]).astype(np.float32)
-            mean[missing[filled]] = means[source[filled]]
-            missing, side = missing[~filled], side[~filled]
-        if len(missing):
-            total = float(self._weight.sum())
-            mean[missing] = self._sums.sum(axis=1) / (total if total > 0.0 else 1.0)
-        return mean, self._weight
+            coarser.append((parent, entry, values / number[:, None]))
+        # Downwards: entries without values keep those of the coarser voxel.
+        total = float(self._weight.sum())
+        every = self._sums.sum(axis=1) / (total if total > 0.0 else 1.0)
+        filled = np.tile(every.astype(np.float32), (SIDES, 1))
+        for parent, entry, coarse_means in reversed(coarser):
+            filled[entry] = coarse_means
+            filled = filled.reshape(-1, SIDES * len(every))[parent].reshape(-1, len(every))
+        filled[observed] = means
+        return filled, self._weight
 
     def _observed(self) -> tuple[np.ndarray, np.ndarray]:
         """(O,) entries with values, ascending, and their (O, C) float64 means."""

@@ -104,8 +104,9 @@ class Room:
     def points_on(self, triangles: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """(..., 3) points on triangles (...), evenly distributed where u and v (...) are so in [0, 1)."""
         root = np.sqrt(u)
-        weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=-1)
-        return np.einsum("...c,...cd->...d", weights, self.vertices[self.triangles[triangles]])
+        corners = self.vertices[self.triangles[triangles]]
+        weights = (1.0 - root, root * (1.0 - v), root * v)
+        return sum(weight[..., None] * corners[..., c, :] for c, weight in enumerate(weights))
 
     @cached_property
     def scan(self) -> Scan | None:
