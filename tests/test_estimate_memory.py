@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import io
+import os
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +21,6 @@ from fipt_blender.core.material import pixel_samples
 from fipt_blender.core.material import training_input as training_input_module
 from fipt_blender.core.material.closed_form import fit_cells
 from fipt_blender.core.material.training_input import material_units, training_input
-from fipt_blender.core.run import threads
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.scene.pixels import NO_TRIANGLE, PixelStore
 from fipt_blender.core.scene.room import Room
@@ -106,7 +106,7 @@ def test_memory_of_the_views(action: str, tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(training_input_module, "PROJECTION_PIXELS", 500)
     monkeypatch.setattr(pixel_samples, "LAMP_PIXELS", 200)
     # How many views are in memory at the same moment is otherwise chance.
-    monkeypatch.setattr(threads, "MOST_THREADS", 1)
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
     peaks, sizes = [], []
     for views in (6, 6, 36):  # the first warms up
         pixels = make_pixels(tmp_path / f"{views}", views)

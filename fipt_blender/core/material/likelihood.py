@@ -11,11 +11,12 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, replace
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 
 from ..optics.factorised import color_line, level_roughness
 from ..run.settings import Settings
-from ..run.threads import in_threads
 from ..scene.grouped import grouped_sums, numbered
 from .pixel_samples import PixelSamples, residual_weight
 from .projection import fit_colors
@@ -29,8 +30,6 @@ MEDIAN_OF_SQUARE = 0.4549
 VIEW_SHARE = 0.5
 # Residuals of a view's mean, in standard deviations: outliers are no error of the view.
 MOST_DEVIATIONS = 3.0
-# Pixels of which the materials are compared at a time.
-BLOCK = 1 << 13
 
 
 @dataclass(frozen=True)
@@ -79,24 +78,19 @@ def group_log_likelihoods(
     if not len(used.rows):
         return np.zeros((len(prior), groups))
     used = replace(used, diffuse=_shared_light(used.diffuse, light_cell))
-    blocks = _blocks(used)
-    variance, best = _residual_variance(blocks, used.group, groups, settings.view_error)
+    cells = _Cells(used)
+    variance, best = _residual_variance(cells, used, groups, settings.view_error)
     views = int(used.view.max()) + 1
     pairs, pair = np.unique(used.group.astype(np.int64) * views + used.view, return_inverse=True)
     group = pairs // views
     pixels = np.maximum(np.bincount(pair, used.weight), 1e-6)
-    means = np.bincount(pair, _residuals(blocks, best, variance) * used.weight) / pixels
+    means = np.bincount(pair, _residuals(used, best, variance) * used.weight) / pixels
     common = view_errors(means, pixels, group, variance, settings)
     errors = settings.pixels_per_sample + pixels * (common / variance)[group]
 
-    def densities(block: PixelSamples) -> tuple[PixelSamples, np.ndarray]:
-        scale = (settings.residual_degrees * variance[block.group]).astype(np.float32)
-        return block, _log_densities(block, candidates, scale, settings.residual_degrees)
-
-    by_pixel = np.empty((len(prior), len(used.rows)))
-    for block, found in in_threads(densities, blocks):
-        by_pixel[:, block.rows] = found
-    result = np.stack([np.bincount(pair, row) for row in by_pixel]) / errors
+    degrees = settings.residual_degrees
+    by_pixel = cells.log_densities(candidates, degrees * variance[used.group], degrees)
+    result = np.stack([np.bincount(pair, row * used.weight) for row in by_pixel]) / errors
     likelihood = np.exp(result - result.max(axis=0))
     outliers = settings.view_outliers
     by_view = np.log((1.0 - outliers) * likelihood + outliers * (prior @ likelihood))
@@ -125,62 +119,124 @@ def _shared_light(diffuse: np.ndarray, cell: np.ndarray) -> np.ndarray:
     return (0.5 * (diffuse + means[cell])).astype(np.float32)
 
 
-def _lines(samples: PixelSamples, place: float, metallic: float) -> tuple[np.ndarray, np.ndarray]:
-    """(N, 3) slope and offset of the rendering, slope a + offset, at a place among the levels (Eq. 8)."""
-    low = min(int(place), len(samples.levels) - 2)
-    share = np.float32(place - low)
-    specular = (1.0 - share) * samples.specular[:, low] + share * samples.specular[:, low + 1]
-    return color_line(samples.diffuse, specular[:, 0], specular[:, 1], np.float32(metallic))
+class _Cells:
+    """Pixels on the device, cell by cell.
 
-
-def _blocks(samples: PixelSamples) -> list[PixelSamples]:
-    """All pixels in blocks of complete cells, few enough for their arrays to stay in the processor's cache.
-
-    Cells are numbered within a block, and the pixels of a cell keep their order.
+    A kernel has a lane for each pair of material and cell, which runs over the pixels of the cell: first for
+    the least-squares base colour, then for the residuals that it leaves.
     """
-    order = np.argsort(samples.cell, kind="stable")
-    first = np.searchsorted(samples.cell[order], np.arange(int(samples.cell[order[-1]]) + 1))
-    begins = first[np.unique(np.searchsorted(first, np.arange(0, len(order), BLOCK), side="right") - 1)]
-    cell = samples.cell
-    return [samples.take(rows, cell=cell[rows] - cell[rows[0]]) for rows in np.split(order, begins[1:])]
+
+    def __init__(self, samples: PixelSamples) -> None:
+        # Cells of one size are side by side, so that neighbouring lanes end together.
+        count = np.bincount(samples.cell)
+        order = np.lexsort((samples.cell, count[samples.cell]))
+        self._levels, self._count, self._rows = samples.levels, len(order), mi.UInt32(order.astype(np.uint32))
+        self._first = mi.UInt32(np.append(0, np.cumsum(np.sort(count))).astype(np.uint32))
+        columns = (samples.radiance, samples.diffuse, samples.square_weight)
+        self._radiance, self._diffuse, self._weight = (_flat(values[order]) for values in columns)
+        self._specular, self._order = _flat(samples.specular[order]), order
+
+    def squares(self, place: np.ndarray, metallic: np.ndarray) -> np.ndarray:
+        """(S, N) squared weighted residuals with materials (S,), mean over the channels."""
+        return self._evaluated(place, metallic, mi.Float(0.0), 0.0)
+
+    def log_densities(self, candidates: Candidates, scale: np.ndarray, degrees: float) -> np.ndarray:
+        """(S, N) logarithm of Student's t-density of the residuals, up to a constant.
+
+        Base colours are fitted twice, the second time with the weights of the t-distribution.
+
+        Args:
+            scale: (N,) degrees of freedom times the variance of the residuals.
+        """
+        scale_of_row = _flat(scale[self._order])
+        return self._evaluated(candidates.place, candidates.metallic, scale_of_row, degrees)
+
+    def _evaluated(
+        self, place: np.ndarray, metallic: np.ndarray, scale: mi.Float, degrees: float
+    ) -> np.ndarray:
+        found = dr.zeros(mi.Float, len(place) * self._count)
+        low = np.minimum(place.astype(np.int64), len(self._levels) - 2)
+        material = mi.UInt32(low.astype(np.uint32)), _flat(place - low), _flat(metallic)
+        self._evaluate(found, *material, scale, degrees)
+        return np.array(found).reshape(len(place), self._count)
+
+    @dr.syntax
+    def _evaluate(
+        self,
+        found: mi.Float,
+        lows: mi.UInt32,
+        shares: mi.Float,
+        metals: mi.Float,
+        scales: mi.Float,
+        degrees: float,
+    ) -> None:
+        """Write squares or, with `degrees` above 0, logarithms of densities of each material and pixel."""
+        cells = dr.width(self._first) - 1
+        lane = dr.arange(mi.UInt32, dr.width(lows) * cells)
+        # Opaque: with literals, Dr.Jit would compile a kernel for each capture.
+        cells, count = dr.opaque(mi.UInt32, cells), dr.opaque(mi.UInt32, self._count)
+        number = lane // cells
+        cell = lane - number * cells
+        low = dr.gather(mi.UInt32, lows, number)
+        share, metallic = (dr.gather(mi.Float, values, number) for values in (shares, metals))
+        begin, end = dr.gather(mi.UInt32, self._first, cell), dr.gather(mi.UInt32, self._first, cell + 1)
+        color = mi.Color3f(0.5)
+        fits = 2 if degrees > 0.0 else 1
+        for fit in range(fits):
+            top, bottom = mi.Color3f(0.0), mi.Color3f(0.0)
+            pixel = mi.UInt32(begin)
+            while pixel < end:
+                weight, slope, rest = self._line(pixel, low, share, metallic)
+                if dr.hint(fit > 0, mode="scalar"):
+                    squared = dr.mean(weight * dr.square(rest - color * slope))
+                    weight /= dr.gather(mi.Float, scales, pixel) + squared
+                top += weight * slope * rest
+                bottom += weight * slope * slope
+                pixel += 1
+            color = dr.clip(top / dr.maximum(bottom, 1e-12), 0.0, 1.0)
+        pixel = mi.UInt32(begin)
+        while pixel < end:
+            weight, slope, rest = self._line(pixel, low, share, metallic)
+            value = dr.mean(weight * dr.square(rest - color * slope))
+            if dr.hint(fits > 1, mode="scalar"):
+                value = -0.5 * (degrees + 1.0) * dr.log(1.0 + value / dr.gather(mi.Float, scales, pixel))
+            row = dr.gather(mi.UInt32, self._rows, pixel)
+            dr.scatter(found, value, number * count + row)
+            pixel += 1
+
+    def _line(
+        self, pixel: mi.UInt32, low: mi.UInt32, share: mi.Float, metallic: mi.Float
+    ) -> tuple[mi.Color3f, mi.Color3f, mi.Color3f]:
+        """Weight of the squared residuals of pixels, and slope and rest: these are slope a - rest (Eq. 8)."""
+        radiance, diffuse, weight = (
+            dr.gather(mi.Color3f, values, pixel) for values in (self._radiance, self._diffuse, self._weight)
+        )
+        at = (pixel * len(self._levels) + low) * 2
+        s0, s1 = (
+            dr.lerp(
+                dr.gather(mi.Color3f, self._specular, at + term),
+                dr.gather(mi.Color3f, self._specular, at + 2 + term),
+                share,
+            )
+            for term in range(2)
+        )
+        slope, offset = color_line(diffuse, s0, s1, metallic)
+        return weight, slope, radiance - offset
 
 
-def _squared(
-    samples: PixelSamples, lines: tuple[np.ndarray, np.ndarray], robust: np.ndarray | None
-) -> np.ndarray:
-    """(n,) squared weighted residuals, mean over the channels, with the least-squares base colours.
-
-    Args:
-        lines: slope and offset (:func:`_lines`).
-        robust: (n,) factors of the weights for the base colours; None for 1.
-    """
-    weight = samples.square_weight
-    slope, offset = lines
-    color_weight = weight if robust is None else weight * robust[:, None]
-    color = fit_colors(samples.radiance, slope, offset, color_weight, samples.cell).astype(np.float32)
-    residual = samples.radiance - offset - color[samples.cell] * slope
-    return np.einsum("nc,nc,nc->n", residual, residual, weight) / np.float32(3.0)
+def _flat(values: np.ndarray) -> mi.Float:
+    return mi.Float(np.ascontiguousarray(values, np.float32).reshape(-1))
 
 
 def _residual_variance(
-    blocks: list[PixelSamples], group: np.ndarray, groups: int, least: float
+    cells: _Cells, samples: PixelSamples, groups: int, least: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """(groups,) variance of the relative residuals with the best material, at least `least` squared.
 
     And (groups, 2) the place of that material among the levels, and its metallic.
-
-    Args:
-        group: (N,) of all pixels.
     """
-    materials = list(itertools.product(range(len(blocks[0].levels)), (0.0, 1.0)))
-
-    def squares(block: PixelSamples) -> tuple[PixelSamples, np.ndarray]:
-        lines = (_lines(block, *material) for material in materials)
-        return block, np.stack([_squared(block, line, None) for line in lines])
-
-    squared = np.empty((len(materials), len(group)), np.float32)
-    for block, found in in_threads(squares, blocks):
-        squared[:, block.rows] = found
+    materials = np.array(list(itertools.product(range(len(samples.levels)), (0.0, 1.0))))
+    squared, group = cells.squares(*materials.T), samples.group
     median, best = np.full(groups, np.inf), np.zeros(groups, np.int64)
     order = np.argsort(group, kind="stable")
     for index, rows in enumerate(np.split(order, np.searchsorted(group[order], np.arange(1, groups)))):
@@ -189,28 +245,22 @@ def _residual_variance(
             medians = np.partition(squared[:, rows], middle, axis=1)[:, middle]
             best[index] = medians.argmin()
             median[index] = medians[best[index]]
-    return np.maximum(median / MEDIAN_OF_SQUARE, least**2), np.array(materials)[best]
+    return np.maximum(median / MEDIAN_OF_SQUARE, least**2), materials[best]
 
 
-def _residuals(blocks: list[PixelSamples], best: np.ndarray, variance: np.ndarray) -> np.ndarray:
+def _residuals(samples: PixelSamples, best: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """(N,) relative residuals, mean over the channels, with the best material (groups, 2) of each group.
 
     They are limited to `MOST_DEVIATIONS` standard deviations (variance: (groups,)).
     """
-
-    def residuals(block: PixelSamples) -> tuple[PixelSamples, np.ndarray]:
-        place, metallic = best[block.group].T
-        s0, s1 = np.moveaxis(block.specular[np.arange(len(place)), place.astype(np.int64)], 1, 0)
-        slope, offset = color_line(block.diffuse, s0, s1, metallic[:, None].astype(np.float32))
-        color = fit_colors(block.radiance, slope, offset, block.square_weight, block.cell)
-        residual = block.radiance - offset - color[block.cell] * slope
-        return block, (residual * np.sqrt(residual_weight(block.radiance))).mean(axis=1)
-
-    result = np.empty(sum(len(block.rows) for block in blocks))
-    for block, found in in_threads(residuals, blocks):
-        most = MOST_DEVIATIONS * np.sqrt(variance[block.group])
-        result[block.rows] = np.clip(found, -most, most)
-    return result
+    place, metallic = best[samples.group].T
+    s0, s1 = np.moveaxis(samples.specular[np.arange(len(place)), place.astype(np.int64)], 1, 0)
+    slope, offset = color_line(samples.diffuse, s0, s1, metallic[:, None].astype(np.float32))
+    color = fit_colors(samples.radiance, slope, offset, samples.square_weight, samples.cell)
+    residual = samples.radiance - offset - color[samples.cell] * slope
+    found = (residual * np.sqrt(residual_weight(samples.radiance))).mean(axis=1)
+    most = MOST_DEVIATIONS * np.sqrt(variance[samples.group])
+    return np.clip(found, -most, most)
 
 
 def view_errors(
@@ -231,23 +281,3 @@ def view_errors(
     total = np.bincount(group, weight, minlength=len(variance))
     found = VIEW_SHARE**2 * excess / np.maximum(total, 1e-9)
     return np.maximum(found, settings.view_error**2)
-
-
-def _log_densities(
-    samples: PixelSamples, candidates: Candidates, scale: np.ndarray, degrees: float
-) -> np.ndarray:
-    """(S, n) logarithm of Student's t-density of the residuals, up to a constant, times the pixels' weights.
-
-    Base colours are fitted twice, the second time with the weights of the t-distribution.
-
-    Args:
-        scale: (n,) float32 degrees of freedom times the variance of the residuals.
-    """
-    result = np.empty((len(candidates.place), len(scale)))
-    for row, place, metallic in zip(result, candidates.place, candidates.metallic, strict=True):
-        lines = _lines(samples, place, metallic)
-        robust = 1.0 / (scale + _squared(samples, lines, None))
-        squared = _squared(samples, lines, robust)
-        # Mixed pixels tell less.
-        row[:] = -0.5 * (degrees + 1.0) * np.log1p(squared / scale) * samples.weight
-    return result

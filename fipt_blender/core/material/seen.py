@@ -74,8 +74,10 @@ class SeenCells:
     def _find(self, wanted: np.ndarray) -> np.ndarray:
         if not len(self.keys):
             return np.full(len(wanted), -1, np.int64)
-        # Many points lie in one cell.
-        wanted, cell = np.unique(wanted, return_inverse=True)
+        # Many points lie in one cell, and mostly one after another: only the first of each run is sorted.
+        begins = np.append(True, wanted[1:] != wanted[:-1])[: len(wanted)]
+        wanted, cell = np.unique(wanted[begins], return_inverse=True)
+        cell = cell[np.cumsum(begins) - 1]
         result = np.full(len(wanted), -1, np.int64)
         # The cell itself first, then its neighbours over faces, edges and corners; keys of neighbours differ
         # by a constant.
