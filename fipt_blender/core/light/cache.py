@@ -16,11 +16,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..run.threads import in_threads
 from ..scene.room import Room, triangle_normals
 
 SIDES = 6
 # Points per chunk: temporary arrays of all pixels of a large capture would take gigabytes.
-CHUNK = 1 << 20
+CHUNK = 1 << 18
 # Points are offset along their normal by this share of a voxel, so that a wall on a voxel border is in one.
 LIFT = 0.25
 
@@ -46,13 +47,13 @@ class VoxelGrid:
 
     def flat_index(self, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """(N,) int64 flat voxel index of surface points with normals on the seen side."""
-        flat = np.empty(len(positions), np.int64)
-        for start in range(0, len(flat), CHUNK):
-            part = slice(start, start + CHUNK)
+
+        def of_chunk(part: slice) -> np.ndarray:
             cell = (positions[part] + normals[part] * (LIFT * self.size) - self.low) / self.size
             x, y, z = np.clip(cell.astype(np.int64), 0, self.resolution - 1).T
-            flat[part] = (x * self.resolution + y) * self.resolution + z
-        return flat
+            return (x * self.resolution + y) * self.resolution + z
+
+        return np.concatenate(list(in_threads(of_chunk, _chunks(len(positions)))))
 
     def entries(self, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """(N,) int64 cache entry (row times six plus side) of surface points."""
@@ -61,13 +62,17 @@ class VoxelGrid:
 
 def side_index(normals: np.ndarray) -> np.ndarray:
     """(N,) int64 in 0..5: dominant axis of each normal, twice, plus one where it is negative."""
-    side = np.empty(len(normals), np.int64)
-    for start in range(0, len(side), CHUNK):
-        part = normals[start : start + CHUNK]
-        axis = np.abs(part).argmax(axis=1)
-        negative = np.take_along_axis(part, axis[:, None], axis=1)[:, 0] < 0
-        side[start : start + CHUNK] = axis * 2 + negative
-    return side
+
+    def of_chunk(part: slice) -> np.ndarray:
+        axis = np.abs(normals[part]).argmax(axis=1)
+        negative = np.take_along_axis(normals[part], axis[:, None], axis=1)[:, 0] < 0
+        return axis * 2 + negative
+
+    return np.concatenate(list(in_threads(of_chunk, _chunks(len(normals)))))
+
+
+def _chunks(count: int) -> list[slice]:
+    return [slice(start, start + CHUNK) for start in range(0, max(count, 1), CHUNK)]
 
 
 def grid_frame(room: Room, resolution: int) -> VoxelGrid:
@@ -105,7 +110,9 @@ def sample_surface(room: Room, spacing: float, rng: np.random.Generator) -> tupl
     wanted *= min(1.0, 4e6 / max(wanted.sum(), 1.0))
     counts = np.maximum(np.ceil(wanted).astype(np.int64), 1)
     triangle = np.repeat(np.arange(len(counts)), counts)
-    return room.points_on(triangle, *rng.random((2, len(triangle)))), triangle
+    u, v = rng.random((2, len(triangle)))
+    points = in_threads(lambda part: room.points_on(triangle[part], u[part], v[part]), _chunks(len(u)))
+    return np.concatenate(list(points)), triangle
 
 
 def unseen_points(
