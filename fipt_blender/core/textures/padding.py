@@ -58,7 +58,10 @@ def _grow(image: np.ndarray, filled: np.ndarray, texels: int) -> tuple[np.ndarra
 
 
 def _push_pull(image: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Push-pull: each empty texel takes the average of the smallest block around it that is not empty."""
+    """Push-pull: each empty texel takes the average of the smallest block around it that is not empty.
+
+    The image is changed in place.
+    """
     height, width, channels = image.shape
     if valid.all() or (height <= 1 and width <= 1):
         return image
@@ -71,8 +74,7 @@ def _push_pull(image: np.ndarray, valid: np.ndarray) -> np.ndarray:
         np.add(blocks[part], image[quarter], out=blocks[part], where=known)
         weight[part] += known
     coarse = _push_pull(blocks / np.maximum(weight, 1.0), weight[..., 0] > 0.0)
-    result = image.copy()
     for quarter in quarters:
         empty = ~valid[quarter][..., None]
-        np.copyto(result[quarter], coarse[: empty.shape[0], : empty.shape[1]], where=empty)
-    return result
+        np.copyto(image[quarter], coarse[: empty.shape[0], : empty.shape[1]], where=empty)
+    return image
