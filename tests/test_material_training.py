@@ -145,7 +145,7 @@ def test_an_interrupted_training_ends_with_the_same_weights(one_thread, tmp_path
         {"step": 12},
         {"step": "5"},
         {"optimiser": {}},
-        {"optimiser": {"count": torch.zeros(()), "moments": [[torch.zeros(3)]]}},
+        {"optimiser": {"state": {0: {"exp_avg": torch.zeros(3)}}, "param_groups": []}},
     ],
 )
 def test_a_checkpoint_that_does_not_fit_is_refused(change, tmp_path: Path) -> None:

@@ -210,62 +210,23 @@ def pretrain(
 class _Adam:
     """Adam whose learning rates decay exponentially to `_FINAL_RATE` of their initial values.
 
-    It calls torch's kernel itself: the first optimiser of `torch.optim` imports torch's compiler, which takes
-    two seconds.
-
     Args:
         rates: parameters and their initial learning rate.
         steps: number of steps of the training.
     """
 
     def __init__(self, rates: Sequence[tuple[list[torch.nn.Parameter], float]], steps: int) -> None:
-        self._groups, self._steps = rates, steps
-        # Of each parameter, the running means of the gradient and of its square.
-        self._moments = [
-            [torch.zeros((2, *each.shape), device=each.device) for each in group] for group, _ in rates
-        ]
-        self._count = torch.zeros((), device=rates[0][0][0].device)
+        self._rates, self._steps = [rate for _, rate in rates], steps
+        groups = [{"params": parameters, "lr": rate} for parameters, rate in rates]
+        self.optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), fused=True)
 
     def step(self, step: int, loss: torch.Tensor) -> None:
         """Take step number `step` (from 0) down the gradient of `loss`."""
-        for group, _ in self._groups:
-            for parameter in group:
-                parameter.grad = None
+        for group, rate in zip(self.optimiser.param_groups, self._rates, strict=True):
+            group["lr"] = rate * _FINAL_RATE ** (step / self._steps)
+        self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
-        self._count += 1.0
-        for (group, rate), moments in zip(self._groups, self._moments, strict=True):
-            torch._fused_adam_(
-                [parameter.detach() for parameter in group],
-                [parameter.grad for parameter in group],
-                [each[0] for each in moments],
-                [each[1] for each in moments],
-                [],
-                [self._count] * len(group),
-                lr=rate * _FINAL_RATE ** (step / self._steps),
-                beta1=0.9,
-                beta2=0.99,
-                weight_decay=0.0,
-                eps=1e-8,
-                amsgrad=False,
-                maximize=False,
-            )
-
-    def state(self) -> dict[str, Any]:
-        """What a checkpoint needs to continue."""
-        return {"count": self._count, "moments": self._moments}
-
-    def load(self, state: dict[str, Any]) -> None:
-        """Take what :meth:`state` has returned.
-
-        Raises:
-            KeyError, TypeError, ValueError, AttributeError, RuntimeError: where it is that of other networks.
-        """
-        for own, others in zip(self._moments, state["moments"], strict=True):
-            for moments, other in zip(own, others, strict=True):
-                if moments.shape != other.shape:
-                    raise ValueError("its optimiser belongs to another network")
-                moments.copy_(other)
-        self._count.copy_(state["count"])
+        self.optimiser.step()
 
 
 @dataclass(frozen=True)
@@ -296,7 +257,11 @@ def read_checkpoint(path: Path, networks: Networks, steps: int) -> dict[str, Any
     state = load_tensors(path, table.device)
     try:
         deepcopy(networks).load(state)
-        _Adam([([table], 0.0), (dense, 0.0)], steps).load(state["optimiser"])
+        _Adam([([table], 0.0), (dense, 0.0)], steps).optimiser.load_state_dict(state["optimiser"])
+        for index, parameter in enumerate((table, *dense)):
+            moments = state["optimiser"]["state"].get(index, {})
+            if any(moments[key].shape != parameter.shape for key in moments if key != "step"):
+                raise ValueError("its optimiser belongs to another network")
         step = state["step"]
         if not isinstance(step, int) or not 0 < step < steps:
             raise ValueError(f"its step is {step} of {steps}")
@@ -329,7 +294,7 @@ def train(
     start = first
     if resume is not None and resume.state is not None:
         networks.load(resume.state)
-        optimiser.load(resume.state["optimiser"])
+        optimiser.optimiser.load_state_dict(resume.state["optimiser"])
         start = int(resume.state["step"])
     pool = data.observations.pool
     size = min(settings.batch_size, len(pool))
@@ -343,7 +308,7 @@ def train(
         if resume is not None and (step + 1) % settings.checkpoint_steps == 0 and step + 1 < steps:
             state = {
                 **networks.state(),
-                "optimiser": optimiser.state(),
+                "optimiser": optimiser.optimiser.state_dict(),
                 "step": step + 1,
             }
             save_tensors(resume.checkpoint, state)
