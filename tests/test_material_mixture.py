@@ -184,7 +184,7 @@ def test_squares_are_those_of_the_best_base_colours(rng: np.random.Generator) ->
     samples, _ = synthetic(rng, [(0.3, 0.0), (0.4, 1.0)], 0.02, 0.0)
     samples = samples.take(rng.permutation(len(samples.rows)), cell=rng.integers(0, 40, len(samples.rows)))
     place, metallic = np.array([0.0, 1.25, len(LEVELS) - 1.0]), np.array([0.0, 1.0, 1.0])
-    squares = likelihood._Cells(samples).squares(place, metallic)
+    squares = likelihood.DeviceCells(samples).squares(place, metallic)
     weight = samples.square_weight.astype(np.float64)
     for found, at, m in zip(squares, place, metallic, strict=True):
         low = min(int(at), len(LEVELS) - 2)

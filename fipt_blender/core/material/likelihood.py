@@ -78,7 +78,7 @@ def group_log_likelihoods(
     if not len(used.rows):
         return np.zeros((len(prior), groups))
     used = replace(used, diffuse=_shared_light(used.diffuse, light_cell))
-    cells = _Cells(used)
+    cells = DeviceCells(used)
     variance, best = _residual_variance(cells, used, groups, settings.view_error)
     views = int(used.view.max()) + 1
     pairs, pair = np.unique(used.group.astype(np.int64) * views + used.view, return_inverse=True)
@@ -119,7 +119,7 @@ def _shared_light(diffuse: np.ndarray, cell: np.ndarray) -> np.ndarray:
     return (0.5 * (diffuse + means[cell])).astype(np.float32)
 
 
-class _Cells:
+class DeviceCells:
     """Pixels on the device, cell by cell.
 
     A kernel has a lane for each pair of material and cell, which runs over the pixels of the cell: first for
@@ -229,7 +229,7 @@ def _flat(values: np.ndarray) -> mi.Float:
 
 
 def _residual_variance(
-    cells: _Cells, samples: PixelSamples, groups: int, least: float
+    cells: DeviceCells, samples: PixelSamples, groups: int, least: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """(groups,) variance of the relative residuals with the best material, at least `least` squared.
 

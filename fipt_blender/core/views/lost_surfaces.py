@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.ndimage import binary_closing, binary_erosion, binary_fill_holes, binary_opening
+from scipy.ndimage import binary_erosion, binary_fill_holes, binary_opening
 from scipy.ndimage import label as connected
 from scipy.special import bdtrc  # scipy.stats takes half a second to import
 
@@ -31,10 +31,8 @@ from .sights import LEAST_VIEWS
 LEAST_GAIN = 0.1
 # Spacing of the first sweep, in cells of the second, and most points of it.
 COARSE, MOST_POINTS = 3, 1_000_000
-# Gaps of a footprint that are closed, in cells: what stands on a table hides it.
-GAP = 3
 # Share of all disagreement that a thing must take away: smaller things matter less than a wrong prism.
-LEAST_SHARE = 0.02
+LEAST_SHARE = 0.01
 # Share of the cells inside a prism in which the scan has a surface: scanners look into shades, not tables.
 MOST_INSIDE = 0.01
 # Cells by which a side of a prism moves at a time.
@@ -113,6 +111,12 @@ class _Prism:
     def score(self) -> float:
         """Pixels of all views whose disagreement it takes away."""
         return float(self.by_view.sum())
+
+    @property
+    def rank(self) -> tuple[float, int]:
+        """Greater for a better prism; of two that explain the same, the smaller one is better."""
+        first, last = self.layers
+        return self.score, -int(self.footprint.sum()) * (last - first + 1)
 
     @property
     def is_likely(self) -> bool:
@@ -216,7 +220,7 @@ def _fitted(pixels: ComparedPixels, box: Box, middles: np.ndarray) -> tuple[_Pri
         while failed < len(_CHANGES):
             change = _CHANGES[kind](best, step, int(shape[2]))
             tried = None if change is None else search.prism(*change)
-            if tried is not None and tried.score > best.score:
+            if tried is not None and tried.rank > best.rank:
                 best, failed = tried, 0
             else:
                 kind, failed = (kind + 1) % len(_CHANGES), failed + 1
@@ -261,10 +265,8 @@ def _moved(mask: np.ndarray, along: int, by: int) -> np.ndarray:
 
 
 def _footprint(shows: np.ndarray) -> np.ndarray | None:
-    """The largest piece of a layer (X, Y) that shows a thing, without gaps; None without any."""
+    """The largest piece of a layer (X, Y) that shows a thing, without holes; None without any."""
     pieces, count = connected(binary_opening(shows))
     if not count:
         return None
-    largest = pieces == 1 + np.argmax(np.bincount(pieces.reshape(-1))[1:])
-    closed = binary_closing(np.pad(largest, GAP), iterations=GAP)[GAP:-GAP, GAP:-GAP]
-    return np.asarray(binary_fill_holes(closed))
+    return np.asarray(binary_fill_holes(pieces == 1 + np.argmax(np.bincount(pieces.reshape(-1))[1:])))
