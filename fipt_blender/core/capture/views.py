@@ -7,7 +7,7 @@ They are read from capture.json, which `ingest` writes after all its checks.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +66,13 @@ class View:
     def intrinsics(self) -> np.ndarray:
         """The camera matrix K (3, 3) float64 in pixels."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def resized(self, width: int, height: int) -> View:
+        """The same camera with other numbers of pixels."""
+        x, y = width / self.width, height / self.height
+        return replace(
+            self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y
+        )
 
     def rays(self, z_depth: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Origins and directions of the rays through all pixel centres; see `conventions.pixel_rays`."""

@@ -7,7 +7,7 @@ to the centroid of each triangle, because small triangles fall between the pixel
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
@@ -56,11 +56,7 @@ def view_coverage(room: Room, view: View, known: np.ndarray) -> Coverage:
 def coarse_view(view: View) -> View:
     """The same camera with at most `GRID` pixels along its longer side."""
     factor = min(1.0, GRID / max(view.width, view.height))
-    width, height = max(1, round(view.width * factor)), max(1, round(view.height * factor))
-    x, y = width / view.width, height / view.height
-    return replace(
-        view, width=width, height=height, fx=view.fx * x, fy=view.fy * y, cx=view.cx * x, cy=view.cy * y
-    )
+    return view.resized(max(1, round(view.width * factor)), max(1, round(view.height * factor)))
 
 
 def coarse_triangles(room: Room, view: View) -> np.ndarray:

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -52,11 +50,7 @@ def view_edges(room: Room, view: View) -> MeshEdges:
     if max(view.width, view.height) > 2 * TRACED:
         scale = TRACED / max(view.width, view.height)
     width, height = round(view.width * scale), round(view.height * scale)
-    x, y = width / view.width, height / view.height
-    finer = replace(
-        view, width=width, height=height, fx=view.fx * x, fy=view.fy * y, cx=view.cx * x, cy=view.cy * y
-    )
-    surface = trace_pixels(room, finer)
+    surface = trace_pixels(room, view.resized(width, height))
     pose = np.asarray(view.camera_to_world, np.float64)
     axes = [opaque_vector(mi.Vector3f, pose[:3, axis]) for axis in range(3)]
     toward = surface.position - opaque_vector(mi.Point3f, pose[:3, 3])
@@ -71,4 +65,4 @@ def view_edges(room: Room, view: View) -> MeshEdges:
         valid.reshape(shape),
         np.random.default_rng(_SEED),
     )
-    return edges.over(x)
+    return edges.over(width / view.width)

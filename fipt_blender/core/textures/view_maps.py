@@ -8,7 +8,6 @@ They are written to results/maps, for the report and for users who want images i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import drjit as dr
@@ -93,7 +92,4 @@ def shrunk(view: View, width: int) -> View:
     if view.width <= width:
         return view
     height = max(round(view.height * width / view.width), 1)
-    x, y = width / view.width, height / view.height
-    return replace(
-        view, width=width, height=height, fx=view.fx * x, cx=view.cx * x, fy=view.fy * y, cy=view.cy * y
-    )
+    return view.resized(width, height)
