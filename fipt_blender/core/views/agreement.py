@@ -16,13 +16,12 @@ import mitsuba as mi
 import numpy as np
 
 from ..capture.views import View
-from ..conventions import project
 from ..light.cache import side_index
 from ..scene.camera_rays import first_hits
 from ..scene.grouped import grouped_median, grouped_sums, numbered
 from ..scene.room import Room, triangle_normals
 from .cells import CELL_PIXELS, lattice_spacing
-from .sights import LEAST_VIEWS
+from .sights import LEAST_VIEWS, grid_points, seen_before
 
 # Difference of the logarithm of radiance (root mean square over the channels) beyond which photographs
 # disagree entirely. Gloss and errors of poses make it large on one surface, too.
@@ -77,16 +76,9 @@ class ComparedPixels:
 
     def before(self, view: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The points (P, 3) that a view sees well before the surface: their rows, and pixels."""
-        seen = self.views[view]
-        place, depth = project(points, seen)
-        inside = (depth > 0.0) & (place >= 0.0).all(axis=1)
-        inside &= (place[:, 0] < seen.width) & (place[:, 1] < seen.height)
-        rows = np.flatnonzero(inside)
-        x, y = place[rows].astype(np.int64).T
-        pixel = self.first[view] + y * seen.width + x
-        away = np.linalg.norm(points[rows] - seen.camera_to_world[:3, 3], axis=1)
-        free = away < self.distance[pixel] - self.size
-        return rows[free], pixel[free]
+        first, end = self.first[view : view + 2]
+        rows, pixel = seen_before(self.views[view], self.distance[first:end], points, self.size)
+        return rows, first + pixel
 
     def through(self, box: Box) -> np.ndarray:
         """(n,) int pixels whose rays enter a box before they meet the surface."""
@@ -103,7 +95,7 @@ class ComparedPixels:
         Args:
             low: (3,) its lowest corner. step: edge of a cell, metres. shape: (3,) number of cells.
         """
-        points = low + (np.indices(tuple(shape)).reshape(3, -1).T + 0.5) * step
+        points = grid_points(low, step, shape)
         gain, count = np.zeros(len(points)), np.zeros(len(points), np.int64)
         for begin in range(0, len(points), _CHUNK):
             rows = slice(begin, begin + _CHUNK)
@@ -155,7 +147,6 @@ def compared_pixels(room: Room, views: Sequence[View], edge: float) -> ComparedP
 def _on_lattice(view: View, step: int) -> tuple[View, np.ndarray, np.ndarray]:
     """The view with fewer pixels, the mean radiance (N, 3) of each, and (N,) bool, which are not masked."""
     width, height = view.width // step, view.height // step
-    focal = {name: getattr(view, name) / step for name in ("fx", "fy", "cx", "cy")}
 
     def means(image: np.ndarray) -> np.ndarray:
         blocks = image[: height * step, : width * step].reshape(height, step, width, step, -1)
@@ -163,7 +154,8 @@ def _on_lattice(view: View, step: int) -> tuple[View, np.ndarray, np.ndarray]:
 
     masked = view.masked()
     used = np.ones(width * height, bool) if masked is None else means(masked)[:, 0] == 0.0
-    return replace(view, width=width, height=height, **focal), means(view.radiance()), used
+    cropped = replace(view, width=width * step, height=height * step)
+    return cropped.resized(width, height), means(view.radiance()), used
 
 
 def hits_of(

@@ -16,7 +16,7 @@ from scipy.special import bdtrc  # scipy.stats takes half a second to import
 
 from ..geometry.adjacency import NONE
 from ..geometry.prism import prism
-from .sights import LEAST_VIEWS, MISSES, Sight
+from .sights import LEAST_VIEWS, MISSES, Sight, grid_points
 
 # A part is lost if most of its pixels meet other surfaces in more views than chance explains.
 LEVEL = 0.05
@@ -55,10 +55,18 @@ def _lost(sights: Sequence[Sight]) -> list[int]:
     for part in np.flatnonzero(pixels.any(axis=0)):
         seen = pixels[:, part] > 0
         misses = int((2 * found[seen, part] < pixels[seen, part]).sum())
-        chance = bdtrc(misses - 1, int(seen.sum()), 0.5)  # of so many misses or more among as many others
-        if part > 0 and chance < LEVEL and 2 * bright[:, part].sum() < pixels[:, part].sum():
+        if (
+            part > 0
+            and unlikely(misses, int(seen.sum()))
+            and 2 * bright[:, part].sum() < pixels[:, part].sum()
+        ):
             lost.append(int(part))
     return lost
+
+
+def unlikely(count: int, views: int) -> bool:
+    """Whether so many of the views or more are more than chance explains (sign test)."""
+    return bool(bdtrc(count - 1, views, 0.5) < LEVEL)
 
 
 def _prism(
@@ -77,11 +85,11 @@ def _prism(
         shape = np.maximum(np.ceil((high - low) / step).astype(int), 1)
         if np.prod(shape) > _MOST_POINTS:
             return None
-        yes, no = _votes(sights, shown, _points(low, step, shape), edge)
+        yes, no = _votes(sights, shown, grid_points(low, step, shape), edge)
         yes, no = yes.reshape(shape), no.reshape(shape)
         if step == cell:
             break
-        body = _largest((yes >= LEAST_VIEWS) & (yes >= no))
+        body = largest_piece((yes >= LEAST_VIEWS) & (yes >= no))
         if body is None:
             return None
         places = np.argwhere(body)
@@ -92,11 +100,6 @@ def _prism(
     footprint, first, last = found
     mesh = prism(footprint, low + [0.0, 0.0, first * cell], cell, last - first + 1)
     return *mesh, np.full(len(mesh[1]), NONE)
-
-
-def _points(low: np.ndarray, step: float, shape: np.ndarray) -> np.ndarray:
-    """(N, 3) centres of the cells of a grid."""
-    return np.asarray(low + (np.indices(tuple(shape)).reshape(3, -1).T + 0.5) * step)
 
 
 def _votes(
@@ -111,7 +114,7 @@ def _votes(
     return yes, no
 
 
-def _largest(mask: np.ndarray) -> np.ndarray | None:
+def largest_piece(mask: np.ndarray) -> np.ndarray | None:
     """The largest connected piece, None of nothing."""
     pieces, count = label(mask)
     if not count:
@@ -137,7 +140,7 @@ def _fitted(
         agree, differ = (counts[:, :, first : last + 1].sum(axis=2) for counts in (yes, no))
         layers = last - first + 1
         body = (agree >= LEAST_VIEWS * layers) & (differ <= MISSES * (agree + differ))
-        piece = _largest(binary_opening(np.pad(body, 1))[1:-1, 1:-1])
+        piece = largest_piece(binary_opening(np.pad(body, 1))[1:-1, 1:-1])
         if piece is None:
             return 0.0, body
         footprint = np.asarray(binary_fill_holes(piece))

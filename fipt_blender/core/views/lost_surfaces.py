@@ -17,14 +17,13 @@ from functools import partial
 import numpy as np
 from scipy.ndimage import binary_erosion, binary_fill_holes, binary_opening
 from scipy.ndimage import label as connected
-from scipy.special import bdtrc  # scipy.stats takes half a second to import
 
 from ..capture.views import View
 from ..geometry.adjacency import NONE
 from ..geometry.prism import prism
 from ..scene.room import Room
 from .agreement import Box, ComparedPixels, cells_of, compared_pixels, doubts, hits_of
-from .lost_parts import LEVEL, Surface
+from .lost_parts import Surface, largest_piece, unlikely
 from .sights import LEAST_VIEWS
 
 # A point of a lost thing takes at least this much disagreement away, mean over the views.
@@ -122,7 +121,7 @@ class _Prism:
     def is_likely(self) -> bool:
         """Whether more of the views get better by it than chance explains."""
         better, changed = int((self.by_view > 0.0).sum()), int((self.by_view != 0.0).sum())
-        return bool(bdtrc(better - 1, changed, 0.5) < LEVEL)  # so many or more, by chance
+        return unlikely(better, changed)
 
     def inside(self, points: np.ndarray, size: float) -> float:
         """Share of the cells well inside it, with edges of `size` metres, that hold points (N, 3)."""
@@ -266,7 +265,5 @@ def _moved(mask: np.ndarray, along: int, by: int) -> np.ndarray:
 
 def _footprint(shows: np.ndarray) -> np.ndarray | None:
     """The largest piece of a layer (X, Y) that shows a thing, without holes; None without any."""
-    pieces, count = connected(binary_opening(shows))
-    if not count:
-        return None
-    return np.asarray(binary_fill_holes(pieces == 1 + np.argmax(np.bincount(pieces.reshape(-1))[1:])))
+    largest = largest_piece(binary_opening(shows))
+    return None if largest is None else np.asarray(binary_fill_holes(largest))

@@ -65,13 +65,33 @@ class Sight:
         Args:
             tolerance: metres by which they are in front of it.
         """
-        place, depth = project(points, self.view)
-        within = (depth > 0.0) & (place >= 0.0).all(axis=1)
-        within &= (place[:, 0] < self.view.width) & (place[:, 1] < self.view.height)
-        rows = np.flatnonzero(within)
-        x, y = place[rows].astype(np.int64).T
-        free = np.linalg.norm(points[rows] - self.place, axis=1) < self.distance[y, x] - tolerance
-        return rows[free], y[free], x[free]
+        rows, pixel = seen_before(self.view, self.distance.reshape(-1), points, tolerance)
+        return rows, *np.divmod(pixel, self.view.width)
+
+
+def seen_before(
+    view: View, distance: np.ndarray, points: np.ndarray, tolerance: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The points (N, 3) that a view sees before its surfaces: their rows, and the pixels (row-major).
+
+    Args:
+        distance: (H * W,) metres to the surfaces.
+        tolerance: metres by which points are in front of them.
+    """
+    place, depth = project(points, view)
+    within = (depth > 0.0) & (place >= 0.0).all(axis=1)
+    within &= (place[:, 0] < view.width) & (place[:, 1] < view.height)
+    rows = np.flatnonzero(within)
+    x, y = place[rows].astype(np.int64).T
+    pixel = y * view.width + x
+    away = np.linalg.norm(points[rows] - view.camera_to_world[:3, 3], axis=1)
+    free = away < distance[pixel] - tolerance
+    return rows[free], pixel[free]
+
+
+def grid_points(low: np.ndarray, step: float, shape: np.ndarray) -> np.ndarray:
+    """(N, 3) centres of the cells of a grid."""
+    return np.asarray(low + (np.indices(tuple(shape)).reshape(3, -1).T + 0.5) * step)
 
 
 def part_sights(room: Room, views: Sequence[View]) -> tuple[list[Sight], np.ndarray]:
