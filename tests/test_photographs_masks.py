@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Semantic masks by segmentation models, on tiny models with random weights."""
+"""Masks by models: semantic classes, and the step of `prepare`, on tiny models with random weights."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 import torch
 
-from fipt_blender.core.capture.images import read_ids, write_exr
+from fipt_blender.core.capture.images import read_ids, write_exr, write_ids
+from fipt_blender.core.photographs.masks_model import open_masks_model
 from fipt_blender.core.photographs.preparation import (
     Group,
     Photograph,
@@ -21,14 +22,14 @@ from fipt_blender.core.photographs.preparation import (
     PrepareSettings,
     write_preparation,
 )
-from fipt_blender.core.photographs.segmentation import Segmenter, window_starts
+from fipt_blender.core.photographs.segmentation import window_starts
 from fipt_blender.core.photographs.steps import run_steps
 from fipt_blender.core.photographs.tonemap import display_picture
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 
 transformers = pytest.importorskip("transformers")
-SIZE = {"shortest_edge": 64, "longest_edge": 1333}
+from samples import mask_models  # noqa: E402
 
 
 def backbone() -> object:
@@ -78,42 +79,16 @@ def write_tokenizer(folder: Path) -> None:
     (folder / "merges.txt").write_text("#version: 0.2\n", encoding="utf-8")
 
 
-def eomt() -> torch.nn.Module:
-    config = transformers.EomtConfig(
-        hidden_size=32,
-        num_hidden_layers=2,
-        num_attention_heads=2,
-        image_size=64,
-        patch_size=16,
-        num_queries=20,
-        num_blocks=1,
-        num_labels=5,
-    )
-    return transformers.EomtForUniversalSegmentation(config)
-
-
 @pytest.fixture(
-    scope="module", params=[mask2former, oneformer, eomt], ids=["mask2former", "oneformer", "eomt"]
+    scope="module",
+    params=[mask2former, oneformer, mask_models.make_eomt],
+    ids=["mask2former", "oneformer", "eomt"],
 )
 def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a model whose queries differ enough to tell the parts of an image apart."""
-    folder = tmp_path_factory.mktemp("model")
     torch.manual_seed(0)
-    network = request.param()
-    with torch.no_grad():
-        for name, parameter in network.named_parameters():
-            if "class_predictor" in name or "quer" in name:
-                parameter.normal_(0.0, 3.0)
-            elif "mask" in name and parameter.ndim > 1:
-                parameter.mul_(4.0)
-    network.config.id2label = {
-        index: name for index, name in enumerate(("wall", "floor", "lamp", "bed", "rug"))
-    }
-    network.save_pretrained(folder)
+    folder = mask_models.write_segmenter(tmp_path_factory.mktemp("model"), request.param())
     if request.param is oneformer:
         write_tokenizer(folder)
-    processor = {"size": SIZE, "image_mean": [0.5, 0.4, 0.3], "image_std": [0.2, 0.3, 0.4]}
-    (folder / "preprocessor_config.json").write_text(json.dumps(processor), encoding="utf-8")
     return folder
 
 
@@ -125,7 +100,7 @@ def picture(width: int, height: int) -> np.ndarray:
 @pytest.mark.parametrize(("width", "height"), [(96, 64), (64, 160)])
 def test_classes_are_those_of_the_models_own_definition(model: Path, width: int, height: int) -> None:
     """Per pixel, the class with the highest sum over queries of P(class) P(pixel in mask)."""
-    segmenter = Segmenter(model)
+    segmenter = open_masks_model(model)
     image = picture(width, height)
     ids = segmenter(image)
     assert ids.shape == (height, width) and ids.dtype == np.int32
@@ -163,7 +138,7 @@ def test_classes_are_those_of_the_models_own_definition(model: Path, width: int,
 
 
 def test_larger_photographs_are_scaled_to_the_models_size(model: Path) -> None:
-    segmenter = Segmenter(model)
+    segmenter = open_masks_model(model)
     small = picture(96, 64)
     large = small.repeat(4, axis=0).repeat(4, axis=1)
     agreement = (segmenter(large)[2::4, 2::4] == segmenter(small)).mean()
@@ -200,6 +175,36 @@ def test_the_step_writes_masks_where_the_reader_finds_them(model: Path, tmp_path
     assert {path.name for path in own.parent.iterdir()} == {"mine.png"}
 
 
+def test_another_kind_of_model_replaces_the_masks_but_not_those_of_the_user(
+    model: Path, tmp_path: Path
+) -> None:
+    folder = PreparationFolder(tmp_path / "capture")
+    names = ["a b", "c"]
+    photographs = tuple(Photograph(f"{name}.jpg", "ldr", 64, 48) for name in names)
+    groups = tuple(Group(name, (f"{name}.jpg",)) for name in names)
+    for name in names:
+        write_exr(folder.images / f"{name}.exr", (picture(64, 48) / 255.0).astype(np.float32) ** 2.2)
+    sam = mask_models.write_sam(tmp_path / "sam", mask_models.make_sam())
+    own = np.full((48, 64), 9, np.int32)
+    write_ids(folder.root / "parts" / "c.png", own)
+
+    def run(masks: Path) -> set[str]:
+        settings = PrepareSettings(masks=str(masks))
+        write_preparation(folder, Preparation(tmp_path, photographs, groups, settings))
+        run_steps(folder, ["masks"], Reporter())
+        assert np.array_equal(read_ids(folder.root / "parts" / "c.png"), own)
+        kinds = [folder.root / kind for kind in ("parts", "semantics")]
+        return {path.relative_to(folder.root).as_posix() for kind in kinds for path in kind.glob("*")}
+
+    assert run(sam) == {"parts/a b.png", "parts/c.png"}
+    found = read_ids(folder.root / "parts" / "a b.png")
+    assert found.shape == (48, 64) and len(np.unique(found)) > 2
+    assert run(model) == {f"semantics/{name}" for name in ("a b.png", "c.png", "classes.json")} | {
+        "parts/c.png"
+    }
+    assert run(sam) == {"parts/a b.png", "parts/c.png"}
+
+
 def test_unusable_models_are_refused(model: Path, tmp_path: Path) -> None:
     def refused(change: dict[str, object] | None, words: str, remove: str = "") -> None:
         folder = tmp_path / words.replace(" ", "-")
@@ -210,7 +215,7 @@ def test_unusable_models_are_refused(model: Path, tmp_path: Path) -> None:
         if remove:
             (folder / remove).unlink()
         with pytest.raises(FiptError) as caught:
-            Segmenter(folder)
+            open_masks_model(folder)
         assert caught.value.code == "model-unusable" and words in caught.value.text, caught.value.text
 
     refused({"model_type": "bert"}, "of the type 'bert'")
@@ -218,7 +223,7 @@ def test_unusable_models_are_refused(model: Path, tmp_path: Path) -> None:
     refused(None, "no safetensors", remove="model.safetensors")
     refused(None, "config.json", remove="config.json")
     with pytest.raises(FiptError):
-        Segmenter(tmp_path / "nowhere")
+        open_masks_model(tmp_path / "nowhere")
 
 
 def test_weights_that_are_missing_are_told(model: Path, tmp_path: Path) -> None:
@@ -230,7 +235,7 @@ def test_weights_that_are_missing_are_told(model: Path, tmp_path: Path) -> None:
     gone = next(name for name in sorted(weights) if "class_" in name)
     save_file({k: v for k, v in weights.items() if k != gone}, tmp_path / "model" / "model.safetensors")
     with pytest.raises(FiptError) as caught:
-        Segmenter(tmp_path / "model")
+        open_masks_model(tmp_path / "model")
     assert caught.value.code == "model-unusable" and "missing" in caught.value.text
 
 

@@ -124,8 +124,8 @@ class FIPT_PhotographsSettings(bpy.types.PropertyGroup):
     )
     masks: bpy.props.StringProperty(
         name="Masks Model",
-        description="Folder of a segmentation model (Mask2Former, OneFormer or EoMT for transformers) for"
-        " semantic masks. If empty, no masks are made",
+        description="Folder of a model for transformers: SAM or SAM 2 for masks of parts; Mask2Former,"
+        " OneFormer or EoMT for semantic masks. If empty, no masks are made",
         subtype="DIR_PATH",
     )
     groups: bpy.props.CollectionProperty(type=FIPT_PhotographGroup)

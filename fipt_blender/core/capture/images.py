@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import OpenEXR
-from PIL import PngImagePlugin
+from PIL import Image, PngImagePlugin
 
 from ..run.errors import FiptError
 from ..run.runfolder import atomic_path
@@ -147,6 +147,22 @@ def write_exr(path: Path, array: np.ndarray, half: bool = False) -> None:
     # Written through memory, because OpenEXR does not report the system's reason for a failure.
     buffer = io.BytesIO()
     OpenEXR.File(header, {name: np.ascontiguousarray(plane) for name, plane in planes.items()}).write(buffer)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(buffer.getbuffer())
+
+
+def write_ids(path: Path, ids: np.ndarray) -> None:
+    """Write an id image as PNG with 16 bits, completely or not at all.
+
+    Args:
+        path: the file; its folder is created if missing.
+        ids: (height, width) int from 0 to 65535.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    buffer = io.BytesIO()
+    Image.fromarray(ids.astype(np.uint16)).save(buffer, "PNG")
     with atomic_path(path) as temporary:
         temporary.write_bytes(buffer.getbuffer())
 

@@ -141,7 +141,9 @@ class PrepareSettings:
     )
     scale_matrix: str = _setting("", "4 x 4 matrix, row by row, from the solved cameras to the mesh")
     marker_dictionary: str = _setting("4X4_50", "dictionary of the printed ArUco marker")
-    masks: str = _setting("", "folder of a segmentation model for semantic masks; empty for none")
+    masks: str = _setting(
+        "", "folder of a model that makes masks of parts or semantic classes; empty for none"
+    )
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,155 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Models for transformers in a folder on this machine.
+
+Nothing is downloaded, and weights are read from safetensors files only, which hold no code. Photographs are
+prepared here, as the models' processors do it, because those need torchvision.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..run.documents import Entries, Fields, Items, Number, read_json
+from ..run.errors import FiptError
+from .extras import optional
+
+_CONFIG = Fields(
+    {"model_type": str},
+    {
+        "id2label": Entries(str),
+        "image_size": Number(16, 8192, whole=True),
+        "task_seq_len": Number(1, 1024, whole=True),
+    },
+)
+_PROCESSOR = Fields({}, {"image_mean": Items(Number()), "image_std": Items(Number(low=1e-3)), "size": dict})
+_MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet, with which they were trained
+_REMEDY = (
+    "Choose the folder of a model with config.json, preprocessor_config.json and model.safetensors: SAM or"
+    " SAM 2 for parts; Mask2Former, OneFormer (with its tokenizer) or EoMT for semantic classes."
+)
+# What transformers raises for files that do not fit together.
+_LOADING = (OSError, ValueError, RuntimeError, KeyError, TypeError, AttributeError, ImportError)
+
+
+class ModelFolder:
+    """The folder of a model, as `save_pretrained` of transformers writes it.
+
+    Args:
+        path: of the folder.
+
+    Attributes:
+        path: of the folder.
+        kind: the model's type by transformers' name.
+        config: content of config.json.
+        size: what preprocessor_config.json says of the size of images in training; may be empty.
+
+    Raises:
+        FiptError: ``model-unusable`` for an incomplete folder.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.config = _read(path / "config.json", _CONFIG)
+        self.kind: str = self.config["model_type"]
+        if not list(path.glob("*.safetensors")):
+            raise self.unusable("it has no safetensors file")
+        processor: dict[str, Any] = {}
+        if (path / "preprocessor_config.json").is_file():
+            processor = _read(path / "preprocessor_config.json", _PROCESSOR)
+        self.size: dict[str, Any] = processor.get("size", {})
+        self._mean = np.array(processor.get("image_mean", _MEAN), np.float32)
+        self._std = np.array(processor.get("image_std", _STD), np.float32)
+        if self._mean.size != 3 or self._std.size != 3:
+            raise self.unusable("its images have not three channels")
+
+    def load(self, name: str, **changes: Any) -> Any:
+        """The model with all of its weights, for inference.
+
+        Args:
+            name: of its class in transformers.
+            changes: of its configuration.
+
+        Raises:
+            FiptError: ``model-unusable`` or, without transformers, ``package-optional``.
+        """
+        try:
+            model, info = getattr(_transformers(), name).from_pretrained(
+                str(self.path),
+                local_files_only=True,
+                use_safetensors=True,
+                output_loading_info=True,
+                **changes,
+            )
+        except _LOADING as error:
+            raise self.unusable(_first_line(error)) from None
+        missing = sorted(info["missing_keys"])
+        if missing:  # transformers fills them with random numbers
+            raise self.unusable(f"{len(missing)} of its weights are missing, the first is {missing[0]}")
+        return model.eval()
+
+    def tokens(self, text: str, length: int) -> torch.Tensor:
+        """(1, length) numbers of a text's words by CLIP's tokenizer in the folder, 0 after the last one.
+
+        Raises:
+            FiptError: ``model-unusable`` or, without transformers, ``package-optional``.
+        """
+        try:
+            tokenizer = _transformers().CLIPTokenizer.from_pretrained(str(self.path), local_files_only=True)
+            tokens = tokenizer([text], padding="max_length", max_length=length, truncation=True)
+        except _LOADING as error:
+            raise self.unusable(f"its tokenizer: {_first_line(error)}") from None
+        return torch.tensor(tokens["attention_mask"]) * torch.tensor(tokens["input_ids"])
+
+    def pixels(self, picture: np.ndarray, size: tuple[int, int]) -> torch.Tensor:
+        """A photograph as the model takes it.
+
+        Args:
+            picture: (height, width, 3) uint8, sRGB.
+            size: height and width of the result.
+
+        Returns:
+            (1, 3, *size) float32, with the mean and the deviation of the training subtracted and divided out.
+        """
+        values = (picture.astype(np.float32) / 255.0 - self._mean) / self._std
+        pixels = torch.from_numpy(values).permute(2, 0, 1)[None]
+        return torch.nn.functional.interpolate(
+            pixels, size=size, mode="bilinear", align_corners=False, antialias=True
+        )
+
+    def unusable(self, reason: str) -> FiptError:
+        """The error for a model that can't be used."""
+        return FiptError("model-unusable", f"The model in {self.path} can't be used: {reason}.", _REMEDY)
+
+
+def enlarged(scores: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
+    """Scores (N, h, w) at another resolution, (N, *size)."""
+    return torch.nn.functional.interpolate(scores[None], size=size, mode="bilinear", align_corners=False)[0]
+
+
+def _transformers() -> Any:
+    """The package, which is told to stay off the network.
+
+    Raises:
+        FiptError: ``package-optional``.
+    """
+    os.environ["HF_HUB_OFFLINE"] = "1"  # read when transformers is imported
+    return optional("transformers", "A masks model")
+
+
+def _read(path: Path, shape: Fields) -> dict[str, Any]:
+    try:
+        data: dict[str, Any] = read_json(path, shape, _REMEDY)
+    except FiptError as error:
+        raise FiptError("model-unusable", error.text, _REMEDY) from None
+    return data
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0] if lines else type(error).__name__

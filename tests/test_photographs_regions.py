@@ -1,0 +1,161 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Regions of photographs by Segment Anything models, on tiny models with random weights."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from fipt_blender.core.photographs import regions
+from fipt_blender.core.photographs.masks_model import open_masks_model
+from fipt_blender.core.run.errors import FiptError
+
+transformers = pytest.importorskip("transformers")
+from samples import mask_models  # noqa: E402
+
+MEAN, STD = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
+
+
+@pytest.fixture(scope="module", params=["sam", "sam2", "sam2_video"])
+def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    torch.manual_seed(0)
+    network = getattr(mask_models, f"make_{request.param}")()
+    return mask_models.write_sam(tmp_path_factory.mktemp("model"), network)
+
+
+def picture(width: int, height: int) -> np.ndarray:
+    coarse = np.random.default_rng(4).integers(0, 256, (height // 16, width // 16, 3), np.uint8)
+    return coarse.repeat(16, axis=0).repeat(16, axis=1)
+
+
+def overlap(one: np.ndarray, other: np.ndarray) -> float:
+    return (one & other).sum() / (one | other).sum()
+
+
+@pytest.mark.parametrize(("width", "height"), [(64, 48), (48, 64)])
+def test_regions_are_the_confident_stable_and_distinct_masks_of_a_grid(
+    model: Path, width: int, height: int
+) -> None:
+    """One point after the other, each mask by itself, in a photograph that SAM takes without scaling."""
+    image = picture(width, height)
+    ids = open_masks_model(model)(image)
+    assert ids.shape == (height, width) and ids.dtype == np.int32
+    stretched = "Sam2" in (model / "config.json").read_text(encoding="utf-8")
+    name = "Sam2Model" if stretched else "SamModel"
+    network = getattr(transformers, name).from_pretrained(model).eval()
+    values = torch.from_numpy(((image / 255.0 - MEAN) / STD).astype(np.float32)).permute(2, 0, 1)[None]
+    inner = (64, 64) if stretched else (height, width)
+    square = torch.zeros(1, 3, 64, 64)
+    square[..., : inner[0], : inner[1]] = torch.nn.functional.interpolate(
+        values, inner, mode="bilinear", antialias=True
+    )
+    with torch.no_grad():
+        embeddings = network.get_image_embeddings(square)
+    found = []
+    for row in range(32):
+        points = [[[(column + 0.5) / 32 * inner[1], (row + 0.5) / 32 * inner[0]]] for column in range(32)]
+        with torch.no_grad():
+            output = network(
+                image_embeddings=embeddings, input_points=torch.tensor([points]), multimask_output=True
+            )
+        for logits, sure in zip(output.pred_masks[0].flatten(0, 1), output.iou_scores.flatten(), strict=True):
+            full = torch.nn.functional.interpolate(logits[None, None], (64, 64), mode="bilinear")
+            full = full[..., : inner[0], : inner[1]]
+            large = full[0, 0].numpy()
+            stable = (large > 1.0).sum() / max((large > -1.0).sum(), 1)
+            if sure > 0.88 and stable >= 0.95 and 0.0 < (large > 0.0).mean() < 0.95:
+                shown = torch.nn.functional.interpolate(full, (height, width), mode="bilinear")[0, 0].numpy()
+                coarse = logits.numpy()[: inner[0] // 4, : inner[1] // 4] > 0.0
+                found.append((float(sure), coarse, shown > 0.0))
+    found.sort(key=lambda item: -item[0])
+    kept: list[tuple[float, np.ndarray, np.ndarray]] = []
+    for item in found:
+        if all(overlap(item[1], other[1]) <= 0.7 for other in kept):
+            kept.append(item)
+    assert len(found) > len(kept) > 2, "the model must find several regions"
+    kept.sort(key=lambda item: -item[1].sum())
+    expected = np.zeros((height, width), int)
+    for number, (_, _, shown) in enumerate(kept, start=1):
+        expected[shown] = number
+    # The same regions, whatever their numbers are; a rounding error may move single pixels.
+    pairs, counts = np.unique(np.stack([ids, expected]).reshape(2, -1), axis=1, return_counts=True)
+    best = sum(counts[pairs[0] == number].max() for number in np.unique(pairs[0]))
+    assert best > 0.99 * ids.size and len(np.unique(ids)) == len(np.unique(expected))
+
+
+def test_regions_do_not_depend_on_the_size_of_the_photograph(model: Path) -> None:
+    finder = open_masks_model(model)
+    small = picture(64, 48)
+    large = finder(small.repeat(4, axis=0).repeat(4, axis=1))
+    assert np.array_equal(finder(small), finder(small))
+    assert (large[2::4, 2::4] == finder(small)).mean() > 0.9
+
+
+def test_incomplete_models_are_refused(model: Path, tmp_path: Path) -> None:
+    from safetensors.torch import load_file, save_file
+
+    shutil.copytree(model, tmp_path / "model")
+    weights = load_file(model / "model.safetensors")
+    gone = next(name for name in sorted(weights) if "iou_prediction_head" in name)
+    save_file({k: v for k, v in weights.items() if k != gone}, tmp_path / "model" / "model.safetensors")
+    with pytest.raises(FiptError) as caught:
+        open_masks_model(tmp_path / "model")
+    assert caught.value.code == "model-unusable" and "missing" in caught.value.text
+
+
+def test_points_are_at_the_centers_of_cells() -> None:
+    expected = [[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]]
+    assert regions.grid_points(2).tolist() == expected
+
+
+def test_stability_is_the_iou_of_the_masks_at_two_thresholds() -> None:
+    logits = torch.full((3, 2, 4), -5.0)
+    logits[0] = torch.tensor([[2.0, 2.0, 1.5, 1.2], [0.9, -0.5, -1.5, -9.0]])  # 4 above 1, 6 above -1
+    logits[1, 0] = 3.0
+    assert regions.stability(logits).tolist() == pytest.approx([4.0 / 6.0, 1.0, 0.0])
+    assert regions.stability(logits[:1], 0.6).tolist() == pytest.approx([5.0 / 6.0])
+
+
+def test_of_similar_masks_the_most_confident_is_kept() -> None:
+    def stretch(start: int, end: int) -> np.ndarray:
+        return (np.arange(40) >= start) & (np.arange(40) < end)
+
+    # Of 20 pixels each; the IoU with the first one is 18 / 22, 16 / 24 and, of a mask similar to the second
+    # only, 15 / 25.
+    masks = torch.from_numpy(np.stack([stretch(start, start + 20) for start in (0, 2, 4, 5)]))
+    assert regions.distinct_masks(masks[:3], torch.tensor([0.9, 0.95, 0.99])).tolist() == [2, 0]
+    assert regions.distinct_masks(masks[:2], torch.tensor([0.9, 0.9])).tolist() == [0]
+    kept = regions.distinct_masks(masks[[0, 1, 3]], torch.tensor([0.99, 0.95, 0.9]))
+    assert kept.tolist() == [0, 2], "a mask that was left out leaves out no others"
+
+
+def test_a_picture_and_its_frame_are_two_regions() -> None:
+    frame = np.zeros((10, 10), bool)
+    frame[1:9, 1:9] = True
+    inside = np.zeros((10, 10), bool)
+    inside[2:8, 2:8] = True
+    masks = torch.from_numpy(np.stack([frame & ~inside, inside]).reshape(2, -1))
+    assert sorted(regions.distinct_masks(masks, torch.tensor([0.9, 0.95])).tolist()) == [0, 1]
+
+
+def test_small_masks_lie_over_large_ones_and_islands_are_dropped() -> None:
+    shape = (20, 50)
+    wall, board, hidden, lamp = (np.zeros(shape, bool) for _ in range(4))
+    wall[:, :40] = True
+    board[:, 10:20] = True  # divides the wall into two pieces of one region
+    hidden[5:8, 10:13] = True
+    lamp[5:8, 10:14] = True
+    lamp[0, 49] = lamp[0, 0] = True  # islands of one pixel
+    ids = regions.flattened([wall, board, hidden, lamp], shape, least=0.003)
+    expected = np.zeros(shape, int)
+    expected[wall] = 1
+    expected[board] = 2
+    expected[5:8, 10:14] = 3  # the hidden one takes no number
+    expected[0, 0] = 0
+    assert ids.dtype == np.int32 and np.array_equal(ids, expected)
+    assert not regions.flattened([], shape).any()
