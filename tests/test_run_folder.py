@@ -28,7 +28,9 @@ def outside(tmp_path: Path) -> Path:
     return folder
 
 
-FOLDERS = ("results", "report", "textures", "renders", "stage", "survey", "messages", "images", "align")
+FOLDERS = (
+    *("results", "report", "textures", "renders", "stage", "survey", "messages", "images", "masks", "align"),
+)
 INNER = ("stage/pixels", "renders/rerender", "results/maps", "report/images")
 
 

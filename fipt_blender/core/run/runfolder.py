@@ -36,6 +36,8 @@ class RunFolder:
         self.ingest_json = self.root / "ingest.json"
         self.capture_json = self.root / "capture.json"
         self.images = self.root / "images"
+        self.masks = self.root / "masks"
+        self.masks_json = self.masks / "masks.json"
         self.fused_ply = self.root / "fused.ply"
         self.planes_obj = self.root / "planes.obj"
         self.simplified_ply = self.root / "simplified.ply"
@@ -82,7 +84,14 @@ class RunFolder:
             FiptError: ``run-linked``.
         """
         own = [self.images, self.stage, self.results, self.textures, self.renders, self.report, self.survey]
-        own += [self.align, self.scene_cameras, self.root / "messages", self.log, self.engine_lock]
+        own += [
+            self.masks,
+            self.align,
+            self.scene_cameras,
+            self.root / "messages",
+            self.log,
+            self.engine_lock,
+        ]
         own += [self.root / name for name in ("sparse", "clipped", "semantics")]  # of a prepared capture
         root = os.path.realpath(self.root)
         for path in own:

@@ -29,6 +29,7 @@ CAPTURE = Fields(
     {"source": str, "world_from_source": Numbers(4, 4), "mesh": Maybe(str), "views": Items(_VIEW)}
 )
 ROOM = Fields({"objects": Items(str), "materials": Items(str)}, {"object_ids": Items(str), "parts": str})
+MASKS = Fields({"keys": Entries(str)})
 MATRICES = Entries(Numbers(4, 4))
 
 STEPS = Fields(
