@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 
 from fipt_blender.core.capture.images import read_ids, write_exr, write_ids
@@ -35,7 +34,6 @@ FOUND = ["train/a", "train/b", "val/d"]  # of the views of capture.json that hav
 
 @pytest.fixture(scope="module")
 def sam(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    torch.manual_seed(0)
     return mask_models.write_sam(tmp_path_factory.mktemp("sam"), mask_models.make_sam())
 
 
@@ -124,7 +122,6 @@ def test_a_stopped_command_goes_on_where_it_was(run: RunFolder, sam: Path, tmp_p
 
 def test_another_kind_of_model_replaces_what_was_found(run: RunFolder, sam: Path, tmp_path: Path) -> None:
     find_masks(run, sam)
-    torch.manual_seed(0)
     eomt = mask_models.write_segmenter(tmp_path / "eomt", mask_models.make_eomt())
     assert find_masks(run, eomt) == 4, "of the view with part masks, too"
     for path in (run.capture_json, run.ingest_json):

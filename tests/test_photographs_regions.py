@@ -23,7 +23,6 @@ MEAN, STD = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
 
 @pytest.fixture(scope="module", params=["sam", "sam2", "sam2_video"])
 def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    torch.manual_seed(0)
     network = getattr(mask_models, f"make_{request.param}")()
     return mask_models.write_sam(tmp_path_factory.mktemp("model"), network)
 

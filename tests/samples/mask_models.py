@@ -41,6 +41,7 @@ _MEMORY = {
 
 def make_sam() -> torch.nn.Module:
     """The first model."""
+    torch.manual_seed(0)
     vision = {
         "hidden_size": 32,
         "output_channels": 32,
@@ -61,6 +62,7 @@ def make_sam() -> torch.nn.Module:
 
 def make_sam2() -> torch.nn.Module:
     """SAM 2 of images."""
+    torch.manual_seed(0)
     config = transformers.Sam2Config(
         vision_config=_VISION_2, prompt_encoder_config=_PROMPTS, mask_decoder_config=_DECODER
     )
@@ -69,6 +71,7 @@ def make_sam2() -> torch.nn.Module:
 
 def make_sam2_video() -> torch.nn.Module:
     """SAM 2 of videos, as its models are published."""
+    torch.manual_seed(0)
     config = transformers.Sam2VideoConfig(
         vision_config=_VISION_2, prompt_encoder_config=_PROMPTS, mask_decoder_config=_DECODER, **_MEMORY
     )
@@ -92,6 +95,7 @@ def write_sam(folder: Path, network: torch.nn.Module) -> Path:
 
 def make_eomt() -> torch.nn.Module:
     """A model for five semantic classes."""
+    torch.manual_seed(0)
     config = transformers.EomtConfig(
         hidden_size=32,
         num_hidden_layers=2,
