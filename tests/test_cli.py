@@ -115,14 +115,15 @@ def test_captures_whose_names_differ_have_different_output_folders(capture, monk
 def test_options_reach_the_job(capture, monkeypatch, capsys):
     seen = fake_job(monkeypatch, GOOD)
     arguments = "estimate room --preset draft --seed 7 --device llvm --rounds 0 --set texel_density=64"
-    arguments += " --no-renders --up-axis=-y --scale 0.01 --hold-back 5 --parts none --mesh m.obj --resume"
+    arguments += " --no-renders --up-axis=-y --scale 0.01 --hold-back 5 --parts none --mesh m.obj"
+    arguments += " --masks-model sam --resume"
     assert cli.main(arguments.split()) == 0
     options = seen[0]
     settings = options.settings
     assert (settings.preset, settings.seed, settings.device, settings.rounds) == ("draft", 7, "llvm", 0)
     assert settings.texel_density == 64.0 and options.renders == () and options.resume
     assert (options.up_axis, options.scale, options.hold_back) == ("-y", 0.01, 5)
-    assert (options.parts, options.mesh) == ("none", Path("m.obj"))
+    assert (options.parts, options.mesh, options.masks_model) == ("none", Path("m.obj"), Path("sam"))
     assert options.output == capture.parent / "room-fipt"
 
 

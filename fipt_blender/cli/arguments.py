@@ -95,6 +95,12 @@ def _add_estimate(commands: _Commands) -> argparse.ArgumentParser:
         default="auto",
         help="how surfaces of the same material are recognized (default: auto)",
     )
+    add(
+        "--masks-model",
+        type=Path,
+        metavar="DIR",
+        help="find masks by this model (SAM: parts; Mask2Former, OneFormer, EoMT: semantic classes)",
+    )
     add("--hints", type=Path, metavar="FILE", help="what is known of surfaces (hints.json)")
     add(
         "--hints-again",
@@ -188,6 +194,7 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
         depth_unit=arguments.depth_unit,
         undo_applied_transform=arguments.undo_applied_transform,
         parts=arguments.parts,
+        masks_model=arguments.masks_model,
         renders=() if arguments.no_renders else RENDER_KINDS,
         render_view=arguments.render_view,
         render_spp=arguments.render_spp,

@@ -24,7 +24,7 @@ from ..core.run.runfolder import PRODUCT_VERSION, RunFolder
 from ..core.run.settings import Settings
 from .fingerprints import folder_fingerprint, mesh_fingerprint
 from .options import BLEND_NAME, TEXTURE_SETTINGS, MainJobOptions, check_options, ingest_arguments
-from .run_job import find_launch, ingest_step, open_job, refuse_busy
+from .run_job import find_launch, ingest_step, masks_step, open_job, refuse_busy
 
 if TYPE_CHECKING:
     from .room_steps import RoomSteps
@@ -43,8 +43,9 @@ def make_main_job(options: MainJobOptions) -> Job:
     """Check the options, create the run folder and return the job, ready to run.
 
     Raises:
-        FiptError: ``capture-missing``, ``mesh-missing``, ``output-inside-capture``, ``engine-missing``,
-            ``hints-missing``, ``hints-invalid``, ``run-busy`` or those of ``RunFolder.create``.
+        FiptError: ``capture-missing``, ``mesh-missing``, ``model-unusable``, ``output-inside-capture``,
+            ``engine-missing``, ``hints-missing``, ``hints-invalid``, ``run-busy`` or those of
+            ``RunFolder.create``.
     """
     check_options(options)
     engine = find_launch(options.engine_python)
@@ -144,6 +145,7 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
 
     return [
         _capture_step(options, run),
+        *([] if options.masks_model is None else [masks_step(run, options.masks_model)]),
         Step(
             "import",
             "Importing the room and its cameras",
@@ -177,6 +179,7 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
 def _capture_step(options: MainJobOptions, run: RunFolder) -> Step:
     capture, arguments = options.capture.absolute(), ingest_arguments(options)
     mesh, images = (None if path is None else path.absolute() for path in (options.mesh, options.images))
+    model = options.masks_model
     return replace(
         ingest_step(run, capture, arguments, "Reading the capture", 5.0),
         inputs={
@@ -185,6 +188,8 @@ def _capture_step(options: MainJobOptions, run: RunFolder) -> Step:
             "mesh": None if mesh is None else mesh_fingerprint(mesh, exclude=run.root),
             "images": None if images is None else folder_fingerprint(images, exclude=run.root),
             "arguments": arguments,
+            # Another model begins with the capture as it was read, without the masks of the one before.
+            "masks": None if model is None else folder_fingerprint(model),
         },
         outputs=[run.capture_json],
         reset=lambda: _remove(run.capture_json, run.images),

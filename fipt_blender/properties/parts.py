@@ -54,6 +54,7 @@ SOURCES = (
     ("none", "None", "Each point is estimated separately, for a single scan without masks", "X"),
 )
 ENGINE_SOURCES = {"folder": "masks"}
+MODEL_SOURCES = ("auto", "masks", "semantics")  # which use masks that a model has found
 
 
 class FIPT_PartsSettings(bpy.types.PropertyGroup):
@@ -68,6 +69,12 @@ class FIPT_PartsSettings(bpy.types.PropertyGroup):
     folder: bpy.props.StringProperty(
         name="Masks",
         description="Folder with an ID image (PNG or EXR) for each photograph, with the same name and size",
+        subtype="DIR_PATH",
+    )
+    masks_model: bpy.props.StringProperty(
+        name="Masks Model",
+        description="Folder of a model for transformers: SAM or SAM 2 for masks of parts; Mask2Former,"
+        " OneFormer or EoMT for semantic masks",
         subtype="DIR_PATH",
     )
     surveyed_folder: bpy.props.StringProperty(description="The mask folder at the last check")
