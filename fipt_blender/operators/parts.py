@@ -4,9 +4,61 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import bpy
 
+from ..core.run.runfolder import RunFolder
+from .job_operator import JobOperator
 from .overlay import ShowsColors
+from .polls import has_views
+
+if TYPE_CHECKING:
+    from ..bridge.sequence import Job
+
+
+class FIPT_OT_find_masks(JobOperator, bpy.types.Operator):
+    """Let the model find masks of the ticked views that have none. Nothing is downloaded"""
+
+    bl_idname = "fipt.find_masks"
+    bl_label = "Find Masks"
+    bl_options = {"REGISTER"}
+    title = "Find Masks"
+    kind = "masks"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not has_views(cls, context):
+            return False
+        if not context.scene.fipt.parts.masks_model:
+            cls.poll_message_set("Choose the folder of a masks model first")
+            return False
+        return super().poll(context)
+
+    def make_job(self, context: bpy.types.Context) -> Job:
+        from ..bridge.step import Step
+        from ..jobs.run_job import masks_step, open_job
+
+        run = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
+        model = Path(bpy.path.abspath(context.scene.fipt.parts.masks_model))
+
+        def ticked_views() -> None:
+            from ..jobs.room_steps import export_scene_cameras
+
+            export_scene_cameras(run)
+
+        steps = [
+            Step("masks-input", "Reading the cameras", 1.0, function=ticked_views, repeat=True),
+            masks_step(run, model),
+        ]
+        return open_job(run, steps, record="masks/steps.json")
+
+    @staticmethod
+    def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
+        from ..blend.capture.survey import forget_parts
+
+        forget_parts(scene)
 
 
 class FIPT_OT_show_parts(ShowsColors, bpy.types.Operator):
@@ -29,4 +81,4 @@ class FIPT_OT_show_parts(ShowsColors, bpy.types.Operator):
         show_parts(scene)
 
 
-CLASSES = (FIPT_OT_show_parts,)
+CLASSES = (FIPT_OT_find_masks, FIPT_OT_show_parts)
