@@ -27,7 +27,7 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
         ("show_coverage", ""),
         ("try_example", ""),
     ),
-    "Parts": (("show_parts", ""),),
+    "Parts": (("find_masks", ""), ("show_parts", "")),
     "Estimate": (
         ("estimate", ""),
         ("resume", "Resume Estimate"),
