@@ -93,7 +93,8 @@ def test_an_engine_that_was_left_is_watched_to_its_end(run_folder, engine):
     engine.leave()
     assert engine.poll() == [] and is_alive(engine.pid)
     attached = AttachedEngine(run_folder, find_engine(run_folder))
-    messages = attached.poll()
+    messages: list[dict] = []
+    wait_for(lambda: messages.extend(attached.poll()) or len(messages) == 3)
     assert [message["type"] for message in messages] == ["stage", "progress", "warning"]
     assert attached.running
     (run_folder.root / "stop").touch()
