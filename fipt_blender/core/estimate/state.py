@@ -45,6 +45,7 @@ from ..run.runfolder import RunFolder
 from ..run.settings import Settings
 from ..run.shapes import Layout
 from ..scene.labels import NO_PART, Parts, choose_parts, room_pieces
+from ..scene.linked_masks import link_masks
 from ..scene.outlines import outline_parts
 from ..scene.pixels import LEFT_OUT, PixelStore, open_pixels
 from ..scene.room import load_room
@@ -116,6 +117,7 @@ class EstimationState:
             raise FiptError("views-none", "The capture has no training views.", "Add photographs.")
         self.views = spread_views(self.capture.train, settings.view_share)
         close_holes(folder, self.views)
+        self.views = link_masks(folder, load_room(folder), self.views)
         outline_parts(folder, self.views)
         self.room = load_room(folder)
         self.levels = roughness_levels(

@@ -47,6 +47,7 @@ class RunFolder:
         self.geometry_npz = self.root / "geometry.npz"
         self.panes_npz = self.root / "panes.npz"
         self.outlines_npz = self.root / "outlines.npz"
+        self.linked = self.root / "linked"  # part masks with the ids of other views
         self.hints_json = self.root / "hints.json"
         self.hints_again_json = self.root / "hints_again.json"
         self.stage = self.root / "stage"
@@ -83,16 +84,10 @@ class RunFolder:
         Raises:
             FiptError: ``run-linked``.
         """
-        own = [self.images, self.stage, self.results, self.textures, self.renders, self.report, self.survey]
-        own += [
-            self.masks,
-            self.align,
-            self.scene_cameras,
-            self.root / "messages",
-            self.log,
-            self.engine_lock,
-        ]
-        own += [self.root / name for name in ("sparse", "clipped", "semantics")]  # of a prepared capture
+        own = [self.images, self.masks, self.linked, self.stage, self.results, self.textures, self.renders]
+        own += [self.report, self.survey, self.align, self.scene_cameras, self.root / "messages", self.log]
+        prepared = ("sparse", "clipped", "parts", "semantics")  # folders of a prepared capture
+        own += [self.engine_lock, *(self.root / name for name in prepared)]
         root = os.path.realpath(self.root)
         for path in own:
             if path.is_symlink() or path.is_dir():

@@ -26,6 +26,7 @@ from ..run.run_files import PANES, has_searched_panes, mesh_digest, read_room_fi
 from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
 from ..scene.camera_rays import first_hits, trace_pixels
 from ..scene.labels import choose_source, masks_digest
+from ..scene.linked_masks import link_masks
 from ..scene.room import Room, load_room
 from .lost_parts import Surface, lost_parts
 from .lost_surfaces import lost_surfaces
@@ -73,7 +74,7 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
     room = load_room(run)
     closed = [hole for hole, seen in zip(holes, _sights(room, holes, views), strict=True) if seen]
     added = _panes(closed) if closed else None
-    for surface in _things(room if added is None else _with(room, added), views, edge):
+    for surface in _things(run, room if added is None else _with(room, added), views, edge):
         added = surface if added is None else _joined(added, surface)
     nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3, 3)), np.zeros(0, np.int32)
     vertices, triangles, normals, plane = nothing if added is None else added
@@ -99,13 +100,25 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
         store_geometry(run, read_room_files(run)[0], extended)
 
 
-def _things(room: Room, views: Sequence[View], edge: float) -> list[Surface]:
-    """What photographs show and the scan lacks: by part masks, which tell more, where there are any."""
+def _things(run: RunFolder, room: Room, views: Sequence[View], edge: float) -> list[Surface]:
+    """What photographs show and the scan lacks: by part masks, which tell more, where there are any.
+
+    Masks that are linked on the mesh take a lost thing for what is behind it. They tell of torn parts alone.
+    """
     if choose_source(room, views) != "masks":
         return lost_surfaces(room, views, edge)
-    sights, label = part_sights(room, views)
-    lost = lost_parts(sights, room.bounds, edge)
-    return lost + torn_parts(room, label, sights, lost, edge)
+    linked = link_masks(run, room, views)
+    if linked == list(views):
+        sights, label = part_sights(room, views)
+        lost = lost_parts(sights, room.bounds, edge)
+        return lost + torn_parts(room, label, sights, lost, edge)
+    lost = lost_surfaces(room, views, edge)
+    for surface in lost:
+        room = _with(room, surface)
+    if lost:
+        linked = link_masks(run, room, views)
+    sights, label = part_sights(room, linked)
+    return lost + torn_parts(room, label, sights, [], edge)
 
 
 def _with(room: Room, surface: Surface) -> Room:

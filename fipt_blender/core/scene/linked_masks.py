@@ -1,0 +1,163 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Part masks with ids of their own in each view, as networks make them that see one photograph at a time.
+
+Their regions are linked on the mesh, and written with ids that all views share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from ..capture.images import write_exr
+from ..capture.views import View
+from ..run.run_files import array_digest
+from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
+from .camera_rays import first_hits, trace_pixels
+from .coverage import coarse_view
+from .labels import choose_source, masks_digest
+from .linking import RegionPixels, link_regions
+from .room import Room
+
+# Ids are shared if a place that has one in one view has it in others so often (median over the ids: numbered
+# by size, walls and floors have the same id in many views).
+SHARED = 0.2
+# Edge of a surface cell in median widths of a pixel on the room.
+CELL_PIXELS = 1.5
+# A region belongs to one part if so many of its pixels see it; if not, each pixel belongs to what it sees.
+ONE_PART = 0.8
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What a view with part masks shows on a coarse grid of pixels.
+
+    Attributes:
+        view: at its own size.
+        mask: (H, W) int32 ids at that size, 0 for none.
+        place: (h, w, 3) int64 cell that each pixel of the grid sees; -1 where it sees nothing.
+        ids: (h, w) int32 its id.
+    """
+
+    view: View
+    mask: np.ndarray
+    place: np.ndarray
+    ids: np.ndarray
+
+    @property
+    def usable(self) -> np.ndarray:
+        """(h, w) bool, pixels of the grid with an id and a surface."""
+        return (self.ids > 0) & (self.place[..., 0] >= 0)
+
+
+def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
+    """The views, with part masks whose ids all of them share.
+
+    Masks that share their ids already stay as they are; others are written to ``linked/`` of the run folder
+    and kept as long as the mesh, the masks and the poses stay the same. Mitsuba's variant must be set.
+
+    Raises:
+        FiptError: those of reading the masks, ``disk-full`` or ``run-unwritable``.
+    """
+    if choose_source(room, views) != "masks":
+        return list(views)
+    names = {view.name: run.linked / f"{view.name}.exr" for view in views if view.parts}
+    linked = [replace(view, parts=names[view.name]) if view.name in names else view for view in views]
+    masks = masks_digest(views, (view.part_ids() for view in views))
+    digest = array_digest(room.vertices, room.triangles, masks).tobytes().hex()
+    record = run.linked / "digest.txt"
+    if record.is_file() and record.read_text(encoding="utf-8") == digest:
+        return linked
+    seen = _seen(room, [view for view in views if view.parts])
+    cells, places = _numbered(seen)
+    pixels = [
+        RegionPixels(one.ids[cell >= 0].astype(np.int64), cell[cell >= 0])
+        for one, cell in zip(seen, cells, strict=True)
+    ]
+    if shared_ids(pixels) >= SHARED:
+        return list(views)
+    part = link_regions(pixels, places)
+    record.unlink(missing_ok=True)
+    for one, cell in zip(seen, cells, strict=True):
+        write_exr(names[one.view.name], _linked(one, np.append(part, -1)[cell]))
+    with explained_write_errors(run.root), atomic_path(record) as temporary:
+        temporary.write_text(digest, encoding="utf-8")
+    return linked
+
+
+def shared_ids(views: Sequence[RegionPixels]) -> float:
+    """0..1, how often the id of a place is the same in two views; median over the ids, 1 without any."""
+    pairs = [np.unique(np.stack([view.cell, view.region], axis=1), axis=0) for view in views]
+    if not pairs:
+        return 1.0
+    key, count = np.unique(np.concatenate(pairs), axis=0, return_counts=True)
+    cell, place = np.unique(key[:, 0], return_inverse=True)
+    total = np.bincount(place.reshape(-1), count, minlength=len(cell))[place.reshape(-1)]
+    number = np.unique(key[:, 1], return_inverse=True)[1].reshape(-1)
+    same = np.bincount(number, count * (count - 1.0))
+    pairs_seen = np.bincount(number, count * (total - 1.0))
+    known = pairs_seen > 0
+    return float(np.median(same[known] / pairs_seen[known])) if known.any() else 1.0
+
+
+def _seen(room: Room, views: Sequence[View]) -> list[_Seen]:
+    places, widths, masks, ids = [], [], [], []
+    for view in views:
+        coarse = coarse_view(view)
+        distance = first_hits(trace_pixels(room, coarse))[1]
+        hit = np.isfinite(distance)
+        origin, directions = coarse.rays()
+        point = origin + directions.reshape(-1, 3) * np.where(hit, distance, np.nan)[:, None]
+        places.append(point.reshape(coarse.height, coarse.width, 3))
+        widths.append(float(np.median(distance[hit])) / coarse.fx if hit.any() else 0.0)
+        mask = view.part_ids()
+        assert mask is not None
+        masks.append(np.maximum(mask, 0))
+        ids.append(masks[-1][np.ix_(_rows(coarse.height, view.height), _rows(coarse.width, view.width))])
+    size = max(CELL_PIXELS * float(np.median(widths)) if widths else 0.0, 1e-6)
+    low = room.bounds[0]
+    cells = [np.nan_to_num(np.floor((place - low) / size), nan=-1.0).astype(np.int64) for place in places]
+    return [_Seen(*one) for one in zip(views, masks, cells, ids, strict=True)]
+
+
+def _rows(count: int, of: int) -> np.ndarray:
+    """(count,) int64 row of an image of `of` rows at the middle of each of `count` rows."""
+    return ((np.arange(count) + 0.5) * of / count).astype(np.int64)
+
+
+def _numbered(seen: Sequence[_Seen]) -> tuple[list[np.ndarray], np.ndarray]:
+    """For each view (h, w) int64 the cell of each usable pixel, -1 of others; (C, 3) places of the cells."""
+    used = [one.place[one.usable] for one in seen]
+    places, number = np.unique(
+        np.concatenate([*used, np.zeros((0, 3), np.int64)]), axis=0, return_inverse=True
+    )
+    cells, first = [], 0
+    for one, rows in zip(seen, used, strict=True):
+        cell = np.full(one.ids.shape, -1)
+        cell[one.usable] = number.reshape(-1)[first : first + len(rows)]
+        cells.append(cell)
+        first += len(rows)
+    return cells, places
+
+
+def _linked(seen: _Seen, part: np.ndarray) -> np.ndarray:
+    """(H, W) int32 part of each pixel from 1, 0 for none.
+
+    Args:
+        part: (h, w) int64 of each pixel of the grid, -1 for none.
+    """
+    known = part >= 0
+    ones = np.ones(int(known.sum()), np.int64)
+    counts = csr_array(
+        (ones, (seen.ids[known], part[known])), shape=(int(seen.mask.max()) + 1, int(part.max()) + 1)
+    )
+    total, most = counts.sum(axis=1), counts.max(axis=1).toarray()
+    of_one = (total > 0) & (most >= ONE_PART * total)
+    height, width = seen.mask.shape
+    fine = part[np.ix_(_rows(height, part.shape[0]), _rows(width, part.shape[1]))]
+    whole = counts.argmax(axis=1)[seen.mask]
+    return np.where(seen.mask > 0, np.where(of_one[seen.mask], whole, fine) + 1, 0).astype(np.int32)

@@ -1,0 +1,190 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Regions of single photographs, linked to parts of the room.
+
+Networks divide each photograph for itself, and often otherwise than the next one. Surface points belong to
+one part if the views that see both show them in one region more often than not.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+
+from .components import graph_components
+
+# Places are linked whose pairs of pixels lie in one region by this share.
+LEAST_TOGETHER = 0.5
+# Places are first joined within blocks so many cells wide, so that no chain of them crosses a border.
+BLOCK = 4
+_BESIDE = 1.8  # cells between neighbours, diagonal ones included
+
+
+@dataclass(frozen=True)
+class RegionPixels:
+    """Pixels of one view that see the room and lie in a region.
+
+    Attributes:
+        region: (N,) int64 ids above 0, which mean nothing in other views.
+        cell: (N,) int64 surface cell that each sees.
+    """
+
+    region: np.ndarray
+    cell: np.ndarray
+
+
+def link_regions(views: Sequence[RegionPixels], places: np.ndarray) -> np.ndarray:
+    """The part of each surface cell, by average linkage.
+
+    How much two sets of cells belong together is the share of the pairs of pixels, one of each set and both
+    in one view, that lie in one region. Neighbouring sets are joined first, the surest pair before all
+    others, then sets that lie apart.
+
+    Args:
+        views: of all photographs with regions.
+        places: (C, 3) int place of each cell on a grid.
+
+    Returns:
+        (C,) int64 part of each cell, numbered from 0; cells without pixels have parts of their own.
+    """
+    counts, seen = _tables(views, len(places))
+    pairs = cKDTree(places).query_pairs(_BESIDE, output_type="ndarray")
+    one, other = pairs.T
+    together = _products(counts, one, other)
+    both = _products(seen, one, other)
+    near = (places[one] // BLOCK == places[other] // BLOCK).all(axis=1)
+    joined = near & (both > 0.0) & (together > LEAST_TOGETHER * both)
+    patch = graph_components(pairs[joined], len(places))
+    gather = csr_array(
+        (np.ones(len(patch)), (patch, np.arange(len(patch)))),
+        shape=(int(patch.max(initial=-1)) + 1, len(patch)),
+    )
+    edges = np.unique(np.sort(patch[pairs], axis=1), axis=0)
+    sets = _Sets(gather @ counts, (gather @ seen).toarray())
+    part = sets.join_neighbours(edges[edges[:, 0] != edges[:, 1]])
+    return sets.join_all(part)[patch]
+
+
+def _tables(views: Sequence[RegionPixels], count: int) -> tuple[csr_array, csr_array]:
+    """(C, R) pixels of each cell in each region of any view, and (C, V) in each view."""
+    cells, regions, of_view, total = [], [], [], 0
+    for number, view in enumerate(views):
+        ids, place = np.unique(view.region, return_inverse=True)
+        cells.append(view.cell)
+        regions.append(place + total)
+        of_view.append(np.full(len(view.cell), number))
+        total += len(ids)
+    cell = np.concatenate(cells)
+    ones = np.ones(len(cell), np.float32)
+    # The constructor adds what has the same place.
+    counts = csr_array((ones, (cell, np.concatenate(regions))), shape=(count, total))
+    return counts, csr_array((ones, (cell, np.concatenate(of_view))), shape=(count, len(views)))
+
+
+def _products(table: csr_array, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(N,) scalar products of rows of a table."""
+    step = 200_000
+    parts = [
+        table[one[begin : begin + step]].multiply(table[other[begin : begin + step]]).sum(axis=1)
+        for begin in range(0, len(one), step)
+    ]
+    return np.concatenate([np.zeros(0), *parts])
+
+
+class _Sets:
+    """Sets of cells that are joined.
+
+    Args:
+        counts: (S, R) pixels of each set in each region.
+        seen: (S, V) pixels of each set in each view.
+    """
+
+    def __init__(self, counts: csr_array, seen: np.ndarray) -> None:
+        counts.sort_indices()
+        ends = counts.indptr[1:-1]
+        self._regions, self._pixels = np.split(counts.indices, ends), np.split(counts.data, ends)
+        self._seen = seen.astype(np.float64)
+        self._row = np.zeros(counts.shape[1])
+
+    def join_neighbours(self, edges: np.ndarray) -> np.ndarray:
+        """(S,) int64 set that each has joined, after neighbours (E, 2) were joined."""
+        count = len(self._seen)
+        beside: list[set[int]] = [set() for _ in range(count)]
+        for one, other in edges.tolist():
+            beside[one].add(other)
+            beside[other].add(one)
+        version = np.zeros(count, np.int64)
+        joins = np.arange(count)
+        heap: list[tuple[float, int, int, int, int]] = []
+
+        def offer(one: int, others: Sequence[int]) -> None:
+            shares = self._together(one, others)
+            for other, share in zip(others, shares.tolist(), strict=True):
+                if share > LEAST_TOGETHER:
+                    heapq.heappush(heap, (-share, one, other, int(version[one]), int(version[other])))
+
+        for one in range(count):
+            offer(one, sorted(other for other in beside[one] if other > one))
+        while heap:
+            _, one, other, *versions = heapq.heappop(heap)
+            if versions != [version[one], version[other]]:
+                continue
+            self._join(one, other)
+            joins[other] = one
+            version[one] += 1
+            version[other] = -1  # never offered again
+            for set_ in beside[other] - {one}:
+                beside[set_].discard(other)
+                beside[set_].add(one)
+            beside[one] = (beside[one] | beside[other]) - {one, other}
+            beside[other] = set()
+            offer(one, sorted(beside[one]))
+        while (joins[joins] != joins).any():
+            joins = joins[joins]
+        return joins
+
+    def join_all(self, joins: np.ndarray) -> np.ndarray:
+        """(S,) int64 part of each set, after sets were joined wherever they lie.
+
+        Args:
+            joins: (S,) set that each has joined.
+        """
+        live, part = np.unique(joins, return_inverse=True)
+        part = part.reshape(-1)
+        shares = np.stack([self._together(one, live) for one in live])
+        np.fill_diagonal(shares, 0.0)
+        there = np.ones(len(live), bool)
+        while True:
+            one, other = np.unravel_index(int(shares.argmax()), shares.shape)
+            if shares[one, other] <= LEAST_TOGETHER:
+                return np.unique(part, return_inverse=True)[1].reshape(-1)
+            self._join(int(live[one]), int(live[other]))
+            part[part == other] = one
+            there[other] = False
+            shares[other] = shares[:, other] = 0.0
+            shares[one] = np.where(there, self._together(int(live[one]), live), 0.0)
+            shares[one, one] = 0.0
+            shares[:, one] = shares[one]
+
+    def _together(self, one: int, others: Sequence[int] | np.ndarray) -> np.ndarray:
+        """(n,) share of the pairs of pixels of a set and each of others that lie in one region."""
+        if not len(others):
+            return np.zeros(0)
+        self._row[self._regions[one]] = self._pixels[one]
+        same = np.array([self._row[self._regions[other]] @ self._pixels[other] for other in others])
+        self._row[self._regions[one]] = 0.0
+        both = self._seen[np.asarray(others)] @ self._seen[one]
+        return np.divide(same, both, out=np.zeros(len(both)), where=both > 0.0)
+
+    def _join(self, one: int, other: int) -> None:
+        """Add a set to another, which keeps its number."""
+        regions = np.concatenate([self._regions[one], self._regions[other]])
+        self._regions[one], place = np.unique(regions, return_inverse=True)
+        pixels = np.concatenate([self._pixels[one], self._pixels[other]])
+        self._pixels[one] = np.bincount(place.reshape(-1), pixels)
+        self._seen[one] += self._seen[other]
