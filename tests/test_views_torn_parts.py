@@ -14,7 +14,7 @@ from fipt_blender.core.run.run_files import PANES
 from fipt_blender.core.scene.camera_rays import trace_pixels
 from fipt_blender.core.scene.room import Room, load_room
 from fipt_blender.core.views.panes import close_holes
-from samples.part_views import THING_PART, looking_views, write_run
+from samples.part_views import THING_PART, looking_views, with_own_ids, write_run
 from samples.scans import scanned_box
 from samples.small_rooms import mesh_room
 
@@ -60,9 +60,13 @@ def in_hole(places: np.ndarray) -> np.ndarray:
     return near.all(axis=1) & (places[:, 1] < 0.1)
 
 
+@pytest.mark.parametrize("own_ids", [False, True])
 @pytest.mark.parametrize("thing", [shade, board])
 def test_a_hole_in_a_part_is_filled(
-    tmp_path: Path, rng: np.random.Generator, thing: Callable[[], tuple[np.ndarray, np.ndarray]]
+    tmp_path: Path,
+    rng: np.random.Generator,
+    thing: Callable[[], tuple[np.ndarray, np.ndarray]],
+    own_ids: bool,
 ) -> None:
     scan, _ = scanned_box(cells=60, noise=NOISE)
     vertices, triangles = thing()
@@ -72,7 +76,7 @@ def test_a_hole_in_a_part_is_filled(
     run = write_run(tmp_path, joined(scan, noisy, triangles[~hole], 0), "masks")
     true = joined(scan, vertices, triangles, 1)
     views = looking_views(tmp_path, true)
-    close_holes(run, views)
+    close_holes(run, with_own_ids(views, rng) if own_ids else views)
     room = load_room(run)
     added = room.triangle_object == 1
     assert room.objects == ("scan", PANES) and added.any()

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,22 @@ def looking_views(folder: Path, room: Room, radiance: float = 1.0) -> list[View]
         write_exr(parts, np.where(lost, THING_PART, ROOM_PART).reshape(SIZE, SIZE).astype(np.float32))
         views.append(view)
     return views
+
+
+def numbered_anew(ids: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The same regions with other ids above 0."""
+    return rng.permutation(np.arange(1, ids.max() + 2))[ids]
+
+
+def with_own_ids(views: list[View], rng: np.random.Generator) -> list[View]:
+    """The views with masks of the same regions, whose ids mean nothing in other views."""
+    changed = []
+    for view in views:
+        path = view.parts.with_name(f"own_{view.name}.exr")
+        place = np.unique(view.part_ids(), return_inverse=True)[1].reshape(view.height, view.width)
+        write_exr(path, numbered_anew(place, rng) + rng.integers(90))
+        changed.append(replace(view, parts=path))
+    return changed
 
 
 def write_run(root: Path, room: Room, parts: str) -> RunFolder:

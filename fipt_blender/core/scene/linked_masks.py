@@ -21,15 +21,14 @@ from .camera_rays import first_hits, trace_pixels
 from .coverage import coarse_view
 from .labels import choose_source, masks_digest
 from .linking import RegionPixels, link_regions
+from .pixels import CELL_PIXELS
 from .room import Room
 
 # Ids are shared if a place that has one in one view has it in others so often (median over the ids: numbered
 # by size, walls and floors have the same id in many views).
 SHARED = 0.2
-# Edge of a surface cell in median widths of a pixel on the room.
-CELL_PIXELS = 1.5
 # A region belongs to one part if so many of its pixels see it; if not, each pixel belongs to what it sees.
-ONE_PART = 0.8
+ONE_PART = 0.7
 
 
 @dataclass(frozen=True)
@@ -38,13 +37,11 @@ class _Seen:
 
     Attributes:
         view: at its own size.
-        mask: (H, W) int32 ids at that size, 0 for none.
         place: (h, w, 3) int64 cell that each pixel of the grid sees; -1 where it sees nothing.
         ids: (h, w) int32 its id.
     """
 
     view: View
-    mask: np.ndarray
     place: np.ndarray
     ids: np.ndarray
 
@@ -105,7 +102,7 @@ def shared_ids(views: Sequence[RegionPixels]) -> float:
 
 
 def _seen(room: Room, views: Sequence[View]) -> list[_Seen]:
-    places, widths, masks, ids = [], [], [], []
+    places, widths, ids = [], [], []
     for view in views:
         coarse = coarse_view(view)
         distance = first_hits(trace_pixels(room, coarse))[1]
@@ -114,14 +111,18 @@ def _seen(room: Room, views: Sequence[View]) -> list[_Seen]:
         point = origin + directions.reshape(-1, 3) * np.where(hit, distance, np.nan)[:, None]
         places.append(point.reshape(coarse.height, coarse.width, 3))
         widths.append(float(np.median(distance[hit])) / coarse.fx if hit.any() else 0.0)
-        mask = view.part_ids()
-        assert mask is not None
-        masks.append(np.maximum(mask, 0))
-        ids.append(masks[-1][np.ix_(_rows(coarse.height, view.height), _rows(coarse.width, view.width))])
+        ids.append(_mask(view)[np.ix_(_rows(coarse.height, view.height), _rows(coarse.width, view.width))])
     size = max(CELL_PIXELS * float(np.median(widths)) if widths else 0.0, 1e-6)
     low = room.bounds[0]
     cells = [np.nan_to_num(np.floor((place - low) / size), nan=-1.0).astype(np.int64) for place in places]
-    return [_Seen(*one) for one in zip(views, masks, cells, ids, strict=True)]
+    return [_Seen(*one) for one in zip(views, cells, ids, strict=True)]
+
+
+def _mask(view: View) -> np.ndarray:
+    """(H, W) int32 ids of a view with part masks, 0 for none."""
+    ids = view.part_ids()
+    assert ids is not None
+    return np.maximum(ids, 0)
 
 
 def _rows(count: int, of: int) -> np.ndarray:
@@ -150,14 +151,12 @@ def _linked(seen: _Seen, part: np.ndarray) -> np.ndarray:
     Args:
         part: (h, w) int64 of each pixel of the grid, -1 for none.
     """
-    known = part >= 0
+    mask, known = _mask(seen.view), part >= 0
     ones = np.ones(int(known.sum()), np.int64)
-    counts = csr_array(
-        (ones, (seen.ids[known], part[known])), shape=(int(seen.mask.max()) + 1, int(part.max()) + 1)
-    )
+    shape = int(mask.max()) + 1, max(int(part.max()) + 1, 1)
+    counts = csr_array((ones, (seen.ids[known], part[known])), shape=shape)
     total, most = counts.sum(axis=1), counts.max(axis=1).toarray()
     of_one = (total > 0) & (most >= ONE_PART * total)
-    height, width = seen.mask.shape
-    fine = part[np.ix_(_rows(height, part.shape[0]), _rows(width, part.shape[1]))]
-    whole = counts.argmax(axis=1)[seen.mask]
-    return np.where(seen.mask > 0, np.where(of_one[seen.mask], whole, fine) + 1, 0).astype(np.int32)
+    fine = part[np.ix_(_rows(len(mask), len(part)), _rows(mask.shape[1], part.shape[1]))]
+    found = np.where(of_one[mask], counts.argmax(axis=1)[mask], fine)
+    return np.where(mask > 0, found + 1, 0).astype(np.int32)

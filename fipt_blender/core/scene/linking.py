@@ -52,13 +52,15 @@ def link_regions(views: Sequence[RegionPixels], places: np.ndarray) -> np.ndarra
     Returns:
         (C,) int64 part of each cell, numbered from 0; cells without pixels have parts of their own.
     """
+    if not len(places):
+        return np.zeros(0, np.int64)
     counts, seen = _tables(views, len(places))
     pairs = cKDTree(places).query_pairs(_BESIDE, output_type="ndarray")
     one, other = pairs.T
     together = _products(counts, one, other)
     both = _products(seen, one, other)
     near = (places[one] // BLOCK == places[other] // BLOCK).all(axis=1)
-    joined = near & (both > 0.0) & (together > LEAST_TOGETHER * both)
+    joined = near & (both > 0.0) & (together >= both)
     patch = graph_components(pairs[joined], len(places))
     gather = csr_array(
         (np.ones(len(patch)), (patch, np.arange(len(patch)))),
@@ -176,8 +178,11 @@ class _Sets:
         if not len(others):
             return np.zeros(0)
         self._row[self._regions[one]] = self._pixels[one]
-        same = np.array([self._row[self._regions[other]] @ self._pixels[other] for other in others])
+        regions, pixels = ([table[other] for other in others] for table in (self._regions, self._pixels))
+        sums = np.cumsum(self._row[np.concatenate(regions)] * np.concatenate(pixels))
         self._row[self._regions[one]] = 0.0
+        ends = np.cumsum([len(region) for region in regions])
+        same = np.diff(np.append(0.0, sums)[np.append(0, ends)])
         both = self._seen[np.asarray(others)] @ self._seen[one]
         return np.divide(same, both, out=np.zeros(len(both)), where=both > 0.0)
 

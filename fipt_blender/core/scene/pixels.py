@@ -26,6 +26,8 @@ from .room import Room
 
 NO_TRIANGLE = -1
 LEFT_OUT = -2  # masked in the photograph: neither the room nor the outside
+# Edge of a surface cell in median widths of a pixel on the room.
+CELL_PIXELS = 1.5
 # The capture's median luminance is that of at most this many pixels of all views, and of each view.
 LUMINANCES = 2_000_000
 VIEW_LUMINANCES = 20_000

@@ -51,6 +51,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     # Mitsuba's types exist only after the variant is set.
     from .coverage import fuse_inputs, view_coverage
     from .labels import automatic_source, label_parts, usable_sources
+    from .linked_masks import link_masks
     from .room import load_room
 
     folder = RunFolder(arguments.folder)
@@ -68,7 +69,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         reporter.progress((index + 1) / len(capture.views))
 
     reporter.stage("parts", "Finding the parts")
-    train = [view for view in capture.train if view.image.is_file()]
+    train = link_masks(folder, room, [view for view in capture.train if view.image.is_file()])
     labels = {}
     usable = usable_sources(room, train)
     sources = [*usable, "loose"]

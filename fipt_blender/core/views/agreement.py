@@ -19,8 +19,9 @@ from ..capture.views import View
 from ..light.cache import side_index
 from ..scene.camera_rays import first_hits
 from ..scene.grouped import grouped_median, grouped_sums, numbered
+from ..scene.pixels import CELL_PIXELS
 from ..scene.room import Room, triangle_normals
-from .cells import CELL_PIXELS, lattice_spacing
+from .cells import lattice_spacing
 from .sights import LEAST_VIEWS, grid_points, seen_before
 
 # Difference of the logarithm of radiance (root mean square over the channels) beyond which photographs

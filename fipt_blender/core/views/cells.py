@@ -10,13 +10,12 @@ import numpy as np
 
 from ..capture.views import View
 from ..light.cache import side_index
-from ..scene.pixels import PixelStore
+from ..scene.pixels import CELL_PIXELS, PixelStore
 from ..scene.room import Room, triangle_normals
 
 # Radiance below this share of the capture's median is too dark to compare; it is clamped to it.
 DARK = 0.02
-# Edge of a surface cell in median pixel footprints, and most cells along the room's longest side.
-CELL_PIXELS = 1.5
+# Most cells along the room's longest side.
 MOST_CELLS = 1024
 # Photographs are compared on a lattice of pixels of about this width.
 REGISTERED_WIDTH = 320

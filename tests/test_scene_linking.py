@@ -1,0 +1,156 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Regions of single photographs: which belong together, and part masks that are made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fipt_blender.core.capture.images import read_ids, write_exr
+from fipt_blender.core.scene.linked_masks import link_masks, shared_ids
+from fipt_blender.core.scene.linking import RegionPixels, link_regions
+from fipt_blender.core.scene.room import load_room
+from samples.part_views import THING_PART, looking_views, numbered_anew, with_own_ids, write_run
+from samples.scans import scanned_box
+from samples.small_rooms import mesh_room
+
+WIDTH, HEIGHT, VIEWS = 40, 30, 9
+ROWS, COLUMNS = np.divmod(np.arange(HEIGHT * WIDTH), WIDTH)
+PLACES = np.stack([COLUMNS, ROWS, 0 * ROWS], axis=1)
+# A wall, a picture on it and a strip along its foot.
+TRUE = np.where((ROWS > 8) & (ROWS < 20) & (COLUMNS > 12) & (COLUMNS < 28), 1, np.where(ROWS > 25, 2, 0))
+
+Divide = Callable[[int, np.random.Generator], np.ndarray]
+
+
+def as_it_is(number: int, rng: np.random.Generator) -> np.ndarray:
+    return TRUE
+
+
+def cut(number: int, rng: np.random.Generator) -> np.ndarray:
+    """A third of the views cut everything along a line, each along another."""
+    return TRUE + 3 * ((number % 3 == 0) & (COLUMNS > rng.integers(5, 35)))
+
+
+def confused(number: int, rng: np.random.Generator) -> np.ndarray:
+    """Three of the nine views take the picture for wall."""
+    return np.where((number % 3 == 0) & (TRUE == 1), 0, TRUE)
+
+
+def shifted(number: int, rng: np.random.Generator) -> np.ndarray:
+    """Borders lie off by up to a cell."""
+    rows, columns = np.clip(ROWS + rng.integers(-1, 2), 0, HEIGHT - 1), COLUMNS + rng.integers(-1, 2)
+    return TRUE[rows * WIDTH + np.clip(columns, 0, WIDTH - 1)]
+
+
+def views_of(divide: Divide, rng: np.random.Generator, hidden: float = 0.3) -> list[RegionPixels]:
+    views = []
+    for number in range(VIEWS):
+        seen = np.flatnonzero(rng.random(len(TRUE)) > hidden)
+        views.append(RegionPixels(numbered_anew(divide(number, rng), rng)[seen].astype(np.int64), seen))
+    return views
+
+
+def impure(part: np.ndarray, true: np.ndarray) -> int:
+    """How many cells are not of the true part that most cells of their part are of."""
+    pairs = np.unique(np.stack([part, true]), axis=1, return_counts=True)
+    return len(part) - sum(pairs[1][pairs[0][0] == number].max() for number in np.unique(part))
+
+
+@pytest.mark.parametrize("divide", [as_it_is, cut, confused, shifted])
+def test_what_most_views_show_in_one_region_is_one_part(divide: Divide, rng: np.random.Generator) -> None:
+    part = link_regions(views_of(divide, rng), PLACES)
+    assert part.min() == 0 and len(np.unique(part)) == part.max() + 1
+    # Each part lies in one true part, and the reverse, up to cells that few other views show.
+    few = 0.08 * len(TRUE) if divide in (shifted, confused) else 2
+    assert impure(part, TRUE) <= few and impure(TRUE, part) <= few
+
+
+def test_a_region_that_one_view_alone_shows_whole_does_not_join_parts(rng: np.random.Generator) -> None:
+    """One view of many that takes all for one region changes nothing."""
+    everything = RegionPixels(np.ones(len(TRUE), np.int64), np.arange(len(TRUE)))
+    part = link_regions([*views_of(as_it_is, rng), everything], PLACES)
+    assert impure(part, TRUE) == 0 and len(np.unique(part)) == 3
+
+
+def test_places_apart_are_one_part_if_views_show_them_in_one_region(rng: np.random.Generator) -> None:
+    """What stands before a wall divides it; and no view needs to see both ends of a part."""
+    sides = np.flatnonzero((COLUMNS < 15) | (COLUMNS > 25))
+    wall = RegionPixels(np.full(len(sides), 4), np.arange(len(sides)))
+    assert link_regions([wall], PLACES[sides]).max() == 0
+    half = COLUMNS < 24, COLUMNS > 16
+    views = [RegionPixels(np.full(int(side.sum()), 4), np.flatnonzero(side)) for side in half]
+    assert link_regions(views, PLACES).max() == 0
+    assert link_regions([], PLACES[:0]).shape == (0,)
+
+
+def test_whether_ids_are_shared(rng: np.random.Generator) -> None:
+    every = np.arange(len(TRUE))
+    shared = [RegionPixels(shifted(number, rng) + 5, every) for number in range(VIEWS)]
+    own = [RegionPixels(100 * number + view.region, view.cell) for number, view in enumerate(shared)]
+    assert shared_ids(shared) > 0.7 and shared_ids(own) == 0.0 and shared_ids([]) == 1.0
+    # Numbered by size, the largest region has the same id in all views by chance.
+    sizes = [np.where(TRUE == 0, 1, rng.integers(2, 30, 3)[TRUE]) for _ in range(VIEWS)]
+    assert shared_ids([RegionPixels(ids, every) for ids in sizes]) < 0.2
+
+
+def block() -> tuple[np.ndarray, np.ndarray]:
+    """An open box in the middle of the room, of small triangles, fronts outwards."""
+    count = 16
+    step = np.linspace(-0.4, 0.4, count + 1)
+    u, v = (axis.ravel() for axis in np.meshgrid(step, step, indexing="ij"))
+    corner = np.arange((count + 1) ** 2).reshape(count + 1, count + 1)
+    quads = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]], axis=-1).reshape(
+        -1, 4
+    )
+    triangles = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    far = np.full_like(u, 0.4)
+    sides = [(u, v, far), (far, u, v), (-far, -u, v), (-u, far, v), (u, -far, v)]
+    places = np.concatenate([np.stack(side, axis=1) for side in sides]) + [0.0, 0.0, 0.5]
+    return places, np.concatenate([triangles + len(u) * side for side in range(len(sides))])
+
+
+@pytest.fixture
+def run_and_views(tmp_path: Path, rng: np.random.Generator):
+    """A run of a scanned room with a thing in it, and views whose masks have ids of their own."""
+    scan, _ = scanned_box(cells=60, noise=0.003)
+    vertices, triangles = block()
+    vertices = np.concatenate([scan.vertices, vertices + rng.normal(0.0, 0.003, vertices.shape)])
+    triangles = np.concatenate([scan.triangles, triangles + len(scan.vertices)])
+    thing = np.arange(len(triangles)) >= len(scan.triangles)
+    run = write_run(
+        tmp_path, mesh_room(vertices, triangles, np.zeros(len(triangles)), parts="masks"), "masks"
+    )
+    views = looking_views(tmp_path, mesh_room(vertices, triangles, thing, parts="masks"))
+    return run, views, with_own_ids(views, rng)
+
+
+def test_masks_with_own_ids_get_shared_ones(run_and_views) -> None:
+    run, views, own = run_and_views
+    room = load_room(run)
+    assert link_masks(run, room, views) == views and not run.linked.exists()
+    linked = link_masks(run, room, own)
+    found = np.stack([view.part_ids() for view in linked])
+    true = np.stack([view.part_ids() for view in views]) == THING_PART
+    ids = np.unique(found[true])
+    assert len(ids) == 1 and (np.isin(found, ids) == true).all() and found.min() > 0
+    # They are kept until something changes that they depend on.
+    before = {view.name: view.parts.stat().st_mtime_ns for view in linked}
+    assert {view.name: view.parts.stat().st_mtime_ns for view in link_masks(run, room, own)} == before
+    write_exr(own[0].parts, np.zeros_like(read_ids(own[0].parts)))
+    again = link_masks(run, room, own)
+    assert again[0].part_ids().max() == 0 and again[1].parts.stat().st_mtime_ns != before["1"]
+
+
+def test_views_without_masks_stay_as_they_are(run_and_views) -> None:
+    run, _, own = run_and_views
+    some = [replace(view, parts=None) if view.name < "5" else view for view in own]
+    linked = link_masks(run, load_room(run), some)
+    assert [view.parts is None for view in linked] == [view.parts is None for view in some]
+    none = [replace(view, parts=None) for view in own]
+    assert link_masks(run, load_room(run), none) == none
