@@ -41,7 +41,7 @@ class Faults:
     cut: float = 0.3
     joined: float = 0.1
     missed: float = 0.1
-    shift: float = 1.0
+    shift: float = 0.3
 
 
 def own_regions(parts: np.ndarray, faults: Faults, rng: np.random.Generator) -> np.ndarray:

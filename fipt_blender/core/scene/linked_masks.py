@@ -27,7 +27,7 @@ from .room import Room
 # Ids are shared if a place that has one in one view has it in others so often (median over the ids: numbered
 # by size, walls and floors have the same id in many views).
 SHARED = 0.2
-# A region belongs to one part if so many of its pixels see it; if not, each pixel belongs to what it sees.
+# A region belongs to one part if so many of its pixels see it.
 ONE_PART = 0.7
 
 
@@ -148,6 +148,9 @@ def _numbered(seen: Sequence[_Seen]) -> tuple[list[np.ndarray], np.ndarray]:
 def _linked(seen: _Seen, part: np.ndarray) -> np.ndarray:
     """(H, W) int32 part of each pixel from 1, 0 for none.
 
+    In each view a part belongs to the region that has most of its pixels. Where a region shows parts of its own,
+    pixels of other regions' parts look through a hole of the scan, or past its edge.
+
     Args:
         part: (h, w) int64 of each pixel of the grid, -1 for none.
     """
@@ -155,8 +158,15 @@ def _linked(seen: _Seen, part: np.ndarray) -> np.ndarray:
     ones = np.ones(int(known.sum()), np.int64)
     shape = int(mask.max()) + 1, max(int(part.max()) + 1, 1)
     counts = csr_array((ones, (seen.ids[known], part[known])), shape=shape)
-    total, most = counts.sum(axis=1), counts.max(axis=1).toarray()
+    total, most, largest = counts.sum(axis=1), counts.max(axis=1).toarray(), counts.argmax(axis=1)
+    region_of = counts.argmax(axis=0)
+    table = counts.tocoo()
+    own = region_of[table.col] == table.row
+    order = np.argsort(table.data[own], kind="stable")  # the last assignment to a region wins
+    main = np.full(shape[0], -1)
+    main[table.row[own][order]] = table.col[own][order]
     of_one = (total > 0) & (most >= ONE_PART * total)
     fine = part[np.ix_(_rows(len(mask), len(part)), _rows(mask.shape[1], part.shape[1]))]
-    found = np.where(of_one[mask], counts.argmax(axis=1)[mask], fine)
+    fine = np.where((region_of[fine] == mask) | (main[mask] < 0), fine, main[mask])
+    found = np.where(of_one[mask], largest[mask], fine)
     return np.where(mask > 0, found + 1, 0).astype(np.int32)
