@@ -148,8 +148,8 @@ def _numbered(seen: Sequence[_Seen]) -> tuple[list[np.ndarray], np.ndarray]:
 def _linked(seen: _Seen, part: np.ndarray) -> np.ndarray:
     """(H, W) int32 part of each pixel from 1, 0 for none.
 
-    In each view a part belongs to the region that has most of its pixels. Where a region shows parts of its own,
-    pixels of other regions' parts look through a hole of the scan, or past its edge.
+    In each view a part belongs to the region that has most of its pixels. Where a region has parts, its pixels
+    that see parts of other regions look through a hole of the scan, or past its edge.
 
     Args:
         part: (h, w) int64 of each pixel of the grid, -1 for none.
