@@ -148,8 +148,8 @@ def _numbered(seen: Sequence[_Seen]) -> tuple[list[np.ndarray], np.ndarray]:
 def _linked(seen: _Seen, part: np.ndarray) -> np.ndarray:
     """(H, W) int32 part of each pixel from 1, 0 for none.
 
-    In each view a part belongs to the region that has most of its pixels. Where a region has parts, its pixels
-    that see parts of other regions look through a hole of the scan, or past its edge.
+    In each view a part belongs to the region that has most of its pixels. Where a region has parts, those of
+    its pixels that see others look through a hole of the scan, or past its edge.
 
     Args:
         part: (h, w) int64 of each pixel of the grid, -1 for none.
@@ -167,6 +167,6 @@ def _linked(seen: _Seen, part: np.ndarray) -> np.ndarray:
     main[table.row[own][order]] = table.col[own][order]
     of_one = (total > 0) & (most >= ONE_PART * total)
     fine = part[np.ix_(_rows(len(mask), len(part)), _rows(mask.shape[1], part.shape[1]))]
-    fine = np.where((region_of[fine] == mask) | (main[mask] < 0), fine, main[mask])
-    found = np.where(of_one[mask], largest[mask], fine)
+    past = (main[mask] >= 0) & ((fine < 0) | (region_of[fine] != mask))
+    found = np.where(of_one[mask], largest[mask], np.where(past, main[mask], fine))
     return np.where(mask > 0, found + 1, 0).astype(np.int32)
