@@ -116,6 +116,8 @@ class EstimationState:
         if not self.capture.train:
             raise FiptError("views-none", "The capture has no training views.", "Add photographs.")
         self.views = spread_views(self.capture.train, settings.view_share)
+        if folder.geometry_npz.exists():
+            reporter.stage("scan", "Looking for what the scan lacks")  # takes minutes
         close_holes(folder, self.views)
         self.views = link_masks(folder, load_room(folder), self.views)
         outline_parts(folder, self.views)
