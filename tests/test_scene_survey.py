@@ -142,6 +142,23 @@ def test_missing_unusable_and_clipped_photographs_are_named(tmp_path):
     assert (seen[:1] == seen).all()  # what a camera sees does not depend on its file
 
 
+def test_regions_of_single_photographs_are_linked_before_they_are_counted(tmp_path):
+    folder, names = tmp_path / "in", ("a", "b", "c")
+    room = make_room(BOX, objects=np.zeros(6, int))
+    poses = {
+        name: look_at([x, -1.0, 1.5], [0.0, 2.0, 1.5]) for x, name in zip((-0.3, 0, 0.3), names, strict=True)
+    }
+    write_survey_input(folder, room, poses, **{name: {"parts": f"ids_{name}.exr"} for name in names})
+    halves = np.repeat([0, 1], HEIGHT // 2)[:, None].repeat(WIDTH, axis=1)
+    for number, name in enumerate(names):
+        write_exr(
+            folder / f"ids_{name}.exr", np.array([[1, 2], [2, 1], [5, 9]])[number][halves].astype(float)
+        )
+    data, _, labels = run_survey(folder, len(room.triangles))
+    assert data["parts"]["counts"]["masks"] == 2
+    assert len(set(labels["masks"][list(CEILING)])) == 1 and len(set(labels["masks"][list(FLOOR)])) == 1
+
+
 def test_masks_of_ticked_views_become_parts(tmp_path):
     pose = look_at([0.0, -1.0, 1.5], [0.0, 2.0, 1.5])
     folder = tmp_path / "in"

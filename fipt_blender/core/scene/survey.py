@@ -7,6 +7,7 @@ parts. A quick check for the artist before an estimation, which does not read it
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,7 +70,8 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         reporter.progress((index + 1) / len(capture.views))
 
     reporter.stage("parts", "Finding the parts")
-    train = link_masks(folder, room, [view for view in capture.train if view.image.is_file()])
+    train = [view for view in capture.train if view.image.is_file()]
+    train = link_masks(folder, replace(room, parts="masks"), train)  # all sources are counted
     labels = {}
     usable = usable_sources(room, train)
     sources = [*usable, "loose"]
