@@ -69,12 +69,9 @@ def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
     record = run.linked / "digest.txt"
     if record.is_file() and record.read_text(encoding="utf-8") == digest:
         return linked
-    seen = _seen(room, [view for view in views if view.parts])
+    seen = _seen(room, views)
     cells, places = _numbered(seen)
-    pixels = [
-        RegionPixels(one.ids[cell >= 0].astype(np.int64), cell[cell >= 0])
-        for one, cell in zip(seen, cells, strict=True)
-    ]
+    pixels = _region_pixels(seen, cells)
     if shared_ids(pixels) >= SHARED:
         return list(views)
     part = link_regions(pixels, places)
@@ -84,6 +81,12 @@ def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
     with explained_write_errors(run.root), atomic_path(record) as temporary:
         temporary.write_text(digest, encoding="utf-8")
     return linked
+
+
+def masks_share_ids(room: Room, views: Sequence[View]) -> bool:
+    """Whether an id of the views' part masks means the same in all views; True without masks."""
+    seen = _seen(room, views)
+    return shared_ids(_region_pixels(seen, _numbered(seen)[0])) >= SHARED
 
 
 def shared_ids(views: Sequence[RegionPixels]) -> float:
@@ -102,7 +105,9 @@ def shared_ids(views: Sequence[RegionPixels]) -> float:
 
 
 def _seen(room: Room, views: Sequence[View]) -> list[_Seen]:
+    """What the views with part masks show."""
     places, widths, ids = [], [], []
+    views = [view for view in views if view.parts]
     for view in views:
         coarse = coarse_view(view)
         distance = first_hits(trace_pixels(room, coarse))[1]
@@ -143,6 +148,13 @@ def _numbered(seen: Sequence[_Seen]) -> tuple[list[np.ndarray], np.ndarray]:
         cells.append(cell)
         first += len(rows)
     return cells, places
+
+
+def _region_pixels(seen: Sequence[_Seen], cells: Sequence[np.ndarray]) -> list[RegionPixels]:
+    return [
+        RegionPixels(one.ids[cell >= 0].astype(np.int64), cell[cell >= 0])
+        for one, cell in zip(seen, cells, strict=True)
+    ]
 
 
 def _linked(seen: _Seen, part: np.ndarray) -> np.ndarray:
