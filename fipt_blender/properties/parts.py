@@ -24,7 +24,8 @@ SOURCES = (
     (
         "folder",
         "Mask Folder",
-        "Your own ID images, named like the photographs, e.g. painted or made by a segmentation tool",
+        "Your own ID images, named like the photographs, e.g. painted or made by a segmentation tool, whose "
+        "IDs may differ from photograph to photograph",
         "FILE_FOLDER",
     ),
     (
