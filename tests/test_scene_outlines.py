@@ -162,8 +162,13 @@ def test_a_run_keeps_its_outlines_until_the_masks_change(tmp_path: Path) -> None
     assert not run.outlines_npz.exists()
 
 
-def masked_capture(root: Path) -> RunFolder:
-    """A scanned box with a panel below its ceiling, photographed in the exact one, with its masks."""
+def masked_capture(root: Path, own_ids: bool) -> RunFolder:
+    """A scanned box with a panel below its ceiling, photographed in the exact one, with its masks.
+
+    Args:
+        root: of the run.
+        own_ids: whether the ids of a view mean nothing in others.
+    """
     exact = panel_capture()
     scan, _ = scanned_box(cells=30, noise=0.003)
     corners = np.arange(4) + len(scan.vertices)
@@ -172,20 +177,21 @@ def masked_capture(root: Path) -> RunFolder:
     room = mesh_room(vertices, triangles, np.zeros(len(triangles)), parts="masks")
     run = small_captures.write_run(root, replace(exact, room=room), rounds=0, training_steps=6)
     head = read_json(run.capture_json)
-    for view, pose in zip(head["views"], exact.poses, strict=True):
+    for number, (view, pose) in enumerate(zip(head["views"], exact.poses, strict=True)):
         surface = trace_pixels(exact.room, pinhole(pose))
-        ids = exact.room.triangle_object[np.array(surface.triangle)] + 1
+        ids = exact.room.triangle_object[np.array(surface.triangle)] + 1 + 100 * number * own_ids
         view["parts"] = view["image"].replace(".exr", "_parts.exr")
         write_exr(run.root / view["parts"], ids.reshape(view["height"], view["width"]).astype(np.float32))
     write_json(run.capture_json, head)
     return run
 
 
-def test_a_resumed_estimation_keeps_outlines_and_stages(tmp_path: Path) -> None:
-    run = masked_capture(tmp_path)
+@pytest.mark.parametrize("own_ids", [False, True])
+def test_a_resumed_estimation_keeps_outlines_and_stages(tmp_path: Path, own_ids: bool) -> None:
+    run = masked_capture(tmp_path, own_ids)
     first = [message["name"] for message in run_here(run) if message["type"] == "stage"]
     written = run.outlines_npz.read_bytes()
-    assert first[:2] == ["scan", "pixels"] and run.fields_npz.exists()
+    assert first[:2] == ["scan", "pixels"] and run.fields_npz.exists() and run.linked.exists() == own_ids
     again = [message["name"] for message in run_here(run) if message["type"] == "stage"]
     assert again == ["scan"] and run.outlines_npz.read_bytes() == written
 

@@ -119,7 +119,8 @@ class EstimationState:
         if folder.geometry_npz.exists():
             reporter.stage("scan", "Looking for what the scan lacks")  # takes minutes
         close_holes(folder, self.views)
-        self.views = link_masks(folder, load_room(folder), self.views)
+        # Outlines depend on the linked masks, not the reverse, so that a resumed run keeps both.
+        self.views = link_masks(folder, load_room(folder, outlined=False), self.views)
         outline_parts(folder, self.views)
         self.room = load_room(folder)
         self.levels = roughness_levels(

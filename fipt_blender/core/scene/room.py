@@ -187,8 +187,12 @@ def _edge_cross(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
-def load_room(run: RunFolder) -> Room:
+def load_room(run: RunFolder, outlined: bool = True) -> Room:
     """Read room.npz, room.json and, where the mesh is a scan that was cleaned, geometry.npz.
+
+    Args:
+        run: the run folder.
+        outlined: whether a scan has the outlines that masks show, where outlines.npz has them.
 
     Raises:
         FiptError: ``mesh-missing``, ``mesh-damaged``, ``mesh-empty``, ``file-missing`` or ``file-damaged``.
@@ -196,7 +200,7 @@ def load_room(run: RunFolder) -> Room:
     if not run.room_npz.exists():
         raise FiptError("mesh-missing", f"{run.room_npz} does not exist.", "Export the room's mesh first.")
     arrays, names = read_room_files(run, "mesh-damaged")
-    scan = stored_geometry(run, arrays, outlined=True)
+    scan = stored_geometry(run, arrays, outlined)
     if scan is not None:
         arrays |= {"vertices": scan.vertices, "corner_normals": scan.corner_normals}
     room = Room(
