@@ -59,6 +59,15 @@ def coarse_view(view: View) -> View:
     return view.resized(max(1, round(view.width * factor)), max(1, round(view.height * factor)))
 
 
+def resampled(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """(h, w) values of an image (H, W) at the centres of other numbers of pixels."""
+    rows, columns = (
+        ((np.arange(count) + 0.5) * of / count).astype(np.int64)
+        for count, of in zip(shape, image.shape, strict=True)
+    )
+    return image[np.ix_(rows, columns)]
+
+
 def coarse_triangles(room: Room, view: View) -> np.ndarray:
     """(H * W,) int32 triangle that each pixel sees, -1 where none."""
     return first_hits(trace_pixels(room, view))[0].astype(np.int32)
@@ -84,9 +93,7 @@ def fuse_inputs(
         if ids is None:
             continue
         coarse = coarse_view(view)
-        rows = ((np.arange(coarse.height) + 0.5) * view.height / coarse.height).astype(np.int64)
-        columns = ((np.arange(coarse.width) + 0.5) * view.width / coarse.width).astype(np.int64)
-        images.append(ids[rows[:, None], columns])
+        images.append(resampled(ids, (coarse.height, coarse.width)))
         triangles.append(coarse_triangles(room, coarse))
     return images, triangles
 

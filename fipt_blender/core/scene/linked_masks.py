@@ -18,7 +18,7 @@ from ..capture.views import View
 from ..run.run_files import array_digest
 from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
 from .camera_rays import first_hits, trace_pixels
-from .coverage import coarse_view
+from .coverage import coarse_view, resampled
 from .labels import choose_source, masks_digest
 from .linking import RegionPixels, link_regions
 from .pixels import CELL_PIXELS
@@ -116,7 +116,7 @@ def _seen(room: Room, views: Sequence[View]) -> list[_Seen]:
         point = origin + directions.reshape(-1, 3) * np.where(hit, distance, np.nan)[:, None]
         places.append(point.reshape(coarse.height, coarse.width, 3))
         widths.append(float(np.median(distance[hit])) / coarse.fx if hit.any() else 0.0)
-        ids.append(_mask(view)[np.ix_(_rows(coarse.height, view.height), _rows(coarse.width, view.width))])
+        ids.append(resampled(_mask(view), (coarse.height, coarse.width)))
     size = max(CELL_PIXELS * float(np.median(widths)) if widths else 0.0, 1e-6)
     low = room.bounds[0]
     cells = [np.nan_to_num(np.floor((place - low) / size), nan=-1.0).astype(np.int64) for place in places]
@@ -128,11 +128,6 @@ def _mask(view: View) -> np.ndarray:
     ids = view.part_ids()
     assert ids is not None
     return np.maximum(ids, 0)
-
-
-def _rows(count: int, of: int) -> np.ndarray:
-    """(count,) int64 row of an image of `of` rows at the middle of each of `count` rows."""
-    return ((np.arange(count) + 0.5) * of / count).astype(np.int64)
 
 
 def _numbered(seen: Sequence[_Seen]) -> tuple[list[np.ndarray], np.ndarray]:
@@ -178,7 +173,7 @@ def _linked(seen: _Seen, part: np.ndarray) -> np.ndarray:
     main = np.full(shape[0], -1)
     main[table.row[own][order]] = table.col[own][order]
     of_one = (total > 0) & (most >= ONE_PART * total)
-    fine = part[np.ix_(_rows(len(mask), len(part)), _rows(mask.shape[1], part.shape[1]))]
+    fine = resampled(part, mask.shape)
     past = (main[mask] >= 0) & ((fine < 0) | (region_of[fine] != mask))
     found = np.where(of_one[mask], largest[mask], np.where(past, main[mask], fine))
     return np.where(mask > 0, found + 1, 0).astype(np.int32)

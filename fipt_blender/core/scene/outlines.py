@@ -63,7 +63,7 @@ def outline_parts(run: RunFolder, views: Sequence[View]) -> None:
     cleaned = read_geometry(run, read_room_files(run, "mesh-damaged")[0])
     if cleaned is None:
         return
-    room = replace(load_room(run), vertices=cleaned["vertices"])
+    room = load_room(run, outlined=False)
     source = choose_source(room, views)
     if source not in IMAGE_SOURCES:
         run.outlines_npz.unlink(missing_ok=True)
