@@ -145,13 +145,20 @@ def test_larger_photographs_are_scaled_to_the_models_size(model: Path) -> None:
     assert agreement > 0.9
 
 
-def test_the_step_writes_masks_where_the_reader_finds_them(model: Path, tmp_path: Path) -> None:
-    folder = PreparationFolder(tmp_path / "capture")
-    names = ["a b", "c"]
-    photographs = tuple(Photograph(f"{name}.jpg", "ldr", 96, 64) for name in names)
-    groups = tuple(Group(name, (f"{name}.jpg",)) for name in names)
+def merged_capture(
+    root: Path, names: list[str], width: int, height: int
+) -> tuple[PreparationFolder, tuple[Photograph, ...], tuple[Group, ...]]:
+    """A capture with a merged image of each name."""
+    folder = PreparationFolder(root)
     for name in names:
-        write_exr(folder.images / f"{name}.exr", (picture(96, 64) / 255.0).astype(np.float32) ** 2.2)
+        write_exr(folder.images / f"{name}.exr", (picture(width, height) / 255.0).astype(np.float32) ** 2.2)
+    photographs = tuple(Photograph(f"{name}.jpg", "ldr", width, height) for name in names)
+    return folder, photographs, tuple(Group(name, (f"{name}.jpg",)) for name in names)
+
+
+def test_the_step_writes_masks_where_the_reader_finds_them(model: Path, tmp_path: Path) -> None:
+    names = ["a b", "c"]
+    folder, photographs, groups = merged_capture(tmp_path / "capture", names, 96, 64)
     own = folder.root / "semantics" / "mine.png"
     own.parent.mkdir(parents=True)
     own.write_bytes(b"a mask of the user")
@@ -178,12 +185,7 @@ def test_the_step_writes_masks_where_the_reader_finds_them(model: Path, tmp_path
 def test_another_kind_of_model_replaces_the_masks_but_not_those_of_the_user(
     model: Path, tmp_path: Path
 ) -> None:
-    folder = PreparationFolder(tmp_path / "capture")
-    names = ["a b", "c"]
-    photographs = tuple(Photograph(f"{name}.jpg", "ldr", 64, 48) for name in names)
-    groups = tuple(Group(name, (f"{name}.jpg",)) for name in names)
-    for name in names:
-        write_exr(folder.images / f"{name}.exr", (picture(64, 48) / 255.0).astype(np.float32) ** 2.2)
+    folder, photographs, groups = merged_capture(tmp_path / "capture", ["a b", "c"], 64, 48)
     sam = mask_models.write_sam(tmp_path / "sam", mask_models.make_sam())
     own = np.full((48, 64), 9, np.int32)
     write_ids(folder.root / "parts" / "c.png", own)
@@ -228,14 +230,9 @@ def test_unusable_models_are_refused(model: Path, tmp_path: Path) -> None:
 
 def test_weights_that_are_missing_are_told(model: Path, tmp_path: Path) -> None:
     """transformers alone would fill them with random numbers."""
-    from safetensors.torch import load_file, save_file
-
-    shutil.copytree(model, tmp_path / "model")
-    weights = load_file(model / "model.safetensors")
-    gone = next(name for name in sorted(weights) if "class_" in name)
-    save_file({k: v for k, v in weights.items() if k != gone}, tmp_path / "model" / "model.safetensors")
+    broken = mask_models.write_without_weight(tmp_path / "model", model, "class_")
     with pytest.raises(FiptError) as caught:
-        open_masks_model(tmp_path / "model")
+        open_masks_model(broken)
     assert caught.value.code == "model-unusable" and "missing" in caught.value.text
 
 

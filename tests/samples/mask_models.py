@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import torch
@@ -122,4 +123,15 @@ def write_segmenter(folder: Path, network: torch.nn.Module) -> Path:
     size = {"shortest_edge": SIDE, "longest_edge": 1333}
     processor = {"size": size, "image_mean": [0.5, 0.4, 0.3], "image_std": [0.2, 0.3, 0.4]}
     (folder / "preprocessor_config.json").write_text(json.dumps(processor), encoding="utf-8")
+    return folder
+
+
+def write_without_weight(folder: Path, model: Path, part_of_name: str) -> Path:
+    """A copy of a model without the first weight whose name has a part."""
+    from safetensors.torch import load_file, save_file
+
+    shutil.copytree(model, folder)
+    weights = load_file(model / "model.safetensors")
+    gone = next(name for name in sorted(weights) if part_of_name in name)
+    save_file({k: v for k, v in weights.items() if k != gone}, folder / "model.safetensors")
     return folder
