@@ -21,10 +21,10 @@ from ..scene.room import Room
 # Least relative residual of a surface that emits: the share of its radiance that reflection can't explain.
 LEAST_RESIDUAL = 0.3
 # The same on a scan: its shadings are wrong by up to a factor of two, most of all close to lamps.
-LEAST_RESIDUAL_SCAN = 0.6
+LEAST_RESIDUAL_SCAN = 0.5
 # Light that is only inferred comes from infinity. A lamp that nobody saw, close to a surface, makes it
 # brighter than that by about so much.
-UNSEEN_DOUBT = 1.5
+UNSEEN_DOUBT = 2.0
 # Edge of the patches of a scan without part masks, in pixel widths.
 PATCH = 2.0
 
