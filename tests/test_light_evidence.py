@@ -11,7 +11,7 @@ import torch
 
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.light.baking import ShadingStore
-from fipt_blender.core.light.emitter_surfaces import emitter_surfaces
+from fipt_blender.core.light.emitter_surfaces import LEAST_RESIDUAL, LEAST_RESIDUAL_SCAN, emitter_surfaces
 from fipt_blender.core.light.evidence import (
     extend_to_components,
     find_emission,
@@ -61,9 +61,11 @@ def emission(
     gloss: float = 0.0,
     diffuse: np.ndarray | float = 1.0,
     reach: int = 0,
+    least: float = LEAST_RESIDUAL,
 ) -> list[int]:
     """Triangles that emit where L_d is 1, or as given for each pixel, and L_s0 is `gloss` everywhere."""
     count, ids = len(pixels), np.arange(len(ROOM.triangles))
+    surfaces = emitter_surfaces(ROOM, Parts(ids, "none"), 0.01)
     specular = np.zeros((count, 2, 2, 3), np.float16)
     specular[:, 0, 0] = gloss
     light = np.broadcast_to(np.reshape(diffuse, (-1, 1)), (count, 3)).astype(np.float16)
@@ -75,7 +77,7 @@ def emission(
         np.isin(ids, marked),
         np.isin(ids, constant).astype(np.int8),
         lambda rows: np.full((len(rows), 3), estimate),
-        replace(emitter_surfaces(ROOM, Parts(ids, "none"), 0.01), reach=reach),
+        replace(surfaces, reach=reach, least_residual=least),
     )
     return np.flatnonzero(found).tolist()
 
@@ -115,6 +117,14 @@ def test_a_dim_lamp_emits_though_the_mask_misses_it(tmp_path: Path) -> None:
     assert emission(store(tmp_path, [view] * 2), gloss=1.8, marked=(LAMP,)) == [LAMP, LAMP + 1]
     assert emission(store(tmp_path, [view])) == []
     assert emission(store(tmp_path, [view]), marked=(LAMP,)) == [LAMP, LAMP + 1]
+
+
+def test_shadings_of_a_scan_may_be_wrong_by_a_factor_of_two(tmp_path: Path) -> None:
+    """A panel of 2.6 times a white surface emits; what 1.9 times as much light would explain does not."""
+    view = (["BBBLLL"], [[1.9, 1.9, 1.9, 2.6, 2.6, 2.6]])
+    pixels = store(tmp_path, [view] * 2)
+    assert emission(pixels, least=LEAST_RESIDUAL_SCAN) == [LAMP, LAMP + 1]
+    assert emission(pixels) == [LAMP, LAMP + 1, BAR, BAR + 1]
 
 
 def test_what_the_mask_marks_emits_where_the_estimate_falls_short(tmp_path: Path) -> None:

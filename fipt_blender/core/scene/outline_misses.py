@@ -6,12 +6,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import mitsuba as mi
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from ..capture.views import View
+from ..run.threads import in_threads
 from .camera_rays import first_hits, opaque_vector
 from .room import Room
 
@@ -40,13 +42,31 @@ class Misses:
     pixels: np.ndarray
 
 
-def joined(found: Sequence[Misses]) -> Misses:
-    columns = ([getattr(each, name) for each in found] for name in ("vertex", "gradient", "pixels"))
-    return Misses(*(np.concatenate(column) for column in columns))
+@dataclass(frozen=True)
+class _Candidates:
+    """Vertices near the border of their part in a view, whatever the mesh shows there: N times a vertex.
+
+    Attributes:
+        view: in which they are.
+        vertex, part: (N,) int64.
+        place: (N, 2) pixel.
+        step: (N, 2) pixels towards the inside of the part, by which the mesh is asked on both sides.
+        gradient, pixels: as of :class:`Misses`.
+    """
+
+    view: View
+    vertex: np.ndarray
+    part: np.ndarray
+    place: np.ndarray
+    step: np.ndarray
+    gradient: np.ndarray
+    pixels: np.ndarray
 
 
-def find_misses(room: Room, label: np.ndarray, view: View, mask: np.ndarray, edge: float) -> Misses:
-    """The misses of one view.
+def find_misses(
+    room: Room, label: np.ndarray, masks: Sequence[tuple[View, np.ndarray]], edge: float
+) -> Misses:
+    """The misses of all views.
 
     A vertex is on the outline of its part if the mesh shows the part on the one side of it and something else
     on the other, across the nearest border of the part's mask.
@@ -54,9 +74,18 @@ def find_misses(room: Room, label: np.ndarray, view: View, mask: np.ndarray, edg
     Args:
         room: its coincident vertices are one.
         label: (T,) id of each triangle, 0 without one.
-        mask: (H, W) ids of the view.
+        masks: views with their (H, W) ids.
         edge: of the mesh, metres.
     """
+    near = in_threads(partial(_near_outlines, room, label, edge), masks)
+    return _joined([_on_outlines(room, label, edge, each) for each in near])
+
+
+def _near_outlines(
+    room: Room, label: np.ndarray, edge: float, masked: tuple[View, np.ndarray]
+) -> _Candidates:
+    """The candidates of a view and its mask; arguments as of :func:`find_misses`."""
+    view, mask = masked
     places = room.vertices.astype(np.float64)
     pose = np.asarray(view.camera_to_world, np.float64)
     local = (places - pose[:3, 3]) @ pose[:3, :3]
@@ -79,14 +108,24 @@ def find_misses(room: Room, label: np.ndarray, view: View, mask: np.ndarray, edg
         off[own], inward[own] = distance / length, slope / length[:, None]
     vertex, part, off, inward = vertex[near], part[near], off[near], inward[near]
     step = np.maximum(1.0, edge * min(view.fx, view.fy) / depth[vertex])[:, None] * inward
-    here, beyond = (_shown(room, label, view, place[vertex] + shift) for shift in (step, -step))
-    kept = (here == part) & (beyond != part) & _visible(room, view, places[vertex], edge)
-    vertex, off, inward = vertex[kept], off[kept], inward[kept]
     # Derivative of the pixel by the place in the camera's axes.
     scaled = inward * focal / depth[vertex, None]
     along = -(scaled * local[vertex, :2]).sum(axis=1) / depth[vertex]
     gradient = np.concatenate([scaled, along[:, None]], axis=1) @ pose[:3, :3].T
-    return Misses(vertex, gradient, off)
+    return _Candidates(view, vertex, part, place[vertex], step, gradient, off)
+
+
+def _on_outlines(room: Room, label: np.ndarray, edge: float, near: _Candidates) -> Misses:
+    """The candidates that are on the outline of their part; arguments as of :func:`find_misses`."""
+    here, beyond = (_shown(room, label, near.view, near.place + shift) for shift in (near.step, -near.step))
+    kept = (here == near.part) & (beyond != near.part)
+    kept &= _visible(room, near.view, room.vertices[near.vertex].astype(np.float64), edge)
+    return Misses(near.vertex[kept], near.gradient[kept], near.pixels[kept])
+
+
+def _joined(found: Sequence[Misses]) -> Misses:
+    columns = ([getattr(each, name) for each in found] for name in ("vertex", "gradient", "pixels"))
+    return Misses(*(np.concatenate(column) for column in columns))
 
 
 def _near_borders(mask: np.ndarray) -> np.ndarray:

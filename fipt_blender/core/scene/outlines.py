@@ -24,7 +24,7 @@ from .camera_rays import first_hits, trace_pixels
 from .disagreement import mask_of
 from .grouped import grouped_sums
 from .labels import IMAGE_SOURCES, Parts, choose_parts, choose_source, masks_digest
-from .outline_misses import Misses, find_misses, joined
+from .outline_misses import Misses, find_misses
 from .room import Room, load_room
 
 # Standard deviation in pixels of the place of a mask's border, which is known to half a pixel.
@@ -96,10 +96,10 @@ def outlined_vertices(room: Room, views: Sequence[View], parts: Parts) -> np.nda
     for _ in range(ROUNDS):
         places = mesh.vertices + moves
         now = replace(room, vertices=places.astype(np.float32), triangles=mesh.triangles.astype(np.int32))
-        found = [find_misses(now, label, view, mask, edge) for view, mask in masks]
-        if not sum(len(each.vertex) for each in found):
+        misses = find_misses(now, label, masks, edge)
+        if not len(misses.vertex):
             break
-        moves = _solved(mesh, joined(found), moves, stiffness, edge)
+        moves = _solved(mesh, misses, moves, stiffness, edge)
     return (mesh.vertices + without_folds(mesh, moves))[welded].astype(np.float32)
 
 

@@ -21,6 +21,7 @@ from scipy.ndimage import label as connected
 from ..geometry.adjacency import NONE, face_vectors
 from ..geometry.revolution import Revolution, fit_revolutions
 from ..geometry.sheet import Sheet, fit_sheets
+from ..run.threads import in_threads
 from ..scene.camera_rays import first_hits, trace_pixels
 from ..scene.room import Room
 from .lost_parts import Surface
@@ -184,21 +185,26 @@ def _on_scan(shape: Shape, room: Room, edge: float) -> np.ndarray:
 def _votes(shape: Shape, sights: Sequence[Sight], part: int, tolerance: float) -> _Votes:
     """What views show of a part at the cells of a shape, which are so many metres before the scan."""
     centres, facing = (each.reshape(-1, 3) for each in shape.cells())
-    yes, there, no, distance = np.zeros((4, len(centres)))
-    for sight in sights:
+
+    def of_view(sight: Sight) -> tuple[np.ndarray, ...]:
         ray = sight.place - centres
         rows = np.flatnonzero((ray * facing).sum(axis=1) > LEAST_COSINE * np.linalg.norm(ray, axis=1))
         seen, y, x = sight.seen(centres[rows], tolerance)
         rows = rows[seen]
         shown, same = sight.shown(part)[y, x], sight.same[y, x]
-        yes[rows] += (shown > 0) & ~same
+        away = np.linalg.norm(ray[rows], axis=1)
+        far = np.where(np.isfinite(far := sight.distance[y, x]), far, 0.0)
         # Through a hole, the other side of a round thing is seen, too.
-        away = -ray[rows] / np.linalg.norm(ray[rows], axis=1, keepdims=True)
-        behind = sight.place + np.where(np.isfinite(far := sight.distance[y, x]), far, 0.0)[:, None] * away
-        there[rows] += (shown > 0) & same & ~shape.near(behind, 2.0 * tolerance)
-        no[rows] += shown < 0
-        distance[rows] += ((shown > 0) & ~same) * np.linalg.norm(ray[rows], axis=1)
-    return _Votes(*(each.reshape(shape.shape) for each in (yes, there, no, distance)))
+        behind = sight.place + far[:, None] * (-ray[rows] / away[:, None])
+        yes = (shown > 0) & ~same
+        there = (shown > 0) & same & ~shape.near(behind, 2.0 * tolerance)
+        return rows, yes, there, shown < 0, yes * away
+
+    sums = np.zeros((4, len(centres)))
+    for rows, *columns in in_threads(of_view, sights):
+        for total, column in zip(sums, columns, strict=True):
+            total[rows] += column
+    return _Votes(*sums.reshape(4, *shape.shape))
 
 
 def _missing_round(has: np.ndarray, votes: _Votes) -> np.ndarray:
