@@ -11,7 +11,13 @@ import pytest
 
 from fipt_blender.core.material import likelihood, training_input
 from fipt_blender.core.material.likelihood import make_candidates
-from fipt_blender.core.material.mixture import GroupMaterials, broad_prior, group_posterior, infer_materials
+from fipt_blender.core.material.mixture import (
+    GroupMaterials,
+    Prior,
+    broad_prior,
+    group_posterior,
+    infer_materials,
+)
 from fipt_blender.core.material.pixel_samples import PixelSamples
 from fipt_blender.core.material.projection import fit_colors
 from fipt_blender.core.optics.factorised import color_line
@@ -115,7 +121,8 @@ def likelihood_of(*best: tuple[int, float]) -> np.ndarray:
 
 
 def roughness_of(log_likelihood: np.ndarray, similarity: np.ndarray | None = None) -> np.ndarray:
-    posterior = group_posterior(log_likelihood, CANDIDATES, broad_prior(CANDIDATES), 1.0, similarity)
+    prior = Prior(broad_prior(CANDIDATES), 1.0, similarity)
+    posterior = group_posterior(log_likelihood, CANDIDATES, prior)
     np.testing.assert_allclose(posterior.sum(axis=0), 1.0)
     return CANDIDATES.roughness @ posterior
 
@@ -125,7 +132,7 @@ def test_the_posterior_of_one_group_is_bayes_rule() -> None:
     prior = broad_prior(CANDIDATES)
     assert prior.sum() == pytest.approx(1.0) and prior[DIFFUSE] > 0.5
     log_likelihood = likelihood_of((10, 2.0), (HALF + 10, 5.0))
-    posterior = group_posterior(log_likelihood, CANDIDATES, prior, 1e9)
+    posterior = group_posterior(log_likelihood, CANDIDATES, Prior(prior, 1e9))
     expected = np.exp(log_likelihood) * prior[:, None]
     np.testing.assert_allclose(posterior, expected / expected.sum(axis=0), rtol=1e-5, atol=1e-12)
 
@@ -140,6 +147,29 @@ def test_groups_of_unclear_gloss_follow_the_room() -> None:
     assert glossy[-1] > CANDIDATES.roughness[12] and matt[-1] > 0.95
     # A group that is clear keeps its own material.
     assert roughness_of(likelihood_of(*clear, (12, -40.0)))[-1] > 0.99
+
+
+def test_a_group_whose_light_is_wrong_is_outvoted() -> None:
+    """Nine groups of one color share a gloss, and a tenth is sure of another: a fifth of such groups err."""
+    alike = np.ones((10, 10))
+    prior = Prior(broad_prior(CANDIDATES), 1.0, alike)
+    log_likelihood = likelihood_of(*[(12, 40.0)] * 9, (12, -40.0))
+    sure = group_posterior(log_likelihood, CANDIDATES, prior)
+    assert sure[DIFFUSE, 9] == pytest.approx(1.0)
+    unsure = group_posterior(log_likelihood, CANDIDATES, prior, outliers=0.2)
+    np.testing.assert_allclose(unsure.sum(axis=0), 1.0)
+    assert CANDIDATES.roughness @ unsure[:, 9] < 0.6
+    # Bayes' rule with a likelihood of which a share tells nothing, in a group alone under a fixed prior.
+    fixed = Prior(broad_prior(CANDIDATES), 1e9)
+    one = log_likelihood[:, 9:]
+    mixed = 0.8 * np.exp(one) + 0.2 * (fixed.broad @ np.exp(one))
+    expected = mixed * fixed.broad[:, None]
+    found = group_posterior(one, CANDIDATES, fixed, outliers=0.2)
+    np.testing.assert_allclose(found, expected / expected.sum(axis=0), rtol=1e-5, atol=1e-12)
+    # What is not possible stays so.
+    allowed = np.ones(one.shape, bool)
+    allowed[12] = False
+    assert group_posterior(one, CANDIDATES, fixed, allowed, 0.2)[12, 0] == 0.0
 
 
 def test_groups_of_one_class_and_color_count_more_than_the_room() -> None:

@@ -51,6 +51,7 @@ def infer_materials(
     settings: Settings,
     similarity: np.ndarray | None = None,
     known: KnownMaterials | None = None,
+    outliers: float = 0.0,
 ) -> GroupMaterials:
     """Roughness and metallic of each group: those with which its cells look most alike in all views.
 
@@ -64,6 +65,7 @@ def infer_materials(
         similarity: (groups, groups) prior probability that two groups are of one material
             (:func:`.groups.similarity`); None where each group is known to be one material of its own.
         known: what is known of the groups; None for nothing.
+        outliers: share of the groups whose pixels tell nothing.
     """
     candidates = make_candidates(samples.levels)
     broad = broad_prior(candidates)
@@ -75,7 +77,8 @@ def infer_materials(
     np.add.at(likelihood.T, member.reshape(-1), found.T)
     alike = None if similarity is None else similarity[np.ix_(lowest, lowest)]
     allowed = known.allows(candidates.roughness, candidates.metallic)[:, lowest]
-    posterior = group_posterior(likelihood, candidates, broad, settings.prior_weight, alike, allowed)
+    prior = Prior(broad, settings.prior_weight, alike)
+    posterior = group_posterior(likelihood, candidates, prior, allowed, outliers)
     values = np.stack([candidates.roughness, candidates.metallic])
     mean = (values @ posterior).T
     error = np.sqrt(np.maximum((values**2 @ posterior).T - mean**2, 0.0))
@@ -94,42 +97,57 @@ def broad_prior(candidates: Candidates) -> np.ndarray:
     return prior / prior.sum()
 
 
+@dataclass(frozen=True)
+class Prior:
+    """What a group's material is expected to be before its pixels are looked at.
+
+    Attributes:
+        broad: (S,) prior of the room's distribution.
+        weight: of a prior, as a number of groups.
+        similarity: as in :func:`infer_materials`.
+    """
+
+    broad: np.ndarray
+    weight: float
+    similarity: np.ndarray | None = None
+
+
 def group_posterior(
     log_likelihood: np.ndarray,
     candidates: Candidates,
-    broad: np.ndarray,
-    weight: float,
-    similarity: np.ndarray | None = None,
+    prior: Prior,
     allowed: np.ndarray | None = None,
+    outliers: float = 0.0,
 ) -> np.ndarray:
     """(S, groups) probability of each candidate.
 
     Args:
         log_likelihood: (S, groups); all 0 in groups that no pixel shows, which do not count for the room.
-        broad: (S,) prior of the room's distribution.
-        weight: of a prior, as a number of groups.
-        similarity: as in :func:`infer_materials`.
         allowed: (S, groups) bool, candidates that are possible, one at least of each group; None for all.
+        outliers: share of the groups whose pixels tell nothing.
     """
+    broad, weight = prior.broad, prior.weight
     shown = (log_likelihood != 0.0).any(axis=0)
-    if allowed is not None:
-        log_likelihood = np.where(allowed, log_likelihood, -np.inf)
+    if allowed is None:
+        allowed = np.ones(log_likelihood.shape, bool)
+    log_likelihood = np.where(allowed, log_likelihood, -np.inf)
     likelihood = np.exp(log_likelihood - log_likelihood.max(axis=0))
+    likelihood = allowed * ((1.0 - outliers) * likelihood + outliers * (broad @ likelihood))
     kernel = _kernel(candidates)
     others = None
-    if similarity is not None:
-        others = similarity * shown
+    if prior.similarity is not None:
+        others = prior.similarity * shown
         np.fill_diagonal(others, 0.0)  # a group's own pixels are its likelihood
-    prior = np.repeat(broad[:, None], len(shown), axis=1)
+    expected = np.repeat(broad[:, None], len(shown), axis=1)
     for _ in range(ITERATIONS):
-        posterior = likelihood * prior
+        posterior = likelihood * expected
         posterior /= posterior.sum(axis=0)
         counts = kernel @ posterior
         room = (counts @ shown + weight * broad) / (shown.sum() + weight)
-        prior = np.repeat(room[:, None], len(shown), axis=1)
+        expected = np.repeat(room[:, None], len(shown), axis=1)
         if others is not None:
-            prior = (counts @ others.T + weight * prior) / (others.sum(axis=1) + weight)
-    posterior = likelihood * prior
+            expected = (counts @ others.T + weight * expected) / (others.sum(axis=1) + weight)
+    posterior = likelihood * expected
     return posterior / posterior.sum(axis=0)
 
 

@@ -55,6 +55,7 @@ def training_input(
     levels: np.ndarray,
     settings: Settings,
     hints: SurfaceHints | None = None,
+    scan: bool = False,
 ) -> TrainingData:
     """The pixels with their shadings, groups and the materials of these.
 
@@ -62,6 +63,8 @@ def training_input(
         pieces: (T,) int connected piece of each triangle; None where parts are known.
         hints: what the artist knows; the parts of the observations are divided by them.
         shadings: of all pixels at the roughness `levels` (K,).
+        scan: whether the mesh is one, whose light errs alike in all views of a surface. A part outweighs that
+            where the error is small; of the groups in its place some have nothing else (`group_outliers`).
     """
     group, color = observations.part, np.zeros((0, 3))
     groups = int(observations.parts.triangle_part.max(initial=-1)) + 1
@@ -81,7 +84,9 @@ def training_input(
     else:
         label, seen_color = observations.part[wide.rows], color[observations.entry[wide.rows]]
         alike = _similarity(wide.group, groups, label, seen_color)
-    materials = infer_materials(wide, groups, _light_cells(observations, wide.rows), settings, alike, known)
+    light = _light_cells(observations, wide.rows)
+    outliers = settings.group_outliers if scan and pieces is not None else 0.0
+    materials = infer_materials(wide, groups, light, settings, alike, known, outliers)
     return TrainingData(observations, shadings, levels, group, materials, constant)
 
 

@@ -141,6 +141,11 @@ class Settings:
     view_outliers: float = _setting(
         0.1, "closed form: share of the views whose shadings tell nothing about a part's gloss", ESTIMATE
     )
+    group_outliers: float = _setting(
+        0.2,
+        "closed form: share of a scan's surfaces without part masks whose pixels tell nothing about gloss",
+        ESTIMATE,
+    )
     prior_weight: float = _setting(
         1.0, "closed form: weight of a prior over materials, as a number of parts that follow it", ESTIMATE
     )
@@ -317,7 +322,7 @@ def _check(settings: Settings) -> None:
 _MOST = 2**31 - 1
 # With smaller values there is nothing to interpolate between, or no room inside the grid's empty border.
 _LEAST = {"roughness_levels": 3, "voxel_resolution": 8, "environment_width": 4}
-_SHARES = {"view_share", "view_outliers"}
+_SHARES = {"view_share", "view_outliers", "group_outliers"}
 _MAY_BE_ZERO = {
     "seed",
     "rounds",
