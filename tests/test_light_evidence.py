@@ -119,6 +119,15 @@ def test_a_dim_lamp_emits_though_the_mask_misses_it(tmp_path: Path) -> None:
     assert emission(store(tmp_path, [view]), marked=(LAMP,)) == [LAMP, LAMP + 1]
 
 
+def test_mixed_pixels_alone_show_bright_lamps_only(tmp_path: Path) -> None:
+    """At a bevel the unmixed radiance may be four times that of white; a strip of light is brighter."""
+    assert emission(store(tmp_path / "bevel", [(["..bb"], [[0.8, 0.8, 4.0, 4.0]])] * 2, weight=0.9)) == []
+    strip = store(tmp_path / "strip", [(["..bb"], [[0.8, 0.8, 40.0, 40.0]])] * 2, weight=0.9)
+    assert emission(strip) == [BAR, BAR + 1]
+    # A pure pixel needs no such radiance.
+    assert emission(store(tmp_path / "pure", [(["..BB"], [[0.8, 0.8, 4.0, 4.0]])] * 2)) == [BAR, BAR + 1]
+
+
 def test_shadings_of_a_scan_may_be_wrong_by_a_factor_of_two(tmp_path: Path) -> None:
     """A panel of 2.6 times a white surface emits; what 1.9 times as much light would explain does not."""
     view = (["BBBLLL"], [[1.9, 1.9, 1.9, 2.6, 2.6, 2.6]])

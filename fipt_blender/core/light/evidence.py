@@ -29,6 +29,9 @@ from .lamp_outline import outlined
 SPILL = 0.5
 # Standard errors by which the unmixed radiance of a mixed pixel may be wrong.
 DOUBT = 3.0
+# Least relative residual of a mixed pixel: at bevels and rims its unmixed radiance is wrong by more than its
+# standard errors, up to five times what is there. Thin lamps are brighter.
+LEAST_RESIDUAL_MIXED = 0.8
 # Highlights move with the view: where a triangle is not marked, or no pure pixel supports it,
 # at least this number of views must support emission.
 LEAST_VIEWS = 2
@@ -76,10 +79,10 @@ def find_emission(
         brightest = neighbourhood_maximum(np.asarray(pixels.radiance[rows]) @ LUMINANCE, size)
         sure = own * np.maximum(1.0 - error, 0.0)[:, None]
         fraction = spill_free_fraction(sure @ LUMINANCE, brightest)
-        bright = relative_residual(sure * fraction[:, None], reflected) >= least
-        evidence.support(
-            unit[triangle[hit & bright]], weight[hit & bright], np.asarray(pixels.pure[rows])[hit & bright]
-        )
+        pure = np.asarray(pixels.pure[rows])
+        needed = np.where(pure, least, max(least, LEAST_RESIDUAL_MIXED))
+        bright = hit & (relative_residual(sure * fraction[:, None], reflected) >= needed)
+        evidence.support(unit[triangle[bright]], weight[bright], pure[bright])
     seen_once = (marked & evidence.pure[unit]) | (evidence.views >= LEAST_VIEWS)[unit]
     emits = evidence.majority[unit] & seen_once
     decided = emits | (evidence.exists & ~evidence.majority)[unit] | (known != 0)
