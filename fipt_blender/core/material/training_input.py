@@ -63,8 +63,8 @@ def training_input(
         pieces: (T,) int connected piece of each triangle; None where parts are known.
         hints: what the artist knows; the parts of the observations are divided by them.
         shadings: of all pixels at the roughness `levels` (K,).
-        scan: whether the mesh is one, whose light errs alike in all views of a surface. A part outweighs that
-            where the error is small; of the groups in its place some have nothing else (`group_outliers`).
+        scan: whether the mesh is a scan. Its light errs alike in all views of a surface, which the likelihood
+            does not know: without parts, a share `group_outliers` of the groups tells nothing.
     """
     group, color = observations.part, np.zeros((0, 3))
     groups = int(observations.parts.triangle_part.max(initial=-1)) + 1

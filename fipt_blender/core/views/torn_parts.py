@@ -193,7 +193,8 @@ def _votes(shape: Shape, sights: Sequence[Sight], part: int, tolerance: float) -
         rows = rows[seen]
         shown, same = sight.shown(part)[y, x], sight.same[y, x]
         away = np.linalg.norm(ray[rows], axis=1)
-        far = np.where(np.isfinite(far := sight.distance[y, x]), far, 0.0)
+        far = sight.distance[y, x]
+        far = np.where(np.isfinite(far), far, 0.0)
         # Through a hole, the other side of a round thing is seen, too.
         behind = sight.place + far[:, None] * (-ray[rows] / away[:, None])
         yes = (shown > 0) & ~same
