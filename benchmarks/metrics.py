@@ -33,7 +33,7 @@ class ClosedForm:
     Attributes:
         rows: (N,) pixels with an estimate of kd.
         kd: (N, 3) of these.
-        roughness, metallic: (P,) of all pixels.
+        roughness, metallic: (P,) of all pixels; NaN without an estimate, as in views that were left out.
     """
 
     rows: np.ndarray

@@ -63,5 +63,5 @@ class StoredEstimate:
         cells, _ = fit_cells(data)
         rows = np.asarray(self._observations.pool)
         values = cells.values[cells.of_pixels(data, rows)]
-        material = data.materials.of_pixels[data.group]
+        material = np.where((data.group >= 0)[:, None], data.materials.of_pixels[data.group], np.nan)
         return ClosedForm(rows, values[:, :3] * (1.0 - values[:, 4:]), *material.T)

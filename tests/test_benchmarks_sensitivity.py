@@ -46,11 +46,12 @@ def test_scores_count_surfaces_and_for_kd_sampled_diffuse_ones() -> None:
     roughness, metallic = true.roughness[:, 0].copy(), np.zeros(6)
     roughness[0] = metallic[2] = 9.0  # emitters
     roughness[1] += 0.2
+    roughness[5] = metallic[5] = np.nan  # of a view that was left out
     rows = np.array([1, 4])  # the first is glossy
     found = sensitivity.ClosedForm(rows, np.array([[9.0] * 3, [0.6] * 3]), roughness, metallic)
     scores = sensitivity.scores(found, true)
     assert scores["kd_psnr"] == pytest.approx(20.0)
-    assert scores["sigma_psnr"] == pytest.approx(-10 * np.log10(0.04 / 4))
+    assert scores["sigma_psnr"] == pytest.approx(-10 * np.log10(0.04 / 3))
     assert scores["metallic_psnr"] == 100.0
 
 
