@@ -66,9 +66,8 @@ def scores(found: ClosedForm, true: metrics.Maps) -> dict[str, float | None]:
     kd = np.zeros_like(true.kd)
     kd[found.rows, 0] = found.kd
     known = plain & np.isfinite(found.roughness)[:, None]
-    roughness, metallic = (np.nan_to_num(each)[:, None] for each in (found.roughness, found.metallic))
-    pairs = ((kd, true.kd, diffuse & sampled[:, None]), (roughness, true.roughness, known))
-    pairs += ((metallic, true.metallic, known),)
+    pairs = ((kd, true.kd, diffuse & sampled[:, None]), (found.roughness[:, None], true.roughness, known))
+    pairs += ((found.metallic[:, None], true.metallic, known),)
     values = [metrics.pooled_psnr([one], [other], [kept], strict=True) for one, other, kept in pairs]
     return dict(zip(COLUMNS, values, strict=True))
 

@@ -30,7 +30,7 @@ SPILL = 0.5
 # Standard errors by which the unmixed radiance of a mixed pixel may be wrong.
 DOUBT = 3.0
 # Least relative residual of a mixed pixel: at bevels and rims its unmixed radiance is wrong by more than its
-# standard errors, up to five times what is there. Thin lamps are brighter.
+# standard errors, and was up to 4.5 times that of a white surface. Thin lamps are brighter.
 LEAST_RESIDUAL_MIXED = 0.8
 # Highlights move with the view: where a triangle is not marked, or no pure pixel supports it,
 # at least this number of views must support emission.

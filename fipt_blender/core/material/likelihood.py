@@ -91,11 +91,19 @@ def group_log_likelihoods(
     degrees = settings.residual_degrees
     by_pixel = cells.log_densities(candidates, degrees * variance[used.group], degrees)
     result = np.stack([np.bincount(pair, row * used.weight) for row in by_pixel]) / errors
-    likelihood = np.exp(result - result.max(axis=0))
-    outliers = settings.view_outliers
-    by_view = np.log((1.0 - outliers) * likelihood + outliers * (prior @ likelihood))
+    by_view = np.log(with_outliers(result, settings.view_outliers, prior))
     total = np.stack([np.bincount(group, row, minlength=groups) for row in by_view])
     return total - total.max(axis=0)
+
+
+def with_outliers(log_likelihood: np.ndarray, share: float, prior: np.ndarray) -> np.ndarray:
+    """(S, N) likelihoods, relative to the best of each column, where a share of the columns tells nothing.
+
+    Args:
+        log_likelihood: (S, N). prior: (S,) probability of each candidate, for columns that tell nothing.
+    """
+    likelihood = np.exp(log_likelihood - log_likelihood.max(axis=0))
+    return np.asarray((1.0 - share) * likelihood + share * (prior @ likelihood))
 
 
 def _comparable(samples: PixelSamples, light_cell: np.ndarray) -> tuple[PixelSamples, np.ndarray]:

@@ -16,7 +16,7 @@ import numpy as np
 from ..run.settings import Settings
 from .confidence import UNIFORM_DEVIATION
 from .hints import KnownMaterials
-from .likelihood import Candidates, group_log_likelihoods, make_candidates
+from .likelihood import Candidates, group_log_likelihoods, make_candidates, with_outliers
 from .pixel_samples import PixelSamples
 
 # Standard deviation of the kernel by which the roughness of one group makes similar values likely for others:
@@ -116,23 +116,19 @@ def group_posterior(
     log_likelihood: np.ndarray,
     candidates: Candidates,
     prior: Prior,
-    allowed: np.ndarray | None = None,
+    allowed: np.ndarray | bool = True,
     outliers: float = 0.0,
 ) -> np.ndarray:
     """(S, groups) probability of each candidate.
 
     Args:
         log_likelihood: (S, groups); all 0 in groups that no pixel shows, which do not count for the room.
-        allowed: (S, groups) bool, candidates that are possible, one at least of each group; None for all.
+        allowed: (S, groups) bool, candidates that are possible, one at least of each group; True for all.
         outliers: share of the groups whose pixels tell nothing.
     """
     broad, weight = prior.broad, prior.weight
     shown = (log_likelihood != 0.0).any(axis=0)
-    if allowed is None:
-        allowed = np.ones(log_likelihood.shape, bool)
-    log_likelihood = np.where(allowed, log_likelihood, -np.inf)
-    likelihood = np.exp(log_likelihood - log_likelihood.max(axis=0))
-    likelihood = allowed * ((1.0 - outliers) * likelihood + outliers * (broad @ likelihood))
+    likelihood = allowed * with_outliers(np.where(allowed, log_likelihood, -np.inf), outliers, broad)
     kernel = _kernel(candidates)
     others = None
     if prior.similarity is not None:

@@ -77,16 +77,20 @@ def find_misses(
         masks: views with their (H, W) ids.
         edge: of the mesh, metres.
     """
-    near = in_threads(partial(_near_outlines, room, label, edge), masks)
-    return _joined([_on_outlines(room, label, edge, each) for each in near])
+    places, triangles = room.vertices.astype(np.float64), room.triangles.astype(np.int64)
+    near = in_threads(partial(_near_outlines, places, triangles, label, edge), masks)
+    return _joined([_on_outlines(room, places, label, edge, each) for each in near])
 
 
 def _near_outlines(
-    room: Room, label: np.ndarray, edge: float, masked: tuple[View, np.ndarray]
+    places: np.ndarray,
+    triangles: np.ndarray,
+    label: np.ndarray,
+    edge: float,
+    masked: tuple[View, np.ndarray],
 ) -> _Candidates:
-    """The candidates of a view and its mask; arguments as of :func:`find_misses`."""
+    """The candidates of a view and its mask; `places` (V, 3) of vertices, others as of :func:`find_misses`."""
     view, mask = masked
-    places = room.vertices.astype(np.float64)
     pose = np.asarray(view.camera_to_world, np.float64)
     local = (places - pose[:3, 3]) @ pose[:3, :3]
     depth = np.where(local[:, 2] > 0.0, local[:, 2], np.inf)
@@ -97,7 +101,7 @@ def _near_outlines(
     )
     column, row = np.where(inside[:, None], place, 0.0).astype(np.int64).T
     inside &= _near_borders(mask)[row, column]
-    vertex, part = _labels_of(room.triangles.astype(np.int64), label, inside)
+    vertex, part = _labels_of(triangles, label, inside)
     off, inward = np.zeros(len(vertex)), np.zeros((len(vertex), 2))
     near = np.zeros(len(vertex), bool)
     for number in np.intersect1d(part, mask):
@@ -115,11 +119,11 @@ def _near_outlines(
     return _Candidates(view, vertex, part, place[vertex], step, gradient, off)
 
 
-def _on_outlines(room: Room, label: np.ndarray, edge: float, near: _Candidates) -> Misses:
-    """The candidates that are on the outline of their part; arguments as of :func:`find_misses`."""
+def _on_outlines(room: Room, places: np.ndarray, label: np.ndarray, edge: float, near: _Candidates) -> Misses:
+    """The candidates that are on the outline of their part; arguments as of :func:`_near_outlines`."""
     here, beyond = (_shown(room, label, near.view, near.place + shift) for shift in (near.step, -near.step))
     kept = (here == near.part) & (beyond != near.part)
-    kept &= _visible(room, near.view, room.vertices[near.vertex].astype(np.float64), edge)
+    kept &= _visible(room, near.view, places[near.vertex], edge)
     return Misses(near.vertex[kept], near.gradient[kept], near.pixels[kept])
 
 
