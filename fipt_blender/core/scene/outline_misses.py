@@ -89,7 +89,7 @@ def _near_outlines(
     edge: float,
     masked: tuple[View, np.ndarray],
 ) -> _Candidates:
-    """The candidates of a view and its mask; `places` (V, 3) of vertices, others as of :func:`find_misses`."""
+    """The candidates of a view and its mask; `places` (V, 3) of vertices, the rest: :func:`find_misses`."""
     view, mask = masked
     pose = np.asarray(view.camera_to_world, np.float64)
     local = (places - pose[:3, 3]) @ pose[:3, :3]
