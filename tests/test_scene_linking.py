@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.capture.images import read_ids, write_exr
+from fipt_blender.core.scene import linked_masks, linking
 from fipt_blender.core.scene.linked_masks import link_masks, shared_ids
 from fipt_blender.core.scene.linking import RegionPixels, link_regions
 from fipt_blender.core.scene.room import load_room
@@ -154,3 +156,40 @@ def test_views_without_masks_stay_as_they_are(run_and_views) -> None:
     assert [view.parts is None for view in linked] == [view.parts is None for view in some]
     none = [replace(view, parts=None) for view in own]
     assert link_masks(run, load_room(run), none) == none
+
+
+@pytest.mark.parametrize("most", [2, 5000])
+def test_more_sets_than_the_budget_are_bounded(monkeypatch: pytest.MonkeyPatch, most: int) -> None:
+    """Two walls that lie apart are one region in all views, among specks that one view each sees."""
+    monkeypatch.setattr(linking, "MOST_SETS", most)
+    places = np.concatenate([PLACES, PLACES + [200, 0, 0], [[500 * speck, 900, 0] for speck in range(20)]])
+    walls = np.arange(2 * len(PLACES))
+    views = [RegionPixels(np.ones(len(walls), np.int64), walls) for _ in range(4)]
+    views += [RegionPixels(np.ones(1, np.int64), np.array([len(walls) + speck])) for speck in range(20)]
+    part = link_regions(views, places)
+    assert len(np.unique(part[walls])) == 1
+    assert len(np.unique(part)) == 21
+
+
+def test_places_that_no_two_views_share_take_bounded_memory_and_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a mesh in millimetres among cameras in metres: each pixel sees a cell of its own."""
+    monkeypatch.setattr(linking, "MOST_SETS", 500)
+    count = 60_000
+    views = [RegionPixels(np.ones(count // 10, np.int64), np.arange(view, count, 10)) for view in range(10)]
+    tracemalloc.start()
+    part = link_regions(views, 100 * np.stack([np.arange(count)] * 3, axis=1))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # 500 sets of one view each are one region of it; all others stay alone. All pairs would take 29 GB.
+    assert len(np.unique(part)) > count - 500 and peak < 500e6
+
+
+def test_cells_get_wider_where_views_see_too_many(run_and_views, monkeypatch: pytest.MonkeyPatch) -> None:
+    run, _, own = run_and_views
+    seen = linked_masks._seen(load_room(run), own)
+    cells, places = linked_masks._numbered(seen)
+    monkeypatch.setattr(linked_masks, "MOST_CELLS", 100)
+    wider, fewer = linked_masks._numbered(seen)
+    assert len(places) > 100 >= len(fewer) > 10
+    assert all((one >= 0).tolist() == (other >= 0).tolist() for one, other in zip(cells, wider, strict=True))
+    assert max(int(cell.max()) for cell in wider) == len(fewer) - 1

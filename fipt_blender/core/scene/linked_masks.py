@@ -29,6 +29,8 @@ from .room import Room
 SHARED = 0.2
 # A region belongs to one part if so many of its pixels see it.
 ONE_PART = 0.7
+# Most cells; where views see more, cells are twice as wide, and so on. Rooms have 100,000.
+MOST_CELLS = 400_000
 
 
 @dataclass(frozen=True)
@@ -133,9 +135,11 @@ def _mask(view: View) -> np.ndarray:
 def _numbered(seen: Sequence[_Seen]) -> tuple[list[np.ndarray], np.ndarray]:
     """For each view (h, w) int64 the cell of each usable pixel, -1 of others; (C, 3) places of the cells."""
     used = [one.place[one.usable] for one in seen]
-    places, number = np.unique(
-        np.concatenate([*used, np.zeros((0, 3), np.int64)]), axis=0, return_inverse=True
-    )
+    every = np.concatenate([*used, np.zeros((0, 3), np.int64)])
+    places, number = np.unique(every, axis=0, return_inverse=True)
+    while len(places) > MOST_CELLS:
+        places, wider = np.unique(places // 2, axis=0, return_inverse=True)
+        number = wider.reshape(-1)[number.reshape(-1)]
     cells, first = [], 0
     for one, rows in zip(seen, used, strict=True):
         cell = np.full(one.ids.shape, -1)

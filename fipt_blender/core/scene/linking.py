@@ -22,6 +22,9 @@ from .components import graph_components
 LEAST_TOGETHER = 0.5
 # Places are first joined within blocks so many cells wide, so that no chain of them crosses a border.
 BLOCK = 4
+# Most sets that are joined wherever they lie, those with the most pixels: the pairs of all of them are kept at
+# once, 200 MB for so many. Rooms have hundreds; only where hardly any two views see one place are there more.
+MOST_SETS = 5000
 _BESIDE = 1.8  # cells between neighbours, diagonal ones included
 
 
@@ -153,11 +156,18 @@ class _Sets:
     def join_all(self, joins: np.ndarray) -> np.ndarray:
         """(S,) int64 part of each set, after sets were joined wherever they lie.
 
+        Of more than `MOST_SETS` sets the smaller ones stay parts of their own.
+
         Args:
             joins: (S,) set that each has joined.
         """
         live, part = np.unique(joins, return_inverse=True)
         part = part.reshape(-1)
+        if len(live) > MOST_SETS:
+            largest = np.argsort(-self._seen[live].sum(axis=1), kind="stable")
+            place = np.empty(len(live), np.int64)
+            place[largest] = np.arange(len(live))
+            live, part = live[largest[:MOST_SETS]], place[part]
         shares = np.stack([self._together(one, live) for one in live])
         np.fill_diagonal(shares, 0.0)
         there = np.ones(len(live), bool)
