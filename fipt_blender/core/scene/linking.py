@@ -22,7 +22,7 @@ from .components import graph_components
 LEAST_TOGETHER = 0.5
 # Places are first joined within blocks so many cells wide, so that no chain of them crosses a border.
 BLOCK = 4
-# Most sets that are joined wherever they lie, those with the most pixels: the pairs of all of them are kept at
+# Most sets that are joined wherever they lie, those with the most pixels: all their pairs are kept at
 # once, 200 MB for so many. Rooms have hundreds; only where hardly any two views see one place are there more.
 MOST_SETS = 5000
 _BESIDE = 1.8  # cells between neighbours, diagonal ones included
