@@ -35,7 +35,7 @@ from ..room.originals import (
     result_meshes,
     set_result_mesh,
 )
-from ..room.panes import add_panes
+from ..room.panes import add_surfaces
 from ..room.result_meshes import list_names, make_mesh, match_objects
 from ..room.uv_layer import write_layer
 from ..slices import Slices, find_object, run_through
@@ -131,10 +131,10 @@ def apply_slices(
     geometry = _cleaned_scan(run, results.room)
     objects = list(objects)
     matches = match_objects(results.room, objects)
-    panes = add_panes(results.room, objects)
-    added = "" if panes is None else panes.name
-    if panes is not None:
-        objects.append(panes)
+    surfaces = add_surfaces(results.room, objects)
+    added = [item.name for item in surfaces]
+    if surfaces:
+        objects += surfaces
         matches = match_objects(results.room, objects)
     names = [item.name for item in objects]
     targets: list[_Target] = []
@@ -172,8 +172,9 @@ def apply_slices(
     except BaseException:  # including GeneratorExit: the job was cancelled
         prepared = [bpy.data.meshes.get(target.mesh_name) for target in targets]
         bpy.data.batch_remove([mesh for mesh in prepared if mesh is not None and mesh.users == 0])
-        if added in bpy.data.objects:
-            remove_object(bpy.data.objects[added])
+        for name in added:
+            if name in bpy.data.objects:
+                remove_object(bpy.data.objects[name])
         raise
 
 

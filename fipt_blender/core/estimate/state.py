@@ -41,6 +41,7 @@ from ..run.errors import FiptError
 from ..run.hints import Hint, hints_digest, light_changes, read_hints
 from ..run.messages import Reporter, peak_memory_gb
 from ..run.per_view import LocalWorkers, Workers
+from ..run.run_files import ScanHoles, read_scan_holes
 from ..run.runfolder import RunFolder
 from ..run.settings import Settings
 from ..run.shapes import Layout
@@ -112,12 +113,14 @@ class EstimationState:
         self.workers = workers or LocalWorkers()
         self.device = torch.device(torch_device())
         self.capture = load_capture(folder)
-        prepare_geometry(folder, settings.clean_scan)
+        prepare_geometry(folder, settings.clean_scan, settings.close_holes_edges)
+        self.holes = read_scan_holes(folder)
         if not self.capture.train:
             raise FiptError("views-none", "The capture has no training views.", "Add photographs.")
         self.views = spread_views(self.capture.train, settings.view_share)
         if folder.geometry_npz.exists():
-            reporter.stage("scan", "Looking for what the scan lacks")  # takes minutes
+            text = "Looking for what the scan lacks"  # takes minutes
+            reporter.stage("scan", text if self.holes is None else f"{self.holes.text} {text}")
         close_holes(folder, self.views)
         # Outlines depend on the linked masks, not the reverse, so that a resumed run keeps both.
         self.views = link_masks(folder, load_room(folder, outlined=False), self.views)
@@ -380,6 +383,7 @@ class EstimationState:
             "views": self.view_check.facts() | {"used": len(self.views) - len(self.view_check.left_out)},
             "settings": asdict(self.settings),
             **({"photometry": self.photometry} if self.photometry else {}),
+            **(_hole_facts(self.holes) if self.holes else {}),
             **({"hints": hint_facts(self.hints, self.units)} if self.hints else {}),
         }
 
@@ -389,6 +393,15 @@ class EstimationState:
         results = [folder.fields_npz, folder.parts_json, folder.emitters_json]
         results += [folder.environment_exr, folder.statistics_json]
         return [path for path in results if path.exists()]
+
+
+def _hole_facts(holes: ScanHoles) -> dict[str, Any]:
+    return {
+        "closed_holes": holes.closed,
+        "closed_holes_m2": round(holes.closed_area, 4),
+        "open_holes": holes.left,
+        "open_holes_m2": round(holes.open_area, 4),
+    }
 
 
 def _unreadable(name: str, error: Exception) -> FiptError:

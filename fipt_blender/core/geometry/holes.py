@@ -92,12 +92,22 @@ def flat_holes(mesh: Mesh, edge: float) -> list[FlatHole]:
     rim = connected_components(graph, directed=False)[1][ends[:, 0]]
     order = np.argsort(rim, kind="stable")
     bounds = np.flatnonzero(np.diff(rim[order], prepend=-1))
-    holes = [_flat_hole(mesh.vertices, ends[rows], edge) for rows in np.split(order, bounds[1:]) if len(rows)]
+    holes = [rim_hole(mesh.vertices, ends[rows], edge) for rows in np.split(order, bounds[1:]) if len(rows)]
     return [hole for hole in holes if hole is not None]
 
 
-def _flat_hole(vertices: np.ndarray, ends: np.ndarray, edge: float) -> FlatHole | None:
-    """The hole with a rim (E, 2) of directed edges, None if it is not flat, too small or no hole."""
+def median_edge(mesh: Mesh) -> float:
+    """Metres."""
+    corners = mesh.vertices[mesh.triangles]
+    return float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)))
+
+
+def rim_hole(vertices: np.ndarray, ends: np.ndarray, edge: float) -> FlatHole | None:
+    """The hole of a rim, None if it is not flat, too small or no hole.
+
+    Args:
+        ends: (E, 2) vertices of its edges, in the direction of the triangles at them.
+    """
     if len(ends) < LEAST_RIM:
         return None
     corners = vertices[ends]

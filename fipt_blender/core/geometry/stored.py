@@ -1,31 +1,48 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""geometry.npz: the cleaned copy of a run's scan, beside the mesh of which it was made.
+"""geometry.npz: the cleaned copy of a run's scan, beside the mesh of which it was made, and closing.npz: what
+closes its small holes.
 
-A run whose mesh is no scan has no such file.
+A run whose mesh is no scan has no such files.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..run.run_files import mesh_digest, read_geometry, read_outlined, read_room_files
+from ..run.run_files import (
+    CLOSING,
+    mesh_digest,
+    read_geometry,
+    read_outlined,
+    read_room_files,
+    read_scan_holes,
+)
 from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
-from .clean import CleanMesh, clean_mesh
+from .adjacency import face_vectors, make_mesh
+from .clean import CleanMesh, clean_mesh, noise_level
+from .closing import close_small_holes
 
 
-def prepare_geometry(run: RunFolder, clean: bool = True) -> None:
-    """Write geometry.npz where the run's mesh is a scan, and remove it where not; keep it if it fits.
+def prepare_geometry(run: RunFolder, clean: bool = True, most_edges: int = 0) -> None:
+    """Write geometry.npz and closing.npz where the run's mesh is a scan, and remove them where not.
+
+    Files that fit are kept.
 
     Args:
         clean: false treats every mesh as exact.
+        most_edges: of holes that are closed, none with 0.
 
     Raises:
         FiptError: ``file-missing``, ``file-damaged``, ``disk-full`` or ``run-unwritable``.
     """
     arrays, _ = read_room_files(run, "mesh-damaged")
-    if clean and read_geometry(run, arrays) is not None:
+    holes = read_scan_holes(run)
+    if clean and (holes.most_edges if holes else 0) == most_edges and read_geometry(run, arrays) is not None:
         return
+    if most_edges or run.closing_npz.exists():
+        _store_closing(run, most_edges if clean else 0)
+        arrays, _ = read_room_files(run, "mesh-damaged")
     usable = clean and len(arrays["triangles"]) and np.isfinite(arrays["vertices"]).all()
     cleaned = clean_mesh(arrays["vertices"], arrays["triangles"]) if usable else None
     with explained_write_errors(run.root):
@@ -33,6 +50,36 @@ def prepare_geometry(run: RunFolder, clean: bool = True) -> None:
             run.geometry_npz.unlink(missing_ok=True)
             return
         store_geometry(run, arrays, cleaned)
+
+
+def _store_closing(run: RunFolder, most_edges: int) -> None:
+    """Write closing.npz anew; only for a scan, and not if an earlier closing is an object of it."""
+    with explained_write_errors(run.root):
+        run.closing_npz.unlink(missing_ok=True)
+        run.panes_npz.unlink(missing_ok=True)  # made for the mesh with the earlier closing
+        arrays, names = read_room_files(run, "mesh-damaged")
+        if not most_edges or CLOSING in (names.get("object_ids") or names["objects"]):
+            return
+        if not np.isfinite(arrays["vertices"]).all() or not len(arrays["triangles"]):
+            return
+        mesh, _ = make_mesh(arrays["vertices"], arrays["triangles"])
+        normals, areas = face_vectors(mesh.vertices, mesh.triangles)
+        if noise_level(mesh, normals, areas)[0] <= 0.0:
+            return
+        found = close_small_holes(mesh, normals, most_edges)
+        facing = face_vectors(found.vertices, found.triangles)[0]
+        with atomic_path(run.closing_npz) as temporary:
+            np.savez(
+                temporary,
+                vertices=found.vertices.astype(np.float32),
+                triangles=found.triangles,
+                corner_normals=np.repeat(facing[:, None], 3, axis=1).astype(np.float32),
+                beside=found.beside,
+                most_edges=np.int32(most_edges),
+                count=np.array([found.closed, found.left], np.int32),
+                area=np.array([found.closed_area, found.open_area], np.float32),
+                source=mesh_digest(arrays),
+            )
 
 
 def store_geometry(run: RunFolder, arrays: dict[str, np.ndarray], cleaned: CleanMesh) -> None:

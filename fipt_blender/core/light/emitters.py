@@ -144,8 +144,11 @@ def group_fixtures(
     if room.scan is not None:
         known &= seen_sides(room.areas[ids], weights > 0.0, group[ids])
     fixtures = []
+    closing = room.closing
     for index in range(len(medians)):
         members = np.flatnonzero(group == index)
+        if closing[members].all():
+            continue  # the light is what is seen through a hole that was closed
         sides = medians[index] * known[index][:, None]
         luminance = sides @ LUMINANCE
         if not luminance.max() > 0.0:

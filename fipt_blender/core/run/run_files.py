@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from .shapes import (
     ATLAS,
     ATLAS_ARRAYS,
     CAPTURE,
+    CLOSING_ARRAYS,
     EMITTERS,
     GEOMETRY_ARRAYS,
     LEFT_ALONE_ARRAYS,
@@ -29,9 +31,12 @@ from .shapes import (
     PANES_ARRAYS,
     ROOM,
     ROOM_ARRAYS,
+    Layout,
 )
 
-# Name and id of the object of panes in holes of a scan.
+# Names and ids of the objects of what the engine has added to a scan: triangles that close small holes, and
+# panes in larger ones with the surfaces that photographs show.
+CLOSING = "FIPT Closed Holes"
 PANES = "FIPT Panes"
 _EXPORT_AGAIN = "Export the room's mesh again (start the estimation again)."
 _ATLAS_AGAIN = "Start the run again without --resume, or apply the results again."
@@ -52,7 +57,7 @@ def read_room_files(
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """The arrays of room.npz, and room.json; indices are within their ranges.
 
-    Panes that the engine has put into holes of a scan are one more object, the last one.
+    What the engine has added to a scan, `CLOSING` and `PANES`, are more objects, the last ones.
 
     Args:
         run: the run folder.
@@ -75,44 +80,86 @@ def read_room_files(
         if not _within(arrays[name], low, end):
             text = f"The room's mesh in {run.room_npz} refers to missing {what}."
             raise FiptError(code, text, _EXPORT_AGAIN)
-    return _with_panes(run, arrays, names)
+    for name, path, layout in (
+        (CLOSING, run.closing_npz, CLOSING_ARRAYS),
+        (PANES, run.panes_npz, PANES_ARRAYS),
+    ):
+        added = _read_added(path, layout, arrays)
+        if added is not None and len(added["triangles"]):
+            arrays, names = _with_object(arrays, names, name, added)
+    return arrays, names
 
 
-def _with_panes(
-    run: RunFolder, arrays: dict[str, np.ndarray], names: dict[str, Any]
+def _with_object(
+    arrays: dict[str, np.ndarray], names: dict[str, Any], name: str, more: dict[str, np.ndarray]
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """The room with the object of panes.npz, if there is one that was made for this mesh."""
-    panes = _read_panes(run, arrays)
-    if panes is None:
-        return arrays, names
-    count = len(panes["triangles"])
+    """The room with one more object; its triangles have the materials of those `beside` them, if known."""
+    count = len(more["triangles"])
+    beside = more.get("beside")
     added = {
-        "vertices": panes["vertices"],
-        "triangles": panes["triangles"] + len(arrays["vertices"]),
-        "corner_normals": panes["corner_normals"],
+        "vertices": more["vertices"],
+        "triangles": more["triangles"] + len(arrays["vertices"]),
+        "corner_normals": more["corner_normals"],
         "triangle_object": np.full(count, len(names["objects"])),
-        "triangle_material": np.full(count, -1),
+        "triangle_material": np.full(count, -1) if beside is None else arrays["triangle_material"][beside],
         "triangle_polygon": np.arange(count),
     }
     joined = {
-        name: np.concatenate([arrays[name], values.astype(arrays[name].dtype)])
-        for name, values in added.items()
+        key: np.concatenate([arrays[key], values.astype(arrays[key].dtype)]) for key, values in added.items()
     }
     ids = names.get("object_ids") or names["objects"]
-    return joined, {**names, "objects": [*names["objects"], PANES], "object_ids": [*ids, PANES]}
+    return joined, {**names, "objects": [*names["objects"], name], "object_ids": [*ids, name]}
 
 
-def _read_panes(run: RunFolder, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray] | None:
-    """panes.npz, None where there is none for this mesh or nothing in it."""
-    if not run.panes_npz.exists():
+def _read_added(
+    path: Path, layout: Mapping[str, Layout], arrays: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray] | None:
+    """closing.npz or panes.npz, None where there is none for this mesh."""
+    if not path.exists():
         return None
     try:
-        panes = read_arrays(run.panes_npz, PANES_ARRAYS)
+        added = read_arrays(path, layout)
     except FiptError:
         return None
-    fits = len(panes["triangles"]) > 0 and _within(panes["triangles"], 0, len(panes["vertices"]))
-    fits &= all(bool(np.isfinite(panes[name]).all()) for name in ("vertices", "corner_normals"))
-    return panes if fits and np.array_equal(panes["source"], mesh_digest(arrays)) else None
+    fits = _within(added["triangles"], 0, len(added["vertices"]))
+    fits &= _within(added.get("beside", added["triangles"][:0]), 0, len(arrays["triangles"]))
+    fits &= all(bool(np.isfinite(added[name]).all()) for name in ("vertices", "corner_normals"))
+    return added if fits and np.array_equal(added["source"], mesh_digest(arrays)) else None
+
+
+@dataclass(frozen=True)
+class ScanHoles:
+    """The holes of a scan.
+
+    Attributes:
+        closed, left: how many small ones were closed, and how many stay open.
+        closed_area, open_area: square metres.
+        most_edges: the setting `close_holes_edges`.
+    """
+
+    closed: int
+    left: int
+    closed_area: float
+    open_area: float
+    most_edges: int
+
+    @property
+    def text(self) -> str:
+        """A sentence for the user."""
+        return (
+            f"The scan has {self.closed:,} small holes, which were closed ({self.closed_area:.2g} m2), and"
+            f" {self.left:,} large ones, which stay open ({self.open_area:.2g} m2)."
+        )
+
+
+def read_scan_holes(run: RunFolder) -> ScanHoles | None:
+    """What closing.npz says of a scan's holes; None where there is none for the run's mesh."""
+    arrays = read_arrays(run.room_npz, ROOM_ARRAYS, "mesh-damaged", _EXPORT_AGAIN)
+    found = _read_added(run.closing_npz, CLOSING_ARRAYS, arrays)
+    if found is None:
+        return None
+    count, area = found["count"].tolist(), found["area"].tolist()
+    return ScanHoles(*count, *area, int(found["most_edges"]))
 
 
 def has_searched_panes(run: RunFolder, arrays: Mapping[str, np.ndarray], masks: np.ndarray) -> bool:

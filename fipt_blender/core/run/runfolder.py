@@ -45,6 +45,7 @@ class RunFolder:
         self.room_npz = self.root / "room.npz"
         self.room_json = self.root / "room.json"
         self.geometry_npz = self.root / "geometry.npz"
+        self.closing_npz = self.root / "closing.npz"
         self.panes_npz = self.root / "panes.npz"
         self.outlines_npz = self.root / "outlines.npz"
         self.linked = self.root / "linked"  # part masks with the ids of other views

@@ -53,6 +53,12 @@ class Settings:
         "work on a cleaned copy of a scanned mesh; exact meshes stay as they are (not in the paper)",
         PIXELS,
     )
+    close_holes_edges: int = _setting(
+        120,
+        "close holes of a scanned mesh that have at most so many edges, 0 for none; flat ones of over 100"
+        " squared edges may be windows and are closed where photographs say so (not in the paper)",
+        PIXELS,
+    )
 
     masking: str = _setting(
         "schlick", "G of the BRDF: schlick as in the authors' code, smith as in Cycles", SHADINGS
@@ -300,15 +306,12 @@ def _check(settings: Settings) -> None:
             raise FiptError(
                 "setting-invalid", f"The setting '{item.name}' is {value}.", "Give a number above zero."
             )
-        if number and value > _MOST:
+        most = 1 if item.name in _SHARES else _AT_MOST.get(item.name, _MOST)
+        if number and value > most:
             raise FiptError(
                 "setting-invalid",
                 f"The setting '{item.name}' is {value}.",
-                f"Give a number of at most {_MOST}.",
-            )
-        if item.name in _SHARES and value > 1.0:
-            raise FiptError(
-                "setting-invalid", f"The setting '{item.name}' is {value}.", "Give a number of at most 1."
+                f"Give a number of at most {most}.",
             )
         if number and value < _LEAST.get(item.name, value):
             raise FiptError(
@@ -322,9 +325,12 @@ def _check(settings: Settings) -> None:
 _MOST = 2**31 - 1
 # With smaller values there is nothing to interpolate between, or no room inside the grid's empty border.
 _LEAST = {"roughness_levels": 3, "voxel_resolution": 8, "environment_width": 4}
+# The time to close a hole grows with the cube of its edges.
+_AT_MOST = {"close_holes_edges": 1000}
 _SHARES = {"view_share", "view_outliers", "group_outliers"}
 _MAY_BE_ZERO = {
     "seed",
+    "close_holes_edges",
     "rounds",
     "lambda_joint",
     "lambda_diffuse",

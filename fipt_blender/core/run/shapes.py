@@ -257,6 +257,16 @@ OUTLINES_ARRAYS: dict[str, Layout] = {
     "cleaned": ("i", (32,)),
     "masks": ("i", (32,)),
 }
+CLOSING_ARRAYS: dict[str, Layout] = {
+    "vertices": ("f", ("V", 3)),
+    "triangles": ("i", ("T", 3)),
+    "corner_normals": ("f", ("T", 3, 3)),
+    "beside": ("i", ("T",)),
+    "most_edges": ("i", ()),
+    "count": ("i", (2,)),
+    "area": ("f", (2,)),
+    "source": ("i", (32,)),
+}
 PANES_ARRAYS: dict[str, Layout] = {
     "vertices": ("f", ("V", 3)),
     "triangles": ("i", ("T", 3)),

@@ -64,7 +64,7 @@ def usable_sources(room: Room, views: Sequence[View]) -> list[str]:
         "masks": any(view.parts for view in views),
         "semantics": any(view.semantics for view in views),
         "materials": len(np.unique(room.triangle_material)) > 1,
-        "objects": len(np.unique(room.triangle_object)) > 1,
+        "objects": len(np.unique(room.triangle_object[~room.closing])) > 1,
     }
     return [source for source, is_usable in usable.items() if is_usable]
 
@@ -100,7 +100,10 @@ def label_parts(
         triangles: for each view the triangle that each pixel of its id image sees, negative where none.
     """
     if source == "objects":
-        return Parts(room.triangle_object.astype(np.int32), "part")
+        # What closes a hole belongs to the object around it.
+        known = np.where(room.closing, NO_PART, room.triangle_object)
+        spread = spread_labels(known, weld(room.vertices)[room.triangles]) if room.closing.any() else known
+        return Parts(spread.astype(np.int32), "part")
     if source == "materials":
         return Parts(_compact(room.triangle_material), "part")
     if source == "loose":

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..geometry.stored import stored_geometry
 from ..run.errors import FiptError
-from ..run.run_files import read_room_files
+from ..run.run_files import CLOSING, read_room_files
 from ..run.runfolder import RunFolder
 from .adjacency import Scan, find_scan
 
@@ -107,6 +107,12 @@ class Room:
         corners = self.vertices[self.triangles[triangles]]
         weights = (1.0 - root, root * (1.0 - v), root * v)
         return sum(weight[..., None] * corners[..., c, :] for c, weight in enumerate(weights))
+
+    @property
+    def closing(self) -> np.ndarray:
+        """(T,) bool, triangles that the engine has put into small holes of a scan."""
+        index = self.objects.index(CLOSING) if CLOSING in self.objects else len(self.objects)
+        return self.triangle_object == index
 
     @cached_property
     def scan(self) -> Scan | None:

@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..capture.views import View
-from ..geometry.adjacency import NONE, Mesh, make_mesh
+from ..geometry.adjacency import NONE, make_mesh
 from ..geometry.clean import CleanMesh
-from ..geometry.holes import FlatHole, flat_holes
+from ..geometry.holes import FlatHole, flat_holes, median_edge
 from ..geometry.stored import store_geometry, stored_geometry
 from ..optics.lights import LUMINANCE
 from ..run.run_files import PANES, has_searched_panes, mesh_digest, read_room_files
@@ -136,12 +136,6 @@ def _joined(one: Surface, other: Surface) -> Surface:
     pairs = zip(one, (other[0], moved, *other[2:]), strict=True)
     vertices, triangles, normals, plane = (np.concatenate(pair) for pair in pairs)
     return vertices, triangles, normals, plane
-
-
-def median_edge(mesh: Mesh) -> float:
-    """Metres."""
-    corners = mesh.vertices[mesh.triangles]
-    return float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)))
 
 
 def _panes(holes: Sequence[FlatHole]) -> Surface:
