@@ -22,8 +22,10 @@ from fipt_blender.blend.pictures.renders import render_cycles_views
 from fipt_blender.blend.results import applying, materials
 from fipt_blender.blend.room import exporting, originals
 from fipt_blender.blend.room.atlas import make_atlas
+from fipt_blender.core.geometry.clean import CleanMesh
+from fipt_blender.core.geometry.stored import store_geometry
 from fipt_blender.core.run.documents import read_json
-from fipt_blender.core.run.run_files import PANES, mesh_digest, read_room_files
+from fipt_blender.core.run.run_files import CLOSING, PANES, mesh_digest, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures import bake
@@ -322,6 +324,48 @@ def test_panes_become_an_object_of_the_room(room):
     count = len(bpy.data.objects)
     assert applying.apply_results(run, [*objects, panes]) == applied
     assert len(bpy.data.objects) == count
+
+
+def test_closed_holes_become_an_object_with_the_cleaned_vertices(room):
+    """Beside panes: each is an object of its own, and a second application finds both."""
+    run, objects = room
+    arrays, _ = read_room_files(run)
+    rim = arrays["vertices"][arrays["triangles"][:1]].reshape(3, 3)
+    np.savez(
+        run.closing_npz,
+        vertices=rim,
+        triangles=np.array([[0, 1, 2]], np.int32),
+        corner_normals=arrays["corner_normals"][:1],
+        beside=np.zeros(1, np.int64),
+        most_edges=np.int32(120),
+        count=np.array([1, 0], np.int32),
+        area=np.ones(2, np.float32),
+        source=mesh_digest(arrays),
+    )
+    with_panes(run)
+    found, names = read_room_files(run)
+    assert names["objects"][2:] == [CLOSING, PANES]
+    assert found["triangle_material"][-3:].tolist() == [arrays["triangle_material"][0], -1, -1]
+    # As if the mesh were a scan whose cleaned copy lies a metre higher.
+    store_geometry(
+        run,
+        found,
+        CleanMesh(
+            found["vertices"] + np.float32([0, 0, 1]),
+            found["corner_normals"],
+            np.full(len(found["triangles"]), -1, np.int32),
+            0.01,
+        ),
+    )
+    make_atlas(objects, run, make_settings(changes={"texel_density": 16.0}))
+    bake.bake(run, ConstantFields())
+    applied = applying.apply_results(run, objects)
+    assert not applied.warnings
+    closing, panes = bpy.data.objects[CLOSING], bpy.data.objects[PANES]
+    corners = np.array([closing.matrix_world @ vertex.co for vertex in closing.data.vertices])
+    cleaned = rim + [0.0, 0.0, 1.0]
+    assert np.abs(corners[:, None] - cleaned).max(axis=2).min(axis=1).max() < 1e-6
+    assert applying.apply_results(run, [*objects, closing, panes]) == applied
 
 
 def test_an_interrupted_application_adds_no_panes(room):

@@ -158,8 +158,9 @@ def read_scan_holes(run: RunFolder) -> ScanHoles | None:
     found = _read_added(run.closing_npz, CLOSING_ARRAYS, arrays)
     if found is None:
         return None
-    count, area = found["count"].tolist(), found["area"].tolist()
-    return ScanHoles(*count, *area, int(found["most_edges"]))
+    closed, left = map(int, found["count"])
+    closed_area, open_area = map(float, found["area"])
+    return ScanHoles(closed, left, closed_area, open_area, int(found["most_edges"]))
 
 
 def has_searched_panes(run: RunFolder, arrays: Mapping[str, np.ndarray], masks: np.ndarray) -> bool:

@@ -1,0 +1,135 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The closing of a scan's small holes in the run folder, and what uses it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fipt_blender.core.geometry.adjacency import make_mesh
+from fipt_blender.core.geometry.closing import open_loops
+from fipt_blender.core.geometry.stored import prepare_geometry
+from fipt_blender.core.light.emitters import EmitterPixels, group_fixtures
+from fipt_blender.core.run.run_files import CLOSING, read_room_files, read_scan_holes
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.scene.labels import NO_PART, label_parts, usable_sources
+from fipt_blender.core.scene.room import Room, load_room
+from samples.part_views import write_run
+from samples.scans import scanned_box
+from samples.small_rooms import BOX, make_room, mesh_room
+
+PINHOLES = 40
+
+
+def with_pinholes(rng: np.random.Generator) -> Room:
+    """A scanned room whose ceiling lacks single triangles, and whose wall y = 2 lacks a window."""
+    room, side = scanned_box(cells=40, noise=0.003)
+    middle = room.vertices[room.triangles].mean(axis=1)
+    high, low = room.vertices.max(axis=0), room.vertices.min(axis=0)
+    ceiling = np.flatnonzero(
+        (middle[:, 2] > high[2] - 0.02) & ((middle < high - 0.2) & (middle > low + 0.2))[:, :2].all(axis=1)
+    )
+    window = (side == 2) & (np.abs(middle[:, 0]) < 1.0) & (np.abs(middle[:, 2] - 1.5) < 0.9)
+    kept = ~window
+    kept[rng.choice(ceiling, PINHOLES, replace=False)] = False
+    triangles = room.triangles[kept]
+    return mesh_room(room.vertices, triangles, np.zeros(len(triangles)), parts="none")
+
+
+def files(run: RunFolder) -> list[bytes]:
+    return [path.read_bytes() for path in (run.closing_npz, run.geometry_npz)]
+
+
+def test_a_scan_is_closed_before_it_is_cleaned(tmp_path: Path, rng: np.random.Generator) -> None:
+    scan = with_pinholes(rng)
+    run = write_run(tmp_path, scan, "none")
+    prepare_geometry(run, most_edges=120)
+    holes = read_scan_holes(run)
+    assert holes is not None and 20 < holes.closed <= PINHOLES and holes.left == 1
+    assert holes.open_area == pytest.approx(2.0 * 1.8, rel=0.1)
+    assert holes.text.startswith(f"The scan has {holes.closed} small holes, which were closed (")
+    room = load_room(run)
+    assert room.objects[-1] == CLOSING and room.closing.sum() == len(room.triangles) - len(scan.triangles)
+    assert np.array_equal(room.triangles[: len(scan.triangles)], scan.triangles)
+    # Cleaned with what is around it: of one plane, and all that is open is the window.
+    assert room.plane is not None and (room.plane[room.closing] >= 0).mean() > 0.9
+    mesh, _ = make_mesh(room.vertices, room.triangles)
+    assert len(list(open_loops(mesh))) == 1
+    before = files(run)
+    prepare_geometry(run, most_edges=120)
+    assert files(run) == before
+
+
+def test_the_setting_turns_it_off_and_on_again(tmp_path: Path, rng: np.random.Generator) -> None:
+    scan = with_pinholes(rng)
+    run = write_run(tmp_path, scan, "none")
+    prepare_geometry(run)
+    plain = run.geometry_npz.read_bytes()
+    assert not run.closing_npz.exists() and read_scan_holes(run) is None
+    prepare_geometry(run, most_edges=120)
+    closed = files(run)
+    prepare_geometry(run, most_edges=0)
+    assert not run.closing_npz.exists() and run.geometry_npz.read_bytes() == plain
+    assert len(load_room(run).triangles) == len(scan.triangles)
+    prepare_geometry(run, most_edges=120)
+    assert files(run) == closed
+    prepare_geometry(run, clean=False, most_edges=120)
+    assert not run.closing_npz.exists() and not run.geometry_npz.exists()
+
+
+def test_a_modelled_room_keeps_its_openings(tmp_path: Path) -> None:
+    room = make_room(BOX[:2] + BOX[3:])
+    none = np.zeros(len(room.triangles), np.int32)
+    run = write_run(tmp_path, replace(room, triangle_object=none, triangle_material=none), "none")
+    prepare_geometry(run, most_edges=120)
+    assert not run.closing_npz.exists() and len(load_room(run).triangles) == 10
+
+
+@pytest.mark.parametrize("fault", ["cut", "index", "beside", "other mesh"])
+def test_a_closing_that_does_not_fit_is_left_out(
+    tmp_path: Path, rng: np.random.Generator, fault: str
+) -> None:
+    scan = with_pinholes(rng)
+    run = write_run(tmp_path, scan, "none")
+    prepare_geometry(run, most_edges=120)
+    whole = files(run)
+    with np.load(run.closing_npz) as archive:
+        arrays = dict(archive)
+    if fault == "cut":
+        run.closing_npz.write_bytes(whole[0][:500])
+    else:
+        if fault == "index":
+            arrays["triangles"][0, 0] = len(arrays["vertices"])
+        elif fault == "beside":
+            arrays["beside"][0] = len(scan.triangles)
+        else:
+            arrays["source"] = arrays["source"][::-1].copy()
+        np.savez(run.closing_npz, **arrays)
+    found, names = read_room_files(run)
+    assert len(found["triangles"]) == len(scan.triangles) and CLOSING not in names["objects"]
+    prepare_geometry(run, most_edges=120)
+    assert files(run) == whole
+
+
+def test_what_closes_a_hole_has_the_part_around_it_and_is_no_lamp(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    run = write_run(tmp_path, with_pinholes(rng), "objects")
+    prepare_geometry(run, most_edges=120)
+    room = load_room(run)
+    parts = label_parts(room, "objects", [], [])
+    assert (parts.triangle_part == 0).all()
+    assert NO_PART not in parts.triangle_part and "objects" not in usable_sources(room, [])
+    # Bright pixels on what closes a hole are those of what is behind it; on the ceiling they are of a lamp.
+    ceiling = room.vertices[room.triangles].mean(axis=1)[:, 2] > room.vertices[:, 2].max() - 0.05
+    for lamp, count in ((room.closing, 0), (ceiling & ~room.closing, 1)):
+        seen = np.repeat(np.flatnonzero(lamp), 4)
+        pixels = EmitterPixels(
+            seen, np.ones(len(seen), bool), np.full((len(seen), 3), 9.0), np.ones(len(seen))
+        )
+        fixtures = group_fixtures(room, lamp, pixels)
+        assert len(fixtures) == count
