@@ -172,9 +172,9 @@ def test_a_convex_polygon_is_triangulated_without_overlap() -> None:
         assert areas.sum() == pytest.approx(3.0 * scale**2)
 
 
-def test_a_hundred_thousand_holes_take_seconds() -> None:
+def test_tens_of_thousands_of_holes_take_seconds() -> None:
     openings = [(slice(1, None, 3), slice(1, None, 3))]
-    mesh = plane(950, openings)
+    mesh = plane(550, openings)
     started = time.process_time()
     closing = closed(mesh)
-    assert closing.closed > 99_000 and time.process_time() - started < 20.0
+    assert closing.closed > 33_000 and time.process_time() - started < 10.0

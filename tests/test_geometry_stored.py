@@ -15,7 +15,7 @@ from fipt_blender.core.geometry.closing import open_loops
 from fipt_blender.core.geometry.stored import prepare_geometry
 from fipt_blender.core.light.emitters import EmitterPixels, group_fixtures
 from fipt_blender.core.run.run_files import CLOSING, read_room_files, read_scan_holes
-from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.scene.labels import NO_PART, label_parts, usable_sources
 from fipt_blender.core.scene.room import Room, load_room
 from samples.part_views import write_run
@@ -79,6 +79,21 @@ def test_the_setting_turns_it_off_and_on_again(tmp_path: Path, rng: np.random.Ge
     assert files(run) == closed
     prepare_geometry(run, clean=False, most_edges=120)
     assert not run.closing_npz.exists() and not run.geometry_npz.exists()
+
+
+def test_a_room_that_holds_an_earlier_closing_gets_no_second_one(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """As when the scene is estimated again after its results were applied."""
+    run = write_run(tmp_path, with_pinholes(rng), "none")
+    write_json(run.room_json, {"objects": ["scan"], "object_ids": [CLOSING], "materials": ["scan"]})
+    prepare_geometry(run, most_edges=120)
+    holes = read_scan_holes(run)
+    assert holes is not None and holes.closed == 0 and holes.left > 20
+    assert load_room(run).objects == ("scan",)
+    before = run.closing_npz.stat().st_mtime_ns
+    prepare_geometry(run, most_edges=120)
+    assert run.closing_npz.stat().st_mtime_ns == before
 
 
 def test_a_modelled_room_keeps_its_openings(tmp_path: Path) -> None:

@@ -40,46 +40,49 @@ def prepare_geometry(run: RunFolder, clean: bool = True, most_edges: int = 0) ->
     holes = read_scan_holes(run)
     if clean and (holes.most_edges if holes else 0) == most_edges and read_geometry(run, arrays) is not None:
         return
-    if most_edges or run.closing_npz.exists():
-        _store_closing(run, most_edges if clean else 0)
-        arrays, _ = read_room_files(run, "mesh-damaged")
-    usable = clean and len(arrays["triangles"]) and np.isfinite(arrays["vertices"]).all()
-    cleaned = clean_mesh(arrays["vertices"], arrays["triangles"]) if usable else None
     with explained_write_errors(run.root):
+        if most_edges or holes:
+            run.closing_npz.unlink(missing_ok=True)
+            run.panes_npz.unlink(missing_ok=True)  # made for the mesh with the closing
+            arrays, names = read_room_files(run, "mesh-damaged")
+        usable = clean and len(arrays["triangles"]) and np.isfinite(arrays["vertices"]).all()
+        if usable and most_edges:
+            closed_before = CLOSING in (names.get("object_ids") or names["objects"])
+            usable = _store_closing(run, arrays, most_edges, closed_before)
+            arrays, _ = read_room_files(run, "mesh-damaged")
+        cleaned = clean_mesh(arrays["vertices"], arrays["triangles"]) if usable else None
         if cleaned is None:
             run.geometry_npz.unlink(missing_ok=True)
             return
         store_geometry(run, arrays, cleaned)
 
 
-def _store_closing(run: RunFolder, most_edges: int) -> None:
-    """Write closing.npz anew; only for a scan, and not if an earlier closing is an object of it."""
-    with explained_write_errors(run.root):
-        run.closing_npz.unlink(missing_ok=True)
-        run.panes_npz.unlink(missing_ok=True)  # made for the mesh with the earlier closing
-        arrays, names = read_room_files(run, "mesh-damaged")
-        if not most_edges or CLOSING in (names.get("object_ids") or names["objects"]):
-            return
-        if not np.isfinite(arrays["vertices"]).all() or not len(arrays["triangles"]):
-            return
-        mesh, _ = make_mesh(arrays["vertices"], arrays["triangles"])
-        normals, areas = face_vectors(mesh.vertices, mesh.triangles)
-        if noise_level(mesh, normals, areas)[0] <= 0.0:
-            return
-        found = close_small_holes(mesh, normals, most_edges)
-        facing = face_vectors(found.vertices, found.triangles)[0]
-        with atomic_path(run.closing_npz) as temporary:
-            np.savez(
-                temporary,
-                vertices=found.vertices.astype(np.float32),
-                triangles=found.triangles,
-                corner_normals=np.repeat(facing[:, None], 3, axis=1).astype(np.float32),
-                beside=found.beside,
-                most_edges=np.int32(most_edges),
-                count=np.array([found.closed, found.left], np.int32),
-                area=np.array([found.closed_area, found.open_area], np.float32),
-                source=mesh_digest(arrays),
-            )
+def _store_closing(run: RunFolder, arrays: dict[str, np.ndarray], most_edges: int, counted: bool) -> bool:
+    """Write closing.npz if the mesh is a scan, and say whether it is.
+
+    Args:
+        arrays: the room's vertices and triangles.
+        counted: holes are counted, not closed.
+    """
+    mesh, _ = make_mesh(arrays["vertices"], arrays["triangles"])
+    normals, areas = face_vectors(mesh.vertices, mesh.triangles)
+    if noise_level(mesh, normals, areas)[0] <= 0.0:
+        return False
+    found = close_small_holes(mesh, normals, 0 if counted else most_edges)
+    facing = face_vectors(found.vertices, found.triangles)[0]
+    with atomic_path(run.closing_npz) as temporary:
+        np.savez(
+            temporary,
+            vertices=found.vertices.astype(np.float32),
+            triangles=found.triangles,
+            corner_normals=np.repeat(facing[:, None], 3, axis=1).astype(np.float32),
+            beside=found.beside,
+            most_edges=np.int32(most_edges),
+            count=np.array([found.closed, found.left], np.int32),
+            area=np.array([found.closed_area, found.open_area], np.float32),
+            source=mesh_digest(arrays),
+        )
+    return True
 
 
 def store_geometry(run: RunFolder, arrays: dict[str, np.ndarray], cleaned: CleanMesh) -> None:
