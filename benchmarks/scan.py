@@ -267,6 +267,9 @@ def main(argv: Sequence[str]) -> int:
         "--output", type=Path, required=True, help="folder of the new capture, or a .ply for the mesh alone"
     )
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--shots", type=int, default=Scanner.shots, help="range images a camera; few leave pinholes"
+    )
     parser.add_argument("--pose-error", action="store_true", help="poses wrong by 2 mm and 0.1 degrees")
     parser.add_argument("--bulge", type=float, default=0.0, help="metres of photogrammetry's bulging walls")
     parser.add_argument("--smooth", type=int, default=0, metavar="STEPS", help="smooth the mesh, as apps do")
@@ -277,7 +280,7 @@ def main(argv: Sequence[str]) -> int:
     wrong = {"drift": 0.002, "tilt": 0.1} if arguments.pose_error else {}
     try:
         set_variant("llvm")
-        scanner = Scanner(bulge=arguments.bulge, **wrong)
+        scanner = Scanner(shots=arguments.shots, bulge=arguments.bulge, **wrong)
         mesh = scanned(arguments.capture, arguments.voxel, scanner, arguments.seed)
     except FiptError as error:
         print(f"error: {error.text} {error.remedy}", file=sys.stderr)

@@ -158,7 +158,7 @@ def test_views_without_masks_stay_as_they_are(run_and_views) -> None:
     assert link_masks(run, load_room(run), none) == none
 
 
-@pytest.mark.parametrize("most", [2, 5000])
+@pytest.mark.parametrize("most", [2, 3000])
 def test_more_sets_than_the_budget_are_bounded(monkeypatch: pytest.MonkeyPatch, most: int) -> None:
     """Two walls that lie apart are one region in all views, among specks that one view each sees."""
     monkeypatch.setattr(linking, "MOST_SETS", most)

@@ -23,8 +23,8 @@ LEAST_TOGETHER = 0.5
 # Places are first joined within blocks so many cells wide, so that no chain of them crosses a border.
 BLOCK = 4
 # Most sets that are joined wherever they lie, those with the most pixels: all their pairs are kept at
-# once, 200 MB for so many. Rooms have hundreds; only where hardly any two views see one place are there more.
-MOST_SETS = 5000
+# once, 72 MB for so many. Rooms have hundreds; only where hardly any two views see one place are there more.
+MOST_SETS = 3000
 _BESIDE = 1.8  # cells between neighbours, diagonal ones included
 
 
@@ -171,10 +171,14 @@ class _Sets:
         shares = np.stack([self._together(one, live) for one in live])
         np.fill_diagonal(shares, 0.0)
         there = np.ones(len(live), bool)
+        best = shares.max(axis=1)
         while True:
-            one, other = np.unravel_index(int(shares.argmax()), shares.shape)
-            if shares[one, other] <= LEAST_TOGETHER:
+            one = int(best.argmax())
+            other = int(shares[one].argmax())
+            if best[one] <= LEAST_TOGETHER:
                 return np.unique(part, return_inverse=True)[1].reshape(-1)
+            falls = (best > 0.0) & (np.maximum(shares[:, one], shares[:, other]) >= best)
+            falls[[one, other]] = True
             self._join(int(live[one]), int(live[other]))
             part[part == other] = one
             there[other] = False
@@ -182,6 +186,8 @@ class _Sets:
             shares[one] = np.where(there, self._together(int(live[one]), live), 0.0)
             shares[one, one] = 0.0
             shares[:, one] = shares[one]
+            best = np.maximum(best, shares[one])
+            best[falls] = shares[falls].max(axis=1)
 
     def _together(self, one: int, others: Sequence[int] | np.ndarray) -> np.ndarray:
         """(n,) share of the pairs of pixels of a set and each of others that lie in one region."""
