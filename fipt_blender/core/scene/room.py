@@ -24,6 +24,7 @@ from .adjacency import Scan, find_scan
 
 # Distance at which rays start above a scan, in units of its noise.
 OFFSET_NOISE = 2.0
+NO_OBJECT = -1
 
 
 @dataclass  # not frozen: Dr.Jit's loops write their state back to it
@@ -111,7 +112,7 @@ class Room:
     @property
     def closing(self) -> np.ndarray:
         """(T,) bool, triangles that the engine has put into small holes of a scan."""
-        index = self.objects.index(CLOSING) if CLOSING in self.objects else len(self.objects)
+        index = self.objects.index(CLOSING) if CLOSING in self.objects else NO_OBJECT
         return self.triangle_object == index
 
     @cached_property
