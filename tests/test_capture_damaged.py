@@ -140,10 +140,10 @@ def test_a_refusal_of_the_system_is_an_error_with_a_remedy(tmp_path: Path, monke
 
 def named(*names: str) -> list[str]:
     views = tuple(
-        RigView(name, None, Path("a.exr"), 1, 1, fuzz_samples.PINHOLE, np.eye(4), None, None)
-        for name in names
+        RigView(name, None, Path(f"{index}.exr"), 1, 1, fuzz_samples.PINHOLE, np.eye(4), None, None)
+        for index, name in enumerate(names)
     )
-    return [view.name for view in ingest.unique_names(views)]
+    return [view.name for view in ingest.distinct_views(views)]
 
 
 def test_made_up_names_never_meet_given_ones() -> None:

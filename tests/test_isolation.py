@@ -40,6 +40,7 @@ SHARED = (
     "run.method",
     "run.parent",
     "run.parts",
+    "run.paths",
     "run.process_identity",
     "run.run_files",
     "run.runfolder",

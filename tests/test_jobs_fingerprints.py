@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from fipt_blender.jobs import fingerprints
+from fipt_blender.blend.capture import mesh_names
 from fipt_blender.jobs.fingerprints import folder_fingerprint, mesh_fingerprint
 
 
@@ -67,7 +67,7 @@ def test_files_below_a_usd_file_count(tmp_path: Path) -> None:
 
 
 def test_the_files_that_an_obj_names_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fingerprints, "BLOCK", 64)
+    monkeypatch.setattr(mesh_names, "BLOCK", 64)
     text = "# scan\no a\n" + "v 0 0 0\n" * 40 + "mtllib  a room.mtl\r\nmtllib one.mtl two.mtl\nf 1 2 3\n"
     mesh = write(tmp_path / "room.obj", text)
     find = lambda: mesh_fingerprint(mesh)  # noqa: E731

@@ -4,19 +4,42 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from pathlib import Path
 
 import bpy
 import numpy as np
 
+from ..core.run.errors import FiptError
+
+MOST_PATH_BYTES = 1023
 LINEAR, ENCODED = "Linear Rec.709", "sRGB"
 
 
+def check_length(path: Path) -> None:
+    """Refuse a path that is longer than Blender's.
+
+    Raises:
+        FiptError: ``path-long``.
+    """
+    if len(os.fsencode(path)) > MOST_PATH_BYTES:
+        raise FiptError(
+            "path-long",
+            f"The path {str(path)[:80]}... has {len(str(path))} letters; Blender takes {MOST_PATH_BYTES}.",
+            "Move the file to a folder with a shorter path.",
+        )
+
+
 def load_radiance(path: Path) -> bpy.types.Image | None:
-    """A scene-linear image, displayed as renders are; None where the file is missing."""
+    """A scene-linear image, displayed as renders are; None where the file is missing.
+
+    Raises:
+        FiptError: ``path-long``.
+    """
     if not path.is_file():
         return None
+    check_length(path)
     image = bpy.data.images.load(str(path), check_existing=True)
     image.colorspace_settings.name = LINEAR
     image.use_view_as_render = True  # the scene's view transform and exposure

@@ -15,6 +15,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .run.shapes import SCALES
+
 FloatArray = NDArray[np.floating]
 
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
@@ -88,12 +90,12 @@ def world_from_source(up_axis: str, metres_per_unit: float = 1.0) -> FloatArray:
         metres_per_unit: length of one source unit in metres.
 
     Raises:
-        ValueError: for an unknown axis, or a scale that is not positive and finite.
+        ValueError: for an unknown axis, or a scale outside of `SCALES`.
     """
     if up_axis not in UP_AXES:
         raise ValueError(f"up axis '{up_axis}' is not one of {', '.join(UP_AXES)}")
-    if not (np.isfinite(metres_per_unit) and metres_per_unit > 0.0):
-        raise ValueError(f"metres per unit is {metres_per_unit}, not a positive number")
+    if not SCALES[0] <= metres_per_unit <= SCALES[1]:
+        raise ValueError(f"scale is {metres_per_unit:g}, not from {SCALES[0]:g} to {SCALES[1]:g}")
     rotations = {
         "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
         "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],

@@ -9,21 +9,13 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
-import struct
-import urllib.parse
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
-from ..core.run.documents import MOST_BYTES, parse_document
+from ..blend.capture.mesh_names import named_files
 
 # These may be composed of other files, whose names only a reader of the format knows.
 _COMPOSED = (".usd", ".usda", ".usdc")
-# Not anchored to the line, as searching for plain text is many times faster. Names in comments do no harm.
-_LIBRARY = re.compile(rb"mtllib[ \t]+([^\r\n]{1,4096})")
-_TEXTURE = re.compile(rb"^[ \t]*(?:map_\w+|bump|disp|decal|refl|norm)[ \t]+([^\r\n]{1,4096})", re.M | re.I)
-BLOCK = 1 << 24  # bytes that are searched at a time
 
 
 def folder_fingerprint(path: Path, exclude: Path | None = None) -> str:
@@ -59,11 +51,8 @@ def mesh_fingerprint(path: Path, exclude: Path | None = None) -> str:
     if suffix in _COMPOSED:
         return folder_fingerprint(path, exclude)
     try:
-        if suffix == ".obj":
-            named = _obj_files(path)
-        else:
-            named = _gltf_files(path) if suffix in (".gltf", ".glb") else set()
-    except (OSError, ValueError):  # Blender's importer tells the user
+        named = {path.parent / name for name in named_files(path)}
+    except (OSError, ValueError):  # the import tells the user
         named = set()
     return _hashed(path, (f"{file}|{_state(file)}" for file in {path, *named}))
 
@@ -79,59 +68,3 @@ def _state(file: Path) -> str | None:
     except (OSError, ValueError):  # also names that no file can have
         return None
     return f"{status.st_size}|{status.st_mtime_ns}"
-
-
-def _obj_files(path: Path) -> set[Path]:
-    """Material libraries of an OBJ file and their textures; each name that Blender may read from a line."""
-    # Without "mtllib", Blender reads the library of the mesh's own name.
-    libraries = {path.with_suffix(".mtl")}
-    for line in _matches(path, _LIBRARY):
-        words = line.split()
-        libraries |= {path.parent / name for name in (line, *words)}
-    textures = set()
-    for library in libraries:
-        if not library.is_file():
-            continue
-        for line in _matches(library, _TEXTURE):
-            words = line.split(" ")
-            # Options with any number of values come first; names may contain spaces.
-            textures |= {library.parent / " ".join(words[i:]) for i in range(min(len(words), 32))}
-    return libraries | textures
-
-
-def _matches(path: Path, pattern: re.Pattern[bytes]) -> Iterator[str]:
-    """The names in a text file that follow a keyword, one for each line."""
-    end = b""
-    with open(path, "rb") as file:
-        while block := file.read(BLOCK):
-            # A line may continue in the next block; the part of its name that is read here does no harm.
-            for match in pattern.finditer(end + block):
-                yield os.fsdecode(match[1]).strip().strip('"').replace("\\", "/")
-            end = block[-8192:]
-
-
-def _gltf_files(path: Path) -> set[Path]:
-    """Buffers and images of a glTF file."""
-    data = parse_document(_gltf_text(path), strict=False)
-    files = set()
-    for kind in ("buffers", "images"):
-        items: Any = data.get(kind) if isinstance(data, dict) else None
-        for item in items if isinstance(items, list) else ():
-            name = item.get("uri") if isinstance(item, dict) else None
-            if isinstance(name, str) and not name.startswith("data:"):
-                files.add(path.parent / urllib.parse.unquote(name))
-    return files
-
-
-def _gltf_text(path: Path) -> str:
-    """The JSON text of a .gltf or a .glb file."""
-    with open(path, "rb") as file:
-        head = file.read(20)
-        size = path.stat().st_size
-        if head[:4] == b"glTF" and len(head) == 20:
-            (size,) = struct.unpack_from("<I", head, 12)
-        else:
-            file.seek(0)
-        if size > MOST_BYTES:
-            raise ValueError("its description is too long")
-        return file.read(size).decode("utf-8")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Checks PLY and OBJ files before Blender's importers read them.
+"""Checks mesh files before Blender's importers read them.
 
 Blender's PLY importer crashes at damaged headers, counts and indices, and the artist's unsaved work is lost.
 Needs numpy alone.
@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from ...core.run.errors import FiptError
+from .mesh_names import check_named_files
 
 _MOST_HEADER_BYTES = 1_000_000
 _MOST_COUNT = 2**31 - 1  # Blender's indices are 32-bit
@@ -76,20 +77,20 @@ class _Header:
 
 
 def check_mesh_file(path: Path) -> None:
-    """Check a mesh file that Blender's importer does not survive if it is damaged; other formats pass.
+    """Check a mesh file whose importer does not survive damage, or opens whatever files it names.
 
     Raises:
         FiptError: ``mesh-unreadable``.
     """
     check = {".ply": _check_ply, ".obj": _check_obj}.get(path.suffix.lower())
-    if check is None:
-        return
     try:
-        check(path)
+        check_named_files(path)
+        if check is not None:
+            check(path)
     except (OSError, ValueError, struct.error) as error:
         raise FiptError(
             "mesh-unreadable",
-            f"The mesh {path} is damaged: {error}.",
+            f"The mesh {path} can't be used: {error}.",
             "Copy or export the file again, or choose another mesh.",
         ) from None
 

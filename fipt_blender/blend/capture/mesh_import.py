@@ -19,6 +19,8 @@ from mathutils import Matrix
 
 from ...core import conventions
 from ...core.run.errors import FiptError
+from ...core.run.shapes import FARTHEST
+from ..image_datablocks import check_length
 from ..outliner import ROOM, collection, move_to
 from ..room.mesh_arrays import corner_normals, corner_vertices
 from .mesh_files import check_mesh_file
@@ -58,11 +60,13 @@ def import_room(
         Names of the mesh objects, in the order of the file.
 
     Raises:
-        FiptError: ``mesh-missing``, ``mesh-format``, ``mesh-unreadable`` or ``mesh-empty``.
+        FiptError: ``mesh-missing``, ``mesh-format``, ``mesh-unreadable``, ``mesh-empty``, ``mesh-not-finite``
+            or ``path-long``.
     """
     path = Path(path)
     if not path.is_file():
         raise FiptError("mesh-missing", f"The mesh {path} does not exist.", "Restore it, or choose another.")
+    check_length(path)
     check_mesh_file(path)
     existing = {item.as_pointer() for item in bpy.data.objects}
     with _selection_kept():
@@ -81,12 +85,27 @@ def import_room(
         mark_turned_edges(item.data)
         item.matrix_world = Matrix.Identity(4)
         move_to(item, target)
-    names = [item.name for item in meshes]
-    for item in [other for other in new if other not in meshes]:
+    count = sum(len(item.data.vertices) for item in meshes)
+    wrong = sum(_wrong_vertices(item.data) for item in meshes)
+    for item in [other for other in new if wrong or other not in meshes]:
         bpy.data.objects.remove(item)
+    if wrong:
+        raise FiptError(
+            "mesh-not-finite",
+            f"{wrong} of {count} vertices of {path} are no numbers or more than {FARTHEST:g} m away.",
+            "Remove these vertices in the program that made the mesh, or check the scale.",
+        )
+    names = [item.name for item in meshes]
     if not names:
         raise FiptError("mesh-empty", f"{path} holds no faces.", "Choose a file with a triangle mesh.")
     return names
+
+
+def _wrong_vertices(mesh: bpy.types.Mesh) -> int:
+    """Number of vertices that are not finite, or farther away than any room."""
+    positions = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", positions)
+    return int((~(np.abs(positions.reshape(-1, 3)) <= FARTHEST)).any(axis=1).sum())
 
 
 @contextmanager

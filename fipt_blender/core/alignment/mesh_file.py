@@ -12,7 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ..run.documents import read_limited
 from ..run.errors import FiptError
+from ..run.shapes import FARTHEST_UNITS
 from .glb_file import read_glb
 
 MOST_BYTES = 4_000_000_000
@@ -22,6 +24,7 @@ _TYPES = {
     **{"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
     **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
 }
+_CORNERS = ("vertex_indices", "vertex_index")
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -42,11 +45,10 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if not path.is_file():
         raise FiptError("mesh-missing", f"The mesh {path} does not exist.", "Correct the path.")
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise ValueError(f"it has more than {MOST_BYTES / 1e9:.0f} GB")
-        vertices, triangles = reader(path.read_bytes())
-        if not np.isfinite(vertices).all():
-            raise ValueError("a vertex is not finite")
+        vertices, triangles = reader(read_limited(path, MOST_BYTES))
+        wrong = int((~(np.abs(vertices) <= FARTHEST_UNITS)).any(axis=1).sum())
+        if wrong:
+            raise ValueError(f"{wrong} of {len(vertices)} vertices are not finite or impossibly far away")
         if len(triangles) and not (0 <= triangles.min() and triangles.max() < len(vertices)):
             raise ValueError("a face has a vertex that is not there")
     except (OSError, ValueError, IndexError, KeyError, OverflowError) as error:
@@ -88,11 +90,12 @@ def _read_ply(data: bytes) -> tuple[np.ndarray, np.ndarray]:
     vertices, triangles = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     body = _AsciiBody(data[line_end + 1 :]) if order == "" else _BinaryBody(data, line_end + 1, order)
     for element in elements:
+        _check_kinds(element)
         columns = body.read(element)
         if element.name == "vertex":
             vertices = np.stack([np.asarray(columns[axis], np.float64) for axis in "xyz"], axis=1)
         elif element.name == "face":
-            lists = columns.get("vertex_indices", columns.get("vertex_index"))
+            lists = next((columns[name] for name in _CORNERS if name in columns), None)
             triangles = _fans([] if lists is None else lists)
     return vertices, triangles
 
@@ -115,6 +118,15 @@ def _header(text: str) -> tuple[str, list[_Element]]:
     if order is None:
         raise ValueError("its header has no format")
     return order, elements
+
+
+def _check_kinds(element: _Element) -> None:
+    """Refuse coordinates that are lists, and corners of faces that are none or are no whole numbers."""
+    for name, kind, length_type in element.properties:
+        is_corners = element.name == "face" and name in _CORNERS
+        is_coordinate = element.name == "vertex" and name in "xyz"
+        if (is_corners and (not length_type or kind[0] == "f")) or (is_coordinate and length_type):
+            raise ValueError(f"its property {name} is of a type that can't hold {element.name} data")
 
 
 class _AsciiBody:

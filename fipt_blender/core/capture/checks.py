@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ..run.errors import FiptError
+from ..run.shapes import FARTHEST
 from .encoded import srgb_encoded
 from .rig import Note, Pinhole
 
@@ -22,6 +23,8 @@ NEGATIVE_TOLERANCE = 1e-3  # of the capture's median radiance
 CLIPPED_SHARE = 5e-4
 CLIPPED_TOLERANCE = 4e-3  # a few steps of half floats: the pixels of a uniform lamp differ by as much
 SAMPLED_PIXELS = 65536
+# Focal lengths over an image's longer side: views of 179 degrees, and lenses of 3.6 m on 36 mm film.
+FOCAL_LENGTHS = (0.01, 100.0)
 
 
 def nearest_rotation(name: str, pose: np.ndarray) -> np.ndarray:
@@ -62,12 +65,35 @@ def check_intrinsics(name: str, pinhole: Pinhole) -> None:
     width, height, fx, fy, cx, cy = astuple(pinhole)
     finite = np.isfinite([fx, fy, cx, cy]).all()
     near = -0.5 * width <= cx <= 1.5 * width and -0.5 * height <= cy <= 1.5 * height
-    if width < 1 or height < 1 or not finite or fx <= 0.0 or fy <= 0.0 or not near:
+    least, most = (share * max(width, height) for share in FOCAL_LENGTHS)
+    focal = finite and least <= fx <= most and least <= fy <= most
+    if width < 1 or height < 1 or not focal or not near:
         raise FiptError(
             "intrinsics-invalid",
             f"View {name} has impossible intrinsics: {width} x {height} pixels, focal lengths "
             f"({fx:g}, {fy:g}), principal point ({cx:g}, {cy:g}).",
             "Check that the intrinsics belong to images of this size.",
+        )
+
+
+def check_view(name: str, pinhole: Pinhole, camera_to_world: np.ndarray) -> None:
+    """Check a view as capture.json has it, after all conversions, in whatever way it has come there.
+
+    Args:
+        name: of the view.
+        pinhole: size and intrinsics without distortion.
+        camera_to_world: (4, 4) pose in Blender's world.
+
+    Raises:
+        FiptError: ``intrinsics-invalid``, ``pose-not-rotation`` or ``pose-far``.
+    """
+    check_intrinsics(name, pinhole)
+    distance = float(np.abs(nearest_rotation(name, camera_to_world)[:3, 3]).max())
+    if distance > FARTHEST:
+        raise FiptError(
+            "pose-far",
+            f"View {name} is {distance:.3g} m from the origin; positions up to {FARTHEST:g} m are possible.",
+            "Check the scale (--scale), and export the camera poses in local coordinates.",
         )
 
 

@@ -19,16 +19,18 @@ import pycolmap
 from PIL import Image
 
 from ..depth.extraction import FusedMesh
+from ..run.documents import read_limited
 from ..run.errors import FiptError
 from ..run.runfolder import PRODUCT_VERSION
 from .colmap import NAME as COLMAP
 from .colmap import open_model
 from .depth_images import Fusion, fuse
-from .encoded import is_encoded, srgb_encoded
+from .encoded import MOST_PIXELS, is_encoded, srgb_encoded
 from .images import read_radiance, write_exr
 from .rig import DepthView, Note, Rig, RigView
 
 _BRIGHT = 0.22  # code-linear value of the median of copies of HDR photographs
+MOST_MAP_BYTES = 4 * MOST_PIXELS + 64
 _HEADER_BYTES = 64  # of a depth map: "WIDTH&HEIGHT&1&"
 
 
@@ -148,7 +150,7 @@ def read_depth_map(path: Path) -> np.ndarray:
         ValueError: for other files.
         OSError: where it can't be read.
     """
-    data = path.read_bytes()
+    data = read_limited(path, MOST_MAP_BYTES)
     words = data[:_HEADER_BYTES].split(b"&", 3)
     if len(words) != 4 or not all(word.isdigit() for word in words[:3]):
         raise ValueError(f"{path.name} is no depth map")

@@ -24,7 +24,7 @@ from ..run.documents import read_json
 from ..run.errors import FiptError
 from ..run.runfolder import PRODUCT_VERSION, RunFolder, write_json
 from . import checks
-from .encoded import is_encoded, srgb_encoded
+from .encoded import DAMAGE, is_encoded, srgb_encoded
 from .images import read_radiance, read_size
 from .rig import DepthView, Pinhole, RigView
 
@@ -97,13 +97,14 @@ def read_depth(view: DepthView, scale: float) -> RangeImage:
     Raises:
         FiptError: ``depth-unreadable``, ``depth-format`` or ``depth-size``.
     """
-    stored = _read_exr(view.path) if view.path.suffix.lower() == ".exr" else _read_png(view.path)
-    if stored.shape != (view.height, view.width):
+    width, height = depth_size(view.path)  # before any pixel is read
+    if (width, height) != (view.width, view.height):
         raise FiptError(
             "depth-size",
-            f"{view.path} is {stored.shape[1]} x {stored.shape[0]} pixels, not {view.width} x {view.height}.",
+            f"{view.path} is {width} x {height} pixels, not {view.width} x {view.height}.",
             "Use depth images of the size for which the camera was calibrated.",
         )
+    stored = _read_exr(view.path) if view.path.suffix.lower() == ".exr" else _read_png(view.path)
     depth = stored * np.float32(view.unit)
     depth = np.where(np.isfinite(depth) & (depth > 0.0) & (depth < FARTHEST), depth, 0.0)
     pose = view.camera_to_world.copy()
@@ -115,10 +116,11 @@ def read_depth(view: DepthView, scale: float) -> RangeImage:
 def _read_png(path: Path) -> np.ndarray:
     """(H, W) float32 values, 0 where nothing was measured."""
     try:
-        with warnings.catch_warnings(), Image.open(path, formats=["PNG"]) as image:
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            mode, values = image.mode, np.asarray(image)
-    except (OSError, ValueError, SyntaxError, EOFError, Warning) as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # `depth_size` has a limit
+            with Image.open(path, formats=["PNG"]) as image:
+                mode, values = image.mode, np.asarray(image)
+    except DAMAGE as error:
         raise _unreadable(path, error) from None
     if values.ndim != 2 or not mode.startswith("I"):
         raise FiptError(

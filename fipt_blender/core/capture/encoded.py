@@ -12,6 +12,7 @@ import math
 import struct
 import sys
 import warnings
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,11 @@ from ..run.shapes import MOST_SIDE
 PILLOW_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF"}
 # A float image of three channels takes 2 GB; the largest cameras have 151 megapixels.
 MOST_PIXELS = 160_000_000
-_DAMAGE = (UnidentifiedImageError, OSError, ValueError, SyntaxError, struct.error, EOFError, OverflowError)
+# What Pillow raises for damaged files.
+DAMAGE = (
+    *(UnidentifiedImageError, OSError, ValueError, SyntaxError, struct.error, EOFError, OverflowError),
+    *(Image.DecompressionBombError, zlib.error),
+)
 # Pillow's names of pixels with 16 bits in each of three channels, and those with the bytes swapped.
 _ORDERS = {"B": "L", "L": "B", "N": "B" if sys.byteorder == "little" else "L"}
 _OTHER_ORDER = {
@@ -54,7 +59,7 @@ def read_encoded(path: Path) -> np.ndarray:
     pillow_size(path)  # its errors
     try:
         codes = load_codes(path, PILLOW_FORMATS[path.suffix.lower()])
-    except (*_DAMAGE, Image.DecompressionBombError) as error:
+    except DAMAGE as error:
         raise unreadable(path, error) from None
     # By a table, since powers of all pixels would take seconds.
     most = np.iinfo(codes.dtype).max
@@ -103,7 +108,7 @@ def file_exposure(path: Path) -> float | None:
         with Image.open(path, formats=[PILLOW_FORMATS[path.suffix.lower()]]) as image:
             tags = image.getexif().get_ifd(_EXIF)
             shutter, aperture, iso = (_number(tags.get(tag)) for tag in (_SHUTTER, _APERTURE, _ISO))
-    except (*_DAMAGE, Image.DecompressionBombError, KeyError, TypeError):
+    except (*DAMAGE, KeyError, TypeError):
         return None
     if shutter is None:
         return None
@@ -168,7 +173,7 @@ def pillow_size(path: Path) -> tuple[int, int]:
             size = image.size
     except Image.DecompressionBombError:  # Pillow's own limit lies above ours
         raise _too_large(path, "too many") from None
-    except _DAMAGE as error:
+    except DAMAGE as error:
         raise unreadable(path, error) from None
     check_pixels(path, *size)
     return size

@@ -13,6 +13,7 @@ from ..run.documents import Fields, Items, Maybe, Number
 from ..run.shapes import MOST_SIDE
 from .images import read_size
 from .rig import PHOTO_SUFFIXES, Lens, ReadOptions, Rig, RigView, damaged, find_mesh, read_json_rig, read_pose
+from .rig_files import refuse_outside
 
 NAME = "fipt-synthetic"
 LOOKS_FOR = "train/transforms.json beside train/Image/"
@@ -40,7 +41,7 @@ def read(path: Path, options: ReadOptions) -> Rig:
     part ids, segmentation/ semantic ids.
 
     Raises:
-        FiptError: ``rig-damaged``, ``image-missing`` or ``image-unreadable``.
+        FiptError: ``rig-damaged``, ``image-missing``, ``image-unreadable`` or ``path-outside``.
     """
     views: list[RigView] = []
     up_axis = "y"
@@ -52,7 +53,7 @@ def read(path: Path, options: ReadOptions) -> Rig:
         data = read_json_rig(json_path, RIG)
         up_axis = data.get("up_axis", up_axis)
         for index, frame in enumerate(data["frames"]):
-            views.append(_view(json_path, split, index, frame, data))
+            views.append(_view(json_path, split, _image(json_path, index, frame, options), frame, data))
     return Rig(NAME, tuple(views), up_axis, find_mesh([path], ["scene", "mesh"]))
 
 
@@ -62,9 +63,8 @@ def _root(path: Path) -> Path:
     return split.parent if split.name in SPLITS and (split / "Image").is_dir() else path
 
 
-def _view(json_path: Path, split: str, index: int, frame: dict[str, Any], data: dict[str, Any]) -> RigView:
+def _view(json_path: Path, split: str, image: Path, frame: dict[str, Any], data: dict[str, Any]) -> RigView:
     root = json_path.parent
-    image = _image(root, index, frame)
     number = image.stem.removesuffix("_0001")
     try:
         if "width" in data and "height" in data:
@@ -89,9 +89,10 @@ def _view(json_path: Path, split: str, index: int, frame: dict[str, Any], data: 
     )
 
 
-def _image(root: Path, index: int, frame: dict[str, Any]) -> Path:
+def _image(json_path: Path, index: int, frame: dict[str, Any], options: ReadOptions) -> Path:
     """The frame's file_path where it names an image, else the authors' name by position in the list."""
     file_path = frame.get("file_path")
     if isinstance(file_path, str) and file_path.lower().endswith(PHOTO_SUFFIXES):
-        return root / file_path
-    return root / "Image" / f"{index:03d}_0001.exr"
+        refuse_outside(json_path, file_path, options)
+        return json_path.parent / file_path
+    return json_path.parent / "Image" / f"{index:03d}_0001.exr"

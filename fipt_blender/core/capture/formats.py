@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 
 from ..run.errors import FiptError
+from ..run.shapes import FARTHEST_UNITS
 from . import (
     bundler,
     colmap,
@@ -81,10 +83,13 @@ def read_rig(path: Path, name: str, options: ReadOptions) -> Rig:
     try:
         return _read_rig(path, name, options)
     except OSError as error:
+        remedy = "Allow your user to read the capture's files and folders, or copy them to your own disk."
+        if error.errno == errno.ENAMETOOLONG:
+            remedy = "Correct the name, or move the capture to a folder with a shorter path."
         raise FiptError(
             "capture-unreadable",
-            f"{error.filename or path} can't be read ({error.strerror}).",
-            "Allow your user to read the capture's files and folders, or copy them to your own disk.",
+            f"{str(error.filename or path)[:1000]} can't be read ({error.strerror}).",
+            remedy,
         ) from None
 
 
@@ -110,7 +115,8 @@ def read_points(path: Path, name: str, sure: bool = False) -> np.ndarray:
             "Export the cameras as a COLMAP model with points, or move them by hand with FIPT Alignment.",
         )
     points: np.ndarray = reader(path)
-    return points
+    # Solves have single points at infinity; in no unit are they farther away than this.
+    return points[(np.abs(points) <= FARTHEST_UNITS).all(axis=1)]
 
 
 def _read_rig(path: Path, name: str, options: ReadOptions) -> Rig:

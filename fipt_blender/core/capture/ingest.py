@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ import numpy as np
 from .. import conventions
 from ..run.errors import FiptError
 from ..run.messages import Reporter
+from ..run.paths import is_network
 from ..run.runfolder import RunFolder, write_json
 from ..run.settings import make_settings
 from . import checks
@@ -52,7 +54,14 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     check_options(options)
     source = read_source(capture.absolute(), options, reporter)
     rig = source.rig
-    views = _assign_splits(_chosen(unique_names(rig.views), options.most_views), options.hold_back)
+    views = distinct_views(rig.views)
+    if len(views) < len(rig.views):
+        reporter.warning(
+            "photograph-repeated",
+            f"{len(views)} photographs have {len(rig.views)} cameras; the first camera of each is used.",
+            "Remove the other ones from the camera file.",
+        )
+    views = _assign_splits(_chosen(views, options.most_views), options.hold_back)
     _check_files(views)
     if rig.one_camera:
         views, note = with_photograph_poses(rig, views, options.scale)
@@ -65,6 +74,9 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
         for view in views
     ]
     pinholes = [_checked_pinhole(view) for view in views]
+    for view, pinhole in zip(views, pinholes, strict=True):
+        pose = conventions.transform_poses(world_from_source, view.camera_to_world)
+        checks.check_view(view.name, pinhole, pose)
 
     fusion = mesh_fusion(run_folder, capture.absolute(), source, options)
     if fusion is not None:
@@ -137,15 +149,19 @@ def _world_from_source(up_axis: str, scale: float) -> np.ndarray:
         ) from None
 
 
-def unique_names(views: tuple[RigView, ...]) -> list[RigView]:
-    """The views with unique names: a.jpg and a.png, for example, have the same stem."""
-    taken: set[str] = set()
-    unique = []
+def distinct_views(views: Sequence[RigView]) -> list[RigView]:
+    """The first view of each photograph, with unique names: a.jpg and a.png have the same stem."""
+    first: dict[Path, RigView] = {}
     for view in views:
-        name, count = view.name, 1
-        while name.casefold() in taken:  # file systems may not tell upper from lower case
-            count += 1
-            name = f"{view.name}~{count}"
+        first.setdefault(view.image, view)
+    taken: set[str] = set()
+    counts: Counter[str] = Counter()
+    unique = []
+    for view in first.values():
+        name, stem = view.name, view.name.casefold()  # file systems may not tell upper from lower case
+        while name.casefold() in taken:
+            counts[stem] += 1
+            name = f"{view.name}~{counts[stem] + 1}"
         taken.add(name.casefold())
         unique.append(replace(view, name=name))
     return unique
@@ -190,6 +206,12 @@ def _check_files(views: list[RigView]) -> None:
             "Restore them, or set their folder (Photographs in the import settings, --images).",
         )
     for view in views:
+        if is_network(str(view.image)):
+            raise FiptError(
+                "path-network",
+                f"{view.image} is on another computer, which files of a run may not name.",
+                "Map the network folder to a drive letter, or copy the capture to your own disk.",
+            )
         if view.image.suffix.lower() != EXR_SUFFIX and not is_encoded(view.image):
             read_radiance(view.image)  # raises the error
     for view in views:

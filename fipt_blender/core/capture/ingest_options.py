@@ -10,6 +10,7 @@ from pathlib import Path
 
 from .. import conventions
 from ..run.errors import FiptError
+from ..run.shapes import SCALES
 from .depth_images import DEFAULT_VOXEL, FusionOptions
 from .formats import FORMATS
 from .rig import ReadOptions
@@ -167,5 +168,12 @@ def check_options(options: IngestOptions) -> None:
             "setting-invalid",
             f"{options.most_views} views or depth units of {options.read.depth_unit:g} m are impossible.",
             "Set a number of photographs of at least 0, and a unit above 0 and up to 1 m.",
+        )
+    low, high = SCALES
+    if not low <= options.scale <= high:
+        raise FiptError(
+            "setting-invalid",
+            f"A unit of {options.scale:g} m is impossible.",
+            f"Set a scale from {low:g} to {high:g} meters per unit.",
         )
     options.fusion.check()

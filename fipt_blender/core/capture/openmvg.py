@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from ..run.documents import Fields, Items, Number, Numbers, load_document
+from ..run.documents import Fields, Items, Number, Numbers
 from ..run.errors import FiptError
 from .radial import distorting_lens
-from .rig import Lens, ReadOptions, Rig, damaged
+from .rig import Lens, ReadOptions, Rig, damaged, read_json_rig
 from .rig_files import Places, camera_files, camera_pose, head, numbers, pixel_size
 
 NAME = "openmvg"
@@ -50,8 +50,8 @@ def read(path: Path, options: ReadOptions) -> Rig:
     if file is None:
         raise damaged(path, "it contains no sfm_data.json")
     places = Places.around(file, options)
+    data = read_json_rig(file, SFM_DATA)
     try:
-        data = load_document(file, SFM_DATA, strict=False)
         kinds = _kinds(data["intrinsics"])
         lenses = {
             entry["key"]: _lens(file, kind, entry["value"]["ptr_wrapper"]["data"])
@@ -69,7 +69,7 @@ def read(path: Path, options: ReadOptions) -> Rig:
                 size, lens = lenses[view["id_intrinsic"]]
                 name = "/".join(str(view[part]) for part in ("local_path", "filename") if view.get(part))
                 views.append(places.view(name, size, lens, matrix))
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise damaged(file, error) from None
     views.sort(key=lambda view: view.name)
     return Rig(NAME, tuple(views), None, places.mesh())
@@ -81,10 +81,10 @@ def points(path: Path) -> np.ndarray:
     Raises:
         FiptError: ``rig-damaged``.
     """
+    stored = read_json_rig(_file(path) or path, SFM_DATA).get("structure", [])
     try:
-        stored = load_document(_file(path) or path, SFM_DATA, strict=False).get("structure", [])
         return np.array([numbers(entry["value"]["X"], 3) for entry in stored]).reshape(-1, 3)
-    except (AttributeError, KeyError, OSError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise damaged(path, error) from None
 
 

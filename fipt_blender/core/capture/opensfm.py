@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..run.documents import Entries, Fields, Items, Maybe, Number, Numbers, load_document
+from ..run.documents import Entries, Fields, Items, Maybe, Number, Numbers
 from ..run.errors import FiptError
 from .radial import distorting_lens
-from .rig import Lens, ReadOptions, Rig, RigView, damaged
+from .rig import Lens, ReadOptions, Rig, RigView, damaged, read_json_rig
 from .rig_files import Places, camera_files, camera_pose, head, largest_model, numbers, pixel_size
 
 NAME = "opensfm"
@@ -47,10 +47,7 @@ def read(path: Path, options: ReadOptions) -> Rig:
     file = _file(path)
     if file is None:
         raise damaged(path, "it contains no reconstruction.json")
-    try:
-        models = load_document(file, RECONSTRUCTIONS, strict=False)
-    except (OSError, ValueError) as error:
-        raise damaged(file, error) from None
+    models = read_json_rig(file, RECONSTRUCTIONS)
     places = Places.around(file, options)
     views, notes = largest_model([_views(file, model, places) for model in models], str(file))
     return Rig(NAME, views, "z", places.mesh(folders=(".", "odm_meshing", "undistorted")), notes)
@@ -62,12 +59,11 @@ def points(path: Path) -> np.ndarray:
     Raises:
         FiptError: ``rig-damaged``.
     """
-    file = _file(path)
+    models = read_json_rig(_file(path) or path, RECONSTRUCTIONS)
     try:
-        models = load_document(file or path, RECONSTRUCTIONS, strict=False)
         stored = max(models, key=lambda model: len(model["shots"])).get("points", {}).values()
         return np.array([numbers(point["coordinates"], 3) for point in stored]).reshape(-1, 3)
-    except (AttributeError, KeyError, OSError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise damaged(path, error) from None
 
 

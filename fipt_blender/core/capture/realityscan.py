@@ -19,7 +19,7 @@ import numpy as np
 from ..conventions import opengl_to_opencv_camera
 from ..run.errors import FiptError
 from .radial import distorting_lens
-from .rig import Lens, ReadOptions, Rig, RigView, damaged
+from .rig import Lens, Note, ReadOptions, Rig, RigView, damaged
 from .rig_files import (
     IMAGE_FOLDERS,
     Places,
@@ -57,6 +57,7 @@ def read(path: Path, options: ReadOptions) -> Rig:
         FiptError: ``rig-damaged``, ``camera-model``, ``image-missing`` or ``image-unreadable``.
     """
     file = _csv_file(path)
+    notes: tuple[Note, ...] = ()
     if file is not None:
         places = Places.around(file, options)
         views = _csv_views(file, places)
@@ -65,10 +66,9 @@ def read(path: Path, options: ReadOptions) -> Rig:
         if first is None:
             raise damaged(path, "it contains no XMP files with camera positions")
         places = Places.around(first, options, _XMP_IMAGES)
-        files = (other for other in camera_files(first.parent, (".xmp",)) if _has_pose(other))
-        views = [_xmp_view(other, places) for other in files]
+        views, notes = _xmp_views(list(camera_files(first.parent, (".xmp",))), places)
     views.sort(key=lambda view: view.name)
-    return Rig(NAME, tuple(views), "z", places.mesh())
+    return Rig(NAME, tuple(views), "z", places.mesh(), notes)
 
 
 def _csv_file(path: Path) -> Path | None:
@@ -115,14 +115,39 @@ def _world_to_camera(heading: float, pitch: float, roll: float) -> np.ndarray:
     return (about_z @ about_x @ about_y).T
 
 
-def _xmp_view(file: Path, places: Places) -> RigView:
-    """The view that an XMP file describes; its values are attributes or elements."""
-    root = read_xml_rig(file)
+def _xmp_views(files: list[Path], places: Places) -> tuple[list[RigView], tuple[Note, ...]]:
+    """The views of all XMP files with a pose, and a warning of those that RealityScan could not align.
+
+    Files of other programs are left alone; a damaged one is refused, since its view would be missing.
+    """
+    values = [_xmp_values(file) for file in files]
+    posed = [bool({f"{_XCR}Rotation", f"{_XCR}Position"} & found.keys()) for found in values]
+    views = [
+        _xmp_view(file, found, places) for file, found, use in zip(files, values, posed, strict=True) if use
+    ]
+    lost = [file for file, found, use in zip(files, values, posed, strict=True) if found and not use]
+    if not lost:
+        return views, ()
+    text = f"{len(lost)} XMP files have no pose (the first is {lost[0]}); their photographs are left out."
+    return views, (Note("pose-lost", text, "Align these photographs, too, or leave them out there."),)
+
+
+def _xmp_values(file: Path) -> dict[str, str]:
+    """RealityScan's values in an XMP file, which are attributes or elements.
+
+    Raises:
+        FiptError: ``rig-damaged``.
+    """
     values: dict[str, str] = {}
-    for element in root.iter():
+    for element in read_xml_rig(file).iter():
         values.update({key: value for key, value in element.attrib.items() if key.startswith(_XCR)})
         if element.tag.startswith(_XCR):
             values[element.tag] = _text(element)
+    return values
+
+
+def _xmp_view(file: Path, values: dict[str, str], places: Places) -> RigView:
+    """The view that an XMP file's values describe."""
     try:
         rotation = numbers(values[f"{_XCR}Rotation"], 9).reshape(3, 3)
         centre = numbers(values[f"{_XCR}Position"], 3)

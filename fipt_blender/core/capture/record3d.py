@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from ..conventions import opengl_to_opencv_camera
-from ..run.documents import Fields, Items, Maybe, Number, Numbers
+from ..run.documents import Fields, Items, Maybe, Number, Numbers, read_limited
 from .depth_images import registered_depth
 from .rig import Lens, ReadOptions, Rig, damaged, read_json_rig
-from .rig_files import IMAGE_FOLDERS, Places, pixel_size, quaternion_rotation
+from .rig_files import IMAGE_FOLDERS, MOST_TEXT_BYTES, Places, pixel_size, quaternion_rotation
 
 NAME = "record3d"
 LOOKS_FOR = "metadata.json (or metadata) with poses, K, w and h"
@@ -76,7 +76,10 @@ def _file(path: Path) -> Path | None:
     files = [path] if path.is_file() else [path / name for name in FILES]
     for file in files:
         if file.is_file() and file.name.startswith("metadata"):
-            text = file.read_bytes()
+            try:
+                text = read_limited(file, MOST_TEXT_BYTES)
+            except ValueError:
+                continue
             if b'"poses"' in text and b'"K"' in text:
                 return file
     return None

@@ -160,8 +160,8 @@ def damaged(path: Path, reason: object) -> FiptError:
     )
 
 
-def read_json_rig(path: Path, shape: Any) -> dict[str, Any]:
-    """Read a JSON object that describes cameras.
+def read_json_rig(path: Path, shape: Any) -> Any:
+    """Read a JSON document that describes cameras; all readers of captures in JSON use this.
 
     Args:
         path: of the file.
@@ -171,10 +171,9 @@ def read_json_rig(path: Path, shape: Any) -> dict[str, Any]:
         FiptError: ``rig-damaged``.
     """
     try:
-        data: dict[str, Any] = load_document(path, shape, strict=False)
+        return load_document(path, shape, strict=False)
     except (OSError, ValueError) as error:
         raise damaged(path, error) from None
-    return data
 
 
 def read_pose(path: Path, matrix: Any) -> np.ndarray:

@@ -17,6 +17,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from ..run.documents import read_limited
+from ..run.errors import FiptError
+from ..run.paths import leads_outside
 from ..run.shapes import MOST_SIDE
 from .images import read_size
 from .rig import (
@@ -107,6 +110,41 @@ class Places:
         return find_mesh([root / folder for root in self.roots for folder in folders], stems)
 
 
+def photograph(file: Path, name: str, options: ReadOptions) -> Path:
+    """The photograph that a camera file names by its path, below the file's folder or the user's folder.
+
+    Raises:
+        FiptError: ``path-outside`` for a path that leads elsewhere, if its name is not found here either.
+    """
+    folders = [folder for folder in (options.images, file.parent) if folder]
+    if _follows(file, name, options):
+        return find_image(folders, name)
+    inner = name.replace("\\", "/").replace("\0", "").rpartition("/")[2]
+    image = find_image(folders, inner) if inner not in ("", "..") else folders[0]
+    if not image.is_file():
+        refuse_outside(file, name, options)
+    return image
+
+
+def refuse_outside(file: Path, name: str, options: ReadOptions) -> None:
+    """Refuse a path in a camera file that leads out of the file's folder.
+
+    Raises:
+        FiptError: ``path-outside``.
+    """
+    if not _follows(file, name, options):
+        raise FiptError(
+            "path-outside",
+            f"{file} names the file {name[:200]!r}, which is outside of the capture's folder.",
+            "Move the files into the capture, or choose the folder of the photographs (Photographs in"
+            " the import settings, --images).",
+        )
+
+
+def _follows(file: Path, name: str, options: ReadOptions) -> bool:
+    return options.own_paths or not leads_outside(file.parent, name)
+
+
 def _inner_names(name: str) -> list[str]:
     """A photograph's path within the capture, without what leads out of it, and its file name."""
     path = PurePosixPath(name.replace("\\", "/"))
@@ -154,11 +192,9 @@ def read_text_rig(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> str:
     """
     if not path.is_file():
         raise damaged(path, "it contains no camera file")
-    if path.stat().st_size > most_bytes:
-        raise damaged(path, f"it has more than {most_bytes / 1e6:.0f} MB")
     try:
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
+        return read_limited(path, most_bytes).decode("utf-8-sig").replace("\r\n", "\n")
+    except ValueError as error:
         raise damaged(path, error) from None
 
 

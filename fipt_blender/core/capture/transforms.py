@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,13 +25,12 @@ from .rig import (
     RigView,
     damaged,
     find_ids,
-    find_image,
     find_mesh,
     read_json_rig,
     read_pose,
     view_name,
 )
-from .rig_files import head
+from .rig_files import head, photograph, refuse_outside
 
 NAME = "transforms"
 LOOKS_FOR = "transforms.json or transforms_train.json"
@@ -114,46 +112,6 @@ def read(path: Path, options: ReadOptions) -> Rig:
             views.append(view)
     mesh = find_mesh([root], ["scene", "mesh", "meshed-poisson", "poisson_mesh"])
     return Rig(NAME, tuple(views), up_axis, mesh)
-
-
-def photograph(json_path: Path, name: str, options: ReadOptions) -> Path:
-    """The photograph of a frame, which lies below the file's folder or the folder that the user has named.
-
-    Raises:
-        FiptError: ``path-outside`` for a path that leads elsewhere, if its name is not found here either.
-    """
-    folders = [folder for folder in (options.images, json_path.parent) if folder]
-    if options.own_paths or not leads_outside(json_path.parent, name):
-        return find_image(folders, name)
-    inner = name.replace("\\", "/").replace("\0", "").rpartition("/")[2]
-    image = find_image(folders, inner) if inner not in ("", "..") else folders[0]
-    if not image.is_file():
-        refuse_outside(json_path, name, options)
-    return image
-
-
-def refuse_outside(json_path: Path, name: str, options: ReadOptions) -> None:
-    """Refuse a path that leads out of the file's folder.
-
-    Raises:
-        FiptError: ``path-outside``.
-    """
-    if not options.own_paths and leads_outside(json_path.parent, name):
-        raise FiptError(
-            "path-outside",
-            f"{json_path} names the file {name!r}, which is outside of the capture's folder.",
-            "Move the files into the capture, or choose the folder of the photographs (Photographs in"
-            " the import settings, --images).",
-        )
-
-
-def leads_outside(folder: Path, name: str) -> bool:
-    """Whether a path, as it is written, leads out of a folder; links within the folder are the user's own."""
-    text = name.replace("\\", "/")
-    root = os.path.abspath(folder)
-    path = os.path.normpath(os.path.join(root, text))
-    inside = path == root or path.startswith(root.rstrip(os.sep) + os.sep)
-    return not inside or "\0" in name
 
 
 def frame_view(json_path: Path, frame: dict[str, Any], split: str | None, image: Path) -> RigView:

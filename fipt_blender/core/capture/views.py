@@ -18,7 +18,9 @@ from ..run.documents import check_shape, read_json
 from ..run.errors import FiptError
 from ..run.runfolder import RunFolder
 from ..run.shapes import CAPTURE
+from .checks import check_view
 from .images import read_ids, read_radiance
+from .rig import Pinhole
 
 CAPTURE_FORMAT = "fipt-capture"
 CAPTURE_VERSION = 1
@@ -159,7 +161,8 @@ def load_capture(run: RunFolder) -> Capture:
     """Read capture.json of a run.
 
     Raises:
-        FiptError: ``file-missing``, ``file-damaged``, ``capture-version`` or ``path-outside``.
+        FiptError: ``file-missing``, ``file-damaged``, ``capture-version``, ``path-outside``, or one of
+            `check_view`.
     """
     path = run.capture_json
     data = read_json(path)
@@ -173,11 +176,15 @@ def load_capture(run: RunFolder) -> Capture:
         check_shape(data, CAPTURE)
     except ValueError as error:
         raise FiptError("file-damaged", f"{path} can't be read ({error}).", "Start a new run.") from None
+    views = tuple(_view(run, entry) for entry in data["views"])
+    for view in views:
+        pinhole = Pinhole(view.width, view.height, view.fx, view.fy, view.cx, view.cy)
+        check_view(view.name, pinhole, view.camera_to_world)
     return Capture(
         source=data["source"],
         world_from_source=np.array(data["world_from_source"], np.float64),
         mesh=None if data["mesh"] is None else run.resolve(data["mesh"]),
-        views=tuple(_view(run, entry) for entry in data["views"]),
+        views=views,
     )
 
 

@@ -37,6 +37,12 @@ _REMEDY = (
 _LOADING = (OSError, ValueError, RuntimeError, KeyError, TypeError, AttributeError, ImportError)
 
 
+# Of a configuration: of what repeats layers, by words in its name, and of all other whole numbers (words of a
+# vocabulary, sides of images, widths).
+_REPEATING, _WIDTHS = ("layer", "depth", "block", "stage"), ("dim", "size", "width")
+_MOST_REPEATS, _MOST_NUMBER, _MOST_ITEMS = 256, 1_000_000, 4096
+
+
 class ModelFolder:
     """The folder of a model, as `save_pretrained` of transformers writes it.
 
@@ -57,6 +63,9 @@ class ModelFolder:
         self.path = path
         self.config = _read(path / "config.json", _CONFIG)
         self.kind: str = self.config["model_type"]
+        fault = _config_fault(self.config)
+        if fault:
+            raise self.unusable(f"config.json: {fault}")
         if not list(path.glob("*.safetensors")):
             raise self.unusable("it has no safetensors file")
         processor: dict[str, Any] = {}
@@ -78,20 +87,38 @@ class ModelFolder:
         Raises:
             FiptError: ``model-unusable`` or, without transformers, ``package-optional``.
         """
+        package = _transformers()
+        from safetensors import SafetensorError
+
+        kind = getattr(package, name)
         try:
-            model, info = getattr(_transformers(), name).from_pretrained(
+            self._check_memory(kind, changes)
+            model, info = kind.from_pretrained(
                 str(self.path),
                 local_files_only=True,
                 use_safetensors=True,
                 output_loading_info=True,
                 **changes,
             )
-        except _LOADING as error:
+        except (*_LOADING, SafetensorError) as error:
             raise self.unusable(_first_line(error)) from None
         missing = sorted(info["missing_keys"])
         if missing:  # transformers fills them with random numbers
             raise self.unusable(f"{len(missing)} of its weights are missing, the first is {missing[0]}")
         return model.eval()
+
+    def _check_memory(self, kind: Any, changes: dict[str, Any]) -> None:
+        """Refuse a configuration of more numbers than the weights have, before these are filled at random.
+
+        Raises:
+            ValueError: what is wrong, besides those in `_LOADING`.
+        """
+        config = kind.config_class.from_pretrained(str(self.path), local_files_only=True, **changes)
+        with torch.device("meta"):  # sizes without content
+            count = sum(parameter.numel() for parameter in kind(config).parameters())
+        stored = sum(file.stat().st_size for file in self.path.glob("*.safetensors"))
+        if count > stored:  # each number takes at least one byte
+            raise ValueError(f"config.json describes {count:,} weights, and the files have {stored:,} bytes")
 
     def tokens(self, text: str, length: int) -> torch.Tensor:
         """(1, length) numbers of a text's words by CLIP's tokenizer in the folder, 0 after the last one.
@@ -148,6 +175,20 @@ def _read(path: Path, shape: Fields) -> dict[str, Any]:
     except FiptError as error:
         raise FiptError("model-unusable", error.text, _REMEDY) from None
     return data
+
+
+def _config_fault(value: Any, name: str = "", nested: int = 0) -> str:
+    """What no model has in a configuration, whose numbers decide on time and memory; "" where nothing is."""
+    if isinstance(value, (dict, list)):
+        if nested > 8 or len(value) > _MOST_ITEMS:
+            return f"{name or 'it'} has too many parts"
+        items = value.items() if isinstance(value, dict) else [(name, item) for item in value]
+        return next(filter(None, (_config_fault(item, key, nested + 1) for key, item in items)), "")
+    is_width = any(word in name for word in _WIDTHS)
+    most = _MOST_REPEATS if any(word in name for word in _REPEATING) and not is_width else _MOST_NUMBER
+    if isinstance(value, int) and abs(value) > most:
+        return f"{name} is {value}; at most {most} is possible"
+    return ""
 
 
 def _first_line(error: Exception) -> str:

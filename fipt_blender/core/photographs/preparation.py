@@ -15,6 +15,7 @@ from typing import Any
 
 from ..run.documents import read_json
 from ..run.errors import FiptError
+from ..run.paths import is_network, leads_outside
 from ..run.runfolder import write_json
 from ..run.shapes import MOST_SIDE, PREPARE, PREPARE_FORMAT, PREPARE_VERSION
 
@@ -32,7 +33,7 @@ class Photograph:
     """One file as its header describes it; None where the header does not say.
 
     Attributes:
-        path: absolute, or relative to the folder of the photographs.
+        path: within the folder of the photographs, relative to it.
         kind: ``raw`` (a sensor's values), ``ldr`` (values after a camera's response), ``linear`` (EXR, HDR).
         width, height: pixels as stored, before `orientation`.
         orientation: of EXIF, 1 to 8.
@@ -259,16 +260,24 @@ def read_preparation(folder: PreparationFolder) -> Preparation:
     groups = tuple(
         Group(entry["name"], tuple(entry["photographs"]), entry.get("used", True)) for entry in data["groups"]
     )
-    fault = _fault(photographs, groups)
+    fault = _fault(Path(data["source"]), photographs, groups)
     if fault:
         raise FiptError("file-damaged", f"{folder.prepare_json} can't be used: {fault}.", _REMEDY)
-    return Preparation(Path(data["source"]), photographs, groups, make_prepare_settings(data["settings"]))
+    settings = make_prepare_settings(data["settings"])
+    for path in (data["source"], settings.cameras, settings.masks):
+        if is_network(path):
+            raise FiptError(
+                "path-network",
+                f"{folder.prepare_json} names {path[:200]}, which is on another computer.",
+                "Map the network folder to a drive letter, or copy it to your own disk; then start anew.",
+            )
+    return Preparation(Path(data["source"]), photographs, groups, settings)
 
 
-def _fault(photographs: tuple[Photograph, ...], groups: tuple[Group, ...]) -> str:
+def _fault(source: Path, photographs: tuple[Photograph, ...], groups: tuple[Group, ...]) -> str:
     """What contradicts itself in the lists, "" where nothing does."""
     paths = {photograph.path for photograph in photographs}
-    outside = next((path for path in paths if ".." in Path(path).parts), None)
+    outside = next((path for path in paths if leads_outside(source, path)), None)
     if outside is not None:
         return f"the path '{outside}' leads out of the photographs' folder"
     taken: set[str] = set()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""JSON that others have written: read within limits, and checked against a shape before anyone uses it.
+"""Files that others have written: read within limits; JSON checked against a shape before anyone uses it.
 
 A file may be cut off, edited by hand, written by another program or hostile. Every fault becomes one error
 that names the file and the place in it. Standard library only.
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 import stat
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -44,13 +45,16 @@ class Number:
 class Numbers:
     """A nested list of finite numbers: lengths from the outside to the inside, None for any.
 
-    ``Numbers(4, 4)`` is a matrix, ``Numbers(None, 3)`` a list of points.
+    ``Numbers(4, 4)`` is a matrix, ``Numbers(None, 3)`` a list of points; none is larger than `most`, nor its
+    negative.
     """
 
     lengths: tuple[int | None, ...]
+    most: float
 
-    def __init__(self, *lengths: int | None) -> None:
+    def __init__(self, *lengths: int | None, most: float = sys.float_info.max) -> None:
         object.__setattr__(self, "lengths", lengths)
+        object.__setattr__(self, "most", most)
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,8 @@ def parse_document(text: str, strict: bool = True) -> Any:
     Args:
         text: of the document.
         strict: refuse NaN, infinities, and numbers beyond 64 bits or a float's range anywhere. Files of other
-            programs may hold them in fields that nobody reads; there the shape refuses them where it matters.
+            programs may hold them in fields that nobody reads: there such a number is read as NaN, which no
+            shape and no conversion to a whole number accepts, and a larger whole number as a float.
 
     Raises:
         ValueError: what is wrong with it; nesting without end included.
@@ -118,7 +123,7 @@ def parse_document(text: str, strict: bool = True) -> Any:
 
     try:
         if not strict:
-            return json.loads(text)
+            return json.loads(text, parse_constant=_nan, parse_int=_any_whole, parse_float=_any_number)
         return json.loads(text, parse_constant=_refuse_constant, parse_int=_whole, parse_float=_finite)
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
@@ -136,14 +141,43 @@ def load_document(path: Path, shape: Any = dict, strict: bool = True) -> Any:
         OSError: the system's.
         ValueError: what is wrong with the content.
     """
-    status = path.stat()
-    if not stat.S_ISREG(status.st_mode):  # reading a pipe may never end
-        raise ValueError("it is no regular file")
-    if status.st_size > MOST_BYTES:
-        raise ValueError(f"it has {status.st_size / 1e9:.1f} GB, more than any such file should")
-    data = parse_document(path.read_text(encoding="utf-8"), strict)
+    data = parse_document(read_limited(path, MOST_BYTES).decode("utf-8"), strict)
     check_shape(data, shape)
     return data
+
+
+def read_limited(path: Path, most: int) -> bytes:
+    """The content of a file; all readers of whole files use this.
+
+    Args:
+        path: of the file.
+        most: bytes that it may have.
+
+    Raises:
+        OSError: the system's.
+        ValueError: for a larger file, and for a device or a pipe, whose reading may never end.
+    """
+    size = check_size(path, most)
+    with path.open("rb") as file:
+        data = file.read(size + 1)
+    if len(data) > size:
+        raise ValueError("it grows while it is read")
+    return data
+
+
+def check_size(path: Path, most: int) -> int:
+    """The bytes of a regular file.
+
+    Raises:
+        OSError: the system's.
+        ValueError: see `read_limited`.
+    """
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        raise ValueError("it is no regular file")
+    if status.st_size > most:
+        raise ValueError(f"it has {status.st_size / 1e9:.3g} GB, more than any such file should")
+    return status.st_size
 
 
 def read_json(path: Path, shape: Any = dict, remedy: str = "Write it again.") -> Any:
@@ -201,7 +235,8 @@ def _problem(value: Any, shape: Any, place: str) -> tuple[str, str, Any] | None:
     if isinstance(shape, FileName):
         return None if _is_file_name(value) else (place, "a file name", value)
     if isinstance(shape, Numbers):
-        return None if _are_numbers(value, shape.lengths) else (place, _numbers_text(shape.lengths), value)
+        fits = _are_numbers(value, shape.lengths, shape.most)
+        return None if fits else (place, _numbers_text(shape), value)
     if isinstance(shape, Choice):
         fits = any(
             value is choice or (type(value) is type(choice) and value == choice) for choice in shape.values
@@ -232,11 +267,11 @@ def _field_problem(value: Any, shape: Fields, place: str) -> tuple[str, str, Any
     return None
 
 
-def _are_numbers(value: Any, lengths: tuple[int | None, ...]) -> bool:
+def _are_numbers(value: Any, lengths: tuple[int | None, ...], most: float) -> bool:
     if not lengths:
-        return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+        return isinstance(value, (int, float)) and not isinstance(value, bool) and -most <= value <= most
     fits = isinstance(value, list) and lengths[0] in (None, len(value))
-    return fits and all(_are_numbers(item, lengths[1:]) for item in value)
+    return fits and all(_are_numbers(item, lengths[1:], most) for item in value)
 
 
 def _is_file_name(value: Any) -> bool:
@@ -246,9 +281,10 @@ def _is_file_name(value: Any) -> bool:
     return len(value.encode()) <= _MOST_NAME_BYTES and not set(value) & set('/\\:*?"<>|')
 
 
-def _numbers_text(lengths: tuple[int | None, ...]) -> str:
-    sizes = " x ".join("N" if length is None else str(length) for length in lengths)
-    return f"a list of {sizes} finite numbers"
+def _numbers_text(shape: Numbers) -> str:
+    sizes = " x ".join("N" if length is None else str(length) for length in shape.lengths)
+    limit = f" up to {shape.most:g}" if shape.most < sys.float_info.max else ""
+    return f"a list of {sizes} finite numbers{limit}"
 
 
 def _number_text(shape: Number) -> str:
@@ -269,6 +305,20 @@ def _described(value: Any) -> str:
         return f"{'an object' if isinstance(value, dict) else 'a list'} of {len(value)}"
     text = repr(value)
     return text if len(text) <= 40 else text[:37] + "..."
+
+
+def _nan(_: str) -> float:
+    return math.nan
+
+
+def _any_whole(text: str) -> float:
+    """A whole number; beyond 64 bits a float, and NaN beyond a float's range."""
+    return int(text) if len(text) <= 19 else _any_number(text)
+
+
+def _any_number(text: str) -> float:
+    value = float(text)
+    return value if math.isfinite(value) else math.nan
 
 
 def _refuse_constant(text: str) -> float:

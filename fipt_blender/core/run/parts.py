@@ -7,6 +7,7 @@ Needs numpy alone.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
@@ -148,10 +149,15 @@ def readable(name: str) -> str:
 def unique_names(names: Sequence[str]) -> list[str]:
     """The names, with numbers behind those that occur again."""
     taken: set[str] = set()
+    counts: Counter[str] = Counter()
     result = []
     for name in names:
-        result.append(free_name(name, taken))
-        taken.add(result[-1])
+        found = name
+        while found in taken:
+            counts[name] += 1
+            found = f"{name} {counts[name] + 1}"
+        taken.add(found)
+        result.append(found)
     return result
 
 

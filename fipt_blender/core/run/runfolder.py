@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from .documents import read_json
 from .errors import FiptError
+from .paths import foreign_fault, is_network, leads_outside
 from .shapes import RUN
 
 if TYPE_CHECKING:
@@ -179,21 +180,23 @@ class RunFolder:
         """The absolute path for a path from one of the run's JSON files.
 
         Args:
-            path: absolute, or relative to the run folder.
+            path: of an image or a mesh on this computer, or relative to the run folder; see `paths`.
 
         Raises:
-            FiptError: ``path-outside`` for a relative path that leads out of the folder.
+            FiptError: ``path-outside`` for another one.
         """
-        if os.path.isabs(path):
-            return Path(path)
-        full = Path(os.path.normpath(self.root / path))
-        if not full.is_relative_to(self.root):
+        fault = ""
+        if os.path.isabs(path) or is_network(path):
+            fault = foreign_fault(path)
+        elif leads_outside(self.root, path):
+            fault = "leads out of it"
+        if fault:
             raise FiptError(
                 "path-outside",
-                f"The path '{path}' leads out of the run folder {self.root}.",
-                "A file of the run folder was changed by hand. Start a new run.",
+                f"A file of the run folder {self.root} names the path '{path[:200]}', which {fault}.",
+                "It was changed by hand or comes from another computer. Start a new run.",
             )
-        return full
+        return Path(os.path.normpath(self.root / path))
 
 
 @contextmanager

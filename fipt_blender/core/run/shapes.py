@@ -11,6 +11,11 @@ from __future__ import annotations
 from .documents import Choice, Entries, Fields, FileName, Items, Maybe, Number, Numbers
 
 MOST_SIDE = 65_536  # pixels along an edge of an image
+SCALES = (1e-6, 1e6)  # meters per unit of a capture: from micrometers to a thousand kilometers
+# Meters from the origin, of cameras and vertices. Coordinates from the Earth's center have up to 6.4e6, those
+# of maps up to 1e7; squares of much larger ones are beyond single precision.
+FARTHEST = 1e8
+FARTHEST_UNITS = FARTHEST / SCALES[0]  # the same in a capture's own units
 _NOT_NEGATIVE = Number(low=0.0)
 
 RUN = Fields({"format": str}, {"version": Number(), "product_version": str, "settings": dict})
@@ -20,13 +25,18 @@ _VIEW = Fields(
         **dict.fromkeys(("name", "split", "image"), str),
         **dict.fromkeys(("width", "height"), Number(1, MOST_SIDE, whole=True)),
         **dict.fromkeys(("fx", "fy", "cx", "cy"), Number()),
-        "camera_to_world": Numbers(4, 4),
+        "camera_to_world": Numbers(4, 4, most=FARTHEST),
         **dict.fromkeys(("parts", "semantics"), Maybe(str)),
     },
     {"mask": Maybe(str), "encoded": bool, "exposure": Maybe(Number(low=1e-12, high=1e12))},
 )
 CAPTURE = Fields(
-    {"source": str, "world_from_source": Numbers(4, 4), "mesh": Maybe(str), "views": Items(_VIEW)}
+    {
+        "source": str,
+        "world_from_source": Numbers(4, 4, most=FARTHEST_UNITS),
+        "mesh": Maybe(str),
+        "views": Items(_VIEW),
+    }
 )
 ROOM = Fields({"objects": Items(str), "materials": Items(str)}, {"object_ids": Items(str), "parts": str})
 MASKS = Fields({"keys": Entries(str)})

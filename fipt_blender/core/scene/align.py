@@ -24,7 +24,7 @@ from ..capture.color_camera import with_color_camera
 from ..capture.depth_points import alignment_points
 from ..capture.formats import FORMATS, read_rig
 from ..capture.images import read_radiance
-from ..capture.ingest import unique_names
+from ..capture.ingest import distinct_views
 from ..capture.rig import ReadOptions
 from ..capture.views import View, load_capture
 from ..conventions import transform_points
@@ -81,7 +81,7 @@ def solve_points(capture: Path, name: str, views: list[View]) -> np.ndarray:
     rig = read_rig(capture, name, ReadOptions())
     if rig.one_camera:
         rig = with_color_camera(rig, 1.0)
-    poses = {view.name: view.camera_to_world for view in unique_names(rig.views)}
+    poses = {view.name: view.camera_to_world for view in distinct_views(rig.views)}
     common = [view for view in views if view.name in poses]
     if len(common) < 2:
         raise FiptError(
