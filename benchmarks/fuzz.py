@@ -13,6 +13,7 @@ it accepts the input or ends with an error that has a code and a remedy. Failing
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import os
 import resource
@@ -40,8 +41,9 @@ MOST_BYTES = 2_000_000_000
 _POLL_SECONDS = 0.002
 _UNFORESEEN = ("engine-failed", "out-of-memory")
 _INTEGERS = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**63 - 1, 2**63, 2**64 - 1)
-_JSON_FILES = (".json", ".sfm")
-_TEXT_FILES = (".txt", ".csv", ".xml", ".xmp", ".nvm", ".out")
+_JSON_FILES = (".json", ".sfm", ".gltf")
+_TEXT_FILES = (".txt", ".csv", ".xml", ".xmp", ".nvm", ".out", ".obj", ".mtl")
+_MANY_LINES = 20_000
 _WORDS = (
     "",
     "nan",
@@ -49,8 +51,9 @@ _WORDS = (
     "-1",
     "1e999",
     "9" * 400,
-    "../../EVIL",
-    "/etc/passwd",
+    *("1e308", "-1e308", "1e-308", "1e-5", "300000"),
+    *("../../EVIL", "/etc/passwd", "/dev/zero", "//server/share/a.exr", "\\\\server\\share\\a.obj"),
+    "a/" * 600 + "a.exr",
     "²",
     "\0",
     "\ud800",
@@ -58,6 +61,7 @@ _WORDS = (
 )
 _VALUES: tuple[Any, ...] = (
     *(None, True, -1, 0, 0.5, 1e30, 10**30, 1e-320, 2**31),
+    *(1e308, -1e308, 1e-308, 1e-5, 10**309, -(10**400), 300_000, float("nan"), float("inf")),
     *([], {}, [1], [[[]]], {"a": 1}, "x"),
     *_WORDS,
 )
@@ -132,6 +136,11 @@ def _mutate_bytes(path: Path, files: Sequence[Path], rng: np.random.Generator) -
 
 
 def _mutate_text(path: Path, rng: np.random.Generator) -> str:
+    if rng.random() < 0.05:
+        lines = path.read_bytes().splitlines(keepends=True) or [b""]
+        place = int(rng.integers(len(lines)))
+        path.write_bytes(b"".join([*lines[:place], lines[place] * _MANY_LINES, *lines[place:]]))
+        return f"line {place} {_MANY_LINES} times"
     words = path.read_text(encoding="utf-8", errors="replace").split(" ")
     place, word = int(rng.integers(len(words))), _WORDS[int(rng.integers(len(_WORDS)))]
     words[place] = word
@@ -267,6 +276,8 @@ def run_inputs(targets: Sequence[Target], inputs: int, seed: int, keep: Path | N
         for target in targets:
             samples[target.name].mkdir()
             target.write(samples[target.name])
+            for name in target.modules:  # here, so that not each child imports them
+                importlib.import_module(name)
         for index in range(inputs):
             target = targets[index % len(targets)]
             base = Path(temporary) / "case"

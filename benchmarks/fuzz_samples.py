@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import shutil
 import sys
 import tempfile
 from collections.abc import Callable
@@ -20,6 +22,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.rig import Lens
 from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.hints import Hint, read_hints, write_hints
 from fipt_blender.core.run.run_files import read_atlas, read_emitters, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
@@ -35,15 +39,19 @@ class Target:
         name: of the reader.
         write: makes a valid sample in an empty folder.
         read: reads it; gets the folder of the sample and an empty folder for what it writes.
+        modules: that it imports, slowly.
     """
 
     name: str
     write: Callable[[Path], None]
     read: Callable[[Path, Path], None]
+    modules: tuple[str, ...] = ("fipt_blender.core.capture.ingest",)
 
 
-def _ingest(sample: Path, out: Path) -> None:
+def _ingest(sample: Path, out: Path, *options: str) -> None:
+    """The whole import: cameras, photographs and what is written, and the result read again."""
     from fipt_blender.core.capture import ingest
+    from fipt_blender.core.capture.views import load_capture
     from fipt_blender.core.run.messages import Reporter
 
     run = RunFolder(out / "run")
@@ -51,7 +59,32 @@ def _ingest(sample: Path, out: Path) -> None:
     parser = argparse.ArgumentParser()
     ingest.add_arguments(parser)
     with (out / "messages").open("w") as stream:
-        ingest.run(parser.parse_args([str(sample), str(run.root)]), Reporter(stream))
+        ingest.run(parser.parse_args([str(sample), str(run.root), *options]), Reporter(stream))
+    for view in load_capture(run).views:
+        view.radiance()
+
+
+def write_options(folder: Path) -> None:
+    """A COLMAP model with points, and options of its import in a file of our own."""
+    (folder / "capture").mkdir()
+    write_colmap(folder / "capture", text=True)
+    options = {"--scale": 1.0, "--up-axis": "y", "--hold-back": 2, "--views": 3, "--triangles": 0}
+    options |= {"--voxel": 0.02, "--close-holes": 0.1, "--depth-unit": 0.001}
+    options |= {"--mesh": "capture/scene.obj", "--images": "capture/images"}
+    (folder / "options.json").write_text(json.dumps(options))
+
+
+def _ingest_with_options(sample: Path, out: Path) -> None:
+    try:
+        options = json.loads((sample / "options.json").read_text())
+        given = [f"{key}={value}" for key, value in options.items()]
+    except (AttributeError, RecursionError, ValueError) as error:
+        raise FiptError("options", str(error), "Not a fault of the reader.") from None
+    os.chdir(sample)
+    try:
+        _ingest(sample / "capture", out, *given)
+    except SystemExit as error:  # argparse has told what is wrong
+        raise FiptError("options", str(error), "Correct them.") from None
 
 
 def _load_capture(sample: Path, out: Path) -> None:
@@ -133,6 +166,8 @@ def write_fipt_real(folder: Path) -> None:
     (folder / "cam.txt").write_text("\n".join(cameras))
     (folder / "K_list.txt").write_text("\n".join(matrices))
     _write_images(folder / "Image", 3)
+    for path in sorted((folder / "Image").iterdir()):
+        path.rename(path.with_stem(f"{path.stem}_0001"))
     _write_mesh(folder)
 
 
@@ -207,6 +242,108 @@ def _read_run_files(sample: Path, out: Path) -> None:
     read_emitters(run, len(room["triangles"]))
     read_json(run.stage / "stages.json", STAGES)
     run.read()
+
+
+def write_finished_run(folder: Path) -> None:
+    """A run folder with photographs, renders and hints, of which a report can be written."""
+    write_run_files(folder)
+    write_capture(folder)
+    run = RunFolder(folder)
+    name = json.loads(run.capture_json.read_text())["views"][0]["name"]
+    write_exr(run.renders / "a.exr", np.ones((8, 12, 3), np.float32))
+    write_exr(run.environment_exr, np.ones((4, 8, 3), np.float32))
+    write_json(run.renders_json, {"renders": [{"kind": "render", "view": name, "image": "renders/a.exr"}]})
+    fixture = {"name": "a", "triangles": [0], "radiance": [1, 1, 1], "back_radiance": [0, 0, 0], "area": 1}
+    environment = {"image": "environment.exr", "observed_share": 0.5}
+    write_json(run.emitters_json, {"fixtures": [fixture], "environment": environment})
+    write_json(run.statistics_json, {"stages": [{"name": "a", "seconds": 1, "rays": 2}], "peak_memory_gb": 1})
+    write_hints(run.hints_json, [Hint(points=((0.0, 0.0, 0.0),), name="a", roughness=(0.1, 0.5))])
+
+
+def _report(sample: Path, out: Path) -> None:
+    """The run folder's documents, and the report, which is written into a copy."""
+    from fipt_blender.core.report.page import write_report
+
+    run = RunFolder(out / "run")
+    shutil.copytree(sample, run.root)
+    read_hints(run.hints_json)
+    write_report(run)
+
+
+def write_preparation(folder: Path) -> None:
+    """prepare.json of two photographs."""
+    from fipt_blender.core.photographs import preparation
+
+    (folder / "photographs").mkdir()
+    _write_images(folder / "photographs", 2)
+    files = tuple(preparation.Photograph(f"{index:03d}.exr", "linear", 12, 8, 1, 0.01) for index in range(2))
+    groups = tuple(preparation.Group(file.path[:3], (file.path,)) for file in files)
+    preparation.write_preparation(
+        preparation.PreparationFolder(folder), preparation.Preparation(folder / "photographs", files, groups)
+    )
+
+
+def _preparation(sample: Path, out: Path) -> None:
+    """What a step of `prepare` does with the file before it works on photographs."""
+    from fipt_blender.core.photographs import preparation
+
+    found = preparation.read_preparation(preparation.PreparationFolder(sample))
+    for group in found.used_groups:
+        for photograph in found.of(group):
+            assert found.file(photograph).is_relative_to(found.source)
+
+
+def write_named_meshes(folder: Path) -> None:
+    """OBJ with a material library and glTF with a buffer, as Blender's importers read them."""
+    material = "newmtl a\nmap_Kd -s 1 1 1 textures/a.png\n"
+    (folder / "a.mtl").write_text(material)
+    (folder / "a.obj").write_text("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl a\nf 1 2 3\n")
+    (folder / "a.bin").write_bytes(np.eye(3, dtype="<f4").tobytes())
+    view, accessor = {"buffer": 0, "byteLength": 36}, {"bufferView": 0, "componentType": 5126, "count": 3}
+    data = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"uri": "a.bin", "byteLength": 36}],
+        "images": [{"uri": "a.png"}],
+        "bufferViews": [view],
+        "accessors": [{**accessor, "type": "VEC3"}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "nodes": [{"mesh": 0}],
+    }
+    (folder / "a.gltf").write_text(json.dumps(data))
+
+
+def _named_meshes(sample: Path, out: Path) -> None:
+    """The checks before Blender's importers, and what a resumed job compares."""
+    from fipt_blender.blend.capture.mesh_files import check_mesh_file
+    from fipt_blender.jobs.fingerprints import mesh_fingerprint
+
+    refused = None
+    for name in ("a.obj", "a.gltf"):
+        mesh_fingerprint(sample / name)
+        try:
+            check_mesh_file(sample / name)
+        except FiptError as error:
+            refused = error
+    if refused is not None:
+        raise refused
+
+
+def _write_model(kind: str) -> Callable[[Path], None]:
+    def write(folder: Path) -> None:
+        from samples import mask_models
+
+        if kind == "sam":
+            mask_models.write_sam(folder, mask_models.make_sam())
+        else:
+            mask_models.write_segmenter(folder, mask_models.make_eomt())
+
+    return write
+
+
+def _open_model(sample: Path, out: Path) -> None:
+    from fipt_blender.core.photographs.masks_model import open_masks_model
+
+    open_masks_model(sample)
 
 
 def _metashape(folder: Path, shots: list[rig_writers.Shot]) -> None:
@@ -292,7 +429,6 @@ def write_depth_map(folder: Path) -> None:
 
 def _depth_map(sample: Path, out: Path) -> None:
     from fipt_blender.core.capture.dense_stereo import read_depth_map
-    from fipt_blender.core.run.errors import FiptError
 
     try:
         read_depth_map(sample / "a.geometric.bin")
@@ -319,6 +455,7 @@ PROGRAMS: dict[str, Callable[[Path, list[rig_writers.Shot]], None]] = {
     ),
     "scannetpp": lambda folder, shots: rig_writers.write_scannetpp(folder, shots, held_back=2),
 }
+_TRANSFORMERS = ("transformers", "fipt_blender.core.photographs.masks_model")
 PINHOLE = Lens("PINHOLE", (9.0, 9.0, 6.0, 4.0))
 TARGETS = (
     Target("colmap-binary", lambda folder: write_colmap(folder, text=False), _ingest),
@@ -334,4 +471,10 @@ TARGETS = (
     Target("depth-map", write_depth_map, _depth_map),
     Target("capture", write_capture, _load_capture),
     Target("run-files", write_run_files, _read_run_files),
+    Target("report", write_finished_run, _report, ("fipt_blender.core.report.page",)),
+    Target("options", write_options, _ingest_with_options),
+    Target("preparation", write_preparation, _preparation, ("fipt_blender.core.photographs.preparation",)),
+    Target("named-meshes", write_named_meshes, _named_meshes, ("fipt_blender.jobs.fingerprints",)),
+    Target("model-sam", _write_model("sam"), _open_model, _TRANSFORMERS),
+    Target("model-eomt", _write_model("eomt"), _open_model, _TRANSFORMERS),
 )

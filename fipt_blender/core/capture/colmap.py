@@ -12,7 +12,7 @@ import numpy as np
 import pycolmap
 
 from ..run.documents import check_size
-from .colmap_sizes import check_model
+from .colmap_sizes import MOST_BYTES, check_model
 from .rig import Lens, Note, ReadOptions, Rig, damaged
 from .rig_files import Places
 
@@ -20,7 +20,6 @@ NAME = "colmap"
 LOOKS_FOR = "cameras.bin or cameras.txt with images and points3D, in the folder or its sparse/0"
 SURE_VIEWS = 5  # photographs in which a point was found
 ENOUGH_POINTS = 500  # that so many saw, for the others to be left out
-MOST_MODEL_BYTES = 2_000_000_000  # of a file; 1,000 photographs with 8,000 points each have 0.5 GB as text
 MODEL_FOLDERS = (".", "sparse/0", "sparse", "0", "dense/sparse", "dense/0/sparse", "colmap/sparse/0")
 MESH_FOLDERS = (".", "dense", "dense/0")
 MESH_STEMS = ("scene", "mesh", "meshed-poisson", "meshed-delaunay", "fused")
@@ -139,7 +138,7 @@ def _image_count(folder: Path) -> int:
         if (folder / "images.bin").is_file():
             with (folder / "images.bin").open("rb") as file:
                 return int(struct.unpack("<Q", file.read(8))[0])
-        check_size(folder / "images.txt", MOST_MODEL_BYTES)
+        check_size(folder / "images.txt", MOST_BYTES)
         with (folder / "images.txt").open("rb") as file:
             lines = (line for line in file if not line.startswith(b"#"))
             # Two lines per image: its pose, and its points, which may be an empty line.

@@ -16,6 +16,9 @@ from pathlib import Path
 
 import pycolmap
 
+from ..run.documents import check_size
+
+MOST_BYTES = 2_000_000_000  # of a file; 1,000 photographs with 8,000 points each have 0.5 GB as text
 _COUNT = struct.Struct("<Q")
 _CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; then float64 parameters
 _IMAGE_BYTES = 4 + 7 * 8 + 4  # id, quaternion and translation, camera id; then name, count and 2D points
@@ -68,11 +71,14 @@ def check_model(folder: Path) -> None:
         folder: of cameras.bin, images.bin, points3D.bin and, from COLMAP 3.12 on, rigs.bin and frames.bin.
 
     Raises:
-        ValueError: names the file that is cut off, or longer than its counts say.
+        ValueError: names the file that is cut off, longer than its counts say, or larger than any model.
         OSError: where a file can't be read.
     """
     for name, skip_record in _FILES.items():
         path = folder / name
+        for either in (path, path.with_suffix(".txt")):
+            if either.is_file():
+                check_size(either, MOST_BYTES)
         if path.is_file():
             _check_file(path, skip_record)
 

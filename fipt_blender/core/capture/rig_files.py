@@ -9,8 +9,9 @@ folders: photographs are found by their path within these folders, or by their f
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 from xml.etree import ElementTree
@@ -51,11 +52,18 @@ class Places:
         roots: folders, the first ones first.
         images: the folder in which photographs are searched before all others, or None.
         image_folders: folders below each root that may hold photographs.
+        found: what was found of each name, since camera files may repeat names without end.
     """
 
     roots: tuple[Path, ...]
     images: Path | None = None
     image_folders: tuple[str, ...] = IMAGE_FOLDERS
+    found: dict[tuple[str, str], Any] = field(default_factory=dict, compare=False, repr=False)
+
+    def _once(self, kind: str, name: str, find: Callable[[], Any]) -> Any:
+        if (kind, name) not in self.found:
+            self.found[kind, name] = find()
+        return self.found[kind, name]
 
     @classmethod
     def around(
@@ -66,6 +74,10 @@ class Places:
 
     def image(self, name: str) -> Path:
         """The photograph of a name or path; the path that it should have where it does not exist."""
+        path: Path = self._once("image", name, lambda: self._image(name))
+        return path
+
+    def _image(self, name: str) -> Path:
         names = _inner_names(name)
         usual = [root / folder for root in self.roots for folder in self.image_folders]
         searched = [folders for folders in ([self.images] if self.images else [], usual) if folders]
@@ -78,7 +90,8 @@ class Places:
         Raises:
             FiptError: ``image-missing`` or ``image-unreadable``.
         """
-        return read_size(self.image(name))
+        size: tuple[int, int] = self._once("size", name, lambda: read_size(self.image(name)))
+        return size
 
     def view(self, name: str, size: tuple[int, int], lens: Lens, camera_to_world: np.ndarray) -> RigView:
         """The view of a photograph, with the id images that exist.
@@ -90,7 +103,7 @@ class Places:
         """
         stem = view_name(_inner_names(name)[0])
         ids = {
-            kind: next(filter(None, (find_ids(root / kind, stem) for root in self.roots)), None)
+            kind: self._once(kind, stem, partial(self._ids, kind, stem))
             for kind in (PARTS_FOLDER, SEMANTICS_FOLDER)
         }
         return RigView(
@@ -104,6 +117,9 @@ class Places:
             parts=ids[PARTS_FOLDER],
             semantics=ids[SEMANTICS_FOLDER],
         )
+
+    def _ids(self, kind: str, stem: str) -> Path | None:
+        return next(filter(None, (find_ids(root / kind, stem) for root in self.roots)), None)
 
     def mesh(self, stems: Sequence[str] = MESH_STEMS, folders: Sequence[str] = (".",)) -> Path | None:
         """The first mesh with one of these names, or None."""

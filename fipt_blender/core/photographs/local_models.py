@@ -33,8 +33,6 @@ _REMEDY = (
     "Choose the folder of a model with config.json, preprocessor_config.json and model.safetensors: SAM or"
     " SAM 2 for parts; Mask2Former, OneFormer (with its tokenizer) or EoMT for semantic classes."
 )
-# What transformers raises for files that do not fit together.
-_LOADING = (OSError, ValueError, RuntimeError, KeyError, TypeError, AttributeError, ImportError)
 
 
 # Of a configuration: of what repeats layers, by words in its name, and of all other whole numbers (words of a
@@ -87,10 +85,7 @@ class ModelFolder:
         Raises:
             FiptError: ``model-unusable`` or, without transformers, ``package-optional``.
         """
-        package = _transformers()
-        from safetensors import SafetensorError
-
-        kind = getattr(package, name)
+        kind = getattr(_transformers(), name)
         try:
             self._check_memory(kind, changes)
             model, info = kind.from_pretrained(
@@ -100,7 +95,7 @@ class ModelFolder:
                 output_loading_info=True,
                 **changes,
             )
-        except (*_LOADING, SafetensorError) as error:
+        except Exception as error:  # transformers raises all kinds for files that do not fit together
             raise self.unusable(_first_line(error)) from None
         missing = sorted(info["missing_keys"])
         if missing:  # transformers fills them with random numbers
@@ -111,7 +106,7 @@ class ModelFolder:
         """Refuse a configuration of more numbers than the weights have, before these are filled at random.
 
         Raises:
-            ValueError: what is wrong, besides those in `_LOADING`.
+            ValueError: what is wrong, besides whatever transformers raises.
         """
         config = kind.config_class.from_pretrained(str(self.path), local_files_only=True, **changes)
         with torch.device("meta"):  # sizes without content
@@ -126,10 +121,11 @@ class ModelFolder:
         Raises:
             FiptError: ``model-unusable`` or, without transformers, ``package-optional``.
         """
+        package = _transformers()
         try:
-            tokenizer = _transformers().CLIPTokenizer.from_pretrained(str(self.path), local_files_only=True)
+            tokenizer = package.CLIPTokenizer.from_pretrained(str(self.path), local_files_only=True)
             tokens = tokenizer([text], padding="max_length", max_length=length, truncation=True)
-        except _LOADING as error:
+        except Exception as error:
             raise self.unusable(f"its tokenizer: {_first_line(error)}") from None
         return torch.tensor(tokens["attention_mask"]) * torch.tensor(tokens["input_ids"])
 

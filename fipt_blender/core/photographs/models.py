@@ -54,6 +54,7 @@ def read_model(folder: Path) -> pycolmap.Reconstruction:
     if not (folder / "cameras.bin").is_file():
         raise FiptError("file-missing", f"{folder} holds no solved cameras.", _SOLVE_AGAIN)
     try:
+        check_model(folder)
         return pycolmap.Reconstruction(str(folder))
     except (RuntimeError, ValueError, IndexError, OSError) as error:
         raise FiptError("file-damaged", f"{folder} can't be read ({error}).", _SOLVE_AGAIN) from None
