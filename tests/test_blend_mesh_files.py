@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+import json
 import re
 import struct
 import subprocess
 import sys
 from pathlib import Path
 
+import bpy
 import numpy as np
 import pytest
 
@@ -177,3 +179,55 @@ def test_blender_survives_damaged_meshes(tmp_path, rng):
     root = Path(__file__).resolve().parent.parent
     result = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=120)
     assert "survived\n" in result.stderr, result.stderr[-500:]
+
+
+def gltf(uri: str, kind: str = "buffers") -> bytes:
+    return json.dumps({"asset": {"version": "2.0"}, kind: [{"uri": uri, "byteLength": 36}]}).encode()
+
+
+@posix
+def test_meshes_name_files_of_their_folder_and_no_devices(tmp_path):
+    (tmp_path / "mesh" / "tex").mkdir(parents=True)
+    (tmp_path / "secret.bin").write_bytes(b"x")
+    outside = ("../secret.bin", str(tmp_path / "secret.bin"), "%2e%2e/secret.bin", "a/../../secret.bin")
+    network = ("//server/share/a.bin", "\\\\server\\share\\a.bin")
+    for kind in ("buffers", "images"):
+        for uri in (*outside, *network, "/dev/zero"):
+            assert "outside of its folder" in problem(tmp_path / "mesh", "a.gltf", gltf(uri, kind))
+            header = struct.pack("<4sIIII", b"glTF", 2, 0, len(gltf(uri, kind)), 0x4E4F534A)
+            assert "outside of its folder" in problem(tmp_path / "mesh", "a.glb", header + gltf(uri, kind))
+        for uri in ("a.bin", "./tex/a%20b.png", "data:application/octet-stream;base64,AAAA"):
+            (tmp_path / "mesh" / "a.gltf").write_bytes(gltf(uri, kind))
+            check_mesh_file(tmp_path / "mesh" / "a.gltf")
+    for line in ("map_Kd /dev/zero", "map_Kd -s 1 1 1 //server/share/a.png", "bump \\\\server\\a.png"):
+        (tmp_path / "mesh" / "a.mtl").write_text(f"newmtl a\n{line}\n")
+        assert "outside of its folder" in problem(tmp_path / "mesh", "a.obj", b"mtllib a.mtl\n" + OBJ)
+    for line in ("map_Kd ../tex/a b.png", "map_Kd C:\\textures\\a.png", f"map_Kd {tmp_path}/secret.bin"):
+        (tmp_path / "mesh" / "a.mtl").write_text(f"newmtl a\n{line}\n")
+        check_mesh_file(tmp_path / "mesh" / "a.obj")
+    for library in ("/dev/zero", "//server/share/a.mtl"):
+        content = f"mtllib {library}\n".encode() + OBJ
+        assert "outside of its folder" in problem(tmp_path / "mesh", "a.obj", content)
+
+
+def test_vertices_that_are_no_numbers_and_long_paths_are_told(tmp_path):
+    from fipt_blender.blend.capture.mesh_import import import_room
+
+    def code(path: Path, scale: float = 1.0) -> tuple[str, str]:
+        before = {item.name for item in bpy.data.objects}
+        with pytest.raises(FiptError) as caught:
+            import_room(path, scale * np.eye(4))
+        assert {item.name for item in bpy.data.objects} == before
+        return caught.value.code, caught.value.text
+
+    for vertex in (b"v nan 0 inf", b"v 0 1e300 0", b"v 0 0 -inf", b"v 0 0 x"):
+        assert "1 of 3" in problem(tmp_path, "a.obj", OBJ.replace(b"v 0 0 0", vertex))
+    points = ply().replace(struct.pack("<3f", *POINTS[1]), struct.pack("<3f", np.nan, 0, 0), 1)
+    for content in (points, ply(order="").replace(b"1 0 0 ", b"1 0 inf ", 1)):
+        assert "1 of 5" in problem(tmp_path, "a.ply", content)
+    (tmp_path / "a.obj").write_bytes(OBJ)
+    assert code(tmp_path / "a.obj", 1e9)[0] == "mesh-not-finite"
+    deep = tmp_path.joinpath(*["d" * 100] * 10)
+    deep.mkdir(parents=True)
+    (deep / "a.obj").write_bytes(OBJ)
+    assert code(deep / "a.obj")[0] == "path-long"

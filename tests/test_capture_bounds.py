@@ -156,7 +156,7 @@ def test_corners_of_a_ply_that_are_no_list(tmp_path: Path, kind: str, name: str)
 
 
 def test_numbers_beyond_a_float_are_no_numbers() -> None:
-    values = documents.parse_document(f'[{HUGE}, -{HUGE}, 1e999, Infinity, 1{"0" * 30}, 7]', strict=False)
+    values = documents.parse_document(f"[{HUGE}, -{HUGE}, 1e999, Infinity, 1{'0' * 30}, 7]", strict=False)
     assert np.isnan(values[:4]).all() and values[4:] == [1e30, 7] and isinstance(values[5], int)
     for shape in (documents.Number(), documents.Number(whole=True), float, int):
         with pytest.raises(ValueError, match="should be"):
@@ -238,7 +238,9 @@ def test_a_later_depth_image_of_gigapixels(tmp_path: Path) -> None:
 
     header = struct.pack(">IIBBBBB", 50_000, 50_000, 16, 0, 0, 0, 0)
     path = tmp_path / "a.png"
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", b"") + chunk(b"IEND", b""))
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", b"") + chunk(b"IEND", b"")
+    )
     view = DepthView(path, 12, 8, 9.0, 9.0, 6.0, 4.0, 0.001, np.eye(4))
     assert error_of(read_depth, view, 1.0).code == "depth-unreadable"
 

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from ...core.run.errors import FiptError
+from ...core.run.shapes import FARTHEST_UNITS
 from .mesh_names import check_named_files
 
 _MOST_HEADER_BYTES = 1_000_000
@@ -31,6 +32,7 @@ _TYPES = {
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 # Properties whose values are vertex indices, by element.
 _INDICES = {"face": ("vertex_indices", "vertex_index"), "edge": ("vertex1", "vertex2")}
+_LETTERS = re.compile(rb"[A-Za-z]")
 _NUMBERS = re.compile(rb"[-+.\deinaf\s]*", re.IGNORECASE)
 
 
@@ -172,6 +174,9 @@ def _check_binary(data: np.ndarray, header: _Header) -> None:
         for entry in element.properties:
             if records is not None and element.is_index(entry):
                 _check_indices(records[entry.name], header)
+        if records is not None and element.name == "vertex":
+            near = [np.abs(records[axis].astype(np.float64)) <= FARTHEST_UNITS for axis in "xyz"]
+            _refuse_wrong(int((~np.all(near, axis=0)).sum()), element.count)
         position += element.count * record.itemsize
 
 
@@ -275,6 +280,9 @@ def _check_index(index: int, header: _Header) -> None:
 
 def _check_ascii(lines: Iterator[bytes], header: _Header) -> None:
     for element in header.elements:
+        names = [entry.name for entry in element.properties]
+        axes = [names.index(axis) for axis in "xyz"] if element.name == "vertex" else []
+        wrong = 0
         for number in range(element.count):
             line = next(lines, b"")
             values = line.split()
@@ -287,6 +295,8 @@ def _check_ascii(lines: Iterator[bytes], header: _Header) -> None:
                 _check_line(values, element, header)
             elif len(values) < len(element.properties):
                 raise ValueError(f"an element '{element.name}' is '{_shorten(line)}'")
+            wrong += bool(axes and _LETTERS.search(line)) and not _are_finite([values[axis] for axis in axes])
+        _refuse_wrong(wrong, element.count)
 
 
 def _check_line(values: list[bytes], element: _Element, header: _Header) -> None:
@@ -319,8 +329,8 @@ def _shorten(line: bytes) -> str:
 
 
 def _check_obj(path: Path) -> None:
-    """Check the vertex indices of the faces of an OBJ file."""
-    highest, lowest, vertices = 0, math.inf, 0
+    """Check the vertices of an OBJ file, and the faces' indices of them."""
+    highest, lowest, vertices, wrong = 0, math.inf, 0, 0
     with open(path, "rb") as file:
         lines = (line for line in _joined(file) if line[:1] in b" \tvf")
         for words in map(bytes.split, lines):
@@ -328,14 +338,30 @@ def _check_obj(path: Path) -> None:
                 continue
             if words[0] == b"v":
                 vertices += 1
+                wrong += bool(_LETTERS.search(b" ".join(words[1:4]))) and not _are_finite(words[1:4])
             elif words[0] == b"f":
                 for word in words[1:]:
                     index = _whole(word.partition(b"/")[0])
                     highest = max(highest, index)
                     lowest = min(lowest, index if index > 0 else vertices + index + 1 if index else 0)
+    _refuse_wrong(wrong, vertices)
     if lowest < 1 or highest > vertices:
-        wrong = highest if highest > vertices else int(lowest)
-        raise ValueError(f"a face names the vertex {wrong}, and there are {vertices:,}")
+        index = highest if highest > vertices else int(lowest)
+        raise ValueError(f"a face names the vertex {index}, and there are {vertices:,}")
+
+
+def _refuse_wrong(wrong: int, count: int) -> None:
+    """Refuse vertices that are no numbers, which Blender's importers put at the origin without a word."""
+    if wrong:
+        raise ValueError(f"{wrong:,} of {count:,} vertices are no numbers, or impossibly far away")
+
+
+def _are_finite(words: list[bytes]) -> bool:
+    """Whether words are coordinates of a vertex."""
+    try:
+        return all(abs(float(word)) <= FARTHEST_UNITS for word in words)
+    except ValueError:
+        return False
 
 
 def _joined(lines: Iterator[bytes]) -> Iterator[bytes]:
