@@ -39,6 +39,7 @@ from fipt_blender.core.run.errors import FiptError
 MOST_SECONDS = 20.0
 MOST_BYTES = 2_000_000_000
 _POLL_SECONDS = 0.002
+_BLOCK = 500  # inputs between two looks at the clock
 _UNFORESEEN = ("engine-failed", "out-of-memory")
 _INTEGERS = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**63 - 1, 2**63, 2**64 - 1)
 _JSON_FILES = (".json", ".sfm", ".gltf")
@@ -261,7 +262,9 @@ def _snapshot(base: Path) -> set[tuple[str, int]]:
     return {(str(path.relative_to(base)), path.stat().st_size if path.is_file() else -1) for path in paths}
 
 
-def run_inputs(targets: Sequence[Target], inputs: int, seed: int, keep: Path | None) -> list[dict[str, Any]]:
+def run_inputs(
+    targets: Sequence[Target], inputs: int, seed: int, keep: Path | None, first: int = 0
+) -> list[dict[str, Any]]:
     """Try `inputs` mutated samples, the targets taking turns; returns the failures.
 
     Args:
@@ -269,6 +272,7 @@ def run_inputs(targets: Sequence[Target], inputs: int, seed: int, keep: Path | N
         inputs: how many inputs altogether.
         seed: of the mutations; input i of a seed is always the same.
         keep: where failing inputs are copied to.
+        first: number of the first input.
     """
     failures = []
     with tempfile.TemporaryDirectory(prefix="fipt-fuzz-") as temporary:
@@ -278,7 +282,7 @@ def run_inputs(targets: Sequence[Target], inputs: int, seed: int, keep: Path | N
             target.write(samples[target.name])
             for name in target.modules:  # here, so that not each child imports them
                 importlib.import_module(name)
-        for index in range(inputs):
+        for index in range(first, first + inputs):
             target = targets[index % len(targets)]
             base = Path(temporary) / "case"
             shutil.copytree(samples[target.name], base / "sample")
@@ -300,19 +304,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--inputs", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="end after this time")
     parser.add_argument("--only", nargs="*", default=[target.name for target in TARGETS])
     parser.add_argument("--output", type=Path, help="keep failing inputs here")
     options = parser.parse_args(argv)
     chosen = [target for target in TARGETS if target.name in options.only]
     started = time.monotonic()
-    failures = run_inputs(chosen, options.inputs, options.seed, options.output)
+    failures: list[dict[str, Any]] = []
+    tried = 0
+    while tried < options.inputs and time.monotonic() - started < options.seconds:
+        count = min(_BLOCK, options.inputs - tried)
+        failures += run_inputs(chosen, count, options.seed, options.output, tried)
+        tried += count
+        print(f"{tried} inputs, {len(failures)} failures", file=sys.stderr, flush=True)
     by_outcome: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for failure in failures:
         by_outcome.setdefault((failure["target"], failure["outcome"]), []).append(failure)
     for (target, outcome), same in sorted(by_outcome.items(), key=lambda item: -len(item[1])):
         print(f"{len(same):5d}  {target}: {outcome}   (input {same[0]['input']}: {same[0]['what']})")
     seconds = time.monotonic() - started
-    print(f"{options.inputs} inputs, {len(failures)} failures, {seconds:.0f} s")
+    print(f"{tried} inputs, {len(failures)} failures, {seconds:.0f} s")
     return int(bool(failures))
 
 

@@ -143,6 +143,7 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         description="Length of one unit of the capture in meters",
         default=1.0,
         min=1e-6,
+        max=1e6,
         soft_min=0.001,
         soft_max=1000.0,
         precision=4,
