@@ -24,7 +24,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,7 +39,7 @@ from fipt_blender.core.run.errors import FiptError
 MOST_SECONDS = 20.0
 MOST_BYTES = 2_000_000_000
 _POLL_SECONDS = 0.002
-_BLOCK = 500  # inputs between two looks at the clock
+_TOLD = 500  # inputs between two lines that tell how many were tried
 _UNFORESEEN = ("engine-failed", "out-of-memory")
 _INTEGERS = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**63 - 1, 2**63, 2**64 - 1)
 _JSON_FILES = (".json", ".sfm", ".gltf")
@@ -262,19 +262,22 @@ def _snapshot(base: Path) -> set[tuple[str, int]]:
     return {(str(path.relative_to(base)), path.stat().st_size if path.is_file() else -1) for path in paths}
 
 
-def run_inputs(
-    targets: Sequence[Target], inputs: int, seed: int, keep: Path | None, first: int = 0
-) -> list[dict[str, Any]]:
-    """Try `inputs` mutated samples, the targets taking turns; returns the failures.
+def run_inputs(targets: Sequence[Target], inputs: int, seed: int, keep: Path | None) -> list[dict[str, Any]]:
+    """The failures among `inputs` mutated samples; see `tries`."""
+    return [failure for failure in tries(targets, inputs, seed, keep) if failure]
+
+
+def tries(
+    targets: Sequence[Target], inputs: int, seed: int, keep: Path | None
+) -> Iterator[dict[str, Any] | None]:
+    """Try `inputs` mutated samples, the targets taking turns; yields each failure, or None.
 
     Args:
         targets: the readers.
         inputs: how many inputs altogether.
         seed: of the mutations; input i of a seed is always the same.
         keep: where failing inputs are copied to.
-        first: number of the first input.
     """
-    failures = []
     with tempfile.TemporaryDirectory(prefix="fipt-fuzz-") as temporary:
         samples = {target.name: Path(temporary) / target.name for target in targets}
         for target in targets:
@@ -282,19 +285,18 @@ def run_inputs(
             target.write(samples[target.name])
             for name in target.modules:  # here, so that not each child imports them
                 importlib.import_module(name)
-        for index in range(first, first + inputs):
+        for index in range(inputs):
             target = targets[index % len(targets)]
             base = Path(temporary) / "case"
             shutil.copytree(samples[target.name], base / "sample")
             (base / "out").mkdir()
             what = mutate(base / "sample", np.random.default_rng([seed, index]))
             verdict = judge(target, base / "sample", base)
-            if not verdict.passed:
-                failures.append({"input": index, "target": target.name, "what": what, **vars(verdict)})
-                if keep is not None:
-                    shutil.copytree(base / "sample", keep / f"{target.name}-{index}", dirs_exist_ok=True)
+            if not verdict.passed and keep is not None:
+                shutil.copytree(base / "sample", keep / f"{target.name}-{index}", dirs_exist_ok=True)
             shutil.rmtree(base)
-    return failures
+            failed = {"input": index, "target": target.name, "what": what, **vars(verdict)}
+            yield None if verdict.passed else failed
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -312,11 +314,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     started = time.monotonic()
     failures: list[dict[str, Any]] = []
     tried = 0
-    while tried < options.inputs and time.monotonic() - started < options.seconds:
-        count = min(_BLOCK, options.inputs - tried)
-        failures += run_inputs(chosen, count, options.seed, options.output, tried)
-        tried += count
-        print(f"{tried} inputs, {len(failures)} failures", file=sys.stderr, flush=True)
+    for failure in tries(chosen, options.inputs, options.seed, options.output):
+        tried += 1
+        failures += [failure] if failure else []
+        if tried % _TOLD == 0:
+            print(f"{tried} inputs, {len(failures)} failures", file=sys.stderr, flush=True)
+        if time.monotonic() - started > options.seconds:
+            break
     by_outcome: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for failure in failures:
         by_outcome.setdefault((failure["target"], failure["outcome"]), []).append(failure)
