@@ -226,5 +226,6 @@ def test_a_photograph_replaced_by_another_size_is_named(tmp_path: Path) -> None:
 
 
 def test_mutated_captures_never_crash_hang_or_touch_other_files() -> None:
-    failures = fuzz.run_inputs(fuzz_samples.TARGETS, inputs=360, seed=7, keep=None)
+    quick = [target for target in fuzz_samples.TARGETS if not target.name.startswith("model-")]
+    failures = fuzz.run_inputs(quick, inputs=360, seed=7, keep=None)
     assert not failures, failures[:3]
