@@ -24,6 +24,8 @@ from ..run.shapes import MOST_SIDE
 PILLOW_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF"}
 # A float image of three channels takes 2 GB; the largest cameras have 151 megapixels.
 MOST_PIXELS = 160_000_000
+# Codes from which on a channel counts as clipped: JPEG's noise blurs the end of the scale.
+CLIPPED_CODE = 250.0
 _DAMAGE = (UnidentifiedImageError, OSError, ValueError, SyntaxError, struct.error, EOFError, OverflowError)
 # Pillow's names of pixels with 16 bits in each of three channels, and those with the bytes swapped.
 _ORDERS = {"B": "L", "L": "B", "N": "B" if sys.byteorder == "little" else "L"}

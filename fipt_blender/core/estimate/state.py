@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import mitsuba as mi
 import numpy as np
 import torch
 
+from ..capture.light_views import light_views
 from ..capture.views import View, load_capture
 from ..device.variant import torch_device
 from ..geometry.stored import prepare_geometry
@@ -117,7 +118,9 @@ class EstimationState:
         self.holes = read_scan_holes(folder)
         if not self.capture.train:
             raise FiptError("views-none", "The capture has no training views.", "Add photographs.")
-        self.views = spread_views(self.capture.train, settings.view_share)
+        self.photographs = spread_views(self.capture.train, settings.view_share)
+        begin = partial(reporter.stage, "light", "Averaging the photographs to the resolution of light")
+        self.views = light_views(folder, self.photographs, settings.light_pixels, begin, reporter.progress)
         if folder.geometry_npz.exists():
             text = "Looking for what the scan lacks"  # takes minutes
             reporter.stage("scan", text if self.holes is None else f"{self.holes.text} {text}")
