@@ -94,12 +94,13 @@ class Undistortion:
             np.arange(self.pinhole.width) + 0.5,
             np.arange(self.pinhole.height) + 0.5,
         )
-        column = np.clip(np.floor(positions[:, 0]).astype(np.int64), 0, width - 1)
-        row = np.clip(np.floor(positions[:, 1]).astype(np.int64), 0, height - 1)
+        # 32 bits hold the index of any pixel (`encoded.MOST_PIXELS`).
+        column = np.clip(np.floor(positions[:, 0]).astype(np.int32), 0, width - 1)
+        row = np.clip(np.floor(positions[:, 1]).astype(np.int32), 0, height - 1)
         self._nearest = row * width + column
         x = np.clip(positions[:, 0] - 0.5, 0.0, width - 1.0)
         y = np.clip(positions[:, 1] - 0.5, 0.0, height - 1.0)
-        left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+        left, top = np.floor(x).astype(np.int32), np.floor(y).astype(np.int32)
         right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
         u, v = (x - left).astype(np.float32), (y - top).astype(np.float32)
         self._corners = (

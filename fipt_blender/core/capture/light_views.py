@@ -21,7 +21,7 @@ from ..run.runfolder import RunFolder, atomic_path
 from ..run.threads import in_threads
 from .averaging import majority, means
 from .encoded import CLIPPED_CODE, missing, srgb_decoded
-from .images import write_exr
+from .images import threads_for, write_exr
 from .rig import CLASS_NAMES
 from .views import View
 
@@ -29,8 +29,6 @@ from .views import View
 _VERSION = 1
 # From this share of clipped pixels on, the mean of codes is only a bound, and clipped, too.
 CLIPPED_SHARE = 0.02
-# Most pixels of photographs that are decoded at a time; one of 12 megapixels takes up to 0.5 GB.
-DECODED_PIXELS = 50_000_000
 
 
 def chosen_views(views: Sequence[View], light_pixels: float) -> list[View]:
@@ -87,7 +85,7 @@ def light_views(
     ]
     if pairs:
         begin()
-        most = max(1, DECODED_PIXELS // max(view.width * view.height for view, _ in pairs))
+        most = threads_for(view.width * view.height for view, _ in pairs)
         for done, _ in enumerate(in_threads(_make, pairs, most), 1):
             progress(done / len(pairs))
     _copy_class_names([pair for pair in zip(views, lights, strict=True) if pair[0] is not pair[1]])
