@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,8 +20,16 @@ from fipt_blender.core.capture.light_views import chosen_views, light_radiance, 
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.run import light_size as light_size_module
 from fipt_blender.core.run.errors import FiptError
-from fipt_blender.core.run.light_size import LEAST_PIXELS, light_size, light_views_count
+from fipt_blender.core.run.light_size import (
+    LEAST_PIXELS,
+    SPARE_BYTES,
+    light_plan,
+    light_size,
+    light_views_count,
+    refuse_full_disk,
+)
 from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.settings import make_settings
 
 SIZES = [(5, 3), (7, 4), (10, 6), (31, 17)]
 
@@ -174,3 +183,33 @@ def test_a_missing_photograph_is_named(tmp_path: Path) -> None:
     with pytest.raises(FiptError) as error:
         light_views(RunFolder(tmp_path / "run"), [view], 1e-3)
     assert error.value.code == "image-missing" and str(view.image) in error.value.text
+
+
+def test_a_plan_names_resolution_time_and_disk() -> None:
+    settings = make_settings("draft", {"light_pixels": 6.0})
+    plan = light_plan([(4032, 3024)] * 60, settings)
+    assert plan.resolution == "60 photographs of 12.2 megapixels; light is solved at 0.10 megapixels each"
+    assert 5.9 < plan.light_megapixels * 60 <= 6.0
+    few = light_plan([(4032, 3024)] * 2000, settings)
+    assert few.used == 600 and few.resolution.endswith("each of 600 of them")
+    small = light_plan([(256, 128)] * 60, settings)
+    assert small.resolution == "60 photographs of 0.033 megapixels"
+    assert small.seconds < plan.seconds and small.bytes < plan.bytes
+    assert plan.cost.startswith("about ") and plan.cost.endswith(" GB")
+    # The photographs' size hardly changes the cost.
+    assert plan.seconds < 1.5 * light_plan([(1600, 1200)] * 60, settings).seconds
+
+
+def test_a_disk_that_is_too_small_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "run" / "stage"
+    free = SPARE_BYTES + 1000
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=free))
+    refuse_full_disk(folder, 1000, "lower the setting")
+    with pytest.raises(FiptError) as error:
+        refuse_full_disk(folder, 2_000_000_000, "lower the setting")
+    assert error.value.code == "disk-space" and "2.0 GB" in error.value.text
+    assert "lower the setting" in error.value.remedy
+    folder.mkdir(parents=True)
+    (folder / "before.npy").write_bytes(bytes(2000))  # a resumed run writes it over
+    refuse_full_disk(folder, 3000, "lower the setting")
