@@ -91,7 +91,7 @@ def _draw_plan(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         return
     plan = _plan(capture.train_count, capture.megapixels, context.scene.fipt.estimate)
     draw_text(layout.column(align=True), context, plan.resolution)
-    draw_text(layout.column(align=True), context, plan.cost.capitalize())
+    draw_text(layout.column(align=True), context, plan.cost[0].upper() + plan.cost[1:])
 
 
 def _plan(count: int, megapixels: float, settings: bpy.types.PropertyGroup) -> LightPlan:

@@ -19,7 +19,7 @@ PRESETS = (
     (
         "draft",
         "Draft",
-        "A quick preview with noise and soft textures: a few minutes for 40 small photographs",
+        "A quick preview with noise and soft textures: a few minutes, whatever the photographs' size",
     ),
     (
         "medium",

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 LEAST_PIXELS = 10_000
 # Processor seconds of an estimation, measured by benchmarks/real_cost.py on two cores: for everything that
 # does not grow, for a million pixels of photographs, of light, of rays, and of training samples.
-FIXED_SECONDS, PHOTOGRAPH_SECONDS, LIGHT_SECONDS = 30.0, 0.1, 40.0
-RAY_SECONDS, SAMPLE_SECONDS = 0.6, 10.0
+FIXED_SECONDS, PHOTOGRAPH_SECONDS, LIGHT_SECONDS = 30.0, 0.05, 30.0
+RAY_SECONDS, SAMPLE_SECONDS = 0.4, 10.0
 # Share of the cores that the stages keep busy.
 BUSY = 0.7
 # Bytes of the run folder: networks and results; for each pixel of light what is seen and photographed, and

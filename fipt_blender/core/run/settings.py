@@ -229,7 +229,7 @@ PRESETS: dict[str, dict[str, Value]] = {
     "medium": {},
     "high": {
         "rounds": 2,
-        "light_pixels": 16.0,
+        "light_pixels": 8.0,
         "diffuse_spp": 64,
         "specular_spp": 16,
         "light_spp": 32,
