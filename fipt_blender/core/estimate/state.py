@@ -86,7 +86,7 @@ def announce_plan(folder: RunFolder, settings: Settings, reporter: Reporter) -> 
     if not views:
         return  # the estimation raises the error
     plan = light_plan([(view.width, view.height) for view in views], settings)
-    reporter.stage("plan", f"{plan.resolution}; {plan.cost}")
+    reporter.note(f"{plan.resolution}; {plan.cost}")
     refuse_full_disk(folder.stage, plan.bytes, "choose a lower preset, or fewer light_pixels")
 
 
