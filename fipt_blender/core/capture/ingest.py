@@ -17,6 +17,7 @@ import numpy as np
 
 from .. import conventions
 from ..run.errors import FiptError
+from ..run.light_size import refuse_full_disk
 from ..run.messages import Reporter
 from ..run.runfolder import RunFolder, write_json
 from ..run.settings import make_settings
@@ -85,6 +86,8 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     fusion = mesh_fusion(run_folder, capture.absolute(), source, options)
     if fusion is not None:
         reporter.plan([0.2, 0.7, 0.1])
+    remedy = "use photographs whose distortion is undone already, or smaller ones"
+    refuse_full_disk(run_folder.images, sum(_rewritten_bytes(view) for view in views), remedy)
     reporter.stage("images", "Checking photographs")
     exposures = [file_exposure(view.image) for view in views]
     statistics = _check_pixels(views, exposures, options.clamp_negative, reporter)
@@ -353,6 +356,16 @@ def _write_images(
         if source is not None:
             write_exr(target(kind), resampling.ids(read_ids(source)))
     return files
+
+
+def _rewritten_bytes(view: RigView) -> int:
+    """Expected size of a view's rewritten photograph, 0 where distortion is none."""
+    if not is_distorted(view.lens, view.width, view.height):
+        return 0
+    pixels = view.width * view.height
+    if pixels <= EXACT_PIXELS:
+        return 12 * pixels
+    return (1 if view.image.suffix.lower() in JPEG_SUFFIXES else 6) * pixels
 
 
 def _fits_half(pixels: np.ndarray) -> bool:

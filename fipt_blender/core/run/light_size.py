@@ -171,7 +171,7 @@ def refuse_full_disk(folder: Path, needed: int, remedy: str) -> None:
     if needed - present + SPARE_BYTES > free:
         raise FiptError(
             "disk-space",
-            f"The estimation needs about {max(needed - present, 0) / 1e9:.1f} GB in {folder};"
-            f" {free / 1e9:.1f} GB of the disk are free.",
+            f"About {max(needed - present, 0) / 1e9:.1f} GB will be written to {folder}, but"
+            f" {free / 1e9:.1f} GB of its disk are free.",
             f"Free some space, choose a folder on another disk, or {remedy}.",
         )
