@@ -7,6 +7,7 @@ from __future__ import annotations
 import io
 import json
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import OpenEXR
@@ -171,8 +172,7 @@ def test_large_photographs_are_rewritten_with_the_bits_that_they_have(tmp_path, 
 
 def test_photographs_without_distortion_that_the_disk_lacks_are_refused(tmp_path, run, monkeypatch):
     write_transforms(tmp_path / "in", make_samples(2, model="OPENCV"))
-    usage = shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=1000))
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))
     with pytest.raises(FiptError) as error:
         run_ingest(tmp_path / "in", run)
     assert error.value.code == "disk-space" and not run.root.exists()

@@ -8,6 +8,7 @@ import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -203,8 +204,7 @@ def test_a_plan_names_resolution_time_and_disk() -> None:
 def test_a_disk_that_is_too_small_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "run" / "stage"
     free = SPARE_BYTES + 1000
-    usage = shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=free))
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=free))
     refuse_full_disk(folder, 1000, "lower the setting")
     with pytest.raises(FiptError) as error:
         refuse_full_disk(folder, 2_000_000_000, "lower the setting")
