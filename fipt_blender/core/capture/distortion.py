@@ -16,6 +16,9 @@ import pycolmap
 from ..run.errors import FiptError
 from .rig import Lens, Pinhole
 
+# Pixels that are resampled at a time: so few stay in the processor's cache.
+_BAND = 1 << 18
+
 
 def lens_camera(lens: Lens, width: int, height: int) -> pycolmap.Camera:
     """The pycolmap camera of a lens.
@@ -112,11 +115,16 @@ class Undistortion:
 
     def image(self, pixels: np.ndarray) -> np.ndarray:
         """Resample an image (source height, source width, C) bilinearly to (height, width, C) float32."""
-        planes = []
-        for plane in np.moveaxis(self._checked(pixels), -1, 0):
-            flat = np.ascontiguousarray(plane, np.float32).ravel()
-            planes.append(sum(weight * flat[index] for index, weight in self._corners))
-        return np.stack(planes, axis=-1).reshape(self.pinhole.height, self.pinhole.width, -1)
+        source = self._checked(pixels)
+        flat = np.ascontiguousarray(source, np.float32).reshape(-1, source.shape[2])
+        result = np.zeros((self.pinhole.height * self.pinhole.width, source.shape[2]), np.float32)
+        for begin in range(0, len(result), _BAND):
+            rows = slice(begin, begin + _BAND)
+            for index, weight in self._corners:
+                corner = flat.take(index[rows], axis=0)
+                corner *= weight[rows, None]
+                result[rows] += corner
+        return result.reshape(self.pinhole.height, self.pinhole.width, -1)
 
     def ids(self, ids: np.ndarray) -> np.ndarray:
         """Resample an id image (source height, source width) by nearest neighbour."""
