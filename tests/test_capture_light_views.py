@@ -192,7 +192,7 @@ def test_a_plan_names_resolution_time_and_disk() -> None:
     assert plan.resolution == "60 photographs of 12.2 megapixels; light is solved at 0.10 megapixels each"
     assert 5.9 < plan.light_megapixels * 60 <= 6.0
     few = light_plan([(4032, 3024)] * 2000, settings)
-    assert few.used == 600 and few.resolution.endswith("each of 600 of them")
+    assert few.used == 300 and few.resolution.endswith("each of 300 of them")
     small = light_plan([(256, 128)] * 60, settings)
     assert small.resolution == "60 photographs of 0.033 megapixels"
     assert small.seconds < plan.seconds and small.bytes < plan.bytes
