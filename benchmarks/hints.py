@@ -116,11 +116,11 @@ def scores(run: RunFolder) -> dict[str, dict[str, float | None]]:
 
 def true_answers(run: RunFolder, count: int, answers: str) -> list[Hint]:
     """The run's first questions with their true answers."""
-    from fipt_blender.core.estimate.state import spread_views
+    from fipt_blender.core.estimate.state import estimation_views
     from fipt_blender.core.scene.pixels import open_pixels
 
     doubts = read_json(run.doubts_json, DOUBTS)["doubts"][:count]
-    views = spread_views(load_capture(run).train, run.read().view_share)
+    views = estimation_views(run, run.read())
     pixels = open_pixels(run.stage / "pixels", views)
     part = read_arrays(run.parts_npz, PARTS_ARRAYS)["triangle_part"]
     names = [view.name for view in views]

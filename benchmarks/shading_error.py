@@ -345,11 +345,11 @@ def baked_errors(
         {"pixels": number, "levels": COMMON_LEVELS, name: as of :func:`errors`}.
     """
     from fipt_blender.core.capture.views import load_capture
-    from fipt_blender.core.estimate.state import spread_views
+    from fipt_blender.core.estimate.state import estimation_views
     from fipt_blender.core.scene.pixels import open_pixels
 
     captured = load_capture(run)
-    pixels = open_pixels(run.stage / "pixels", spread_views(captured.train, run.read().view_share))
+    pixels = open_pixels(run.stage / "pixels", estimation_views(run, run.read()))
     emitting = [t for fixture in read_json(run.emitters_json)["fixtures"] for t in fixture["triangles"]]
     triangle = np.asarray(pixels.triangle[kept])
     usable = (triangle >= 0) & np.asarray(pixels.pure[kept]) & ~np.isin(triangle, emitting)

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.metrics import ClosedForm
-from fipt_blender.core.capture.views import load_capture
-from fipt_blender.core.estimate.state import spread_views
+from fipt_blender.core.estimate.state import estimation_views
 from fipt_blender.core.light.baking import open_shadings
 from fipt_blender.core.light.observations import observe
 from fipt_blender.core.light.shadings import roughness_levels
@@ -44,7 +43,7 @@ class StoredEstimate:
     def __init__(self, run: RunFolder, settings: Settings, scratch: Path) -> None:
         room = load_room(run)
         self._scan = room.scan is not None
-        self.views = spread_views(load_capture(run).train, settings.view_share)
+        self.views = estimation_views(run, settings)
         self.pixels = open_pixels(run.stage / "pixels", self.views)
         bounds = zip(self.pixels.ranges[:-1], self.pixels.ranges[1:], strict=True)
         triangles = [np.asarray(self.pixels.triangle[first:last]) for first, last in bounds]

@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import OpenEXR
@@ -14,8 +16,9 @@ from PIL import Image
 
 from fipt_blender.core import conventions
 from fipt_blender.core.__main__ import main
-from fipt_blender.core.capture import checks
-from fipt_blender.core.capture.distortion import undistorted_pinhole
+from fipt_blender.core.capture import checks, ingest
+from fipt_blender.core.capture.distortion import Undistortion, undistorted_pinhole
+from fipt_blender.core.capture.encoded import srgb_encoded
 from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.run.errors import FiptError
@@ -136,6 +139,49 @@ def test_distorted_images_and_masks_are_undistorted(tmp_path, run, write):
     assert set(np.unique(first.part_ids())) <= set(np.unique(ids))
     paths = [view["image"] for view in json.loads(run.capture_json.read_text())["views"]]
     assert all(path.startswith("images/") for path in paths)  # the run folder can be moved
+
+
+@pytest.mark.parametrize("value", [0.4, 1e-7, 1e6], ids=["usual", "dark", "bright"])
+def test_large_photographs_are_rewritten_with_the_bits_that_they_have(tmp_path, run, monkeypatch, value):
+    """JPEG as JPEG within a few codes, HDR as half floats where these have its range."""
+    monkeypatch.setattr(ingest, "EXACT_PIXELS", 500)
+    samples = make_samples(2, model="OPENCV")
+    write_transforms(tmp_path / "in", samples)
+    path = tmp_path / "in" / "transforms.json"
+    data = json.loads(path.read_text())
+    hdr, old = (tmp_path / "in" / frame["file_path"] for frame in data["frames"])
+    write_exr(hdr, waves(samples[0]) * np.float32(value))
+    old.unlink()
+    jpeg = old.with_suffix(".jpg")
+    Image.fromarray((255.0 * waves(samples[1])).astype(np.uint8)).save(jpeg, quality=98)
+    data["frames"][1]["file_path"] = f"images/{jpeg.name}"
+    path.write_text(json.dumps(data))
+    run_ingest(tmp_path / "in", run, hold_back=0)
+    views = load_capture(run).views
+    assert [view.encoded for view in views] == [False, True] and views[1].image.suffix == ".jpg"
+    exact = [
+        Undistortion(sample.lens, sample.width, sample.height).image(read_radiance(image))
+        for sample, image in zip(samples, (hdr, jpeg), strict=True)
+    ]
+    np.testing.assert_allclose(views[0].radiance(), exact[0], rtol=5e-4)
+    is_half = OpenEXR.File(str(views[0].image)).channels()["RGB"].pixels.dtype == np.float16
+    assert is_half == (value == 0.4)
+    error = srgb_encoded(views[1].radiance()) - srgb_encoded(exact[1])
+    assert np.abs(error).max() < 4.0 / 255.0 and np.sqrt((error**2).mean()) < 1.0 / 255.0
+
+
+def test_photographs_without_distortion_that_the_disk_lacks_are_refused(tmp_path, run, monkeypatch):
+    write_transforms(tmp_path / "in", make_samples(2, model="OPENCV"))
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))
+    with pytest.raises(FiptError) as error:
+        run_ingest(tmp_path / "in", run)
+    assert error.value.code == "disk-space" and not run.root.exists()
+
+
+def waves(sample):
+    """Smooth values between 0.2 and 0.8, (height, width, 3)."""
+    y, x = np.mgrid[: sample.height, : sample.width] / np.float32(40.0)
+    return np.stack([0.5 + 0.3 * np.sin(x), 0.5 + 0.3 * np.cos(y), 0.6 + 0.0 * x], axis=-1)
 
 
 def test_run_is_moved(tmp_path, run):

@@ -125,6 +125,7 @@ def color_errors(run: RunFolder, capture: SmallCapture) -> np.ndarray:
 def test_it_speaks_of_every_stage_and_names_its_files(finished) -> None:
     run, messages = finished
     stages = [message for message in messages if message["type"] == "stage"]
+    assert messages[0]["type"] == "note" and "megapixels; about" in messages[0]["text"]
     assert [stage["name"] for stage in stages] == STAGES
     assert [(stage["index"], stage["count"]) for stage in stages] == [(i, 6) for i in range(6)]
     fractions = [message["fraction"] for message in messages if message["type"] == "progress"]

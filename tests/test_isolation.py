@@ -35,6 +35,7 @@ SHARED = (
     "run.documents",
     "run.errors",
     "run.hints",
+    "run.light_size",
     "run.lock",
     "run.messages",
     "run.method",

@@ -85,3 +85,14 @@ def test_warnings_of_apply_results_come_last(monkeypatch, tmp_path, applied):
     monkeypatch.setattr(running, "last", lambda kind: job if kind == "materials" else None)
     drawn = drawn_by(materials.FIPT_PT_materials)[0]
     assert drawn[-1] == "2 warnings" and ("fipt.revert" in drawn) is applied
+
+
+def test_the_resolution_of_light_and_the_cost_are_told_before_the_start():
+    settings = bpy.context.scene.fipt
+    settings.capture.train_count, settings.capture.megapixels = 60, 12.2
+    settings.estimate.preset = "draft"
+    text = " ".join(drawn_by(estimate.FIPT_PT_estimate)[0])
+    assert "60 photographs of 12.2 megapixels" in text and "light is solved at" in text
+    assert "About" in text and "minutes" in text and "GB" in text
+    settings.capture.train_count = 0
+    assert "megapixels" not in " ".join(drawn_by(estimate.FIPT_PT_estimate)[0])

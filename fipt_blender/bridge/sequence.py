@@ -288,6 +288,8 @@ class Job:
             elif message["type"] == "warning":
                 self._warnings.append(message)
                 messages.append(message)
+            elif message["type"] == "note":
+                messages.append(message)
             elif message["type"] == "error":
                 process.error = message
         if not process.running:

@@ -44,7 +44,11 @@ class Display:
             print(f"{kind}: {message['text']} {message['remedy']}", file=sys.stderr, flush=True)
         if self._json or self._quiet:
             return
-        if kind == "stage":
+        if kind == "note":
+            self.end_line()
+            self._stream.write(f"{message['text']}\n")
+            self._stream.flush()
+        elif kind == "stage":
             self._text = message["text"]
             self._last = -1e9
         elif kind == "progress":

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
@@ -17,10 +18,13 @@ from .presets import FIPT_PT_estimate_presets
 from .sidebar import Section, SubSection, draw_text
 from .statusbar import status_text
 
+if TYPE_CHECKING:
+    from ..core.run.light_size import LightPlan
+
 # Settings in one column belong together.
 _ADVANCED = (
     ("diffuse_samples", "specular_samples", "light_samples", "denoise"),
-    ("training_steps",),
+    ("light_pixels", "training_steps"),
     ("voxel_resolution", "roughness_levels"),
     ("reject_views", "correct_exposure"),
     ("seed",),
@@ -43,6 +47,7 @@ class FIPT_PT_estimate(Section, bpy.types.Panel):
         column.prop(settings, "device")
         draw_setting(column, settings, "rounds")
 
+        _draw_plan(layout, context)
         state = runstate.known(context.scene.fipt.run_folder)
         job = running.current()
         if job is None or job.kind != "estimate":
@@ -77,6 +82,25 @@ class FIPT_PT_estimate_advanced(SubSection, bpy.types.Panel):
             column = layout.column(align=True)
             for name in names:
                 draw_setting(column, settings, name)
+
+
+def _draw_plan(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """At which resolution light is solved, and what the estimation is expected to cost."""
+    capture = context.scene.fipt.capture
+    if not capture.train_count or not capture.megapixels:
+        return
+    plan = _plan(capture.train_count, capture.megapixels, context.scene.fipt.estimate)
+    draw_text(layout.column(align=True), context, plan.resolution)
+    draw_text(layout.column(align=True), context, plan.cost[0].upper() + plan.cost[1:])
+
+
+def _plan(count: int, megapixels: float, settings: bpy.types.PropertyGroup) -> LightPlan:
+    """The plan of `count` photographs of this mean size."""
+    from ..core.run.light_size import light_plan
+    from ..core.run.settings import make_settings
+
+    size = (round(1000.0 * megapixels), 1000)  # only the number of pixels counts
+    return light_plan([size] * count, make_settings(settings.preset, settings.values()))
 
 
 def draw_setting(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup, name: str) -> None:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 import bpy
 
-from ..blend.marks import FIXTURE_SOURCES, VIEW, view_cameras
+from ..blend.marks import FIXTURE_SOURCES, RESOLUTION, VIEW, view_cameras
 
 FORMATS = (
     ("auto", "Automatic", "Recognize the layout by the files"),
@@ -251,6 +251,9 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
     train_count: bpy.props.IntProperty(description="Number of ticked views for estimation")
     held_back_count: bpy.props.IntProperty(description="Number of ticked views that are held back")
     warning_count: bpy.props.IntProperty(description="Number of ticked views with a warning")
+    megapixels: bpy.props.FloatProperty(
+        description="Millions of pixels of a ticked photograph for estimation, mean; 0 if unknown"
+    )
     misfit: bpy.props.FloatProperty(
         description="Median of the views' misfits in pixels; negative if unknown", default=-1.0
     )
@@ -286,6 +289,9 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         used = [view for view in self.views if view.enabled and view.camera in bpy.data.objects]
         self.train_count = sum(view.split == "train" for view in used)
         self.held_back_count = len(used) - self.train_count
+        sizes = [bpy.data.objects[view.camera].get(RESOLUTION) for view in used if view.split == "train"]
+        areas = [int(size[0]) * int(size[1]) / 1e6 for size in sizes if size is not None]
+        self.megapixels = sum(areas) / len(areas) if areas else 0.0
         self.warning_count = sum(bool(view.warning) for view in used)
         if self.unseen_share >= 0.0:
             from ..blend.capture.survey import coverage_changed

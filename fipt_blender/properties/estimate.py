@@ -19,7 +19,7 @@ PRESETS = (
     (
         "draft",
         "Draft",
-        "A quick preview with noise and soft textures: a few minutes for 40 small photographs",
+        "A quick preview with noise and soft textures: a few minutes, whatever the photographs' size",
     ),
     (
         "medium",
@@ -68,6 +68,14 @@ CHOICES = {
     ),
     "training_steps": Choice(
         ("training_steps",), "Training Steps", "Steps of the training: more steps give sharper textures"
+    ),
+    "light_pixels": Choice(
+        ("light_pixels",),
+        "Light Pixels",
+        "Millions of pixels of all photographs together at which light is solved. Larger photographs are"
+        " averaged: more pixels are slower and show smaller surfaces and shadows",
+        1,
+        1000,
     ),
     "voxel_resolution": Choice(
         ("voxel_resolution",),
@@ -120,7 +128,8 @@ def _property(name: str, choice: Choice) -> object:
 
     def get(self: FIPT_EstimateSettings) -> int:
         changes = _changes(self)
-        return changes[name] if name in changes else getattr(_preset(self.preset), choice.fields[0])
+        value = changes[name] if name in changes else getattr(_preset(self.preset), choice.fields[0])
+        return bool(value) if choice.switch else int(value)
 
     def set_(self: FIPT_EstimateSettings, value: int) -> None:
         import json

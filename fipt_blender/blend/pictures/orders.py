@@ -23,7 +23,7 @@ from .composite import added_objects, compose, not_catching, render_layers, with
 from .cycles import Devices, RenderOptions, can_denoise, user_devices
 from .image_files import photograph, save_exr, save_look, view_entry
 from .photographed import lights_as_photographed
-from .renders import Progress, list_render, render_path, render_view
+from .renders import COMPARED_WIDTH, Progress, list_render, render_path, render_view
 from .view_check import check_view, forget_check
 
 CHECK, INSERT, COMPOSITE = "rerender", "insert", "composite"
@@ -155,7 +155,8 @@ def _render(
         save_exr(path, compose(layers))
     else:
         progress(0.0, 1.0)
-        render_view(scene, view["name"], path, options)
+        widest = COMPARED_WIDTH if order.kind == "rerender" else None
+        render_view(scene, view["name"], path, options, widest)
     list_render(run, order.kind, view["name"], path)
     return path
 

@@ -22,6 +22,8 @@ from .cycles import RenderOptions, render_exr
 # Called before each render with the shares of the whole work (0 to 1) at which it starts and ends.
 Progress = Callable[[float, float], None]
 
+# Most columns of renders that are compared with photographs: those of 12 megapixels would take hours.
+COMPARED_WIDTH = 1920
 _VIEW_SETTINGS = (
     "resolution_x",
     "resolution_y",
@@ -37,8 +39,13 @@ def render_path(run: RunFolder, kind: str, view: str) -> Path:
     return run.renders / kind / f"{view.replace('/', '_')}.exr"
 
 
-def render_view(scene: bpy.types.Scene, view: str, path: Path, options: RenderOptions) -> None:
+def render_view(
+    scene: bpy.types.Scene, view: str, path: Path, options: RenderOptions, widest: int | None = None
+) -> None:
     """Render one view of the capture; the scene's camera and render settings are restored afterwards.
+
+    Args:
+        widest: the render is made smaller than the photograph where that has more columns.
 
     Raises:
         FiptError: ``view-missing``, and those of `render_exr`.
@@ -47,6 +54,8 @@ def render_view(scene: bpy.types.Scene, view: str, path: Path, options: RenderOp
     settings = {name: getattr(scene.render, name) for name in _VIEW_SETTINGS}
     with changed(scene.render, settings), changed(scene, {"camera": camera}):
         use_view(scene, camera)
+        if widest is not None and scene.render.resolution_x > widest:
+            scene.render.resolution_percentage = max(1, 100 * widest // scene.render.resolution_x)
         render_exr(scene, path, options)
 
 
@@ -75,7 +84,7 @@ def render_list(
     paths = []
     for view in views:
         path = render_path(run, kind, view)
-        render_view(scene, view, path, options)
+        render_view(scene, view, path, options, COMPARED_WIDTH)
         list_render(run, kind, view, path)
         paths.append(path)
     return paths

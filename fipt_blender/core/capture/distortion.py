@@ -16,6 +16,9 @@ import pycolmap
 from ..run.errors import FiptError
 from .rig import Lens, Pinhole
 
+# Pixels that are resampled at a time: so few stay in the processor's cache.
+_BAND = 1 << 18
+
 
 def lens_camera(lens: Lens, width: int, height: int) -> pycolmap.Camera:
     """The pycolmap camera of a lens.
@@ -94,12 +97,13 @@ class Undistortion:
             np.arange(self.pinhole.width) + 0.5,
             np.arange(self.pinhole.height) + 0.5,
         )
-        column = np.clip(np.floor(positions[:, 0]).astype(np.int64), 0, width - 1)
-        row = np.clip(np.floor(positions[:, 1]).astype(np.int64), 0, height - 1)
+        # 32 bits hold the index of any pixel (`encoded.MOST_PIXELS`).
+        column = np.clip(np.floor(positions[:, 0]).astype(np.int32), 0, width - 1)
+        row = np.clip(np.floor(positions[:, 1]).astype(np.int32), 0, height - 1)
         self._nearest = row * width + column
         x = np.clip(positions[:, 0] - 0.5, 0.0, width - 1.0)
         y = np.clip(positions[:, 1] - 0.5, 0.0, height - 1.0)
-        left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+        left, top = np.floor(x).astype(np.int32), np.floor(y).astype(np.int32)
         right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
         u, v = (x - left).astype(np.float32), (y - top).astype(np.float32)
         self._corners = (
@@ -111,11 +115,16 @@ class Undistortion:
 
     def image(self, pixels: np.ndarray) -> np.ndarray:
         """Resample an image (source height, source width, C) bilinearly to (height, width, C) float32."""
-        planes = []
-        for plane in np.moveaxis(self._checked(pixels), -1, 0):
-            flat = np.ascontiguousarray(plane, np.float32).ravel()
-            planes.append(sum(weight * flat[index] for index, weight in self._corners))
-        return np.stack(planes, axis=-1).reshape(self.pinhole.height, self.pinhole.width, -1)
+        source = self._checked(pixels)
+        flat = np.ascontiguousarray(source, np.float32).reshape(-1, source.shape[2])
+        result = np.zeros((self.pinhole.height * self.pinhole.width, source.shape[2]), np.float32)
+        for begin in range(0, len(result), _BAND):
+            rows = slice(begin, begin + _BAND)
+            for index, weight in self._corners:
+                corner = flat.take(index[rows], axis=0)
+                corner *= weight[rows, None]
+                result[rows] += corner
+        return result.reshape(self.pinhole.height, self.pinhole.width, -1)
 
     def ids(self, ids: np.ndarray) -> np.ndarray:
         """Resample an id image (source height, source width) by nearest neighbour."""

@@ -23,8 +23,11 @@ from ..run.errors import FiptError
 from ..run.shapes import MOST_SIDE
 
 PILLOW_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF"}
+JPEG_SUFFIXES = (".jpg", ".jpeg")
 # A float image of three channels takes 2 GB; the largest cameras have 151 megapixels.
 MOST_PIXELS = 160_000_000
+# Codes from which on a channel counts as clipped: JPEG's noise blurs the end of the scale.
+CLIPPED_CODE = 250.0
 # What Pillow raises for damaged files.
 DAMAGE = (
     *(UnidentifiedImageError, OSError, ValueError, SyntaxError, struct.error, EOFError, OverflowError),

@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import struct
 import zlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,9 @@ from .encoded import check_pixels, is_encoded, missing, pillow_size, read_encode
 EXR_SUFFIX = ".exr"
 MASK_SUFFIXES = (".exr", ".png")
 HALF_MAX = 65504.0
+# Most pixels of photographs that are decoded at a time; one of 12 megapixels takes up to 0.5 GB.
+DECODED_PIXELS = 50_000_000
+JPEG_QUALITY = 95
 REC709 = np.array([0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290])
 BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 # A display window above the first size must hold data in this share of its pixels.
@@ -149,6 +153,26 @@ def write_exr(path: Path, array: np.ndarray, half: bool = False) -> None:
     OpenEXR.File(header, {name: np.ascontiguousarray(plane) for name, plane in planes.items()}).write(buffer)
     with atomic_path(path) as temporary:
         temporary.write_bytes(buffer.getbuffer())
+
+
+def write_jpeg(path: Path, values: np.ndarray) -> None:
+    """Write values (height, width, 3) from 0 to 1 as JPEG with all colour samples, completely or not at all.
+
+    The error is about one of 255 steps (`JPEG_QUALITY`).
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    codes = np.clip(values * 255.0 + 0.5, 0.0, 255.0).astype(np.uint8)
+    buffer = io.BytesIO()
+    Image.fromarray(codes).save(buffer, "JPEG", quality=JPEG_QUALITY, subsampling=0)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(buffer.getbuffer())
+
+
+def threads_for(pixels: Iterable[int]) -> int:
+    """How many threads may hold a decoded photograph each, of views with these numbers of pixels."""
+    return max(1, DECODED_PIXELS // max(pixels, default=1))
 
 
 def write_ids(path: Path, ids: np.ndarray) -> None:

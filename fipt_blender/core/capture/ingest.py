@@ -18,14 +18,26 @@ import numpy as np
 
 from .. import conventions
 from ..run.errors import FiptError
+from ..run.light_size import refuse_full_disk
 from ..run.messages import Reporter
 from ..run.paths import is_network
 from ..run.runfolder import RunFolder, write_json
 from ..run.settings import make_settings
+from ..run.threads import in_threads
 from . import checks
-from .distortion import is_distorted, lens_pinhole, undistorted_pinhole, undistortion
-from .encoded import file_exposure, is_encoded
-from .images import EXR_SUFFIX, is_rec709, read_ids, read_radiance, read_size, write_exr
+from .distortion import Undistortion, is_distorted, lens_pinhole, undistorted_pinhole, undistortion
+from .encoded import JPEG_SUFFIXES, file_exposure, is_encoded, srgb_encoded
+from .images import (
+    EXR_SUFFIX,
+    HALF_MAX,
+    is_rec709,
+    read_ids,
+    read_radiance,
+    read_size,
+    threads_for,
+    write_exr,
+    write_jpeg,
+)
 from .ingest_options import IngestOptions, check_options, options_of
 from .ingest_options import add_arguments as add_arguments  # of the command
 from .photograph_poses import with_photograph_poses
@@ -33,6 +45,11 @@ from .rig import Pinhole, RigView
 from .source import mesh_fusion, read_source, write_mesh
 from .views import CAPTURE_FORMAT, CAPTURE_VERSION
 
+# Photographs with more pixels than these are rewritten with 8 bits (JPEG) or 16 (HDR) instead of 32: of 12
+# megapixels 144 MB would be written. Smaller ones keep all bits.
+EXACT_PIXELS = 1_000_000
+# The smallest value with all digits of a half float; a photograph's median must be so many times that.
+LEAST_HALF, DARKER = 2.0**-14, 100.0
 ID_IMAGES = ("parts", "semantics", "mask")
 
 
@@ -81,6 +98,8 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     fusion = mesh_fusion(run_folder, capture.absolute(), source, options)
     if fusion is not None:
         reporter.plan([0.2, 0.7, 0.1])
+    remedy = "use photographs whose distortion is undone already, or smaller ones"
+    refuse_full_disk(run_folder.images, sum(_rewritten_bytes(view) for view in views), remedy)
     reporter.stage("images", "Checking photographs")
     exposures = [file_exposure(view.image) for view in views]
     statistics = _check_pixels(views, exposures, options.clamp_negative, reporter)
@@ -254,20 +273,25 @@ def _check_pixels(
         FiptError: those of `read_ids`, `pixel_statistics` and `judge_pixels`.
     """
     statistics = []
-    for index, view in enumerate(views):
-        found = checks.pixel_statistics(view.image, read_radiance(view.image))
-        if is_encoded(view.image):  # clipped and of 8 bits, as is said of all of them at once
-            found = replace(found, looks_ldr=False, clipped=0.0)
+    for found in in_threads(_statistics, views, threads_for(view.width * view.height for view in views)):
         statistics.append(found)
-        for ids in (view.parts, view.semantics, view.mask):
-            if ids is not None:
-                read_ids(ids)
-        reporter.progress((index + 1) / len(views))
+        reporter.progress(len(statistics) / len(views))
     notes = checks.judge_pixels([view.name for view in views], statistics, clamp_negative)
     encoded = [is_encoded(view.image) for view in views]
     for note in [*notes, *checks.judge_encoded(encoded, exposures)]:
         reporter.warning(note.code, note.text, note.remedy)
     return statistics
+
+
+def _statistics(view: RigView) -> checks.PixelStatistics:
+    """What a photograph's values tell; its id images are read, for their errors."""
+    found = checks.pixel_statistics(view.image, read_radiance(view.image))
+    if is_encoded(view.image):  # clipped and of 8 bits, as is said of all of them at once
+        found = replace(found, looks_ldr=False, clipped=0.0)
+    for ids in (view.parts, view.semantics, view.mask):
+        if ids is not None:
+            read_ids(ids)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,11 +319,15 @@ def _write_views(
     """
     written: list[Path] = []
     entries = []
+    # Resamplings are made here, so that the threads share them.
+    work = ((run_folder, checked, _resampling(checked.view), written) for checked in views)
+    most = threads_for(checked.view.width * checked.view.height for checked in views)
     try:
-        for index, checked in enumerate(views):
-            files = _write_images(run_folder, checked, written)
+        for checked, files in zip(
+            views, in_threads(lambda item: _write_images(*item), work, most), strict=True
+        ):
             entries.append(_entry(run_folder, checked, files, world_from_source))
-            reporter.progress((index + 1) / len(views))
+            reporter.progress(len(entries) / len(views))
     except BaseException:
         for path in written:
             path.unlink(missing_ok=True)
@@ -307,39 +335,69 @@ def _write_views(
     return entries
 
 
+def _resampling(view: RigView) -> Undistortion | None:
+    """What undoes a view's distortion; None where it has none."""
+    if not is_distorted(view.lens, view.width, view.height):
+        return None
+    return undistortion(view.lens, view.width, view.height)
+
+
 def _write_images(
-    run_folder: RunFolder, checked: _CheckedView, written: list[Path]
+    run_folder: RunFolder, checked: _CheckedView, resampling: Undistortion | None, written: list[Path]
 ) -> dict[str, Path | None]:
     """Write the images of a view that must be converted; return the paths of all its images.
 
     Bilinear weights are positive, so that no value is negative if clamping precedes the resampling.
 
     Args:
+        resampling: what undoes the distortion, or None.
         written: the files written are appended.
     """
     view = checked.view
     files: dict[str, Path | None] = {"image": view.image, **{kind: getattr(view, kind) for kind in ID_IMAGES}}
-    distorted = is_distorted(view.lens, view.width, view.height)
-    if not distorted and not checked.negative and is_rec709(view.image):
+    if resampling is None and not checked.negative and is_rec709(view.image):
         return files
 
-    def write(kind: str, pixels: np.ndarray) -> None:
-        target = run_folder.images / kind / f"{view.name}.exr"
-        write_exr(target, pixels)
-        written.append(target)
-        files[kind] = target
+    def target(kind: str, suffix: str = EXR_SUFFIX) -> Path:
+        path = run_folder.images / kind / f"{view.name}{suffix}"
+        written.append(path)
+        files[kind] = path
+        return path
 
     pixels = np.maximum(read_radiance(view.image), 0.0)
-    if not distorted:
-        write("image", pixels)
+    if resampling is not None:
+        pixels = resampling.image(pixels)
+    if pixels[..., 0].size > EXACT_PIXELS and view.image.suffix.lower() in JPEG_SUFFIXES:
+        write_jpeg(target("image", ".jpg"), srgb_encoded(pixels))
+    else:
+        write_exr(target("image"), pixels, half=_fits_half(pixels))
+    if resampling is None:
         return files
-    resampling = undistortion(view.lens, view.width, view.height)
-    write("image", resampling.image(pixels))
     for kind in ID_IMAGES:
         source = files[kind]
         if source is not None:
-            write(kind, resampling.ids(read_ids(source)))
+            write_exr(target(kind), resampling.ids(read_ids(source)))
     return files
+
+
+def _rewritten_bytes(view: RigView) -> int:
+    """Expected size of a view's rewritten photograph, 0 where distortion is none."""
+    if not is_distorted(view.lens, view.width, view.height):
+        return 0
+    pixels = view.width * view.height
+    if pixels <= EXACT_PIXELS:
+        return 12 * pixels
+    return (1 if view.image.suffix.lower() in JPEG_SUFFIXES else 6) * pixels
+
+
+def _fits_half(pixels: np.ndarray) -> bool:
+    """Whether a large image's values may be stored with 16 bits, whose relative error is at most 0.05 %."""
+    if pixels[..., 0].size <= EXACT_PIXELS or pixels.max() > HALF_MAX:
+        return False
+    sample = checks.pixel_sample(pixels)
+    positive = sample[sample > 0.0]
+    # Smaller values than LEAST_HALF have larger errors.
+    return positive.size > 0 and float(np.median(positive)) > DARKER * LEAST_HALF
 
 
 def _entry(

@@ -34,8 +34,10 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     # Imported here because these modules need Mitsuba's variant when they are loaded.
     from ..optics.brdf import set_masking
     from .stages import Estimation
+    from .state import announce_plan
 
     set_masking(settings.masking)
+    announce_plan(folder, settings, reporter)
     with workers_at(arguments.cluster) as workers:
         estimation = Estimation(folder, settings, reporter, workers)
         estimation.run()

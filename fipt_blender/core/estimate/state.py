@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import mitsuba as mi
 import numpy as np
 import torch
 
+from ..capture.light_views import light_views
 from ..capture.views import View, load_capture
 from ..device.variant import torch_device
 from ..geometry.stored import prepare_geometry
@@ -39,6 +40,7 @@ from ..run.arrays import check_layouts
 from ..run.checkpoints import SHADINGS, Checkpoints, stage_keys
 from ..run.errors import FiptError
 from ..run.hints import Hint, hints_digest, light_changes, read_hints
+from ..run.light_size import light_plan, refuse_full_disk
 from ..run.messages import Reporter, peak_memory_gb
 from ..run.per_view import LocalWorkers, Workers
 from ..run.run_files import ScanHoles, read_scan_holes
@@ -70,8 +72,29 @@ _ESTIMATE_ARRAYS: dict[str, Layout] = {
 
 def spread_views(views: Sequence[View], share: float) -> list[View]:
     """A share of the views (0 to 1, one at least), spread evenly over their order."""
-    count = max(1, round(share * len(views)))
+    count = min(max(1, round(share * len(views))), len(views))
     return [views[i * len(views) // count] for i in range(count)]
+
+
+def announce_plan(folder: RunFolder, settings: Settings, reporter: Reporter) -> None:
+    """Tell at which resolution light will be solved, and the expected time and disk.
+
+    Raises:
+        FiptError: ``disk-space``, and those of `load_capture`.
+    """
+    views = spread_views(load_capture(folder).train, settings.view_share)
+    if not views:
+        return  # the estimation raises the error
+    plan = light_plan([(view.width, view.height) for view in views], settings)
+    reporter.note(f"{plan.resolution}; {plan.cost}")
+    refuse_full_disk(folder.stage, plan.bytes, "choose a lower preset, or fewer light_pixels")
+
+
+def estimation_views(folder: RunFolder, settings: Settings) -> list[View]:
+    """The views of an estimation that was done in a folder, at the resolution of its pixels."""
+    return light_views(
+        folder, spread_views(load_capture(folder).train, settings.view_share), settings.light_pixels
+    )
 
 
 class EstimationState:
@@ -84,6 +107,9 @@ class EstimationState:
         workers: who does the work that each view needs for itself; None: this process.
 
     Attributes:
+        photographs: the training views that may be used, at full size.
+        plan: at which resolution they are, and the expected cost.
+        views: those that are used, at the resolution of light.
         pixels: all pixels of the training views, with the surface points that they see.
         scale: median radiance of the photographs; all radiance below is in this unit.
         view_check: views that were left out or corrected.
@@ -117,7 +143,10 @@ class EstimationState:
         self.holes = read_scan_holes(folder)
         if not self.capture.train:
             raise FiptError("views-none", "The capture has no training views.", "Add photographs.")
-        self.views = spread_views(self.capture.train, settings.view_share)
+        self.photographs = spread_views(self.capture.train, settings.view_share)
+        self.plan = light_plan([(view.width, view.height) for view in self.photographs], settings)
+        begin = partial(reporter.stage, "light", "Averaging the photographs to the resolution of light")
+        self.views = light_views(folder, self.photographs, settings.light_pixels, begin, reporter.progress)
         if folder.geometry_npz.exists():
             text = "Looking for what the scan lacks"  # takes minutes
             reporter.stage("scan", text if self.holes is None else f"{self.holes.text} {text}")
@@ -375,6 +404,8 @@ class EstimationState:
             "stages": self.checkpoints.facts(),
             "peak_memory_gb": round(peak_memory_gb(), 3),
             "pixels": len(self.pixels),
+            "light_resolution": self.plan.resolution,
+            "expected": self.plan.cost,
             "triangles": len(self.room.triangles),
             "fixtures": len(self.fixtures),
             "part_kind": self.parts.kind,

@@ -15,14 +15,14 @@ from functools import cache
 
 import numpy as np
 
+from ..capture.encoded import CLIPPED_CODE as CLIPPED_CODE
+
 LEVELS = 256
 COMPONENTS = 4
 # Codes between which a curve's contrast is measured, as shares of the highest.
 LOW_ANCHOR, HIGH_ANCHOR = 51, 204
 # Codes below this are mostly noise; curves are steep there.
 LOWEST_CODE = 4.0
-# Codes from which on a channel counts as clipped: JPEG's noise blurs the end of the scale.
-CLIPPED_CODE = 250.0
 # Curves that the basis is made of, and the seed of their parameters.
 DRAWN, SEED = 800, 7
 _GAMMAS = (1.6, 2.8)

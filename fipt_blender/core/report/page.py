@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from ..capture.averaging import means
 from ..capture.images import read_radiance
-from ..capture.views import Capture, load_capture
+from ..capture.views import Capture, View, load_capture
 from ..run.documents import Fields, read_json
 from ..run.messages import Reporter
 from ..run.runfolder import PRODUCT_VERSION, RunFolder
@@ -31,6 +32,7 @@ from .pictures import write_png
 
 MAPS = ("base_color", "roughness", "metallic", "emission")
 MAX_PHOTOS = 8
+PICTURE_WIDTH = 1280  # of photographs and renders on the page, at most; larger ones are averaged
 _TITLES = {
     "rerender": "Re-rendered view",
     "relight": "Estimated lights off, a new area light on",
@@ -102,13 +104,14 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
     capture = load_capture(run) if run.capture_json.exists() else None
     album = _Album(run)
     renders = _optional(run.renders_json, RENDERS).get("renders", [])
-    exposure = _exposure(capture, {entry["view"] for entry in renders})
+    photographs = _Photographs()
+    exposure = _exposure(capture, {entry["view"] for entry in renders}, photographs)
     shots = []
     for index, entry in enumerate(renders):
-        shots.append(_shot(run, capture, entry, album, exposure))
+        shots.append(_shot(run, capture, entry, album, exposure, photographs))
         progress(0.6 * (index + 1) / len(renders))
     values = [shot.psnr for shot in shots if shot.psnr is not None]
-    photos = [] if capture is None else _photos(capture, album, exposure)
+    photos = [] if capture is None else _photos(capture, album, exposure, photographs)
     progress(0.8)
     emitters = _optional(run.emitters_json, EMITTERS)
     statistics = _optional(run.statistics_json, STATISTICS)
@@ -156,30 +159,57 @@ class _Album:
         return f"images/{name}"
 
 
+def _shown(image: np.ndarray) -> np.ndarray:
+    """A scene-linear image (H, W, 3), averaged to `PICTURE_WIDTH` if it is wider."""
+    height, width = image.shape[:2]
+    if width <= PICTURE_WIDTH:
+        return image
+    return means(image, PICTURE_WIDTH, max(1, round(height * PICTURE_WIDTH / width)))
+
+
+class _Photographs:
+    """Photographs of the capture as the page shows them; each is decoded once."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, np.ndarray] = {}
+
+    def of(self, view: View) -> np.ndarray:
+        """Scene-linear radiance (h, w, 3) of a view."""
+        if view.name not in self._known:
+            self._known[view.name] = _shown(view.radiance())
+        return self._known[view.name]
+
+
 def _optional(path: Path, shape: Fields) -> dict[str, Any]:
     """The content of a JSON file of a shape; empty if there is no such file."""
     return read_json(path, shape, "Repeat the step that writes it.") if path.exists() else {}
 
 
-def _exposure(capture: Capture | None, names: set[str]) -> float:
+def _exposure(capture: Capture | None, names: set[str], photographs: _Photographs) -> float:
     """Exposure for all pictures, from the photographs of the views `names` or else from the first one."""
     if capture is None:
         return 1.0
     views = [view for view in capture.views if view.name in names] or list(capture.views[:1])
-    return choose_exposure(float(np.median([np.median(view.radiance()) for view in views])) if views else 0.0)
+    medians = [np.median(photographs.of(view)) for view in views]
+    return choose_exposure(float(np.median(medians)) if medians else 0.0)
 
 
 def _shot(
-    run: RunFolder, capture: Capture | None, entry: Mapping[str, Any], album: _Album, exposure: float
+    run: RunFolder,
+    capture: Capture | None,
+    entry: Mapping[str, Any],
+    album: _Album,
+    exposure: float,
+    photographs: _Photographs,
 ) -> Shot:
     """One Cycles render with the photograph of its view; only a re-render is compared with it."""
     kind, name = str(entry["kind"]), str(entry["view"])
-    image = read_radiance(run.resolve(entry["image"]))
+    image = _shown(read_radiance(run.resolve(entry["image"])))
     shot = Shot(_TITLES.get(kind, kind), name, album.add("render", to_display(image, exposure)))
     view = next((view for view in capture.views if view.name == name), None) if capture else None
     if view is None:
         return shot
-    photo = resize_to(view.radiance(), image.shape[1], image.shape[0])
+    photo = resize_to(photographs.of(view), image.shape[1], image.shape[0])
     shot = replace(shot, photo=album.add("photo", to_display(photo, exposure)))
     if kind != "rerender":
         return shot
@@ -188,11 +218,13 @@ def _shot(
     return replace(shot, error=error, psnr=psnr(image, photo, exposure), held_back=held_back)
 
 
-def _photos(capture: Capture, album: _Album, exposure: float) -> list[dict[str, str]]:
+def _photos(
+    capture: Capture, album: _Album, exposure: float, photographs: _Photographs
+) -> list[dict[str, str]]:
     """Name and picture of up to `MAX_PHOTOS` training views."""
     stride = max(1, math.ceil(len(capture.train) / MAX_PHOTOS))
     return [
-        {"name": view.name, "image": album.add("photo", to_display(view.radiance(), exposure))}
+        {"name": view.name, "image": album.add("photo", to_display(photographs.of(view), exposure))}
         for view in capture.train[::stride]
     ]
 

@@ -30,6 +30,7 @@ _FIELDS = {
             "files": Items(str),
         },
     ),
+    "note": Fields({"text": str}),
     "warning": _PROBLEM,
     "error": _PROBLEM,
     "done": Fields({"files": Items(str), "data": dict}),
@@ -155,6 +156,10 @@ class Reporter:
                 **({"files": list(pictures)} if pictures else {}),
             }
         )
+
+    def note(self, text: str) -> None:
+        """Report a fact that is no problem, such as the expected cost."""
+        self._write({"type": "note", "text": text})
 
     def warning(self, code: str, text: str, remedy: str) -> None:
         """Report a problem that does not stop the command."""

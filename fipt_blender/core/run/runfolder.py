@@ -50,6 +50,7 @@ class RunFolder:
         self.panes_npz = self.root / "panes.npz"
         self.outlines_npz = self.root / "outlines.npz"
         self.linked = self.root / "linked"  # part masks with the ids of other views
+        self.light = self.root / "light"  # views at the resolution of light
         self.hints_json = self.root / "hints.json"
         self.hints_again_json = self.root / "hints_again.json"
         self.stage = self.root / "stage"
@@ -87,7 +88,15 @@ class RunFolder:
             FiptError: ``run-linked``.
         """
         own = [self.images, self.masks, self.linked, self.stage, self.results, self.textures, self.renders]
-        own += [self.report, self.survey, self.align, self.scene_cameras, self.root / "messages", self.log]
+        own += [
+            self.light,
+            self.report,
+            self.survey,
+            self.align,
+            self.scene_cameras,
+            self.root / "messages",
+            self.log,
+        ]
         prepared = ("sparse", "clipped", "parts", "semantics")  # folders of a prepared capture
         own += [self.engine_lock, *(self.root / name for name in prepared)]
         root = os.path.realpath(self.root)

@@ -41,6 +41,12 @@ class Settings:
     device: str = _setting("auto", "auto, cuda or llvm (CPU)", PIXELS)
     rounds: int = _setting(1, "number of times that stages 3 and 2 are repeated after stages 1 and 2", None)
     view_share: float = _setting(1.0, "share of the training views that is used, spread evenly", PIXELS)
+    light_pixels: float = _setting(
+        4.0,
+        "millions of pixels of all views together at which light is solved; larger photographs are averaged"
+        " (not in the paper)",
+        PIXELS,
+    )
     reject_views: bool = _setting(
         True, "leave out photographs that contradict their camera poses (not in the paper)", PIXELS
     )
@@ -216,12 +222,14 @@ class Settings:
 
 PRESETS: dict[str, dict[str, Value]] = {
     "draft": {
+        "light_pixels": 2.0,
         "training_steps": 250,
         "batch_size": 4096,
     },
     "medium": {},
     "high": {
         "rounds": 2,
+        "light_pixels": 8.0,
         "diffuse_spp": 64,
         "specular_spp": 16,
         "light_spp": 32,

@@ -1,0 +1,215 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Views at the resolution of light: budgets, means, majorities, and the files of a run."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fipt_blender.core.capture.averaging import majority, means
+from fipt_blender.core.capture.encoded import CLIPPED_CODE, srgb_decoded, srgb_encoded
+from fipt_blender.core.capture.images import write_exr, write_ids
+from fipt_blender.core.capture.light_views import chosen_views, light_radiance, light_views
+from fipt_blender.core.capture.views import View
+from fipt_blender.core.run import light_size as light_size_module
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.light_size import (
+    LEAST_PIXELS,
+    SPARE_BYTES,
+    light_plan,
+    light_size,
+    light_views_count,
+    refuse_full_disk,
+)
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.settings import make_settings
+
+SIZES = [(5, 3), (7, 4), (10, 6), (31, 17)]
+
+
+def make_view(folder: Path, name: str = "a", size: tuple[int, int] = (60, 40), **changes: object) -> View:
+    width, height = size
+    image = folder / f"{name}.exr"
+    rng = np.random.default_rng(len(name))
+    write_exr(image, rng.uniform(0.1, 2.0, (height, width, 3)).astype(np.float32))
+    view = View(name, "train", image, width, height, 50.0, 52.0, 28.0, 21.0, np.eye(4))
+    return replace(view, **changes)
+
+
+def test_a_budget_that_suffices_changes_no_size() -> None:
+    sizes = [(256, 128)] * 60
+    assert light_size(sizes, 2.0) == sizes
+    assert light_views_count(sizes, 2.0) == 60
+
+
+def test_a_budget_is_shared_evenly_and_small_views_keep_their_size() -> None:
+    sizes = [(4000, 3000), (3000, 4000), (100, 80), (1600, 1200)]
+    found = light_size(sizes, 0.5)
+    areas = [width * height for width, height in found]
+    assert found[2] == (100, 80)
+    assert 0.98 * 0.5e6 < sum(areas) <= 0.5e6
+    assert max(areas) - areas[3] < 0.01 * areas[0]
+    for (width, height), (light_width, light_height) in zip(sizes, found, strict=True):
+        assert light_width / light_height == pytest.approx(width / height, rel=0.01)
+
+
+def test_more_views_than_the_budget_serves_are_thinned_out_by_what_they_see() -> None:
+    assert light_views_count([(4000, 3000)] * 200, 100 * LEAST_PIXELS / 1e6) == 100
+    assert light_views_count([(10, 10)] * 200, 0.02) == 200
+    poses = np.tile(np.eye(4), (6, 1, 1))
+    poses[:, 0, 3] = [0.0, 0.01, 0.02, 5.0, 5.01, 9.0]
+    base = View("a", "train", Path("a.exr"), 400, 300, 1.0, 1.0, 1.0, 1.0, np.eye(4))
+    views = [replace(base, name=str(i), camera_to_world=pose) for i, pose in enumerate(poses)]
+    found = [view.name for view in chosen_views(views, 3 * LEAST_PIXELS / 1e6)]
+    assert len(found) == 3 and found[0] == "0" and "5" in found and {"3", "4"} & set(found)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_means_of_constants_and_ramps_are_exact(size: tuple[int, int]) -> None:
+    width, height = size
+    y, x = np.mgrid[:34, :62].astype(np.float32)
+    image = np.stack([np.full_like(x, 3.0), x + 0.5, y + 0.5], axis=-1)
+    found = means(image, width, height)
+    assert found.shape == (height, width, 3) and found.dtype == np.float32
+    assert found[..., 0] == pytest.approx(3.0, rel=1e-6)
+    # The light of a ramp is that of the pixel's centre; steps at its borders add up to less than a quarter.
+    assert found[0, :, 1] == pytest.approx((np.arange(width) + 0.5) * 62 / width, abs=0.25)
+    assert found[:, 0, 2] == pytest.approx((np.arange(height) + 0.5) * 34 / height, abs=0.25)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_means_keep_the_energy(size: tuple[int, int]) -> None:
+    image = np.random.default_rng(1).exponential(1.0, (34, 62, 3)).astype(np.float32)
+    found = means(image, *size)
+    assert found.mean(axis=(0, 1)) == pytest.approx(image.mean(axis=(0, 1)), rel=1e-5)
+
+
+def test_means_weigh_a_pixel_across_a_border_by_its_area() -> None:
+    row = np.array([1.0, 10.0, 100.0], np.float32)[None, :, None]
+    assert means(row, 2, 1)[0, :, 0] == pytest.approx([(1.0 + 5.0) / 1.5, (5.0 + 100.0) / 1.5])
+
+
+def test_majority_takes_the_most_frequent_id() -> None:
+    ids = np.array([[7, 7, 70000, 0], [7, 9, 0, 0], [3, 3, 5, 5], [4, 4, 5, 2]], np.int32)
+    assert majority(ids, 2, 2).tolist() == [[7, 0], [3, 5]]
+    large = np.kron(np.arange(12).reshape(3, 4), np.ones((11, 7), int))
+    assert majority(large, 4, 3).tolist() == np.arange(12).reshape(3, 4).tolist()
+    assert majority(np.full((5, 5), -1), 2, 3).tolist() == [[-1, -1]] * 3
+
+
+def test_rays_of_light_pixels_agree_with_those_of_the_photograph(tmp_path: Path) -> None:
+    view = make_view(tmp_path, size=(62, 34))
+    light = view.resized(31, 17)
+    full = view.rays(z_depth=True)[1].reshape(34, 62, 3)  # linear in the pixels
+    corner = full[0::2, 0::2] + full[1::2, 0::2] + full[0::2, 1::2] + full[1::2, 1::2]
+    assert np.abs(corner / 4.0 - light.rays(z_depth=True)[1].reshape(17, 31, 3)).max() < 1e-6
+
+
+def test_views_within_the_budget_stay_the_same_objects(tmp_path: Path) -> None:
+    views = [make_view(tmp_path, "a"), make_view(tmp_path, "b")]
+    run = RunFolder(tmp_path / "run")
+    found = light_views(run, views, 1.0)
+    assert all(one is other for one, other in zip(found, views, strict=True))
+    assert not run.root.exists()
+
+
+def test_averaged_files_are_kept_until_their_source_or_size_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(light_size_module, "LEAST_PIXELS", 1)
+    run = RunFolder(tmp_path / "run")
+    write_ids(tmp_path / "parts.png", np.repeat(np.arange(40)[:, None] // 20 + 1, 60, axis=1))
+    mask = np.ones((40, 60), np.int32)
+    mask[0, 0] = 0
+    write_ids(tmp_path / "mask.png", mask)
+    semantics = tmp_path / "classes" / "s.png"
+    write_ids(semantics, np.ones((40, 60), np.int32))
+    (semantics.parent / "classes.json").write_text('{"1": "wall"}', encoding="utf-8")
+    changes = {"parts": tmp_path / "parts.png", "mask": tmp_path / "mask.png", "semantics": semantics}
+    views = [make_view(tmp_path, "room/a", **changes), make_view(tmp_path, "small", size=(9, 6))]
+    started: list[int] = []
+    budget = (60 + 9 * 6) / 1e6
+
+    def lights(pixels: float = budget) -> list[View]:
+        return light_views(run, views, pixels, lambda: started.append(1))
+
+    first = lights()
+    assert (first[0].width, first[0].height) == (9, 6)
+    assert first[1] is views[1]
+    assert first[0].radiance() == pytest.approx(
+        means(views[0].radiance(), first[0].width, first[0].height), rel=1e-6
+    )
+    ids, masked, classes = first[0].part_ids(), first[0].masked(), first[0].semantic_ids()
+    assert ids is not None and set(np.unique(ids)) == {1, 2}
+    assert masked is not None and masked[0, 0] and masked.sum() == 1  # any share spoils the mean
+    assert classes is not None and (first[0].semantics.parent / "classes.json").is_file()  # type: ignore[union-attr]
+    times = {path: path.stat().st_mtime_ns for path in first[0].files}
+    assert lights()[0].files == first[0].files and len(started) == 1
+    assert {path: path.stat().st_mtime_ns for path in first[0].files} == times
+
+    os.utime(views[0].image, ns=(1, 1))
+    again = lights()[0]
+    assert again.image != first[0].image and again.parts == first[0].parts and len(started) == 2
+    assert not first[0].image.exists()  # nothing is left behind
+    lights(1.0)
+    assert not list(run.light.rglob("*.exr"))
+
+
+def test_light_pixels_with_clipped_ones_are_clipped(tmp_path: Path) -> None:
+    codes = np.full((40, 40, 3), 128, np.uint8)
+    codes[:10, :10] = 255  # a lamp that fills one light pixel
+    codes[10:13, 10:12, 0] = 255  # 6 of 100 pixels, red only
+    codes[20, 20] = 255  # one hot pixel of 100
+    Image.fromarray(codes).save(tmp_path / "a.png")
+    view = View("a", "train", tmp_path / "a.png", 40, 40, 50.0, 50.0, 20.0, 20.0, np.eye(4), encoded=True)
+    found = srgb_encoded(light_radiance(view, 4, 4)) * 255.0
+    clipped = found >= CLIPPED_CODE
+    assert clipped[0, 0].all() and clipped[1, 1].tolist() == [True, False, False]
+    assert clipped.sum() == 4
+    grey = srgb_decoded(np.array([128 / 255.0]))[0]
+    assert srgb_decoded(found[2, 2] / 255.0) == pytest.approx(0.99 * grey + 0.01, rel=1e-4)
+
+
+def test_a_missing_photograph_is_named(tmp_path: Path) -> None:
+    view = make_view(tmp_path)
+    view.image.unlink()
+    with pytest.raises(FiptError) as error:
+        light_views(RunFolder(tmp_path / "run"), [view], 1e-3)
+    assert error.value.code == "image-missing" and str(view.image) in error.value.text
+
+
+def test_a_plan_names_resolution_time_and_disk() -> None:
+    settings = make_settings("draft", {"light_pixels": 6.0})
+    plan = light_plan([(4032, 3024)] * 60, settings)
+    assert plan.resolution == "60 photographs of 12.2 megapixels; light is solved at 0.10 megapixels each"
+    assert 5.9 < plan.light_megapixels * 60 <= 6.0
+    few = light_plan([(4032, 3024)] * 2000, settings)
+    assert few.used == 300 and few.resolution.endswith("each of 300 of them")
+    small = light_plan([(256, 128)] * 60, settings)
+    assert small.resolution == "60 photographs of 0.033 megapixels"
+    assert small.seconds < plan.seconds and small.bytes < plan.bytes
+    assert plan.cost.startswith("about ") and plan.cost.endswith(" GB")
+    # The photographs' size hardly changes the cost.
+    assert plan.seconds < 1.5 * light_plan([(1600, 1200)] * 60, settings).seconds
+
+
+def test_a_disk_that_is_too_small_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "run" / "stage"
+    free = SPARE_BYTES + 1000
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=free))
+    refuse_full_disk(folder, 1000, "lower the setting")
+    with pytest.raises(FiptError) as error:
+        refuse_full_disk(folder, 2_000_000_000, "lower the setting")
+    assert error.value.code == "disk-space" and "2.0 GB" in error.value.text
+    assert "lower the setting" in error.value.remedy
+    folder.mkdir(parents=True)
+    (folder / "before.npy").write_bytes(bytes(2000))  # a resumed run writes it over
+    refuse_full_disk(folder, 3000, "lower the setting")
