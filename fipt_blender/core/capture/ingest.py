@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ import numpy as np
 from .. import conventions
 from ..run.errors import FiptError
 from ..run.messages import Reporter
+from ..run.replacing import atomic_folder
 from ..run.runfolder import RunFolder, write_json
 from ..run.settings import make_settings
 from . import checks
@@ -87,13 +89,17 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     if not run_folder.run_json.exists():
         run_folder.create(make_settings())
     mesh = write_mesh(run_folder, source, fusion, fused)
+    with atomic_folder(run_folder.images) as images:
+        entries = _write_views(run_folder, images, checked_views, world_from_source, reporter)
+    with suppress(OSError):
+        run_folder.images.rmdir()  # if nothing had to be converted
     data = {
         "format": CAPTURE_FORMAT,
         "version": CAPTURE_VERSION,
         "source": rig.source,
         "world_from_source": world_from_source.tolist(),
         "mesh": None if mesh is None else str(mesh),
-        "views": _write_views(run_folder, checked_views, world_from_source, reporter),
+        "views": entries,
     }
     # The add-on rewrites capture.json with the views that the artist selects; ingest.json keeps all of them.
     write_json(run_folder.ingest_json, data)
@@ -265,59 +271,53 @@ class _CheckedView:
 
 
 def _write_views(
-    run_folder: RunFolder, views: list[_CheckedView], world_from_source: np.ndarray, reporter: Reporter
+    run_folder: RunFolder,
+    folder: Path,
+    views: list[_CheckedView],
+    world_from_source: np.ndarray,
+    reporter: Reporter,
 ) -> list[dict[str, Any]]:
-    """Write the images that must be converted; return the views' entries in capture.json.
+    """Write the images that must be converted to `folder`; return the views' entries in capture.json.
 
-    If an error occurs, the images that are already written are deleted.
+    These name the images where they will be, in the run's folder of images.
     """
-    written: list[Path] = []
     entries = []
-    try:
-        for index, checked in enumerate(views):
-            files = _write_images(run_folder, checked, written)
-            entries.append(_entry(run_folder, checked, files, world_from_source))
-            reporter.progress((index + 1) / len(views))
-    except BaseException:
-        for path in written:
-            path.unlink(missing_ok=True)
-        raise
+    for index, checked in enumerate(views):
+        written = _write_images(folder, checked)
+        moved = {kind: run_folder.images / path.relative_to(folder) for kind, path in written.items()}
+        view = checked.view
+        files = {"image": view.image, **{kind: getattr(view, kind) for kind in ID_IMAGES}, **moved}
+        entries.append(_entry(run_folder, checked, files, world_from_source))
+        reporter.progress((index + 1) / len(views))
     return entries
 
 
-def _write_images(
-    run_folder: RunFolder, checked: _CheckedView, written: list[Path]
-) -> dict[str, Path | None]:
-    """Write the images of a view that must be converted; return the paths of all its images.
+def _write_images(folder: Path, checked: _CheckedView) -> dict[str, Path]:
+    """Write the images of a view that must be converted to `folder`; return their paths by kind.
 
     Bilinear weights are positive, so that no value is negative if clamping precedes the resampling.
-
-    Args:
-        written: the files written are appended.
     """
     view = checked.view
-    files: dict[str, Path | None] = {"image": view.image, **{kind: getattr(view, kind) for kind in ID_IMAGES}}
+    written: dict[str, Path] = {}
     distorted = is_distorted(view.lens, view.width, view.height)
     if not distorted and not checked.negative and is_rec709(view.image):
-        return files
+        return written
 
     def write(kind: str, pixels: np.ndarray) -> None:
-        target = run_folder.images / kind / f"{view.name}.exr"
-        write_exr(target, pixels)
-        written.append(target)
-        files[kind] = target
+        written[kind] = folder / kind / f"{view.name}.exr"
+        write_exr(written[kind], pixels)
 
     pixels = np.maximum(read_radiance(view.image), 0.0)
     if not distorted:
         write("image", pixels)
-        return files
+        return written
     resampling = undistortion(view.lens, view.width, view.height)
     write("image", resampling.image(pixels))
     for kind in ID_IMAGES:
-        source = files[kind]
+        source = getattr(view, kind)
         if source is not None:
             write(kind, resampling.ids(read_ids(source)))
-    return files
+    return written
 
 
 def _entry(
