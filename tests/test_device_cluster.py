@@ -295,3 +295,14 @@ def test_without_an_address_dask_is_not_imported() -> None:
         "assert not {'dask', 'distributed'} & set(sys.modules)\n"
     )
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+
+
+@pytest.mark.parametrize(
+    ("address", "warned"),
+    [(None, False), ("tls://far:8786", False), ("tcp://127.0.0.1:1", False), ("tcp://[::1]:1", False),
+     ("tcp://far:8786", True), ("far:8786", True), ("ws://far:1", True), ("tcp://10.0.0.2:8786", True)],
+)  # fmt: skip
+def test_a_cluster_on_another_machine_without_tls_is_warned_of(address, warned):
+    warning = cluster.unprotected(address)
+    assert (warning is not None) == warned
+    assert warning is None or f"--cluster tls://{address.partition('://')[2] or address}" in warning[2]

@@ -188,12 +188,37 @@ def test_the_job_makes_a_blend_and_a_report_and_resumes(options, engine):
     engine.clear()
     (options.capture / "2.exr").touch()
     run = RunFolder(options.output)
-    stale, checkpoint = run.results / "old", run.stage / "checkpoint"
-    stale.touch()
+    checkpoint = run.stage / "checkpoint"
     checkpoint.touch()
     assert run_main_job(dataclasses.replace(again, settings=finer))[-1]["type"] == "done"
-    assert engine == ["ingest", "estimate", "textures", "report"] and not stale.exists()
+    assert engine == ["ingest", "estimate", "textures", "report"]
     assert checkpoint.exists(), "the engine knows itself which checkpoints still hold"
+
+
+@pytest.mark.parametrize("resume", [False, True])
+@pytest.mark.parametrize("failing", ["ingest", "estimate"])
+def test_an_estimate_that_fails_leaves_the_one_before_complete(options, engine, monkeypatch, resume, failing):
+    assert run_main_job(options)[-1]["type"] == "done"
+    run = RunFolder(options.output)
+    folders = run.results, run.textures, run.renders, run.report, run.root / "room.blend"
+    files = [path for folder in folders for path in (folder, *folder.rglob("*")) if path.is_file()]
+    before = {path: path.read_bytes() for path in files}
+    assert before
+    stand_in = run_job.engine_command
+
+    def command(python, *arguments):
+        if arguments[0] == failing:
+            return [str(python), "-c", "import os; os.abort()"]
+        return stand_in(python, *arguments)
+
+    monkeypatch.setattr(run_job, "engine_command", command)
+    (options.capture / "2.exr").touch()
+    settings = dataclasses.replace(options.settings, seed=5)
+    again = dataclasses.replace(options, settings=settings, resume=resume)
+    assert run_main_job(again)[-1]["code"] == "engine-crashed"
+    assert {path: path.read_bytes() for path in before} == before
+    monkeypatch.setattr(run_job, "engine_command", stand_in)
+    assert run_main_job(dataclasses.replace(again, resume=True))[-1]["type"] == "done"
 
 
 def test_files_beside_the_mesh_do_not_restart_a_resumed_job(options, engine, tmp_path):

@@ -24,7 +24,7 @@ from fipt_blender.core.run import settings as settings_module
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
-from fipt_blender.jobs import run_job, running
+from fipt_blender.jobs import run_job, running, runstate
 from fipt_blender.operators import estimate
 from fipt_blender.operators.estimate import make_steps, scene_settings, smaller_preset
 from fipt_blender.properties.estimate import CHOICES
@@ -169,6 +169,43 @@ def test_cancelled_while_baking_and_while_training(scene, run, quick):
         assert time.monotonic() - began < 2.0
         assert info.state == "cancelled" and info.error is None and find_engine(run) is None
         assert done(run) == STAGES[:kept] and ops.resume.poll()
+
+
+@posix
+@pytest.mark.parametrize("killed", [False, True])
+def test_a_second_estimate_that_is_stopped_leaves_the_first_one_usable(scene, run, quick, killed):
+    assert ops.estimate() == {"FINISHED"} and ops.apply_results() == {"FINISHED"}
+    folders = run.results, run.textures
+    files = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
+    before = {path: path.read_bytes() for path in files}
+    bpy.data.objects["wall 0"].location.x += 5.0  # the next estimate has another room and other settings
+    quick |= {"diffuse_spp": 2048, "hash_levels": 4}
+    run.messages("estimate").unlink()
+    info = start()
+    tick_to_stage(run, "shadings")
+    if killed:
+        os.kill(find_engine(run).pid, signal.SIGKILL)
+    else:
+        ops.cancel()
+    tick_to_end()
+    assert info.state == ("failed" if killed else "cancelled")
+    assert {path: path.read_bytes() for path in before} == before
+    state = runstate.look(run)
+    assert state.results and not state.finished and state.stages == 1 and ops.resume.poll()
+    assert not ops.reestimate.poll()  # its stages are those of the new one
+    bpy.data.objects["wall 0"].location.x -= 5.0
+    scene.fipt.materials.texel_density = 20.0  # so that the textures are baked again, from the first results
+    assert ops.apply_results() == {"FINISHED"}
+    assert read_json(run.room_json)["objects"] and {
+        path: path.read_bytes()
+        for path in files
+        if path.is_relative_to(run.results) and "maps" not in path.parts
+    } == {
+        path: data
+        for path, data in before.items()
+        if path.is_relative_to(run.results) and "maps" not in path.parts
+    }
+    assert run.read().hash_levels == 4 and run.read_estimated().hash_levels == QUICK["hash_levels"]
 
 
 def test_no_engine_is_said_before_anything_is_made(scene, tmp_path, monkeypatch):

@@ -15,6 +15,7 @@ import bpy
 import numpy as np
 import pytest
 
+import fipt_blender
 from fipt_blender.blend.lights import light_state
 from fipt_blender.blend.marks import KEPT_PHOTOGRAPH, STOPS, estimated_objects
 from fipt_blender.blend.pictures import check_pictures, composite, image_files, orders, render_job, view_check
@@ -354,6 +355,28 @@ def test_the_report_is_written_and_opened_on_demand(run, monkeypatch):
     page.unlink()
     with pytest.raises(RuntimeError, match="no longer exists"):
         bpy.ops.fipt.open_report()
+
+
+@pytest.mark.parametrize("name", ["evil.desktop", "report/evil.html", "report/index.html"])
+def test_only_the_report_of_a_run_is_opened_whatever_the_file_names(tmp_path, monkeypatch, name):
+    opened = []
+    monkeypatch.setattr(webbrowser, "open", lambda url, *_, **__: opened.append(url) or True)
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    path.touch()
+    if name != "report/index.html":  # the last one is in no run folder
+        (tmp_path / "run.json").touch()
+    bpy.context.scene.fipt.check.report = str(path)
+    with pytest.raises(RuntimeError, match="not the report of a run"):
+        bpy.ops.fipt.open_report()
+    assert not opened
+
+
+def test_no_file_is_opened_with_its_scripts():
+    package = Path(fipt_blender.__file__).parent
+    lines = [line for path in package.rglob("*.py") for line in path.read_text("utf-8").splitlines()]
+    opening = [line for line in lines if "open_mainfile(" in line]
+    assert opening and all("use_scripts=False" in line for line in opening)
 
 
 def test_a_second_blender_carries_out_the_order(run, tmp_path):

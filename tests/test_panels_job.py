@@ -34,13 +34,22 @@ def finished(monkeypatch, tmp_path) -> None:
     job = running.RunningJob("Estimate", "estimate", bpy.context.scene.name, tmp_path, state="finished")
     job.warnings += WARNINGS
     monkeypatch.setattr(running, "last", lambda kind: job if kind == "estimate" else None)
-    monkeypatch.setattr(runstate, "known", lambda folder: runstate.RunState(stages=5, finished=True))
+    monkeypatch.setattr(
+        runstate, "known", lambda folder: runstate.RunState(stages=5, results=True, finished=True)
+    )
 
 
 @pytest.mark.usefixtures("finished")
 def test_after_an_estimation_the_way_on_comes_before_its_warnings():
     drawn = drawn_by(estimate.FIPT_PT_estimate)[0]
     assert drawn[-3:] == ["Finished", "fipt.apply_results", "2 warnings"]
+
+
+def test_results_of_the_estimate_before_can_be_applied_while_a_new_one_is_stopped(monkeypatch, tmp_path):
+    bpy.context.scene.fipt.run_folder = str(tmp_path)
+    monkeypatch.setattr(runstate, "known", lambda folder: runstate.RunState(stages=2, results=True))
+    drawn = drawn_by(estimate.FIPT_PT_estimate)[0]
+    assert {"fipt.resume", "fipt.apply_results"} <= set(drawn) and "Finished" not in drawn
 
 
 @pytest.mark.usefixtures("finished")
@@ -52,7 +61,7 @@ def test_opened_warnings_show_what_helps():
 
 def test_warnings_of_an_estimation_that_another_blender_has_run(monkeypatch, tmp_path):
     bpy.context.scene.fipt.run_folder = str(tmp_path)
-    state = runstate.RunState(stages=5, finished=True, warnings=tuple(WARNINGS[:1]))
+    state = runstate.RunState(stages=5, results=True, finished=True, warnings=tuple(WARNINGS[:1]))
     monkeypatch.setattr(runstate, "known", lambda folder: state)
     monkeypatch.setattr(running, "last", lambda kind: None)
     assert drawn_by(estimate.FIPT_PT_estimate)[0][-1] == "1 warning"

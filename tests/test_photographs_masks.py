@@ -228,6 +228,21 @@ def test_unusable_models_are_refused(model: Path, tmp_path: Path) -> None:
         open_masks_model(tmp_path / "nowhere")
 
 
+@pytest.mark.parametrize(
+    "name", ["evil.bin", "../x.safetensors", "/x.safetensors", "a\\x.safetensors", "C:x.safetensors", ""]
+)
+def test_weights_outside_the_folder_or_of_another_kind_are_refused(
+    model: Path, tmp_path: Path, name: str
+) -> None:
+    folder = tmp_path / "model"
+    shutil.copytree(model, folder)
+    index = folder / "model.safetensors.index.json"
+    index.write_text(json.dumps({"weight_map": {"a": "model.safetensors", "b": name}}), encoding="utf-8")
+    with pytest.raises(FiptError) as caught:
+        open_masks_model(folder)
+    assert caught.value.code == "model-unusable" and index.name in caught.value.text
+
+
 def test_weights_that_are_missing_are_told(model: Path, tmp_path: Path) -> None:
     """transformers alone would fill them with random numbers."""
     broken = mask_models.write_without_weight(tmp_path / "model", model, "class_")

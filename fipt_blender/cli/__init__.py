@@ -86,7 +86,7 @@ def _export(arguments: argparse.Namespace) -> int:
         if not blend.is_file():
             raise FiptError("file-missing", f"{blend} does not exist.", "Give a .blend file with results.")
         try:
-            bpy.ops.wm.open_mainfile(filepath=str(blend), load_ui=False)
+            bpy.ops.wm.open_mainfile(filepath=str(blend), load_ui=False, use_scripts=False)
         except RuntimeError as error:
             text = f"{blend} can't be opened ({str(error).strip()})."
             raise FiptError("file-damaged", text, "Give a .blend file with results.") from None

@@ -21,9 +21,9 @@ from ..core.run.errors import FiptError
 from ..core.run.hints import Hint, hints_digest, read_hints, write_hints
 from ..core.run.method import method_digest
 from ..core.run.runfolder import PRODUCT_VERSION, RunFolder
-from ..core.run.settings import Settings
+from ..core.run.settings import TEXTURE_SETTINGS, Settings
 from .fingerprints import folder_fingerprint, mesh_fingerprint
-from .options import BLEND_NAME, TEXTURE_SETTINGS, MainJobOptions, check_options, ingest_arguments
+from .options import BLEND_NAME, MainJobOptions, check_options, ingest_arguments
 from .run_job import find_launch, ingest_step, masks_step, open_job, refuse_busy
 
 if TYPE_CHECKING:
@@ -80,10 +80,9 @@ def _remove(*paths: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def _empty(*folders: Path) -> None:
-    _remove(*folders)
-    for folder in folders:
-        folder.mkdir()
+def _empty(folder: Path) -> None:
+    _remove(folder)
+    folder.mkdir()
 
 
 def estimate_step(
@@ -103,7 +102,7 @@ def estimate_step(
         inputs={**values, "method": method_digest(), "hints": _hints_digests(run)},
         command=["estimate", str(run.root), *([] if cluster is None else [f"--cluster={cluster}"])],
         outputs=[run.fields_npz, run.emitters_json],
-        reset=lambda: _empty(*([] if resume else [run.stage]), run.results),
+        reset=None if resume else lambda: _empty(run.stage),
     )
 
 
@@ -160,7 +159,6 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
             inputs={"parts": options.parts},
             function=lambda: room().export_room(),
             outputs=[run.room_npz, run.room_json],
-            reset=lambda: _remove(run.room_npz, run.room_json),
         ),
         estimate_step(run, options.settings, options.resume, options.cluster),
         *_result_steps(options, run, room),
@@ -192,7 +190,6 @@ def _capture_step(options: MainJobOptions, run: RunFolder) -> Step:
             "masks": None if model is None else folder_fingerprint(model),
         },
         outputs=[run.capture_json],
-        reset=lambda: _remove(run.capture_json, run.images),
     )
 
 
@@ -214,7 +211,6 @@ def _result_steps(options: MainJobOptions, run: RunFolder, room: Callable[[], Ro
             20.0,
             command=["textures", str(run.root)],
             outputs=[run.textures],
-            reset=lambda: _remove(run.textures),
         ),
         Step(
             "save",

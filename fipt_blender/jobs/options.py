@@ -13,7 +13,6 @@ from ..core.run.settings import Settings
 BLEND_NAME = "room.blend"
 PARTS = ("auto", "masks", "semantics", "materials", "objects", "loose", "none")
 RENDER_KINDS = ("rerender", "relight", "insert")
-TEXTURE_SETTINGS = ("texel_density", "texture_size", "atlas_mode", "write_back", "clean_mesh")
 
 
 @dataclass(frozen=True, kw_only=True)

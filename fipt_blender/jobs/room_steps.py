@@ -111,7 +111,7 @@ class RoomSteps:
 
     def open_blend(self) -> None:
         """Restore the state after `apply_and_save`."""
-        bpy.ops.wm.open_mainfile(filepath=str(self._run.root / BLEND_NAME), load_ui=False)
+        bpy.ops.wm.open_mainfile(filepath=str(self._run.root / BLEND_NAME), load_ui=False, use_scripts=False)
 
     def rerender(self) -> None:
         """Render the chosen view and further held-back views, as photographed."""

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
@@ -30,13 +30,15 @@ class RunState:
 
     Attributes:
         stages: number of finished stages.
-        finished: whether the results exist.
+        results: whether the results of an estimation exist.
+        finished: whether they are those of the last estimation, which has finished then.
         engine: the command of the engine at work there, or "".
         warnings, error: warnings of the last run, and the error that ended it.
         pictures: the newest preview images.
     """
 
     stages: int = 0
+    results: bool = False
     finished: bool = False
     engine: str = ""
     warnings: tuple[Message, ...] = ()
@@ -100,9 +102,12 @@ def look(run: RunFolder) -> RunState:
             error = message
         elif message.get("files") and message["type"] == "progress":
             pictures = tuple(run.root / name for name in message["files"])
+    results = run.statistics_json.exists() and run.emitters_json.exists() and run.fields_npz.exists()
+    stages = _stages(run.stages_json)
     return RunState(
-        stages=_stage_count(run.stage / "stages.json"),
-        finished=run.statistics_json.exists() and run.emitters_json.exists() and run.fields_npz.exists(),
+        stages=0 if stages is None else len(stages["stages"]),
+        results=results,
+        finished=results and _of_last_estimation(run, stages),
         engine=engine.command[0] if engine is not None else "",
         warnings=tuple(warnings),
         error=error,
@@ -120,14 +125,22 @@ def _look_soon() -> None:
             listener(Path(folder), state, state != previous)
 
 
-def _stage_count(path: Path) -> int:
+def _stages(path: Path) -> dict[str, Any] | None:
     from ..core.run.documents import load_document
     from ..core.run.shapes import STAGES
 
     try:
-        return len(load_document(path, STAGES)["stages"])
+        return load_document(path, STAGES)
     except (OSError, ValueError):
-        return 0
+        return None
+
+
+def _of_last_estimation(run: RunFolder, stages: dict[str, Any] | None) -> bool:
+    """Whether the results come from the last estimation, which has done `stages`."""
+    done = _stages(run.results / run.stages_json.name)
+    if done is None:  # results of an earlier version
+        return stages is None or stages["keys"].keys() <= stages["stages"].keys()
+    return stages is not None and stages["keys"] == done["keys"]
 
 
 def _messages(path: Path) -> list[Message]:

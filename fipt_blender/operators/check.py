@@ -206,7 +206,12 @@ class FIPT_OT_open_report(bpy.types.Operator):
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        # The path comes from the .blend file, whoever made that.
         page = Path(bpy.path.abspath(context.scene.fipt.check.report))
+        run = RunFolder(page.parent.parent)
+        if page != run.report / "index.html" or not run.run_json.is_file():
+            self.report({"ERROR"}, f"{page} is not the report of a run. Write the report again.")
+            return {"CANCELLED"}
         if not page.is_file():
             self.report({"ERROR"}, f"{page} no longer exists. Write the report again.")
             return {"CANCELLED"}

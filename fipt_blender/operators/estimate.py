@@ -96,7 +96,7 @@ class FIPT_OT_estimate(_Estimation, bpy.types.Operator):
     bl_label = "Estimate"
     bl_description = (
         "Estimate the materials and lights of the room from its photographs. You can continue to work"
-        " meanwhile; Esc stops it. The results of an earlier estimate are replaced"
+        " meanwhile; Esc stops it. The results of an earlier estimate are replaced when it has finished"
     )
 
     keep: bpy.props.BoolProperty(
@@ -291,8 +291,7 @@ def scene_settings(scene: bpy.types.Scene) -> Settings:
     Raises:
         FiptError: ``setting-invalid``; those of `RunFolder.read`.
     """
-    from ..core.run.settings import make_settings
-    from ..jobs.options import TEXTURE_SETTINGS
+    from ..core.run.settings import TEXTURE_SETTINGS, make_settings
 
     state = scene.fipt.estimate
     device = machine.device_setting() if state.device == "preferences" else state.device

@@ -81,6 +81,7 @@ def chosen_settings(scene: bpy.types.Scene, run: RunFolder) -> Settings:
     from dataclasses import replace
 
     settings = run.read()
+    run.recover()
     if not run.fields_npz.is_file() or not run.emitters_json.is_file():
         raise FiptError(
             "results-missing",
@@ -131,7 +132,7 @@ def make_steps(scene_name: str, run: RunFolder, settings: Settings) -> list[Step
             "apply-atlas",
             "Creating texture coordinates",
             _ATLAS_SECONDS,
-            inputs={"room": _stamp(run.room_npz), **atlas_values},
+            inputs={"room": _stamp(run.estimated().room_npz), **atlas_values},
             function=lay_out,
             outputs=[run.atlas_npz, run.atlas_json],
         ),

@@ -122,7 +122,9 @@ def _draw_state(layout: bpy.types.UILayout, context: bpy.types.Context, state: r
         text = iface_("Stopped. Finished stages: {}").format(state.stages)
         layout.label(text=text, icon="PAUSE", translate=False)
     _draw_pictures(layout, state.pictures)
-    if state.finished:
+    if state.results:
+        if not state.finished:
+            layout.label(text="The results are those of the estimate before", icon="INFO")
         layout.operator("fipt.apply_results", icon="MATERIAL")
 
 

@@ -79,7 +79,7 @@ def make_order(scene: bpy.types.Scene, run: RunFolder, kind: str, views: Sequenc
     room = [item.name for item in scene.fipt.capture.room_objects(scene)]
     if not room:
         raise FiptError("room-missing", "The scene has no room.", "Choose it in the section Capture.")
-    capture = read_capture(run.capture_json)
+    capture = read_capture(run.estimated().capture_json)
     for view in views:
         view_entry(capture, view)
         find_camera(view, scene)
@@ -105,7 +105,7 @@ def carry_out(order: Order, progress: Progress = lambda low, high: None) -> list
     scene = bpy.data.scenes.get(order.scene)
     if scene is None:
         raise FiptError("scene-gone", f"There is no scene '{order.scene}'.", "Start the render again.")
-    capture = read_capture(run.capture_json)
+    capture = read_capture(run.estimated().capture_json)
     room = set(order.room)
     warnings: list[Message] = []
     with ExitStack() as stack:

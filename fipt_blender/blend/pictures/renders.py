@@ -109,7 +109,7 @@ def render_cycles_views(
         relight: {"vertices": four corners in Blender's world, counter-clockwise seen from its front,
             "radiance": rgb}; the estimated lights are then off.
     """
-    bpy.ops.wm.open_mainfile(filepath=str(blend_file), load_ui=False)
+    bpy.ops.wm.open_mainfile(filepath=str(blend_file), load_ui=False, use_scripts=False)
     scene = bpy.context.scene
     if relight is None:
         return render_list(run, scene, "rerender", views, options)

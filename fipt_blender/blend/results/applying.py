@@ -208,7 +208,7 @@ def _prepared_mesh(name: str) -> bpy.types.Mesh:
 
 
 def _read(run: RunFolder) -> _Results:
-    room = read_room(run)
+    room = read_room(run.estimated())
     count = len(room.triangles)
     atlas, arrays = read_atlas(run, count)
     corner_fields: dict[str, np.ndarray] = {}
@@ -234,9 +234,9 @@ def _read(run: RunFolder) -> _Results:
 
 def _cleaned_scan(run: RunFolder, room: Room) -> dict[str, np.ndarray] | None:
     """The cleaned copy of the run's scan, None where the mesh is no scan or the scan is to be kept."""
-    if not run.read().clean_mesh:
+    if not run.read_estimated().clean_mesh:
         return None
-    return read_outlined(run, {"vertices": room.vertices, "triangles": room.triangles})
+    return read_outlined(run.estimated(), {"vertices": room.vertices, "triangles": room.triangles})
 
 
 def _read_corner_fields(path: Path, count: int) -> dict[str, np.ndarray]:
@@ -287,7 +287,7 @@ def _swap_in(
     for index, (_, mesh) in targets.items():
         materials.assign(mesh, room, index)
     warnings = [*warnings, *materials.finish()]
-    settings = run.read()
+    settings = run.read_estimated()
     if settings.write_back == "cycles":
         for material in materials.made.values():
             agree_with_model(material, settings.masking)

@@ -32,7 +32,7 @@ _UNKNOWN = (0.5, 0.5, 0.5)
 def note_parts(scene: bpy.types.Scene, run: RunFolder) -> None:
     """List the parts that have faces in the scene's results, those that most pixels saw first."""
     settings = scene.fipt.materials
-    room = read_room(run)
+    room = read_room(run.estimated())
     faces = _face_counts(scene)
     active = settings.active_part_key()
     parts = [

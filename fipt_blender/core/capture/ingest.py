@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from ..run.errors import FiptError
 from ..run.light_size import refuse_full_disk
 from ..run.messages import Reporter
 from ..run.paths import is_network
+from ..run.replacing import atomic_folder
 from ..run.runfolder import RunFolder, write_json
 from ..run.settings import make_settings
 from ..run.threads import in_threads
@@ -118,13 +120,17 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     if not run_folder.run_json.exists():
         run_folder.create(make_settings())
     mesh = write_mesh(run_folder, source, fusion, fused)
+    with atomic_folder(run_folder.images) as images:
+        entries = _write_views(run_folder, images, checked_views, world_from_source, reporter)
+    with suppress(OSError):
+        run_folder.images.rmdir()  # if nothing had to be converted
     data = {
         "format": CAPTURE_FORMAT,
         "version": CAPTURE_VERSION,
         "source": rig.source,
         "world_from_source": world_from_source.tolist(),
         "mesh": None if mesh is None else str(mesh),
-        "views": _write_views(run_folder, checked_views, world_from_source, reporter),
+        "views": entries,
     }
     # The add-on rewrites capture.json with the views that the artist selects; ingest.json keeps all of them.
     write_json(run_folder.ingest_json, data)
@@ -311,27 +317,28 @@ class _CheckedView:
 
 
 def _write_views(
-    run_folder: RunFolder, views: list[_CheckedView], world_from_source: np.ndarray, reporter: Reporter
+    run_folder: RunFolder,
+    folder: Path,
+    views: list[_CheckedView],
+    world_from_source: np.ndarray,
+    reporter: Reporter,
 ) -> list[dict[str, Any]]:
-    """Write the images that must be converted; return the views' entries in capture.json.
+    """Write the images that must be converted to `folder`; return the views' entries in capture.json.
 
-    If an error occurs, the images that are already written are deleted.
+    These name the images where they will be, in the run's folder of images.
     """
-    written: list[Path] = []
     entries = []
     # Resamplings are made here, so that the threads share them.
-    work = ((run_folder, checked, _resampling(checked.view), written) for checked in views)
+    work = ((folder, checked, _resampling(checked.view)) for checked in views)
     most = threads_for(checked.view.width * checked.view.height for checked in views)
-    try:
-        for checked, files in zip(
-            views, in_threads(lambda item: _write_images(*item), work, most), strict=True
-        ):
-            entries.append(_entry(run_folder, checked, files, world_from_source))
-            reporter.progress(len(entries) / len(views))
-    except BaseException:
-        for path in written:
-            path.unlink(missing_ok=True)
-        raise
+    for checked, written in zip(
+        views, in_threads(lambda item: _write_images(*item), work, most), strict=True
+    ):
+        moved = {kind: run_folder.images / path.relative_to(folder) for kind, path in written.items()}
+        view = checked.view
+        files = {"image": view.image, **{kind: getattr(view, kind) for kind in ID_IMAGES}, **moved}
+        entries.append(_entry(run_folder, checked, files, world_from_source))
+        reporter.progress(len(entries) / len(views))
     return entries
 
 
@@ -342,27 +349,22 @@ def _resampling(view: RigView) -> Undistortion | None:
     return undistortion(view.lens, view.width, view.height)
 
 
-def _write_images(
-    run_folder: RunFolder, checked: _CheckedView, resampling: Undistortion | None, written: list[Path]
-) -> dict[str, Path | None]:
-    """Write the images of a view that must be converted; return the paths of all its images.
+def _write_images(folder: Path, checked: _CheckedView, resampling: Undistortion | None) -> dict[str, Path]:
+    """Write the images of a view that must be converted to `folder`; return their paths by kind.
 
     Bilinear weights are positive, so that no value is negative if clamping precedes the resampling.
 
     Args:
         resampling: what undoes the distortion, or None.
-        written: the files written are appended.
     """
     view = checked.view
-    files: dict[str, Path | None] = {"image": view.image, **{kind: getattr(view, kind) for kind in ID_IMAGES}}
+    written: dict[str, Path] = {}
     if resampling is None and not checked.negative and is_rec709(view.image):
-        return files
+        return written
 
     def target(kind: str, suffix: str = EXR_SUFFIX) -> Path:
-        path = run_folder.images / kind / f"{view.name}{suffix}"
-        written.append(path)
-        files[kind] = path
-        return path
+        written[kind] = folder / kind / f"{view.name}{suffix}"
+        return written[kind]
 
     pixels = np.maximum(read_radiance(view.image), 0.0)
     if resampling is not None:
@@ -372,12 +374,12 @@ def _write_images(
     else:
         write_exr(target("image"), pixels, half=_fits_half(pixels))
     if resampling is None:
-        return files
+        return written
     for kind in ID_IMAGES:
-        source = files[kind]
+        source = getattr(view, kind)
         if source is not None:
             write_exr(target(kind), resampling.ids(read_ids(source)))
-    return files
+    return written
 
 
 def _rewritten_bytes(view: RigView) -> int:

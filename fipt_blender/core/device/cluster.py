@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 from ..run.errors import FiptError
 from ..run.method import method_digest
@@ -37,6 +38,7 @@ _GRACE_SECONDS = 1.0
 # A run ends after this time without any worker; a worker that is restarted is back by then.
 WORKERS_SECONDS = 60.0
 POLL_SECONDS = 2.0
+_THIS_MACHINE = ("localhost", "127.0.0.1", "::1")
 # Views submitted for each worker, so that none waits for its next view.
 _AHEAD = 2
 # Packages whose versions affect the last bits of results.
@@ -80,6 +82,21 @@ def workers_at(address: str | None) -> Iterator[Workers]:
         return
     with _connect(address) as client:
         yield ClusterWorkers(client)
+
+
+def unprotected(address: str | None) -> tuple[str, str, str] | None:
+    """Code, text and remedy of a warning if a cluster's messages cross the network without TLS."""
+    if address is None or address.startswith(("tls://", "wss://", "inproc://")):
+        return None
+    host = urlsplit(address if "://" in address else f"tcp://{address}").hostname or ""
+    if host in _THIS_MACHINE:
+        return None
+    place = address.partition("://")[2] or address
+    return (
+        "cluster-unprotected",
+        f"The cluster at '{address}' is used without TLS: whoever reaches its network can run code here.",
+        f"Use --cluster tls://{place}, with certificates in Dask's configuration (docs/architecture.md).",
+    )
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..device.cluster import workers_at
+from ..device.cluster import unprotected, workers_at
 from ..device.variant import set_variant
 from ..run.messages import Reporter
 from ..run.runfolder import RunFolder
@@ -37,6 +37,8 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     from .state import announce_plan
 
     set_masking(settings.masking)
+    if (danger := unprotected(arguments.cluster)) is not None:
+        reporter.warning(*danger)
     announce_plan(folder, settings, reporter)
     with workers_at(arguments.cluster) as workers:
         estimation = Estimation(folder, settings, reporter, workers)

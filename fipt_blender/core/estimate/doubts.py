@@ -8,7 +8,6 @@ pixels, how much that matters.
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,7 +94,7 @@ def write_doubts(
     decided: np.ndarray,
     names: np.ndarray,
 ) -> None:
-    """Write results/doubts.json and its pictures, the most doubtful part first.
+    """Write doubts.json and its pictures into new results, the most doubtful part first.
 
     Args:
         data, cells: the last closed-form estimate.
@@ -111,7 +110,6 @@ def write_doubts(
     total = counts.sum(axis=0)
     doubts = group_doubts(materials.error, total, bright_of, decided_of)
     order = np.argsort(-doubts.score, kind="stable")[:MOST_DOUBTS]
-    shutil.rmtree(folder.doubts, ignore_errors=True)
     entries = []
     for number, group in enumerate(order[doubts.score[order] > 0.0].tolist(), start=1):
         lamp = bool(doubts.lamp[group] >= doubts.material[group])

@@ -42,13 +42,12 @@ def area_names(hints: SurfaceHints | None, units: Units) -> dict[int, str]:
 
 
 def write_left_alone(folder: RunFolder, left_alone: np.ndarray | None) -> None:
-    """Write which triangles ((T,) bool) keep their own material; no file where there are none.
+    """Write into new results which triangles ((T,) bool) keep their own material; no file without any.
 
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
     if left_alone is None:
-        folder.left_alone_npz.unlink(missing_ok=True)
         return
     with atomic_path(folder.left_alone_npz) as temporary:
         np.savez_compressed(temporary, left_alone=left_alone)

@@ -37,7 +37,8 @@ from ..material.training import (
 from ..material.training_input import training_input
 from ..run.checkpoints import HINTED_ESTIMATE, HINTED_LAMPS, HINTED_TRAINING, UNFINISHED, DamagedStage
 from ..run.errors import FiptError
-from ..run.runfolder import write_json
+from ..run.replacing import atomic_folder, keep_inputs
+from ..run.runfolder import RunFolder, write_json
 from .doubts import write_doubts
 from .hinted import area_names, write_left_alone
 from .part_list import write_part_list
@@ -244,12 +245,15 @@ class MaterialStages(EstimationState):
             fixtures, colors = separate(self.fixtures, pixels)
         light = RoomLight(fixtures, colors, self.observations.environment, self.view_check.lamps)
         fields = self._room_fields(errors)
-        write_results(self.folder, fields, light, self.scale, self.reporter)
         areas = area_names(self.hints, self.units)
-        names = write_part_list(self.folder, self.room, self.parts, self.views, self.pixels, fields, areas)
-        write_left_alone(self.folder, left_alone)
-        self._write_doubts(np.array([*names, ""], object)[fields.units.triangle])
-        write_json(self.folder.statistics_json, self.summary())
+        with atomic_folder(self.folder.results) as new:
+            folder = RunFolder(self.folder.root, results=new.name)
+            write_results(folder, fields, light, self.scale, self.reporter)
+            names = write_part_list(folder, self.room, self.parts, self.views, self.pixels, fields, areas)
+            write_left_alone(folder, left_alone)
+            self._write_doubts(folder, np.array([*names, ""], object)[fields.units.triangle])
+            write_json(folder.statistics_json, self.summary())
+            keep_inputs(folder, new)
 
     def _cell_errors(self, unused: np.ndarray) -> np.ndarray:
         """(C, 3) standard errors in the seen cells, without the pixels of `unused` triangles (T,)."""
@@ -264,9 +268,9 @@ class MaterialStages(EstimationState):
         of_light = light_errors(self.room, self.fixtures, (lit.points, lit.normals), doubt, seed)
         return add_light_errors(errors, lit, of_light)
 
-    def _write_doubts(self, names: np.ndarray) -> None:
+    def _write_doubts(self, folder: RunFolder, names: np.ndarray) -> None:
         data, cells, bright = self._closed_form()
         decided = np.zeros(len(bright), bool)
         if self.hints is not None:
             decided = self.hints.of_triangles(self.hints.emits) != 0
-        write_doubts(self.folder, data, cells, bright, decided, names)
+        write_doubts(folder, data, cells, bright, decided, names)

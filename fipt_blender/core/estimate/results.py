@@ -47,7 +47,6 @@ def write_results(
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
-    folder.results.mkdir(parents=True, exist_ok=True)
     fields.save(folder)
     environment, described_environment = light.environment, None
     if environment is not None:

@@ -9,6 +9,7 @@ prepared here, as the models' processors do it, because those need torchvision.
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,8 @@ _CONFIG = Fields(
     },
 )
 _PROCESSOR = Fields({}, {"image_mean": Items(Number()), "image_std": Items(Number(low=1e-3)), "size": dict})
+_INDEX = Fields({"weight_map": Entries(str)})
+_PLAIN_WEIGHTS = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*\.safetensors")  # a file's name, no path
 _MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet, with which they were trained
 _REMEDY = (
     "Choose the folder of a model with config.json, preprocessor_config.json and model.safetensors: SAM or"
@@ -66,6 +69,7 @@ class ModelFolder:
             raise self.unusable(f"config.json: {fault}")
         if not list(path.glob("*.safetensors")):
             raise self.unusable("it has no safetensors file")
+        self._check_weights()
         processor: dict[str, Any] = {}
         if (path / "preprocessor_config.json").is_file():
             processor = _read(path / "preprocessor_config.json", _PROCESSOR)
@@ -74,6 +78,19 @@ class ModelFolder:
         self._std = np.array(processor.get("image_std", _STD), np.float32)
         if self._mean.size != 3 or self._std.size != 3:
             raise self.unusable("its images have not three channels")
+
+    def _check_weights(self) -> None:
+        """Refuse an index that names weights other than safetensors files in the model's own folder.
+
+        Raises:
+            FiptError: ``model-unusable``.
+        """
+        for index in self.path.glob("*.index.json"):
+            for name in set(_read(index, _INDEX)["weight_map"].values()):
+                if not _PLAIN_WEIGHTS.fullmatch(name):
+                    raise self.unusable(
+                        f"{index.name} names '{name[:100]}', no safetensors file in its folder"
+                    )
 
     def load(self, name: str, **changes: Any) -> Any:
         """The model with all of its weights, for inference.

@@ -100,7 +100,8 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
         FiptError: ``run-missing``, ``run-damaged``, ``run-version``, ``path-outside``, ``disk-full`` or
             ``run-unwritable``.
     """
-    settings = run.read()
+    settings = run.read_estimated()
+    run = run.estimated()
     capture = load_capture(run) if run.capture_json.exists() else None
     album = _Album(run)
     renders = _optional(run.renders_json, RENDERS).get("renders", [])

@@ -24,18 +24,26 @@ if TYPE_CHECKING:
     from .settings import Settings
 
 PRODUCT_VERSION = "0.1.0"
+RESULTS = "results"
 RUN_FORMAT = "fipt-run"
 RUN_VERSION = 1
 
 
 class RunFolder:
-    """Paths of the files of one run; docs/architecture.md lists them."""
+    """Paths of the files of one run; docs/architecture.md lists them.
 
-    def __init__(self, root: str | Path) -> None:
+    Args:
+        root: the folder.
+        results: name of the folder of the results.
+        inputs: name of the folder of settings, cameras and mesh; "" for the run folder itself.
+    """
+
+    def __init__(self, root: str | Path, results: str = RESULTS, inputs: str = "") -> None:
         self.root = Path(root).absolute()
-        self.run_json = self.root / "run.json"
+        made_from = self.root / inputs
+        self.run_json = made_from / "run.json"
         self.ingest_json = self.root / "ingest.json"
-        self.capture_json = self.root / "capture.json"
+        self.capture_json = made_from / "capture.json"
         self.images = self.root / "images"
         self.masks = self.root / "masks"
         self.masks_json = self.masks / "masks.json"
@@ -43,18 +51,19 @@ class RunFolder:
         self.planes_obj = self.root / "planes.obj"
         self.simplified_ply = self.root / "simplified.ply"
         self.fused_json = self.root / "fused.json"
-        self.room_npz = self.root / "room.npz"
-        self.room_json = self.root / "room.json"
-        self.geometry_npz = self.root / "geometry.npz"
-        self.closing_npz = self.root / "closing.npz"
-        self.panes_npz = self.root / "panes.npz"
-        self.outlines_npz = self.root / "outlines.npz"
+        self.room_npz = made_from / "room.npz"
+        self.room_json = made_from / "room.json"
+        self.geometry_npz = made_from / "geometry.npz"
+        self.closing_npz = made_from / "closing.npz"
+        self.panes_npz = made_from / "panes.npz"
+        self.outlines_npz = made_from / "outlines.npz"
         self.linked = self.root / "linked"  # part masks with the ids of other views
         self.light = self.root / "light"  # views at the resolution of light
         self.hints_json = self.root / "hints.json"
         self.hints_again_json = self.root / "hints_again.json"
         self.stage = self.root / "stage"
-        self.results = self.root / "results"
+        self.stages_json = self.stage / "stages.json"
+        self.results = self.root / results
         self.fields_npz = self.results / "fields.npz"
         self.parts_npz = self.results / "parts.npz"
         self.parts_json = self.results / "parts.json"
@@ -79,6 +88,19 @@ class RunFolder:
         self.log = self.root / "log.txt"
         self.engine_lock = self.root / "engine.lock"
 
+    def estimated(self) -> RunFolder:
+        """The run with settings, cameras and mesh of its results; the next estimation may have others by now.
+
+        Results of earlier versions do not hold them; then they are those of the run folder.
+        """
+        kept = RunFolder(self.root, inputs=RESULTS)
+        return kept if kept.run_json.is_file() else self
+
+    def made_from(self) -> list[Path]:
+        """The files of which results are made, as far as `estimated` needs them."""
+        files = [self.run_json, self.capture_json, self.room_npz, self.room_json, self.geometry_npz]
+        return [*files, self.closing_npz, self.panes_npz, self.outlines_npz, self.stages_json]
+
     def refuse_links(self) -> None:
         """Refuse a folder in which a link leads out of it: its files may be written over or deleted.
 
@@ -87,16 +109,11 @@ class RunFolder:
         Raises:
             FiptError: ``run-linked``.
         """
-        own = [self.images, self.masks, self.linked, self.stage, self.results, self.textures, self.renders]
-        own += [
-            self.light,
-            self.report,
-            self.survey,
-            self.align,
-            self.scene_cameras,
-            self.root / "messages",
-            self.log,
-        ]
+        replaced = [self.images, self.results, self.textures]
+        own = [self.masks, self.linked, self.stage, self.renders, *replaced]
+        own += [side for path in replaced for side in beside(path)]
+        own += [self.light, self.report, self.survey, self.align, self.scene_cameras]
+        own += [self.root / "messages", self.log]
         prepared = ("sparse", "clipped", "parts", "semantics")  # folders of a prepared capture
         own += [self.engine_lock, *(self.root / name for name in prepared)]
         root = os.path.realpath(self.root)
@@ -142,6 +159,7 @@ class RunFolder:
                 "Choose a new or empty folder for the output.",
             )
         self.refuse_links()
+        self.recover()
         with explained_write_errors(self.root):
             for folder in (self.root, self.stage, self.results):
                 folder.mkdir(parents=True, exist_ok=True)
@@ -184,6 +202,30 @@ class RunFolder:
 
         values = dict(data.get("settings", {}))
         return make_settings(values.pop("preset", "medium"), values)
+
+    def read_estimated(self) -> Settings:
+        """The settings of the finished estimate, with the present ones of textures.
+
+        Raises:
+            FiptError: see `read`.
+        """
+        from dataclasses import replace
+
+        from .settings import TEXTURE_SETTINGS
+
+        present = self.read()
+        kept = {name: getattr(present, name) for name in TEXTURE_SETTINGS}
+        return replace(self.estimated().read(), **kept)
+
+    def recover(self) -> None:
+        """Bring back folders whose replacement was killed in the middle (`replacing.atomic_folder`).
+
+        Raises:
+            FiptError: ``disk-full`` or ``run-unwritable``.
+        """
+        for folder in (self.images, self.results, self.textures):
+            with explained_write_errors(folder):
+                recover_folder(folder)
 
     def resolve(self, path: str) -> Path:
         """The absolute path for a path from one of the run's JSON files.
@@ -261,6 +303,18 @@ def write_json(path: Path, data: Any) -> None:
 
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(data, indent=1), encoding="utf-8")
+
+
+def beside(folder: Path) -> tuple[Path, Path]:
+    """Where a folder that replaces another one is written, and where the other one is for a moment."""
+    return folder.with_name(f"{folder.name}.new"), folder.with_name(f"{folder.name}.old")
+
+
+def recover_folder(folder: Path) -> None:
+    """Bring a folder back whose replacement was killed between its two renamings."""
+    old = beside(folder)[1]
+    if old.is_dir() and not folder.exists():
+        os.rename(old, folder)
 
 
 def _sync(path: Path) -> None:

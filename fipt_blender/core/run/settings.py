@@ -23,6 +23,9 @@ REFINEMENT, TRAINING = "refinement-1", "training"
 
 Value = str | int | float | bool
 
+# The settings of Apply Results; no stage of an estimation reads them.
+TEXTURE_SETTINGS = ("texel_density", "texture_size", "atlas_mode", "write_back", "clean_mesh")
+
 
 def _setting(default: Any, text: str, stage: str | None) -> Any:
     return field(default=default, metadata={"help": text, "stage": stage})

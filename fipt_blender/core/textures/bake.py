@@ -20,6 +20,7 @@ from ..capture.views import load_capture
 from ..device.variant import set_variant
 from ..geometry.stored import stored_geometry
 from ..run.messages import Reporter
+from ..run.replacing import atomic_folder
 from ..run.run_files import read_atlas, read_room_files
 from ..run.runfolder import RunFolder, atomic_path, write_json
 from .padding import pad
@@ -61,8 +62,9 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         FiptError: ``file-missing`` or ``file-damaged`` if an earlier step has not finished; ``disk-full`` or
             ``run-unwritable``.
     """
-    folder = RunFolder(arguments.run)
-    set_variant(folder.read().device)
+    run = RunFolder(arguments.run)
+    set_variant(run.read().device)
+    folder = run.estimated()
     # Imported here because these modules import Mitsuba, for which the variant must be chosen first.
     from ..material.fields import RoomFields
     from .view_maps import write_view_maps
@@ -80,7 +82,7 @@ def bake(
     fields: FieldSource,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[Path]:
-    """Write textures/ with textures.json, or corner_fields.npz in colour-attribute mode.
+    """Replace textures/: textures.json and its images, or corner_fields.npz in colour-attribute mode.
 
     Args:
         folder: the run, with room and atlas.
@@ -94,9 +96,33 @@ def bake(
     atlas, arrays = read_atlas(folder, len(room["triangles"]))
     scan = stored_geometry(folder, room)
     corners = (scan.vertices if scan else room["vertices"])[room["triangles"]]
-    if atlas["mode"] == "color_attribute":
-        return [_bake_corners(folder, fields, corners, progress)]
-    entries = atlas["images"]
+    with atomic_folder(folder.textures) as new:
+        if atlas["mode"] == "color_attribute":
+            names = [_bake_corners(new, fields, corners)]
+        else:
+            names = _bake_images(new, fields, atlas["images"], arrays, corners, progress)
+    progress(1.0)
+    return [folder.textures / name for name in names]
+
+
+def _bake_images(
+    folder: Path,
+    fields: FieldSource,
+    entries: list[dict],
+    arrays: dict[str, np.ndarray],
+    corners: np.ndarray,
+    progress: Callable[[float], None],
+) -> list[str]:
+    """Write the maps of all images of the atlas, and textures.json; returns the names of the files.
+
+    Args:
+        folder: for the files.
+        fields: the estimate.
+        entries: the images in atlas.json.
+        arrays: content of atlas.npz.
+        corners: (T,3,3) f32 world.
+        progress: called with the share that is done.
+    """
     listed: list[dict[str, str]] = []
     # One image is padded and written, and the surface of the next one found, while an image is sampled.
     with ThreadPoolExecutor(1) as writer, ThreadPoolExecutor(1) as finder:
@@ -114,10 +140,11 @@ def bake(
             progress((index + 1) / (len(entries) + 1))
         if writing is not None:
             listed.append(writing.result())
-    progress(1.0)
-    write_json(folder.textures_json, {"images": listed})
-    written = [folder.root / entry[name] for entry in listed for name in MAPS]
-    return [*written, folder.textures_json]
+    stored = [
+        {"name": entry["name"], **{name: f"textures/{entry[name]}" for name in MAPS}} for entry in listed
+    ]
+    write_json(folder / "textures.json", {"images": stored})
+    return [*(entry[name] for entry in listed for name in MAPS), "textures.json"]
 
 
 def _surface_points(
@@ -168,8 +195,8 @@ def sample_fields(fields: FieldSource, positions: np.ndarray, triangles: np.ndar
     return result
 
 
-def _write_image(folder: RunFolder, entry: dict, texel: np.ndarray, samples: Samples) -> dict[str, str]:
-    """Pad and write the maps of one image; returns its entry in textures.json."""
+def _write_image(folder: Path, entry: dict, texel: np.ndarray, samples: Samples) -> dict[str, str]:
+    """Pad and write the maps of one image; returns its name and those of their files."""
     from ..capture.images import write_exr
 
     width, height = int(entry["width"]), int(entry["height"])
@@ -184,23 +211,19 @@ def _write_image(folder: RunFolder, entry: dict, texel: np.ndarray, samples: Sam
     planes = padded[..., :3], padded[..., 3], padded[..., 4], padded[..., 5:]
     listed = {"name": str(entry["name"])}
     for name, plane in zip(MAPS, planes, strict=True):
-        listed[name] = f"textures/{entry['name']}.{name}.exr"
-        write_exr(folder.root / listed[name], plane, half=True)
+        listed[name] = f"{entry['name']}.{name}.exr"
+        write_exr(folder / listed[name], plane, half=True)
     return listed
 
 
-def _bake_corners(
-    folder: RunFolder,
-    fields: FieldSource,
-    corners: np.ndarray,
-    progress: Callable[[float], None],
-) -> Path:
+def _bake_corners(folder: Path, fields: FieldSource, corners: np.ndarray) -> str:
+    """Write the maps at the corners (T,3,3) of all triangles; returns the file's name."""
     count = len(corners)
     # Sampled a thousandth inwards: a corner itself may lie on the neighbouring surface too.
     inwards = corners + 1e-3 * (corners.mean(axis=1, keepdims=True) - corners)
     positions = inwards.reshape(-1, 3).astype(np.float32)
     samples = sample_fields(fields, positions, np.repeat(np.arange(count), 3))
-    path = folder.textures / "corner_fields.npz"
+    path = folder / "corner_fields.npz"
     with atomic_path(path) as temporary:
         np.savez(
             temporary,
@@ -209,5 +232,4 @@ def _bake_corners(
             metallic=samples.metallic.reshape(count, 3),
             confidence=samples.confidence.reshape(count, 3, 3),
         )
-    progress(1.0)
-    return path
+    return path.name
