@@ -24,7 +24,7 @@ from fipt_blender.core.optics import brdf, factorised
 
 MAX_DEPTH = 16
 CHUNK = 64  # paths a pixel in one kernel launch
-GRID = 5  # the maps take GRID x GRID positions in a pixel
+GRID = 5  # the maps take GRID x GRID positions in a pixel, unless told otherwise
 
 
 def linear(path: Path) -> np.ndarray:
@@ -152,7 +152,7 @@ class LoadedRoom:
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         return np.repeat(pose[None, :3, 3], len(along), 0), along
 
-    def maps(self, pose: np.ndarray, seed: int) -> dict[str, np.ndarray]:
+    def maps(self, pose: np.ndarray, seed: int, grid: int = GRID) -> dict[str, np.ndarray]:
         """Ground truth of one view by name; colours are means over the pixel, ids are those of its centre."""
         capture = self.capture
         shape = (capture.height, capture.width)
@@ -167,8 +167,8 @@ class LoadedRoom:
             name: 0.0
             for name in ("BaseColor", "DiffCol", "Metallic", "Roughness", "Emit", "albedo", "_normal")
         }
-        for cell in range(GRID * GRID):
-            shift = (np.array(divmod(cell, GRID)) + rng.random((shape[0] * shape[1], 2))) / GRID
+        for cell in range(grid * grid):
+            shift = (np.array(divmod(cell, grid)) + rng.random((shape[0] * shape[1], 2))) / grid
             hit = self.trace(*self.rays(pose, shift))
             material = material_of[hit.triangle]
             a, m = hit.base_color, metallic[material]
@@ -187,7 +187,7 @@ class LoadedRoom:
             if self.light is not None:
                 values["Emit"] += self.added_light(pose, shift, hit.distance)
             for name, value in values.items():
-                sums[name] = sums[name] + value / GRID**2
+                sums[name] = sums[name] + value / grid**2
         centre = self.trace(*self.rays(pose, np.array([0.5, 0.5])))
         material = material_of[centre.triangle]
         part = np.append(capture.part, 0)[centre.triangle]
