@@ -39,6 +39,7 @@ from ..run.checkpoints import HINTED_ESTIMATE, HINTED_LAMPS, HINTED_TRAINING, UN
 from ..run.errors import FiptError
 from ..run.replacing import atomic_folder, keep_inputs
 from ..run.runfolder import RunFolder, write_json
+from ..textures.detail import remember_views
 from .doubts import write_doubts
 from .hinted import area_names, write_left_alone
 from .part_list import write_part_list
@@ -252,6 +253,7 @@ class MaterialStages(EstimationState):
             names = write_part_list(folder, self.room, self.parts, self.views, self.pixels, fields, areas)
             write_left_alone(folder, left_alone)
             self._write_doubts(folder, np.array([*names, ""], object)[fields.units.triangle])
+            remember_views(folder, self.views, self._shadings)
             write_json(folder.statistics_json, self.summary())
             keep_inputs(folder, new)
 

@@ -212,6 +212,12 @@ class Settings:
 
     texel_density: float = _setting(128.0, "texels per metre of the textures", None)
     texture_size: int = _setting(2048, "largest width and height of one texture image in texels", None)
+    detail: bool = _setting(
+        True,
+        "give base colour in the textures the photographs' detail, where they have more pixels than light was"
+        " solved at (not in the paper)",
+        None,
+    )
     atlas_mode: str = _setting("uv", "uv, or color_attribute for meshes that can't have UVs", None)
     clean_mesh: bool = _setting(
         True,

@@ -1,8 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Engine command `textures`: sample the estimate at every texel of the atlas.
+"""Engine command `textures`: sample the estimate at every texel of the atlas, and add the photographs' detail.
 
 The estimate is queried at the surface point of each texel's centre; the texels between UV islands are padded.
+Where photographs have more pixels than light was solved at, base colour gets their detail (:mod:`.detail`).
 """
 
 from __future__ import annotations
@@ -12,19 +13,23 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from ..capture.views import load_capture
 from ..device.variant import set_variant
 from ..geometry.stored import stored_geometry
+from ..run.documents import read_json
 from ..run.messages import Reporter
 from ..run.replacing import atomic_folder
 from ..run.run_files import read_atlas, read_room_files
 from ..run.runfolder import RunFolder, atomic_path, write_json
 from .padding import pad
 from .raster import nearest_triangle_map
+
+if TYPE_CHECKING:
+    from .detail import DetailInput
 
 QUERY_POINTS = 1 << 18  # points per query
 PAD_TEXELS = 8  # by which islands are grown
@@ -67,12 +72,17 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     folder = run.estimated()
     # Imported here because these modules import Mitsuba, for which the variant must be chosen first.
     from ..material.fields import RoomFields
+    from .detail import load_input
     from .view_maps import write_view_maps
 
     fields = RoomFields.load(folder)
     reporter.plan([1.0])
     reporter.stage("textures", "Baking textures")
-    files = bake(folder, fields, reporter.progress)
+    given = load_input(folder)
+    if given is not None and read_json(folder.atlas_json).get("mode") != "color_attribute":
+        files = bake_with_detail(folder, fields, given, fields.units.triangle, reporter.progress)
+    else:
+        files = bake(folder, fields, reporter.progress)
     files += write_view_maps(folder, fields, load_capture(folder).views)
     reporter.done([str(path) for path in files])
 
@@ -145,6 +155,70 @@ def _bake_images(
     ]
     write_json(folder / "textures.json", {"images": stored})
     return [*(entry[name] for entry in listed for name in MAPS), "textures.json"]
+
+
+def bake_with_detail(
+    folder: RunFolder,
+    fields: FieldSource,
+    given: DetailInput,
+    part: np.ndarray,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> list[Path]:
+    """Like :func:`bake`, with the photographs' detail in base colour; not in colour-attribute mode.
+
+    Args:
+        given: views, photographs and shadings.
+        part: (T,) int part of each triangle, -1 without one.
+    """
+    from ..scene.room import load_room
+    from .detail import add_detail, stored_texels
+
+    room = load_room(folder)
+    atlas, arrays = read_atlas(folder, len(room.triangles))
+    corners = room.vertices[room.triangles]
+    entries = atlas["images"]
+    counts = [len(_surface_points(entry, index, arrays, corners)[0]) for index, entry in enumerate(entries)]
+    ends = np.cumsum([0, *counts])
+    listed: list[dict[str, str]] = []
+    with stored_texels(folder, int(ends[-1])) as texels:
+        for index, entry in enumerate(entries):
+            rows = slice(int(ends[index]), int(ends[index + 1]))
+            texel, positions, triangles = _surface_points(entry, index, arrays, corners)
+            order = np.argsort(_tile(texel, int(entry["width"])), kind="stable")
+            samples = sample_fields(fields, positions, triangles)
+            sizes = np.array([entry["width"], entry["height"]], np.float64)
+            size = _texel_sizes(arrays["corner_uv"] * sizes, corners)
+            texels.position[rows], texels.triangle[rows] = positions[order], triangles[order]
+            texels.size[rows] = size[triangles[order]]
+            texels.base_color[rows] = samples.base_color[order]
+            texels.roughness[rows], texels.metallic[rows] = samples.roughness[order], samples.metallic[order]
+            progress(0.3 * (index + 1) / len(entries))
+        color = add_detail(texels, given, room, part, lambda share: progress(0.3 + 0.5 * share))
+        for index, entry in enumerate(entries):
+            rows = slice(int(ends[index]), int(ends[index + 1]))
+            texel, positions, triangles = _surface_points(entry, index, arrays, corners)
+            order = np.argsort(_tile(texel, int(entry["width"])), kind="stable")
+            samples = sample_fields(fields, positions, triangles)
+            samples.base_color[order] = color[rows]
+            listed.append(_write_image(folder, entry, texel, samples))
+            progress(0.8 + 0.2 * (index + 1) / len(entries))
+    write_json(folder.textures_json, {"images": listed})
+    written = [folder.root / entry[name] for entry in listed for name in MAPS]
+    return [*written, folder.textures_json]
+
+
+def _tile(texel: np.ndarray, width: int) -> np.ndarray:
+    """Number of the square of 64 x 64 texels in which a texel (flat index) lies."""
+    row, column = np.divmod(texel, width)
+    return (row // 64) * (width // 64 + 1) + column // 64
+
+
+def _texel_sizes(uv: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """(T,) width of a texel on each triangle, metres; uv (T,3,2) in texels, corners (T,3,3)."""
+    across, along = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    flat = np.abs(across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0])
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return np.sqrt(area / np.maximum(flat, 1e-12)).astype(np.float32)
 
 
 def _surface_points(

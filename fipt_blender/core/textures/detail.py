@@ -1,0 +1,313 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Detail of the photographs on the texels: what they show above the resolution at which light was solved.
+
+Each view that has more pixels than its pixels of light tells a base colour of the texels that it sees
+(:mod:`.texel_views`). Its low frequencies are replaced by those of the estimate, so that errors of light,
+exposure and vignetting don't matter and views need no seams; the weighted mean of the views is detail as far
+as they agree (a Wiener filter). Photographs are decoded one at a time, each once.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from ..capture.views import View, load_capture
+from ..light.baking import ShadingStore, open_shadings
+from ..light.observations import median_footprint
+from ..light.shadings import roughness_levels
+from ..run.documents import read_json
+from ..run.runfolder import RunFolder, write_json
+from ..scene.labels import NO_PART
+from ..scene.pixels import PixelStore, open_pixels
+from ..scene.room import Room, triangle_normals
+from .surface_cells import SurfaceCells
+from .texel_views import CLIPPED, LightPixels, Seen, Texels, see_texels
+
+# Width of the cells of the low-pass filter in median widths of a pixel of light: what is wider than about two
+# cells is the estimate's.
+CELL = 2.5
+# By which factor the low frequencies of a view are corrected at most.
+MOST_GAIN = 4.0
+# Texels in a block that is culled as a whole.
+BLOCK = 1 << 12
+# Least number of texels of a part that two views saw, from which its noise is known.
+FEW_TEXELS = 500
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+
+
+@dataclass(frozen=True)
+class DetailInput:
+    """What the views tell texels; see :func:`load_input`.
+
+    Attributes:
+        photographs: the training views at full size, in the order of `pixels`.
+        pixels, shadings: at light resolution.
+        levels: (K,) roughness of the shadings.
+    """
+
+    photographs: list[View]
+    pixels: PixelStore
+    shadings: ShadingStore
+    levels: np.ndarray
+
+    def larger(self) -> list[int]:
+        """Indices of the views whose photographs have more pixels than light has."""
+        return [
+            index
+            for index, (view, light) in enumerate(zip(self.photographs, self.pixels.views, strict=True))
+            if view.width * view.height > light.width * light.height
+        ]
+
+
+def remember_views(run: RunFolder, views: list[View], shadings: str) -> None:
+    """Write which views the pixels and shadings of an estimation belong to.
+
+    Args:
+        views: at light resolution.
+        shadings: name of the folder of the last shadings in the stage folder.
+    """
+    listed = [{"name": view.name, "width": view.width, "height": view.height} for view in views]
+    write_json(run.stage / "views.json", {"views": listed, "shadings": shadings})
+
+
+def load_input(run: RunFolder) -> DetailInput | None:
+    """The views of a finished estimation; None where detail is off, or no photograph has more than light has.
+
+    Raises:
+        FiptError: ``file-damaged``; those of `load_capture`.
+    """
+    settings = run.read()
+    path = run.stage / "views.json"
+    if not settings.detail or not path.exists():
+        return None
+    table = read_json(path)
+    by_name = {view.name: view for view in load_capture(run).train}
+    if any(entry["name"] not in by_name for entry in table["views"]):
+        return None  # the capture has changed since
+    photographs = [by_name[entry["name"]] for entry in table["views"]]
+    lights = [
+        view.resized(int(entry["width"]), int(entry["height"]))
+        for view, entry in zip(photographs, table["views"], strict=True)
+    ]
+    pairs = zip(photographs, lights, strict=True)
+    if all(view.width * view.height <= light.width * light.height for view, light in pairs):
+        return None
+    levels = roughness_levels(settings.roughness_levels, settings.roughness_min, settings.roughness_spacing)
+    pixels = open_pixels(run.stage / "pixels", lights)
+    shadings = open_shadings(run.stage / str(table["shadings"]), len(pixels), len(levels))
+    return DetailInput(photographs, pixels, shadings, levels)
+
+
+@contextmanager
+def stored_texels(run: RunFolder, count: int) -> Iterator[Texels]:
+    """Texels in memory-mapped files of the stage folder, which are removed in the end."""
+    run.stage.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=run.stage, prefix="texels-", ignore_cleanup_errors=True) as scratch:
+        shapes = {"position": (count, 3), "base_color": (count, 3)}
+        kinds = {"triangle": np.int32}
+        yield Texels(
+            **{
+                item.name: np.lib.format.open_memmap(
+                    Path(scratch, f"{item.name}.npy"),
+                    mode="w+",
+                    dtype=kinds.get(item.name, np.float32),
+                    shape=shapes.get(item.name, (count,)),
+                )
+                for item in fields(Texels)
+            }
+        )
+
+
+def add_detail(
+    texels: Texels,
+    given: DetailInput,
+    room: Room,
+    part: np.ndarray,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> np.ndarray:
+    """(N, 3) float32 base colour of texels with the photographs' detail.
+
+    Args:
+        part: (T,) int part of each triangle, -1 without one.
+    """
+    count = len(texels)
+    normals = triangle_normals(room.vertices, room.triangles).astype(np.float32)
+    width = CELL * median_footprint(given.pixels)
+    cells = SurfaceCells.around(texels.position, part, texels.triangle, width)
+    low, high = _block_bounds(texels.position)
+    total = Totals.of(count)
+    larger = given.larger()
+    for done, index in enumerate(larger, 1):
+        light = light_pixels(given, index, part)
+        if (light.part < NO_PART).all():
+            continue  # left out
+        view = given.photographs[index]
+        rows = _candidates(view, low, high, count)
+        if len(rows):
+            radiance = photograph(given, index)
+            seen = see_texels(texels, rows, room, part, normals, light, view, radiance, given.levels)
+            total.add(seen, with_low_frequencies(seen, texels, cells), texels.base_color)
+        progress(done / (len(larger) + 1))
+    return total.result(texels, cells, part)
+
+
+def light_pixels(given: DetailInput, index: int, part: np.ndarray) -> LightPixels:
+    """The pixels of light of one view; those that see nothing have a part below `NO_PART`."""
+    pixels = given.pixels
+    rows = pixels.rows(index)
+    triangle = np.asarray(pixels.triangle[rows])
+    own = np.where(triangle >= 0, part[np.maximum(triangle, 0)], NO_PART - 1)
+    return LightPixels(
+        pixels.views[index],
+        np.asarray(pixels.position[rows]),
+        np.asarray(pixels.normal[rows]),
+        own.astype(np.int32),
+        np.asarray(pixels.pure[rows]),
+        np.asarray(given.shadings.diffuse[rows]),
+        np.asarray(given.shadings.specular[rows]),
+    )
+
+
+def photograph(given: DetailInput, index: int) -> np.ndarray:
+    """(H, W, 3) float32 radiance of a photograph in the unit of the pixels; NaN where it is clipped or masked.
+
+    The pixels' radiance has one scale, corrections of exposure and, where photographs are not HDR, of the
+    camera's response: here their median ratio, a channel each.
+    """
+    view, pixels = given.photographs[index], given.pixels
+    image = view.radiance()
+    light = pixels.views[index]
+    known = np.asarray(pixels.radiance[pixels.rows(index)]).reshape(light.height, light.width, 3)
+    rows = np.linspace(0, view.height, light.height + 1).astype(int)
+    columns = np.linspace(0, view.width, light.width + 1).astype(int)
+    sums = np.add.reduceat(np.add.reduceat(image, rows[:-1], axis=0, dtype=np.float32), columns[:-1], axis=1)
+    area = np.diff(rows)[:, None, None] * np.diff(columns)[None, :, None]
+    means = sums / area
+    both = (means > 0.0) & (known > 0.0)
+    ratio = [
+        np.median(known[..., c][both[..., c]] / means[..., c][both[..., c]]) if both[..., c].any() else 1.0
+        for c in range(3)
+    ]
+    useless = np.zeros(image.shape[:2], bool)
+    if view.encoded:
+        useless |= (image >= _decoded(CLIPPED)).any(axis=2)
+    if (masked := view.masked()) is not None:
+        useless |= masked
+    image = image * np.array(ratio, np.float32)
+    image[useless] = np.nan
+    return image
+
+
+def _decoded(code: float) -> float:
+    return float(((code + 0.055) / 1.055) ** 2.4)
+
+
+def with_low_frequencies(seen: Seen, texels: Texels, cells: SurfaceCells) -> np.ndarray:
+    """(n, 3) the colours of one view with the low frequencies of the estimate."""
+    position = texels.position[seen.texel]
+    estimate = texels.base_color[seen.texel]
+    weight = seen.weight * seen.trust
+    means = cells.smooth(seen.texel, position, weight, np.concatenate([seen.color, estimate], axis=1))
+    ratio = means[:, 3:] / np.maximum(means[:, :3], 1e-4)
+    return seen.color * np.clip(ratio, 1.0 / MOST_GAIN, MOST_GAIN)
+
+
+@dataclass
+class Totals:
+    """Sums over the views, N texels; float32.
+
+    Attributes:
+        weight: (N,) of w q: weights times trust. squares: (N,) of (w q)^2.
+        change: (N, 3) of w q e, where e is the view's base colour less the estimate's.
+        power: (N,) of w q y^2, where y is the luminance of e.
+        trust: (N,) highest q.
+        views: (N,) int16 number of views.
+    """
+
+    weight: np.ndarray
+    squares: np.ndarray
+    change: np.ndarray
+    power: np.ndarray
+    trust: np.ndarray
+    views: np.ndarray
+
+    @classmethod
+    def of(cls, count: int) -> Totals:
+        """Zero."""
+        one = (np.zeros(count, np.float32) for _ in range(4))
+        return cls(next(one), next(one), np.zeros((count, 3), np.float32), next(one), next(one), np.zeros(count, np.int16))
+
+    def add(self, seen: Seen, color: np.ndarray, estimate: np.ndarray) -> None:
+        """Add a view: its corrected colours (n, 3); `estimate` (N, 3) of all texels."""
+        rows = seen.texel
+        change = color - estimate[rows]
+        weight = seen.weight * seen.trust
+        luminance = change @ LUMINANCE
+        self.weight[rows] += weight
+        self.squares[rows] += weight * weight
+        self.change[rows] += weight[:, None] * change
+        self.power[rows] += weight * luminance * luminance
+        self.trust[rows] = np.maximum(self.trust[rows], seen.trust)
+        self.views[rows] += 1
+
+    def result(self, texels: Texels, cells: SurfaceCells, part: np.ndarray) -> np.ndarray:
+        """(N, 3) the estimate with as much of the mean change as the views agree on."""
+        result = np.array(texels.base_color)
+        rows = np.flatnonzero(self.weight > 0.0)
+        if not len(rows):
+            return result
+        weight = self.weight[rows]
+        change = self.change[rows] / weight[:, None]
+        luminance = change @ LUMINANCE
+        # Effective number of views, and the variance of one view about their mean
+        effective = weight * weight / self.squares[rows]
+        variance = np.maximum(self.power[rows] / weight - luminance * luminance, 0.0)
+        several = effective > 1.3
+        variance[several] *= effective[several] / (effective[several] - 1.0)
+        owner = part[texels.triangle[rows]] + 1
+        alone = _noise_of_parts(variance, several, owner)
+        noise = np.where(several, variance, alone[owner]) / effective
+        position = texels.position[rows]
+        values = np.stack([luminance * luminance, noise], axis=1)
+        means = cells.smooth(rows, position, np.ones(len(rows), np.float32), values)
+        share = np.clip(1.0 - means[:, 1] / np.maximum(means[:, 0], 1e-12), 0.0, 1.0)
+        share *= self.trust[rows]
+        result[rows] = np.clip(result[rows] + share[:, None] * change, 0.0, 1.0)
+        return result
+
+
+def _noise_of_parts(variance: np.ndarray, known: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """(parts,) variance of one view where only one saw a texel: the mean of its part, or of all."""
+    count = int(part.max(initial=0)) + 1
+    number = np.bincount(part[known], minlength=count)
+    sums = np.bincount(part[known], variance[known], count)
+    everywhere = sums.sum() / max(number.sum(), 1) if number.sum() else np.inf
+    return np.where(number >= FEW_TEXELS, sums / np.maximum(number, 1), everywhere)
+
+
+def _block_bounds(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corners (B, 3) of blocks of consecutive texels."""
+    starts = np.arange(0, len(position), BLOCK)
+    return np.minimum.reduceat(position, starts), np.maximum.reduceat(position, starts)
+
+
+def _candidates(view: View, low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
+    """(n,) int64 texels of the blocks that are not wholly outside the view."""
+    corners = np.stack(
+        [np.where(pick, high, low) for pick in np.array(np.meshgrid(*[[False, True]] * 3)).reshape(3, 8).T], axis=1
+    )
+    local = (corners - view.camera_to_world[:3, 3]) @ view.camera_to_world[:3, :3]
+    x, y, z = local[..., 0] * view.fx, local[..., 1] * view.fy, local[..., 2]
+    outside = (z <= 0).all(axis=1)
+    outside |= (x + view.cx * z < 0).all(axis=1) | (x - (view.width - view.cx) * z > 0).all(axis=1)
+    outside |= (y + view.cy * z < 0).all(axis=1) | (y - (view.height - view.cy) * z > 0).all(axis=1)
+    blocks = np.flatnonzero(~outside)
+    rows = (blocks[:, None] * BLOCK + np.arange(BLOCK)).reshape(-1)
+    return rows[rows < count]

@@ -1,0 +1,105 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Low-pass filtering along surfaces, within parts: a grid of cells in space, one a part (J. Chen et al. 2007,
+"Real-time edge-aware image processing with the bilateral grid").
+
+Values are spread to the eight nearest nodes of the grid and read back from them by trilinear weights, which
+convolves them with a smooth kernel about two cells wide. It needs no charts: seams of an atlas do not matter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+_CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+_STRIDE = 1 << 16  # more than the nodes along an axis
+_PARTS = 1 << 14  # parts wrap around beyond: at worst two that touch share nodes
+_BLOCK = 1 << 20  # points at a time
+
+
+@dataclass(frozen=True)
+class SurfaceCells:
+    """Nodes of a grid on the surfaces where points are.
+
+    Attributes:
+        width: of a cell, metres.
+        low: (3,) corner of the grid.
+        cell: (N,) int32 cell of each point.
+        nodes: (cells, 8) int32 its nodes.
+        count: number of nodes.
+    """
+
+    width: float
+    low: np.ndarray
+    cell: np.ndarray
+    nodes: np.ndarray
+    count: int
+
+    @classmethod
+    def around(cls, position: np.ndarray, part: np.ndarray, triangle: np.ndarray, width: float) -> SurfaceCells:
+        """The grid for points.
+
+        Args:
+            position: (N, 3) metres.
+            part: (T,) int part of each triangle, from -1.
+            triangle: (N,) int triangle of each point.
+            width: of a cell, metres.
+        """
+        low = position.min(axis=0).astype(np.float64) - width
+        keys, inverse = np.zeros(0, np.int64), np.empty(len(position), np.int32)
+        own: list[np.ndarray] = []
+        for first in range(0, len(position), _BLOCK):
+            rows = slice(first, first + _BLOCK)
+            place = np.floor((position[rows] - low) / width).astype(np.int64)
+            own.append(np.unique(_key(place, part[triangle[rows]])))
+        keys = np.unique(np.concatenate(own)) if own else keys
+        for first in range(0, len(position), _BLOCK):
+            rows = slice(first, first + _BLOCK)
+            place = np.floor((position[rows] - low) / width).astype(np.int64)
+            inverse[rows] = np.searchsorted(keys, _key(place, part[triangle[rows]]))
+        steps = (_CORNERS[:, 0] * _STRIDE + _CORNERS[:, 1]) * _STRIDE + _CORNERS[:, 2]
+        node_keys, nodes = np.unique(keys[:, None] + steps, return_inverse=True)
+        return cls(width, low, inverse, nodes.reshape(len(keys), 8).astype(np.int32), len(node_keys))
+
+    def weights(self, position: np.ndarray) -> np.ndarray:
+        """(n, 8) float32 trilinear weights of points at the nodes of their cells."""
+        inside = (position - self.low) / self.width
+        inside = (inside - np.floor(inside)).astype(np.float32)[:, None]
+        return np.where(_CORNERS == 1, inside, 1.0 - inside).prod(axis=2)
+
+    def smooth(self, rows: np.ndarray, position: np.ndarray, weight: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """(n, C) float32 weighted local means of values (n, C) at the same points.
+
+        Args:
+            rows: (n,) which of the grid's points they are.
+            position: (n, 3) metres.
+            weight: (n,) at least 0; the means are 0 where no weight is near.
+        """
+        sums = np.zeros((self.count, values.shape[1] + 1))
+        for first in range(0, len(rows), _BLOCK):
+            block = slice(first, first + _BLOCK)
+            nodes, share = self.nodes[self.cell[rows[block]]], self.weights(position[block])
+            share = share * weight[block, None]
+            for corner in range(8):
+                for channel in range(values.shape[1]):
+                    spread = share[:, corner] * values[block, channel]
+                    sums[:, channel] += np.bincount(nodes[:, corner], spread, self.count)
+                sums[:, -1] += np.bincount(nodes[:, corner], share[:, corner], self.count)
+        # Sums are read, then divided: a node with little weight near it counts little.
+        result = np.empty(values.shape, np.float32)
+        for first in range(0, len(rows), _BLOCK):
+            block = slice(first, first + _BLOCK)
+            nodes, share = self.nodes[self.cell[rows[block]]], self.weights(position[block])
+            read = np.zeros((len(share), sums.shape[1]))
+            for corner in range(8):
+                read += share[:, corner, None] * sums[nodes[:, corner]]
+            result[block] = read[:, :-1] / np.maximum(read[:, -1:], 1e-30)
+        return result
+
+
+def _key(place: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """(n,) int64 key of cells (n, 3) of parts (n,)."""
+    number = (part.astype(np.int64) + 1) % _PARTS
+    return ((number * _STRIDE + place[:, 0]) * _STRIDE + place[:, 1]) * _STRIDE + place[:, 2]

@@ -1,0 +1,311 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What one photograph tells of the base colour of texels, by the factorised rendering (paper Eq. 5).
+
+A texel that a view sees has base colour (I - offset) / slope (`optics.factorised.color_line`): I is the
+photograph at full size; slope and offset consist of the shadings of the pixels of light around it that see the
+same surface and part. So shadings go along surfaces, never across a border.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..capture.views import View
+from ..optics.factorised import color_line, level_share
+from ..scene.camera_rays import opaque_vector
+from ..scene.room import Room
+
+CHUNK = 1 << 20  # texels in one kernel launch
+LEAST_COSINE = 0.17  # of the angle between normal and view, below which texels are stretched too much
+MARGIN = 1.0  # pixels around a texel in which its surface must be seen: blur mixes neighbours
+PLANE = 0.4  # distance from a texel's plane that still is its surface, in widths of a pixel of light
+LEAST_NORMAL = 0.8  # least cosine between a texel's normal and that of a pixel of light beside it
+LEAST_MATCH = 0.3  # least share of the weight of the 3 x 3 pixels of light that sees the texel's surface
+# Natural logarithm between the L_d of neighbouring pixels of light, beyond which they do not resolve a
+# shadow's edge: the trust falls as a Gaussian.
+SHADOW_STEP = 0.3
+GLOSS = 0.5  # share of gloss in a photograph's radiance from which it tells nothing of base colour
+DENSITY_POWER = 2.0  # weight of a view by the pixels per area with which it sees a texel
+CLIPPED = 0.98  # code of photographs that are not HDR from which they are clipped
+PYRAMID = 5  # levels of the photograph, each half the size of the one before
+
+
+@dataclass(frozen=True)
+class Texels:
+    """Surface points of texels, N of them; float32 unless said otherwise.
+
+    Attributes:
+        position: (N, 3) world metres.
+        triangle: (N,) int32.
+        base_color: (N, 3) of the estimate.
+        roughness, metallic: (N,).
+        size: (N,) width of a texel, metres.
+    """
+
+    position: np.ndarray
+    triangle: np.ndarray
+    base_color: np.ndarray
+    roughness: np.ndarray
+    metallic: np.ndarray
+    size: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.triangle)
+
+
+@dataclass(frozen=True)
+class LightPixels:
+    """The pixels of light of one view, with what is known of the surfaces that they see; M pixels.
+
+    Attributes:
+        view: at light resolution.
+        position, normal: (M, 3) float32.
+        part: (M,) int32, negative where a pixel tells nothing.
+        pure: (M,) bool, whether the whole pixel sees one smooth surface.
+        diffuse: (M, 3) L_d in the unit of the photographs' radiance.
+        specular: (M, K, 2, 3) L_s0 and L_s1 at each roughness level.
+    """
+
+    view: View
+    position: np.ndarray
+    normal: np.ndarray
+    part: np.ndarray
+    pure: np.ndarray
+    diffuse: np.ndarray
+    specular: np.ndarray
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What one view tells of the texels that it sees; n of them.
+
+    Attributes:
+        texel: (n,) int64.
+        color: (n, 3) float32 base colour.
+        weight: (n,) float32 by density and gloss, relative to other views.
+        trust: (n,) float32 in [0, 1], whether the pixels of light resolve the light there.
+    """
+
+    texel: np.ndarray
+    color: np.ndarray
+    weight: np.ndarray
+    trust: np.ndarray
+
+
+def see_texels(
+    texels: Texels,
+    candidates: np.ndarray,
+    room: Room,
+    part: np.ndarray,
+    normals: np.ndarray,
+    light: LightPixels,
+    view: View,
+    radiance: np.ndarray,
+    levels: np.ndarray,
+) -> Seen:
+    """The base colours that one view tells.
+
+    Args:
+        candidates: (n,) int64 texels that the view may see.
+        part: (T,) int32 part of each triangle.
+        normals: (T, 3) float32 unit normals of the triangles.
+        light: shadings of the view at light resolution.
+        view: the same view at full size.
+        radiance: (H, W, 3) float32 of the photograph, in the unit of the shadings; NaN where it is clipped.
+        levels: (K,) roughness of the baked shadings.
+    """
+    pyramid, starts, sizes = _pyramid(radiance)
+    shared = _Shared(
+        mi.Float(np.ascontiguousarray(light.position, np.float32).reshape(-1)),
+        mi.Float(np.ascontiguousarray(light.normal, np.float32).reshape(-1)),
+        mi.Int32(light.part.astype(np.int32)),
+        mi.Bool(np.ascontiguousarray(light.pure)),
+        mi.Float(np.asarray(light.diffuse, np.float32).reshape(-1)),
+        mi.Float(np.asarray(light.specular, np.float32).reshape(-1)),
+        mi.Float(pyramid),
+        mi.UInt32(starts),
+        mi.UInt32(sizes.reshape(-1)),
+    )
+    parts = mi.Int32(part.astype(np.int32))
+    found = []
+    for first in range(0, len(candidates), CHUNK):
+        rows = candidates[first : first + CHUNK]
+        triangle = texels.triangle[rows]
+        level = np.clip(np.searchsorted(levels, texels.roughness[rows]) - 1, 0, max(len(levels) - 2, 0))
+        low, high = levels[level], levels[np.minimum(level + 1, len(levels) - 1)]
+        sigma = np.clip(texels.roughness[rows], low, high)
+        share = np.where(high > low, level_share(sigma, low, np.maximum(high, low + 1e-6)), 0.0)
+        points = _Points(
+            mi.Point3f(np.ascontiguousarray(texels.position[rows].T)),
+            mi.Vector3f(np.ascontiguousarray(normals[triangle].T.astype(np.float32))),
+            mi.Int32(part[triangle].astype(np.int32)),
+            mi.UInt32(level.astype(np.uint32)),
+            mi.Float(share.astype(np.float32)),
+            mi.Float(np.asarray(texels.metallic[rows], np.float32)),
+            mi.Float(np.asarray(texels.size[rows], np.float32)),
+        )
+        color, weight, trust, seen = _see(points, shared, room, parts, light.view, view, len(levels))
+        dr.eval(color, weight, trust, seen)
+        kept = np.flatnonzero(np.array(seen))
+        found.append(
+            Seen(rows[kept], np.array(color).T[kept], np.array(weight)[kept], np.array(trust)[kept])
+        )
+    if not found:
+        empty = np.zeros(0, np.float32)
+        return Seen(np.zeros(0, np.int64), np.zeros((0, 3), np.float32), empty, empty)
+    return Seen(
+        *(np.concatenate([getattr(one, name) for one in found]) for name in ("texel", "color", "weight", "trust"))
+    )
+
+
+@dataclass
+class _Points:
+    position: mi.Point3f
+    normal: mi.Vector3f
+    part: mi.Int32
+    level: mi.UInt32
+    share: mi.Float
+    metallic: mi.Float
+    size: mi.Float
+
+
+@dataclass
+class _Shared:
+    position: mi.Float
+    normal: mi.Float
+    part: mi.Int32
+    pure: mi.Bool
+    diffuse: mi.Float
+    specular: mi.Float
+    image: mi.Float
+    starts: mi.UInt32
+    sizes: mi.UInt32
+
+
+def _pyramid(radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All levels of a photograph behind each other, where each begins, and (L, 2) widths and heights."""
+    levels = [np.asarray(radiance, np.float32)]
+    while len(levels) < PYRAMID and min(levels[-1].shape[:2]) >= 4:
+        last = levels[-1]
+        height, width = last.shape[0] // 2, last.shape[1] // 2
+        levels.append(last[: 2 * height, : 2 * width].reshape(height, 2, width, 2, 3).mean(axis=(1, 3)))
+    starts = np.cumsum([0, *(level.shape[0] * level.shape[1] for level in levels[:-1])])
+    sizes = np.array([(level.shape[1], level.shape[0]) for level in levels])
+    flat = np.concatenate([level.reshape(-1, 3) for level in levels])
+    return flat.reshape(-1), starts.astype(np.uint32), sizes.astype(np.uint32)
+
+
+def _see(
+    points: _Points, shared: _Shared, room: Room, parts: mi.Int32, light: View, view: View, levels: int
+) -> tuple[mi.Color3f, mi.Float, mi.Float, mi.Bool]:
+    """Base colour, weight, trust and whether the texel is seen."""
+    pose = np.asarray(view.camera_to_world, np.float64)
+    axes = [opaque_vector(mi.Vector3f, pose[:3, axis]) for axis in range(3)]
+    eye = opaque_vector(mi.Point3f, pose[:3, 3])
+
+    def opaque(value: float) -> mi.Float:
+        return dr.opaque(mi.Float, float(value))
+
+    # Where the view sees the texel
+    along = points.position - eye
+    local = mi.Vector3f(*(dr.dot(along, axis) for axis in axes))
+    seen = local.z > 1e-3
+    depth = dr.select(seen, local.z, 1.0)
+    fx, fy, cx, cy = opaque(view.fx), opaque(view.fy), opaque(view.cx), opaque(view.cy)
+    x, y = fx * local.x / depth + cx, fy * local.y / depth + cy
+    width, height = opaque(view.width), opaque(view.height)
+    seen &= (x >= MARGIN) & (y >= MARGIN) & (x <= width - MARGIN) & (y <= height - MARGIN)
+    cosine = -dr.dot(points.normal, along) / dr.norm(along)
+    normal = dr.select(cosine < 0.0, -points.normal, points.normal)
+    cosine = dr.abs(cosine)
+    seen &= cosine > LEAST_COSINE
+
+    # Shadings of the 3 x 3 pixels of light around it that see its surface, by quadratic B-splines
+    light_width, light_height = opaque(light.width), opaque(light.height)
+    columns, rows = mi.Int32(light_width), mi.Int32(light_height)
+    lx, ly = x * (light_width / width), y * (light_height / height)
+    column = dr.clip(mi.Int32(dr.floor(lx)), 1, columns - 2)
+    row = dr.clip(mi.Int32(dr.floor(ly)), 1, rows - 2)
+    reach = PLANE * depth * (width / light_width) / fx + 2.0 * room.noise
+    matched, total = mi.Float(0.0), mi.Float(0.0)
+    diffuse, s0, s1 = mi.Color3f(0.0), mi.Color3f(0.0), mi.Color3f(0.0)
+    lowest, highest = mi.Float(dr.inf), mi.Float(0.0)
+    alone = mi.Bool(True)  # whether all nine see this surface and nothing else
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            pixel = mi.UInt32((row + dy) * columns + column + dx)
+            place = dr.gather(mi.Point3f, shared.position, pixel, seen)
+            facing = dr.gather(mi.Vector3f, shared.normal, pixel, seen)
+            same = seen & (dr.gather(mi.Int32, shared.part, pixel, seen) == points.part)
+            same &= dr.abs(dr.dot(place - points.position, normal)) < reach
+            same &= dr.dot(facing, normal) > LEAST_NORMAL
+            weight = _spline(lx - (mi.Float(column + dx) + 0.5)) * _spline(ly - (mi.Float(row + dy) + 0.5))
+            total += weight
+            weight = dr.select(same, weight, 0.0)
+            alone &= same & dr.gather(mi.Bool, shared.pure, pixel, seen)
+            light_here = dr.gather(mi.Color3f, shared.diffuse, pixel, same)
+            matched += weight
+            diffuse += weight * light_here
+            mean = dr.mean(light_here)
+            lowest = dr.select(same, dr.minimum(lowest, mean), lowest)
+            highest = dr.select(same, dr.maximum(highest, mean), highest)
+            if levels:
+                at = (pixel * levels + points.level) * 2
+                upper = at + (2 if levels > 1 else 0)
+                for number, step in ((0, at), (1, upper)):
+                    lobe = weight * (points.share if number else 1.0 - points.share)
+                    s0 += lobe * dr.gather(mi.Color3f, shared.specular, step, same)
+                    s1 += lobe * dr.gather(mi.Color3f, shared.specular, step + 1, same)
+    seen &= matched > LEAST_MATCH * total
+    scale = dr.select(seen, 1.0 / matched, 0.0)
+    slope, offset = color_line(diffuse * scale, s0 * scale, s1 * scale, points.metallic)
+    step = dr.log(dr.maximum(highest, 1e-6) / dr.maximum(lowest, 1e-6)) / SHADOW_STEP
+    trust = dr.exp(-step * step)
+
+    # Whether the surface is seen, and nothing else, around the texel
+    for dx, dy in ((-1, -1), (1, -1), (-1, 1), (1, 1)):
+        active = seen & ~alone
+        toward = axes[0] * ((x + dx * MARGIN - cx) / fx) + axes[1] * ((y + dy * MARGIN - cy) / fy) + axes[2]
+        hit = room.intersect(mi.Ray3f(eye, dr.normalize(toward)), active)
+        fits = hit.valid & (dr.abs(dr.dot(hit.position - points.position, normal)) < reach)
+        fits &= dr.gather(mi.Int32, parts, hit.triangle, hit.valid) == points.part
+        seen &= fits | ~active
+
+    # The photograph, from the level of its pyramid whose pixels are not smaller than the texel
+    span = dr.maximum(points.size * fx / depth, 1.0)
+    level = mi.UInt32(dr.clip(dr.round(dr.log2(span)), 0, dr.width(shared.starts) - 1))
+    start = dr.gather(mi.UInt32, shared.starts, level, seen)
+    level_width = dr.gather(mi.UInt32, shared.sizes, 2 * level, seen)
+    level_height = dr.gather(mi.UInt32, shared.sizes, 2 * level + 1, seen)
+    shrunk = dr.power(0.5, mi.Float(level))
+    u, v = x * shrunk - 0.5, y * shrunk - 0.5
+    left = dr.clip(dr.floor(u), 0, mi.Float(level_width) - 2)
+    top = dr.clip(dr.floor(v), 0, mi.Float(level_height) - 2)
+    across, down = dr.clip(u - left, 0, 1), dr.clip(v - top, 0, 1)
+    photograph = mi.Color3f(0.0)
+    for dy in (0, 1):
+        for dx in (0, 1):
+            pixel = start + (mi.UInt32(top) + dy) * level_width + mi.UInt32(left) + dx
+            share = (across if dx else 1.0 - across) * (down if dy else 1.0 - down)
+            photograph += share * dr.gather(mi.Color3f, shared.image, pixel, seen)
+    seen &= dr.all(dr.isfinite(photograph))
+
+    color = (photograph - offset) / dr.maximum(slope, 1e-6)
+    bright = dr.maximum(dr.mean(photograph), 1e-6)
+    gloss = dr.mean(offset + color * points.metallic * s0 * scale) / bright
+    seen &= (gloss < GLOSS) & (dr.mean(slope) > 1e-4)
+    density = fx * fy * cosine / (depth * depth)
+    weight = dr.power(density * 1e-4, DENSITY_POWER) * (1.0 - gloss / GLOSS)
+    color = dr.clip(color, -0.5, 2.0)
+    return color, weight, trust, seen
+
+
+def _spline(distance: mi.Float) -> mi.Float:
+    """Quadratic B-spline of a distance in pixels."""
+    far = dr.maximum(1.5 - dr.abs(distance), 0.0)
+    return dr.select(dr.abs(distance) < 0.5, 0.75 - distance * distance, 0.5 * far * far)

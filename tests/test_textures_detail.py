@@ -1,0 +1,240 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Detail of photographs on texels: a wall with a known texture, under known light, seen by three cameras."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fipt_blender.core.capture import views as views_module
+from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.capture.views import View
+from fipt_blender.core.light.baking import ShadingStore
+from fipt_blender.core.light.shadings import roughness_levels
+from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.settings import make_settings
+from fipt_blender.core.scene.pixels import PixelStore
+from fipt_blender.core.scene.room import Room
+from fipt_blender.core.textures import detail
+from fipt_blender.core.textures.surface_cells import SurfaceCells
+from fipt_blender.core.textures.texel_views import Texels
+
+SIZE, FACTOR = 256, 8  # pixels of a photograph, and in one of light, along each axis
+TEXELS = 160  # on the wall, along each axis
+PLACES = ((0.3, 0.6, 1.6), (1.0, 1.0, 1.5), (1.6, 1.3, 1.7))  # of the cameras, which look down on a wall of 2 x 2 m
+PHOTOGRAPHS = 3
+
+
+@pytest.fixture(scope="module", autouse=True)
+def variant():
+    from fipt_blender.core.device.variant import set_variant
+
+    set_variant("llvm")
+
+
+def texture(x, y):
+    """(N, 3) base colour: squares of 31 mm, too small for pixels of light (50 to 60 mm)."""
+    squares = (np.floor(x / 0.031) + np.floor(y / 0.031)) % 2
+    return (0.3 + 0.3 * squares)[..., None] * np.array([1.0, 0.8, 0.6])
+
+
+def plain(x, y):
+    """(N, 3) one base colour."""
+    return np.full((*x.shape, 3), (0.45, 0.36, 0.27))
+
+
+def smooth_light(x, y):
+    """(N,) L_d that changes slowly."""
+    return 1.0 + 0.25 * np.sin(1.5 * x) + 0.1 * y
+
+
+def stepped_light(x, y):
+    """(N,) L_d with the edge of a shadow."""
+    return np.where(x + 0.3 * y < 1.13, 1.2, 0.5)
+
+
+def wall(offset=0.0):
+    """(4, 3) corners and (2, 3) triangles of a square in a plane."""
+    corners = np.array([(0, 0, offset), (2, 0, offset), (2, 2, offset), (0, 2, offset)], np.float32)
+    return corners, np.array([(0, 1, 2), (0, 2, 3)], np.int32)
+
+
+def make_room(shelf=False):
+    """The wall, and before a part of it a shelf."""
+    vertices, triangles = wall()
+    if shelf:
+        board = wall(0.4)[0] * np.float32([0.3, 0.3, 1.0]) + np.float32([0.7, 0.7, 0.0])
+        vertices, triangles = np.concatenate([vertices, board]), np.concatenate([triangles, triangles + 4])
+    count = len(triangles)
+    normals = np.tile(np.float32([0, 0, 1]), (count, 3, 1))
+    zero = np.zeros(count, np.int32)
+    return Room(vertices, triangles, normals, zero, zero)
+
+
+def photograph(view, color, light, shelf):
+    """(H, W, 3) radiance, means over 4 x 4 places in each pixel, and what the centres see."""
+    places = []
+    for dy in (0.125, 0.375, 0.625, 0.875):
+        for dx in (0.125, 0.375, 0.625, 0.875):
+            places.append(shade(*hits(view, dx, dy, shelf), color, light))
+    return np.mean(places, axis=0)
+
+
+def hits(view, dx, dy, shelf):
+    """Points (H, W, 3) that the places of the pixels see, and whether they are on the shelf."""
+    row, column = np.mgrid[0 : view.height, 0 : view.width]
+    along = np.stack(
+        [(column + dx - view.cx) / view.fx, (row + dy - view.cy) / view.fy, np.ones(row.shape)], axis=-1
+    )
+    along = along @ view.camera_to_world[:3, :3].T
+    eye = view.camera_to_world[:3, 3]
+    point = eye + along * ((0.0 - eye[2]) / along[..., 2:])
+    upper = eye + along * ((0.4 - eye[2]) / along[..., 2:])
+    on_shelf = np.zeros(row.shape, bool)
+    if shelf:
+        on_shelf = ((upper[..., :2] > 0.7) & (upper[..., :2] < 1.3)).all(axis=-1)
+    return np.where(on_shelf[..., None], upper, point), on_shelf
+
+
+def shade(point, on_shelf, color, light):
+    x, y = point[..., 0], point[..., 1]
+    radiance = color(x, y) * light(x, y)[..., None]
+    outside = (x < 0) | (x > 2) | (y < 0) | (y > 2)
+    return np.where(on_shelf[..., None], (3.0, 0.1, 0.1), np.where(outside[..., None], 0.0, radiance))
+
+
+def scene(folder, color, light, gains=(1.0, 1.0, 1.0), noise=0.0, shelf=False):
+    """The input of three cameras whose photographs have these gains."""
+    rng = np.random.default_rng(3)
+    photographs, lights, columns = [], [], []
+    for index, place in enumerate(PLACES):
+        pose = np.diag([1.0, -1.0, -1.0, 1.0])
+        pose[:3, 3] = place
+        view = View(f"train/{index}", "train", folder / f"{index}.exr", SIZE, SIZE, 150.0, 150.0, 128.0, 128.0, pose)
+        image = photograph(view, color, light, shelf) * gains[index]
+        write_exr(view.image, image * (1.0 + noise * rng.normal(size=image.shape)))
+        small = view.resized(SIZE // FACTOR, SIZE // FACTOR)
+        point, on_shelf = hits(small, 0.5, 0.5, shelf)
+        x, y = point[..., 0].reshape(-1), point[..., 1].reshape(-1)
+        on_wall = (x >= 0) & (x <= 2) & (y >= 0) & (y <= 2)
+        triangle = np.where(on_shelf.reshape(-1), 2 + (x < y), np.where(on_wall, (x < y).astype(int), -1))
+        mean = image.reshape(small.height, FACTOR, small.width, FACTOR, 3).mean(axis=(1, 3)).reshape(-1, 3)
+        shading = np.mean([light(*np.moveaxis(hits(small, dx, dy, shelf)[0][..., :2], -1, 0))
+                           for dx in (0.25, 0.75) for dy in (0.25, 0.75)], axis=0).reshape(-1)
+        photographs.append(view)
+        lights.append(small)
+        columns.append((mean / gains[index], point.reshape(-1, 3), triangle, shading))
+    radiance, position, triangle, shading = (np.concatenate(column) for column in zip(*columns, strict=True))
+    count = len(triangle)
+    normal = np.tile(np.float32([0, 0, 1]), (count, 1))
+    ranges = np.arange(PHOTOGRAPHS + 1) * (SIZE // FACTOR) ** 2
+    store = PixelStore(
+        lights, ranges, radiance.astype(np.float32), position.astype(np.float32), normal,
+        triangle.astype(np.int32), np.ones(count, bool), np.zeros(count, bool), radiance.astype(np.float32),
+        np.ones(count, np.float32),
+    )
+    levels = roughness_levels(2, 0.1, 1.0)
+    diffuse = np.repeat(shading[:, None], 3, axis=1).astype(np.float16)
+    shadings = ShadingStore(diffuse, np.zeros((count, 2, 2, 3), np.float16))
+    return detail.DetailInput(photographs, store, shadings, levels)
+
+
+def wall_texels(color=plain):
+    """Texels of the wall with the estimate's base colour, row by row."""
+    row, column = np.mgrid[0:TEXELS, 0:TEXELS]
+    x, y = (2.0 * (column.reshape(-1) + 0.5) / TEXELS, 2.0 * (row.reshape(-1) + 0.5) / TEXELS)
+    count = len(x)
+    return Texels(
+        np.stack([x, y, np.zeros(count)], axis=1).astype(np.float32),
+        (x < y).astype(np.int32),
+        color(x, y).astype(np.float32),
+        np.ones(count, np.float32),
+        np.zeros(count, np.float32),
+        np.full(count, 2.0 / TEXELS, np.float32),
+    )
+
+
+def improved(given, shelf=False, estimate=plain):
+    """(texels, base colour) with detail; wall and shelf are different parts."""
+    room, texels = make_room(shelf), wall_texels(estimate)
+    part = np.array([0, 0, 1, 1][: len(room.triangles)], np.int32)
+    return texels, detail.add_detail(texels, given, room, part)
+
+
+def middle(texels):
+    """Texels away from the wall's border."""
+    return ((texels.position[:, :2] > 0.25) & (texels.position[:, :2] < 1.75)).all(axis=1)
+
+
+def mean_texture(texels):
+    """Truth: the texture's mean over each texel."""
+    x, y = texels.position[:, 0].astype(float), texels.position[:, 1].astype(float)
+    shifts = (np.arange(4) - 1.5) * 0.5 / TEXELS
+    return np.mean([texture(x + dx, y + dy) for dx in shifts for dy in shifts], axis=0)
+
+
+def test_a_texture_finer_than_the_pixels_of_light_comes_back(tmp_path):
+    texels, color = improved(scene(tmp_path, texture, smooth_light))
+    inside, truth = middle(texels), mean_texture(texels)
+    assert np.corrcoef(color[inside, 0], truth[inside, 0])[0, 1] > 0.95
+    assert np.abs(color - truth)[inside].mean() < 0.4 * np.abs(texels.base_color - truth)[inside].mean()
+
+
+def test_gains_and_the_level_of_photographs_do_not_change_it(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    _, alike = improved(scene(tmp_path / "a", texture, smooth_light))
+    texels, unlike = improved(scene(tmp_path / "b", texture, smooth_light, gains=(0.4, 1.0, 2.5)))
+    assert np.abs(alike - unlike)[middle(texels)].max() < 0.02
+
+
+def test_the_edge_of_a_shadow_is_not_painted(tmp_path):
+    texels, color = improved(scene(tmp_path, plain, stepped_light))
+    assert np.abs(color - texels.base_color).max() < 0.05
+    assert np.sqrt(((color - texels.base_color)[middle(texels)] ** 2).mean()) < 0.01
+
+
+def test_noise_of_a_wall_of_one_colour_is_not_painted(tmp_path):
+    texels, color = improved(scene(tmp_path, plain, smooth_light, noise=0.05))
+    assert (color - texels.base_color)[middle(texels)].std() < 0.004  # one view has 0.02
+
+
+def test_what_hides_a_wall_is_not_painted_onto_it(tmp_path):
+    texels, color = improved(scene(tmp_path, plain, smooth_light, shelf=True), shelf=True)
+    assert np.abs(color - texels.base_color).max() < 0.03
+
+
+def test_photographs_are_decoded_one_at_a_time_and_once(tmp_path, monkeypatch):
+    given = scene(tmp_path, texture, smooth_light)
+    read = []
+    true = views_module.read_radiance
+    monkeypatch.setattr(views_module, "read_radiance", lambda path: read.append(path.name) or true(path))
+    improved(given)
+    assert read == ["0.exr", "1.exr", "2.exr"]
+
+
+def test_views_without_more_pixels_than_light_tell_nothing(tmp_path):
+    given = scene(tmp_path, texture, smooth_light)
+    same = replace(given, photographs=given.pixels.views)
+    texels, color = improved(same)
+    assert np.array_equal(color, texels.base_color)
+
+
+def test_detail_is_only_read_where_the_setting_and_the_sizes_ask_for_it(tmp_path):
+    run = RunFolder(tmp_path / "run")
+    run.create(make_settings(changes={"detail": False}))
+    write_json(run.stage / "views.json", {"views": [], "shadings": "shadings"})
+    assert detail.load_input(run) is None
+
+
+def test_smoothing_keeps_constants_and_does_not_cross_parts():
+    rng = np.random.default_rng(0)
+    position = rng.uniform(0, 1, (5000, 3)).astype(np.float32) * np.float32([1, 1, 0])
+    triangle = (position[:, 0] > 0.5).astype(np.int32)
+    cells = SurfaceCells.around(position, np.array([0, 1]), triangle, 0.2)
+    rows, ones = np.arange(5000), np.ones(5000, np.float32)
+    values = np.where(triangle, 3.0, 1.0)[:, None]
+    assert np.allclose(cells.smooth(rows, position, ones, values), values, atol=1e-5)
+    fine = np.sin(position[:, :1] * 2 * np.pi / 0.05)
+    assert np.abs(cells.smooth(rows, position, ones, fine)).mean() < 0.2
