@@ -28,8 +28,10 @@ DARKEST, LIGHTEST = 0.02, 0.9  # albedo
 def enlarged(linear: np.ndarray, factor: int) -> np.ndarray:
     """A linear texture (H, W, 3) with `factor` times as many rows and columns, bicubic."""
     size = (linear.shape[1] * factor, linear.shape[0] * factor)
-    planes = [Image.fromarray(np.ascontiguousarray(plane)).resize(size, Image.Resampling.BICUBIC)
-              for plane in np.moveaxis(linear.astype(np.float32), -1, 0)]
+    planes = [
+        Image.fromarray(np.ascontiguousarray(plane)).resize(size, Image.Resampling.BICUBIC)
+        for plane in np.moveaxis(linear.astype(np.float32), -1, 0)
+    ]
     return np.stack([np.asarray(plane) for plane in planes], axis=-1)
 
 
@@ -43,7 +45,9 @@ def grain(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
     for _ in range(height * width // 40_000):
         x, y = rng.uniform(0, width), rng.uniform(0, height)
         turn, reach = rng.uniform(0, np.pi), rng.uniform(15, 80)
-        draw.line((x, y, x + reach * np.cos(turn), y + reach * np.sin(turn)), fill=rng.uniform(0.6, 1.4), width=2)
+        draw.line(
+            (x, y, x + reach * np.cos(turn), y + reach * np.sin(turn)), fill=rng.uniform(0.6, 1.4), width=2
+        )
     return factor * np.asarray(image)
 
 
@@ -53,11 +57,15 @@ def weave(rng: np.random.Generator, height: int, width: int, period: int = 8) ->
     over = ((x // period) + (y // period)) % 2 == 0
     warp = rng.uniform(0.75, 1.25, width // period + 1)[x // period]
     weft = rng.uniform(0.75, 1.25, height // period + 1)[y // period]
-    rounding = np.where(over, np.sin(np.pi * (x % period + 0.5) / period), np.sin(np.pi * (y % period + 0.5) / period))
+    rounding = np.where(
+        over, np.sin(np.pi * (x % period + 0.5) / period), np.sin(np.pi * (y % period + 0.5) / period)
+    )
     return np.where(over, warp, weft) * (0.7 + 0.4 * rounding)
 
 
-def printed(rng: np.random.Generator, linear: np.ndarray, boxes: list[tuple[int, int, int, int]], size: int) -> None:
+def printed(
+    rng: np.random.Generator, linear: np.ndarray, boxes: list[tuple[int, int, int, int]], size: int
+) -> None:
     """Print lines of random letters of `size` texels into boxes (left, top, right, bottom), in place."""
     font = ImageFont.load_default(size)
     for left, top, right, bottom in boxes:
@@ -83,15 +91,20 @@ def fine_texture(name: str, seed: int) -> np.ndarray:
         brush = smooth_noise(rng, height, width, height // 4, width // 14) - 0.5
         linear *= (1.0 + 0.25 * brush)[..., None]
         third = height // 3
-        boxes = [(width // 12, height - third, 11 * width // 12, height - height // 12),
-                 (width // 12, height // 14, width // 2, height // 4)]
+        boxes = [
+            (width // 12, height - third, 11 * width // 12, height - height // 12),
+            (width // 12, height // 14, width // 2, height // 4),
+        ]
         printed(rng, linear, boxes[:1], 18)
         printed(rng, linear, boxes[1:], 42)
     elif name == "books":
         cell = width // 8
         edge = cell // 10
-        boxes = [(column * cell + edge, row * cell + edge, (column + 1) * cell - edge, (row + 1) * cell - edge)
-                 for row in range(8) for column in range(8)]
+        boxes = [
+            (column * cell + edge, row * cell + edge, (column + 1) * cell - edge, (row + 1) * cell - edge)
+            for row in range(8)
+            for column in range(8)
+        ]
         printed(rng, linear, boxes, 22)
     else:
         linear *= weave(rng, height, width)[..., None]

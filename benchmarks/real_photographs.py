@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Photographs of real size of a room of examples/make_room.py: few paths a pixel, and all its fine textures.
 
-Diffuse and specular shadings of the first surface are traced and denoised, and the photograph is composed of
-them with the true maps, L = kd L_d + ks L_s0 + L_s1 (paper Eq. 5): so the denoiser can't touch a texture. Then
-the blur and the noise of a camera are added.
+Diffuse and specular shadings of the first surface are traced and denoised, and a photograph is composed of
+them with the true maps, L = kd L_d + ks L_s0 + L_s1 (paper Eq. 5): so the denoiser can't touch a texture.
+Then the blur and the noise of a camera are added.
 
     python examples/make_room.py --no-render --size 1536x864 --views 18 --out DIR
     python benchmarks/real_photographs.py DIR
@@ -28,7 +28,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "examples")]
 from benchmarks.fine_textures import write_fine_textures  # noqa: E402
 
 BLUR = 0.5  # standard deviation of a camera's blur, pixels
-SHOT_NOISE, READ_NOISE = 0.008, 0.002  # relative to the view's median radiance, standard deviations at it
+SHOT_NOISE, READ_NOISE = 0.008, 0.002  # standard deviations at the median radiance, relative to it
 GRID = 3  # true maps are means over GRID x GRID positions in a pixel
 MAX_DEPTH = 8
 TRAIN_MAPS = ("IndexMA", "segmentation", "DiffCol")  # written of training views
@@ -37,8 +37,8 @@ TRAIN_MAPS = ("IndexMA", "segmentation", "DiffCol")  # written of training views
 def shadings(room: Any, pose: np.ndarray, spp: int, seed: int) -> np.ndarray:
     """(3, H, W, 3) L_d, L_s0 and L_s1 of the first surface, means over the pixel.
 
-    Each pass takes one direction by the cosine, one by visible normals and one towards an emitter, combined by
-    the balance heuristic.
+    Each pass takes one direction by the cosine, one by visible normals and one towards an emitter, combined
+    by the balance heuristic.
     """
     import drjit as dr
     import mitsuba as mi
@@ -71,7 +71,7 @@ def shadings(room: Any, pose: np.ndarray, spp: int, seed: int) -> np.ndarray:
         sums = [mi.Color3f(0.0) for _ in range(3)]
 
         def add(wi: Any, radiance: Any, density: Any, active: Any) -> None:
-            weight = dr.select(active & (wi.z > 0.0) & (density > 1e-12), 1.0 / density, 0.0)  # noqa: B023
+            weight = dr.select(active & (wi.z > 0.0) & (density > 1e-12), 1.0 / density, 0.0)
             s0, s1 = brdf.specular_lobes(wi, wo, roughness)  # noqa: B023
             for k, lobe in enumerate((dr.maximum(wi.z, 0.0) * dr.inv_pi, s0, s1)):
                 sums[k] += radiance * weight * lobe  # noqa: B023

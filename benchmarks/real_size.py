@@ -60,7 +60,9 @@ def read_truth(view: View) -> Truth:
     kd = read_radiance(folder / "DiffCol" / name)
     material = read_ids(folder / "IndexMA" / name)
     emits = read_radiance(folder / "Emit" / name).max(axis=2) > 0
-    return Truth(kd, material, (material > 0) & ~emits & (kd.max(axis=2) > 0), read_radiance(folder / "L_d" / name))
+    return Truth(
+        kd, material, (material > 0) & ~emits & (kd.max(axis=2) > 0), read_radiance(folder / "L_d" / name)
+    )
 
 
 class Textures:
@@ -85,7 +87,11 @@ class Textures:
         triangle = np.where(valid, np.array(surface.triangle), 0)
         position = np.array(surface.position).T
         corners = self.room.vertices[self.room.triangles[triangle]].astype(np.float64)
-        across, along, to = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], position - corners[:, 0]
+        across, along, to = (
+            corners[:, 1] - corners[:, 0],
+            corners[:, 2] - corners[:, 0],
+            position - corners[:, 0],
+        )
         aa, ab, bb = (across**2).sum(1), (across * along).sum(1), (along**2).sum(1)
         pa, pb = (to * across).sum(1), (to * along).sum(1)
         scale = 1.0 / np.maximum(aa * bb - ab * ab, 1e-30)
@@ -107,7 +113,9 @@ def high_band(image: np.ndarray, inside: np.ndarray, factor: int) -> np.ndarray:
     """(H, W) what is left of an image without its mean over about a pixel of light, within a region."""
     sigma = 0.5 * factor
     share = ndimage.gaussian_filter(inside.astype(float), sigma)
-    return np.where(inside, image - ndimage.gaussian_filter(image * inside, sigma) / np.maximum(share, 1e-9), 0.0)
+    return np.where(
+        inside, image - ndimage.gaussian_filter(image * inside, sigma) / np.maximum(share, 1e-9), 0.0
+    )
 
 
 def interiors(material: np.ndarray) -> np.ndarray:
@@ -123,9 +131,13 @@ def averaged(image: np.ndarray, factor: int) -> np.ndarray:
     return part.reshape(height, factor, width, factor, *image.shape[2:]).mean(axis=(1, 3))
 
 
-def score(predicted: list[np.ndarray], true: list[Truth], textured: np.ndarray, factor: int) -> dict[str, float]:
+def score(
+    predicted: list[np.ndarray], true: list[Truth], textured: np.ndarray, factor: int
+) -> dict[str, float]:
     """The figures of some views; `textured` (materials + 1,) bool by id."""
-    figures = {"kd": metrics.pooled_psnr(predicted, [one.kd for one in true], [one.surface for one in true], True)}
+    figures = {
+        "kd": metrics.pooled_psnr(predicted, [one.kd for one in true], [one.surface for one in true], True)
+    }
     small = [[averaged(image, factor) for image in side] for side in (predicted, [one.kd for one in true])]
     whole = [averaged(one.surface.astype(float), factor) > 0.99 for one in true]
     figures["kd_light"] = metrics.pooled_psnr(*small, whole, True)
@@ -166,7 +178,12 @@ def main(argv: list[str]) -> int:
     rig = read_rig(options.capture, "auto", ReadOptions())
     views = [
         View(
-            view.name, view.split, view.image, view.width, view.height, *view.lens.parameters,
+            view.name,
+            view.split,
+            view.image,
+            view.width,
+            view.height,
+            *view.lens.parameters,
             transform_poses(placed, view.camera_to_world),
         )
         for view in rig.views

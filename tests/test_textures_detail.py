@@ -22,7 +22,11 @@ from fipt_blender.core.textures.texel_views import Texels
 
 SIZE, FACTOR = 256, 8  # pixels of a photograph, and in one of light, along each axis
 TEXELS = 160  # on the wall, along each axis
-PLACES = ((0.3, 0.6, 1.6), (1.0, 1.0, 1.5), (1.6, 1.3, 1.7))  # of the cameras, which look down on a wall of 2 x 2 m
+PLACES = (
+    (0.3, 0.6, 1.6),
+    (1.0, 1.0, 1.5),
+    (1.6, 1.3, 1.7),
+)  # of the cameras, which look down on a wall of 2 x 2 m
 PHOTOGRAPHS = 3
 
 
@@ -111,7 +115,9 @@ def scene(folder, color, light, gains=(1.0, 1.0, 1.0), noise=0.0, shelf=False):
     for index, place in enumerate(PLACES):
         pose = np.diag([1.0, -1.0, -1.0, 1.0])
         pose[:3, 3] = place
-        view = View(f"train/{index}", "train", folder / f"{index}.exr", SIZE, SIZE, 150.0, 150.0, 128.0, 128.0, pose)
+        view = View(
+            f"train/{index}", "train", folder / f"{index}.exr", SIZE, SIZE, 150.0, 150.0, 128.0, 128.0, pose
+        )
         image = photograph(view, color, light, shelf) * gains[index]
         write_exr(view.image, image * (1.0 + noise * rng.normal(size=image.shape)))
         small = view.resized(SIZE // FACTOR, SIZE // FACTOR)
@@ -120,8 +126,14 @@ def scene(folder, color, light, gains=(1.0, 1.0, 1.0), noise=0.0, shelf=False):
         on_wall = (x >= 0) & (x <= 2) & (y >= 0) & (y <= 2)
         triangle = np.where(on_shelf.reshape(-1), 2 + (x < y), np.where(on_wall, (x < y).astype(int), -1))
         mean = image.reshape(small.height, FACTOR, small.width, FACTOR, 3).mean(axis=(1, 3)).reshape(-1, 3)
-        shading = np.mean([light(*np.moveaxis(hits(small, dx, dy, shelf)[0][..., :2], -1, 0))
-                           for dx in (0.25, 0.75) for dy in (0.25, 0.75)], axis=0).reshape(-1)
+        shading = np.mean(
+            [
+                light(*np.moveaxis(hits(small, dx, dy, shelf)[0][..., :2], -1, 0))
+                for dx in (0.25, 0.75)
+                for dy in (0.25, 0.75)
+            ],
+            axis=0,
+        ).reshape(-1)
         photographs.append(view)
         lights.append(small)
         columns.append((mean / gains[index], point.reshape(-1, 3), triangle, shading))
@@ -130,8 +142,15 @@ def scene(folder, color, light, gains=(1.0, 1.0, 1.0), noise=0.0, shelf=False):
     normal = np.tile(np.float32([0, 0, 1]), (count, 1))
     ranges = np.arange(PHOTOGRAPHS + 1) * (SIZE // FACTOR) ** 2
     store = PixelStore(
-        lights, ranges, radiance.astype(np.float32), position.astype(np.float32), normal,
-        triangle.astype(np.int32), np.ones(count, bool), np.zeros(count, bool), radiance.astype(np.float32),
+        lights,
+        ranges,
+        radiance.astype(np.float32),
+        position.astype(np.float32),
+        normal,
+        triangle.astype(np.int32),
+        np.ones(count, bool),
+        np.zeros(count, bool),
+        radiance.astype(np.float32),
         np.ones(count, np.float32),
     )
     levels = roughness_levels(2, 0.1, 1.0)
@@ -151,6 +170,7 @@ def wall_texels(color=plain):
         color(x, y).astype(np.float32),
         np.ones(count, np.float32),
         np.zeros(count, np.float32),
+        np.ones((count, 3), np.float32),
         np.full(count, 2.0 / TEXELS, np.float32),
     )
 

@@ -9,13 +9,14 @@ then scaled to one texel density and packed into few images. Scans are unwrapped
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
 
 from ...bridge.step import Slices
 from ...core.run.errors import FiptError
+from ...core.run.run_files import read_resolution
 from ...core.run.runfolder import RunFolder, atomic_path, write_json
 from ...core.run.settings import Settings
 from ..slices import find_object, run_through
@@ -27,6 +28,11 @@ from .result_meshes import match_objects
 from .unwrapping import UnwrapSource, exported_source, read_source, unwrap, uvs_in_range, uvs_usable
 
 MAX_IMAGES = 16
+# Where photographs have more detail than light, the density is what they resolve on each island, within these
+# images of the preset's width and height; between the setting's density and the highest one.
+DETAIL_IMAGES = 4
+DETAIL_SIZES = {"draft": 2048, "medium": 4096, "high": 8192}
+MOST_DENSITY = 2000.0  # texels a metre
 # UVs of scans are rounded to this share of an image, a 32nd of a texel or less: they compress to two thirds.
 UV_STEP = 2.0**-16
 # Face corners that are unwrapped in one slice: about 50 ms.
@@ -149,8 +155,11 @@ def atlas_slices(
             islands.uv[task.triangles] = uv
             islands.island[task.triangles] = uv_islands(room.triangles[task.triangles], uv)
         yield None
-    packing = yield from _pack_room(room, islands, run, settings, max_images)
-    density = settings.texel_density * float(packing.scale.min(initial=1.0))
+    resolved = read_resolution(run, count) if settings.detail else None
+    if resolved is not None:
+        size = max(settings.texture_size, DETAIL_SIZES.get(settings.preset, 0))
+        settings, max_images = replace(settings, texture_size=size), min(max_images, DETAIL_IMAGES)
+    packing, density = yield from _pack_room(room, islands, run, settings, max_images, resolved)
     return Atlas(packing.sizes, kept, [*unwrapped, *(task.name for task in tasks)], density)
 
 
@@ -169,9 +178,21 @@ def _batches(tasks: list[_UnwrapTask]) -> Iterator[list[_UnwrapTask]]:
 
 
 def _pack_room(
-    room: Room, islands: _RoomIslands, run: RunFolder, settings: Settings, max_images: int
-) -> Slices[Packing]:
-    """Scale all islands to one density, pack them and write the atlas."""
+    room: Room,
+    islands: _RoomIslands,
+    run: RunFolder,
+    settings: Settings,
+    max_images: int,
+    resolved: np.ndarray | None,
+) -> Slices[tuple[Packing, float]]:
+    """Scale all islands to one density, or to that of the photographs, pack them and write the atlas.
+
+    Args:
+        resolved: (T,) texels a metre that photographs resolve, NaN where unseen; None for one density.
+
+    Returns:
+        the packing, and the lowest density of an island.
+    """
     # Number the islands over the whole room.
     stride = int(islands.island.max(initial=0)) + 1
     _, island = np.unique(
@@ -183,10 +204,12 @@ def _pack_room(
     world_area = np.bincount(island, islands.area, island_count)
     flat_area = np.bincount(island, triangle_areas(islands.uv), island_count)
     packed = ((world_area > 1e-12) & (flat_area > 1e-14))[island]  # (T,)
-    density = settings.texel_density * _island_scale(room.triangle_object, island, world_area, flat_area)
+    wanted = _island_density(resolved, island, islands.area, island_count, settings.texel_density)
+    density = wanted * _island_scale(room.triangle_object, island, world_area, flat_area)
     texels = islands.uv[packed] * density[island[packed]][:, None, None]
     owner = room.triangle_object[packed].astype(np.int64)
     polygon = room.triangle_polygon[packed]
+    packed_wanted = wanted[island[packed]]
     packed_island = np.zeros(len(texels), np.int64)
     count = 0
     for index in np.unique(owner):
@@ -216,7 +239,20 @@ def _pack_room(
             "mesh-empty", "The room's faces have no area.", "Choose the mesh objects that form the room."
         )
     yield None
-    return packing
+    return packing, float((packed_wanted * packing.scale[packed_island]).min(initial=np.inf))
+
+
+def _island_density(
+    resolved: np.ndarray | None, island: np.ndarray, area: np.ndarray, count: int, least: float
+) -> np.ndarray:
+    """(count,) texels a metre wanted of each island: the mean over its area of what photographs resolve."""
+    if resolved is None:
+        return np.full(count, least)
+    seen = np.isfinite(resolved)
+    weight = np.maximum(area, 1e-12) * seen
+    total = np.bincount(island, weight * np.nan_to_num(resolved), count)
+    mean = total / np.maximum(np.bincount(island, weight, count), 1e-30)
+    return np.clip(mean, least, max(MOST_DENSITY, least))
 
 
 def _island_scale(

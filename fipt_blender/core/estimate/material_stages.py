@@ -39,7 +39,7 @@ from ..run.checkpoints import HINTED_ESTIMATE, HINTED_LAMPS, HINTED_TRAINING, UN
 from ..run.errors import FiptError
 from ..run.replacing import atomic_folder, keep_inputs
 from ..run.runfolder import RunFolder, write_json
-from ..textures.detail import remember_views
+from ..textures.detail import remember_views, write_resolution
 from .doubts import write_doubts
 from .hinted import area_names, write_left_alone
 from .part_list import write_part_list
@@ -254,6 +254,7 @@ class MaterialStages(EstimationState):
             write_left_alone(folder, left_alone)
             self._write_doubts(folder, np.array([*names, ""], object)[fields.units.triangle])
             remember_views(folder, self.views, self._shadings)
+            write_resolution(folder, len(self.room.triangles))
             write_json(folder.statistics_json, self.summary())
             keep_inputs(folder, new)
 

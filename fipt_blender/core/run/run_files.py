@@ -29,6 +29,7 @@ from .shapes import (
     LEFT_ALONE_ARRAYS,
     OUTLINES_ARRAYS,
     PANES_ARRAYS,
+    RESOLUTION_ARRAYS,
     ROOM,
     ROOM_ARRAYS,
     Layout,
@@ -198,6 +199,24 @@ def read_atlas(run: RunFolder, triangles: int) -> tuple[dict[str, Any], dict[str
             "file-damaged", f"{run.atlas_npz} does not fit the room and {run.atlas_json}.", _ATLAS_AGAIN
         )
     return atlas, arrays
+
+
+def read_resolution(run: RunFolder, triangles: int) -> np.ndarray | None:
+    """(T,) float32 texels a metre that the photographs resolve on each triangle, NaN on unseen ones.
+
+    None where they have no more pixels than light was solved at, and where the file does not fit the room.
+
+    Args:
+        run: the run folder.
+        triangles: how many the room has.
+
+    Raises:
+        FiptError: ``file-damaged``.
+    """
+    if not run.resolution_npz.exists():
+        return None
+    density = read_arrays(run.resolution_npz, RESOLUTION_ARRAYS, remedy=_ESTIMATE_AGAIN)["density"]
+    return density if len(density) == triangles else None
 
 
 def read_emitters(run: RunFolder, triangles: int) -> dict[str, Any]:

@@ -70,6 +70,7 @@ class RunFolder:
         self.left_alone_npz = self.results / "left_alone.npz"
         self.emitters_json = self.results / "emitters.json"
         self.environment_exr = self.results / "environment.exr"
+        self.resolution_npz = self.results / "resolution.npz"
         self.statistics_json = self.results / "statistics.json"
         self.doubts_json = self.results / "doubts.json"
         self.doubts = self.results / "doubts"

@@ -301,4 +301,5 @@ FIELDS_ARRAYS: dict[str, Layout] = {
     "seen_errors": ("f", ("C", 3)),
 }
 PARTS_ARRAYS: dict[str, Layout] = {"triangle_part": ("i", ("T",)), "single": ("b", ("U",))}
+RESOLUTION_ARRAYS: dict[str, Layout] = {"density": ("f", ("T",))}
 LEFT_ALONE_ARRAYS: dict[str, Layout] = {"left_alone": ("b", ("T",))}

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Engine command `textures`: sample the estimate at every texel of the atlas, and add the photographs' detail.
+"""Engine command `textures`: sample the estimate at every texel of the atlas, and add photographs' detail.
 
 The estimate is queried at the surface point of each texel's centre; the texels between UV islands are padded.
 Where photographs have more pixels than light was solved at, base colour gets their detail (:mod:`.detail`).
@@ -9,6 +9,7 @@ Where photographs have more pixels than light was solved at, base colour gets th
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -177,31 +178,33 @@ def bake_with_detail(
     atlas, arrays = read_atlas(folder, len(room.triangles))
     corners = room.vertices[room.triangles]
     entries = atlas["images"]
-    counts = [len(_surface_points(entry, index, arrays, corners)[0]) for index, entry in enumerate(entries)]
-    ends = np.cumsum([0, *counts])
+    sizes = [np.array([entry["width"], entry["height"]], np.int64) for entry in entries]
     listed: list[dict[str, str]] = []
-    with stored_texels(folder, int(ends[-1])) as texels:
+    with stored_texels(folder, int(sum(size.prod() for size in sizes))) as store:
+        ends, places = [0], []
         for index, entry in enumerate(entries):
-            rows = slice(int(ends[index]), int(ends[index + 1]))
             texel, positions, triangles = _surface_points(entry, index, arrays, corners)
+            # Texels beside each other stay together, so that views skip what they can't see.
             order = np.argsort(_tile(texel, int(entry["width"])), kind="stable")
+            places.append(texel[order].astype(np.int32))
+            rows = slice(ends[-1], ends[-1] + len(order))
+            positions, triangles = positions[order], triangles[order]
             samples = sample_fields(fields, positions, triangles)
-            sizes = np.array([entry["width"], entry["height"]], np.float64)
-            size = _texel_sizes(arrays["corner_uv"] * sizes, corners)
-            texels.position[rows], texels.triangle[rows] = positions[order], triangles[order]
-            texels.size[rows] = size[triangles[order]]
-            texels.base_color[rows] = samples.base_color[order]
-            texels.roughness[rows], texels.metallic[rows] = samples.roughness[order], samples.metallic[order]
-            progress(0.3 * (index + 1) / len(entries))
-        color = add_detail(texels, given, room, part, lambda share: progress(0.3 + 0.5 * share))
+            store.position[rows], store.triangle[rows] = positions, triangles
+            store.size[rows] = _texel_sizes(arrays["corner_uv"] * sizes[index], corners)[triangles]
+            for item in dataclasses.fields(samples):
+                getattr(store, item.name)[rows] = getattr(samples, item.name)
+            ends.append(rows.stop)
+            progress(0.5 * (index + 1) / len(entries))
+        texels = store.first(ends[-1])
+        color = add_detail(texels, given, room, part, lambda share: progress(0.5 + 0.4 * share))
         for index, entry in enumerate(entries):
-            rows = slice(int(ends[index]), int(ends[index + 1]))
-            texel, positions, triangles = _surface_points(entry, index, arrays, corners)
-            order = np.argsort(_tile(texel, int(entry["width"])), kind="stable")
-            samples = sample_fields(fields, positions, triangles)
-            samples.base_color[order] = color[rows]
-            listed.append(_write_image(folder, entry, texel, samples))
-            progress(0.8 + 0.2 * (index + 1) / len(entries))
+            rows = slice(ends[index], ends[index + 1])
+            samples = Samples(
+                color[rows], texels.roughness[rows], texels.metallic[rows], texels.confidence[rows]
+            )
+            listed.append(_write_image(folder, entry, places[index], samples))
+            progress(0.9 + 0.1 * (index + 1) / len(entries))
     write_json(folder.textures_json, {"images": listed})
     written = [folder.root / entry[name] for entry in listed for name in MAPS]
     return [*written, folder.textures_json]

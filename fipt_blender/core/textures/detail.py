@@ -23,7 +23,7 @@ from ..light.baking import ShadingStore, open_shadings
 from ..light.observations import median_footprint
 from ..light.shadings import roughness_levels
 from ..run.documents import read_json
-from ..run.runfolder import RunFolder, write_json
+from ..run.runfolder import RunFolder, atomic_path, write_json
 from ..scene.labels import NO_PART
 from ..scene.pixels import PixelStore, open_pixels
 from ..scene.room import Room, triangle_normals
@@ -105,12 +105,39 @@ def load_input(run: RunFolder) -> DetailInput | None:
     return DetailInput(photographs, pixels, shadings, levels)
 
 
+def write_resolution(run: RunFolder, triangles: int) -> None:
+    """Write results/resolution.npz: the texels a metre that photographs resolve on the room's triangles.
+
+    It is the median over the pixels of light that see a triangle of the density of the photograph's pixels.
+    There is no such file where the photographs have no more pixels than light.
+    """
+    run.resolution_npz.unlink(missing_ok=True)
+    given = load_input(run)
+    if given is None:
+        return
+    pixels, seen, density = given.pixels, [], []
+    for index in given.larger():
+        rows, view = pixels.rows(index), given.photographs[index]
+        triangle = np.asarray(pixels.triangle[rows])
+        hit = np.flatnonzero(triangle >= 0)
+        away = np.asarray(pixels.position[rows])[hit] - view.camera_to_world[:3, 3]
+        seen.append(triangle[hit])
+        density.append(np.sqrt(view.fx * view.fy) / np.maximum(away @ view.camera_to_world[:3, 2], 1e-3))
+    triangle, values = np.concatenate(seen), np.concatenate(density)
+    order = np.lexsort((values, triangle))
+    found, start, number = np.unique(triangle[order], return_index=True, return_counts=True)
+    result = np.full(triangles, np.nan, np.float32)
+    result[found] = values[order][start + number // 2]
+    with atomic_path(run.resolution_npz) as temporary:
+        np.savez(temporary, density=result)
+
+
 @contextmanager
 def stored_texels(run: RunFolder, count: int) -> Iterator[Texels]:
-    """Texels in memory-mapped files of the stage folder, which are removed in the end."""
+    """Room for up to `count` texels in files of the stage folder, mapped to memory and removed in the end."""
     run.stage.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=run.stage, prefix="texels-", ignore_cleanup_errors=True) as scratch:
-        shapes = {"position": (count, 3), "base_color": (count, 3)}
+        shapes = dict.fromkeys(("position", "base_color", "confidence"), (count, 3))
         kinds = {"triangle": np.int32}
         yield Texels(
             **{
@@ -176,7 +203,7 @@ def light_pixels(given: DetailInput, index: int, part: np.ndarray) -> LightPixel
 
 
 def photograph(given: DetailInput, index: int) -> np.ndarray:
-    """(H, W, 3) float32 radiance of a photograph in the unit of the pixels; NaN where it is clipped or masked.
+    """(H, W, 3) float32 radiance of a photograph in the unit of the pixels; NaN where clipped or masked.
 
     The pixels' radiance has one scale, corrections of exposure and, where photographs are not HDR, of the
     camera's response: here their median ratio, a channel each.
@@ -242,7 +269,14 @@ class Totals:
     def of(cls, count: int) -> Totals:
         """Zero."""
         one = (np.zeros(count, np.float32) for _ in range(4))
-        return cls(next(one), next(one), np.zeros((count, 3), np.float32), next(one), next(one), np.zeros(count, np.int16))
+        return cls(
+            next(one),
+            next(one),
+            np.zeros((count, 3), np.float32),
+            next(one),
+            next(one),
+            np.zeros(count, np.int16),
+        )
 
     def add(self, seen: Seen, color: np.ndarray, estimate: np.ndarray) -> None:
         """Add a view: its corrected colours (n, 3); `estimate` (N, 3) of all texels."""
@@ -301,7 +335,8 @@ def _block_bounds(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _candidates(view: View, low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
     """(n,) int64 texels of the blocks that are not wholly outside the view."""
     corners = np.stack(
-        [np.where(pick, high, low) for pick in np.array(np.meshgrid(*[[False, True]] * 3)).reshape(3, 8).T], axis=1
+        [np.where(pick, high, low) for pick in np.array(np.meshgrid(*[[False, True]] * 3)).reshape(3, 8).T],
+        axis=1,
     )
     local = (corners - view.camera_to_world[:3, 3]) @ view.camera_to_world[:3, :3]
     x, y, z = local[..., 0] * view.fx, local[..., 1] * view.fy, local[..., 2]

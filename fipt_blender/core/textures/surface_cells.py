@@ -38,7 +38,9 @@ class SurfaceCells:
     count: int
 
     @classmethod
-    def around(cls, position: np.ndarray, part: np.ndarray, triangle: np.ndarray, width: float) -> SurfaceCells:
+    def around(
+        cls, position: np.ndarray, part: np.ndarray, triangle: np.ndarray, width: float
+    ) -> SurfaceCells:
         """The grid for points.
 
         Args:
@@ -69,7 +71,9 @@ class SurfaceCells:
         inside = (inside - np.floor(inside)).astype(np.float32)[:, None]
         return np.where(_CORNERS == 1, inside, 1.0 - inside).prod(axis=2)
 
-    def smooth(self, rows: np.ndarray, position: np.ndarray, weight: np.ndarray, values: np.ndarray) -> np.ndarray:
+    def smooth(
+        self, rows: np.ndarray, position: np.ndarray, weight: np.ndarray, values: np.ndarray
+    ) -> np.ndarray:
         """(n, C) float32 weighted local means of values (n, C) at the same points.
 
         Args:

@@ -3,13 +3,13 @@
 """What one photograph tells of the base colour of texels, by the factorised rendering (paper Eq. 5).
 
 A texel that a view sees has base colour (I - offset) / slope (`optics.factorised.color_line`): I is the
-photograph at full size; slope and offset consist of the shadings of the pixels of light around it that see the
-same surface and part. So shadings go along surfaces, never across a border.
+photograph at full size; slope and offset consist of the shadings of the pixels of light around it that see
+the same surface and part. So shadings go along surfaces, never across a border.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import drjit as dr
 import mitsuba as mi
@@ -44,6 +44,7 @@ class Texels:
         triangle: (N,) int32.
         base_color: (N, 3) of the estimate.
         roughness, metallic: (N,).
+        confidence: (N, 3) of the three above.
         size: (N,) width of a texel, metres.
     """
 
@@ -52,10 +53,15 @@ class Texels:
     base_color: np.ndarray
     roughness: np.ndarray
     metallic: np.ndarray
+    confidence: np.ndarray
     size: np.ndarray
 
     def __len__(self) -> int:
         return len(self.triangle)
+
+    def first(self, count: int) -> Texels:
+        """The first texels, on the same memory."""
+        return Texels(**{item.name: getattr(self, item.name)[:count] for item in fields(self)})
 
 
 @dataclass(frozen=True)
@@ -152,14 +158,15 @@ def see_texels(
         color, weight, trust, seen = _see(points, shared, room, parts, light.view, view, len(levels))
         dr.eval(color, weight, trust, seen)
         kept = np.flatnonzero(np.array(seen))
-        found.append(
-            Seen(rows[kept], np.array(color).T[kept], np.array(weight)[kept], np.array(trust)[kept])
-        )
+        found.append(Seen(rows[kept], np.array(color).T[kept], np.array(weight)[kept], np.array(trust)[kept]))
     if not found:
         empty = np.zeros(0, np.float32)
         return Seen(np.zeros(0, np.int64), np.zeros((0, 3), np.float32), empty, empty)
     return Seen(
-        *(np.concatenate([getattr(one, name) for one in found]) for name in ("texel", "color", "weight", "trust"))
+        *(
+            np.concatenate([getattr(one, name) for one in found])
+            for name in ("texel", "color", "weight", "trust")
+        )
     )
 
 
