@@ -169,6 +169,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("capture", type=Path)
     parser.add_argument("run", type=Path)
     parser.add_argument("--factor", type=int, default=8, help="pixels of a photograph along a pixel of light")
+    parser.add_argument("--views", type=int, help="only so many held-back views")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--maps", type=Path, help="write kd of the views there")
     options = parser.parse_args(argv)
@@ -188,7 +189,7 @@ def main(argv: list[str]) -> int:
         )
         for view in rig.views
         if view.split == "held_back"
-    ]
+    ][: options.views]
     textures = Textures(run)
     predicted = [textures.kd(view) for view in views]
     true = [read_truth(view) for view in views]

@@ -26,9 +26,11 @@ MARGIN = 1.0  # pixels around a texel in which its surface must be seen: blur mi
 PLANE = 0.4  # distance from a texel's plane that still is its surface, in widths of a pixel of light
 LEAST_NORMAL = 0.8  # least cosine between a texel's normal and that of a pixel of light beside it
 LEAST_MATCH = 0.3  # least share of the weight of the 3 x 3 pixels of light that sees the texel's surface
-# Natural logarithm between the L_d of neighbouring pixels of light, beyond which they do not resolve a
-# shadow's edge: the trust falls as a Gaussian.
-SHADOW_STEP = 0.3
+# Deviation of L_d from the mean of its neighbours on both sides, relative to L_d, beyond which pixels of
+# light do not resolve a shadow's edge, and the slope per pixel: an edge within a pixel is an even slope. The
+# trust falls as a Gaussian; below `LEAST_TRUST` a view tells nothing.
+SHADOW_BEND, SHADOW_SLOPE = 0.08, 0.2
+LEAST_TRUST = 0.02
 GLOSS = 0.5  # share of gloss in a photograph's radiance from which it tells nothing of base colour
 DENSITY_POWER = 2.0  # weight of a view by the pixels per area with which it sees a texel
 CLIPPED = 0.98  # code of photographs that are not HDR from which they are clipped
@@ -241,7 +243,7 @@ def _see(
     reach = PLANE * depth * (width / light_width) / fx + 2.0 * room.noise
     matched, total = mi.Float(0.0), mi.Float(0.0)
     diffuse, s0, s1 = mi.Color3f(0.0), mi.Color3f(0.0), mi.Color3f(0.0)
-    lowest, highest = mi.Float(dr.inf), mi.Float(0.0)
+    shades: list[tuple[mi.Float, mi.Bool]] = []
     alone = mi.Bool(True)  # whether all nine see this surface and nothing else
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
@@ -258,9 +260,7 @@ def _see(
             light_here = dr.gather(mi.Color3f, shared.diffuse, pixel, same)
             matched += weight
             diffuse += weight * light_here
-            mean = dr.mean(light_here)
-            lowest = dr.select(same, dr.minimum(lowest, mean), lowest)
-            highest = dr.select(same, dr.maximum(highest, mean), highest)
+            shades.append((dr.mean(light_here), same))
             if levels:
                 at = (pixel * levels + points.level) * 2
                 upper = at + (2 if levels > 1 else 0)
@@ -271,8 +271,9 @@ def _see(
     seen &= matched > LEAST_MATCH * total
     scale = dr.select(seen, 1.0 / matched, 0.0)
     slope, offset = color_line(diffuse * scale, s0 * scale, s1 * scale, points.metallic)
-    step = dr.log(dr.maximum(highest, 1e-6) / dr.maximum(lowest, 1e-6)) / SHADOW_STEP
-    trust = dr.exp(-step * step)
+    edge = _unevenness(shades, dr.mean(diffuse) * scale)
+    trust = dr.exp(-edge * edge)
+    seen &= trust > LEAST_TRUST
 
     # Whether the surface is seen, and nothing else, around the texel
     for dx, dy in ((-1, -1), (1, -1), (-1, 1), (1, 1)):
@@ -310,6 +311,25 @@ def _see(
     weight = dr.power(density * 1e-4, DENSITY_POWER) * (1.0 - gloss / GLOSS)
     color = dr.clip(color, -0.5, 2.0)
     return color, weight, trust, seen
+
+
+def _unevenness(shades: list[tuple[mi.Float, mi.Bool]], mean: mi.Float) -> mi.Float:
+    """How much L_d of 3 x 3 pixels bends or slopes, in units of `SHADOW_BEND` and `SHADOW_SLOPE`.
+
+    Where only one of two sees the surface, half of its difference counts.
+
+    Args:
+        shades: L_d of each pixel, row by row, and whether it sees the same surface.
+        mean: of those that do; stands for the middle where that does not.
+    """
+    middle = dr.select(shades[4][1], shades[4][0], mean)
+    largest = mi.Float(0.0)
+    for number in range(4):
+        (one, first), (other, second) = shades[number], shades[8 - number]
+        before, after = dr.select(first, one - middle, 0.0), dr.select(second, other - middle, 0.0)
+        largest = dr.maximum(largest, dr.abs(before + after) * (0.5 / SHADOW_BEND))
+        largest = dr.maximum(largest, dr.abs(before - after) * (0.5 / SHADOW_SLOPE))
+    return largest / dr.maximum(middle, 1e-6)
 
 
 def _spline(distance: mi.Float) -> mi.Float:
