@@ -87,6 +87,9 @@ def load_input(run: RunFolder) -> DetailInput | None:
     path = run.stage / "views.json"
     if not settings.detail or not path.exists():
         return None
+    kept = run.results / run.stages_json.name
+    if kept.exists() and kept.read_bytes() != run.stages_json.read_bytes():
+        return None  # another estimation has begun; its pixels do not belong to these results
     table = read_json(path)
     by_name = {view.name: view for view in load_capture(run).train}
     if any(entry["name"] not in by_name for entry in table["views"]):
