@@ -197,7 +197,7 @@ def recall() -> None:
         return
     for name, default in asdict(DEFAULTS).items():
         value = kept.get(name)
-        if isinstance(value, str) and value != default:
+        if type(value) is type(default) and value != default:
             try:
                 setattr(preferences, name, value)
             except TypeError:  # an enum value of another version

@@ -156,7 +156,7 @@ def check_options(options: MainJobOptions) -> None:
         raise FiptError(
             "model-unusable",
             f"The masks model {options.masks_model} does not exist.",
-            "Give a checkpoint of SAM or MobileSAM, or the folder of a model (--masks-model).",
+            "Give a checkpoint of MobileSAM, or the folder of a model (--masks-model).",
         )
     if options.output.exists() and not options.output.is_dir():
         raise FiptError(

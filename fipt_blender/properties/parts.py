@@ -74,7 +74,7 @@ class FIPT_PartsSettings(bpy.types.PropertyGroup):
     )
     masks_model: bpy.props.StringProperty(
         name="Masks Model",
-        description="Checkpoint of SAM or MobileSAM, or folder of a model for transformers: SAM or SAM 2 for"
+        description="Checkpoint of MobileSAM, or folder of a model for transformers: SAM or SAM 2 for"
         " masks of parts; Mask2Former, OneFormer or EoMT for semantic masks. If empty, the mask model of the"
         " set-up is used",
         subtype="FILE_PATH",

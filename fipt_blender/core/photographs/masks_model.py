@@ -29,7 +29,7 @@ class MasksModel(Protocol):
 
 
 def open_masks_model(path: Path) -> MasksModel:
-    """The model in a folder, or in a file of a Segment Anything model's weights.
+    """The model in a folder, or MobileSAM in a file of weights.
 
     Raises:
         FiptError: ``model-unusable`` for another, a damaged or an incomplete model, ``package-optional``

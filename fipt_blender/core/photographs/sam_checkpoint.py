@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Checkpoints of Segment Anything models as their authors publish them, one file of weights each.
+"""Checkpoints of MobileSAM as its authors publish it, one file of weights.
 
 Sizes are read from the shapes of the weights. Files are data: code in them is refused, and nothing is made
 that is larger than the file says.
@@ -30,8 +30,8 @@ ENCODER, MOBILE = "image_encoder.", "image_encoder.patch_embed.seq.0.c.weight"
 _UNUSED = ("image_encoder.norm_head.", "image_encoder.head.", "prompt_encoder.mask_downscaling.")
 _MOST_WIDTH, _MOST_DEPTH, _MOST_WINDOW = 4096, 64, 32
 _REMEDY = (
-    "Choose a checkpoint of SAM, SAM 2 or MobileSAM (.pt, .pth or .safetensors) as its authors publish it, or"
-    " the folder of a model."
+    "Choose a checkpoint of MobileSAM (.pt, .pth or .safetensors) as its authors publish it; SAM and SAM 2 as"
+    " the folder of a model for transformers."
 )
 # What torch and safetensors raise for files that are damaged or that are something else.
 _DAMAGE = (OSError, ValueError, RuntimeError, KeyError, TypeError, AttributeError, EOFError, MemoryError)
