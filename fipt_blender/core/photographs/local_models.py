@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Models for transformers in a folder on this machine.
 
-Nothing is downloaded here, and weights are read from safetensors files only, which hold no code. Photographs are
+Nothing is downloaded, and weights are read from safetensors files only, which hold no code. Photographs are
 prepared here, as the models' processors do it, because those need torchvision.
 """
 
