@@ -36,12 +36,17 @@ class Faults:
         joined: number of neighbours that are joined, as a share of the regions.
         missed: share of the regions that are not found.
         shift: pixels by which borders are off, standard deviation, smooth over four pixels.
+        large: share of the photographs in which the largest region is joined to its largest neighbour, as a
+            wall to the ceiling.
+
+    The first three are what MobileSAM gets wrong in the living room.
     """
 
-    cut: float = 0.3
-    joined: float = 0.1
-    missed: float = 0.1
+    cut: float = 0.16
+    joined: float = 0.24
+    missed: float = 0.16
     shift: float = 0.3
+    large: float = 0.25
 
 
 def own_regions(parts: np.ndarray, faults: Faults, rng: np.random.Generator) -> np.ndarray:
@@ -68,14 +73,25 @@ def own_regions(parts: np.ndarray, faults: Faults, rng: np.random.Generator) -> 
                 regions[rows[beyond], columns[beyond]] = count
     for _ in range(int(faults.joined * count)):
         region = rng.integers(1, count + 1)
-        beside = np.unique(regions[binary_dilation(regions == region)])
-        beside = beside[(beside > 0) & (beside != region)]
+        beside = _beside(regions, region)
         if len(beside):
             regions[regions == region] = rng.choice(beside)
+    if count and rng.random() < faults.large:
+        area = np.bincount(regions[regions > 0])
+        region = int(area.argmax())
+        beside = _beside(regions, region)
+        if len(beside):
+            regions[regions == region] = beside[area[beside].argmax()]
     size = np.bincount(regions.reshape(-1), minlength=count + 1)
     rank = np.zeros(count + 1, np.int64)
     rank[1 + np.argsort(-size[1:], kind="stable")] = np.arange(1, count + 1)
     return rank[regions]
+
+
+def _beside(regions: np.ndarray, region: int) -> np.ndarray:
+    """The regions that touch one."""
+    beside = np.unique(regions[binary_dilation(regions == region)])
+    return beside[(beside > 0) & (beside != region)]
 
 
 def _shifted(image: np.ndarray, deviation: float, rng: np.random.Generator) -> np.ndarray:

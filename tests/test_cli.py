@@ -18,6 +18,7 @@ from fipt_blender import cli
 from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step, StepRecord
+from fipt_blender.cli.arguments import make_options, make_parser
 from fipt_blender.cli.output import format_seconds, format_size
 from fipt_blender.core.run.errors import FiptError
 
@@ -247,3 +248,15 @@ def test_times_for_people(seconds, text):
 @pytest.mark.parametrize(("size", "text"), [(7, "7 B"), (1500, "1.5 kB"), (2_340_000, "2.3 MB")])
 def test_sizes_for_people(size, text):
     assert format_size(size) == text
+
+
+def test_the_mask_model_of_the_set_up_is_used_where_it_is_asked_for(tmp_path, monkeypatch):
+    monkeypatch.setenv("FIPT_DATA", str(tmp_path))
+    with pytest.raises(FiptError) as caught:
+        make_options(make_parser().parse_args(["estimate", "c", "--find-masks"]))
+    assert caught.value.code == "model-unusable" and "--get-mask-model" in caught.value.remedy
+    path = tmp_path / "models" / "mobile_sam" / "mobile_sam.pt"
+    path.parent.mkdir(parents=True)
+    path.touch()
+    assert make_options(make_parser().parse_args(["estimate", "c", "--find-masks"])).masks_model == path
+    assert make_options(make_parser().parse_args(["estimate", "c"])).masks_model is None

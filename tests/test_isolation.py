@@ -205,7 +205,9 @@ def test_core_keeps_to_its_room(file: Path) -> None:
 def test_dev_py_needs_the_standard_library_only() -> None:
     assert imported_modules(ROOT / "dev.py") - set(sys.stdlib_module_names) == {"fipt_blender"}
     for file in (*sorted((PACKAGE / "bridge").glob("*.py")), CORE / "device" / "llvm.py"):
-        assert imported_modules(file) <= set(sys.stdlib_module_names), file
+        # pip of the engine's own environment, in which this module runs.
+        more = {"pip"} if file.name == "mask_model.py" else set()
+        assert imported_modules(file) <= set(sys.stdlib_module_names) | more, file
 
 
 @pytest.mark.parametrize("file", sorted(PACKAGE.rglob("*.py")), ids=lambda file: module_of(file))

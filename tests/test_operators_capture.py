@@ -319,7 +319,7 @@ def sam(tmp_path_factory) -> Path:
 
 def test_masks_of_a_model_are_used_by_automatic(imported, sam):
     settings, parts = imported.fipt.capture, imported.fipt.parts
-    assert "Choose the folder of a masks model first" in refused(ops.find_masks)
+    assert "Use Set Up Mask Model first" in refused(ops.find_masks)
     parts.masks_model = str(sam)
     parts.auto_source, parts.counts = "materials", '{"materials": 6}'
     for view in settings.views[3:]:

@@ -16,7 +16,7 @@ from fipt_blender.core.capture.images import read_ids, write_exr, write_ids
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.photographs import masks_command
 from fipt_blender.core.photographs.masks_model import open_masks_model
-from fipt_blender.core.photographs.tonemap import display_picture
+from fipt_blender.core.photographs.tonemap import network_picture
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter, parse_message
@@ -86,7 +86,7 @@ def test_views_without_part_masks_get_regions(run: RunFolder, sam: Path, tmp_pat
     views = {view.name: view for view in load_capture(run).views}
     assert np.array_equal(views["train/c"].part_ids(), OWN)
     finder = open_masks_model(sam)
-    shown = {"train/a": display_picture(views["train/a"].radiance()), "train/b": CODES}
+    shown = {"train/a": network_picture(views["train/a"].radiance()), "train/b": CODES}
     for name, picture in shown.items():
         ids = views[name].part_ids()
         assert np.array_equal(ids, finder(picture)) and len(np.unique(ids)) > 2

@@ -8,11 +8,13 @@ import argparse
 from pathlib import Path
 from typing import TypeAlias
 
+from ..bridge.places import mask_model
 from ..core.conventions import UP_AXES
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import PRODUCT_VERSION
 from ..core.run.settings import PRESETS, make_settings
 from ..jobs.options import PARTS, RENDER_KINDS, MainJobOptions
+from ..machine import data_folder
 
 FORMATS = (
     *("auto", "fipt-synthetic", "fipt-real", "scannetpp", "transforms", "colmap", "metashape", "realityscan"),
@@ -31,6 +33,9 @@ def make_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     estimate, prepare, export = _add_estimate(commands), _add_prepare(commands), _add_export(commands)
     check = commands.add_parser("check", help="check whether the engine works, and on which device")
+    check.add_argument(
+        "--get-mask-model", action="store_true", help="also download the mask model, if it is missing (38 MB)"
+    )
     for command in (estimate, prepare, check):
         add = command.add_argument
         add("--engine-python", metavar="PATH", help="Python interpreter with the engine's packages")
@@ -98,9 +103,10 @@ def _add_estimate(commands: _Commands) -> argparse.ArgumentParser:
     add(
         "--masks-model",
         type=Path,
-        metavar="DIR",
+        metavar="PATH",
         help="find masks by this model (SAM: parts; Mask2Former, OneFormer, EoMT: semantic classes)",
     )
+    add("--find-masks", action="store_true", help="the same by the mask model that set-up has downloaded")
     add("--hints", type=Path, metavar="FILE", help="what is known of surfaces (hints.json)")
     add(
         "--hints-again",
@@ -171,6 +177,13 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
         )
     if not 0.0 < arguments.scale < float("inf"):
         raise FiptError("option-invalid", f"--scale is {arguments.scale}.", "Give a number above 0.")
+    masks_model = arguments.masks_model
+    if arguments.find_masks and masks_model is None:
+        masks_model = mask_model(data_folder())
+        if not masks_model.is_file():
+            raise FiptError(
+                "model-unusable", "The mask model is not set up.", "Run fipt check --get-mask-model first."
+            )
     capture = arguments.capture
     folder = capture.parent if capture.is_file() else capture
     return MainJobOptions(
@@ -194,7 +207,7 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
         depth_unit=arguments.depth_unit,
         undo_applied_transform=arguments.undo_applied_transform,
         parts=arguments.parts,
-        masks_model=arguments.masks_model,
+        masks_model=masks_model,
         renders=() if arguments.no_renders else RENDER_KINDS,
         render_view=arguments.render_view,
         render_spp=arguments.render_spp,

@@ -69,7 +69,7 @@ class MainJobOptions(CaptureOptions):
         output: the run folder, created if it does not exist.
         settings: constants of the method.
         parts: source of the material parts; one of PARTS.
-        masks_model: folder of a model that finds masks of views that have none; None for none.
+        masks_model: folder or checkpoint of a model that finds masks of views that have none; None for none.
         renders: Cycles renders to make; of RENDER_KINDS.
         render_view: name of the view to render; "" chooses a held-back one.
         render_spp: Cycles samples per pixel.
@@ -151,11 +151,11 @@ def check_options(options: MainJobOptions) -> None:
             f"The mesh file {options.mesh} does not exist.",
             "Give the room's mesh file (--mesh).",
         )
-    if options.masks_model is not None and not options.masks_model.is_dir():
+    if options.masks_model is not None and not options.masks_model.exists():
         raise FiptError(
             "model-unusable",
-            f"The folder {options.masks_model} of the masks model does not exist.",
-            "Give the folder of a SAM model, or of one for semantic segmentation (--masks-model).",
+            f"The masks model {options.masks_model} does not exist.",
+            "Give a checkpoint of MobileSAM, or the folder of a model (--masks-model).",
         )
     if options.output.exists() and not options.output.is_dir():
         raise FiptError(

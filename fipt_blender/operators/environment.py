@@ -83,16 +83,53 @@ class FIPT_OT_set_up_engine(DataJobOperator, bpy.types.Operator):
         from ..jobs.data_job import EngineStatus, data_job, set_up_step
 
         values, data = machine.get_preferences(), machine.data_folder()
-        wheels = Path(bpy.path.abspath(values.wheel_folder)) if values.wheel_folder else None
-        if wheels is not None and not wheels.is_dir():
-            raise FiptError(
-                "wheels-missing",
-                f"The folder {wheels} does not exist.",
-                "Select another folder as Folder of Wheels.",
-            )
+        wheels = _wheels()
         status = EngineStatus(set_up=True)
-        step = set_up_step(Path(sys.executable), data, values.device, wheels, self.allow_large)
+        step = set_up_step(
+            Path(sys.executable), data, values.device, wheels, self.allow_large, values.with_mask_model
+        )
         return data_job([step, status.check_step()]), status.store
+
+
+def _wheels() -> Path | None:
+    """The folder of wheels that the preferences name.
+
+    Raises:
+        FiptError: ``wheels-missing``.
+    """
+    values = machine.get_preferences()
+    wheels = Path(bpy.path.abspath(values.wheel_folder)) if values.wheel_folder else None
+    if wheels is not None and not wheels.is_dir():
+        raise FiptError(
+            "wheels-missing",
+            f"The folder {wheels} does not exist.",
+            "Select another folder as Folder of Wheels.",
+        )
+    return wheels
+
+
+class FIPT_OT_set_up_mask_model(DataJobOperator, bpy.types.Operator):
+    """Download MobileSAM (38 MB), a network that finds the parts of the room in photographs"""
+
+    bl_idname = "fipt.set_up_mask_model"
+    bl_label = "Set Up Mask Model"
+    title = "Set Up Mask Model"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not super().poll(context):
+            return False
+        if not machine.get_preferences().wheel_folder and not bpy.app.online_access:
+            cls.poll_message_set(
+                "Enable Allow Online Access in Preferences > System > Network, or select a Folder of Wheels"
+            )
+            return False
+        return True
+
+    def make_job(self) -> tuple[Job, Callable[[running.RunningJob], None]]:
+        from ..jobs.data_job import data_job, mask_model_step
+
+        return data_job([mask_model_step(machine.data_folder(), _wheels())]), lambda info: None
 
 
 class FIPT_OT_check_engine(DataJobOperator, bpy.types.Operator):
@@ -199,6 +236,7 @@ class FIPT_OT_copy_wheel_command(bpy.types.Operator):
 
 CLASSES = (
     FIPT_OT_set_up_engine,
+    FIPT_OT_set_up_mask_model,
     FIPT_OT_check_engine,
     FIPT_OT_cancel_set_up,
     FIPT_OT_show_log,

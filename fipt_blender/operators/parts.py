@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import bpy
 
+from .. import machine
+from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
 from .job_operator import JobOperator
 from .overlay import ShowsColors
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class FIPT_OT_find_masks(JobOperator, bpy.types.Operator):
-    """Let the model find masks of the ticked views that have none. Nothing is downloaded"""
+    """Let the model find masks of the ticked views that have none"""
 
     bl_idname = "fipt.find_masks"
     bl_label = "Find Masks"
@@ -31,8 +33,8 @@ class FIPT_OT_find_masks(JobOperator, bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         if not has_views(cls, context):
             return False
-        if not context.scene.fipt.parts.masks_model:
-            cls.poll_message_set("Choose the folder of a masks model first")
+        if not (context.scene.fipt.parts.masks_model or machine.mask_model()):
+            cls.poll_message_set("Use Set Up Mask Model first, or choose a masks model")
             return False
         return super().poll(context)
 
@@ -41,7 +43,10 @@ class FIPT_OT_find_masks(JobOperator, bpy.types.Operator):
         from ..jobs.run_job import masks_step, open_job
 
         run = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
-        model = Path(bpy.path.abspath(context.scene.fipt.parts.masks_model))
+        chosen = context.scene.fipt.parts.masks_model
+        model = Path(bpy.path.abspath(chosen)) if chosen else machine.mask_model()
+        if model is None:
+            raise FiptError("model-unusable", "There is no mask model.", "Use Set Up Mask Model.")
 
         def ticked_views() -> None:
             from ..jobs.room_steps import export_scene_cameras

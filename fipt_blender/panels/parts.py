@@ -7,6 +7,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from .. import machine
 from ..properties.parts import MODEL_SOURCES, SOURCES
 from .capture import shown_colors
 from .job import draw_job, draw_warnings, job_warnings
@@ -34,6 +35,8 @@ class FIPT_PT_parts(Section, bpy.types.Panel):
         if parts.source in MODEL_SOURCES:
             column = layout.column(align=True)
             column.prop(parts, "masks_model")
+            if not parts.masks_model and machine.mask_model() is None:
+                column.operator("fipt.set_up_mask_model", text="Set Up Mask Model (38 MB)", icon="IMPORT")
             column.operator("fipt.find_masks", icon="VIEWZOOM")
             draw_job(layout, context, "masks")
             draw_warnings(layout, context, "masks", job_warnings(context, "masks"))

@@ -74,9 +74,10 @@ class FIPT_PartsSettings(bpy.types.PropertyGroup):
     )
     masks_model: bpy.props.StringProperty(
         name="Masks Model",
-        description="Folder of a model for transformers: SAM or SAM 2 for masks of parts; Mask2Former,"
-        " OneFormer or EoMT for semantic masks",
-        subtype="DIR_PATH",
+        description="Checkpoint of MobileSAM, or folder of a model for transformers: SAM or SAM 2 for"
+        " masks of parts; Mask2Former, OneFormer or EoMT for semantic masks. If empty, the mask model of the"
+        " set-up is used",
+        subtype="FILE_PATH",
     )
     surveyed_folder: bpy.props.StringProperty(description="The mask folder at the last check")
     auto_source: bpy.props.StringProperty(description="The source that Automatic uses; empty before a check")

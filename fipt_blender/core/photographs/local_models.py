@@ -31,7 +31,8 @@ _CONFIG = Fields(
 _PROCESSOR = Fields({}, {"image_mean": Items(Number()), "image_std": Items(Number(low=1e-3)), "size": dict})
 _INDEX = Fields({"weight_map": Entries(str)})
 _PLAIN_WEIGHTS = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*\.safetensors")  # a file's name, no path
-_MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet, with which they were trained
+# Of ImageNet, with which they were trained.
+MEAN, STD = np.array((0.485, 0.456, 0.406), np.float32), np.array((0.229, 0.224, 0.225), np.float32)
 _REMEDY = (
     "Choose the folder of a model with config.json, preprocessor_config.json and model.safetensors: SAM or"
     " SAM 2 for parts; Mask2Former, OneFormer (with its tokenizer) or EoMT for semantic classes."
@@ -74,8 +75,8 @@ class ModelFolder:
         if (path / "preprocessor_config.json").is_file():
             processor = _read(path / "preprocessor_config.json", _PROCESSOR)
         self.size: dict[str, Any] = processor.get("size", {})
-        self._mean = np.array(processor.get("image_mean", _MEAN), np.float32)
-        self._std = np.array(processor.get("image_std", _STD), np.float32)
+        self._mean = np.array(processor.get("image_mean", MEAN), np.float32)
+        self._std = np.array(processor.get("image_std", STD), np.float32)
         if self._mean.size != 3 or self._std.size != 3:
             raise self.unusable("its images have not three channels")
 
@@ -156,15 +157,25 @@ class ModelFolder:
         Returns:
             (1, 3, *size) float32, with the mean and the deviation of the training subtracted and divided out.
         """
-        values = (picture.astype(np.float32) / 255.0 - self._mean) / self._std
-        pixels = torch.from_numpy(values).permute(2, 0, 1)[None]
-        return torch.nn.functional.interpolate(
-            pixels, size=size, mode="bilinear", align_corners=False, antialias=True
-        )
+        return normalized(picture, size, self._mean, self._std)
 
     def unusable(self, reason: str) -> FiptError:
         """The error for a model that can't be used."""
         return FiptError("model-unusable", f"The model in {self.path} can't be used: {reason}.", _REMEDY)
+
+
+def normalized(
+    picture: np.ndarray,
+    size: tuple[int, int],
+    mean: np.ndarray = MEAN,
+    deviation: np.ndarray = STD,
+) -> torch.Tensor:
+    """(1, 3, *size) of a picture (height, width, 3) uint8, sRGB; see `ModelFolder.pixels`."""
+    values = (picture.astype(np.float32) / 255.0 - mean) / deviation
+    pixels = torch.from_numpy(values).permute(2, 0, 1)[None]
+    return torch.nn.functional.interpolate(
+        pixels, size=size, mode="bilinear", align_corners=False, antialias=True
+    )
 
 
 def enlarged(scores: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:

@@ -26,7 +26,7 @@ from ..run.run_files import read_capture
 from ..run.runfolder import RunFolder, explained_write_errors, write_json
 from ..run.shapes import MASKS
 from .steps import code_digest
-from .tonemap import display_picture
+from .tonemap import network_picture
 
 if TYPE_CHECKING:
     from .masks_model import MasksModel
@@ -37,7 +37,7 @@ _KINDS = (PARTS_FOLDER, SEMANTICS_FOLDER)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("run", type=Path, help="run folder with capture.json")
-    parser.add_argument("--model", type=Path, required=True, help="folder of the model")
+    parser.add_argument("--model", type=Path, required=True, help="folder of the model, or a checkpoint")
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
@@ -69,10 +69,10 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
 
 
 def shown_picture(view: View) -> np.ndarray:
-    """A view's photograph as a camera's JPEG shows it, (height, width, 3) uint8 sRGB."""
+    """A view's photograph as the model sees it, (height, width, 3) uint8 sRGB."""
     values = view.radiance()
     return (
-        np.round(255.0 * srgb_encoded(values)).astype(np.uint8) if view.encoded else display_picture(values)
+        np.round(255.0 * srgb_encoded(values)).astype(np.uint8) if view.encoded else network_picture(values)
     )
 
 
@@ -128,7 +128,7 @@ def _is_own(folder: RunFolder, path: Path | None) -> bool:
 
 def _model_digest(path: Path) -> str:
     """What tells models and versions of this code apart, without reading all weights."""
-    files = sorted(file for file in path.iterdir() if file.is_file())
+    files = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
     return _digest([code_digest(), *(_state(file) for file in files)])
 
 

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from . import regions, segmentation
+from . import regions, sam_checkpoint, segmentation
 from .local_models import ModelFolder
 
 
@@ -29,15 +29,17 @@ class MasksModel(Protocol):
 
 
 def open_masks_model(path: Path) -> MasksModel:
-    """The model in a folder.
+    """The model in a folder, or MobileSAM in a file of weights.
 
     Raises:
-        FiptError: ``model-unusable`` for another or an incomplete model, ``package-optional`` without
-            transformers.
+        FiptError: ``model-unusable`` for another, a damaged or an incomplete model, ``package-optional``
+            without transformers, which all but MobileSAM need.
     """
+    if path.suffix.lower() in sam_checkpoint.SUFFIXES and not path.is_dir():
+        return regions.RegionFinder(sam_checkpoint.open_checkpoint(path))
     folder = ModelFolder(path)
     if folder.kind in regions.CLASSES:
-        return regions.RegionFinder(folder)
+        return regions.RegionFinder(regions.FolderNetwork(folder))
     if folder.kind in segmentation.CLASSES:
         return segmentation.Segmenter(folder)
     raise folder.unusable(f"it is of the type '{folder.kind}'")

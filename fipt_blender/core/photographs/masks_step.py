@@ -18,7 +18,7 @@ from ..run.documents import Fields, FileName, Items, read_json
 from ..run.messages import Reporter
 from ..run.runfolder import explained_write_errors, write_json
 from .preparation import Preparation, PreparationFolder
-from .tonemap import display_picture
+from .tonemap import network_picture
 
 _KINDS = (PARTS_FOLDER, SEMANTICS_FOLDER)
 _WRITTEN = Fields(dict.fromkeys(_KINDS, Items(FileName())))
@@ -56,7 +56,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     write_json(_record(folder), {**written, model.kind: sorted({*written[model.kind], *names})})
     pixels = np.zeros(max(model.classes, default=0) + 1, np.int64)
     for index, group in enumerate(groups):
-        ids = model(display_picture(read_radiance(folder.image(group))))
+        ids = model(network_picture(read_radiance(folder.image(group))))
         if model.classes:
             counts = np.bincount(ids.ravel(), minlength=len(pixels))
             pixels = counts + np.pad(pixels, (0, len(counts) - len(pixels)))

@@ -143,7 +143,7 @@ class PrepareSettings:
     scale_matrix: str = _setting("", "4 x 4 matrix, row by row, from the solved cameras to the mesh")
     marker_dictionary: str = _setting("4X4_50", "dictionary of the printed ArUco marker")
     masks: str = _setting(
-        "", "folder of a model that makes masks of parts or semantic classes; empty for none"
+        "", "folder or checkpoint of a model that makes masks of parts or semantic classes; empty for none"
     )
 
 

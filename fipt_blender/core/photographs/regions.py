@@ -1,16 +1,17 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Regions of single photographs, by a Segment Anything model (SAM or SAM 2).
+"""Regions of single photographs, by a Segment Anything model (SAM, SAM 2 or MobileSAM).
 
 Automatic mask generation as in Kirillov et al., Segment Anything (ICCV 2023, Sec. 5 and Appendix B), without
-zoomed-in crops: a grid of points, three masks each, of which the confident, stable and distinct ones are
-kept. A photograph's regions have numbers of their own, which mean nothing in other photographs.
+zoomed-in crops: points, three masks each, of which the confident, stable and distinct ones are kept. Grids of
+points become finer, and points in regions that are already sure are not asked for. A photograph's regions
+have numbers of their own, which mean nothing in other photographs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -21,8 +22,11 @@ from .local_models import ModelFolder, enlarged
 
 # SAM 2 models are published with the configuration of their tracker of videos, which contains that of images.
 CLASSES = {"sam": "SamModel", "sam2": "Sam2Model", "sam2_video": "Sam2Model"}
+GRIDS = (6, 12, 24)  # points along the longer side of a photograph, one grid after the other
+# Points are skipped in masks of this confidence, unless these are larger than some cells of the next grid:
+# small things may lie on a wall that is sure.
+SURE, SURE_CELLS = 0.93, 16.0
 # The paper's choices.
-GRID = 32  # points along each side of a photograph
 LEAST_CONFIDENCE = 0.88  # IoU with the true mask that the model predicts
 LEAST_STABILITY = 0.95
 STABILITY_OFFSET = 1.0  # of logits
@@ -30,35 +34,95 @@ MOST_COVER = 0.95  # share of a photograph, from which a mask shows no region
 MOST_OVERLAP = 0.7  # IoU of two masks of different regions
 # Pixels of a region's pieces as a share of the photograph's; the paper's 100 pixels at about 1 megapixel.
 LEAST_PIECE = 1e-4
-_POINTS_AT_ONCE = 64
-_MASKS_AT_ONCE = 16  # that are enlarged together
 
 
-class RegionFinder:
-    """A Segment Anything model.
+class PromptNetwork(Protocol):
+    """A network that answers points with masks.
+
+    Attributes:
+        side: pixels of the square in which photographs lie.
+        longest: pixels of their longer side within it.
+        keeps_shape: whether photographs keep their proportions; others are stretched.
+        resolution: rows and columns of logits that show the square.
+        at_once: points that are answered together fastest.
+    """
+
+    side: int
+    resolution: int
+    longest: int
+    keeps_shape: bool
+    at_once: int
+
+    def normalized(self, picture: np.ndarray, size: tuple[int, int]) -> torch.Tensor:
+        """(1, 3, *size) of a picture (height, width, 3) uint8, sRGB."""
+
+    def encode(self, pixels: torch.Tensor) -> Any:
+        """A normalized photograph in the top left of the square, ready for points."""
+
+    def answer(self, image: Any, points: torch.Tensor, least: float) -> tuple[torch.Tensor, torch.Tensor]:
+        """Logits (N, h, w) and confidence (N,) above `least` of the masks at points (P, 2) of the square.
+
+        The logits may show the square's top left part alone, as far as the photograph reaches.
+        """
+
+
+class FolderNetwork:
+    """A network of transformers.
 
     Args:
         folder: of the model, of a type in `CLASSES`.
-
-    Attributes:
-        kind: of its id images, a folder of captures and a field of views.
-        classes: none, as its ids have no names.
 
     Raises:
         FiptError: ``model-unusable`` for an incomplete model, ``package-optional`` without transformers.
     """
 
-    kind = PARTS_FOLDER
+    at_once = 64
 
     def __init__(self, folder: ModelFolder) -> None:
-        self.classes: dict[int, str] = {}
         self._files = folder
         self._model = folder.load(CLASSES[folder.kind])
-        self._side = int(self._model.config.prompt_encoder_config.image_size)
+        self.side = int(self._model.config.prompt_encoder_config.image_size)
+        # SAM was trained on photographs that keep their proportions, SAM 2 on stretched ones.
+        self.keeps_shape = folder.kind == "sam"
+        self.resolution = 4 * (self.side // int(self._model.config.prompt_encoder_config.patch_size))
         longest = folder.size.get("longest_edge")
-        self._longest = self._side
-        if isinstance(longest, int) and 0 < longest < self._side:
-            self._longest = longest
+        self.longest = longest if isinstance(longest, int) and 0 < longest < self.side else self.side
+
+    def normalized(self, picture: np.ndarray, size: tuple[int, int]) -> torch.Tensor:
+        """See `PromptNetwork`."""
+        return self._files.pixels(picture, size)
+
+    def encode(self, pixels: torch.Tensor) -> Any:
+        """See `PromptNetwork`."""
+        height, width = pixels.shape[-2:]
+        square = torch.nn.functional.pad(pixels, (0, self.side - width, 0, self.side - height))
+        return self._model.get_image_embeddings(square)
+
+    def answer(self, image: Any, points: torch.Tensor, least: float) -> tuple[torch.Tensor, torch.Tensor]:
+        """See `PromptNetwork`."""
+        output = self._model(
+            image_embeddings=image, input_points=points[None, :, None], multimask_output=True
+        )
+        logits, confidence = output.pred_masks[0].flatten(0, 1), output.iou_scores[0].flatten()
+        return logits[confidence > least], confidence[confidence > least]
+
+
+class RegionFinder:
+    """The regions of photographs by a network.
+
+    Args:
+        network: that answers points.
+
+    Attributes:
+        kind: of its id images, a folder of captures and a field of views.
+        classes: none, as its ids have no names.
+    """
+
+    kind = PARTS_FOLDER
+
+    def __init__(self, network: PromptNetwork) -> None:
+        self.classes: dict[int, str] = {}
+        self._network = network
 
     def __call__(self, picture: np.ndarray) -> np.ndarray:
         """The regions of a photograph.
@@ -71,60 +135,67 @@ class RegionFinder:
         """
         height, width = picture.shape[:2]
         size = self._inner_size(height, width)
-        with torch.no_grad():
-            pixels = self._files.pixels(picture, size)
-            pixels = torch.nn.functional.pad(pixels, (0, self._side - size[1], 0, self._side - size[0]))
-            candidates, confidence = self._candidates(self._model.get_image_embeddings(pixels), size)
-            cover = _inner(candidates, size, self._side) > 0.0
-            kept = distinct_masks(cover.flatten(1), confidence)
-            kept = kept[torch.argsort(cover[kept].flatten(1).sum(dim=1), descending=True, stable=True)]
-            masks = (self._mask(candidates[index], size, (height, width)) for index in kept)
+        with torch.inference_mode():
+            image = self._network.encode(self._network.normalized(picture, size))
+            logits, confidence = self._candidates(image, size)
+            cover = (logits > 0.0).flatten(1)
+            kept = distinct_masks(cover, confidence)
+            kept = kept[torch.argsort(cover[kept].sum(dim=1), descending=True, stable=True)]
+            masks = (self._mask(logits[index], size, (height, width)) for index in kept)
             return flattened(masks, (height, width))
 
     def _inner_size(self, height: int, width: int) -> tuple[int, int]:
-        """Height and width of a photograph within the model's square.
-
-        SAM was trained on photographs that keep their proportions, SAM 2 on stretched ones.
-        """
-        if self._files.kind != "sam":
-            return self._side, self._side
-        scale = self._longest / max(height, width)
+        """Height and width of a photograph within the network's square."""
+        if not self._network.keeps_shape:
+            return self._network.side, self._network.side
+        scale = self._network.longest / max(height, width)
         return max(1, int(height * scale + 0.5)), max(1, int(width * scale + 0.5))
 
-    def _candidates(self, embeddings: Any, size: tuple[int, int]) -> tuple[torch.Tensor, torch.Tensor]:
+    def _candidates(self, image: Any, size: tuple[int, int]) -> tuple[torch.Tensor, torch.Tensor]:
         """Logits (N, h, w) of the confident and stable masks, and their confidence (N,)."""
-        points = grid_points(GRID) * torch.tensor([size[1], size[0]])
-        found = []
-        for start in range(0, len(points), _POINTS_AT_ONCE):
-            batch = points[None, start : start + _POINTS_AT_ONCE, None]
-            output = self._model(image_embeddings=embeddings, input_points=batch, multimask_output=True)
-            logits, confidence = output.pred_masks[0].flatten(0, 1), output.iou_scores[0].flatten()
-            sure = confidence > LEAST_CONFIDENCE
-            logits, confidence = logits[sure], confidence[sure]
-            good = self._is_good(logits, size)
-            found.append((logits[good], confidence[good]))
-        return torch.cat([logits for logits, _ in found]), torch.cat([confidence for _, confidence in found])
-
-    def _is_good(self, logits: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
-        """(N,) bool, whether masks are stable and do not cover all of the photograph."""
-        good = [torch.zeros(0, dtype=torch.bool)]
-        for part in logits.split(_MASKS_AT_ONCE) if len(logits) else ():
-            full = enlarged(part, (self._side, self._side))[:, : size[0], : size[1]]
-            cover = (full > 0.0).flatten(1).float().mean(dim=1)
-            good.append((stability(full) >= LEAST_STABILITY) & (cover > 0.0) & (cover < MOST_COVER))
-        return torch.cat(good)
+        logits: list[torch.Tensor] = []
+        confidence: list[torch.Tensor] = []
+        sure: torch.Tensor | None = None
+        for grid, following in zip(GRIDS, (*GRIDS[1:], GRIDS[-1]), strict=True):
+            points = grid_points(grid, size)
+            if sure is not None:
+                rows = (points[:, 1] * sure.shape[0] / size[0]).long()
+                columns = (points[:, 0] * sure.shape[1] / size[1]).long()
+                points = points[~sure[rows, columns]]
+            most = SURE_CELLS / len(grid_points(following, size))
+            for batch in points.split(self._network.at_once):
+                found, how_sure = self._network.answer(image, batch, LEAST_CONFIDENCE)
+                found = _inner(found, size, self._network)
+                cover = (found > 0.0).flatten(1).float().mean(dim=1)
+                good = (stability(found) >= LEAST_STABILITY) & (cover > 0.0) & (cover < MOST_COVER)
+                found, how_sure, cover = found[good], how_sure[good], cover[good]
+                logits.append(found)
+                confidence.append(how_sure)
+                small = found[(how_sure > SURE) & (cover < most)] > 0.0
+                if len(small):
+                    union = small.any(dim=0)
+                    sure = union if sure is None else sure | union
+        return torch.cat(logits), torch.cat(confidence)
 
     def _mask(self, logits: torch.Tensor, size: tuple[int, int], shape: tuple[int, int]) -> np.ndarray:
         """A mask (*shape) bool of a photograph from its logits (h, w)."""
-        full = enlarged(logits[None], (self._side, self._side))[:, : size[0], : size[1]]
+        stride = self._network.side // self._network.resolution
+        # The last row and column of logits may reach past the photograph.
+        whole = (logits.shape[0] * stride, logits.shape[1] * stride)
+        full = enlarged(logits[None], whole)[:, : size[0], : size[1]]
         return (enlarged(full, shape)[0] > 0.0).cpu().numpy()
 
 
-def grid_points(count: int) -> torch.Tensor:
-    """(count * count, 2) x and y of a grid of points in a unit square, at the centers of equal cells."""
-    along = (torch.arange(count) + 0.5) / count
-    y, x = torch.meshgrid(along, along, indexing="ij")
-    return torch.stack([x.flatten(), y.flatten()], dim=1)
+def grid_points(count: int, size: tuple[int, int]) -> torch.Tensor:
+    """(P, 2) x and y of a grid of points in a photograph, at the centers of cells that are about square.
+
+    Args:
+        count: points along the longer side.
+        size: height and width of the photograph.
+    """
+    rows, columns = (max(1, round(count * length / max(size))) for length in size)
+    y, x = torch.meshgrid(torch.arange(rows) + 0.5, torch.arange(columns) + 0.5, indexing="ij")
+    return torch.stack([x.flatten() * (size[1] / columns), y.flatten() * (size[0] / rows)], dim=1)
 
 
 def stability(logits: torch.Tensor, offset: float = STABILITY_OFFSET) -> torch.Tensor:
@@ -201,7 +272,7 @@ def _boxes(ids: np.ndarray) -> Iterator[tuple[int, slice, slice]]:
             yield number, box[0], box[1]
 
 
-def _inner(logits: torch.Tensor, size: tuple[int, int], side: int) -> torch.Tensor:
+def _inner(logits: torch.Tensor, size: tuple[int, int], network: PromptNetwork) -> torch.Tensor:
     """The part of logits (N, h, w) that shows the photograph, without the padding."""
-    height, width = logits.shape[-2:]
-    return logits[:, : -(-size[0] * height // side), : -(-size[1] * width // side)]
+    height, width = (-(-length * network.resolution // network.side) for length in size)
+    return logits[:, :height, :width]
