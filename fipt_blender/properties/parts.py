@@ -11,8 +11,8 @@ SOURCES = (
     (
         "auto",
         "Automatic",
-        "Material slots or objects, divided further where the capture's masks agree; one of them if there are "
-        "no others; with a scan, masks or nothing",
+        "Material slots or objects, divided further where the capture's masks agree; one of them if no "
+        "others; with a scan, masks or nothing",
         "SHADERFX",
     ),
     (
