@@ -106,3 +106,17 @@ def test_no_parts_leave_the_objects(tmp_path):
     write_part_list(run, room, Parts(nothing, "none"), [], pixels, fields)
     np.savez(run.parts_npz, triangle_part=nothing, single=np.zeros(0, bool))
     assert [part.name for part in read_parts(run, room.triangle_object, room.objects).parts] == list("ABCDEF")
+
+
+def test_slots_name_the_parts_of_a_modelled_mesh(tmp_path):
+    """Brass is not called after the rod that is made of it; a material that nobody named has no name."""
+    material = np.repeat([0, 1, 0, 2, 3, -1], 2).astype(np.int32)
+    names = ("Curtain_rod", "Table", "Knob", "Shelf", "Door", "Rug")
+    materials = ("Brass", "Brushed_steel", "Material.001", "Gloss")
+    room = replace(named(names, parts="auto", materials=materials), triangle_material=material)
+    ids = np.repeat([5, 6, 5, 7, 8, 9], 2)
+    view = SimpleNamespace(parts="a.png", semantics=None)
+    parts = label_parts(room, "masks", [ids[None]], [np.arange(12)])
+    _, found = listed(tmp_path, room, parts, [view])
+    assert [each.name for each in found] == ["Rug", "Brass", "Brushed steel", "Shelf", "Gloss"]
+    assert [each.key for each in found][:3] == ["object:Rug", "material:Brass", "material:Brushed_steel"]

@@ -12,7 +12,8 @@ import pytest
 from fipt_blender.core.capture.images import MAX_ID, write_exr
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.geometry.adjacency import weld
-from fipt_blender.core.scene.labels import NO_PART, choose_parts, fuse_masks, spread_labels
+from fipt_blender.core.scene.labels import NO_PART, choose_parts, fuse_masks
+from fipt_blender.core.scene.spreading import spread_labels
 from samples.small_rooms import BOX, make_room
 
 
@@ -110,7 +111,9 @@ def test_sources_of_parts(view: View) -> None:
 def test_auto_takes_the_finest_source_there_is(view: View) -> None:
     room = make_room(BOX, parts="auto")
     seen = [np.arange(4)]
-    assert choose_parts(room, [view], seen).triangle_part[:4].tolist() == [1, 1, 0, 0]
+    assert choose_parts(room, [view], seen).ids.tolist() == [40, 2, -1, -1, -1, -1]  # its six objects
+    whole = replace(room, triangle_object=np.zeros(12, int), triangle_material=np.zeros(12, int))
+    assert choose_parts(whole, [view], seen).triangle_part[:4].tolist() == [1, 1, 0, 0]
     view = replace(view, parts=None)
     assert choose_parts(room, [view], seen).kind == "semantic"
     assert choose_parts(replace(room, parts="masks"), [view], seen).kind == "semantic"

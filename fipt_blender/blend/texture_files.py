@@ -8,6 +8,7 @@ The run folder is usually in the user's data folder, which no other machine has.
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import bpy
 
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import atomic_path
-from .image_datablocks import load_texture, read_texture
+from .image_datablocks import load_texture, load_tiles, read_texture
 from .png16 import encode_png, encode_srgb
 
 
@@ -70,9 +71,16 @@ class TextureFiles:
     def load(self, path: Path, is_data: bool | None) -> bpy.types.Image:
         """The image of a file of the run folder; `copy` comes first, with the same arguments."""
         path = self._kept(path, is_data)
-        image = load_texture(path, bool(is_data))
+        return self._placed(load_texture(path, bool(is_data)))
+
+    def load_tiles(self, paths: Mapping[int, Path], is_data: bool) -> bpy.types.Image:
+        """Files of the run folder, by their UDIM numbers, as one image; `copy` comes first."""
+        kept = {number: self._kept(path, is_data) for number, path in paths.items()}
+        return self._placed(load_tiles(kept, is_data))
+
+    def _placed(self, image: bpy.types.Image) -> bpy.types.Image:
         if self.folder is not None:
-            image.filepath = bpy.path.relpath(str(path))
+            image.filepath = bpy.path.relpath(image.filepath)
         if self.pack:
             image.pack()
         return image

@@ -11,14 +11,14 @@ SOURCES = (
     (
         "auto",
         "Automatic",
-        "Use masks if the capture has them, otherwise material slots, otherwise objects; "
-        "with a scan, masks or nothing",
+        "Material slots or objects, divided further where the capture's masks agree; one of them if no "
+        "others; with a scan, masks or nothing",
         "SHADERFX",
     ),
     (
         "masks",
         "Part Masks",
-        "ID images beside the photographs, with one ID per material. Gives the best results",
+        "ID images beside the photographs alone, with one ID per material; for meshes whose slots are wrong",
         "IMAGE",
     ),
     (

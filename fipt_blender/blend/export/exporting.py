@@ -24,6 +24,7 @@ from ..lights.area_lights import area_light_watts
 from ..marks import FIXTURE_LIGHT, MATERIAL, is_our_light, result_world, room_with_results
 from ..marks import WORLD as OUR_WORLD
 from ..room.originals import shows_original
+from ..room.tiles import split_tiles
 from ..room.uv_layer import UV_LAYER
 from .lamps import GAP, add_backs, plain_lamp
 from .materials import Atlas, glowing_material, has_maps, make_atlases, plain_material
@@ -105,7 +106,7 @@ class _Copies:
     def __init__(self, source: bpy.types.Scene) -> None:
         self._source = source
         self._renamed: list[tuple[bpy.types.Object, str]] = []
-        self._materials: dict[bpy.types.Material, bpy.types.Material] = {}
+        self._materials: dict[tuple[bpy.types.Material, int], bpy.types.Material] = {}
         self._images: list[bpy.types.Image] = []
         self._meshes: list[bpy.types.Mesh] = []
         self._lamps: list[bpy.types.Material] = []
@@ -127,20 +128,21 @@ class _Copies:
         """Remove these images, too, at the end."""
         self._images = [image for atlas in atlases for image in atlas.images]
 
-    def add_room(self, room: list[bpy.types.Object], atlases: dict[str, Atlas]) -> None:
+    def add_room(self, room: list[bpy.types.Object], atlases: dict[int, Atlas]) -> None:
         """Copies of the room's objects with plain materials; the artist's own materials stay."""
         for item in room:
             if not len(item.data.polygons):  # all of it is a lamp
                 continue
             copy = self._copy(item)
             _keep_atlas_uvs(copy.data)
-            for slot in copy.material_slots:
+            # Other programs have no tiles: a part is a material for each atlas image on which it lies.
+            for slot, image in zip(copy.material_slots, split_tiles(copy.data), strict=True):
                 material = slot.material
                 if not has_maps(material):
                     continue
-                if material not in self._materials:
-                    self._materials[material] = plain_material(material, atlases[material[MATERIAL]])
-                slot.material = self._materials[material]
+                if (material, image) not in self._materials:
+                    self._materials[material, image] = plain_material(material, atlases[image])
+                slot.material = self._materials[material, image]
 
     def add_lights(self, areas_as_meshes: bool) -> None:
         """Copies of visible lights and lamps; Blender lights that stand for fixtures are left out."""

@@ -15,6 +15,7 @@ from ..node_trees import node_tree
 from ..results import adjust
 from ..results.materials import SPECULAR_LEVEL
 from ..room.mesh_arrays import corner_uvs, polygon_slots, triangle_loops
+from ..room.tiles import image_uvs, polygon_images, tile_number
 from ..room.uv_layer import UV_LAYER
 from .textures import adjusted_maps, read_maps, texel_parts, write_png
 
@@ -40,23 +41,27 @@ class Atlas:
         return [image for image in images if image is not None]
 
 
-def make_atlases(objects: list[bpy.types.Object], folder: Path, packed: bool) -> dict[str, Atlas]:
-    """Write the textures of all atlas images that objects with results use, by the images' names.
+def make_atlases(objects: list[bpy.types.Object], folder: Path, packed: bool) -> dict[int, Atlas]:
+    """Write the textures of all atlas images that objects with results use, by their indices.
 
     Args:
         objects: that show their result meshes.
         folder: for the files.
         packed: roughness and metallic in one image, as glTF has them; otherwise in two.
     """
-    materials: dict[str, dict[str, bpy.types.Material]] = {}
+    materials: dict[int, dict[str, bpy.types.Material]] = {}
     for item in objects:
-        for material in item.data.materials:
+        mesh = item.data
+        pairs = np.unique(np.stack([polygon_slots(mesh), polygon_images(mesh)], axis=1), axis=0)
+        for slot, image in pairs.tolist():
+            material = mesh.materials[min(slot, len(mesh.materials) - 1)] if mesh.materials else None
             if material is not None and MATERIAL in material:
-                materials.setdefault(material[MATERIAL], {})[material.get(PART, "")] = material
+                materials.setdefault(image, {})[material.get(PART, "")] = material
     atlases = {}
-    for name, by_part in materials.items():
+    for number, by_part in sorted(materials.items()):
         first = next(iter(by_part.values()))
-        maps = read_maps(first)
+        name = first[MATERIAL] if len(materials) == 1 else f"{first[MATERIAL]}.{tile_number(number)}"
+        maps = read_maps(first, number)
         keys = list(by_part)
         changed = {
             index: adjust.read(by_part[key])
@@ -64,10 +69,10 @@ def make_atlases(objects: list[bpy.types.Object], folder: Path, packed: bool) ->
             if adjust.read(by_part[key]) != adjust.NO_ADJUSTMENT
         }
         if changed:
-            corner_uv, part = _triangles(objects, name, keys)
+            corner_uv, part = _triangles(objects, number, keys)
             size = (maps.shape[1], maps.shape[0])
             maps = adjusted_maps(maps, texel_parts(corner_uv, part, size), changed)
-        atlases[name] = _write(maps, name, folder, packed)
+        atlases[number] = _write(maps, name, folder, packed)
     return atlases
 
 
@@ -84,21 +89,26 @@ def _write(maps: np.ndarray, name: str, folder: Path, packed: bool) -> Atlas:
     return Atlas(base_color, roughness=grey[0], metallic=grey[1])
 
 
-def _triangles(objects: list[bpy.types.Object], name: str, keys: list[str]) -> tuple[np.ndarray, np.ndarray]:
+def _triangles(
+    objects: list[bpy.types.Object], number: int, keys: list[str]
+) -> tuple[np.ndarray, np.ndarray]:
     """(T, 3, 2) UVs and (T,) indices into `keys` of all triangles on an atlas image."""
     uvs, parts = [np.zeros((0, 3, 2))], [np.zeros(0, np.int64)]
     for item in objects:
         mesh = item.data
         of_slot = np.array(
             [
-                keys.index(material[PART]) if material is not None and material.get(MATERIAL) == name else -1
+                keys.index(material[PART])
+                if material is not None and MATERIAL in material and material[PART] in keys
+                else -1
                 for material in mesh.materials
             ]
             or [-1]
         )
         loops, polygons = triangle_loops(mesh, False)
-        part = of_slot[np.minimum(polygon_slots(mesh), len(of_slot) - 1)][polygons]
-        uvs.append(corner_uvs(mesh, mesh.uv_layers[UV_LAYER])[loops[part >= 0]])
+        part = of_slot[np.minimum(polygon_slots(mesh), len(of_slot) - 1)]
+        part = np.where(polygon_images(mesh) == number, part, -1)[polygons]
+        uvs.append(image_uvs(corner_uvs(mesh, mesh.uv_layers[UV_LAYER])[loops[part >= 0]], number))
         parts.append(part[part >= 0])
     return np.concatenate(uvs), np.concatenate(parts)
 

@@ -14,23 +14,28 @@ import bpy
 import numpy as np
 
 from ...core.textures.raster import covered_texels
-from ..image_datablocks import image_values
+from ..image_datablocks import tile_values
 from ..marks import MAP
 from ..node_trees import node_tree
 from ..png16 import encode_srgb
 from ..results import adjust
+from ..room.tiles import tile_number
 
 # Texels around a face that take the adjustment of its part: the reach of filters.
 MARGIN = 4.0
 _LABELS = ("Base Color", "Roughness", "Metallic")
 
 
-def read_maps(material: bpy.types.Material) -> np.ndarray:
-    """(H, W, 5) linear base colour, roughness and metallic of a material's atlas image, bottom row first."""
+def read_maps(material: bpy.types.Material, atlas_image: int) -> np.ndarray:
+    """(H, W, 5) base colour (linear), roughness, metallic of a material's atlas image, bottom row first.
+
+    Raises:
+        FiptError: ``file-missing``.
+    """
     columns = []
     for label, channels in zip(_LABELS, (3, 1, 1), strict=True):
         image = node_tree(material).nodes[MAP.format(label)].image
-        columns.append(image_values(image)[..., :channels])
+        columns.append(tile_values(image, tile_number(atlas_image))[..., :channels])
     return np.concatenate(columns, axis=2)
 
 

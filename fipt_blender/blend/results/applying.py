@@ -37,6 +37,7 @@ from ..room.originals import (
 )
 from ..room.panes import add_surfaces
 from ..room.result_meshes import list_names, make_mesh, match_objects
+from ..room.tiles import tiled_uvs
 from ..room.uv_layer import write_layer
 from ..slices import Slices, find_object, run_through
 from ..texture_files import IN_RUN_FOLDER, TextureFiles
@@ -45,7 +46,7 @@ from .part_materials import PartFaces, PartMaterials
 from .write_back_nodes import agree_with_model
 
 _AGAIN = "Apply the results again."
-ATTRIBUTES = "Room"  # in place of an atlas image's name
+SEVERAL = "Room"  # in place of an atlas image's name, for several or for colour attributes
 
 
 @dataclass(frozen=True)
@@ -77,8 +78,8 @@ class _Results:
 
     Attributes:
         room: the exported room.
-        faces: atlas image and part of each triangle.
-        corner_uv: (T,3,2) of the atlas.
+        faces: part of each triangle.
+        corner_uv: (T,3,2) of the atlas, in its tiles.
         entries: the entries of textures.json; empty for colour attributes.
         corner_fields: values of colour attributes by map; empty for UVs.
         emitters: the fixtures of emitters.json.
@@ -213,9 +214,7 @@ def _read(run: RunFolder) -> _Results:
     atlas, arrays = read_atlas(run, count)
     corner_fields: dict[str, np.ndarray] = {}
     entries: list[dict[str, str]] = []
-    image = arrays["triangle_image"]
     if atlas["mode"] == "color_attribute":
-        image = np.zeros_like(image)
         corner_fields = _read_corner_fields(run.textures / "corner_fields.npz", count)
     else:
         entries = read_textures(run)
@@ -224,8 +223,8 @@ def _read(run: RunFolder) -> _Results:
     parts = read_parts(run, room.triangle_object, room.objects)
     return _Results(
         room=room,
-        faces=PartFaces(parts, image, read_left_alone(run, count)),
-        corner_uv=arrays["corner_uv"],
+        faces=PartFaces(parts, read_left_alone(run, count)),
+        corner_uv=tiled_uvs(arrays["corner_uv"], arrays["triangle_image"]),
         entries=entries,
         corner_fields=corner_fields,
         emitters=read_emitters(run, count)["fixtures"],
@@ -281,9 +280,9 @@ def _swap_in(
             item[OBJECT_ID] = (room.object_ids or room.objects)[index]
     earlier = result_materials(result_meshes(item for item, _ in targets.values()))
     entries = results.entries
-    images = [load_maps(run, entry, files) for entry in entries] if entries else None
-    names = [entry["name"] for entry in entries] or [ATTRIBUTES]
-    materials = PartMaterials(results.faces, images, names, earlier)
+    images = load_maps(run, entries, files) if entries else None
+    name = entries[0]["name"] if len(entries) == 1 else SEVERAL
+    materials = PartMaterials(results.faces, images, name, earlier)
     for index, (_, mesh) in targets.items():
         materials.assign(mesh, room, index)
     warnings = [*warnings, *materials.finish()]
@@ -298,7 +297,7 @@ def _swap_in(
     restore_original(item for item in others if item is not None and has_results(item))
     for item, mesh in targets.values():
         set_result_mesh(item, mesh)
-    remove_unused(earlier.values())
+    remove_unused(earlier)
     placed = fixtures.place(scene, new_fixtures)
     keep_states(scene, placed, kept)
     placed_names = [item.name for item in placed]

@@ -52,7 +52,7 @@ def show(scene: bpy.types.Scene, shown: str) -> None:
     for item in items:
         show_original(item, shown == "ORIGINAL")
     meshes = result_meshes(items)
-    for material in result_materials(meshes).values():
+    for material in result_materials(meshes):
         _show_in_material(material, shown)
     for mesh in meshes:
         _show_in_mesh(mesh, shown)

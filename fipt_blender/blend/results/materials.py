@@ -2,13 +2,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The estimated materials: a Principled material for each part, its maps in nodes with fixed names.
 
-Parts share the atlas images. A part that lies on several of them has as many materials. The artist's
-materials stay in the original meshes, which `room.originals` sets aside.
+Parts share the atlas images. Of several, each map is one image with tiles (UDIM), so that a part has one
+material wherever it lies. The artist's materials stay in the original meshes, which `room.originals` sets
+aside.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -17,9 +18,10 @@ from ...core.run.documents import read_json
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import TEXTURES
-from ..image_datablocks import remove_unused_images
+from ..image_datablocks import remove_unused_images, tile_pattern
 from ..marks import MAP, MATERIAL, OUTPUT, PART, PART_NAME, PRINCIPLED, TABLE
 from ..node_trees import node_tree
+from ..room.tiles import tile_number
 from ..room.uv_layer import UV_LAYER
 from ..texture_files import TextureFiles
 from . import adjust
@@ -38,10 +40,10 @@ MAPS = {
 
 @dataclass(frozen=True)
 class Surface:
-    """What a material shows: a part's texels of an atlas image.
+    """What a material shows: a part's texels of the atlas.
 
     Attributes:
-        image: name of the atlas image; of colour attributes the same for all.
+        image: name of the atlas; the same for all.
         key, name: of the part, see `core.run.parts`.
     """
 
@@ -50,14 +52,10 @@ class Surface:
     name: str
 
 
-def result_materials(meshes: Iterable[bpy.types.Mesh]) -> dict[tuple[str, str], bpy.types.Material]:
-    """The estimated materials of meshes, by their atlas image and the key of their part."""
+def result_materials(meshes: Iterable[bpy.types.Mesh]) -> list[bpy.types.Material]:
+    """The estimated materials of meshes, each once."""
     materials = (material for mesh in meshes for material in mesh.materials if material is not None)
-    return {
-        (material[MATERIAL], material.get(PART, "")): material
-        for material in materials
-        if MATERIAL in material
-    }
+    return list(dict.fromkeys(material for material in materials if MATERIAL in material))
 
 
 def remove_unused(materials: Iterable[bpy.types.Material]) -> None:
@@ -112,9 +110,25 @@ def read_textures(run: RunFolder) -> list[dict[str, str]]:
     return entries
 
 
-def load_maps(run: RunFolder, entry: Mapping[str, str], files: TextureFiles) -> dict[str, bpy.types.Image]:
-    """The images of an entry of textures.json, by the labels of their maps."""
-    return {label: files.load(run.resolve(entry[key]), is_data) for key, (label, is_data) in MAPS.items()}
+def load_maps(
+    run: RunFolder, entries: Sequence[Mapping[str, str]], files: TextureFiles
+) -> dict[str, bpy.types.Image]:
+    """The images of the entries of textures.json, by the labels of their maps; of several, their tiles.
+
+    Raises:
+        FiptError: ``file-damaged`` for textures of an earlier version, which are not tiles.
+    """
+    maps = {}
+    for key, (label, is_data) in MAPS.items():
+        paths = {tile_number(index): run.resolve(entry[key]) for index, entry in enumerate(entries)}
+        if len(paths) == 1:
+            maps[label] = files.load(next(iter(paths.values())), is_data)
+            continue
+        if len({tile_pattern(path.name, number) for number, path in paths.items()}) > 1:
+            text = f"The names in {run.textures_json} are not those of tiles."
+            raise FiptError("file-damaged", text, "Apply the results again.")
+        maps[label] = files.load_tiles(paths, is_data)
+    return maps
 
 
 def part_material(
@@ -127,7 +141,7 @@ def part_material(
 
     Args:
         surface: what it shows.
-        images: of an atlas image by the labels of their maps (`load_maps`); None for colour attributes.
+        images: of the atlas by the labels of their maps (`load_maps`); None for colour attributes.
         adjustment: of the part.
         reuse: an estimated material to rebuild instead of making a new one.
     """

@@ -71,8 +71,8 @@ def _slot_counts(mesh: bpy.types.Mesh) -> np.ndarray:
 
 
 def part_materials(scene: bpy.types.Scene, key: str) -> list[bpy.types.Material]:
-    """The materials of a part in a scene: as many as atlas images on which it lies."""
-    materials = result_materials(result_meshes(room_with_results(scene))).values()
+    """The materials of a part in a scene: one, unless the artist has copied it."""
+    materials = result_materials(result_meshes(room_with_results(scene)))
     return materials_by_part(materials).get(key, [])
 
 

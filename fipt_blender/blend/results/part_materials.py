@@ -31,12 +31,10 @@ class PartFaces:
 
     Attributes:
         parts: of the room.
-        triangle_image: (T,) atlas image of each triangle, -1 for none.
         left_alone: (T,) bool, triangles that keep the artist's material.
     """
 
     parts: RoomParts
-    triangle_image: np.ndarray
     left_alone: np.ndarray
 
 
@@ -46,24 +44,25 @@ class PartMaterials:
 
     Attributes:
         faces: what the triangles show.
-        images: of each atlas image by the labels of their maps; None for colour attributes.
-        names: of the atlas images.
-        earlier: materials of earlier results, by atlas image and key of the part.
-        made: those made so far, by the indices of atlas image and part.
+        images: of the atlas by the labels of their maps; None for colour attributes.
+        name: of the atlas.
+        earlier: materials of earlier results.
+        made: those made so far, by the index of the part.
     """
 
     faces: PartFaces
-    images: Sequence[Mapping[str, bpy.types.Image]] | None
-    names: Sequence[str]
-    earlier: Mapping[tuple[str, str], bpy.types.Material]
-    made: dict[tuple[int, int], bpy.types.Material] = field(default_factory=dict)
+    images: Mapping[str, bpy.types.Image] | None
+    name: str
+    earlier: Sequence[bpy.types.Material]
+    made: dict[int, bpy.types.Material] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         parts = self.faces.parts.parts
         keys, names = {part.key for part in parts}, {part.name: part.key for part in parts}
         self._adjustments: dict[str, adjust.Adjustment] = {}
         self._lost: list[str] = []
-        for material in self.earlier.values():
+        self._reused = {material.get(PART, ""): material for material in reversed(self.earlier)}
+        for material in self.earlier:
             values = adjust.read(material)
             if values == adjust.NO_ADJUSTMENT:
                 continue
@@ -73,7 +72,7 @@ class PartMaterials:
                 self._lost.append(name or material.name)
             else:
                 self._adjustments[kept] = values
-        self._images = images_of(self.earlier.values())
+        self._images = images_of(self.earlier)
 
     def assign(self, mesh: bpy.types.Mesh, room: Room, index: int) -> None:
         """Give a result mesh of the object `index` one slot for each material that it uses."""
@@ -81,25 +80,15 @@ class PartMaterials:
         polygon = room.triangle_polygon[of_object]
         original = original_polygons(mesh)
         count = max(int(polygon.max(initial=-1)), int(original.max(initial=-1))) + 1
-        image = np.full(count, -1)
-        # Triangles without area have no image (-1); the polygon takes that of its other triangles.
-        order = np.argsort(self.faces.triangle_image[of_object], kind="stable")
-        image[polygon[order]] = self.faces.triangle_image[of_object][order]
-        known = image[image >= 0]
-        image[image < 0] = known[0] if len(known) else 0
         part = np.zeros(count, np.int64)
         part[polygon[::-1]] = self.faces.parts.triangle[of_object][::-1]  # the first triangle's
         kept = np.zeros(count, bool)
         kept[polygon[self.faces.left_alone[of_object]]] = True
-        parts = len(self.faces.parts.parts)
         own = polygon_slots(mesh)
-        used, slot = np.unique(
-            np.where(kept[original], -1 - own, (image * parts + part)[original]), return_inverse=True
-        )
+        used, slot = np.unique(np.where(kept[original], -1 - own, part[original]), return_inverse=True)
         originals = list(mesh.materials)
         materials = [
-            self._material(*divmod(value, parts)) if value >= 0 else _slot(originals, -1 - value)
-            for value in used.tolist()
+            self._material(value) if value >= 0 else _slot(originals, -1 - value) for value in used.tolist()
         ]
         mesh.materials.clear()
         for material in materials:
@@ -107,17 +96,16 @@ class PartMaterials:
         mesh.polygons.foreach_set("material_index", slot.ravel().astype(np.int32))
         mesh.update()
 
-    def _material(self, image: int, part: int) -> bpy.types.Material:
-        if (image, part) not in self.made:
+    def _material(self, part: int) -> bpy.types.Material:
+        if part not in self.made:
             described = self.faces.parts.parts[part]
-            surface = Surface(self.names[image], described.key, described.name)
-            self.made[image, part] = part_material(
-                surface,
-                None if self.images is None else self.images[image],
+            self.made[part] = part_material(
+                Surface(self.name, described.key, described.name),
+                self.images,
                 self._adjustments.get(described.key, adjust.NO_ADJUSTMENT),
-                self.earlier.get((surface.image, surface.key)),
+                self._reused.get(described.key),
             )
-        return self.made[image, part]
+        return self.made[part]
 
     def finish(self) -> list[Message]:
         """Remove the images of earlier results that nothing uses, and name the new ones.
@@ -126,9 +114,8 @@ class PartMaterials:
             A warning about adjustments of parts that are no longer there.
         """
         remove_unused_images(self._images)
-        for name, images in zip(self.names, self.images or [], strict=False):
-            for label, image in images.items():
-                image.name = f"FIPT {name} {label}"
+        for label, image in (self.images or {}).items():
+            image.name = f"FIPT {self.name} {label}"
         if not self._lost:
             return []
         names = list_names(sorted(set(self._lost)))

@@ -45,7 +45,7 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> list[str]:
     if new_lights:
         for item in added_lights(scene):
             remove_object(item)
-    remove_unused(materials.values())
+    remove_unused(materials)
     restore_world(scene)
     target = find_collection(scene, FIXTURES)
     if target is not None and not target.all_objects:

@@ -18,8 +18,6 @@ from ..lights import light_state
 from ..lights.missing_lamps import note_missing
 from ..marks import MUTED, other_lights, remove_marks, room_with_results
 from ..render_engine import restore_engine, switch_engine
-from ..room.originals import result_meshes
-from .materials import result_materials
 from .part_list import note_parts
 
 MIDDLE_GREY = 0.18
@@ -51,8 +49,8 @@ def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:
     settings = scene.fipt.materials
     room = room_with_results(scene)
     settings.object_count = len(room)
-    settings.image_count = len({image for image, _ in result_materials(result_meshes(room))})
-    settings.applied_mode = str(read_json(run.atlas_json, ATLAS, "Apply the results again.")["mode"])
+    atlas = read_json(run.atlas_json, ATLAS, "Apply the results again.")
+    settings.image_count, settings.applied_mode = len(atlas["images"]), str(atlas["mode"])
     settings.shown = "ESTIMATED"  # its update function shows them
     scene.fipt.lights.median_radiance = median_radiance(run)
     scene.fipt.lights.median_shown = median_shown(run)

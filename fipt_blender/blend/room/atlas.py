@@ -25,6 +25,7 @@ from .charts import chart_slices, is_scan
 from .islands import island_bounds, rotate_islands, split_sparse_islands, triangle_areas, uv_islands
 from .packing import PAD, Packing, pack_islands, place
 from .result_meshes import match_objects
+from .tiles import tile_number
 from .unwrapping import UnwrapSource, exported_source, read_source, unwrap, uvs_in_range, uvs_usable
 
 MAX_IMAGES = 16
@@ -274,8 +275,10 @@ def _write(
 ) -> None:
     with atomic_path(run.atlas_npz) as temporary:
         np.savez(temporary, corner_uv=corner_uv.astype(np.float32), triangle_image=image.astype(np.int32))
+    # Several images are tiles of one, which Blender finds by the numbers in their names.
+    names = [f"Room.{tile_number(index)}" for index in range(len(sizes))] if len(sizes) > 1 else ["Room.001"]
     images = [
-        {"name": f"Room.{index:03d}", "width": width, "height": height}
-        for index, (width, height) in enumerate(sizes, start=1)
+        {"name": name, "width": width, "height": height}
+        for name, (width, height) in zip(names, sizes, strict=False)
     ]
     write_json(run.atlas_json, {"mode": mode, "images": images})

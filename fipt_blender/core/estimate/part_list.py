@@ -8,6 +8,7 @@ The units themselves are in parts.npz. Blender makes one material for each of th
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from ..run.parts import readable, unique_names
 from ..run.runfolder import RunFolder, write_json
 from ..run.shapes import PARTS_FORMAT, PARTS_VERSION
 from ..scene.grouped import grouped_sums
-from ..scene.labels import Parts, choose_source, fuse_masks
+from ..scene.labels import Parts, choose_source, fuse_masks, mesh_borders
 from ..scene.pixels import PixelStore
 from ..scene.room import Room, triangle_normals
 
@@ -34,6 +35,8 @@ SAME, MOST = 0.9, 0.7
 # A surface is at the floor or the ceiling within this share of the room's height, and a wall from this share
 # of the room's area.
 END, LARGE = 0.1, 0.03
+# Names that programs give to materials that nobody named; an object's name says more.
+_UNNAMED = re.compile(r"(default)?[ _]?material[ ._]?\d*", re.IGNORECASE)
 _NAMES_OF_IDS = {"mask": "Part {}", "class": "Class {}"}
 
 
@@ -63,9 +66,10 @@ def write_part_list(
     classes = _semantic_classes(room, views, pixels, unit, count)
     source = choose_source(room, views)
     areas = areas or {}
-    keys = [_key(source, room, parts, unit, index) for index in range(count)]
+    of_mesh = mesh_borders(room, source) is not None
+    keys = [_key(source, room, parts, unit, index, of_mesh) for index in range(count)]
     keys = unique_names([f"area:{areas[index]}" if index in areas else key for index, key in enumerate(keys)])
-    names = _names(room, unit, keys, [name for _, name in classes])
+    names = _names(room, source, unit, keys, [name for _, name in classes])
     names = unique_names([areas.get(index, name) for index, name in enumerate(names)])
     seen = np.zeros(count + 1, np.int64)
     for first, last in itertools.pairwise(pixels.ranges):
@@ -118,13 +122,19 @@ def _mean_values(fields: RoomFields, count: int) -> np.ndarray:
     return np.where(size > 0, total / np.maximum(size, 1), np.nan)
 
 
-def _key(source: str, room: Room, parts: Parts, unit: np.ndarray, index: int) -> str:
-    """A text that names a unit in other estimates of the room, too, as far as its source allows."""
-    if parts.kind == "part" and index < len(parts.ids):
+def _key(source: str, room: Room, parts: Parts, unit: np.ndarray, index: int, of_mesh: bool) -> str:
+    """A text that names a unit in other estimates of the room, too, as far as its source allows.
+
+    Args:
+        of_mesh: whether slots or objects give the units their borders, although the source is masks.
+    """
+    if parts.kind == "part" and index < len(parts.ids) and not of_mesh:
         return f"mask:{parts.ids[index]}"
     if parts.kind == "semantic" and index < len(parts.ids):
         return f"class:{parts.ids[index]}"
     triangle = int(np.argmax(unit == index))
+    if of_mesh:
+        source = "materials" if room.triangle_material[triangle] >= 0 else "objects"
     if source == "objects":
         return f"object:{room.objects[room.triangle_object[triangle]]}"
     if source == "materials":
@@ -158,16 +168,21 @@ def _class_names(mask: Path) -> dict[str, str]:
     return read_json(path, Entries(str), "Correct or delete it.") if path.is_file() else {}
 
 
-def _names(room: Room, unit: np.ndarray, keys: Sequence[str], classes: Sequence[str]) -> list[str]:
-    """A name of each unit: of its object, slot or class, by its place in the room, or by its key."""
+def _names(
+    room: Room, source: str, unit: np.ndarray, keys: Sequence[str], classes: Sequence[str]
+) -> list[str]:
+    """A name of each unit: of its material, object or class, by its place in the room, or by its key."""
     count = len(keys)
+    materials = [""] * count
+    if source != "objects" and room.scan is None:
+        materials = _materials_of(room, unit, count)
     whole = _same_surfaces(room, unit, count, room.triangle_object, room.objects)
     slots = _same_surfaces(room, unit, count, room.triangle_material, room.materials)
     mostly = _objects_of(room, unit, count) if len(room.objects) > 1 else [""] * count
     places = _places(room, unit, count)
     pairs = (key.split(":", 1) for key in keys)
     ids = [_NAMES_OF_IDS.get(kind, "Surface").format(number) for kind, number in pairs]
-    choices = zip(whole, slots, classes, mostly, places, ids, strict=True)
+    choices = zip(materials, whole, slots, classes, mostly, places, ids, strict=True)
     return [readable(next(filter(None, choice))) for choice in choices]
 
 
@@ -191,6 +206,21 @@ def _same_surfaces(
     common = shared[np.arange(count), best]
     same = (common > 0.0) & (common >= SAME * of_unit) & (common >= SAME * of_label[best])
     return [names[index] if is_same else "" for index, is_same in zip(best, same, strict=True)]
+
+
+def _materials_of(room: Room, unit: np.ndarray, count: int) -> list[str]:
+    """The material in whose slots each unit lies, "" for units in several, and where nobody named it.
+
+    A room of one material has no names by it.
+    """
+    if len(room.materials) < 2 or len(np.unique(room.triangle_material)) < 2:
+        return [""] * count
+    shared = _areas(room, unit, count, room.triangle_material, len(room.materials))
+    of_unit = np.bincount(unit[unit >= 0], room.areas[unit >= 0], minlength=count)
+    best = shared.argmax(axis=1)
+    within = (of_unit > 0.0) & (shared.max(axis=1) >= SAME * of_unit)
+    names = ["" if _UNNAMED.fullmatch(name) else name for name in room.materials]
+    return [names[index] if is_within else "" for index, is_within in zip(best, within, strict=True)]
 
 
 def _objects_of(room: Room, unit: np.ndarray, count: int) -> list[str]:

@@ -3,7 +3,8 @@
 """Parts: which triangles have the same material, for the regularisation of roughness and metallic.
 
 They come from the mesh's objects or material slots, or from id images, which are fused onto the triangles by
-majority so that all views agree (paper, supplementary "Semantic segmentation acquisition").
+majority so that all views agree (paper, supplementary "Semantic segmentation acquisition"). Chosen
+automatically, masks only divide the slots or objects of a modelled mesh further (:mod:`.modelled_parts`).
 """
 
 from __future__ import annotations
@@ -18,16 +19,17 @@ from ..capture.views import View
 from ..geometry.adjacency import weld
 from ..run.run_files import array_digest
 from .components import mesh_components
-from .grouped import summed_by_key
+from .grouped import numbered, summed_by_key
+from .modelled_parts import divided_surfaces, mesh_surfaces
 from .room import Room
 from .segments import scan_segments
 from .smooth_parts import Votes, smooth_labels
+from .spreading import NO_PART, spread_labels
 
-NO_PART = -1
 # Sources that are images beside the photographs.
 IMAGE_SOURCES = ("masks", "semantics")
 _IDS = 1 << 32  # larger than any id
-# Weight of pixels at borders of masks on a scan, whose borders lie elsewhere by about a pixel.
+# Weight of pixels at borders of masks, where a scan's borders, or slots, may lie elsewhere by about a pixel.
 BORDER_VOTE = 0.1
 
 
@@ -38,7 +40,8 @@ class Parts:
     Attributes:
         triangle_part: (T,) int32 from 0, NO_PART without one.
         kind: ``part`` (one material each), ``semantic`` (classes, each of several materials) or ``none``.
-        ids: (P,) int64 id that each part has in the masks, if it comes from masks; else empty.
+        ids: (P,) int64 id that each part has in the masks, if it comes from masks; else empty. Several parts
+            have one where the mesh divides what a mask shows, NO_PART those that no mask shows.
     """
 
     triangle_part: np.ndarray
@@ -89,13 +92,21 @@ def automatic_source(room: Room, usable: Sequence[str]) -> str:
     return next((name for name in usable if name in IMAGE_SOURCES or room.scan is None), "none")
 
 
+def mesh_borders(room: Room, source: str) -> np.ndarray | None:
+    """(T,) int64 the mesh's own surfaces, which parts from the source `masks` divide; None where there are
+    none, and where masks were chosen to count alone.
+    """
+    return mesh_surfaces(room) if source == "masks" and room.parts == "auto" else None
+
+
 def label_parts(
     room: Room, source: str, images: Iterable[np.ndarray | None], triangles: Iterable[np.ndarray]
 ) -> Parts:
     """Parts from one source.
 
     Args:
-        source: masks, semantics, materials, objects, loose or none.
+        source: masks, semantics, materials, objects, loose or none. Masks divide the slots of a
+            modelled mesh if room.parts is ``auto``, and count alone if it is ``masks``.
         images: for masks and semantics the id image of each view, or None; not used for other sources.
         triangles: for each view the triangle that each pixel of its id image sees, negative where none.
     """
@@ -108,6 +119,11 @@ def label_parts(
         return Parts(_compact(room.triangle_material), "part")
     if source == "loose":
         return Parts(room_pieces(room), "part")
+    own = mesh_borders(room, source)
+    if own is not None:
+        ids = divided_surfaces(room, own, count_votes(images, triangles, BORDER_VOTE))
+        part = numbered([own, ids])
+        return Parts(part.astype(np.int32), "part", ids[np.unique(part, return_index=True)[1]])
     if source in IMAGE_SOURCES:
         spread = _fused_labels(room, images, triangles)
         kind = "part" if source == "masks" else "semantic"
@@ -201,36 +217,6 @@ def count_votes(
 def at_border(mask: np.ndarray) -> np.ndarray:
     """(H, W) bool, pixels with another id among the eight beside them."""
     return np.asarray(maximum_filter(mask, 3) != minimum_filter(mask, 3))
-
-
-def spread_labels(labels: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Give triangles without a label the highest label of their neighbours, ring by ring.
-
-    Args:
-        labels: (T,) int, negative for none.
-        triangles: (T, 3) welded vertex indices; triangles that share a vertex are neighbours.
-
-    Returns:
-        (T,) int64, negative where no triangle of the connected piece has a label.
-    """
-    labels = labels.astype(np.int64).copy()
-    # The triangles around each vertex, concatenated over the vertices.
-    around = np.argsort(triangles, axis=None, kind="stable") // 3
-    count = np.bincount(triangles.reshape(-1))
-    first = np.cumsum(count) - count
-    vertex_label = np.full(len(count), NO_PART, np.int64)
-    ring = np.flatnonzero(labels >= 0)
-    while len(ring):
-        corners = triangles[ring].reshape(-1)
-        np.maximum.at(vertex_label, corners, np.repeat(labels[ring], 3))
-        touched = np.unique(corners)
-        # Rows of `around`: count[touched] of them, starting at first[touched].
-        ends = np.cumsum(count[touched])
-        rows = np.arange(ends[-1]) + np.repeat(first[touched] + count[touched] - ends, count[touched])
-        neighbours = around[rows]
-        ring = np.unique(neighbours[labels[neighbours] < 0])
-        labels[ring] = vertex_label[triangles[ring]].max(axis=1)
-    return labels
 
 
 def _compact(labels: np.ndarray) -> np.ndarray:

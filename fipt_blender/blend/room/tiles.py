@@ -1,0 +1,62 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tiles of an atlas of several images (UDIM): a material has one texture, and the UVs choose the image."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from .mesh_arrays import corner_uvs, polygon_slots, polygon_starts
+from .uv_layer import UV_LAYER
+
+_FIRST, _ROW = 1001, 10  # number of the first tile, and tiles side by side
+
+
+def tile_number(image: int) -> int:
+    """UDIM number of an atlas image, which counts from 0."""
+    return _FIRST + image
+
+
+def tiled_uvs(corner_uv: np.ndarray, triangle_image: np.ndarray) -> np.ndarray:
+    """(T, 3, 2) UVs in the tiles of atlas images.
+
+    Args:
+        corner_uv: (T, 3, 2) in the images.
+        triangle_image: (T,) image of each triangle, negative for none.
+    """
+    image = np.maximum(triangle_image, 0)
+    return corner_uv + np.stack([image % _ROW, image // _ROW], axis=1)[:, None].astype(corner_uv.dtype)
+
+
+def image_uvs(uv: np.ndarray, image: int) -> np.ndarray:
+    """UVs (..., 2) in the tile of an atlas image as UVs in the image."""
+    return uv - np.array([image % _ROW, image // _ROW], uv.dtype)
+
+
+def polygon_images(mesh: bpy.types.Mesh) -> np.ndarray:
+    """(P,) int64 atlas image of each polygon, by the UVs of its corners."""
+    if not len(mesh.polygons):
+        return np.zeros(0, np.int64)
+    uv = corner_uvs(mesh, mesh.uv_layers[UV_LAYER])
+    starts = polygon_starts(mesh)
+    size = np.diff(starts, append=len(uv))
+    column, row = np.floor(np.add.reduceat(uv.astype(np.float64), starts, axis=0) / size[:, None]).T
+    return (column + _ROW * row).astype(np.int64)
+
+
+def split_tiles(mesh: bpy.types.Mesh) -> list[int]:
+    """Give a mesh a slot for each material and atlas image, and UVs in the images; the image of each."""
+    slot, image = polygon_slots(mesh), polygon_images(mesh)
+    slot = np.minimum(slot, max(len(mesh.materials) - 1, 0))
+    used, place = np.unique(np.stack([slot, image], axis=1), axis=0, return_inverse=True)
+    materials = [mesh.materials[index] for index, _ in used] if len(mesh.materials) else []
+    corners = np.repeat(image, np.diff(polygon_starts(mesh), append=len(mesh.loops)))
+    layer = mesh.uv_layers[UV_LAYER]
+    uv = corner_uvs(mesh, layer) - np.stack([corners % _ROW, corners // _ROW], axis=1)
+    layer.uv.foreach_set("vector", uv.astype(np.float32).ravel())
+    mesh.materials.clear()
+    for material in materials:
+        mesh.materials.append(material)
+    mesh.polygons.foreach_set("material_index", place.ravel().astype(np.int32))
+    return [int(image) for _, image in used]

@@ -1,0 +1,103 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Parts of a modelled mesh with slots or objects, which are evidence of the same thing as masks.
+
+The mesh decides borders and names. Masks divide a slot further where the votes of all views agree: first by
+flat pieces, inside a flat piece only where a region is large enough to be more than a misplaced mask.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..geometry.adjacency import face_vectors, make_mesh
+from .components import graph_components, mesh_components
+from .grouped import numbered
+from .room import Room
+from .smooth_parts import Votes
+from .spreading import NO_PART, spread_labels
+
+# A flat piece has one part if one id has this share of its votes.
+WHOLE = 0.9
+# Share of the votes of a piece, or of a region inside one, by which they name its id.
+AGREED = 0.7
+# Votes (pixels off borders) without which a piece, or a region inside one, has no id of its own, and the
+# least share of its piece that a region has.
+LEAST_VOTES, LEAST_SHARE = 20.0, 0.05
+# Angle (radians) between normals at which a flat piece ends.
+FLAT = 0.1
+
+
+def mesh_surfaces(room: Room) -> np.ndarray | None:
+    """(T,) int64 from 0, the slot's material of each triangle or, without one, its object.
+
+    None where the mesh distinguishes nothing, and of a scan, whose materials are pages of a texture.
+    """
+    if room.scan is not None:
+        return None
+    material = room.triangle_material.astype(np.int64)
+    if len(np.unique(material)) < 2:
+        material = np.full(len(material), -1)
+    own = numbered([material, np.where(material < 0, room.triangle_object, -1)])
+    return own if own.max(initial=0) > 0 else None
+
+
+def divided_surfaces(room: Room, own: np.ndarray, votes: Votes) -> np.ndarray:
+    """(T,) int64 id of each triangle, so that a part is what has one id on one surface of the mesh.
+
+    Args:
+        own: (T,) int64 surfaces of `mesh_surfaces`.
+        votes: of the pixels, those at borders of masks with little weight.
+
+    Returns:
+        ids, NO_PART on surfaces that no pixel votes about.
+    """
+    mesh, _ = make_mesh(room.vertices, room.triangles)
+    normals, _ = face_vectors(mesh.vertices, mesh.triangles)
+    one, other = mesh.dual_edges.T
+    cosine = (normals[one] * normals[other]).sum(axis=1)
+    same = own[one] == own[other]
+    flat = graph_components(mesh.dual_edges[same & (cosine > np.cos(FLAT))], len(own))
+    connected = mesh_components(_corners(mesh.triangles, own))
+    label = _inside(flat, mesh.triangles, votes)
+    for piece, least in ((flat, LEAST_VOTES), (connected, LEAST_VOTES), (own, 0.0)):
+        best, share, total = _strongest(piece, votes)
+        known = (total >= least) & (share >= (AGREED if least else 0.0))
+        label = np.where(label < 0, np.where(known, best, NO_PART)[piece], label)
+    return label
+
+
+def _inside(piece: np.ndarray, triangles: np.ndarray, votes: Votes) -> np.ndarray:
+    """(T,) int64 ids inside the flat pieces (T,) that masks divide, NO_PART elsewhere."""
+    every = np.arange(len(piece))
+    _, whole, total = _strongest(piece, votes)
+    own = _strongest(every, votes)[0]
+    region = numbered([piece, own])
+    best, share, voted = _strongest(region, votes)
+    large = voted[region] >= np.maximum(LEAST_VOTES, LEAST_SHARE * total[piece])
+    divided = (whole < WHOLE)[piece] & large & (share[region] >= AGREED) & (own == best[region]) & (own >= 0)
+    regions = np.unique(np.stack([piece, own])[:, divided], axis=1)
+    several = np.bincount(regions[0], minlength=len(total)) > 1
+    label = np.where(divided & several[piece], own, NO_PART)
+    return spread_labels(label, _corners(triangles, piece))
+
+
+def _corners(triangles: np.ndarray, surface: np.ndarray) -> np.ndarray:
+    """(T, 3) vertices, a vertex of each surface (T,) apart, so that triangles are neighbours within one."""
+    keys = triangles.astype(np.int64) + surface[:, None] * (int(triangles.max(initial=0)) + 1)
+    return np.unique(keys, return_inverse=True)[1].reshape(-1, 3)
+
+
+def _strongest(piece: np.ndarray, votes: Votes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(P,) id with most votes in each piece (T,), the lower of equals, its share of them, and their sum."""
+    count = int(piece.max(initial=-1)) + 1
+    ids, column = np.unique(votes.label, return_inverse=True)
+    key, place = np.unique(piece[votes.triangle] * max(len(ids), 1) + column, return_inverse=True)
+    weight = np.bincount(place, votes.weight, minlength=len(key))
+    of, column = key // max(len(ids), 1), key % max(len(ids), 1)
+    total = np.bincount(of, weight, minlength=count)
+    best, most = np.full(count, NO_PART, np.int64), np.zeros(count)
+    order = np.lexsort((-column, weight))  # the last assignment wins
+    best[of[order]] = ids[column[order]]
+    most[of[order]] = weight[order]
+    return best, most / np.maximum(total, 1e-30), total
