@@ -22,7 +22,7 @@ _ADVANCED = (
     ("diffuse_samples", "specular_samples", "light_samples", "denoise"),
     ("training_steps",),
     ("voxel_resolution", "roughness_levels"),
-    ("reject_views", "correct_exposure"),
+    ("reject_views", "correct_exposure", "force"),
     ("seed",),
 )
 

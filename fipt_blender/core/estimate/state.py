@@ -51,6 +51,7 @@ from ..scene.outlines import outline_parts
 from ..scene.pixels import LEFT_OUT, PixelStore, open_pixels
 from ..scene.room import load_room
 from ..views.check import ViewCheck
+from ..views.consensus import check_input
 from ..views.panes import close_holes
 from .hinted import hint_facts
 
@@ -86,6 +87,7 @@ class EstimationState:
     Attributes:
         pixels: all pixels of the training views, with the surface points that they see.
         scale: median radiance of the photographs; all radiance below is in this unit.
+        far_off: views whose poses are far off, and their correlation with the others.
         view_check: views that were left out or corrected.
         photometry: what was found of photographs that are not HDR; empty without any.
         parts: of the room's triangles.
@@ -118,6 +120,7 @@ class EstimationState:
         if not self.capture.train:
             raise FiptError("views-none", "The capture has no training views.", "Add photographs.")
         self.views = spread_views(self.capture.train, settings.view_share)
+        self.far_off = check_input(load_room(folder, outlined=False), self.views, settings)
         if folder.geometry_npz.exists():
             text = "Looking for what the scan lacks"  # takes minutes
             reporter.stage("scan", text if self.holes is None else f"{self.holes.text} {text}")
