@@ -36,9 +36,7 @@ def capture() -> SmallCapture:
     lamps = table([2 * lamp, 2 * lamp + 1], [6.0, 5.0, 4.0])
     others = [[[-x, y, z], [-a, b, 3.0 - c]] for (x, y, z), (a, b, c) in CAMERAS]
     materials = matt(np.repeat(colors, 2, axis=0))
-    made = photograph_room(
-        room, materials, lamps, cameras=[*CAMERAS, *others], scale=2, spp=16, denoise=True
-    )
+    made = photograph_room(room, materials, lamps, cameras=[*CAMERAS, *others], scale=2, spp=16, denoise=True)
     return made.scaled(1.0, 1.0, (1.5, 1.0, 0.3))  # a box is its own mirror image about its middle
 
 

@@ -28,8 +28,9 @@ CLEARLY_BETTER = 0.5
 LEAST_GAIN = 0.06
 # A view whose log radiance differs by less than this after registration is never rejected for it.
 LEAST_DIFFERENCE = 0.2
-# If more than this share of the views would be left out, nobody knows which of them are right.
-MOST_LEFT_OUT = 0.5
+# If registration finds more than this share of the views misaligned, beside those that are far off, it does not
+# know which of them are right.
+MOST_LEFT_OUT = 1.0 / 3.0
 LEAST_VIEWS = 4
 # Of a view that no small rotation aligns.
 FAR_OFF = Fit(shift=np.inf, improvement=1.0, gain=0.0, difference=np.inf)
@@ -41,7 +42,7 @@ def misaligned_views(
     """Views whose photograph does not agree with their pose, worst first.
 
     Found in passes, since a misaligned view also spoils the prediction of others: each pass leaves out the
-    worst and repeats. Empty where most would be left out, if that is forced to be accepted.
+    worst and repeats. Empty where too many would be left out, if that is forced to be accepted.
 
     Args:
         gains: (views,) exposure of each view; 1 for the usual one.
@@ -64,7 +65,8 @@ def misaligned_views(
         if not worst:
             break
         misaligned |= worst
-        if len(misaligned) > MOST_LEFT_OUT * len(judged):
+        by_few = len(misaligned) - len(far_off)
+        if by_few > MOST_LEFT_OUT * (len(judged) - len(far_off)):
             if force:
                 return {}
             raise disagreement(len(misaligned), len(judged))

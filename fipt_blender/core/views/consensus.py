@@ -34,6 +34,9 @@ ROUNDS = 20
 # The mesh is tried otherwise where the median correlation is less, and this is said where it becomes better
 # than the second and its lack (1 - correlation) at most this share.
 WELL, MEND, LACK = 0.9, 0.75, 0.6
+# Where more than this share of the views is contradicted and the rest agrees less than this in the median, it
+# is the mesh that is wrong: right poses agree by 0.9.
+MANY, MEND_LEFT = 0.1, 0.85
 UNITS = (0.001, 0.01, 0.0254, 0.3048, 1.0, 1.0 / 0.3048, 1.0 / 0.0254, 100.0, 1000.0)
 TRIED_VIEWS = 24  # views with which other placements of the mesh are tried
 LITTLE_SEEN = 0.02  # share of a view's pixels that see the mesh, below which it sees nothing
@@ -59,8 +62,9 @@ class SmallViews:
 
     def among(self, chosen: Sequence[int]) -> SmallViews:
         """Some of the views."""
-        parts = (self.views, self.color, self.used)
-        return SmallViews(*([part[i] for i in chosen] for part in parts))
+        return SmallViews(
+            [self.views[i] for i in chosen], [self.color[i] for i in chosen], [self.used[i] for i in chosen]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +86,11 @@ class PairAgreement:
         """Of the correlations of all pairs that tell something; 0 without any."""
         known = np.triu(self.weight) > 0.0
         return float(np.median(self.correlation[known])) if known.any() else 0.0
+
+    def among(self, chosen: np.ndarray) -> PairAgreement:
+        """Of the views marked in `chosen`, (V,) bool."""
+        both = np.ix_(chosen, chosen)
+        return PairAgreement(self.correlation[both], self.weight[both], self.seen[chosen])
 
     def credible(self) -> tuple[np.ndarray, np.ndarray]:
         """(V,) bool, views that the credible others confirm; (V,) bool, views that are judged at all.
@@ -174,13 +183,19 @@ def check_input(room: Room, views: Sequence[View], settings: Settings) -> dict[i
     small = small_views(views)
     found = pair_agreement(room, small)
     if not settings.force:
-        _check_enough(small, found)
+        _check_photographs(small)
     credible, judged = found.credible()
     few = judged.sum() < LEAST_VIEWS
-    if not settings.force and (not few or found.seen.mean() < LEAST_SEEN) and found.median < WELL:
-        wrong = 0 if few else int((~credible).sum())
-        _check_mesh(room, small, found, bool(few or 2 * wrong > judged.sum()))
-    if not settings.force and found.seen.mean() < LEAST_SEEN:
+    blind = int((found.seen < LITTLE_SEEN).sum())
+    elsewhere = 2 * blind >= len(views) or found.seen.mean() < LEAST_SEEN
+    if not settings.force and (elsewhere or not few) and found.median < WELL:
+        _check_mesh(room, small, found, elsewhere or 2 * int((~credible).sum()) > judged.sum())
+    if not settings.force and 2 * blind >= len(views) > blind:  # where all are blind, see fill_pixels
+        raise _insufficient(
+            f"{blind} of {len(views)} cameras see nothing of the mesh",
+            "Leave these views out, correct their poses, or align the mesh with the cameras (--align-mesh).",
+        )
+    if not settings.force and 0.0 < found.seen.mean() < LEAST_SEEN:  # where nothing is seen, see fill_pixels
         raise _insufficient(
             f"the cameras see the mesh in only {100.0 * found.seen.mean():.0f} % of their pixels",
             "Use a mesh of the whole room, in the cameras' coordinates and unit.",
@@ -188,7 +203,9 @@ def check_input(room: Room, views: Sequence[View], settings: Settings) -> dict[i
     if few:
         return {}
     wrong = np.flatnonzero(~credible)
-    if 2 * len(wrong) > judged.sum():
+    left = found.among(credible)
+    unsettled = len(wrong) > MANY * judged.sum() and left.median < MEND_LEFT
+    if unsettled or 2 * len(wrong) > judged.sum():
         if settings.force:
             return {}
         raise disagreement(len(wrong), int(judged.sum()))
@@ -201,8 +218,8 @@ def disagreement(wrong: int, judged: int) -> FiptError:
     """The error where too many photographs contradict each other."""
     return FiptError(
         "views-disagree",
-        f"{wrong} of {judged} photographs do not agree with the others on this mesh: more than half of the"
-        " camera poses are wrong, or the mesh is not where the cameras are.",
+        f"{wrong} of {judged} photographs do not agree with the others on this mesh: so many of the camera"
+        " poses are wrong that the right ones can't be told, or the mesh is not where the cameras are.",
         "Solve the cameras again, or align them to the mesh (Align in the section Capture, --align-mesh)."
         + _FORCE,
     )
@@ -212,28 +229,23 @@ def _insufficient(text: str, remedy: str) -> FiptError:
     return FiptError("input-insufficient", f"Not enough to estimate: {text}.", remedy + _FORCE)
 
 
-def _check_enough(small: SmallViews, found: PairAgreement) -> None:
-    """Refuse one view, views of which half see nothing, and photographs without content.
+def _check_photographs(small: SmallViews) -> None:
+    """Refuse one view, and photographs without content.
 
     Raises:
         FiptError: ``input-insufficient``.
     """
-    count = len(small.views)
-    if count < 2:
+    if len(small.views) < 2:
         raise _insufficient(
             "there is one photograph, but gloss and light follow from several",
             "Add photographs from other places, or hold fewer back.",
         )
-    if max(float(color.std(axis=0).max()) for color in small.color) < SAME:
+    black = np.log(FLOOR) + 1e-6  # black photographs are refused when they are read
+    spread = [float(color.std(axis=0).max()) for color in small.color if color.max() > black]
+    if spread and max(spread) < SAME:
         raise _insufficient(
             "the photographs show nothing, all pixels are alike",
             "Check the export of the photographs: they may be over-exposed or empty.",
-        )
-    blind = int((found.seen < LITTLE_SEEN).sum())
-    if 2 * blind >= count and blind < count:  # where all are blind, the mesh may be elsewhere
-        raise _insufficient(
-            f"{blind} of {count} cameras see nothing of the mesh",
-            "Leave these views out, or correct their poses.",
         )
 
 
@@ -280,7 +292,8 @@ def _placements(room: Room, views: Sequence[View], anything: bool) -> Iterator[t
         return
     turns = list(_turns())
     both = [(turn, unit) for turn in turns[1:] for unit in UNITS if unit != 1.0]
-    for (words, turn), unit in [(turns[0], unit) for unit in UNITS] + [(turn, 1.0) for turn in turns[1:]] + both:
+    first = [(turns[0], unit) for unit in UNITS] + [(turn, 1.0) for turn in turns[1:]]
+    for (words, turn), unit in first + both:
         places = np.eye(4)
         places[:3, :3] = unit * turn
         corners = np.array([low, high]) @ places[:3, :3].T
