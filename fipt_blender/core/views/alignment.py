@@ -28,8 +28,8 @@ CLEARLY_BETTER = 0.5
 LEAST_GAIN = 0.06
 # A view whose log radiance differs by less than this after registration is never rejected for it.
 LEAST_DIFFERENCE = 0.2
-# If registration finds more than this share of the views misaligned, beside those that are far off, it does not
-# know which of them are right.
+# If registration finds more than this share of the views misaligned, beside those that are far off, it does
+# not know which of them are right.
 MOST_LEFT_OUT = 1.0 / 3.0
 LEAST_VIEWS = 4
 # Of a view that no small rotation aligns.
