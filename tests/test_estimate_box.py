@@ -278,7 +278,7 @@ def test_a_window_becomes_an_environment(tmp_path: Path) -> None:
 def test_a_room_without_lamp_is_a_warning(capture: SmallCapture, tmp_path: Path) -> None:
     """All surfaces have the same radiance: white walls explain it without a lamp."""
     grey = replace(capture, images=[np.full_like(image, 0.4) for image in capture.images])
-    run = write_run(tmp_path / "run", grey, rounds=0)
+    run = write_run(tmp_path / "run", grey, rounds=0, force=True)  # photographs without content are refused
     messages = run_here(run)
     assert [message["code"] for message in messages if message["type"] == "warning"] == ["no-emitter"]
     assert messages[-1]["type"] == "done"

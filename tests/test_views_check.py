@@ -115,6 +115,7 @@ def test_two_misaligned_views_do_not_take_good_ones_with_them(capture: SmallCapt
 
 
 def test_where_most_views_are_misaligned_none_is_left_out(capture: SmallCapture, tmp_path: Path) -> None:
+    """Few degrees of most views: nobody knows which of them are right."""
     spoilt = capture
     for index, degrees in enumerate([2.5, -2.0, 3.0, 0.0, -2.5, 2.0, 0.0, -3.0]):
         spoilt = turned(spoilt, index, degrees, index % 2)

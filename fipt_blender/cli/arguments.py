@@ -62,6 +62,7 @@ def _add_estimate(commands: _Commands) -> argparse.ArgumentParser:
     add("--device", choices=("auto", "cuda", "llvm"), help="GPU (cuda) or CPU (llvm) (default: auto)")
     add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
     add("--rounds", type=int, metavar="N", help="number of refinements of light and materials")
+    add("--force", action="store_const", const=True, help="estimate although the input looks useless")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one constant of the method")
     add("--format", choices=FORMATS, default="auto", help="layout of the capture (default: auto)")
     up_axes = ("auto", *UP_AXES)
@@ -166,7 +167,7 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
         if not equals:
             raise FiptError("option-invalid", f"'--set {text}' has no '='.", "Write --set NAME=VALUE.")
         changes[name.strip()] = value.strip()
-    for name in ("device", "seed", "rounds"):
+    for name in ("device", "seed", "rounds", "force"):
         if getattr(arguments, name) is not None:
             changes[name] = getattr(arguments, name)
     if arguments.render_spp < 1:

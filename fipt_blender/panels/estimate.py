@@ -26,7 +26,7 @@ _ADVANCED = (
     ("diffuse_samples", "specular_samples", "light_samples", "denoise"),
     ("light_pixels", "training_steps"),
     ("voxel_resolution", "roughness_levels"),
-    ("reject_views", "correct_exposure"),
+    ("reject_views", "correct_exposure", "force"),
     ("seed",),
 )
 

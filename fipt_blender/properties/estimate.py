@@ -96,6 +96,12 @@ CHOICES = {
         "Leave out photographs that do not agree with their camera poses",
         switch=True,
     ),
+    "force": Choice(
+        ("force",),
+        "Force",
+        "Estimate although mesh, poses or photographs look useless",
+        switch=True,
+    ),
     "correct_exposure": Choice(
         ("correct_exposure",),
         "Correct Exposure",

@@ -45,7 +45,7 @@ class LightStages(EstimationState):
         shown = self.scale
         found = self._adjust_photographs()
         self.view_check = check_views(
-            self.pixels, self.room, self.parts.triangle_part, self.settings, self.reporter
+            self.pixels, self.room, self.parts.triangle_part, self.settings, self.reporter, self.far_off
         )
         if self.view_check.left_out:  # their masks no longer count
             self._sort_pixels(0.7, 0.8)

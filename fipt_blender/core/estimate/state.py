@@ -53,6 +53,7 @@ from ..scene.outlines import outline_parts
 from ..scene.pixels import LEFT_OUT, PixelStore, open_pixels
 from ..scene.room import load_room
 from ..views.check import ViewCheck
+from ..views.consensus import check_input
 from ..views.panes import close_holes
 from .hinted import hint_facts
 
@@ -112,6 +113,7 @@ class EstimationState:
         views: those that are used, at the resolution of light.
         pixels: all pixels of the training views, with the surface points that they see.
         scale: median radiance of the photographs; all radiance below is in this unit.
+        far_off: views whose poses are far off, and their correlation with the others.
         view_check: views that were left out or corrected.
         photometry: what was found of photographs that are not HDR; empty without any.
         parts: of the room's triangles.
@@ -147,6 +149,7 @@ class EstimationState:
         self.plan = light_plan([(view.width, view.height) for view in self.photographs], settings)
         begin = partial(reporter.stage, "light", "Averaging the photographs to the resolution of light")
         self.views = light_views(folder, self.photographs, settings.light_pixels, begin, reporter.progress)
+        self.far_off = check_input(load_room(folder, outlined=False), self.views, settings)
         if folder.geometry_npz.exists():
             text = "Looking for what the scan lacks"  # takes minutes
             reporter.stage("scan", text if self.holes is None else f"{self.holes.text} {text}")

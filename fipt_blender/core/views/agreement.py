@@ -123,7 +123,7 @@ def compared_pixels(room: Room, views: Sequence[View], edge: float) -> ComparedP
     every = sum(view.width * view.height / lattice_spacing(view) ** 2 for view in views)
     coarser = int(np.ceil(np.sqrt(every / MOST_PIXELS)))
     smaller, means, used = zip(
-        *(_on_lattice(view, coarser * lattice_spacing(view)) for view in views), strict=True
+        *(on_lattice(view, coarser * lattice_spacing(view)) for view in views), strict=True
     )
     sizes = [view.width * view.height for view in smaller]
     number = np.repeat(np.arange(len(views), dtype=np.int32), sizes)
@@ -145,7 +145,7 @@ def compared_pixels(room: Room, views: Sequence[View], edge: float) -> ComparedP
     return ComparedPixels(size, list(smaller), first, number, direction, *arrays)
 
 
-def _on_lattice(view: View, step: int) -> tuple[View, np.ndarray, np.ndarray]:
+def on_lattice(view: View, step: int) -> tuple[View, np.ndarray, np.ndarray]:
     """The view with fewer pixels, the mean radiance (N, 3) of each, and (N,) bool, which are not masked."""
     width, height = view.width // step, view.height // step
 

@@ -8,13 +8,14 @@ photograph agrees far better with the prediction after a small rotation of its c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ..run.threads import in_threads
 from .cells import SurfaceCells, lattice, lattice_hits, lattice_spacing
+from .consensus import disagreement
 from .registration import Fit, register
 
 # A view may be misaligned if its displacement is at least this many lattice steps, and this many times the
@@ -27,23 +28,33 @@ CLEARLY_BETTER = 0.5
 LEAST_GAIN = 0.06
 # A view whose log radiance differs by less than this after registration is never rejected for it.
 LEAST_DIFFERENCE = 0.2
-# If more than this share of the views would be left out, the mesh is wrong rather than the poses.
+# If registration finds more than this share of the views misaligned, beside those that are far off, it does
+# not know which of them are right.
 MOST_LEFT_OUT = 1.0 / 3.0
 LEAST_VIEWS = 4
+# Of a view that no small rotation aligns.
+FAR_OFF = Fit(shift=np.inf, improvement=1.0, gain=0.0, difference=np.inf)
 
 
-def misaligned_views(cells: SurfaceCells, gains: np.ndarray) -> dict[int, Fit]:
+def misaligned_views(
+    cells: SurfaceCells, gains: np.ndarray, far_off: Collection[int] = (), force: bool = False
+) -> dict[int, Fit]:
     """Views whose photograph does not agree with their pose, worst first.
 
     Found in passes, since a misaligned view also spoils the prediction of others: each pass leaves out the
-    worst and repeats. Empty where so many would be left out that the mesh itself must be wrong.
+    worst and repeats. Empty where too many would be left out, if that is forced to be accepted.
 
     Args:
         gains: (views,) exposure of each view; 1 for the usual one.
+        far_off: views that are known to be misaligned (:mod:`.consensus`), of which nothing is predicted.
+        force: whether captures of which most views contradict each other are accepted.
+
+    Raises:
+        FiptError: ``views-disagree``.
     """
     views = cells.pixels.views
     spacings = [lattice_spacing(view) for view in views]
-    misaligned: dict[int, Fit] = {}
+    misaligned: dict[int, Fit] = {index: FAR_OFF for index in far_off}
     judged = [index for index in range(len(views)) if len(lattice_hits(cells.pixels, index))]
     if len(judged) < LEAST_VIEWS:
         return {}
@@ -54,8 +65,11 @@ def misaligned_views(cells: SurfaceCells, gains: np.ndarray) -> dict[int, Fit]:
         if not worst:
             break
         misaligned |= worst
-        if len(misaligned) > MOST_LEFT_OUT * len(judged):
-            return {}
+        by_few = len(misaligned) - len(far_off)
+        if by_few > MOST_LEFT_OUT * (len(judged) - len(far_off)):
+            if force:
+                return {}
+            raise disagreement(len(misaligned), len(judged))
     return misaligned
 
 

@@ -7,7 +7,7 @@ user is told.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -19,7 +19,7 @@ from ..run.messages import Reporter
 from ..run.settings import Settings
 from ..scene.pixels import LEFT_OUT, PixelStore
 from ..scene.room import Room
-from .alignment import misaligned_views
+from .alignment import FAR_OFF, misaligned_views
 from .cells import SurfaceCells, surface_cells
 from .exposure import exposure_gains, unlike_exposures
 from .unmeshed import measure, most_reflected_at, shown_by, unmeshed_lights
@@ -30,7 +30,7 @@ class ViewCheck:
     """What the check found and corrected.
 
     Attributes:
-        left_out: name of each misaligned view, and by how many pixels it is off.
+        left_out: name of each misaligned view, and by how many pixels it is off, -1 where too far.
         exposure: name of each view of another exposure, and the factor by which it was brighter.
         lamps: lamps that the mesh lacks, each with ``position`` and ``radius`` in metres, ``radiance`` in
             units of the capture's median, and the number of ``views`` that show it.
@@ -46,24 +46,36 @@ class ViewCheck:
 
 
 def check_views(
-    pixels: PixelStore, room: Room, part: np.ndarray, settings: Settings, reporter: Reporter
+    pixels: PixelStore,
+    room: Room,
+    part: np.ndarray,
+    settings: Settings,
+    reporter: Reporter,
+    far_off: Collection[int] = (),
 ) -> ViewCheck:
     """Leave misaligned views out of the pixels and bring the others to one exposure, as the settings allow.
 
     Args:
         pixels: changed in place: pixels of misaligned views become LEFT_OUT, radiance is divided by gains.
         part: (T,) int part of each triangle, negative without.
+        far_off: indices of views whose poses are far off (:func:`.check_input`).
         reporter: gets the warnings ``view-misaligned``, ``view-exposure`` and ``lamp-without-mesh``.
+
+    Raises:
+        FiptError: ``views-disagree`` where most would be left out.
     """
     check = ViewCheck()
     views = pixels.views
     if len(views) < 2:
         return check
     cells = surface_cells(pixels, room, part, median_footprint(pixels))
-    gains = exposure_gains(cells)
-    if settings.reject_views and (fits := misaligned_views(cells, gains)):
-        check.left_out.update({views[i].name: round(fit.shift, 1) for i, fit in fits.items()})
-        remarks = {index: f"about {fit.shift:.0f} pixels off" for index, fit in fits.items()}
+    gains = exposure_gains(cells, far_off)
+    if settings.reject_views and (fits := misaligned_views(cells, gains, far_off, settings.force)):
+        shifts = {i: -1.0 if fit is FAR_OFF else round(fit.shift, 1) for i, fit in fits.items()}
+        check.left_out.update({views[i].name: shift for i, shift in shifts.items()})
+        remarks = {
+            i: "far off" if shift < 0.0 else f"about {shift:.0f} pixels off" for i, shift in shifts.items()
+        }
         reporter.warning(
             "view-misaligned",
             f"{len(fits)} of {len(views)} photographs do not agree with their camera poses and are left out: "

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,10 +21,13 @@ SHARED_CELLS = 30
 SAME_EXPOSURE = 1.06
 
 
-def exposure_gains(cells: SurfaceCells) -> np.ndarray:
+def exposure_gains(cells: SurfaceCells, without: Collection[int] = ()) -> np.ndarray:
     """(views,) factor by which each photograph is brighter than the others; 1 where that can't be judged.
 
     Robust least squares of log radiance = surface cell + view. The median view has a factor of 1.
+
+    Args:
+        without: indices of views that are not asked, because they do not show what their poses say.
     """
     views = len(cells.pixels.views)
     # Cells are thinned out rather than pixels, so that each cell keeps all views that share it.
@@ -31,7 +35,8 @@ def exposure_gains(cells: SurfaceCells) -> np.ndarray:
     means = []
     for index in range(views):
         in_view = cells.of_view(index)
-        means.append(in_view.among(in_view.cell % step == 0).means())
+        asked = (in_view.cell % step == 0) & (index not in without)
+        means.append(in_view.among(asked).means())
     view = np.repeat(np.arange(views), [len(of_view) for of_view, _ in means])
     cell, value = (np.concatenate(columns) for columns in zip(*means, strict=True))
     order = np.argsort(cell, kind="stable")
