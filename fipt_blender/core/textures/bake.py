@@ -151,6 +151,11 @@ def _bake_images(
             progress((index + 1) / (len(entries) + 1))
         if writing is not None:
             listed.append(writing.result())
+    return _list_images(folder, listed)
+
+
+def _list_images(folder: Path, listed: list[dict[str, str]]) -> list[str]:
+    """Write textures.json with the images that :func:`_write_image` has written; returns all files' names."""
     stored = [
         {"name": entry["name"], **{name: f"textures/{entry[name]}" for name in MAPS}} for entry in listed
     ]
@@ -198,16 +203,16 @@ def bake_with_detail(
             progress(0.5 * (index + 1) / len(entries))
         texels = store.first(ends[-1])
         color = add_detail(texels, given, room, part, lambda share: progress(0.5 + 0.4 * share))
-        for index, entry in enumerate(entries):
-            rows = slice(ends[index], ends[index + 1])
-            samples = Samples(
-                color[rows], texels.roughness[rows], texels.metallic[rows], texels.confidence[rows]
-            )
-            listed.append(_write_image(folder, entry, places[index], samples))
-            progress(0.9 + 0.1 * (index + 1) / len(entries))
-    write_json(folder.textures_json, {"images": listed})
-    written = [folder.root / entry[name] for entry in listed for name in MAPS]
-    return [*written, folder.textures_json]
+        with atomic_folder(folder.textures) as new:
+            for index, entry in enumerate(entries):
+                rows = slice(ends[index], ends[index + 1])
+                samples = Samples(
+                    color[rows], texels.roughness[rows], texels.metallic[rows], texels.confidence[rows]
+                )
+                listed.append(_write_image(new, entry, places[index], samples))
+                progress(0.9 + 0.1 * (index + 1) / len(entries))
+            names = _list_images(new, listed)
+    return [folder.textures / name for name in names]
 
 
 def _tile(texel: np.ndarray, width: int) -> np.ndarray:
