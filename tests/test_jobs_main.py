@@ -50,15 +50,15 @@ elif command == "masks":
     data = read_json(run.capture_json)
     for view in data["views"]:
         assert view["parts"] is None, "the capture must be as it was read"
-        view["parts"] = sys.argv[3].partition("=")[2]
+        view["parts"] = sys.argv[3].partition("=")[2] + "/mask.png"
     write_json(run.capture_json, data)
     write_json(run.masks_json, {"keys": {}})
 else:
     entries = []
-    for index, image in enumerate(read_json(run.atlas_json)["images"]):
+    for image in read_json(run.atlas_json)["images"]:
         entry = {"name": image["name"]}
         for key in ("base_color", "roughness", "metallic", "confidence"):
-            path = run.textures / f"{index}_{key}.exr"
+            path = run.textures / f"{image['name']}.{key}.exr"
             write_exr(path, np.full((8, 8, 3), 0.5, np.float32))
             entry[key] = str(path.relative_to(run.root))
         entries.append(entry)
@@ -244,13 +244,15 @@ def test_masks_are_found_once_for_a_model(options, engine, tmp_path):
 
     def run(**changes) -> set:
         engine.clear()
-        assert run_main_job(dataclasses.replace(options, **changes))[-1]["type"] == "done"
+        last = run_main_job(dataclasses.replace(options, **changes))[-1]
+        assert last["type"] == "done", last
         return {view["parts"] for view in read_json(RunFolder(options.output).capture_json)["views"]}
 
-    assert run() == {str(model)} and engine == ["ingest", "masks", "estimate", "textures", "report"]
-    assert run(resume=True) == {str(model)} and engine == []
+    masks = {str(model / "mask.png")}
+    assert run() == masks and engine == ["ingest", "masks", "estimate", "textures", "report"]
+    assert run(resume=True) == masks and engine == []
     (model / "config.json").write_text("{}")
-    assert run(resume=True) == {str(model)}
+    assert run(resume=True) == masks
     assert engine == ["ingest", "masks", "estimate", "textures", "report"]
     assert run(resume=True, masks_model=None) == {None}
     assert engine == ["ingest", "estimate", "textures", "report"]

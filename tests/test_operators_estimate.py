@@ -260,6 +260,7 @@ def small_disk(tmp_path):
 
 
 def test_a_full_disk_stops_the_run_with_words_and_it_resumes(scene, run, quick, small_disk):
+    quick["force"] = True  # the disk is refused before anything is written
     moved = RunFolder(small_disk / "run")
     shutil.copytree(run.root, moved.root)
     scene.fipt.run_folder = str(moved.root)

@@ -113,7 +113,7 @@ def test_windows_do_not_see_each_other() -> None:
     changed = features.clone()
     changed[..., :7, :7] += 1.0
     with torch.no_grad():
-        moved = (block._attended(features) != block._attended(changed)).any(dim=1)[0]
+        moved = (block.attended(features) != block.attended(changed)).any(dim=1)[0]
     assert moved[:7, :7].any() and not moved[7:].any() and not moved[:, 7:].any()
 
 

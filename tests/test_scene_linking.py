@@ -186,10 +186,10 @@ def test_places_that_no_two_views_share_take_bounded_memory_and_time(monkeypatch
 
 def test_cells_get_wider_where_views_see_too_many(run_and_views, monkeypatch: pytest.MonkeyPatch) -> None:
     run, _, own = run_and_views
-    seen = linked_masks._seen(load_room(run), own)
-    cells, places = linked_masks._numbered(seen)
+    seen = linked_masks.seen_cells(load_room(run), own)
+    cells, places = linked_masks.numbered_cells(seen)
     monkeypatch.setattr(linked_masks, "MOST_CELLS", 100)
-    wider, fewer = linked_masks._numbered(seen)
+    wider, fewer = linked_masks.numbered_cells(seen)
     assert len(places) > 100 >= len(fewer) > 10
     assert all((one >= 0).tolist() == (other >= 0).tolist() for one, other in zip(cells, wider, strict=True))
     assert max(int(cell.max()) for cell in wider) == len(fewer) - 1

@@ -81,14 +81,15 @@ def announce_plan(folder: RunFolder, settings: Settings, reporter: Reporter) -> 
     """Tell at which resolution light will be solved, and the expected time and disk.
 
     Raises:
-        FiptError: ``disk-space``, and those of `load_capture`.
+        FiptError: ``disk-space`` unless forced, and those of `load_capture`.
     """
     views = spread_views(load_capture(folder).train, settings.view_share)
     if not views:
         return  # the estimation raises the error
     plan = light_plan([(view.width, view.height) for view in views], settings)
     reporter.note(f"{plan.resolution}; {plan.cost}")
-    refuse_full_disk(folder.stage, plan.bytes, "choose a lower preset, or fewer light_pixels")
+    if not settings.force:
+        refuse_full_disk(folder.stage, plan.bytes, "choose a lower preset, or fewer light_pixels")
 
 
 def estimation_views(folder: RunFolder, settings: Settings) -> list[View]:

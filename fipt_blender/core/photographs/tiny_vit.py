@@ -164,12 +164,12 @@ class _AttentionBlock(nn.Module):
         self._window = window
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
-        features = features + self._attended(features)
+        features = features + self.attended(features)
         features = self.local_conv(features)
         places = features.permute(0, 2, 3, 1)
         return (places + self.mlp(places)).permute(0, 3, 1, 2)
 
-    def _attended(self, features: torch.Tensor) -> torch.Tensor:
+    def attended(self, features: torch.Tensor) -> torch.Tensor:
         count, width, height, length = features.shape
         side = self._window
         # Windows past the edge are filled up with zeros, which take part, as in training.

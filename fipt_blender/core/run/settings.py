@@ -54,7 +54,9 @@ class Settings:
         True, "leave out photographs that contradict their camera poses (not in the paper)", PIXELS
     )
     force: bool = _setting(
-        False, "estimate although input, mesh or poses look useless (not in the paper)", PIXELS
+        False,
+        "estimate although input, mesh or poses look useless, or the disk too small (not in the paper)",
+        PIXELS,
     )
     correct_exposure: bool = _setting(
         True, "correct photographs whose exposure differs from the others' (not in the paper)", PIXELS

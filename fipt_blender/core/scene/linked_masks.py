@@ -71,8 +71,8 @@ def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
     record = run.linked / "digest.txt"
     if record.is_file() and record.read_text(encoding="utf-8") == digest:
         return linked
-    seen = _seen(room, views)
-    cells, places = _numbered(seen)
+    seen = seen_cells(room, views)
+    cells, places = numbered_cells(seen)
     pixels = _region_pixels(seen, cells)
     if shared_ids(pixels) >= SHARED:
         return list(views)
@@ -87,8 +87,8 @@ def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
 
 def masks_share_ids(room: Room, views: Sequence[View]) -> bool:
     """Whether an id of the views' part masks means the same in all views; True without masks."""
-    seen = _seen(room, views)
-    return shared_ids(_region_pixels(seen, _numbered(seen)[0])) >= SHARED
+    seen = seen_cells(room, views)
+    return shared_ids(_region_pixels(seen, numbered_cells(seen)[0])) >= SHARED
 
 
 def shared_ids(views: Sequence[RegionPixels]) -> float:
@@ -106,7 +106,7 @@ def shared_ids(views: Sequence[RegionPixels]) -> float:
     return float(np.median(same[known] / pairs_seen[known])) if known.any() else 1.0
 
 
-def _seen(room: Room, views: Sequence[View]) -> list[_Seen]:
+def seen_cells(room: Room, views: Sequence[View]) -> list[_Seen]:
     """What the views with part masks show."""
     places, widths, ids = [], [], []
     views = [view for view in views if view.parts]
@@ -132,7 +132,7 @@ def _mask(view: View) -> np.ndarray:
     return np.maximum(ids, 0)
 
 
-def _numbered(seen: Sequence[_Seen]) -> tuple[list[np.ndarray], np.ndarray]:
+def numbered_cells(seen: Sequence[_Seen]) -> tuple[list[np.ndarray], np.ndarray]:
     """For each view (h, w) int64 the cell of each usable pixel, -1 of others; (C, 3) places of the cells."""
     used = [one.place[one.usable] for one in seen]
     every = np.concatenate([*used, np.zeros((0, 3), np.int64)])
