@@ -92,6 +92,15 @@ def test_a_wrong_exposure_is_no_wrong_pose(capture: SmallCapture, tmp_path: Path
     assert check_input(capture.room, views, SETTINGS) == {}
 
 
+def test_noise_is_no_wrong_pose(capture: SmallCapture, tmp_path: Path) -> None:
+    """Photographs that are mostly noise correlate with none; a few clear ones are not enough to judge."""
+    rng = np.random.default_rng(5)
+    noisy = [image * rng.lognormal(0.0, 2.0, (*image.shape[:2], 1)) for image in capture.images]
+    images = [*capture.images[:2], *(image.astype(np.float32) for image in noisy[2:])]
+    views = load_capture(write_run(tmp_path, replace(capture, images=images))).train
+    assert check_input(capture.room, views, SETTINGS) == {}
+
+
 def test_poses_that_are_all_wrong(capture: SmallCapture, views: list[View]) -> None:
     assert "wrong" in refused("views-disagree", capture, disturbed(views, list(range(12))))
 

@@ -287,10 +287,11 @@ def quaternion_rotation(wxyz: np.ndarray) -> np.ndarray:
     Raises:
         ValueError: for a quaternion of zeros.
     """
-    length = float(np.linalg.norm(wxyz))
-    if not length > 0.0:
+    largest = float(np.abs(wxyz).max())
+    if not largest > 0.0:
         raise ValueError("a quaternion is zero")
-    w, x, y, z = wxyz / length
+    scaled = wxyz / largest  # the squares of numbers below 1e-154 are zero
+    w, x, y, z = scaled / np.linalg.norm(scaled)
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

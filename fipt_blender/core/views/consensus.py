@@ -34,8 +34,9 @@ LEAST_VIEWS = 4  # that must be judged before anything is said of poses or mesh
 AGREE = 0.5
 SOFTNESS = 0.1  # of a view's mean correlation, within which it is neither credible nor not
 ROUNDS = 20
-# The mesh is tried otherwise where the median correlation is less than the first, and this is said where it
-# becomes better and its lack (1 - correlation) at most this share. No other placement is tried from `WELL` on.
+# The mesh is tried otherwise where the median correlation is less than the first or a view is contradicted.
+# This is said where it becomes better than the first and its lack (1 - correlation) at most this share. From
+# `WELL` on no other placement is tried.
 MEND, LACK, WELL = 0.75, 0.6, 0.9
 # Where more than this share of the views is contradicted and the rest agrees less than this in the median, it
 # is the mesh that is wrong: right poses agree by 0.9.
@@ -203,7 +204,8 @@ def check_input(room: Room, views: Sequence[View], settings: Settings) -> dict[i
     few = judged.sum() < LEAST_VIEWS
     blind = int((found.seen < LITTLE_SEEN).sum())
     elsewhere = 2 * blind >= len(views) or found.seen.mean() < LEAST_SEEN
-    if not settings.force and (elsewhere or not few) and found.median < MEND:
+    doubtful = found.median < MEND or not credible.all()
+    if not settings.force and (elsewhere or not few) and doubtful:
         _check_mesh(room, small, found, elsewhere or 2 * int((~credible).sum()) > judged.sum())
     if not settings.force and 2 * blind >= len(views) > blind:  # where all are blind, see fill_pixels
         raise _insufficient(
