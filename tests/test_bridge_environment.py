@@ -244,17 +244,17 @@ def test_locked_packages_are_installed_only_with_the_hashes_of_the_lock(
     assert listener.fractions == sorted(listener.fractions)
 
 
-@pytest.mark.parametrize("pinned", [True, False], ids=["forged", "genuine"])
+@pytest.mark.parametrize("forged", [True, False], ids=["forged", "genuine"])
 def test_pip_is_replaced_only_by_a_file_with_the_hash_of_the_lock(
-    pinned: bool, tmp_path: Path, device_works: None, made: None
+    forged: bool, tmp_path: Path, device_works: None, made: None
 ) -> None:
     """A pip of another's making would vouch for whatever it installs."""
     tiny, other = make_wheel(tmp_path / "wheels", "fipttiny", "1.0"), make_pip(tmp_path, "99.0")
-    plan = make_plan(tmp_path, lock=(locked(tiny),), pip=(locked(other, "0" * 64 if pinned else ""),))
+    plan = make_plan(tmp_path, lock=(locked(tiny),), pip=(locked(other, "0" * 64 if forged else ""),))
     with pytest.raises(FiptError) as caught:
         environment.set_up(plan, Listener())
-    assert (caught.value.code == "package-hash") == pinned
-    assert (tmp_path / "ran").exists() != pinned, "only with its hash in the lock its code runs"
+    assert (caught.value.code == "package-hash") == forged
+    assert (tmp_path / "ran").exists() != forged, "only with its hash in the lock its code runs"
 
 
 def test_a_pip_without_hash_in_the_lock_is_left_out(tmp_path: Path, device_works: None, made: None) -> None:
