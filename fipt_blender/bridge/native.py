@@ -15,6 +15,7 @@ from ..core.run.errors import FiptError
 from ..core.run.messages import parse_message
 from . import provision
 from .child import output_end, run_quietly
+from .hashes import download_checked
 from .interpreter import engine_command, system_folder
 from .pip import Teller
 from .plan import Plan
@@ -60,18 +61,18 @@ def provide_llvm(plan: Plan, tell: Teller) -> str | None:
         Its path; None if a GPU is used instead.
 
     Raises:
-        FiptError: ``llvm-missing``, or the error of the engine's check.
+        FiptError: ``llvm-missing``, ``package-hash``, or the error of the engine's check.
     """
     folder = plan.folder / "llvm"
     reason: FiptError | None = None
-    fetchers: list[Callable[[Plan, Path], bool] | None] = [None, _fetch_llvm_package]
+    fetchers: list[Callable[[Plan, Path, Teller], bool] | None] = [None, _fetch_llvm_package]
     if plan.wheels is None:
         fetchers.append(_fetch_llvm_debian)
     for fetch in fetchers:
         if fetch is not None:
             tell.detail("No working LLVM was found; fetching one")
             shutil.rmtree(folder, ignore_errors=True)
-            if not fetch(plan, folder):
+            if not fetch(plan, folder, tell):
                 continue
         data, problem = check_engine(plan.python)
         if data.get("device"):
@@ -94,18 +95,18 @@ def check_engine(python: Path) -> tuple[dict[str, Any], FiptError]:
     return data, FiptError("engine-failed", text, "Set up the engine again.")
 
 
-def _fetch_llvm_package(plan: Plan, folder: Path) -> bool:
-    """Take LLVM's libraries out of the pinned wheel; returns whether the platform has one."""
+def _fetch_llvm_package(plan: Plan, folder: Path, tell: Teller) -> bool:
+    """Take LLVM's libraries out of the pinned wheel; returns whether the platform has one.
+
+    Raises:
+        FiptError: ``package-hash``.
+    """
     with tempfile.TemporaryDirectory() as temporary:
-        source = ["--no-index", "--find-links", str(plan.wheels)] if plan.wheels else []
-        options = ["--no-deps", "--no-input", "--only-binary", ":all:", "--disable-pip-version-check"]
-        pip = [str(plan.python), "-I", "-m", "pip", "download", "--quiet", "--dest", temporary]
-        run_quietly([*pip, *options, *source, *plan.llvm], plan.python)
-        wheels = list(Path(temporary).glob("*.whl"))
+        wheels = download_checked(plan, plan.llvm, Path(temporary), tell)
         return any(provision.wheel_libraries(wheel, folder, LLVM_LIBRARIES) for wheel in wheels)
 
 
-def _fetch_llvm_debian(plan: Plan, folder: Path) -> bool:
+def _fetch_llvm_debian(plan: Plan, folder: Path, tell: Teller) -> bool:
     """Take LLVM and the libraries that it needs out of Debian's packages; returns whether they were found."""
     with provision.DebianPackages() as debian:
         for name in provision.DEBIAN_LLVM if debian.available else ():

@@ -23,6 +23,7 @@ from .places import PACKAGE_FOLDER, environment_python
 PINS_NAME = "engine_pins.json"
 LOCK_NAME = "engine.lock"
 ENGINE_GROUPS = ("engine", "llvm", "pip", "lock")  # the groups that the add-on needs
+TOOL_GROUPS = ("pip", "llvm")  # set-up itself checks their hashes (`bridge.hashes`)
 STAMP_NAME = "setup.json"
 ENGINE_PYTHONS = ((3, 11), (3, 12), (3, 13), (3, 14))  # for these all pinned packages have wheels
 
@@ -32,6 +33,7 @@ Version = tuple[int, int]
 def read_pins(package: Path = PACKAGE_FOLDER) -> dict[str, list[str]]:
     """Requirements by group: ``engine``, ``llvm``, ``pip`` and ``lock``.
 
+    Those of ``llvm`` and ``pip`` have the hashes of their files, as far as the lock file knows them.
     ``lock`` has every package that the engine needs, with its version and the hashes of its files, but for
     PyTorch and what only its CUDA builds need: which build is installed depends on the machine. A checkout
     also has ``blender``, ``dev``, ``cluster``, ``heif``, ``markers`` and ``masks``.
@@ -54,7 +56,23 @@ def read_pins(package: Path = PACKAGE_FOLDER) -> dict[str, list[str]]:
         ) from None  # fmt: skip
     lock = package.parent / LOCK_NAME
     locked = parse_lock(lock.read_text(encoding="utf-8")) if lock.exists() else []
-    return {"engine": project["dependencies"], "lock": locked, **project["optional-dependencies"]}
+    groups = {"engine": project["dependencies"], **project["optional-dependencies"]}
+    for group in TOOL_GROUPS:
+        groups[group] = [_with_hashes(pin, locked) for pin in groups.get(group, [])]
+    tools = {_release(pin)[0] for group in TOOL_GROUPS for pin in groups[group]}
+    return {**groups, "lock": [line for line in locked if _release(line)[0] not in tools]}
+
+
+def _release(requirement: str) -> tuple[str, str]:
+    """Name and version of a pinned requirement."""
+    name, _, version = without_hashes(requirement).partition(";")[0].partition("==")
+    return name.strip(), version.strip()
+
+
+def _with_hashes(pin: str, locked: list[str]) -> str:
+    """A pin with the hashes of its line in the lock; unchanged if there is none."""
+    line = next((line for line in locked if _release(line) == _release(pin)), "")
+    return " ".join([pin, *(part for part in line.split() if part.startswith("--hash="))])
 
 
 def parse_lock(text: str) -> list[str]:
@@ -118,7 +136,8 @@ def wheel_command(pins: dict[str, list[str]], version: Version, folder: str = "w
     """The command that downloads all wheels that an offline machine of the same kind needs."""
     locked = [without_hashes(requirement) for requirement in pins.get("lock", [])]
     torch = [pin for pin in pins["engine"] if pin.startswith("torch==")]
-    names = [*pins["pip"], *(locked + torch if locked else pins["engine"]), *pins["llvm"]]
+    pip, llvm = ([without_hashes(pin) for pin in pins[group]] for group in TOOL_GROUPS)
+    names = [*pip, *(locked + torch if locked else pins["engine"]), *llvm]
     quoted = " ".join(f'"{name}"' if ";" in name else name for name in names)
     return f"python{version[0]}.{version[1]} -m pip download --only-binary :all: --dest {folder} {quoted}"
 

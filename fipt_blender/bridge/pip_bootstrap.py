@@ -5,11 +5,13 @@
 from __future__ import annotations
 
 import shutil
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 from . import pins, provision
 from .child import answer, run_quietly
+from .hashes import check_file, file_digest, pinned_digests
 from .plan import Plan
 
 VERSION = "import sys; print(*sys.version_info[:2])"
@@ -19,24 +21,45 @@ DEBIAN_WHEELS = Path("/usr/share/python-wheels")
 
 
 def bootstrap_pip(plan: Plan) -> bool:
-    """Install pip into the plan's environment from a wheel that is found; returns whether that worked."""
-    for install in (_pip_from_wheels, _pip_from_pythons, _pip_from_debian):
+    """Install pip into the plan's environment from a wheel that is found; returns whether that worked.
+
+    Raises:
+        FiptError: ``package-hash`` where the folder of wheels has the pinned pip, but not its file.
+    """
+    for install in (_pip_from_wheels, _pip_from_system, _pip_from_pythons, _pip_from_debian):
         if install(plan) and answer(plan.python, PIP_INSIDE) is not None:
             return True
     return False
 
 
 def _install_wheel(plan: Plan, wheel: Path) -> bool:
-    """Let a wheel of pip install itself."""
+    """Let a wheel of pip install itself; it must be trusted, since its code runs."""
     command = [str(plan.python), f"{wheel}/pip", "install", "--no-index", "--no-deps", str(wheel)]
     return run_quietly(command).returncode == 0
 
 
 def _pip_from_wheels(plan: Plan) -> bool:
-    folders = [folder for folder in (plan.wheels, DEBIAN_WHEELS) if folder is not None]
-    return any(
-        _install_wheel(plan, wheel) for folder in folders for wheel in sorted(folder.glob("pip-*.whl"))
-    )
+    """From the folder of wheels, which may be anybody's: only a file with the pinned hash is run.
+
+    What is run is a copy that was checked, so that nobody can exchange the file in between.
+    """
+    if plan.wheels is None:
+        return False
+    digests = pinned_digests(plan.pip)
+    pinned = {pins.without_hashes(pin).replace("==", "-") for pin in plan.pip}
+    for wheel in sorted(plan.wheels.glob("pip-*.whl")):
+        with tempfile.TemporaryDirectory() as temporary:
+            copy = Path(shutil.copyfile(wheel, Path(temporary) / wheel.name))
+            if "-".join(wheel.name.split("-")[:2]) in pinned:
+                check_file(copy, digests)
+            if file_digest(copy) in digests and _install_wheel(plan, copy):
+                return True
+    return False
+
+
+def _pip_from_system(plan: Plan) -> bool:
+    """From Debian's wheels, which belong to the system as Python itself does."""
+    return any(_install_wheel(plan, wheel) for wheel in sorted(DEBIAN_WHEELS.glob("pip-*.whl")))
 
 
 def _pip_from_pythons(plan: Plan) -> bool:

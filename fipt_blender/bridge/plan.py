@@ -27,8 +27,9 @@ class Plan:
         base: the interpreter with which it is made.
         requirements: the pinned packages.
         modules: to be imported at the end, each in its own process, as a test.
-        llvm: the package that contains LLVM, for machines that have none.
-        pip: the pin of pip itself.
+        llvm: the package that contains LLVM, for machines that have none; with its hashes, without which it
+            is not fetched (`hashes.download_checked`).
+        pip: the pin of pip itself, with its hashes likewise.
         lock: all packages but PyTorch with hashes (`pins.read_pins`); empty: what the requirements need is
             installed in the versions that pip chooses.
         key: what the requirements depend on (`plan_key`); set-up starts anew when it changes.

@@ -8,12 +8,12 @@ import zipfile
 from pathlib import Path
 
 
-def make_wheel(folder: Path, name: str, version: str, code: str = "VALUE = 7\n") -> Path:
-    """A minimal wheel: a pure Python package with one module."""
+def make_wheel(folder: Path, name: str, version: str, code: str = "VALUE = 7\n", file: str = "") -> Path:
+    """A minimal wheel: a pure Python package with one file, by default the module of its name."""
     folder.mkdir(parents=True, exist_ok=True)
     info = f"{name}-{version}.dist-info"
     files = {
-        f"{name}.py": code,
+        file or f"{name}.py": code,
         f"{info}/METADATA": f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n",
         f"{info}/WHEEL": "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
     }
