@@ -68,8 +68,12 @@ class SmallViews:
 
     def among(self, chosen: Sequence[int]) -> SmallViews:
         """Some of the views."""
-        lists = ([values[i] for i in chosen] for values in (self.views, self.color, self.used))
-        return SmallViews(*lists, self.clear[list(chosen)])
+        views, color, used = (
+            [self.views[i] for i in chosen],
+            [self.color[i] for i in chosen],
+            [self.used[i] for i in chosen],
+        )
+        return SmallViews(views, color, used, self.clear[list(chosen)])
 
 
 @dataclass(frozen=True, eq=False)
