@@ -285,6 +285,19 @@ def test_a_room_without_lamp_is_a_warning(capture: SmallCapture, tmp_path: Path)
     assert json.loads(run.emitters_json.read_text()) == {"fixtures": [], "environment": None, "missing": []}
 
 
+def test_lamps_that_are_painted_out_are_a_warning(capture: SmallCapture, tmp_path: Path) -> None:
+    brightest = max(image.max() for image in capture.images)
+
+    def painted(image: np.ndarray) -> np.ndarray:
+        lamp = image.max(axis=2, keepdims=True) > 0.5 * brightest
+        return np.where(lamp, np.median(image), image).astype(np.float32)
+
+    for images, said in ((capture.images, False), ([painted(image) for image in capture.images], True)):
+        run = write_run(tmp_path / str(said), replace(capture, images=images), rounds=0)
+        codes = [message["code"] for message in run_here(run) if message["type"] == "warning"]
+        assert ("light-missing" in codes) == said
+
+
 def away(capture: SmallCapture) -> SmallCapture:
     """Cameras outside the room that look away from it."""
     return replace(capture, poses=[look_at([9.0, i, 1.0], [20.0, i, 1.5]) for i in range(len(capture.poses))])

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from ..light.evidence import find_emission
+from ..light.evidence import brighter_than_white, find_emission
 from ..light.lamp_doubt import light_errors
 from ..light.reflecting import separate
 from ..material.cell_errors import add_light_errors, cell_errors, draw_pixels, lit_cells
@@ -49,6 +49,9 @@ from .state import EstimationState, Facts
 # The last steps of the training that are repeated with hints, as a share of all: high learning rates would
 # unlearn what the hints say nothing of.
 AGAIN_SHARE = 1.0 / 3.0
+# Share of the pixels that are brighter than white surfaces above which light is missing: rooms have 0.01 to
+# 0.09, the example room with its lamps painted out 0.3 to 0.4.
+MISSING_LIGHT = 0.25
 
 
 class MaterialStages(EstimationState):
@@ -60,6 +63,8 @@ class MaterialStages(EstimationState):
         """The estimate of this name; `refined`: whether shadings are refined with it afterwards."""
         self._input = None  # that of the round before
         data, cells, bright = self._closed_form()
+        if name == "estimate-0":
+            self._warn_of_missing_light()
         joint = self.settings.emission == "joint"
         self._find_cells(self._material_units(data))
         known = self._known_emission(data)
@@ -80,6 +85,19 @@ class MaterialStages(EstimationState):
             self.materials = self._entry_values(followed_by_paths(cells, data.materials.error[:, 0], limit))
         self._save_estimate(name, emitting)
         return {"cells": len(cells.keys)}
+
+    def _warn_of_missing_light(self) -> None:
+        """Say where the light that photographs show can't be what lights the room."""
+        share = brighter_than_white(self.pixels, self._open_shadings())
+        if share > MISSING_LIGHT:
+            self.reporter.warning(
+                "light-missing",
+                f"{100.0 * share:.0f} % of the pixels are brighter than white surfaces would be in the light"
+                " that the photographs show: lamps or windows are missing in them, and false ones will be"
+                " found.",
+                "Add photographs that show the lamps, and use them as the camera made them: not painted over,"
+                " not cropped, not tone-mapped.",
+            )
 
     def _warn_of_hints(self, name: str, hints: SurfaceHints, emitting: np.ndarray) -> None:
         """Say which hints could not be honoured, and whether the shadings are those of other lamps."""

@@ -37,6 +37,8 @@ LEAST_RESIDUAL_MIXED = 0.8
 LEAST_VIEWS = 2
 # Triangles without evidence emit if more than this share of their component's area with evidence does.
 MAJORITY = 0.5
+# `brighter_than_white`: by how much, as white surfaces are, too, by noise; most pixels of all views.
+BRIGHTER, MOST_COMPARED = 1.1, 200_000
 
 
 def find_emission(
@@ -221,3 +223,15 @@ def extend_to_components(
     emitting_area = np.bincount(component, areas * (decided & emits))
     mostly = emitting_area > MAJORITY * np.maximum(decided_area, 1e-30)
     return emits | (~decided & mostly[component])
+
+
+def brighter_than_white(pixels: PixelStore, shadings: ShadingStore) -> float:
+    """Share of the pixels that are brighter than a white diffuse surface in the light that was baked.
+
+    With the shadings of stage 1 it is the share of lamps and highlights, unless light comes from lamps that
+    no photograph shows. Evenly spaced pixels stand for all.
+    """
+    rows = np.arange(0, len(pixels), max(1, len(pixels) // MOST_COMPARED))
+    rows = rows[np.asarray(pixels.weight[rows]) > 0.0]
+    diffuse = np.asarray(shadings.diffuse[rows], np.float32) @ LUMINANCE
+    return float(np.mean(np.asarray(pixels.own[rows]) @ LUMINANCE > BRIGHTER * diffuse)) if len(rows) else 0.0
