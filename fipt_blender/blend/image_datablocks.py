@@ -60,11 +60,7 @@ def load_texture(path: Path, is_data: bool) -> bpy.types.Image:
     if image.packed_file is not None:  # reloading would take the packed content
         image.unpack(method="REMOVE")
     image.reload()
-    # Reloading resets the colour space in some versions.
-    if is_data:
-        image.colorspace_settings.is_data = True
-    else:
-        image.colorspace_settings.name = ENCODED if path.suffix == ".png" else LINEAR
+    _set_color_space(image, path, is_data)
     return image
 
 
@@ -83,11 +79,16 @@ def load_tiles(paths: Mapping[int, Path], is_data: bool) -> bpy.types.Image:
     for number in sorted(set(paths) - {first}):
         image.tiles.new(number)
     image.reload()
+    _set_color_space(image, path, is_data)
+    return image
+
+
+def _set_color_space(image: bpy.types.Image, path: Path, is_data: bool) -> None:
+    """Set the colour space after a reload, which resets it in some versions."""
     if is_data:
         image.colorspace_settings.is_data = True
     else:
         image.colorspace_settings.name = ENCODED if path.suffix == ".png" else LINEAR
-    return image
 
 
 def tile_pattern(name: str, number: int) -> str:

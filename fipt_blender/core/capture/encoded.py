@@ -123,6 +123,12 @@ def srgb_decoded(values: np.ndarray) -> np.ndarray:
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).astype(values.dtype)
 
 
+def is_clipped(values: np.ndarray) -> np.ndarray:
+    """Bool of the same shape: which values of a photograph that is not HDR, by sRGB's curve, are clipped."""
+    # A quarter of a code below, for the curve's rounding.
+    return values >= srgb_decoded(np.array([(CLIPPED_CODE - 0.25) / 255.0], np.float32))[0]
+
+
 def srgb_encoded(linear: np.ndarray) -> np.ndarray:
     """The inverse of `srgb_decoded`; negative values are 0."""
     positive = np.maximum(linear, 0.0)

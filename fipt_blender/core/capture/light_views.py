@@ -20,7 +20,7 @@ from ..run.light_size import light_size, light_views_count
 from ..run.runfolder import RunFolder, atomic_path
 from ..run.threads import in_threads
 from .averaging import majority, means
-from .encoded import CLIPPED_CODE, missing, srgb_decoded
+from .encoded import is_clipped, missing
 from .images import threads_for, write_exr
 from .rig import CLASS_NAMES
 from .views import View
@@ -154,8 +154,7 @@ def light_radiance(view: View, width: int, height: int) -> np.ndarray:
     radiance = view.radiance()
     result = means(radiance, width, height)
     if view.encoded:
-        limit = srgb_decoded(np.array([(CLIPPED_CODE - 0.25) / 255.0], np.float32))[0]
-        clipped = radiance >= limit
+        clipped = is_clipped(radiance)
         if clipped.any():
             result[means(clipped, width, height) >= CLIPPED_SHARE] = 1.0
     return result

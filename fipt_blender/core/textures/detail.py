@@ -18,17 +18,20 @@ from pathlib import Path
 
 import numpy as np
 
+from ..capture.averaging import means
+from ..capture.encoded import is_clipped
 from ..capture.views import View, load_capture
 from ..light.baking import ShadingStore, open_shadings
 from ..light.observations import median_footprint
 from ..light.shadings import roughness_levels
+from ..optics.lights import LUMINANCE
 from ..run.documents import read_json
 from ..run.runfolder import RunFolder, atomic_path, write_json
 from ..scene.labels import NO_PART
 from ..scene.pixels import PixelStore, open_pixels
 from ..scene.room import Room, triangle_normals
 from .surface_cells import SurfaceCells
-from .texel_views import CLIPPED, LightPixels, Seen, Texels, see_texels
+from .texel_views import LightPixels, Seen, Texels, see_texels
 
 # Width of the cells of the low-pass filter in median widths of a pixel of light: what is wider than about two
 # cells is the estimate's.
@@ -39,7 +42,7 @@ MOST_GAIN = 4.0
 BLOCK = 1 << 12
 # Least number of texels of a part that two views saw, from which its noise is known.
 FEW_TEXELS = 500
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+_LUMINANCE = LUMINANCE.astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -215,19 +218,15 @@ def photograph(given: DetailInput, index: int) -> np.ndarray:
     image = view.radiance()
     light = pixels.views[index]
     known = np.asarray(pixels.radiance[pixels.rows(index)]).reshape(light.height, light.width, 3)
-    rows = np.linspace(0, view.height, light.height + 1).astype(int)
-    columns = np.linspace(0, view.width, light.width + 1).astype(int)
-    sums = np.add.reduceat(np.add.reduceat(image, rows[:-1], axis=0, dtype=np.float32), columns[:-1], axis=1)
-    area = np.diff(rows)[:, None, None] * np.diff(columns)[None, :, None]
-    means = sums / area
-    both = (means > 0.0) & (known > 0.0)
+    mean = means(image, light.width, light.height)
+    both = (mean > 0.0) & (known > 0.0)
     ratio = [
-        np.median(known[..., c][both[..., c]] / means[..., c][both[..., c]]) if both[..., c].any() else 1.0
+        np.median(known[..., c][both[..., c]] / mean[..., c][both[..., c]]) if both[..., c].any() else 1.0
         for c in range(3)
     ]
     useless = np.zeros(image.shape[:2], bool)
     if view.encoded:
-        useless |= (image >= _decoded(CLIPPED)).any(axis=2)
+        useless |= is_clipped(image).any(axis=2)
     if (masked := view.masked()) is not None:
         useless |= masked
     image = image * np.array(ratio, np.float32)
@@ -235,17 +234,13 @@ def photograph(given: DetailInput, index: int) -> np.ndarray:
     return image
 
 
-def _decoded(code: float) -> float:
-    return float(((code + 0.055) / 1.055) ** 2.4)
-
-
 def with_low_frequencies(seen: Seen, texels: Texels, cells: SurfaceCells) -> np.ndarray:
     """(n, 3) the colours of one view with the low frequencies of the estimate."""
     position = texels.position[seen.texel]
     estimate = texels.base_color[seen.texel]
     weight = seen.weight * seen.trust
-    means = cells.smooth(seen.texel, position, weight, np.concatenate([seen.color, estimate], axis=1))
-    ratio = means[:, 3:] / np.maximum(means[:, :3], 1e-4)
+    smooth = cells.smooth(seen.texel, position, weight, np.concatenate([seen.color, estimate], axis=1))
+    ratio = smooth[:, 3:] / np.maximum(smooth[:, :3], 1e-4)
     return seen.color * np.clip(ratio, 1.0 / MOST_GAIN, MOST_GAIN)
 
 
@@ -286,7 +281,7 @@ class Totals:
         rows = seen.texel
         change = color - estimate[rows]
         weight = seen.weight * seen.trust
-        luminance = change @ LUMINANCE
+        luminance = change @ _LUMINANCE
         self.weight[rows] += weight
         self.squares[rows] += weight * weight
         self.change[rows] += weight[:, None] * change
@@ -302,7 +297,7 @@ class Totals:
             return result
         weight = self.weight[rows]
         change = self.change[rows] / weight[:, None]
-        luminance = change @ LUMINANCE
+        luminance = change @ _LUMINANCE
         # Effective number of views, and the variance of one view about their mean
         effective = weight * weight / self.squares[rows]
         variance = np.maximum(self.power[rows] / weight - luminance * luminance, 0.0)
@@ -313,8 +308,8 @@ class Totals:
         noise = np.where(several, variance, alone[owner]) / effective
         position = texels.position[rows]
         values = np.stack([luminance * luminance, noise], axis=1)
-        means = cells.smooth(rows, position, np.ones(len(rows), np.float32), values)
-        share = np.clip(1.0 - means[:, 1] / np.maximum(means[:, 0], 1e-12), 0.0, 1.0)
+        smooth = cells.smooth(rows, position, np.ones(len(rows), np.float32), values)
+        share = np.clip(1.0 - smooth[:, 1] / np.maximum(smooth[:, 0], 1e-12), 0.0, 1.0)
         share *= self.trust[rows]
         result[rows] = np.clip(result[rows] + share[:, None] * change, 0.0, 1.0)
         return result

@@ -33,7 +33,6 @@ SHADOW_BEND, SHADOW_SLOPE = 0.08, 0.2
 LEAST_TRUST = 0.02
 GLOSS = 0.5  # share of gloss in a photograph's radiance from which it tells nothing of base colour
 DENSITY_POWER = 2.0  # weight of a view by the pixels per area with which it sees a texel
-CLIPPED = 0.98  # code of photographs that are not HDR from which they are clipped
 PYRAMID = 5  # levels of the photograph, each half the size of the one before
 
 
