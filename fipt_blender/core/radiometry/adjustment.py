@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 
-from .response import CLIPPED_CODE, COMPONENTS, LEVELS, LOWEST_CODE, Basis, interpolated, slope
+from ..capture.encoded import CLIPPED_CODE
+from .response import COMPONENTS, LEVELS, LOWEST_CODE, Basis, interpolated, slope
 
 FALLOFF_TERMS = 2  # r² and r⁴ of the logarithm of the share of light
 # Standard deviations of what is not known: of a gain (in contrasts, thus broad), of a term of the falloff.

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from ..capture.encoded import CLIPPED_CODE
 from .adjustment import CODE_NOISE, Adjustment, falloff_terms, usable
 from .contrast import Source
-from .response import CLIPPED_CODE, COMPONENTS, interpolated, response_basis, slope
+from .response import COMPONENTS, interpolated, response_basis, slope
 
 # Relative error of a radiance with which a pixel has half the weight of an exact one: that of the model.
 MODEL_ERROR = 0.1

@@ -15,8 +15,6 @@ from functools import cache
 
 import numpy as np
 
-from ..capture.encoded import CLIPPED_CODE as CLIPPED_CODE
-
 LEVELS = 256
 COMPONENTS = 4
 # Codes between which a curve's contrast is measured, as shares of the highest.
