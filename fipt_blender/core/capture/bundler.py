@@ -25,12 +25,13 @@ _FIRST_LINE = "# Bundle file"
 _LINES = 5  # of a camera
 
 
-def detect(path: Path) -> bool:
-    """Whether a path is such a file, or a folder that contains one."""
-    return _file(path) is not None
+def find(path: Path) -> Path | None:
+    """The camera file at a path or in a folder, None without one."""
+    files = camera_files(path, (".out",), FOLDERS)
+    return next((file for file in files if head(file).startswith(_FIRST_LINE)), None)
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: ReadOptions) -> Rig:
     """Read all cameras that Bundler could solve (their focal length is not zero).
 
     Sizes are those of the photographs, since the file has none. Bundler does not define an up axis.
@@ -38,9 +39,6 @@ def read(path: Path, options: ReadOptions) -> Rig:
     Raises:
         FiptError: ``rig-damaged``, ``image-missing`` or ``image-unreadable``.
     """
-    file = _file(path)
-    if file is None:
-        raise damaged(path, "it contains no bundle.out")
     places = Places.around(file, options)
     names = _names(file)
     views = []
@@ -56,13 +54,12 @@ def read(path: Path, options: ReadOptions) -> Rig:
     return Rig(NAME, tuple(views), None, places.mesh())
 
 
-def points(path: Path) -> np.ndarray:
+def points(file: Path) -> np.ndarray:
     """The sparse points (N, 3).
 
     Raises:
         FiptError: ``rig-damaged``.
     """
-    file = _file(path) or path
     lines = read_text_rig(file).splitlines()
     try:
         cameras, count = (int(value) for value in numbers(lines[1], 2))
@@ -71,11 +68,6 @@ def points(path: Path) -> np.ndarray:
     except (IndexError, ValueError) as error:
         raise damaged(file, error) from None
     return np.array(stored).reshape(-1, 3)
-
-
-def _file(path: Path) -> Path | None:
-    files = camera_files(path, (".out",), FOLDERS)
-    return next((file for file in files if head(file).startswith(_FIRST_LINE)), None)
 
 
 def _names(file: Path) -> list[str]:

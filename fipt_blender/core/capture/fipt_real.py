@@ -23,9 +23,9 @@ LOOKS_FOR = "cam.txt and K_list.txt"
 PERPENDICULAR_TOLERANCE = 1e-2
 
 
-def detect(path: Path) -> bool:
-    """Whether a folder has this layout."""
-    return (path / "cam.txt").is_file() and (path / "K_list.txt").is_file()
+def find(path: Path) -> Path | None:
+    """The folder, None if it has another layout."""
+    return path if (path / "cam.txt").is_file() and (path / "K_list.txt").is_file() else None
 
 
 def read(path: Path, options: ReadOptions) -> Rig:

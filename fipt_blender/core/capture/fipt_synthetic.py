@@ -27,10 +27,15 @@ RIG = Fields(
 )
 
 
-def detect(path: Path) -> bool:
-    """Whether a folder has this layout, or is one of its splits, or the camera file of one."""
-    root = _root(path)
-    return (root / "train" / "transforms.json").is_file() and (root / "train" / "Image").is_dir()
+def find(path: Path) -> Path | None:
+    """The folder of this layout, of which a path may be a split or its camera file; None without one.
+
+    Other readers assume other camera axes.
+    """
+    split = path.parent if path.name == "transforms.json" else path
+    root = split.parent if split.name in SPLITS and (split / "Image").is_dir() else path
+    train = root / "train"
+    return root if (train / "transforms.json").is_file() and (train / "Image").is_dir() else None
 
 
 def read(path: Path, options: ReadOptions) -> Rig:
@@ -45,7 +50,6 @@ def read(path: Path, options: ReadOptions) -> Rig:
     """
     views: list[RigView] = []
     up_axis = "y"
-    path = _root(path)
     for folder, split in SPLITS.items():
         json_path = path / folder / "transforms.json"
         if not json_path.is_file():
@@ -55,12 +59,6 @@ def read(path: Path, options: ReadOptions) -> Rig:
         for index, frame in enumerate(data["frames"]):
             views.append(_view(json_path, split, _image(json_path, index, frame, options), frame, data))
     return Rig(NAME, tuple(views), up_axis, find_mesh([path], ["scene", "mesh"]))
-
-
-def _root(path: Path) -> Path:
-    """The capture that a split's folder or camera file belongs to; other readers assume other camera axes."""
-    split = path.parent if path.name == "transforms.json" else path
-    return split.parent if split.name in SPLITS and (split / "Image").is_dir() else path
 
 
 def _view(json_path: Path, split: str, image: Path, frame: dict[str, Any], data: dict[str, Any]) -> RigView:

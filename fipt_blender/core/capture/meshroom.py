@@ -38,20 +38,21 @@ _OLD_TYPES = {
 _COUNTS = {"none": 0, "radialk1": 1, "radialk3": 3, "brown": 5, "fisheye": 4, "fisheye1": 1}
 
 
-def detect(path: Path) -> bool:
-    """Whether a path is such a file, or a folder that contains one."""
-    return _file(path) is not None
+def find(path: Path) -> Path | None:
+    """The camera file at a path or in a folder, None without one."""
+    for file in camera_files(path, (".sfm", ".json")):
+        text = head(file)
+        if '"version"' in text and '"views"' in text and '"viewId"' in text:
+            return file
+    return None
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: ReadOptions) -> Rig:
     """Read all views with a pose, those of rigs included. The world is Y up, as in Meshroom's viewer.
 
     Raises:
         FiptError: ``rig-damaged`` or ``camera-model``.
     """
-    file = _file(path)
-    if file is None:
-        raise damaged(path, "it contains no .sfm file")
     data = read_json_rig(file, SFM)
     places = Places.around(file, options)
     try:
@@ -69,26 +70,17 @@ def read(path: Path, options: ReadOptions) -> Rig:
     return Rig(NAME, tuple(views), "y", places.mesh())
 
 
-def points(path: Path) -> np.ndarray:
+def points(file: Path) -> np.ndarray:
     """The sparse points (N, 3), which the file has if it was converted with its structure.
 
     Raises:
         FiptError: ``rig-damaged``.
     """
-    file = _file(path) or path
     try:
         stored = [numbers(entry["X"], 3) for entry in read_json_rig(file, SFM).get("structure", [])]
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise damaged(file, error) from None
     return np.array(stored).reshape(-1, 3) @ _MESH_FROM_SFM[:3, :3].T
-
-
-def _file(path: Path) -> Path | None:
-    for file in camera_files(path, (".sfm", ".json")):
-        text = head(file)
-        if '"version"' in text and '"views"' in text and '"viewId"' in text:
-            return file
-    return None
 
 
 def _pose(transform: dict[str, Any]) -> np.ndarray:

@@ -46,12 +46,16 @@ class _Sensor:
     offset: np.ndarray
 
 
-def detect(path: Path) -> bool:
-    """Whether a path is such a file, or a folder that contains one."""
-    return _file(path) is not None
+def find(path: Path) -> Path | None:
+    """The camera file at a path or in a folder, None without one."""
+    for file in camera_files(path, (".xml",)):
+        text = head(file)
+        if "<chunk" in text and "<sensor" in text:
+            return file
+    return None
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: ReadOptions) -> Rig:
     """Read the aligned cameras of the largest chunk or component; those of a rig follow its master.
 
     Metashape does not define an up axis.
@@ -59,9 +63,6 @@ def read(path: Path, options: ReadOptions) -> Rig:
     Raises:
         FiptError: ``rig-damaged``, ``camera-model`` or ``intrinsics-missing``.
     """
-    file = _file(path)
-    if file is None:
-        raise damaged(path, "it contains no camera XML")
     places = Places.around(file, options)
     try:
         chunks = [chunk for chunk in read_xml_rig(file).iter("chunk") if chunk.find("cameras") is not None]
@@ -70,14 +71,6 @@ def read(path: Path, options: ReadOptions) -> Rig:
         raise damaged(file, error) from None
     views, notes = largest_model(models, str(file))
     return Rig(NAME, views, None, places.mesh(), (*notes, *_far_notes(file, views)))
-
-
-def _file(path: Path) -> Path | None:
-    for file in camera_files(path, (".xml",)):
-        text = head(file)
-        if "<chunk" in text and "<sensor" in text:
-            return file
-    return None
 
 
 def _models(file: Path, chunk: Element, places: Places) -> list[list[RigView]]:

@@ -35,12 +35,13 @@ LOOKS_FOR = "an .nvm file that begins with NVM_V3"
 _CAMERA_NUMBERS = 10  # focal length, quaternion, centre, radial distortion, 0
 
 
-def detect(path: Path) -> bool:
-    """Whether a path is such a file, or a folder that contains one."""
-    return _file(path) is not None
+def find(path: Path) -> Path | None:
+    """The camera file at a path or in a folder, None without one."""
+    files = camera_files(path, (".nvm",))
+    return next((file for file in files if head(file).startswith("NVM_V3")), None)
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: ReadOptions) -> Rig:
     """Read all cameras of the largest model.
 
     Sizes are those of the photographs, since the file has none. The principal point is their centre unless
@@ -49,9 +50,6 @@ def read(path: Path, options: ReadOptions) -> Rig:
     Raises:
         FiptError: ``rig-damaged``, ``camera-model``, ``image-missing`` or ``image-unreadable``.
     """
-    file = _file(path)
-    if file is None:
-        raise damaged(path, "it contains no .nvm file")
     places = Places.around(file, options)
     lines = _lines(file)
     try:
@@ -64,13 +62,12 @@ def read(path: Path, options: ReadOptions) -> Rig:
     return Rig(NAME, views, None, places.mesh(), notes)
 
 
-def points(path: Path) -> np.ndarray:
+def points(file: Path) -> np.ndarray:
     """The sparse points (N, 3) of the largest model.
 
     Raises:
         FiptError: ``rig-damaged``.
     """
-    file = _file(path) or path
     lines = _lines(file)
     next(lines, "")
     try:
@@ -84,11 +81,6 @@ def _lines(file: Path) -> Iterator[str]:
     """Lines of the file that are neither empty nor comments."""
     lines = (line.strip() for line in read_text_rig(file).splitlines())
     return (line for line in lines if line and not line.startswith("#"))
-
-
-def _file(path: Path) -> Path | None:
-    files = camera_files(path, (".nvm",))
-    return next((file for file in files if head(file).startswith("NVM_V3")), None)
 
 
 def _fixed_calibration(line: str) -> tuple[tuple[float, float] | None, float]:

@@ -35,20 +35,18 @@ SFM_DATA = Fields(
 )
 
 
-def detect(path: Path) -> bool:
-    """Whether a path is such a file, or a folder that contains one."""
-    return _file(path) is not None
+def find(path: Path) -> Path | None:
+    """The camera file at a path or in a folder, None without one."""
+    files = camera_files(path, (".json",), FOLDERS)
+    return next((file for file in files if '"sfm_data_version"' in head(file)), None)
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: ReadOptions) -> Rig:
     """Read all views with a pose. OpenMVG does not define an up axis.
 
     Raises:
         FiptError: ``rig-damaged`` or ``camera-model``.
     """
-    file = _file(path)
-    if file is None:
-        raise damaged(path, "it contains no sfm_data.json")
     places = Places.around(file, options)
     data = read_json_rig(file, SFM_DATA)
     try:
@@ -75,22 +73,17 @@ def read(path: Path, options: ReadOptions) -> Rig:
     return Rig(NAME, tuple(views), None, places.mesh())
 
 
-def points(path: Path) -> np.ndarray:
+def points(file: Path) -> np.ndarray:
     """The sparse points (N, 3), which the file has unless it was exported without its structure.
 
     Raises:
         FiptError: ``rig-damaged``.
     """
-    stored = read_json_rig(_file(path) or path, SFM_DATA).get("structure", [])
+    stored = read_json_rig(file, SFM_DATA).get("structure", [])
     try:
         return np.array([numbers(entry["value"]["X"], 3) for entry in stored]).reshape(-1, 3)
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise damaged(path, error) from None
-
-
-def _file(path: Path) -> Path | None:
-    files = camera_files(path, (".json",), FOLDERS)
-    return next((file for file in files if '"sfm_data_version"' in head(file)), None)
+        raise damaged(file, error) from None
 
 
 def _kinds(intrinsics: list[dict[str, Any]]) -> list[str]:

@@ -33,44 +33,36 @@ _SHOT = Fields(
 RECONSTRUCTIONS = Items(Fields({"cameras": Entries(_CAMERA), "shots": Entries(_SHOT)}))
 
 
-def detect(path: Path) -> bool:
-    """Whether a path is such a file, or a folder that contains one."""
-    return _file(path) is not None
+def find(path: Path) -> Path | None:
+    """The first JSON file at a path or in a folder that is a list of reconstructions, None without one."""
+    files = camera_files(path, (".json",), FOLDERS)
+    return next((file for file in files if _is_reconstruction(head(file))), None)
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: ReadOptions) -> Rig:
     """Read all shots of the largest reconstruction. The world is Z up, as OpenSfM aligns it.
 
     Raises:
         FiptError: ``rig-damaged`` or ``camera-model``.
     """
-    file = _file(path)
-    if file is None:
-        raise damaged(path, "it contains no reconstruction.json")
     models = read_json_rig(file, RECONSTRUCTIONS)
     places = Places.around(file, options)
     views, notes = largest_model([_views(file, model, places) for model in models], str(file))
     return Rig(NAME, views, "z", places.mesh(folders=(".", "odm_meshing", "undistorted")), notes)
 
 
-def points(path: Path) -> np.ndarray:
+def points(file: Path) -> np.ndarray:
     """The sparse points (N, 3) of the largest reconstruction.
 
     Raises:
         FiptError: ``rig-damaged``.
     """
-    models = read_json_rig(_file(path) or path, RECONSTRUCTIONS)
+    models = read_json_rig(file, RECONSTRUCTIONS)
     try:
         stored = max(models, key=lambda model: len(model["shots"])).get("points", {}).values()
         return np.array([numbers(point["coordinates"], 3) for point in stored]).reshape(-1, 3)
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise damaged(path, error) from None
-
-
-def _file(path: Path) -> Path | None:
-    """The first JSON file that is a list of reconstructions."""
-    files = camera_files(path, (".json",), FOLDERS)
-    return next((file for file in files if _is_reconstruction(head(file))), None)
+        raise damaged(file, error) from None
 
 
 def _is_reconstruction(text: str) -> bool:

@@ -32,20 +32,22 @@ _CAMERA = Fields(
 _MESH_INFO = Fields({}, {"alignmentTransform": Maybe(Numbers(16))})
 
 
-def detect(path: Path) -> bool:
-    """Whether a folder, or its folder keyframes, holds Polycam's cameras."""
-    return _cameras(path) is not None
+def find(path: Path) -> tuple[Path, str] | None:
+    """The folder of the cameras, and the name of that of their photographs; None without."""
+    for root in (path / "keyframes", path):
+        for cameras, photographs in FOLDERS:
+            folder = root / cameras
+            if folder.is_dir() and any(file.suffix.lower() == ".json" for file in folder.iterdir()):
+                return folder, photographs
+    return None
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(found: tuple[Path, str], options: ReadOptions) -> Rig:
     """Read all cameras, and the depth images of the folder depth. The world is Y up, as in the mesh.
 
     Raises:
         FiptError: ``rig-damaged`` or ``depth-unreadable``.
     """
-    found = _cameras(path)
-    if found is None:
-        raise damaged(path, "it contains no cameras of Polycam")
     cameras, photographs = found
     keyframes = cameras.parent
     folders = tuple(f"keyframes/{name}" for name in (photographs, "hdr", "exr"))
@@ -60,16 +62,6 @@ def read(path: Path, options: ReadOptions) -> Rig:
         if image.is_file()
     )
     return Rig(NAME, views, "y", places.mesh(("raw", "mesh", "scene")), depths=depths)
-
-
-def _cameras(path: Path) -> tuple[Path, str] | None:
-    """The folder of the cameras, and the name of the folder of their photographs."""
-    for root in (path / "keyframes", path):
-        for cameras, photographs in FOLDERS:
-            folder = root / cameras
-            if folder.is_dir() and any(file.suffix.lower() == ".json" for file in folder.iterdir()):
-                return folder, photographs
-    return None
 
 
 def _alignment(root: Path) -> np.ndarray:

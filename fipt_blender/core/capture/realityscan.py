@@ -43,45 +43,35 @@ _COLUMNS = ("x", "y", "alt", "heading", "pitch", "roll", "f", "px", "py", "k1", 
 _XMP_IMAGES = tuple(dict.fromkeys((*IMAGE_FOLDERS, *FOLDERS)))
 
 
-def detect(path: Path) -> bool:
-    """Whether a path is such a file, or a folder that contains some."""
-    return _csv_file(path) is not None or _first_xmp(path) is not None
+def find(path: Path) -> Path | None:
+    """The CSV file at a path or in a folder, else the first XMP file with a pose, None without one."""
+    tables = (file for file in camera_files(path, (".csv",)) if _is_camera_table(head(file)))
+    posed = (file for file in camera_files(path, (".xmp",), FOLDERS) if _has_pose(file))
+    return next(tables, None) or next(posed, None)
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
-    """Read all cameras of the CSV file where there is one, otherwise of the XMP files. The world is Z up.
+def read(file: Path, options: ReadOptions) -> Rig:
+    """Read all cameras of a CSV file, or of the XMP files in the folder of one. The world is Z up.
 
     Sizes are those of the photographs, since the files have none.
 
     Raises:
         FiptError: ``rig-damaged``, ``camera-model``, ``image-missing`` or ``image-unreadable``.
     """
-    file = _csv_file(path)
     notes: tuple[Note, ...] = ()
-    if file is not None:
+    if file.suffix.lower() == ".csv":
         places = Places.around(file, options)
         views = _csv_views(file, places)
     else:
-        first = _first_xmp(path)
-        if first is None:
-            raise damaged(path, "it contains no XMP files with camera positions")
-        places = Places.around(first, options, _XMP_IMAGES)
-        views, notes = _xmp_views(list(camera_files(first.parent, (".xmp",))), places)
+        places = Places.around(file, options, _XMP_IMAGES)
+        views, notes = _xmp_views(list(camera_files(file.parent, (".xmp",))), places)
     views.sort(key=lambda view: view.name)
     return Rig(NAME, tuple(views), "z", places.mesh(), notes)
-
-
-def _csv_file(path: Path) -> Path | None:
-    return next((file for file in camera_files(path, (".csv",)) if _is_camera_table(head(file))), None)
 
 
 def _is_camera_table(text: str) -> bool:
     columns = text.lstrip("\ufeff").split("\n", 1)[0].strip().split(",")
     return columns[0].strip() == "#name" and set(_COLUMNS[:7]) <= {column.strip() for column in columns}
-
-
-def _first_xmp(path: Path) -> Path | None:
-    return next((file for file in camera_files(path, (".xmp",), FOLDERS) if _has_pose(file)), None)
 
 
 def _has_pose(file: Path) -> bool:

@@ -26,12 +26,21 @@ METADATA = Fields(
 )
 
 
-def detect(path: Path) -> bool:
-    """Whether a path is such a file, or a folder that contains one."""
-    return _file(path) is not None
+def find(path: Path) -> Path | None:
+    """The metadata, None without; its keys may be anywhere, so that all of a file is searched."""
+    files = [path] if path.is_file() else [path / name for name in FILES]
+    for file in files:
+        if file.is_file() and file.name.startswith("metadata"):
+            try:
+                text = read_limited(file, MOST_TEXT_BYTES)
+            except ValueError:
+                continue
+            if b'"poses"' in text and b'"K"' in text:
+                return file
+    return None
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: ReadOptions) -> Rig:
     """Read all frames, with the intrinsics of each where the file has them, and depth images in EXR.
 
     The world is Y up.
@@ -39,9 +48,6 @@ def read(path: Path, options: ReadOptions) -> Rig:
     Raises:
         FiptError: ``rig-damaged`` or ``depth-unreadable``.
     """
-    file = _file(path)
-    if file is None:
-        raise damaged(path, "it contains no metadata of Record3D")
     data = read_json_rig(file, METADATA)
     places = Places.around(file, options, ("rgb", "rgbd", *IMAGE_FOLDERS))
     count = len(data["poses"])
@@ -69,17 +75,3 @@ def read(path: Path, options: ReadOptions) -> Rig:
         if image.is_file()
     )
     return Rig(NAME, tuple(views), "y", places.mesh(), depths=depths)
-
-
-def _file(path: Path) -> Path | None:
-    """The metadata; its keys need not be at the beginning, so that the whole file is searched."""
-    files = [path] if path.is_file() else [path / name for name in FILES]
-    for file in files:
-        if file.is_file() and file.name.startswith("metadata"):
-            try:
-                text = read_limited(file, MOST_TEXT_BYTES)
-            except ValueError:
-                continue
-            if b'"poses"' in text and b'"K"' in text:
-                return file
-    return None

@@ -66,11 +66,12 @@ RIG = Fields(
 )
 
 
-def detect(path: Path) -> bool:
-    """Whether a path is a JSON file with frames, or a folder that contains such camera files."""
+def find(path: Path) -> Path | None:
+    """The path of a JSON file with frames, or of a folder that contains such camera files, else None."""
     if path.is_file():
-        return path.suffix.lower() == ".json" and '"frames"' in head(path)
-    return (path / "transforms.json").is_file() or (path / "transforms_train.json").is_file()
+        return path if path.suffix.lower() == ".json" and '"frames"' in head(path) else None
+    names = ("transforms.json", "transforms_train.json")
+    return path if any((path / name).is_file() for name in names) else None
 
 
 def read(path: Path, options: ReadOptions) -> Rig:

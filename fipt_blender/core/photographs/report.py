@@ -231,9 +231,8 @@ def _named(entries: Sequence[Mapping[str, Any]], name: str) -> Mapping[str, Any]
 
 def _plan(capture: Path) -> Plan | None:
     """The solved cameras from above, or None without a model."""
-    if not colmap.detect(capture):
-        return None
-    return make_plan(colmap.read(capture, ReadOptions()))
+    found = colmap.find(capture)
+    return None if found is None else make_plan(colmap.read(found, ReadOptions()))
 
 
 def make_plan(rig: Rig) -> Plan | None:
