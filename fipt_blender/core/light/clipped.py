@@ -13,10 +13,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import mitsuba as mi
 import numpy as np
 
-from ..scene.room import Room, triangle_normals
+from ..scene.camera_rays import rays_along
+from ..scene.room import Room
 from .cache import VoxelGrid
 
 RAYS = 128  # over the hemisphere of each point; their noise would make the contrast too high
@@ -142,10 +142,11 @@ def hemisphere_rays(
     angle, radius = 2.0 * np.pi * (golden % 1.0), np.sqrt(height)
     local = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1.0 - height)], axis=-1)
     direction = np.einsum("nrc,ncd->nrd", local, _frames(normal)).reshape(-1, 3)
-    surface = room.intersect(_ray(room, np.repeat(position, RAYS, 0), np.repeat(normal, RAYS, 0), direction))
+    start = np.repeat(position + room.offset * normal, RAYS, axis=0)
+    surface = room.intersect(rays_along(start, direction))
     valid, triangle = np.array(surface.valid), np.array(surface.triangle).astype(np.int64)
     front = np.array(surface.front)
-    side = triangle_normals(room.vertices, room.triangles)[triangle] * np.where(front, 1.0, -1.0)[:, None]
+    side = room.normals[triangle] * np.where(front, 1.0, -1.0)[:, None]
     place = np.where(valid, np.array(surface.position), 0.0).T.astype(np.float64)
     entry = grid.entries(place, side)
     entry[lamp[triangle] >= 0] = ON_LAMP
@@ -157,7 +158,7 @@ def _direct(room: Room, position: np.ndarray, normal: np.ndarray, lamp: np.ndarr
     rng = np.random.default_rng([seed, 22])
     lamps = int(lamp.max(initial=-1)) + 1
     direct = np.zeros((len(position), lamps))
-    normals = triangle_normals(room.vertices, room.triangles)
+    start = np.repeat(position + room.offset * normal, LAMP_SAMPLES, axis=0)
     for index in range(lamps):
         members = np.flatnonzero(lamp == index)
         area = np.maximum(room.areas[members].astype(np.float64), 1e-12)
@@ -167,23 +168,15 @@ def _direct(room: Room, position: np.ndarray, normal: np.ndarray, lamp: np.ndarr
         distance = np.linalg.norm(toward, axis=1)
         direction = toward / np.maximum(distance, 1e-9)[:, None]
         here = np.repeat(normal, LAMP_SAMPLES, axis=0)
-        there = np.tile(normals[chosen], (len(position), 1))
+        there = np.tile(room.normals[chosen], (len(position), 1))
         cosines = np.maximum((direction * here).sum(1), 0.0) * np.abs((direction * there).sum(1))
-        surface = room.intersect(_ray(room, np.repeat(position, LAMP_SAMPLES, 0), here, direction))
+        surface = room.intersect(rays_along(start, direction))
         hit = np.array(surface.triangle).astype(np.int64)
         seen = np.array(surface.valid) & (lamp[hit] == index)
         seen &= np.array(surface.distance) > 0.98 * distance - 0.01
         falloff = np.where(seen, cosines / np.maximum(distance, 0.02) ** 2, 0.0).reshape(-1, LAMP_SAMPLES)
         direct[:, index] = falloff.mean(axis=1) * area.sum() / np.pi
     return direct
-
-
-def _ray(room: Room, position: np.ndarray, normal: np.ndarray, direction: np.ndarray) -> mi.Ray3f:
-    origin = position + room.offset * normal
-    return mi.Ray3f(
-        mi.Point3f(*np.ascontiguousarray(origin.T, np.float32)),
-        mi.Vector3f(*np.ascontiguousarray(direction.T, np.float32)),
-    )
 
 
 def _frames(normal: np.ndarray) -> np.ndarray:

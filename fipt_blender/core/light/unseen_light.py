@@ -19,7 +19,7 @@ import numpy as np
 from ..conventions import equirect_pixel_directions
 from ..scene.grouped import numbered
 from ..scene.pixels import PixelStore
-from ..scene.room import Room, triangle_normals
+from ..scene.room import Room
 from .cache import VoxelGrid
 from .clipped import MOST_POINTS, OUTSIDE, POINTS_PER_SAMPLE, hemisphere_rays
 from .environment import Environment, map_cells
@@ -128,11 +128,9 @@ def _open_points(
     where = np.concatenate([*chosen, np.zeros(0, np.int64)])
     if len(where) < LEAST_POINTS:
         return None
-    side = np.where(pixels.front[where], 1.0, -1.0)[:, None]
     triangle = np.asarray(pixels.triangle[where])
-    normal = (triangle_normals(room.vertices, room.triangles)[triangle] * side).astype(np.float32)
     nothing = np.full(len(room.triangles), -1, np.int32)
-    entry, direction = hemisphere_rays(room, grid, np.asarray(pixels.position[where]), normal, nothing, seed)
+    entry, direction = hemisphere_rays(room, grid, *pixels.surface(room, where), nothing, seed)
     image, known = sky
     cell, outside = map_cells(direction, known.shape[1]), entry == OUTSIDE
     shown = known.reshape(-1)[cell]

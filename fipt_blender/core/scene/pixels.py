@@ -76,6 +76,16 @@ class PixelStore:
         arrays = (self.position, self.normal, self.triangle, self.front)
         return ViewPixels(view, self.views[view], *(np.array(array[rows]) for array in arrays))
 
+    def hits(self, view: int) -> np.ndarray:
+        """(n,) int64 pixels of a view that see the mesh."""
+        rows = self.rows(view)
+        return np.flatnonzero(self.triangle[rows] >= 0) + rows.start
+
+    def surface(self, room: Room, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions (n, 3) that pixels (n,) see, and float32 geometric normals (n, 3) on the seen sides."""
+        side = np.where(self.front[rows], np.float32(1.0), np.float32(-1.0))[:, None]
+        return np.asarray(self.position[rows]), (room.normals[self.triangle[rows]] * side).astype(np.float32)
+
     def camera_positions(self) -> np.ndarray:
         """(n, 3) float32 camera centre of each view."""
         return np.array([view.camera_to_world[:3, 3] for view in self.views], np.float32)

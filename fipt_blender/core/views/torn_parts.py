@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import mitsuba as mi
 import numpy as np
 from scipy.ndimage import binary_dilation, binary_opening, binary_propagation
 from scipy.ndimage import label as connected
@@ -22,7 +21,7 @@ from ..geometry.adjacency import NONE, face_vectors
 from ..geometry.revolution import Revolution, fit_revolutions
 from ..geometry.sheet import Sheet, fit_sheets
 from ..run.threads import in_threads
-from ..scene.camera_rays import first_hits, trace_pixels
+from ..scene.camera_rays import first_hits, rays_along, trace_pixels
 from ..scene.room import Room
 from .lost_parts import Surface
 from .sights import LEAST_VIEWS, MISSES, Sight
@@ -175,8 +174,7 @@ def _on_scan(shape: Shape, room: Room, edge: float) -> np.ndarray:
         for across in _BESIDE:
             places, facing = (each.reshape(-1, 3) for each in shape.cells(down, across))
             start = places + WITHIN * edge * facing
-            ray = mi.Ray3f(*(mi.Vector3f(*each.T.astype(np.float32)) for each in (start, -facing)))
-            surface = room.intersect(ray)
+            surface = room.intersect(rays_along(start, -facing))
             there = np.array(surface.front) & (first_hits(surface)[1] < 2.0 * WITHIN * edge)
             has &= there.reshape(has.shape)
     return has
