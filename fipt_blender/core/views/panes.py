@@ -45,7 +45,7 @@ class _Sight:
     missed: list[np.ndarray]
 
 
-def close_holes(run: RunFolder, views: Sequence[View]) -> None:
+def close_holes(run: RunFolder, views: Sequence[View], room: Room | None = None) -> bool:
     """Write panes.npz, and extend geometry.npz, where photographs show surfaces that a scan lacks.
 
     Nothing changes where the mesh is no scan, where the room has panes already, or where these masks were
@@ -53,25 +53,29 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
 
     Args:
         views: training views.
+        room: the run's, without outlines; read where None.
+
+    Returns:
+        whether the run's room has more surfaces now.
 
     Raises:
         FiptError: those of the readers of room and photographs, ``disk-full`` or ``run-unwritable``.
     """
     if not run.geometry_npz.exists():
         run.panes_npz.unlink(missing_ok=True)
-        return
+        return False
     arrays, names = read_room_files(run, "mesh-damaged")
     if PANES in (names.get("object_ids") or names["objects"]):
-        return
+        return False
     cleaned = stored_geometry(run, arrays)
     use_masks = names.get("parts", "masks") in ("auto", "masks")
     masks = masks_digest(views, (view.part_ids() for view in views if use_masks))
     if cleaned is None or has_searched_panes(run, arrays, masks):
-        return
+        return False
     mesh, _ = make_mesh(cleaned.vertices, arrays["triangles"])
     edge = median_edge(mesh)
     holes = flat_holes(mesh, edge)
-    room = load_room(run)
+    room = room or load_room(run, outlined=False)
     closed = [hole for hole, seen in zip(holes, _sights(room, holes, views), strict=True) if seen]
     added = _panes(closed) if closed else None
     for surface in _things(run, room if added is None else _with(room, added), views, edge):
@@ -89,7 +93,7 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
                 masks=masks,
             )
         if added is None:
-            return
+            return False
         plane = np.where(plane == NONE, NONE, int(cleaned.plane.max(initial=-1)) + 1 + plane)
         extended = CleanMesh(
             np.concatenate([cleaned.vertices, vertices]),
@@ -98,6 +102,7 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
             cleaned.noise,
         )
         store_geometry(run, read_room_files(run)[0], extended)
+    return True
 
 
 def _things(run: RunFolder, room: Room, views: Sequence[View], edge: float) -> list[Surface]:
