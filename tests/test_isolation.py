@@ -56,6 +56,7 @@ SHARED = (
 FLOORS = (
     "core.run",
     "core.conventions",
+    "core.robust",
     "core.device",
     "core.alignment",
     "core.depth",

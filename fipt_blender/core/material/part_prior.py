@@ -14,13 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..robust import MAD_TO_DEVIATION
 from ..scene.grouped import grouped_weighted_median
 from .confidence import UNIFORM_DEVIATION
 
 # Share of outliers: initial value and bounds.
 FIRST_OUTLIERS, LEAST_OUTLIERS, MOST_OUTLIERS = 0.05, 1e-4, 0.5
 LEAST_SPREAD = 1e-3
-MAD_TO_DEVIATION = 1.4826  # standard deviation of a normal distribution by its median absolute deviation
 ITERATIONS = 60
 CHUNK = 1 << 20
 

@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 from ..capture.images import write_exr
 from ..capture.views import View
 from ..run.run_files import array_digest
-from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
+from ..run.runfolder import RunFolder, atomic_path
 from .camera_rays import first_hits, trace_pixels
 from .coverage import coarse_view, resampled
 from .labels import choose_source, masks_digest
@@ -80,7 +80,7 @@ def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
     record.unlink(missing_ok=True)
     for one, cell in zip(seen, cells, strict=True):
         write_exr(names[one.view.name], _linked(one, np.append(part, -1)[cell]))
-    with explained_write_errors(run.root), atomic_path(record) as temporary:
+    with atomic_path(record) as temporary:
         temporary.write_text(digest, encoding="utf-8")
     return linked
 

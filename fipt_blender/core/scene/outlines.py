@@ -19,7 +19,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 from ..capture.views import View
 from ..geometry.adjacency import Mesh, face_vectors, make_mesh
 from ..run.run_files import array_digest, read_geometry, read_outlines, read_room_files
-from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
+from ..run.runfolder import RunFolder, atomic_path
 from .camera_rays import first_hits, trace_pixels
 from .disagreement import mask_of
 from .grouped import grouped_sums
@@ -79,7 +79,7 @@ def outline_parts(run: RunFolder, views: Sequence[View], room: Room | None = Non
         return True
     triangles = [first_hits(trace_pixels(room, view))[0] for view in views]
     vertices = outlined_vertices(room, views, choose_parts(room, views, triangles))
-    with explained_write_errors(run.root), atomic_path(run.outlines_npz) as temporary:
+    with atomic_path(run.outlines_npz) as temporary:
         np.savez(temporary, vertices=vertices, cleaned=array_digest(cleaned["vertices"]), masks=masks)
     return True
 
