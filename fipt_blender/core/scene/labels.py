@@ -20,7 +20,7 @@ from ..geometry.adjacency import weld
 from ..run.run_files import array_digest
 from .components import mesh_components
 from .grouped import numbered, summed_by_key
-from .modelled_parts import divided_surfaces, mesh_surfaces
+from .modelled_parts import corners_within, divided_surfaces, mesh_surfaces
 from .room import Room
 from .segments import scan_segments
 from .smooth_parts import Votes, smooth_labels
@@ -162,12 +162,7 @@ def loose_pieces(triangles: np.ndarray, objects: np.ndarray) -> np.ndarray:
         triangles: (T, 3) welded vertex indices; triangles that share a vertex are connected.
         objects: (T,) object of each triangle.
     """
-    if not len(triangles):
-        return np.zeros(0, np.int32)
-    # A node for each vertex of each object.
-    keys = triangles.astype(np.int64) + objects.astype(np.int64)[:, None] * (int(triangles.max()) + 1)
-    corners = np.unique(keys, return_inverse=True)[1].reshape(-1, 3)
-    return mesh_components(corners).astype(np.int32)
+    return mesh_components(corners_within(triangles, objects)).astype(np.int32)
 
 
 def fuse_masks(masks: Iterable[np.ndarray | None], triangles: Iterable[np.ndarray], count: int) -> np.ndarray:

@@ -56,8 +56,9 @@ class _Seen:
 def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
     """The views, with part masks whose ids all of them share.
 
-    Masks that share their ids already stay as they are; others are written to ``linked/`` of the run folder
-    and kept as long as the mesh, the masks and the poses stay the same. Mitsuba's variant must be set.
+    Masks that share their ids already stay as they are, and so do the views. Others are written to
+    ``linked/`` of the run folder and kept as long as the mesh, the masks and the poses stay the same.
+    Mitsuba's variant must be set.
 
     Raises:
         FiptError: those of reading the masks, ``disk-full`` or ``run-unwritable``.
@@ -73,7 +74,10 @@ def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
         return linked
     seen = seen_cells(room, views)
     cells, places = numbered_cells(seen)
-    pixels = _region_pixels(seen, cells)
+    pixels = [
+        RegionPixels(one.ids[cell >= 0].astype(np.int64), cell[cell >= 0])
+        for one, cell in zip(seen, cells, strict=True)
+    ]
     if shared_ids(pixels) >= SHARED:
         return list(views)
     part = link_regions(pixels, places)
@@ -83,12 +87,6 @@ def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
     with atomic_path(record) as temporary:
         temporary.write_text(digest, encoding="utf-8")
     return linked
-
-
-def masks_share_ids(room: Room, views: Sequence[View]) -> bool:
-    """Whether an id of the views' part masks means the same in all views; True without masks."""
-    seen = seen_cells(room, views)
-    return shared_ids(_region_pixels(seen, numbered_cells(seen)[0])) >= SHARED
 
 
 def shared_ids(views: Sequence[RegionPixels]) -> float:
@@ -147,13 +145,6 @@ def numbered_cells(seen: Sequence[_Seen]) -> tuple[list[np.ndarray], np.ndarray]
         cells.append(cell)
         first += len(rows)
     return cells, places
-
-
-def _region_pixels(seen: Sequence[_Seen], cells: Sequence[np.ndarray]) -> list[RegionPixels]:
-    return [
-        RegionPixels(one.ids[cell >= 0].astype(np.int64), cell[cell >= 0])
-        for one, cell in zip(seen, cells, strict=True)
-    ]
 
 
 def _linked(seen: _Seen, part: np.ndarray) -> np.ndarray:

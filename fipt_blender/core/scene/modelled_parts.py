@@ -58,7 +58,7 @@ def divided_surfaces(room: Room, own: np.ndarray, votes: Votes) -> np.ndarray:
     cosine = (normals[one] * normals[other]).sum(axis=1)
     same = own[one] == own[other]
     flat = graph_components(mesh.dual_edges[same & (cosine > np.cos(FLAT))], len(own))
-    connected = mesh_components(_corners(mesh.triangles, own))
+    connected = mesh_components(corners_within(mesh.triangles, own))
     label = _inside(flat, mesh.triangles, votes)
     for piece, least in ((flat, LEAST_VOTES), (connected, LEAST_VOTES), (own, 0.0)):
         best, share, total = _strongest(piece, votes)
@@ -79,12 +79,14 @@ def _inside(piece: np.ndarray, triangles: np.ndarray, votes: Votes) -> np.ndarra
     regions = np.unique(np.stack([piece, own])[:, divided], axis=1)
     several = np.bincount(regions[0], minlength=len(total)) > 1
     label = np.where(divided & several[piece], own, NO_PART)
-    return spread_labels(label, _corners(triangles, piece))
+    return spread_labels(label, corners_within(triangles, piece))
 
 
-def _corners(triangles: np.ndarray, surface: np.ndarray) -> np.ndarray:
+def corners_within(triangles: np.ndarray, surface: np.ndarray) -> np.ndarray:
     """(T, 3) vertices, a vertex of each surface (T,) apart, so that triangles are neighbours within one."""
-    keys = triangles.astype(np.int64) + surface[:, None] * (int(triangles.max(initial=0)) + 1)
+    keys = triangles.astype(np.int64) + surface.astype(np.int64)[:, None] * (
+        int(triangles.max(initial=0)) + 1
+    )
     return np.unique(keys, return_inverse=True)[1].reshape(-1, 3)
 
 

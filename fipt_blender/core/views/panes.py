@@ -26,7 +26,7 @@ from ..run.run_files import PANES, has_searched_panes, mesh_digest, read_room_fi
 from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
 from ..scene.camera_rays import first_hits, trace_pixels
 from ..scene.labels import choose_source, masks_digest
-from ..scene.linked_masks import link_masks, masks_share_ids
+from ..scene.linked_masks import link_masks
 from ..scene.room import Room, load_room
 from .lost_parts import Surface, lost_parts
 from .lost_surfaces import lost_surfaces
@@ -112,11 +112,12 @@ def _things(run: RunFolder, room: Room, views: Sequence[View], edge: float) -> l
     """
     if choose_source(room, views) != "masks":
         return lost_surfaces(room, views, edge)
-    shared = masks_share_ids(room, views)
+    linked = link_masks(run, room, views)
+    shared = linked == list(views)
     found = [] if shared else lost_surfaces(room, views, edge)
     for surface in found:
         room = _with(room, surface)
-    sights, label = part_sights(room, views if shared else link_masks(run, room, views))
+    sights, label = part_sights(room, link_masks(run, room, views) if found else linked)
     lost = lost_parts(sights, room.bounds, edge) if shared else []
     return found + lost + torn_parts(room, label, sights, lost, edge)
 
