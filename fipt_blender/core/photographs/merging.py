@@ -16,8 +16,8 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from .alignment import Motion, warped
 from .frames import BAND_ROWS, Frame, block_mean
+from .motion import Motion, warped
 
 PASSES = 2  # of the weights' expectation
 # The hat: full weight up to here, none from the ceiling on.

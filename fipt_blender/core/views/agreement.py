@@ -21,7 +21,7 @@ from ..scene.grouped import grouped_median, grouped_sums, numbered
 from ..scene.pixels import CELL_PIXELS
 from ..scene.room import Room
 from .cells import lattice_spacing
-from .sights import LEAST_VIEWS, grid_points, seen_before
+from .masked_views import LEAST_VIEWS, grid_points, seen_before
 
 # Difference of the logarithm of radiance (root mean square over the channels) beyond which photographs
 # disagree entirely. Gloss and errors of poses make it large on one surface, too.

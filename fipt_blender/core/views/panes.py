@@ -30,7 +30,7 @@ from ..scene.linked_masks import link_masks
 from ..scene.room import Room, load_room
 from .lost_parts import Surface, lost_parts
 from .lost_surfaces import lost_surfaces
-from .sights import OUTSIDE, part_sights
+from .masked_views import OUTSIDE, masked_views
 from .torn_parts import torn_parts
 
 # A hole counts if so many pixels look into it, and this share of them meets no surface behind it.
@@ -38,7 +38,7 @@ LEAST_PIXELS, LEAST_MISSED = 100, 0.5
 
 
 @dataclass
-class _Sight:
+class _Look:
     """What the pixels that look into a hole show: their number, and the luminance of those that miss."""
 
     count: int
@@ -76,7 +76,7 @@ def close_holes(run: RunFolder, views: Sequence[View], room: Room | None = None)
     edge = median_edge(mesh)
     holes = flat_holes(mesh, edge)
     room = room or load_room(run, outlined=False)
-    closed = [hole for hole, seen in zip(holes, _sights(room, holes, views), strict=True) if seen]
+    closed = [hole for hole, seen in zip(holes, _looks(room, holes, views), strict=True) if seen]
     added = _panes(closed) if closed else None
     for surface in _things(run, room if added is None else _with(room, added), views, edge):
         added = surface if added is None else _joined(added, surface)
@@ -117,9 +117,9 @@ def _things(run: RunFolder, room: Room, views: Sequence[View], edge: float) -> l
     found = [] if shared else lost_surfaces(room, views, edge)
     for surface in found:
         room = _with(room, surface)
-    sights, label = part_sights(room, link_masks(run, room, views) if found else linked)
-    lost = lost_parts(sights, room.bounds, edge) if shared else []
-    return found + lost + torn_parts(room, label, sights, lost, edge)
+    masked, label = masked_views(room, link_masks(run, room, views) if found else linked)
+    lost = lost_parts(masked, room.bounds, edge) if shared else []
+    return found + lost + torn_parts(room, label, masked, lost, edge)
 
 
 def _with(room: Room, surface: Surface) -> Room:
@@ -158,25 +158,25 @@ def _panes(holes: Sequence[FlatHole]) -> Surface:
     return joined(vertices), joined(triangles), joined(normals), joined(numbers)
 
 
-def _sights(room: Room, holes: Sequence[FlatHole], views: Sequence[View]) -> list[bool]:
+def _looks(room: Room, holes: Sequence[FlatHole], views: Sequence[View]) -> list[bool]:
     """Whether the photographs show that each hole is a surface."""
-    sights = [_Sight(0, []) for _ in holes]
+    looks = [_Look(0, []) for _ in holes]
     medians = []
     for view in views if holes else ():
         luminance = view.radiance().reshape(-1, 3) @ LUMINANCE
         medians.append(np.median(luminance))
         reached = first_hits(trace_pixels(room, view))[1]
         origin, directions = view.camera_to_world[:3, 3], view.rays()[1]
-        for hole, sight in zip(holes, sights, strict=True):
+        for hole, look in zip(holes, looks, strict=True):
             enters, distance = hole.crossed(origin, directions)
             enters &= reached > distance
-            sight.count += int(enters.sum())
-            sight.missed.append(luminance[enters & np.isinf(reached)])
+            look.count += int(enters.sum())
+            look.missed.append(luminance[enters & np.isinf(reached)])
     outside = OUTSIDE * float(np.median(medians)) if medians else 0.0
-    return [_is_surface(sight, outside) for sight in sights]
+    return [_is_surface(look, outside) for look in looks]
 
 
-def _is_surface(sight: _Sight, outside: float) -> bool:
-    missed = np.concatenate(sight.missed)
-    enough = len(missed) >= max(LEAST_PIXELS, LEAST_MISSED * sight.count)
+def _is_surface(look: _Look, outside: float) -> bool:
+    missed = np.concatenate(look.missed)
+    enough = len(missed) >= max(LEAST_PIXELS, LEAST_MISSED * look.count)
     return enough and float(np.median(missed)) < outside

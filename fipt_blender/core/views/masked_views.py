@@ -27,7 +27,7 @@ OUTSIDE = 2.0
 
 
 @dataclass(frozen=True)
-class Sight:
+class MaskedView:
     """What a view shows.
 
     Attributes:
@@ -94,7 +94,7 @@ def grid_points(low: np.ndarray, step: float, shape: np.ndarray) -> np.ndarray:
     return np.asarray(low + (np.indices(tuple(shape)).reshape(3, -1).T + 0.5) * step)
 
 
-def part_sights(room: Room, views: Sequence[View]) -> tuple[list[Sight], np.ndarray]:
+def masked_views(room: Room, views: Sequence[View]) -> tuple[list[MaskedView], np.ndarray]:
     """What the views with masks show of a scan, and (T,) the id of the part of each triangle, or NO_PART.
 
     What is behind a part that the scan lacks takes its label. Planes tell some of these triangles: they have
@@ -114,7 +114,7 @@ def part_sights(room: Room, views: Sequence[View]) -> tuple[list[Sight], np.ndar
         medians.append(np.median(luminance))
         missing.append(luminance[np.isinf(reached).reshape(luminance.shape)])
     outside = OUTSIDE * float(np.median(medians))
-    sights = []
+    masked = []
     for view, image, luminance, (triangle, reached) in zip(views, masks, missing, surfaces, strict=True):
         if image is None:
             continue
@@ -127,8 +127,8 @@ def part_sights(room: Room, views: Sequence[View]) -> tuple[list[Sight], np.ndar
             np.bincount(mask[chosen], minlength=count) for chosen in (inner & found, inner, inner & bright)
         )
         same = own[triangle].reshape(mask.shape) == mask
-        sights.append(Sight(view, mask, distance, same, *counts))
-    return sights, label
+        masked.append(MaskedView(view, mask, distance, same, *counts))
+    return masked, label
 
 
 def _on_other_planes(label: np.ndarray, room: Room) -> np.ndarray:
