@@ -16,6 +16,8 @@ import numpy as np
 
 # Standard deviation of a normal distribution by its median absolute deviation.
 MAD_TO_DEVIATION = 1.4826
+# Views that must see a place: of two, neither can outvote the error of the other.
+LEAST_VIEWS = 3
 # Degrees of freedom of Student's t-distribution, to which highlights and wrong geometry are outliers.
 DEGREES = 3.0
 

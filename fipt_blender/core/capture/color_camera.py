@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-from ..robust import without_means
+from ..robust import LEAST_VIEWS, without_means
 from .depth_images import read_depth
 from .images import read_radiance
 from .rig import DepthView, Lens, Note, Rig, RigView
@@ -25,7 +25,6 @@ MOST_FRAMES = 64
 POINTS = 30_000  # of all frames together
 WIDTH = 320  # pixels to which photographs are reduced
 BLURS = ((8.0, 12), (4.0, 10), (2.0, 8), (1.0, 6))  # pixels of that width, and steps
-LEAST_VIEWS = 3  # that see a point
 SCALE = 0.5  # of robust residuals, in standard deviations of a photograph's details
 DARKEST = 0.1  # of a photograph's median, added below the logarithm: what is darker is mostly noise
 # Expected sizes of the parameters, which count as much as this share of the measurements.

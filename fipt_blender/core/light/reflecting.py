@@ -16,11 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..optics.factorised import DIELECTRIC_REFLECTANCE
-from ..robust import deviation
+from ..robust import LEAST_VIEWS, deviation
 from .emitters import Fixture
 
 LEAST_PIXELS = 50
-LEAST_VIEWS = 3
 # Standard errors by which a slope must exceed zero.
 SURE = 4.0
 # Least coefficient of determination (R squared): a shade that is bright in the middle does not fit a line.

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags
 
 from ..capture.encoded import CLIPPED_CODE
-from ..robust import deviation, student_weights
+from ..robust import LEAST_VIEWS, deviation, student_weights
 from .response import COMPONENTS, LEVELS, LOWEST_CODE, Basis, interpolated, slope
 
 FALLOFF_TERMS = 2  # r² and r⁴ of the logarithm of the share of light
@@ -26,7 +26,6 @@ _GAIN_DEVIATION, _FALLOFF_DEVIATION = 3.0, 0.1
 CODE_NOISE = 1.0
 _ITERATIONS = 10
 _FIRST_NOISE, _LEAST_NOISE = 0.02, 2e-3  # of the logarithm of radiance, in contrasts
-LEAST_VIEWS = 3  # that must see a point: two can't outvote the error of one of them
 # Neighbouring points share the errors of the model (gloss, mesh): about so many rows count as one.
 ROWS_PER_SAMPLE = 10.0
 

@@ -16,12 +16,13 @@ import numpy as np
 
 from ..capture.views import View
 from ..light.cache import side_index
+from ..robust import LEAST_VIEWS
 from ..scene.camera_rays import first_hits, rays_along
 from ..scene.grouped import grouped_median, grouped_sums, numbered
 from ..scene.pixels import CELL_PIXELS
 from ..scene.room import Room
 from .cells import lattice_spacing
-from .masked_views import LEAST_VIEWS, grid_points, seen_before
+from .masked_views import grid_points, seen_before
 
 # Difference of the logarithm of radiance (root mean square over the channels) beyond which photographs
 # disagree entirely. Gloss and errors of poses make it large on one surface, too.

@@ -16,7 +16,8 @@ from scipy.special import bdtrc  # scipy.stats takes half a second to import
 
 from ..geometry.adjacency import NONE
 from ..geometry.prism import prism
-from .masked_views import LEAST_VIEWS, MISSES, MaskedView, grid_points
+from ..robust import LEAST_VIEWS
+from .masked_views import MISSES, MaskedView, grid_points
 
 # A part is lost if most of its pixels meet other surfaces in more views than chance explains.
 LEVEL = 0.05

@@ -18,8 +18,6 @@ from ..scene.room import Room
 
 # Share of the views of a point that may show another part there, for errors of masks and poses.
 MISSES = 0.1
-# Fewer views do not tell how far away a point is.
-LEAST_VIEWS = 3
 # A plane of the scan is of the parts that have this share of its area.
 LEAST_OWN = 0.5
 # What is brighter than so many times the median pixel of the photographs lies outside.

@@ -20,11 +20,12 @@ from scipy.ndimage import label as connected
 from ..geometry.adjacency import NONE, face_vectors
 from ..geometry.revolution import Revolution, fit_revolutions
 from ..geometry.sheet import Sheet, fit_sheets
+from ..robust import LEAST_VIEWS
 from ..run.threads import in_threads
 from ..scene.camera_rays import first_hits, rays_along, trace_pixels
 from ..scene.room import Room
 from .lost_parts import Surface
-from .masked_views import LEAST_VIEWS, MISSES, MaskedView
+from .masked_views import MISSES, MaskedView
 
 # Triangles of a part within so many edges are of one thing; fewer triangles do not tell a shape.
 APART, LEAST_TRIANGLES = 2.0, 100
