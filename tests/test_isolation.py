@@ -24,6 +24,7 @@ SHARED = (
     "alignment.pairs",
     "alignment.sights",
     "alignment.turns",
+    "capture.averaging",
     "conventions",
     "device.cuda",
     "optics.factorised",
