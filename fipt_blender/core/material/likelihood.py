@@ -17,7 +17,7 @@ import numpy as np
 
 from ..optics.factorised import color_line, level_roughness
 from ..run.settings import Settings
-from ..scene.grouped import grouped_sums, numbered
+from ..scene.grouped import grouped_sums, numbered, pairs_of
 from .pixel_samples import PixelSamples, residual_weight
 from .projection import fit_colors
 
@@ -80,9 +80,7 @@ def group_log_likelihoods(
     used = replace(used, diffuse=_shared_light(used.diffuse, light_cell))
     cells = DeviceCells(used)
     variance, best = _residual_variance(cells, used, groups, settings.view_error)
-    views = int(used.view.max()) + 1
-    pairs, pair = np.unique(used.group.astype(np.int64) * views + used.view, return_inverse=True)
-    group = pairs // views
+    group, _, pair = pairs_of(used.group, used.view)
     pixels = np.maximum(np.bincount(pair, used.weight), 1e-6)
     means = np.bincount(pair, _residuals(used, best, variance) * used.weight) / pixels
     common = view_errors(means, pixels, group, variance, settings)

@@ -19,7 +19,7 @@ from ..capture.views import View
 from ..geometry.adjacency import weld
 from ..run.run_files import array_digest
 from .components import mesh_components
-from .grouped import numbered, summed_by_key
+from .grouped import numbered, strongest, summed_by_key
 from .modelled_parts import corners_within, divided_surfaces, mesh_surfaces
 from .room import Room
 from .segments import scan_segments
@@ -176,11 +176,7 @@ def fuse_masks(masks: Iterable[np.ndarray | None], triangles: Iterable[np.ndarra
         (count,) int64 ids, NO_PART where no labelled pixel saw the triangle. Ties go to the lower id.
     """
     votes = count_votes(masks, triangles)
-    label = np.full(count, NO_PART, np.int64)
-    # The last assignment to a triangle wins, so sort by votes, then by descending id.
-    order = np.lexsort((-votes.label, votes.weight))
-    label[votes.triangle[order]] = votes.label[order]
-    return label
+    return strongest(votes.triangle, votes.label, votes.weight, count)
 
 
 def count_votes(

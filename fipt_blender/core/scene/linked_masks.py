@@ -19,6 +19,7 @@ from ..run.run_files import array_digest
 from ..run.runfolder import RunFolder, atomic_path
 from .camera_rays import first_hits, trace_pixels
 from .coverage import coarse_view, resampled
+from .grouped import strongest
 from .labels import choose_source, masks_digest
 from .linking import RegionPixels, link_regions
 from .pixels import CELL_PIXELS
@@ -164,9 +165,7 @@ def _linked(seen: _Seen, part: np.ndarray) -> np.ndarray:
     region_of = counts.argmax(axis=0)
     table = counts.tocoo()
     own = region_of[table.col] == table.row
-    order = np.argsort(table.data[own], kind="stable")  # the last assignment to a region wins
-    main = np.full(shape[0], -1)
-    main[table.row[own][order]] = table.col[own][order]
+    main = strongest(table.row[own], table.col[own], table.data[own], shape[0], "high")
     of_one = (total > 0) & (most >= ONE_PART * total)
     fine = resampled(part, mask.shape)
     past = (main[mask] >= 0) & ((fine < 0) | (region_of[fine] != mask))

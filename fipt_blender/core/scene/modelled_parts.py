@@ -12,7 +12,7 @@ import numpy as np
 
 from ..geometry.adjacency import face_vectors, make_mesh
 from .components import graph_components, mesh_components
-from .grouped import numbered
+from .grouped import numbered, pairs_of, strongest
 from .room import Room
 from .smooth_parts import Votes
 from .spreading import NO_PART, spread_labels
@@ -93,13 +93,8 @@ def corners_within(triangles: np.ndarray, surface: np.ndarray) -> np.ndarray:
 def _strongest(piece: np.ndarray, votes: Votes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(P,) id with most votes in each piece (T,), the lower of equals, its share of them, and their sum."""
     count = int(piece.max(initial=-1)) + 1
-    ids, column = np.unique(votes.label, return_inverse=True)
-    key, place = np.unique(piece[votes.triangle] * max(len(ids), 1) + column, return_inverse=True)
-    weight = np.bincount(place, votes.weight, minlength=len(key))
-    of, column = key // max(len(ids), 1), key % max(len(ids), 1)
-    total = np.bincount(of, weight, minlength=count)
-    best, most = np.full(count, NO_PART, np.int64), np.zeros(count)
-    order = np.lexsort((-column, weight))  # the last assignment wins
-    best[of[order]] = ids[column[order]]
-    most[of[order]] = weight[order]
-    return best, most / np.maximum(total, 1e-30), total
+    of, label, place = pairs_of(piece[votes.triangle], votes.label)
+    weight = np.bincount(place, votes.weight, minlength=len(of))
+    total, most = np.bincount(of, weight, minlength=count), np.zeros(count)
+    np.maximum.at(most, of, weight)
+    return strongest(of, label, weight, count), most / np.maximum(total, 1e-30), total

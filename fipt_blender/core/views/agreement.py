@@ -18,7 +18,7 @@ from ..capture.views import View
 from ..light.cache import side_index
 from ..robust import LEAST_VIEWS
 from ..scene.camera_rays import first_hits, rays_along
-from ..scene.grouped import grouped_median, grouped_sums, numbered
+from ..scene.grouped import grouped_median, grouped_sums, numbered, pairs_of
 from ..scene.pixels import CELL_PIXELS
 from ..scene.room import Room
 from .cells import lattice_spacing
@@ -185,9 +185,8 @@ def cells_of(
 
 def _means(view: np.ndarray, cell: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, ...]:
     """View and cell (m,) of each cell in each view, and the mean (m, 3) of its colours."""
-    views = int(view.max(initial=0)) + 1
-    pairs, pair = np.unique(cell * views + view, return_inverse=True)
-    return pairs % views, pairs // views, grouped_sums(color, pair) / np.bincount(pair)[:, None]
+    cell, view, pair = pairs_of(cell, view)
+    return view, cell, grouped_sums(color, pair) / np.bincount(pair)[:, None]
 
 
 def _exposures(view: np.ndarray, cell: np.ndarray, color: np.ndarray, views: int) -> np.ndarray:

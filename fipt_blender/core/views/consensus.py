@@ -19,7 +19,7 @@ from scipy import sparse
 from ..capture.views import View
 from ..run.errors import FiptError
 from ..run.settings import Settings
-from ..scene.grouped import grouped_sums
+from ..scene.grouped import grouped_sums, pairs_of
 from ..scene.room import Room
 from .agreement import FLOOR, cells_of, hits_of, on_lattice
 
@@ -171,10 +171,10 @@ def pair_agreement(room: Room, small: SmallViews, places: np.ndarray | None = No
     view, hits = number[met], (triangle[met], distance[met])
     size = float(np.median(distance[met] / np.array([each.fx for each in views])[view]))
     cell = cells_of(views, room, view, direction[met], hits, size)
-    pairs, pair = np.unique(cell * count + view, return_inverse=True)
+    seen_cell, seen_by, pair = pairs_of(cell, view)
     color = grouped_sums(np.concatenate(small.color)[met], pair) / np.bincount(pair)[:, None]
-    place, shape = (pairs % count, pairs // count), (count, int(cell.max()) + 1)
-    shows = sparse.csr_matrix((np.ones(len(pairs)), place), shape)
+    place, shape = (seen_by, seen_cell), (count, int(cell.max()) + 1)
+    shows = sparse.csr_matrix((np.ones(len(seen_by)), place), shape)
     shared = (shows @ shows.T).toarray()
     common, covariance, variance = np.maximum(shared, 1.0), none, none
     for channel in range(3):

@@ -13,6 +13,7 @@ from ..capture.views import View
 from ..conventions import project
 from ..optics.lights import LUMINANCE
 from ..scene.camera_rays import first_hits, trace_pixels
+from ..scene.grouped import pairs_of
 from ..scene.labels import NO_PART, at_border, choose_parts
 from ..scene.room import Room
 
@@ -135,10 +136,7 @@ def _on_other_planes(label: np.ndarray, room: Room) -> np.ndarray:
     if room.plane is None:
         return other
     on = room.plane >= 0
-    count = int(label.max(initial=0)) + 1
-    key = room.plane[on].astype(np.int64) * count + np.maximum(label[on], 0)
-    key, place = np.unique(key, return_inverse=True)
+    plane, _, place = pairs_of(room.plane[on], np.maximum(label[on], 0))
     area = np.bincount(place, room.areas[on])
-    total = np.bincount(key // count, area)
-    other[on] = (area < LEAST_OWN * total[key // count])[place]
+    other[on] = (area < LEAST_OWN * np.bincount(plane, area)[plane])[place]
     return other
