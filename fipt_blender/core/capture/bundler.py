@@ -14,21 +14,19 @@ import numpy as np
 from ..conventions import opengl_to_opencv_camera
 from ..run.errors import FiptError
 from .radial import distorting_lens
-from .rig import ReadOptions, Rig, damaged
-from .rig_files import Places, camera_files, camera_pose, head, numbers, read_text_rig
+from .rig import ReadOptions, Rig, WellFormed
+from .rig_files import Places, camera_file, camera_pose, numbers, read_text_rig
 
 NAME = "bundler"
 LOOKS_FOR = "a .out file that begins with '# Bundle file', and list.txt"
 FOLDERS = (".", "bundle")
 LISTS = ("list.txt", "bundle.list.txt", "image_list.txt")
-_FIRST_LINE = "# Bundle file"
 _LINES = 5  # of a camera
 
 
 def find(path: Path) -> Path | None:
     """The camera file at a path or in a folder, None without one."""
-    files = camera_files(path, (".out",), FOLDERS)
-    return next((file for file in files if head(file).startswith(_FIRST_LINE)), None)
+    return camera_file(path, (".out",), lambda text: text.startswith("# Bundle file"), FOLDERS)
 
 
 def read(file: Path, options: ReadOptions) -> Rig:
@@ -61,12 +59,10 @@ def points(file: Path) -> np.ndarray:
         FiptError: ``rig-damaged``.
     """
     lines = read_text_rig(file).splitlines()
-    try:
+    with WellFormed(file):
         cameras, count = (int(value) for value in numbers(lines[1], 2))
         first = 2 + _LINES * cameras
         stored = [numbers(line, 3) for line in lines[first : first + 3 * count : 3]]
-    except (IndexError, ValueError) as error:
-        raise damaged(file, error) from None
     return np.array(stored).reshape(-1, 3)
 
 
@@ -104,13 +100,11 @@ def _cameras(file: Path, count: int) -> list[np.ndarray]:
         FiptError: ``rig-damaged``.
     """
     lines = read_text_rig(file).split("\n", 2 + _LINES * count)
-    try:
+    with WellFormed(file):
         stated = int(numbers(lines[1], 2)[0])
         if not 0 <= stated <= count:
             raise ValueError(f"it has {stated} cameras, but its list {count} photographs")
         rows = [numbers(line, 3) for line in lines[2 : 2 + _LINES * stated]]
         if len(rows) != _LINES * stated:
             raise ValueError("it is cut off")
-    except (ValueError, IndexError) as error:
-        raise damaged(file, error) from None
     return [np.stack(rows[start : start + _LINES]) for start in range(0, len(rows), _LINES)]

@@ -12,7 +12,17 @@ from ..conventions import fipt_to_opencv_camera
 from ..run.documents import Fields, Items, Maybe, Number
 from ..run.shapes import MOST_SIDE
 from .images import read_size
-from .rig import PHOTO_SUFFIXES, Lens, ReadOptions, Rig, RigView, damaged, find_mesh, read_json_rig, read_pose
+from .rig import (
+    PHOTO_SUFFIXES,
+    Lens,
+    ReadOptions,
+    Rig,
+    RigView,
+    WellFormed,
+    find_mesh,
+    read_json_rig,
+    read_pose,
+)
 from .rig_files import refuse_outside
 
 NAME = "fipt-synthetic"
@@ -64,14 +74,12 @@ def read(path: Path, options: ReadOptions) -> Rig:
 def _view(json_path: Path, split: str, image: Path, frame: dict[str, Any], data: dict[str, Any]) -> RigView:
     root = json_path.parent
     number = image.stem.removesuffix("_0001")
-    try:
+    with WellFormed(json_path):
         if "width" in data and "height" in data:
             width, height = int(data["width"]), int(data["height"])
         else:
             width, height = read_size(image)
         focal = 0.5 * width / math.tan(0.5 * float(data["camera_angle_x"]))
-    except (ValueError, ZeroDivisionError) as error:
-        raise damaged(json_path, error) from None
     parts = root / "IndexMA" / f"{image.stem}.exr"
     semantics = root / "segmentation" / f"{number}.exr"
     return RigView(

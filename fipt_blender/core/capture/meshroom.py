@@ -16,8 +16,8 @@ import numpy as np
 from ..run.documents import Fields, Items
 from ..run.errors import FiptError
 from .radial import distorting_lens
-from .rig import Lens, ReadOptions, Rig, RigView, damaged, read_json_rig
-from .rig_files import Places, camera_files, head, number, numbers, pixel_size
+from .rig import Lens, ReadOptions, Rig, RigView, WellFormed, read_json_rig
+from .rig_files import Places, camera_file, number, numbers, pixel_size
 
 NAME = "meshroom"
 LOOKS_FOR = "an .sfm or .json file with version, views, intrinsics and poses"
@@ -40,11 +40,8 @@ _COUNTS = {"none": 0, "radialk1": 1, "radialk3": 3, "brown": 5, "fisheye": 4, "f
 
 def find(path: Path) -> Path | None:
     """The camera file at a path or in a folder, None without one."""
-    for file in camera_files(path, (".sfm", ".json")):
-        text = head(file)
-        if '"version"' in text and '"views"' in text and '"viewId"' in text:
-            return file
-    return None
+    keys = ('"version"', '"views"', '"viewId"')
+    return camera_file(path, (".sfm", ".json"), lambda text: all(key in text for key in keys))
 
 
 def read(file: Path, options: ReadOptions) -> Rig:
@@ -55,7 +52,7 @@ def read(file: Path, options: ReadOptions) -> Rig:
     """
     data = read_json_rig(file, SFM)
     places = Places.around(file, options)
-    try:
+    with WellFormed(file):
         version = tuple(int(value) for value in numbers(data["version"], 3))
         lenses = {str(entry["intrinsicId"]): _lens(file, entry, version) for entry in data["intrinsics"]}
         poses = {str(entry["poseId"]): _pose(entry["pose"]["transform"]) for entry in data.get("poses", [])}
@@ -64,8 +61,6 @@ def read(file: Path, options: ReadOptions) -> Rig:
             for entry in data.get("rigs", [])
         }
         views = [view for entry in data["views"] for view in _view(entry, lenses, poses, rigs, places)]
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        raise damaged(file, error) from None
     views.sort(key=lambda view: view.name)
     return Rig(NAME, tuple(views), "y", places.mesh())
 
@@ -76,10 +71,8 @@ def points(file: Path) -> np.ndarray:
     Raises:
         FiptError: ``rig-damaged``.
     """
-    try:
+    with WellFormed(file):
         stored = [numbers(entry["X"], 3) for entry in read_json_rig(file, SFM).get("structure", [])]
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise damaged(file, error) from None
     return np.array(stored).reshape(-1, 3) @ _MESH_FROM_SFM[:3, :3].T
 
 

@@ -17,11 +17,10 @@ import numpy as np
 from ..conventions import transform_poses
 from ..run.errors import FiptError
 from .radial import distorting_lens
-from .rig import Lens, Note, ReadOptions, Rig, RigView, damaged
+from .rig import Lens, Note, ReadOptions, Rig, RigView, WellFormed
 from .rig_files import (
     Places,
-    camera_files,
-    head,
+    camera_file,
     largest_model,
     number,
     numbers,
@@ -48,11 +47,7 @@ class _Sensor:
 
 def find(path: Path) -> Path | None:
     """The camera file at a path or in a folder, None without one."""
-    for file in camera_files(path, (".xml",)):
-        text = head(file)
-        if "<chunk" in text and "<sensor" in text:
-            return file
-    return None
+    return camera_file(path, (".xml",), lambda text: "<chunk" in text and "<sensor" in text)
 
 
 def read(file: Path, options: ReadOptions) -> Rig:
@@ -64,11 +59,9 @@ def read(file: Path, options: ReadOptions) -> Rig:
         FiptError: ``rig-damaged``, ``camera-model`` or ``intrinsics-missing``.
     """
     places = Places.around(file, options)
-    try:
+    with WellFormed(file):
         chunks = [chunk for chunk in read_xml_rig(file).iter("chunk") if chunk.find("cameras") is not None]
         models = [model for chunk in chunks for model in _models(file, chunk, places)]
-    except ValueError as error:
-        raise damaged(file, error) from None
     views, notes = largest_model(models, str(file))
     return Rig(NAME, views, None, places.mesh(), (*notes, *_far_notes(file, views)))
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from ..conventions import opengl_to_opencv_camera, transform_poses
 from ..run.documents import Fields, Maybe, Number, Numbers
-from .depth_images import registered_depth
-from .rig import Lens, ReadOptions, Rig, RigView, damaged, read_json_rig, read_pose
+from .depth_images import registered_depths
+from .rig import Lens, ReadOptions, Rig, RigView, WellFormed, read_json_rig, read_pose
 from .rig_files import Places, pixel_size, similarity
 
 NAME = "polycam"
@@ -56,11 +56,7 @@ def read(found: tuple[Path, str], options: ReadOptions) -> Rig:
     alignment = _alignment(keyframes.parent)
     views = tuple(_view(file, places, alignment) for file in files)
     images = [keyframes / "depth" / f"{file.stem}.png" for file in files]
-    depths = tuple(
-        registered_depth(view, image, options.depth_unit)
-        for view, image in zip(views, images, strict=True)
-        if image.is_file()
-    )
+    depths = registered_depths(views, images, options.depth_unit)
     return Rig(NAME, views, "y", places.mesh(("raw", "mesh", "scene")), depths=depths)
 
 
@@ -74,18 +70,14 @@ def _alignment(root: Path) -> np.ndarray:
         return np.eye(4)
     matrix = np.array(stored, np.float64).reshape(4, 4).T
     scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
-    try:
+    with WellFormed(file):
         return similarity(scale, matrix[:3, :3] / (scale or 1.0), matrix[:3, 3])
-    except ValueError as error:
-        raise damaged(file, error) from None
 
 
 def _view(file: Path, places: Places, alignment: np.ndarray) -> RigView:
     data = read_json_rig(file, _CAMERA)
     pose = read_pose(file, [[data[key] for key in row] for row in _MATRIX])
-    try:
+    with WellFormed(file):
         size = pixel_size(data["width"], data["height"])
-    except ValueError as error:
-        raise damaged(file, error) from None
     lens = Lens("PINHOLE", tuple(float(data[key]) for key in ("fx", "fy", "cx", "cy")))
     return places.view(file.stem, size, lens, transform_poses(alignment, opengl_to_opencv_camera(pose)))

@@ -19,10 +19,11 @@ import numpy as np
 from ..conventions import opengl_to_opencv_camera
 from ..run.errors import FiptError
 from .radial import distorting_lens
-from .rig import Lens, Note, ReadOptions, Rig, RigView, damaged
+from .rig import Lens, Note, ReadOptions, Rig, RigView, WellFormed
 from .rig_files import (
     IMAGE_FOLDERS,
     Places,
+    camera_file,
     camera_files,
     camera_pose,
     head,
@@ -45,9 +46,8 @@ _XMP_IMAGES = tuple(dict.fromkeys((*IMAGE_FOLDERS, *FOLDERS)))
 
 def find(path: Path) -> Path | None:
     """The CSV file at a path or in a folder, else the first XMP file with a pose, None without one."""
-    tables = (file for file in camera_files(path, (".csv",)) if _is_camera_table(head(file)))
     posed = (file for file in camera_files(path, (".xmp",), FOLDERS) if _has_pose(file))
-    return next(tables, None) or next(posed, None)
+    return camera_file(path, (".csv",), _is_camera_table) or next(posed, None)
 
 
 def read(file: Path, options: ReadOptions) -> Rig:
@@ -81,7 +81,7 @@ def _has_pose(file: Path) -> bool:
 
 def _csv_views(file: Path, places: Places) -> list[RigView]:
     views = []
-    try:
+    with WellFormed(file):
         for row in csv.DictReader(read_text_rig(file).splitlines(), skipinitialspace=True):
             values = {key: number(row[key]) for key in _COLUMNS}
             name = str(row["#name"])
@@ -91,8 +91,6 @@ def _csv_views(file: Path, places: Places) -> list[RigView]:
             coefficients = tuple(values[key] for key in _COLUMNS[9:])
             lens = _lens(size, (values["f"], values["px"], values["py"]), coefficients)
             views.append(places.view(name, size, lens, opengl_to_opencv_camera(pose)))
-    except (csv.Error, KeyError, TypeError, ValueError) as error:
-        raise damaged(file, error) from None
     return views
 
 
@@ -138,7 +136,7 @@ def _xmp_values(file: Path) -> dict[str, str]:
 
 def _xmp_view(file: Path, values: dict[str, str], places: Places) -> RigView:
     """The view that an XMP file's values describe."""
-    try:
+    with WellFormed(file):
         rotation = numbers(values[f"{_XCR}Rotation"], 9).reshape(3, 3)
         centre = numbers(values[f"{_XCR}Position"], 3)
         film = tuple(
@@ -148,8 +146,6 @@ def _xmp_view(file: Path, values: dict[str, str], places: Places) -> RigView:
         coefficients = numbers(values.get(f"{_XCR}DistortionCoeficients", "0 0 0 0 0 0"), 6)
         skew = number(values.get(f"{_XCR}Skew", "0"))
         aspect = number(values.get(f"{_XCR}AspectRatio", "1"))
-    except (KeyError, ValueError) as error:
-        raise damaged(file, error) from None
     model = values.get(f"{_XCR}DistortionModel", "brown3")
     known = model.startswith("brown") or model == "perspective" or not coefficients.any()
     if skew != 0.0 or aspect != 1.0 or not known:

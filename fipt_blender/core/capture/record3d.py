@@ -13,9 +13,9 @@ import numpy as np
 
 from ..conventions import opengl_to_opencv_camera
 from ..run.documents import Fields, Items, Maybe, Number, Numbers, read_limited
-from .depth_images import registered_depth
-from .rig import Lens, ReadOptions, Rig, damaged, read_json_rig
-from .rig_files import IMAGE_FOLDERS, MOST_TEXT_BYTES, Places, pixel_size, quaternion_rotation
+from .depth_images import registered_depths
+from .rig import Lens, ReadOptions, Rig, WellFormed, damaged, read_json_rig
+from .rig_files import IMAGE_FOLDERS, MOST_TEXT_BYTES, Places, pixel_size, stored_rotation
 
 NAME = "record3d"
 LOOKS_FOR = "metadata.json (or metadata) with poses, K, w and h"
@@ -57,21 +57,15 @@ def read(file: Path, options: ReadOptions) -> Rig:
     if len(intrinsics) != count:
         raise damaged(file, f"it has {count} poses, but intrinsics of {len(intrinsics)} frames")
     views = []
-    try:
+    with WellFormed(file):
         size = pixel_size(data["w"], data["h"])
         for index, (values, coefficients) in enumerate(zip(data["poses"], intrinsics, strict=True)):
             x, y, z, w = values[:4]
             pose = np.eye(4)
-            pose[:3, :3] = quaternion_rotation(np.array([w, x, y, z], np.float64))
+            pose[:3, :3] = stored_rotation(np.array([w, x, y, z], np.float64))
             pose[:3, 3] = values[4:]
             lens = Lens("PINHOLE", tuple(float(value) for value in coefficients))
             views.append(places.view(str(index), size, lens, opengl_to_opencv_camera(pose)))
-    except ValueError as error:
-        raise damaged(file, error) from None
     images = [file.parent / "depth" / f"{index}.exr" for index in range(count)]
-    depths = tuple(
-        registered_depth(view, image, options.depth_unit)
-        for view, image in zip(views, images, strict=True)
-        if image.is_file()
-    )
+    depths = registered_depths(views, images, options.depth_unit)
     return Rig(NAME, tuple(views), "y", places.mesh(), depths=depths)

@@ -17,7 +17,7 @@ import numpy as np
 from ..run.errors import FiptError
 from .depth_images import depth_size
 from .images import read_size
-from .rig import DepthView, Lens, Note, ReadOptions, Rig, RigView, damaged, find_image, find_mesh
+from .rig import DepthView, Lens, Note, ReadOptions, Rig, RigView, WellFormed, find_image, find_mesh
 from .rig_files import MESH_STEMS, numbers, read_text_rig
 
 NAME = "rgbd"
@@ -130,10 +130,8 @@ def _matrix(path: Path) -> np.ndarray:
         )
     text = read_text_rig(path, MOST_POSE_BYTES)
     side = 4 if len(text.split()) == 16 else 3
-    try:
+    with WellFormed(path):
         return numbers(text, side * side).reshape(side, side)[:3, :3]
-    except ValueError as error:
-        raise damaged(path, error) from None
 
 
 def _pose(path: Path) -> np.ndarray | None:
@@ -143,10 +141,8 @@ def _pose(path: Path) -> np.ndarray | None:
         FiptError: ``rig-damaged``.
     """
     words = read_text_rig(path, MOST_POSE_BYTES).split()
-    try:
+    with WellFormed(path):
         values = np.array([float(word) for word in words], np.float64).reshape(4, 4)
-    except ValueError as error:
-        raise damaged(path, error) from None
     return values if np.isfinite(values).all() else None
 
 
