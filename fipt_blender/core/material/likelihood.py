@@ -17,7 +17,7 @@ import numpy as np
 
 from ..optics.factorised import color_line, level_roughness
 from ..run.settings import Settings
-from ..scene.grouped import grouped_sums, numbered, pairs_of
+from ..scene.grouped import grouped_sums, numbered, pairs_of, rows_of_groups
 from .pixel_samples import PixelSamples, residual_weight
 from .projection import fit_colors
 
@@ -244,8 +244,7 @@ def _residual_variance(
     materials = np.array(list(itertools.product(range(len(samples.levels)), (0.0, 1.0))))
     squared, group = cells.squares(*materials.T), samples.group
     median, best = np.full(groups, np.inf), np.zeros(groups, np.int64)
-    order = np.argsort(group, kind="stable")
-    for index, rows in enumerate(np.split(order, np.searchsorted(group[order], np.arange(1, groups)))):
+    for index, rows in enumerate(rows_of_groups(group, groups)):
         if len(rows):
             middle = len(rows) // 2
             medians = np.partition(squared[:, rows], middle, axis=1)[:, middle]

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..robust import MAD_TO_DEVIATION
-from ..scene.grouped import grouped_weighted_median
+from ..scene.grouped import grouped_weighted_median, rows_of_groups
 from .confidence import UNIFORM_DEVIATION
 
 # Share of outliers: initial value and bounds.
@@ -48,10 +48,8 @@ def part_priors(values: np.ndarray, errors: np.ndarray, part: np.ndarray, parts:
         errors: (K,) standard error of each, root mean square over its channels.
         part: (K,) int, negative for none.
     """
-    order = np.argsort(part, kind="stable")
-    bounds = np.searchsorted(part[order], np.arange(parts + 1))
     priors = PartPriors(np.full((parts, values.shape[1]), np.nan), *np.full((2, parts), np.nan))
-    for index, rows in enumerate(np.split(order, bounds)[1:-1]):
+    for index, rows in enumerate(rows_of_groups(part, parts)):
         if len(rows):
             fit = _fit(values[rows], errors[rows])
             priors.median[index], priors.spread[index], priors.outliers[index] = fit

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.optimize import isotonic_regression
 
 from ..capture.encoded import srgb_decoded
+from ..radiometry.response import LEVELS
 
-LEVELS = 256
 # Weight of the departure's squared second difference against one sample's squared residual, per sample.
 SMOOTHNESS = 30.0
 # Weight that keeps codes near sRGB's curve of which no sample says anything.

@@ -40,6 +40,12 @@ def pairs_of(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return pairs // count, pairs % count, pair
 
 
+def rows_of_groups(group: np.ndarray, count: int) -> list[np.ndarray]:
+    """The rows of each group from 0, ascending; group (N,) int, negative for none."""
+    order = np.argsort(group, kind="stable")
+    return np.split(order, np.searchsorted(group[order], np.arange(count + 1)))[1:-1]
+
+
 def strongest(
     group: np.ndarray,
     label: np.ndarray,

@@ -19,6 +19,7 @@ import numpy as np
 from ..capture.images import read_radiance
 from ..capture.views import View
 from ..run.arrays import DAMAGE
+from ..run.checkpoints import START_AGAIN
 from ..run.errors import FiptError
 from ..run.per_view import LocalWorkers, Workers
 from .camera_rays import trace_pixels
@@ -122,8 +123,6 @@ _ARRAYS: dict[str, tuple[type, tuple[int, ...]]] = {
     "weight": (np.float32, ()),
 }
 
-_START_AGAIN = "Start the estimation again without resuming it."
-
 
 def open_array(
     path: Path, shape: tuple[int, ...], dtype: type, create: bool, keep: bool = False
@@ -147,9 +146,9 @@ def open_array(
     try:
         array = np.lib.format.open_memmap(path, mode="r+" if create else "r")
     except DAMAGE as error:
-        raise FiptError("file-damaged", f"{path} can't be read ({error}).", _START_AGAIN) from None
+        raise FiptError("file-damaged", f"{path} can't be read ({error}).", START_AGAIN) from None
     if array.shape != shape or array.dtype != dtype:
-        raise FiptError("file-damaged", f"{path} does not fit the capture.", _START_AGAIN)
+        raise FiptError("file-damaged", f"{path} does not fit the capture.", START_AGAIN)
     return array
 
 
