@@ -345,7 +345,7 @@ def baked_errors(
         {"pixels": number, "levels": COMMON_LEVELS, name: as of :func:`errors`}.
     """
     from fipt_blender.core.capture.views import load_capture
-    from fipt_blender.core.estimate.state import estimation_views
+    from fipt_blender.core.estimate.input import estimation_views
     from fipt_blender.core.scene.pixels import open_pixels
 
     captured = load_capture(run)

@@ -145,6 +145,7 @@ def main(argv: list[str]) -> int:
     pace.restart()
     settings = folder.read()
     set_variant(settings.device)
+    from fipt_blender.core.estimate.input import prepare_input
     from fipt_blender.core.optics.brdf import set_masking
 
     set_masking(settings.masking)
@@ -152,8 +153,9 @@ def main(argv: list[str]) -> int:
         from benchmarks.reference import ReferenceEstimation as Kind
     else:
         from fipt_blender.core.estimate.stages import Estimation as Kind  # type: ignore[assignment]
+    reporter = Reporter()
     last = argv[2] if len(argv) > 2 else None
-    estimation = paced(Kind, pace, last)(folder, settings, Reporter())
+    estimation = paced(Kind, pace, last)(prepare_input(folder, settings, reporter), reporter)
     with contextlib.suppress(LastStage):
         estimation.run()
     pace.tell({"done": estimation.summary()})

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.metrics import ClosedForm
-from fipt_blender.core.estimate.state import estimation_views
+from fipt_blender.core.estimate.input import estimation_views
 from fipt_blender.core.light.baking import open_shadings
 from fipt_blender.core.light.observations import observe
 from fipt_blender.core.light.shadings import roughness_levels

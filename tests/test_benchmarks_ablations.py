@@ -13,7 +13,7 @@ from PIL import Image
 
 from benchmarks import ablations, accuracy, disturb, predict
 from fipt_blender.core.capture.views import load_capture
-from fipt_blender.core.estimate.state import spread_views
+from fipt_blender.core.estimate.input import spread_views
 from fipt_blender.core.light.joint import joint_fixtures
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.run.errors import FiptError

@@ -21,7 +21,7 @@ from fipt_blender.core.capture.formats import read_points, read_rig
 from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.ingest_options import IngestOptions
 from fipt_blender.core.capture.rig import ReadOptions
-from fipt_blender.core.capture.rig_files import quaternion_rotation
+from fipt_blender.core.capture.rig_files import stored_rotation
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.photographs.local_models import ModelFolder
 from fipt_blender.core.run import documents
@@ -75,7 +75,7 @@ def test_focal_lengths_that_no_lens_has(tmp_path: Path, focal: float) -> None:
 @pytest.mark.parametrize("length", [1e-308, 1.0, 1e300])
 def test_quaternions_of_any_length(length: float) -> None:
     half = length * np.sqrt(0.5)
-    turned = quaternion_rotation(np.array([half, 0.0, 0.0, half])) @ [1.0, 0.0, 0.0]
+    turned = stored_rotation(np.array([half, 0.0, 0.0, half])) @ [1.0, 0.0, 0.0]
     assert turned == pytest.approx([0.0, 1.0, 0.0], abs=1e-12)
 
 

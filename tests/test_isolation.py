@@ -24,6 +24,7 @@ SHARED = (
     "alignment.pairs",
     "alignment.sights",
     "alignment.turns",
+    "capture.averaging",
     "conventions",
     "device.cuda",
     "optics.factorised",
@@ -56,6 +57,7 @@ SHARED = (
 FLOORS = (
     "core.run",
     "core.conventions",
+    "core.robust",
     "core.device",
     "core.alignment",
     "core.depth",

@@ -18,7 +18,6 @@ from PIL import Image
 from benchmarks.dng import Shot, mosaic_of, write_dng
 from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.photographs import command, frames, merge_step, merging
-from fipt_blender.core.photographs.alignment import Motion
 from fipt_blender.core.photographs.calibration import Survey, correct_exposures
 from fipt_blender.core.photographs.exif import describe
 from fipt_blender.core.photographs.frames import (
@@ -29,6 +28,7 @@ from fipt_blender.core.photographs.merging import (
     merge_exposures,
     sensor_noise,
 )
+from fipt_blender.core.photographs.motion import Motion
 from fipt_blender.core.photographs.preparation import (
     Photograph,
     PreparationFolder,

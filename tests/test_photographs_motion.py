@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from fipt_blender.core.photographs.alignment import Motion, after, measure, warped
 from fipt_blender.core.photographs.merging import moved_regions
+from fipt_blender.core.photographs.motion import Motion, after, measure, warped
 from samples.photographs import smooth_radiance
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from fipt_blender.core.capture.averaging import means
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.report.comparison import (
     Agreement,
@@ -20,7 +21,6 @@ from fipt_blender.core.report.comparison import (
     compare,
     error_picture,
     psnr,
-    resize_to,
     to_display,
 )
 from fipt_blender.core.report.html import format_duration
@@ -206,7 +206,7 @@ def test_error_colours_run_from_black_to_light():
 @pytest.mark.parametrize("size", [(12, 6), (7, 5), (48, 24), (5, 30)])
 def test_resizing_keeps_the_mean(size):
     picture = image(3)
-    other = resize_to(picture, *size)
+    other = means(picture, *size)
     assert other.shape == (size[1], size[0], 3) and other.dtype == np.float32
     np.testing.assert_allclose(other.mean(axis=(0, 1)), picture.mean(axis=(0, 1)), rtol=1e-5)
 
@@ -214,9 +214,9 @@ def test_resizing_keeps_the_mean(size):
 def test_resizing_averages_boxes():
     picture = image(3)
     np.testing.assert_allclose(
-        resize_to(picture, 12, 6), picture.reshape(6, 2, 12, 2, 3).mean(axis=(1, 3)), rtol=1e-4
+        means(picture, 12, 6), picture.reshape(6, 2, 12, 2, 3).mean(axis=(1, 3)), rtol=1e-4
     )
-    np.testing.assert_allclose(resize_to(picture, 48, 24)[::2, 1::2], picture, rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(means(picture, 48, 24)[::2, 1::2], picture, rtol=1e-3, atol=1e-6)
 
 
 def test_both_psnrs_of_a_known_error():

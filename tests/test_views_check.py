@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.scene.pixels import LEFT_OUT, NO_TRIANGLE, PixelStore
-from fipt_blender.core.views.alignment import CLEARLY_BETTER
 from fipt_blender.core.views.check import ViewCheck
+from fipt_blender.core.views.misaligned import CLEARLY_BETTER
 from fipt_blender.core.views.registration import Fit, register
 from samples.checked_views import run_check
 from samples.small_captures import (

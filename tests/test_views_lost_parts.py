@@ -14,8 +14,8 @@ from fipt_blender.core.run.run_files import PANES
 from fipt_blender.core.scene.camera_rays import trace_pixels
 from fipt_blender.core.scene.room import Room, load_room
 from fipt_blender.core.views import panes
+from fipt_blender.core.views.masked_views import masked_views
 from fipt_blender.core.views.panes import close_holes
-from fipt_blender.core.views.sights import part_sights
 from samples.part_views import THING_PART, looking_views, write_run
 from samples.scans import scanned_box
 from samples.small_rooms import mesh_room
@@ -93,7 +93,7 @@ def test_masks_that_ask_for_nothing_are_searched_once(
     views = looking_views(tmp_path, scan)
     close_holes(run, views)
     searched = []
-    monkeypatch.setattr(panes, "part_sights", lambda *given: searched.append(given) or part_sights(*given))
+    monkeypatch.setattr(panes, "masked_views", lambda *given: searched.append(given) or masked_views(*given))
     close_holes(run, views)
     assert not searched and load_room(run).objects == ("scan",)
     # Other masks are searched again.

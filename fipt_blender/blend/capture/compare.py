@@ -14,7 +14,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ...core.report.comparison import resize_to
+from ...core.capture.averaging import means
 from ...core.run.errors import FiptError
 from ..image_datablocks import LINEAR, image_values, load_radiance
 from ..marks import KEPT_PHOTOGRAPH, PICTURE, VIEW, all_view_cameras
@@ -67,7 +67,7 @@ def start(scene: bpy.types.Scene, mode: str) -> bpy.types.Image:
     right = np.zeros_like(left)
     if mode == "RENDER":
         image = _render(scene, camera[VIEW])
-        right = resize_to(pixels_of(image), left.shape[1], left.shape[0]).astype(np.float32)
+        right = means(pixels_of(image), left.shape[1], left.shape[0]).astype(np.float32)
         right[..., 3] = 1.0
     _pair = _Pair(scene.name, camera.name, left, right)
     image = bpy.data.images.new(NAME, left.shape[1], left.shape[0], alpha=True, float_buffer=True)

@@ -18,7 +18,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ...core.report.comparison import resize_to
+from ...core.capture.averaging import means
 from ..changed import all_changed
 from ..marks import estimated_objects
 from .cycles import RenderOptions
@@ -160,4 +160,4 @@ def render_layers(
         progress(0.9, 1.0)
         with held_out(estimated):
             added_only = render(transparent=True)
-    return Layers(resize_to(photograph, full.shape[1], full.shape[0]), full, empty, added_only)
+    return Layers(means(photograph, full.shape[1], full.shape[0]), full, empty, added_only)

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ...core.report.comparison import choose_exposure, compare, error_picture, resize_to
+from ...core.capture.averaging import means
+from ...core.report.comparison import choose_exposure, compare, error_picture
 from ...core.run.documents import read_json
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder, write_json
@@ -58,7 +59,7 @@ def check_view(
                 with suppress(FiptError):  # its own check tells that it is missing
                     medians.append(float(np.median(photograph(run, entry))))
         checks["exposure"] = choose_exposure(float(np.median(medians)) if medians else 0.0)
-    photo = resize_to(photo, image.shape[1], image.shape[0])
+    photo = means(photo, image.shape[1], image.shape[0])
     agreement = compare(image, photo, checks["exposure"])
     error = run.renders / "error" / f"{render.stem}.png"
     save_png(error, error_picture(image, photo, checks["exposure"]))

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..robust import LEAST_VIEWS
 from .edges import EdgeFit, corrected_pose
 from .turns import cross_matrix, turn_by
 
@@ -20,7 +21,6 @@ LEAST_ALONE = 4.0  # pixels by which a single camera must be off to be moved by 
 MOST = 8.0  # pixels; larger displacements are not for polishing
 _ROUNDS = 5  # of reweighting views that do not agree with the others
 _STRAY = 1.5  # pixels
-_LEAST_VIEWS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ def polish(poses: Sequence[np.ndarray], fits: Sequence[EdgeFit | None]) -> Polis
     known = [
         (np.asarray(pose, np.float64), fit) for pose, fit in zip(poses, fits, strict=True) if fit is not None
     ]
-    if len(known) < _LEAST_VIEWS:
+    if len(known) < LEAST_VIEWS:
         return None
     middle = np.mean([pose[:3, 3] for pose, _ in known], axis=0)
     matrices = [_of_camera(pose, middle) for pose, _ in known]

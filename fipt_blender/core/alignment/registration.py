@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..robust import MAD_TO_DEVIATION
 from ..run.errors import FiptError
 from .surface import Surface, main_axes
 from .turns import even_turns, rotation_between
@@ -190,7 +191,7 @@ def _improved(
         scales = _scales(current)[:, None]
         distances, along, normals = _nearest(target, positions, exact)
         # Tukey's weights; the reach shrinks to what most points are off by.
-        spread = 1.4826 * np.median(np.abs(along), axis=1, keepdims=True)
+        spread = MAD_TO_DEVIATION * np.median(np.abs(along), axis=1, keepdims=True)
         spread *= _POLISHED if exact else _SEARCHED
         width = np.maximum(reach * scales * 0.8**step, np.maximum(spread, 1e-4 * scales))
         weights = np.maximum(1.0 - (distances / (2.0 * width)) ** 2, 0.0) ** 2 + 1e-9

@@ -17,12 +17,19 @@ def even_turns(count: int) -> np.ndarray:
     )
     inner, outer = np.sqrt(share), np.sqrt(1.0 - share)
     x, y, z, w = inner * np.sin(first), inner * np.cos(first), outer * np.sin(second), outer * np.cos(second)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
+    return np.moveaxis(quaternion_rotation(np.stack([w, x, y, z])), -1, 0)
+
+
+def quaternion_rotation(wxyz: np.ndarray) -> np.ndarray:
+    """(3, 3, ...) rotations of quaternions w, x, y, z (4, ...) of length 1."""
+    w, x, y, z = wxyz
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
 
 
 def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:

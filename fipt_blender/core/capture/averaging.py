@@ -11,23 +11,32 @@ _MOST_COUNTERS = 1 << 22
 
 
 def means(image: np.ndarray, width: int, height: int) -> np.ndarray:
-    """The mean over the area of each larger pixel.
+    """The mean over the area of each pixel of an image at another size.
 
     Pixels across a border count with the share of their area, so that the mean of the image stays.
 
     Args:
         image: (H, W, C) float.
-        width, height: of the result, at most W and H.
+        width, height: of the result.
 
     Returns:
         (height, width, C) float32.
     """
     channels = image.shape[2]
+    if image.shape[:2] == (height, width):
+        return image.astype(np.float32)
     rows = _first_axis_means(image.reshape(image.shape[0], -1), height)
     turned = rows.reshape(height, -1, channels).swapaxes(0, 1).reshape(-1, height * channels)
     return np.ascontiguousarray(
         _first_axis_means(turned, width).reshape(width, height, channels).swapaxes(0, 1)
     )
+
+
+def narrowed(image: np.ndarray, width: int) -> np.ndarray:
+    """The image with the same proportions, at this width if it is wider."""
+    if image.shape[1] <= width:
+        return image
+    return means(image, width, max(1, round(image.shape[0] * width / image.shape[1])))
 
 
 def _first_axis_means(values: np.ndarray, count: int) -> np.ndarray:

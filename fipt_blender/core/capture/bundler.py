@@ -14,23 +14,22 @@ import numpy as np
 from ..conventions import opengl_to_opencv_camera
 from ..run.errors import FiptError
 from .radial import distorting_lens
-from .rig import ReadOptions, Rig, damaged
-from .rig_files import Places, camera_files, camera_pose, head, numbers, read_text_rig
+from .rig import ReadOptions, Rig, WellFormed
+from .rig_files import Places, camera_file, camera_pose, numbers, read_text_rig
 
 NAME = "bundler"
 LOOKS_FOR = "a .out file that begins with '# Bundle file', and list.txt"
 FOLDERS = (".", "bundle")
 LISTS = ("list.txt", "bundle.list.txt", "image_list.txt")
-_FIRST_LINE = "# Bundle file"
 _LINES = 5  # of a camera
 
 
-def detect(path: Path) -> bool:
-    """Whether a path is such a file, or a folder that contains one."""
-    return _file(path) is not None
+def find(path: Path) -> Path | None:
+    """The camera file at a path or in a folder, None without one."""
+    return camera_file(path, (".out",), lambda text: text.startswith("# Bundle file"), FOLDERS)
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: ReadOptions) -> Rig:
     """Read all cameras that Bundler could solve (their focal length is not zero).
 
     Sizes are those of the photographs, since the file has none. Bundler does not define an up axis.
@@ -38,9 +37,6 @@ def read(path: Path, options: ReadOptions) -> Rig:
     Raises:
         FiptError: ``rig-damaged``, ``image-missing`` or ``image-unreadable``.
     """
-    file = _file(path)
-    if file is None:
-        raise damaged(path, "it contains no bundle.out")
     places = Places.around(file, options)
     names = _names(file)
     views = []
@@ -56,26 +52,18 @@ def read(path: Path, options: ReadOptions) -> Rig:
     return Rig(NAME, tuple(views), None, places.mesh())
 
 
-def points(path: Path) -> np.ndarray:
+def points(file: Path) -> np.ndarray:
     """The sparse points (N, 3).
 
     Raises:
         FiptError: ``rig-damaged``.
     """
-    file = _file(path) or path
     lines = read_text_rig(file).splitlines()
-    try:
+    with WellFormed(file):
         cameras, count = (int(value) for value in numbers(lines[1], 2))
         first = 2 + _LINES * cameras
         stored = [numbers(line, 3) for line in lines[first : first + 3 * count : 3]]
-    except (IndexError, ValueError) as error:
-        raise damaged(file, error) from None
     return np.array(stored).reshape(-1, 3)
-
-
-def _file(path: Path) -> Path | None:
-    files = camera_files(path, (".out",), FOLDERS)
-    return next((file for file in files if head(file).startswith(_FIRST_LINE)), None)
 
 
 def _names(file: Path) -> list[str]:
@@ -112,13 +100,11 @@ def _cameras(file: Path, count: int) -> list[np.ndarray]:
         FiptError: ``rig-damaged``.
     """
     lines = read_text_rig(file).split("\n", 2 + _LINES * count)
-    try:
+    with WellFormed(file):
         stated = int(numbers(lines[1], 2)[0])
         if not 0 <= stated <= count:
             raise ValueError(f"it has {stated} cameras, but its list {count} photographs")
         rows = [numbers(line, 3) for line in lines[2 : 2 + _LINES * stated]]
         if len(rows) != _LINES * stated:
             raise ValueError("it is cut off")
-    except (ValueError, IndexError) as error:
-        raise damaged(file, error) from None
     return [np.stack(rows[start : start + _LINES]) for start in range(0, len(rows), _LINES)]

@@ -7,6 +7,7 @@ from __future__ import annotations
 import struct
 from itertools import islice
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pycolmap
@@ -25,12 +26,25 @@ MESH_FOLDERS = (".", "dense", "dense/0")
 MESH_STEMS = ("scene", "mesh", "meshed-poisson", "meshed-delaunay", "fused")
 
 
-def detect(path: Path) -> bool:
-    """Whether a folder holds a COLMAP model."""
-    return _model_folder(path) is not None
+class Model(NamedTuple):
+    """A capture's folder, and the folder of the model in it."""
+
+    capture: Path
+    folder: Path
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def find(path: Path) -> Model | None:
+    """The model in a capture's folder; of unconnected ones that with most images. None without one."""
+    folder = next((path / name for name in MODEL_FOLDERS if _is_model(path / name)), None)
+    if folder is None:
+        return None
+    if folder != path and _is_number(folder.name):
+        # Of equally large models, the one with the lowest number.
+        folder = max(sorted(_siblings(folder), key=lambda sibling: int(sibling.name)), key=_image_count)
+    return Model(path, folder)
+
+
+def read(found: Model, options: ReadOptions) -> Rig:
     """Read all registered images of the model, in the order of their names.
 
     Photographs are searched in ``options.images`` and the usual folders beside the model, EXR files first
@@ -40,13 +54,13 @@ def read(path: Path, options: ReadOptions) -> Rig:
     Raises:
         FiptError: ``rig-damaged``.
     """
-    folder, model = _opened(path)
+    model = opened(found)
     try:
         images = sorted((model.images[i] for i in model.reg_image_ids()), key=lambda image: image.name)
         entries = [(image.name, model.cameras[image.camera_id], _camera_to_world(image)) for image in images]
     except (RuntimeError, ValueError, KeyError, IndexError, OSError) as error:
-        raise damaged(folder, error) from None
-    places = Places(tuple(_roots(path, folder)), options.images)
+        raise damaged(found.folder, error) from None
+    places = Places(tuple(_roots(found.capture, found.folder)), options.images)
     views = tuple(
         places.view(
             name,
@@ -56,55 +70,47 @@ def read(path: Path, options: ReadOptions) -> Rig:
         )
         for name, camera, pose in entries
     )
-    return Rig(NAME, views, None, places.mesh(MESH_STEMS, MESH_FOLDERS), _notes(folder))
+    return Rig(NAME, views, None, places.mesh(MESH_STEMS, MESH_FOLDERS), _notes(found.folder))
 
 
-def points(path: Path) -> np.ndarray:
-    """The sparse points (N, 3) of the model that `read` reads.
+def points(found: Model) -> np.ndarray:
+    """The sparse points (N, 3) of a model.
 
     Raises:
         FiptError: ``rig-damaged``.
     """
-    return _points(path)[0]
+    return _points(found)[0]
 
 
-def sure_points(path: Path) -> np.ndarray:
+def sure_points(found: Model) -> np.ndarray:
     """Those of the points that many photographs see, if there are enough; they are off much less.
 
     Raises:
         FiptError: ``rig-damaged``.
     """
-    positions, views = _points(path)
+    positions, views = _points(found)
     sure = views >= SURE_VIEWS
     return positions[sure] if sure.sum() >= ENOUGH_POINTS else positions
 
 
-def open_model(path: Path) -> pycolmap.Reconstruction:
-    """The model that `read` reads.
+def opened(found: Model) -> pycolmap.Reconstruction:
+    """A model as COLMAP has it in memory.
 
     Raises:
         FiptError: ``rig-damaged``.
     """
-    return _opened(path)[1]
-
-
-def _opened(path: Path) -> tuple[Path, pycolmap.Reconstruction]:
-    """The folder of the model that `read` reads, and the model."""
-    folder = _model_folder(path)
-    if folder is None:
-        raise damaged(path, "it contains no COLMAP model")
     try:
-        check_model(folder)
-        return folder, pycolmap.Reconstruction(str(folder))
+        check_model(found.folder)
+        return pycolmap.Reconstruction(str(found.folder))
     except (RuntimeError, ValueError, KeyError, IndexError, OSError) as error:
-        raise damaged(folder, error) from None
+        raise damaged(found.folder, error) from None
 
 
-def _points(path: Path) -> tuple[np.ndarray, np.ndarray]:
+def _points(found: Model) -> tuple[np.ndarray, np.ndarray]:
     """Positions (N, 3) of the model's points, and in how many photographs each was found (N,)."""
-    found = list(open_model(path).points3D.values())
-    views = np.array([point.track.length() for point in found], np.int64)
-    return np.array([point.xyz for point in found], np.float64).reshape(-1, 3), views
+    stored = list(opened(found).points3D.values())
+    views = np.array([point.track.length() for point in stored], np.int64)
+    return np.array([point.xyz for point in stored], np.float64).reshape(-1, 3), views
 
 
 def _is_model(folder: Path) -> bool:
@@ -112,14 +118,6 @@ def _is_model(folder: Path) -> bool:
         (folder / f"cameras{suffix}").is_file() and (folder / f"images{suffix}").is_file()
         for suffix in (".bin", ".txt")
     )
-
-
-def _model_folder(path: Path) -> Path | None:
-    folder = next((path / name for name in MODEL_FOLDERS if _is_model(path / name)), None)
-    if folder is None or folder == path or not _is_number(folder.name):
-        return folder
-    # Of equally large models, the one with the lowest number.
-    return max(sorted(_siblings(folder), key=lambda sibling: int(sibling.name)), key=_image_count)
 
 
 def _is_number(name: str) -> bool:

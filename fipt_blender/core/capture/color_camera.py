@@ -16,6 +16,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
+from ..robust import LEAST_VIEWS, without_means
 from .depth_images import read_depth
 from .images import read_radiance
 from .rig import DepthView, Lens, Note, Rig, RigView
@@ -24,7 +25,6 @@ MOST_FRAMES = 64
 POINTS = 30_000  # of all frames together
 WIDTH = 320  # pixels to which photographs are reduced
 BLURS = ((8.0, 12), (4.0, 10), (2.0, 8), (1.0, 6))  # pixels of that width, and steps
-LEAST_VIEWS = 3  # that see a point
 SCALE = 0.5  # of robust residuals, in standard deviations of a photograph's details
 DARKEST = 0.1  # of a photograph's median, added below the logarithm: what is darker is mostly noise
 # Expected sizes of the parameters, which count as much as this share of the measurements.
@@ -227,7 +227,7 @@ def _step(
     slopes = [along_x * x + along_y * y, along_x, along_y, along_x * fx / depth, along_y * fy / depth]
 
     residual, weight, cost = disagreement(value, inside, sightings)
-    jacobian = np.stack([around_mean(slope, weight, sightings) for slope in slopes], axis=1)
+    jacobian = np.stack([without_means(slope, sightings.point, weight) for slope in slopes], axis=1)
     prior = np.diag(EXPECTED_SHARE * max(np.count_nonzero(weight), 1) / EXPECTED**2)
     normal = (jacobian * weight[:, None]).T @ jacobian + prior
     change = np.linalg.solve(normal, (jacobian * weight[:, None]).T @ residual + prior @ found)
@@ -260,13 +260,6 @@ def sampled(images: np.ndarray, frame: np.ndarray, where: np.ndarray) -> tuple[n
     ]
 
 
-def around_mean(values: np.ndarray, weight: np.ndarray, sightings: Sightings) -> np.ndarray:
-    """(N,) values of the sightings less the weighted mean of their point."""
-    total = np.bincount(sightings.point, weight * values, sightings.count)
-    mean = total / np.maximum(np.bincount(sightings.point, weight, sightings.count), 1e-9)
-    return np.asarray(values - mean[sightings.point])
-
-
 def disagreement(
     value: np.ndarray, inside: np.ndarray, sightings: Sightings
 ) -> tuple[np.ndarray, np.ndarray, float]:
@@ -280,8 +273,8 @@ def disagreement(
     """
     seen = np.bincount(sightings.point, inside, sightings.count)
     used = (inside & (seen[sightings.point] >= LEAST_VIEWS)).astype(np.float64)
-    residual = around_mean(value, used, sightings)
+    residual = without_means(value, sightings.point, used)
     weight = used / (1.0 + (residual / SCALE) ** 2)
-    residual = around_mean(value, weight, sightings)
+    residual = without_means(value, sightings.point, weight)
     cost = float((used * np.log1p((residual / SCALE) ** 2)).sum() / max(float(used.sum()), 1.0))
     return residual, weight, cost

@@ -23,11 +23,11 @@ from ..run.documents import read_limited
 from ..run.errors import FiptError
 from ..run.runfolder import PRODUCT_VERSION
 from .colmap import NAME as COLMAP
-from .colmap import open_model
+from .colmap import find, opened
 from .depth_images import Fusion, fuse
 from .encoded import MOST_PIXELS, is_encoded, srgb_encoded
 from .images import read_radiance, write_exr
-from .rig import DepthView, Note, Rig, RigView
+from .rig import DepthView, Note, Rig, RigView, damaged
 
 _BRIGHT = 0.22  # code-linear value of the median of copies of HDR photographs
 MOST_MAP_BYTES = 4 * MOST_PIXELS + 64
@@ -100,7 +100,10 @@ def stereo_depths(
     """
     for name in ("images", "model", "depth"):
         (folder / name).mkdir()
-    model = open_model(capture)
+    found = find(capture)
+    if found is None:
+        raise damaged(capture, "it contains no COLMAP model")
+    model = opened(found)
     images = sorted((model.images[i] for i in model.reg_image_ids()), key=lambda image: image.name)
     for index, (image, view) in enumerate(zip(images, photographs, strict=True)):
         image.name = f"{index:06d}.png"

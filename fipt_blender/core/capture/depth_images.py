@@ -289,16 +289,22 @@ def depth_size(path: Path) -> tuple[int, int]:
         raise _unreadable(path, error.text) from None
 
 
-def registered_depth(view: RigView, path: Path, unit: float) -> DepthView:
-    """The depth image that has the camera and the field of view of a photograph, in another resolution.
+def registered_depths(views: Sequence[RigView], paths: Sequence[Path], unit: float) -> tuple[DepthView, ...]:
+    """The depth images that exist; they have the camera and field of view of a photograph, and other sizes.
 
     Args:
-        view: with a pinhole lens.
+        views: with pinhole lenses.
+        paths: for each view.
         unit: metres per stored unit; EXR files always hold metres.
 
     Raises:
         FiptError: ``depth-unreadable``.
     """
+    pairs = zip(views, paths, strict=True)
+    return tuple(_registered_depth(view, path, unit) for view, path in pairs if path.is_file())
+
+
+def _registered_depth(view: RigView, path: Path, unit: float) -> DepthView:
     width, height = depth_size(path)
     x, y = width / view.width, height / view.height
     fx, fy, cx, cy = view.lens.parameters

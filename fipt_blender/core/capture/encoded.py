@@ -101,21 +101,26 @@ def load_codes(path: Path, kind: str) -> np.ndarray:
 
 
 def file_exposure(path: Path) -> float | None:
-    """The relative exposure that a file's EXIF tells, shutter time * ISO / (100 * aperture²); None without.
-
-    A missing aperture or ISO counts as one that does not change.
-    """
+    """The relative exposure that a file's EXIF tells; None without."""
     if not is_encoded(path):
         return None
     try:
         with Image.open(path, formats=[PILLOW_FORMATS[path.suffix.lower()]]) as image:
             tags = image.getexif().get_ifd(_EXIF)
-            shutter, aperture, iso = (_number(tags.get(tag)) for tag in (_SHUTTER, _APERTURE, _ISO))
+            shutter, aperture, iso = (exif_number(tags.get(tag)) for tag in (_SHUTTER, _APERTURE, _ISO))
     except (*DAMAGE, KeyError, TypeError):
         return None
+    return relative_exposure(shutter, aperture, iso)
+
+
+def relative_exposure(shutter: float | None, aperture: float | None, iso: float | None) -> float | None:
+    """The light that reaches the values: shutter * iso / (100 * aperture²); None without a shutter time.
+
+    Lenses without contacts report no aperture: it counts as 1 then, as it does not change within a bracket.
+    """
     if shutter is None:
         return None
-    return shutter * (iso or 100.0) / 100.0 / (aperture or 1.0) ** 2
+    return shutter * (100.0 if iso is None else iso) / 100.0 / (1.0 if aperture is None else aperture) ** 2
 
 
 def srgb_decoded(values: np.ndarray) -> np.ndarray:
@@ -199,12 +204,12 @@ def _other_bytes(tile: Any) -> Any:
     return tile if changed == names else tile._replace(args=changed[0] if single else changed)
 
 
-def _number(value: Any) -> float | None:
-    """A positive number of an EXIF tag, None where there is none."""
+def exif_number(value: Any, least: float = 1e-9, most: float = 1e9) -> float | None:
+    """A number of an EXIF tag within bounds, None where there is none."""
     if isinstance(value, (tuple, list)):
         value = value[0] if value else None
     try:
         number = float(value)
     except (TypeError, ValueError, ZeroDivisionError, OverflowError):
         return None
-    return number if math.isfinite(number) and 1e-9 <= number <= 1e9 else None
+    return number if math.isfinite(number) and least <= number <= most else None

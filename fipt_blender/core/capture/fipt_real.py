@@ -14,7 +14,7 @@ import numpy as np
 
 from ..run.errors import FiptError
 from .images import read_size
-from .rig import Lens, ReadOptions, Rig, RigView, damaged, find_mesh
+from .rig import Lens, ReadOptions, Rig, RigView, WellFormed, damaged, find_mesh
 from .rig_files import read_text_rig
 
 NAME = "fipt-real"
@@ -23,9 +23,9 @@ LOOKS_FOR = "cam.txt and K_list.txt"
 PERPENDICULAR_TOLERANCE = 1e-2
 
 
-def detect(path: Path) -> bool:
-    """Whether a folder has this layout."""
-    return (path / "cam.txt").is_file() and (path / "K_list.txt").is_file()
+def find(path: Path) -> Path | None:
+    """The folder, None if it has another layout."""
+    return path if (path / "cam.txt").is_file() and (path / "K_list.txt").is_file() else None
 
 
 def read(path: Path, options: ReadOptions) -> Rig:
@@ -64,12 +64,10 @@ def read(path: Path, options: ReadOptions) -> Rig:
 
 def _read_blocks(path: Path) -> np.ndarray:
     """(N, 3, 3) numbers of a file that contains N and 3 N lines."""
-    try:
+    with WellFormed(path):
         words = read_text_rig(path).split()
         count = int(words[0])
         values = np.array(words[1:], np.float64)
-    except (ValueError, IndexError) as error:
-        raise damaged(path, error) from None
     if values.size != count * 9:
         raise damaged(path, f"{values.size} numbers instead of 9 for each of {count} views")
     return values.reshape(count, 3, 3)

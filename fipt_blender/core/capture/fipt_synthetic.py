@@ -12,7 +12,17 @@ from ..conventions import fipt_to_opencv_camera
 from ..run.documents import Fields, Items, Maybe, Number
 from ..run.shapes import MOST_SIDE
 from .images import read_size
-from .rig import PHOTO_SUFFIXES, Lens, ReadOptions, Rig, RigView, damaged, find_mesh, read_json_rig, read_pose
+from .rig import (
+    PHOTO_SUFFIXES,
+    Lens,
+    ReadOptions,
+    Rig,
+    RigView,
+    WellFormed,
+    find_mesh,
+    read_json_rig,
+    read_pose,
+)
 from .rig_files import refuse_outside
 
 NAME = "fipt-synthetic"
@@ -27,10 +37,15 @@ RIG = Fields(
 )
 
 
-def detect(path: Path) -> bool:
-    """Whether a folder has this layout, or is one of its splits, or the camera file of one."""
-    root = _root(path)
-    return (root / "train" / "transforms.json").is_file() and (root / "train" / "Image").is_dir()
+def find(path: Path) -> Path | None:
+    """The folder of this layout, of which a path may be a split or its camera file; None without one.
+
+    Other readers assume other camera axes.
+    """
+    split = path.parent if path.name == "transforms.json" else path
+    root = split.parent if split.name in SPLITS and (split / "Image").is_dir() else path
+    train = root / "train"
+    return root if (train / "transforms.json").is_file() and (train / "Image").is_dir() else None
 
 
 def read(path: Path, options: ReadOptions) -> Rig:
@@ -45,7 +60,6 @@ def read(path: Path, options: ReadOptions) -> Rig:
     """
     views: list[RigView] = []
     up_axis = "y"
-    path = _root(path)
     for folder, split in SPLITS.items():
         json_path = path / folder / "transforms.json"
         if not json_path.is_file():
@@ -57,23 +71,15 @@ def read(path: Path, options: ReadOptions) -> Rig:
     return Rig(NAME, tuple(views), up_axis, find_mesh([path], ["scene", "mesh"]))
 
 
-def _root(path: Path) -> Path:
-    """The capture that a split's folder or camera file belongs to; other readers assume other camera axes."""
-    split = path.parent if path.name == "transforms.json" else path
-    return split.parent if split.name in SPLITS and (split / "Image").is_dir() else path
-
-
 def _view(json_path: Path, split: str, image: Path, frame: dict[str, Any], data: dict[str, Any]) -> RigView:
     root = json_path.parent
     number = image.stem.removesuffix("_0001")
-    try:
+    with WellFormed(json_path):
         if "width" in data and "height" in data:
             width, height = int(data["width"]), int(data["height"])
         else:
             width, height = read_size(image)
         focal = 0.5 * width / math.tan(0.5 * float(data["camera_angle_x"]))
-    except (ValueError, ZeroDivisionError) as error:
-        raise damaged(json_path, error) from None
     parts = root / "IndexMA" / f"{image.stem}.exr"
     semantics = root / "segmentation" / f"{number}.exr"
     return RigView(

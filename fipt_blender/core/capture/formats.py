@@ -1,6 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The registry of capture formats; each is a module with NAME, LOOKS_FOR, detect and read."""
+"""The registry of capture formats.
+
+Each is a module with NAME and LOOKS_FOR; `find(path)`, what a capture is read from, or None where it has
+another format; `read(found, options)`; and, if it holds points, `points(found)`, perhaps `sure_points`.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +33,7 @@ from . import (
     scannetpp,
     transforms,
 )
-from .rig import ReadOptions, Rig
+from .rig import ReadOptions, Rig, damaged
 
 # The first match is used: nerfstudio, for example, keeps a COLMAP model beside its transforms.json.
 FORMATS: dict[str, ModuleType] = {
@@ -63,7 +67,7 @@ def detect_format(path: Path) -> str:
     if not path.exists():
         raise FiptError("capture-missing", f"The capture {path} does not exist.", "Correct the path.")
     for name, module in FORMATS.items():
-        if module.detect(path):
+        if module.find(path) is not None:
             return name
     layouts = "; ".join(f"{name}: {module.LOOKS_FOR}" for name, module in FORMATS.items())
     raise FiptError(
@@ -114,7 +118,10 @@ def read_points(path: Path, name: str, sure: bool = False) -> np.ndarray:
             f"The format {name} holds no sparse points, by which cameras could be aligned or a room made.",
             "Export the cameras as a COLMAP model with points, or move them by hand with FIPT Alignment.",
         )
-    points: np.ndarray = reader(path)
+    found = module.find(path)
+    if found is None:
+        raise damaged(path, f"it lacks {module.LOOKS_FOR}")
+    points: np.ndarray = reader(found)
     # Solves have single points at infinity; in no unit are they farther away than this.
     return points[(np.abs(points) <= FARTHEST_UNITS).all(axis=1)]
 
@@ -122,13 +129,14 @@ def read_points(path: Path, name: str, sure: bool = False) -> np.ndarray:
 def _read_rig(path: Path, name: str, options: ReadOptions) -> Rig:
     detected = detect_format(path) if name == "auto" else name
     module = FORMATS[detected]
-    if name != "auto":
-        if not path.exists():
-            raise FiptError("capture-missing", f"The capture {path} does not exist.", "Correct the path.")
-        if not module.detect(path):
-            raise FiptError(
-                "format-unknown",
-                f"{path} is not a capture in the format {name}, which needs {module.LOOKS_FOR}.",
-                "Set the format to auto, or choose another folder.",
-            )
-    return module.read(path, options)
+    if not path.exists():
+        raise FiptError("capture-missing", f"The capture {path} does not exist.", "Correct the path.")
+    found = module.find(path)
+    if found is None:
+        raise FiptError(
+            "format-unknown",
+            f"{path} is not a capture in the format {name}, which needs {module.LOOKS_FOR}.",
+            "Set the format to auto, or choose another folder.",
+        )
+    rig: Rig = module.read(found, options)
+    return rig

@@ -16,8 +16,8 @@ import numpy as np
 from ..run.documents import Fields, Items
 from ..run.errors import FiptError
 from .radial import distorting_lens
-from .rig import Lens, ReadOptions, Rig, RigView, damaged, read_json_rig
-from .rig_files import Places, camera_files, head, number, numbers, pixel_size
+from .rig import Lens, ReadOptions, Rig, RigView, WellFormed, read_json_rig
+from .rig_files import Places, camera_file, number, numbers, pixel_size
 
 NAME = "meshroom"
 LOOKS_FOR = "an .sfm or .json file with version, views, intrinsics and poses"
@@ -38,23 +38,21 @@ _OLD_TYPES = {
 _COUNTS = {"none": 0, "radialk1": 1, "radialk3": 3, "brown": 5, "fisheye": 4, "fisheye1": 1}
 
 
-def detect(path: Path) -> bool:
-    """Whether a path is such a file, or a folder that contains one."""
-    return _file(path) is not None
+def find(path: Path) -> Path | None:
+    """The camera file at a path or in a folder, None without one."""
+    keys = ('"version"', '"views"', '"viewId"')
+    return camera_file(path, (".sfm", ".json"), lambda text: all(key in text for key in keys))
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: ReadOptions) -> Rig:
     """Read all views with a pose, those of rigs included. The world is Y up, as in Meshroom's viewer.
 
     Raises:
         FiptError: ``rig-damaged`` or ``camera-model``.
     """
-    file = _file(path)
-    if file is None:
-        raise damaged(path, "it contains no .sfm file")
     data = read_json_rig(file, SFM)
     places = Places.around(file, options)
-    try:
+    with WellFormed(file):
         version = tuple(int(value) for value in numbers(data["version"], 3))
         lenses = {str(entry["intrinsicId"]): _lens(file, entry, version) for entry in data["intrinsics"]}
         poses = {str(entry["poseId"]): _pose(entry["pose"]["transform"]) for entry in data.get("poses", [])}
@@ -63,32 +61,19 @@ def read(path: Path, options: ReadOptions) -> Rig:
             for entry in data.get("rigs", [])
         }
         views = [view for entry in data["views"] for view in _view(entry, lenses, poses, rigs, places)]
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        raise damaged(file, error) from None
     views.sort(key=lambda view: view.name)
     return Rig(NAME, tuple(views), "y", places.mesh())
 
 
-def points(path: Path) -> np.ndarray:
+def points(file: Path) -> np.ndarray:
     """The sparse points (N, 3), which the file has if it was converted with its structure.
 
     Raises:
         FiptError: ``rig-damaged``.
     """
-    file = _file(path) or path
-    try:
+    with WellFormed(file):
         stored = [numbers(entry["X"], 3) for entry in read_json_rig(file, SFM).get("structure", [])]
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise damaged(file, error) from None
     return np.array(stored).reshape(-1, 3) @ _MESH_FROM_SFM[:3, :3].T
-
-
-def _file(path: Path) -> Path | None:
-    for file in camera_files(path, (".sfm", ".json")):
-        text = head(file)
-        if '"version"' in text and '"views"' in text and '"viewId"' in text:
-            return file
-    return None
 
 
 def _pose(transform: dict[str, Any]) -> np.ndarray:

@@ -17,11 +17,10 @@ import numpy as np
 from ..conventions import transform_poses
 from ..run.errors import FiptError
 from .radial import distorting_lens
-from .rig import Lens, Note, ReadOptions, Rig, RigView, damaged
+from .rig import Lens, Note, ReadOptions, Rig, RigView, WellFormed
 from .rig_files import (
     Places,
-    camera_files,
-    head,
+    camera_file,
     largest_model,
     number,
     numbers,
@@ -46,12 +45,12 @@ class _Sensor:
     offset: np.ndarray
 
 
-def detect(path: Path) -> bool:
-    """Whether a path is such a file, or a folder that contains one."""
-    return _file(path) is not None
+def find(path: Path) -> Path | None:
+    """The camera file at a path or in a folder, None without one."""
+    return camera_file(path, (".xml",), lambda text: "<chunk" in text and "<sensor" in text)
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: ReadOptions) -> Rig:
     """Read the aligned cameras of the largest chunk or component; those of a rig follow its master.
 
     Metashape does not define an up axis.
@@ -59,25 +58,12 @@ def read(path: Path, options: ReadOptions) -> Rig:
     Raises:
         FiptError: ``rig-damaged``, ``camera-model`` or ``intrinsics-missing``.
     """
-    file = _file(path)
-    if file is None:
-        raise damaged(path, "it contains no camera XML")
     places = Places.around(file, options)
-    try:
+    with WellFormed(file):
         chunks = [chunk for chunk in read_xml_rig(file).iter("chunk") if chunk.find("cameras") is not None]
         models = [model for chunk in chunks for model in _models(file, chunk, places)]
-    except ValueError as error:
-        raise damaged(file, error) from None
     views, notes = largest_model(models, str(file))
     return Rig(NAME, views, None, places.mesh(), (*notes, *_far_notes(file, views)))
-
-
-def _file(path: Path) -> Path | None:
-    for file in camera_files(path, (".xml",)):
-        text = head(file)
-        if "<chunk" in text and "<sensor" in text:
-            return file
-    return None
 
 
 def _models(file: Path, chunk: Element, places: Places) -> list[list[RigView]]:

@@ -17,17 +17,16 @@ from pathlib import Path
 import numpy as np
 
 from .radial import undistorting_lens
-from .rig import ReadOptions, Rig, RigView, damaged
+from .rig import ReadOptions, Rig, RigView, WellFormed
 from .rig_files import (
     Places,
-    camera_files,
+    camera_file,
     camera_pose,
-    head,
     largest_model,
     number,
     numbers,
-    quaternion_rotation,
     read_text_rig,
+    stored_rotation,
 )
 
 NAME = "nvm"
@@ -35,12 +34,12 @@ LOOKS_FOR = "an .nvm file that begins with NVM_V3"
 _CAMERA_NUMBERS = 10  # focal length, quaternion, centre, radial distortion, 0
 
 
-def detect(path: Path) -> bool:
-    """Whether a path is such a file, or a folder that contains one."""
-    return _file(path) is not None
+def find(path: Path) -> Path | None:
+    """The camera file at a path or in a folder, None without one."""
+    return camera_file(path, (".nvm",), lambda text: text.startswith("NVM_V3"))
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: ReadOptions) -> Rig:
     """Read all cameras of the largest model.
 
     Sizes are those of the photographs, since the file has none. The principal point is their centre unless
@@ -49,46 +48,33 @@ def read(path: Path, options: ReadOptions) -> Rig:
     Raises:
         FiptError: ``rig-damaged``, ``camera-model``, ``image-missing`` or ``image-unreadable``.
     """
-    file = _file(path)
-    if file is None:
-        raise damaged(path, "it contains no .nvm file")
     places = Places.around(file, options)
     lines = _lines(file)
-    try:
+    with WellFormed(file):
         centre, aspect = _fixed_calibration(next(lines, ""))
         entries = [cameras for cameras, _ in _models(lines)]
-    except ValueError as error:
-        raise damaged(file, error) from None
     models = [[_view(places, name, values, centre, aspect) for name, values in model] for model in entries]
     views, notes = largest_model(models, str(file))
     return Rig(NAME, views, None, places.mesh(), notes)
 
 
-def points(path: Path) -> np.ndarray:
+def points(file: Path) -> np.ndarray:
     """The sparse points (N, 3) of the largest model.
 
     Raises:
         FiptError: ``rig-damaged``.
     """
-    file = _file(path) or path
     lines = _lines(file)
     next(lines, "")
-    try:
+    with WellFormed(file):
         _, stored = max(_models(lines), key=lambda model: len(model[0]))
         return np.array([numbers(line.split()[:3], 3) for line in stored]).reshape(-1, 3)
-    except ValueError as error:
-        raise damaged(file, error) from None
 
 
 def _lines(file: Path) -> Iterator[str]:
     """Lines of the file that are neither empty nor comments."""
     lines = (line.strip() for line in read_text_rig(file).splitlines())
     return (line for line in lines if line and not line.startswith("#"))
-
-
-def _file(path: Path) -> Path | None:
-    files = camera_files(path, (".nvm",))
-    return next((file for file in files if head(file).startswith("NVM_V3")), None)
 
 
 def _fixed_calibration(line: str) -> tuple[tuple[float, float] | None, float]:
@@ -143,7 +129,7 @@ def _view(
     focal, distortion = float(values[0]), float(values[8])
     cx, cy = centre or (0.5 * size[0], 0.5 * size[1])
     lens = undistorting_lens((focal, focal * aspect, cx, cy), size, partial(_undistorted, distortion))
-    return places.view(name, size, lens, camera_pose(quaternion_rotation(values[1:5]), values[5:8]))
+    return places.view(name, size, lens, camera_pose(stored_rotation(values[1:5]), values[5:8]))
 
 
 def _undistorted(distortion: float, radii: np.ndarray) -> np.ndarray:

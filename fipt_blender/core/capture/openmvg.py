@@ -15,8 +15,8 @@ import numpy as np
 from ..run.documents import Fields, Items, Number, Numbers
 from ..run.errors import FiptError
 from .radial import distorting_lens
-from .rig import Lens, ReadOptions, Rig, damaged, read_json_rig
-from .rig_files import Places, camera_files, camera_pose, head, numbers, pixel_size
+from .rig import Lens, ReadOptions, Rig, WellFormed, read_json_rig
+from .rig_files import Places, camera_file, camera_pose, numbers, pixel_size
 
 NAME = "openmvg"
 LOOKS_FOR = "sfm_data.json with sfm_data_version"
@@ -35,23 +35,20 @@ SFM_DATA = Fields(
 )
 
 
-def detect(path: Path) -> bool:
-    """Whether a path is such a file, or a folder that contains one."""
-    return _file(path) is not None
+def find(path: Path) -> Path | None:
+    """The camera file at a path or in a folder, None without one."""
+    return camera_file(path, (".json",), lambda text: '"sfm_data_version"' in text, FOLDERS)
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: ReadOptions) -> Rig:
     """Read all views with a pose. OpenMVG does not define an up axis.
 
     Raises:
         FiptError: ``rig-damaged`` or ``camera-model``.
     """
-    file = _file(path)
-    if file is None:
-        raise damaged(path, "it contains no sfm_data.json")
     places = Places.around(file, options)
     data = read_json_rig(file, SFM_DATA)
-    try:
+    with WellFormed(file):
         kinds = _kinds(data["intrinsics"])
         lenses = {
             entry["key"]: _lens(file, kind, entry["value"]["ptr_wrapper"]["data"])
@@ -69,28 +66,19 @@ def read(path: Path, options: ReadOptions) -> Rig:
                 size, lens = lenses[view["id_intrinsic"]]
                 name = "/".join(str(view[part]) for part in ("local_path", "filename") if view.get(part))
                 views.append(places.view(name, size, lens, matrix))
-    except (ValueError, KeyError, TypeError) as error:
-        raise damaged(file, error) from None
     views.sort(key=lambda view: view.name)
     return Rig(NAME, tuple(views), None, places.mesh())
 
 
-def points(path: Path) -> np.ndarray:
+def points(file: Path) -> np.ndarray:
     """The sparse points (N, 3), which the file has unless it was exported without its structure.
 
     Raises:
         FiptError: ``rig-damaged``.
     """
-    stored = read_json_rig(_file(path) or path, SFM_DATA).get("structure", [])
-    try:
+    stored = read_json_rig(file, SFM_DATA).get("structure", [])
+    with WellFormed(file):
         return np.array([numbers(entry["value"]["X"], 3) for entry in stored]).reshape(-1, 3)
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise damaged(path, error) from None
-
-
-def _file(path: Path) -> Path | None:
-    files = camera_files(path, (".json",), FOLDERS)
-    return next((file for file in files if '"sfm_data_version"' in head(file)), None)
 
 
 def _kinds(intrinsics: list[dict[str, Any]]) -> list[str]:

@@ -16,8 +16,15 @@ from scipy.spatial.transform import Rotation
 from ..run.documents import Entries, Fields, Items, Maybe, Number, Numbers
 from ..run.errors import FiptError
 from .radial import distorting_lens
-from .rig import Lens, ReadOptions, Rig, RigView, damaged, read_json_rig
-from .rig_files import Places, camera_files, camera_pose, head, largest_model, numbers, pixel_size
+from .rig import Lens, ReadOptions, Rig, RigView, WellFormed, damaged, read_json_rig
+from .rig_files import (
+    Places,
+    camera_file,
+    camera_pose,
+    largest_model,
+    numbers,
+    pixel_size,
+)
 
 NAME = "opensfm"
 LOOKS_FOR = "reconstruction.json with cameras and shots"
@@ -33,44 +40,33 @@ _SHOT = Fields(
 RECONSTRUCTIONS = Items(Fields({"cameras": Entries(_CAMERA), "shots": Entries(_SHOT)}))
 
 
-def detect(path: Path) -> bool:
-    """Whether a path is such a file, or a folder that contains one."""
-    return _file(path) is not None
+def find(path: Path) -> Path | None:
+    """The first JSON file at a path or in a folder that is a list of reconstructions, None without one."""
+    return camera_file(path, (".json",), _is_reconstruction, FOLDERS)
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: ReadOptions) -> Rig:
     """Read all shots of the largest reconstruction. The world is Z up, as OpenSfM aligns it.
 
     Raises:
         FiptError: ``rig-damaged`` or ``camera-model``.
     """
-    file = _file(path)
-    if file is None:
-        raise damaged(path, "it contains no reconstruction.json")
     models = read_json_rig(file, RECONSTRUCTIONS)
     places = Places.around(file, options)
     views, notes = largest_model([_views(file, model, places) for model in models], str(file))
     return Rig(NAME, views, "z", places.mesh(folders=(".", "odm_meshing", "undistorted")), notes)
 
 
-def points(path: Path) -> np.ndarray:
+def points(file: Path) -> np.ndarray:
     """The sparse points (N, 3) of the largest reconstruction.
 
     Raises:
         FiptError: ``rig-damaged``.
     """
-    models = read_json_rig(_file(path) or path, RECONSTRUCTIONS)
-    try:
+    models = read_json_rig(file, RECONSTRUCTIONS)
+    with WellFormed(file):
         stored = max(models, key=lambda model: len(model["shots"])).get("points", {}).values()
         return np.array([numbers(point["coordinates"], 3) for point in stored]).reshape(-1, 3)
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise damaged(path, error) from None
-
-
-def _file(path: Path) -> Path | None:
-    """The first JSON file that is a list of reconstructions."""
-    files = camera_files(path, (".json",), FOLDERS)
-    return next((file for file in files if _is_reconstruction(head(file))), None)
 
 
 def _is_reconstruction(text: str) -> bool:
@@ -83,10 +79,8 @@ def _views(file: Path, model: dict[str, Any], places: Places) -> list[RigView]:
         if shot["camera"] not in model["cameras"]:
             raise damaged(file, f"the shot {name} has the camera {shot['camera']}, which is not there")
         camera = model["cameras"][shot["camera"]]
-        try:
+        with WellFormed(file):
             size = pixel_size(camera["width"], camera["height"])
-        except ValueError as error:
-            raise damaged(file, error) from None
         world_to_camera = Rotation.from_rotvec(shot["rotation"]).as_matrix()
         centre = -world_to_camera.T @ np.array(shot["translation"], np.float64)
         views.append(places.view(name, size, _lens(file, camera, size), camera_pose(world_to_camera, centre)))

@@ -14,8 +14,8 @@ import numpy as np
 
 from ..conventions import opengl_to_opencv_camera, transform_poses
 from ..run.documents import Fields, Maybe, Number, Numbers
-from .depth_images import registered_depth
-from .rig import Lens, ReadOptions, Rig, RigView, damaged, read_json_rig, read_pose
+from .depth_images import registered_depths
+from .rig import Lens, ReadOptions, Rig, RigView, WellFormed, read_json_rig, read_pose
 from .rig_files import Places, pixel_size, similarity
 
 NAME = "polycam"
@@ -32,20 +32,22 @@ _CAMERA = Fields(
 _MESH_INFO = Fields({}, {"alignmentTransform": Maybe(Numbers(16))})
 
 
-def detect(path: Path) -> bool:
-    """Whether a folder, or its folder keyframes, holds Polycam's cameras."""
-    return _cameras(path) is not None
+def find(path: Path) -> tuple[Path, str] | None:
+    """The folder of the cameras, and the name of that of their photographs; None without."""
+    for root in (path / "keyframes", path):
+        for cameras, photographs in FOLDERS:
+            folder = root / cameras
+            if folder.is_dir() and any(file.suffix.lower() == ".json" for file in folder.iterdir()):
+                return folder, photographs
+    return None
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(found: tuple[Path, str], options: ReadOptions) -> Rig:
     """Read all cameras, and the depth images of the folder depth. The world is Y up, as in the mesh.
 
     Raises:
         FiptError: ``rig-damaged`` or ``depth-unreadable``.
     """
-    found = _cameras(path)
-    if found is None:
-        raise damaged(path, "it contains no cameras of Polycam")
     cameras, photographs = found
     keyframes = cameras.parent
     folders = tuple(f"keyframes/{name}" for name in (photographs, "hdr", "exr"))
@@ -54,22 +56,8 @@ def read(path: Path, options: ReadOptions) -> Rig:
     alignment = _alignment(keyframes.parent)
     views = tuple(_view(file, places, alignment) for file in files)
     images = [keyframes / "depth" / f"{file.stem}.png" for file in files]
-    depths = tuple(
-        registered_depth(view, image, options.depth_unit)
-        for view, image in zip(views, images, strict=True)
-        if image.is_file()
-    )
+    depths = registered_depths(views, images, options.depth_unit)
     return Rig(NAME, views, "y", places.mesh(("raw", "mesh", "scene")), depths=depths)
-
-
-def _cameras(path: Path) -> tuple[Path, str] | None:
-    """The folder of the cameras, and the name of the folder of their photographs."""
-    for root in (path / "keyframes", path):
-        for cameras, photographs in FOLDERS:
-            folder = root / cameras
-            if folder.is_dir() and any(file.suffix.lower() == ".json" for file in folder.iterdir()):
-                return folder, photographs
-    return None
 
 
 def _alignment(root: Path) -> np.ndarray:
@@ -82,18 +70,14 @@ def _alignment(root: Path) -> np.ndarray:
         return np.eye(4)
     matrix = np.array(stored, np.float64).reshape(4, 4).T
     scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
-    try:
+    with WellFormed(file):
         return similarity(scale, matrix[:3, :3] / (scale or 1.0), matrix[:3, 3])
-    except ValueError as error:
-        raise damaged(file, error) from None
 
 
 def _view(file: Path, places: Places, alignment: np.ndarray) -> RigView:
     data = read_json_rig(file, _CAMERA)
     pose = read_pose(file, [[data[key] for key in row] for row in _MATRIX])
-    try:
+    with WellFormed(file):
         size = pixel_size(data["width"], data["height"])
-    except ValueError as error:
-        raise damaged(file, error) from None
     lens = Lens("PINHOLE", tuple(float(data[key]) for key in ("fx", "fy", "cx", "cy")))
     return places.view(file.stem, size, lens, transform_poses(alignment, opengl_to_opencv_camera(pose)))

@@ -19,10 +19,11 @@ import numpy as np
 from ..conventions import opengl_to_opencv_camera
 from ..run.errors import FiptError
 from .radial import distorting_lens
-from .rig import Lens, Note, ReadOptions, Rig, RigView, damaged
+from .rig import Lens, Note, ReadOptions, Rig, RigView, WellFormed
 from .rig_files import (
     IMAGE_FOLDERS,
     Places,
+    camera_file,
     camera_files,
     camera_pose,
     head,
@@ -43,45 +44,34 @@ _COLUMNS = ("x", "y", "alt", "heading", "pitch", "roll", "f", "px", "py", "k1", 
 _XMP_IMAGES = tuple(dict.fromkeys((*IMAGE_FOLDERS, *FOLDERS)))
 
 
-def detect(path: Path) -> bool:
-    """Whether a path is such a file, or a folder that contains some."""
-    return _csv_file(path) is not None or _first_xmp(path) is not None
+def find(path: Path) -> Path | None:
+    """The CSV file at a path or in a folder, else the first XMP file with a pose, None without one."""
+    posed = (file for file in camera_files(path, (".xmp",), FOLDERS) if _has_pose(file))
+    return camera_file(path, (".csv",), _is_camera_table) or next(posed, None)
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
-    """Read all cameras of the CSV file where there is one, otherwise of the XMP files. The world is Z up.
+def read(file: Path, options: ReadOptions) -> Rig:
+    """Read all cameras of a CSV file, or of the XMP files in the folder of one. The world is Z up.
 
     Sizes are those of the photographs, since the files have none.
 
     Raises:
         FiptError: ``rig-damaged``, ``camera-model``, ``image-missing`` or ``image-unreadable``.
     """
-    file = _csv_file(path)
     notes: tuple[Note, ...] = ()
-    if file is not None:
+    if file.suffix.lower() == ".csv":
         places = Places.around(file, options)
         views = _csv_views(file, places)
     else:
-        first = _first_xmp(path)
-        if first is None:
-            raise damaged(path, "it contains no XMP files with camera positions")
-        places = Places.around(first, options, _XMP_IMAGES)
-        views, notes = _xmp_views(list(camera_files(first.parent, (".xmp",))), places)
+        places = Places.around(file, options, _XMP_IMAGES)
+        views, notes = _xmp_views(list(camera_files(file.parent, (".xmp",))), places)
     views.sort(key=lambda view: view.name)
     return Rig(NAME, tuple(views), "z", places.mesh(), notes)
-
-
-def _csv_file(path: Path) -> Path | None:
-    return next((file for file in camera_files(path, (".csv",)) if _is_camera_table(head(file))), None)
 
 
 def _is_camera_table(text: str) -> bool:
     columns = text.lstrip("\ufeff").split("\n", 1)[0].strip().split(",")
     return columns[0].strip() == "#name" and set(_COLUMNS[:7]) <= {column.strip() for column in columns}
-
-
-def _first_xmp(path: Path) -> Path | None:
-    return next((file for file in camera_files(path, (".xmp",), FOLDERS) if _has_pose(file)), None)
 
 
 def _has_pose(file: Path) -> bool:
@@ -91,7 +81,7 @@ def _has_pose(file: Path) -> bool:
 
 def _csv_views(file: Path, places: Places) -> list[RigView]:
     views = []
-    try:
+    with WellFormed(file):
         for row in csv.DictReader(read_text_rig(file).splitlines(), skipinitialspace=True):
             values = {key: number(row[key]) for key in _COLUMNS}
             name = str(row["#name"])
@@ -101,8 +91,6 @@ def _csv_views(file: Path, places: Places) -> list[RigView]:
             coefficients = tuple(values[key] for key in _COLUMNS[9:])
             lens = _lens(size, (values["f"], values["px"], values["py"]), coefficients)
             views.append(places.view(name, size, lens, opengl_to_opencv_camera(pose)))
-    except (csv.Error, KeyError, TypeError, ValueError) as error:
-        raise damaged(file, error) from None
     return views
 
 
@@ -148,7 +136,7 @@ def _xmp_values(file: Path) -> dict[str, str]:
 
 def _xmp_view(file: Path, values: dict[str, str], places: Places) -> RigView:
     """The view that an XMP file's values describe."""
-    try:
+    with WellFormed(file):
         rotation = numbers(values[f"{_XCR}Rotation"], 9).reshape(3, 3)
         centre = numbers(values[f"{_XCR}Position"], 3)
         film = tuple(
@@ -158,8 +146,6 @@ def _xmp_view(file: Path, values: dict[str, str], places: Places) -> RigView:
         coefficients = numbers(values.get(f"{_XCR}DistortionCoeficients", "0 0 0 0 0 0"), 6)
         skew = number(values.get(f"{_XCR}Skew", "0"))
         aspect = number(values.get(f"{_XCR}AspectRatio", "1"))
-    except (KeyError, ValueError) as error:
-        raise damaged(file, error) from None
     model = values.get(f"{_XCR}DistortionModel", "brown3")
     known = model.startswith("brown") or model == "perspective" or not coefficients.any()
     if skew != 0.0 or aspect != 1.0 or not known:

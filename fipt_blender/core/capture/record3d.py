@@ -13,9 +13,9 @@ import numpy as np
 
 from ..conventions import opengl_to_opencv_camera
 from ..run.documents import Fields, Items, Maybe, Number, Numbers, read_limited
-from .depth_images import registered_depth
-from .rig import Lens, ReadOptions, Rig, damaged, read_json_rig
-from .rig_files import IMAGE_FOLDERS, MOST_TEXT_BYTES, Places, pixel_size, quaternion_rotation
+from .depth_images import registered_depths
+from .rig import Lens, ReadOptions, Rig, WellFormed, damaged, read_json_rig
+from .rig_files import IMAGE_FOLDERS, MOST_TEXT_BYTES, Places, pixel_size, stored_rotation
 
 NAME = "record3d"
 LOOKS_FOR = "metadata.json (or metadata) with poses, K, w and h"
@@ -26,53 +26,8 @@ METADATA = Fields(
 )
 
 
-def detect(path: Path) -> bool:
-    """Whether a path is such a file, or a folder that contains one."""
-    return _file(path) is not None
-
-
-def read(path: Path, options: ReadOptions) -> Rig:
-    """Read all frames, with the intrinsics of each where the file has them, and depth images in EXR.
-
-    The world is Y up.
-
-    Raises:
-        FiptError: ``rig-damaged`` or ``depth-unreadable``.
-    """
-    file = _file(path)
-    if file is None:
-        raise damaged(path, "it contains no metadata of Record3D")
-    data = read_json_rig(file, METADATA)
-    places = Places.around(file, options, ("rgb", "rgbd", *IMAGE_FOLDERS))
-    count = len(data["poses"])
-    # Zero in one of two orders of storing the matrix, the principal point in the other.
-    fx, _, cx, _, fy, cy, column_cx, column_cy, _ = data["K"]
-    intrinsics = data.get("perFrameIntrinsicCoeffs") or [[fx, fy, cx + column_cx, cy + column_cy]] * count
-    if len(intrinsics) != count:
-        raise damaged(file, f"it has {count} poses, but intrinsics of {len(intrinsics)} frames")
-    views = []
-    try:
-        size = pixel_size(data["w"], data["h"])
-        for index, (values, coefficients) in enumerate(zip(data["poses"], intrinsics, strict=True)):
-            x, y, z, w = values[:4]
-            pose = np.eye(4)
-            pose[:3, :3] = quaternion_rotation(np.array([w, x, y, z], np.float64))
-            pose[:3, 3] = values[4:]
-            lens = Lens("PINHOLE", tuple(float(value) for value in coefficients))
-            views.append(places.view(str(index), size, lens, opengl_to_opencv_camera(pose)))
-    except ValueError as error:
-        raise damaged(file, error) from None
-    images = [file.parent / "depth" / f"{index}.exr" for index in range(count)]
-    depths = tuple(
-        registered_depth(view, image, options.depth_unit)
-        for view, image in zip(views, images, strict=True)
-        if image.is_file()
-    )
-    return Rig(NAME, tuple(views), "y", places.mesh(), depths=depths)
-
-
-def _file(path: Path) -> Path | None:
-    """The metadata; its keys need not be at the beginning, so that the whole file is searched."""
+def find(path: Path) -> Path | None:
+    """The metadata, None without; its keys may be anywhere, so that all of a file is searched."""
     files = [path] if path.is_file() else [path / name for name in FILES]
     for file in files:
         if file.is_file() and file.name.startswith("metadata"):
@@ -83,3 +38,34 @@ def _file(path: Path) -> Path | None:
             if b'"poses"' in text and b'"K"' in text:
                 return file
     return None
+
+
+def read(file: Path, options: ReadOptions) -> Rig:
+    """Read all frames, with the intrinsics of each where the file has them, and depth images in EXR.
+
+    The world is Y up.
+
+    Raises:
+        FiptError: ``rig-damaged`` or ``depth-unreadable``.
+    """
+    data = read_json_rig(file, METADATA)
+    places = Places.around(file, options, ("rgb", "rgbd", *IMAGE_FOLDERS))
+    count = len(data["poses"])
+    # Zero in one of two orders of storing the matrix, the principal point in the other.
+    fx, _, cx, _, fy, cy, column_cx, column_cy, _ = data["K"]
+    intrinsics = data.get("perFrameIntrinsicCoeffs") or [[fx, fy, cx + column_cx, cy + column_cy]] * count
+    if len(intrinsics) != count:
+        raise damaged(file, f"it has {count} poses, but intrinsics of {len(intrinsics)} frames")
+    views = []
+    with WellFormed(file):
+        size = pixel_size(data["w"], data["h"])
+        for index, (values, coefficients) in enumerate(zip(data["poses"], intrinsics, strict=True)):
+            x, y, z, w = values[:4]
+            pose = np.eye(4)
+            pose[:3, :3] = stored_rotation(np.array([w, x, y, z], np.float64))
+            pose[:3, 3] = values[4:]
+            lens = Lens("PINHOLE", tuple(float(value) for value in coefficients))
+            views.append(places.view(str(index), size, lens, opengl_to_opencv_camera(pose)))
+    images = [file.parent / "depth" / f"{index}.exr" for index in range(count)]
+    depths = registered_depths(views, images, options.depth_unit)
+    return Rig(NAME, tuple(views), "y", places.mesh(), depths=depths)

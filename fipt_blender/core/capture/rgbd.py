@@ -17,7 +17,7 @@ import numpy as np
 from ..run.errors import FiptError
 from .depth_images import depth_size
 from .images import read_size
-from .rig import DepthView, Lens, Note, ReadOptions, Rig, RigView, damaged, find_image, find_mesh
+from .rig import DepthView, Lens, Note, ReadOptions, Rig, RigView, WellFormed, find_image, find_mesh
 from .rig_files import MESH_STEMS, numbers, read_text_rig
 
 NAME = "rgbd"
@@ -39,20 +39,24 @@ class _Frame:
     photographs: tuple[Path, ...]
 
 
-def detect(path: Path) -> bool:
-    """Whether a folder, or its folder data, has one of the layouts."""
-    return _root(path) is not None
+def find(path: Path) -> Path | None:
+    """The folder itself or its folder data, if it has one of the layouts, else None."""
+    for root in (path, path / "data"):
+        if not root.is_dir():
+            continue
+        if all((root / name).is_dir() for name in ("depth", "pose", "intrinsic")):
+            return root
+        if next(root.glob("*.pose.txt"), None) and next(root.glob("*.depth.png"), None):
+            return root
+    return None
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(root: Path, options: ReadOptions) -> Rig:
     """Read all frames. Those without a photograph are used for their depth alone; lost poses are left out.
 
     Raises:
         FiptError: ``rig-damaged``, ``intrinsics-missing``, ``image-unreadable`` or ``depth-unreadable``.
     """
-    root = _root(path)
-    if root is None:
-        raise damaged(path, "it contains no RGB-D frames")
     frames = _frames(root)
     size = depth_size(frames[0].depth)
     depth_matrix, color_matrix = _intrinsics(root)
@@ -80,18 +84,6 @@ def read(path: Path, options: ReadOptions) -> Rig:
     mesh = find_mesh([root], MESH_STEMS)
     one_camera = color_matrix is None
     return Rig(NAME, tuple(views), None, mesh, notes, tuple(depths), one_camera)
-
-
-def _root(path: Path) -> Path | None:
-    """The folder of the frames."""
-    for root in (path, path / "data"):
-        if not root.is_dir():
-            continue
-        if all((root / name).is_dir() for name in ("depth", "pose", "intrinsic")):
-            return root
-        if next(root.glob("*.pose.txt"), None) and next(root.glob("*.depth.png"), None):
-            return root
-    return None
 
 
 def _frames(root: Path) -> list[_Frame]:
@@ -138,10 +130,8 @@ def _matrix(path: Path) -> np.ndarray:
         )
     text = read_text_rig(path, MOST_POSE_BYTES)
     side = 4 if len(text.split()) == 16 else 3
-    try:
+    with WellFormed(path):
         return numbers(text, side * side).reshape(side, side)[:3, :3]
-    except ValueError as error:
-        raise damaged(path, error) from None
 
 
 def _pose(path: Path) -> np.ndarray | None:
@@ -151,10 +141,8 @@ def _pose(path: Path) -> np.ndarray | None:
         FiptError: ``rig-damaged``.
     """
     words = read_text_rig(path, MOST_POSE_BYTES).split()
-    try:
+    with WellFormed(path):
         values = np.array([float(word) for word in words], np.float64).reshape(4, 4)
-    except ValueError as error:
-        raise damaged(path, error) from None
     return values if np.isfinite(values).all() else None
 
 

@@ -7,11 +7,13 @@ Poses have OpenCV camera axes; the world is still that of the source, which `ing
 
 from __future__ import annotations
 
+import csv
 import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
+from xml.etree.ElementTree import ParseError
 
 import numpy as np
 
@@ -26,6 +28,7 @@ SEMANTICS_FOLDER = "semantics"
 CLASS_NAMES = "classes.json"  # names of semantic classes by id, beside their masks
 MOST_PART_BYTES = 120  # of one part of a view's name; file systems take 255 with suffix and number
 MOST_NAME_PARTS = 8
+_MALFORMED = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, ParseError, csv.Error)
 
 
 @dataclass(frozen=True)
@@ -160,6 +163,19 @@ def damaged(path: Path, reason: object) -> FiptError:
     )
 
 
+class WellFormed:
+    """Block that reads a rig file: what it raises where the file does not conform becomes ``rig-damaged``."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        if isinstance(error, _MALFORMED):
+            raise damaged(self._path, error) from None
+
+
 def read_json_rig(path: Path, shape: Any) -> Any:
     """Read a JSON document that describes cameras; all readers of captures in JSON use this.
 
@@ -182,12 +198,10 @@ def read_pose(path: Path, matrix: Any) -> np.ndarray:
     Raises:
         FiptError: ``rig-damaged``.
     """
-    try:
+    with WellFormed(path):
         values = np.array(matrix, np.float64)
         if values.shape not in ((3, 4), (4, 4)):
             raise ValueError(f"a matrix has shape {values.shape}")
-    except (TypeError, ValueError) as error:
-        raise damaged(path, error) from None
     pose = np.eye(4)
     pose[:3] = values[:3]
     return pose

@@ -18,6 +18,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from ..alignment.turns import quaternion_rotation
 from ..run.documents import read_limited
 from ..run.errors import FiptError
 from ..run.paths import leads_outside
@@ -30,6 +31,7 @@ from .rig import (
     Note,
     ReadOptions,
     RigView,
+    WellFormed,
     damaged,
     find_ids,
     find_image,
@@ -197,6 +199,13 @@ def camera_files(path: Path, suffixes: Iterable[str], folders: Sequence[str] = (
                     yield entry
 
 
+def camera_file(
+    path: Path, suffixes: Iterable[str], known: Callable[[str], bool], folders: Sequence[str] = (".",)
+) -> Path | None:
+    """The first of these files whose beginning is known, None without one."""
+    return next((file for file in camera_files(path, suffixes, folders) if known(head(file))), None)
+
+
 # ---------------------------------------------------------------------------------------------------- reading
 
 
@@ -208,10 +217,8 @@ def read_text_rig(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> str:
     """
     if not path.is_file():
         raise damaged(path, "it contains no camera file")
-    try:
+    with WellFormed(path):
         return read_limited(path, most_bytes).decode("utf-8-sig").replace("\r\n", "\n")
-    except ValueError as error:
-        raise damaged(path, error) from None
 
 
 def read_xml_rig(path: Path) -> ElementTree.Element:
@@ -223,10 +230,8 @@ def read_xml_rig(path: Path) -> ElementTree.Element:
     text = read_text_rig(path, MOST_XML_BYTES)
     if "<!DOCTYPE" in text:
         raise damaged(path, "it declares a document type")
-    try:
+    with WellFormed(path):
         return ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError) as error:
-        raise damaged(path, error) from None
 
 
 def number(value: Any) -> float:
@@ -281,7 +286,7 @@ def camera_pose(world_to_camera: np.ndarray, centre: np.ndarray) -> np.ndarray:
     return pose
 
 
-def quaternion_rotation(wxyz: np.ndarray) -> np.ndarray:
+def stored_rotation(wxyz: np.ndarray) -> np.ndarray:
     """Rotation (3, 3) of a quaternion w, x, y, z of any length above zero.
 
     Raises:
@@ -291,14 +296,7 @@ def quaternion_rotation(wxyz: np.ndarray) -> np.ndarray:
     if not largest > 0.0:
         raise ValueError("a quaternion is zero")
     scaled = wxyz / largest  # the squares of numbers below 1e-154 are zero
-    w, x, y, z = scaled / np.linalg.norm(scaled)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return quaternion_rotation(scaled / np.linalg.norm(scaled))
 
 
 def similarity(scale: float, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..conventions import transform_poses
 from ..run.documents import Fields, Items
-from .rig import ReadOptions, Rig, RigView, damaged, read_json_rig
+from .rig import ReadOptions, Rig, RigView, read_json_rig
 from .rig_files import Places
 from .transforms import FRAME, RIG, frame_view
 
@@ -28,12 +28,16 @@ _SOLVE_FROM_STORED = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0], [0, 
 SCENE = Fields(RIG.needed, {**RIG.optional, "test_frames": Items(FRAME), "has_mask": bool})
 
 
-def detect(path: Path) -> bool:
-    """Whether a path is a scene, its folder dslr, or the transforms.json in there."""
-    return _file(path) is not None
+def find(path: Path) -> Path | None:
+    """The camera file of a scene, of its folder dslr, or at a path, None without one."""
+    files = [path] if path.is_file() else [path / name for name in FILES]
+    return next(
+        (file for file in files if file.is_file() and file.parts[-2:] == ("nerfstudio", "transforms.json")),
+        None,
+    )
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: ReadOptions) -> Rig:
     """Read all frames except those marked as bad; test frames are held back.
 
     The mesh is the laser scan's. ScanNet++ does not define an up axis.
@@ -41,9 +45,6 @@ def read(path: Path, options: ReadOptions) -> Rig:
     Raises:
         FiptError: those of `transforms.read`.
     """
-    file = _file(path)
-    if file is None:
-        raise damaged(path, "it contains no transforms.json of ScanNet++")
     data = read_json_rig(file, SCENE)
     dslr = file.parent.parent
     places = Places((dslr,), options.images, ("hdr", "resized_images", "original_images", "."))
@@ -57,14 +58,6 @@ def read(path: Path, options: ReadOptions) -> Rig:
     ]
     mesh = Places((dslr.parent,)).mesh(("mesh_aligned_0.05", "mesh"), ("scans", "."))
     return Rig(NAME, tuple(views), None, mesh)
-
-
-def _file(path: Path) -> Path | None:
-    files = [path] if path.is_file() else [path / name for name in FILES]
-    return next(
-        (file for file in files if file.is_file() and file.parts[-2:] == ("nerfstudio", "transforms.json")),
-        None,
-    )
 
 
 def _view(

@@ -23,7 +23,7 @@ from .rig import (
     ReadOptions,
     Rig,
     RigView,
-    damaged,
+    WellFormed,
     find_ids,
     find_mesh,
     read_json_rig,
@@ -66,11 +66,12 @@ RIG = Fields(
 )
 
 
-def detect(path: Path) -> bool:
-    """Whether a path is a JSON file with frames, or a folder that contains such camera files."""
+def find(path: Path) -> Path | None:
+    """The path of a JSON file with frames, or of a folder that contains such camera files, else None."""
     if path.is_file():
-        return path.suffix.lower() == ".json" and '"frames"' in head(path)
-    return (path / "transforms.json").is_file() or (path / "transforms_train.json").is_file()
+        return path if path.suffix.lower() == ".json" and '"frames"' in head(path) else None
+    names = ("transforms.json", "transforms_train.json")
+    return path if any((path / name).is_file() for name in names) else None
 
 
 def read(path: Path, options: ReadOptions) -> Rig:
@@ -128,14 +129,12 @@ def frame_view(json_path: Path, frame: dict[str, Any], split: str | None, image:
     """
     root = json_path.parent
     pose = opengl_to_opencv_camera(read_pose(json_path, frame["transform_matrix"]))
-    try:
+    with WellFormed(json_path):
         if "w" in frame and "h" in frame:
             width, height = int(frame["w"]), int(frame["h"])
         else:
             width, height = read_size(image)
         lens = _lens(json_path, frame, width, height)
-    except (TypeError, ValueError, ZeroDivisionError) as error:
-        raise damaged(json_path, error) from None
     name = view_name(str(frame.get("name") or frame["file_path"]))
     mask = frame.get("mask_path")
     return RigView(
@@ -199,8 +198,6 @@ def _applied_inverse(json_path: Path, data: dict[str, Any]) -> np.ndarray:
     applied = np.eye(4)
     if data.get("applied_transform") is not None:
         applied = read_pose(json_path, data["applied_transform"])
-    try:
+    with WellFormed(json_path):
         applied[:3] *= float(data.get("applied_scale", 1.0))
         return np.linalg.inv(applied)
-    except (TypeError, ValueError, np.linalg.LinAlgError) as error:
-        raise damaged(json_path, error) from None

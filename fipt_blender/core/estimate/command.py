@@ -33,14 +33,14 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     set_variant(settings.device)
     # Imported here because these modules need Mitsuba's variant when they are loaded.
     from ..optics.brdf import set_masking
+    from .input import announce_plan, prepare_input
     from .stages import Estimation
-    from .state import announce_plan
 
     set_masking(settings.masking)
     if (danger := unprotected(arguments.cluster)) is not None:
         reporter.warning(*danger)
     announce_plan(folder, settings, reporter)
     with workers_at(arguments.cluster) as workers:
-        estimation = Estimation(folder, settings, reporter, workers)
+        estimation = Estimation(prepare_input(folder, settings, reporter), reporter, workers)
         estimation.run()
     reporter.done([str(path) for path in estimation.files()], estimation.summary())

@@ -25,7 +25,7 @@ from ..run.shapes import PARTS_FORMAT, PARTS_VERSION
 from ..scene.grouped import grouped_sums
 from ..scene.labels import Parts, choose_source, fuse_masks, mesh_borders
 from ..scene.pixels import PixelStore
-from ..scene.room import Room, triangle_normals
+from ..scene.room import Room
 
 # Cells whose values are averaged.
 MOST_CELLS = 50_000
@@ -234,7 +234,7 @@ def _places(room: Room, unit: np.ndarray, count: int) -> list[str]:
     known = unit >= 0
     area = np.maximum(np.bincount(unit[known], room.areas[known], minlength=count), 1e-12)
     corners = room.vertices[room.triangles[known]].astype(np.float64)
-    steepness = np.abs(triangle_normals(room.vertices, room.triangles)[known, 2])
+    steepness = np.abs(room.normals[known, 2])
 
     def mean(values: np.ndarray) -> np.ndarray:
         return np.bincount(unit[known], values * room.areas[known], minlength=count) / area

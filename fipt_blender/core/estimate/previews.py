@@ -17,10 +17,9 @@ from ..optics.lights import EmitterTable
 from ..report.comparison import to_display
 from ..report.pictures import write_png
 from ..scene.pixels import PixelStore
+from ..views.refit import LEAST_LIGHT
 
 MAX_SIZE = 256  # pixels along an edge
-# Least irradiance by which a photograph is divided, in units of the capture's median.
-_LEAST_LIGHT = 1e-3
 # The view shown is that with the best score; see `_content`.
 _SAMPLED_PIXELS = 4000
 _LAMP_RADIANCE = 20.0  # in units of the capture's median
@@ -57,7 +56,7 @@ class Preview:
             FiptError: ``disk-full`` or ``run-unwritable``.
         """
         rows = self._rows.reshape(-1)
-        light = np.maximum(np.asarray(shadings.diffuse[rows], np.float32), _LEAST_LIGHT)
+        light = np.maximum(np.asarray(shadings.diffuse[rows], np.float32), LEAST_LIGHT)
         color = np.asarray(self._pixels.radiance[rows]) / light
         color[np.asarray(self._pixels.triangle[rows]) < 0] = 0.0
         return [self._write(self._paths(stage)[0], color, self._rows.shape)]

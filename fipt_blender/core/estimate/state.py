@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The state of one estimation: its input, what its stages have computed so far, and how that is read back."""
+"""The state of one estimation: what its stages have computed so far, and how that is read back."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,7 @@ import mitsuba as mi
 import numpy as np
 import torch
 
-from ..capture.light_views import light_views
-from ..capture.views import View, load_capture
 from ..device.variant import torch_device
-from ..geometry.stored import prepare_geometry
 from ..light.baking import ShadingStore, open_shadings
 from ..light.cache import pool
 from ..light.emitter_surfaces import EmitterSurfaces, emitter_surfaces
@@ -37,25 +34,18 @@ from ..material.training import Networks
 from ..material.training_input import hinted_units, material_units
 from ..optics.lights import EmitterTable
 from ..run.arrays import check_layouts
-from ..run.checkpoints import SHADINGS, Checkpoints, stage_keys
+from ..run.checkpoints import SHADINGS
 from ..run.errors import FiptError
-from ..run.hints import Hint, hints_digest, light_changes, read_hints
-from ..run.light_size import light_plan, refuse_full_disk
+from ..run.hints import Hint
 from ..run.messages import Reporter, peak_memory_gb
 from ..run.per_view import LocalWorkers, Workers
-from ..run.run_files import ScanHoles, read_scan_holes
-from ..run.runfolder import RunFolder
-from ..run.settings import Settings
+from ..run.run_files import ScanHoles
 from ..run.shapes import Layout
 from ..scene.labels import NO_PART, Parts, choose_parts, room_pieces
-from ..scene.linked_masks import link_masks
-from ..scene.outlines import outline_parts
 from ..scene.pixels import LEFT_OUT, PixelStore, open_pixels
-from ..scene.room import load_room
 from ..views.check import ViewCheck
-from ..views.consensus import check_input
-from ..views.panes import close_holes
 from .hinted import hint_facts
+from .input import EstimationInput
 
 Facts = dict[str, Any]  # what stages.json keeps of a stage; JSON-serialisable
 
@@ -71,56 +61,20 @@ _ESTIMATE_ARRAYS: dict[str, Layout] = {
 }
 
 
-def spread_views(views: Sequence[View], share: float) -> list[View]:
-    """A share of the views (0 to 1, one at least), spread evenly over their order."""
-    count = min(max(1, round(share * len(views))), len(views))
-    return [views[i * len(views) // count] for i in range(count)]
-
-
-def announce_plan(folder: RunFolder, settings: Settings, reporter: Reporter) -> None:
-    """Tell at which resolution light will be solved, and the expected time and disk.
-
-    Raises:
-        FiptError: ``disk-space`` unless forced, and those of `load_capture`.
-    """
-    views = spread_views(load_capture(folder).train, settings.view_share)
-    if not views:
-        return  # the estimation raises the error
-    plan = light_plan([(view.width, view.height) for view in views], settings)
-    reporter.note(f"{plan.resolution}; {plan.cost}")
-    if not settings.force:
-        refuse_full_disk(folder.stage, plan.bytes, "choose a lower preset, or fewer light_pixels")
-
-
-def estimation_views(folder: RunFolder, settings: Settings) -> list[View]:
-    """The views of an estimation that was done in a folder, at the resolution of its pixels."""
-    return light_views(
-        folder, spread_views(load_capture(folder).train, settings.view_share), settings.light_pixels
-    )
-
-
 class EstimationState:
-    """Input and intermediate results of one estimation on a run folder.
+    """Intermediate results of one estimation.
 
     Args:
-        folder: holds capture.json and room.npz.
-        settings: of the run.
+        given: its input, whose attributes are those of the state, too.
         reporter: gets stages, progress and warnings.
         workers: who does the work that each view needs for itself; None: this process.
 
     Attributes:
-        photographs: the training views that may be used, at full size.
-        plan: at which resolution they are, and the expected cost.
-        views: those that are used, at the resolution of light.
         pixels: all pixels of the training views, with the surface points that they see.
         scale: median radiance of the photographs; all radiance below is in this unit.
-        far_off: views whose poses are far off, and their correlation with the others.
         view_check: views that were left out or corrected.
         photometry: what was found of photographs that are not HDR; empty without any.
         parts: of the room's triangles.
-        told, told_again: hints that all stages honour, and those that the hinted stages honour instead; None
-            where there are no hinted stages.
-        light_again: whether the hinted stages include a refinement.
         hints: those that are honoured now, on the mesh; None without any.
         observations: what the pixels tell before anything is estimated: cache, environment; divided by hints.
         brdf: the BRDF network of stage 2.
@@ -130,49 +84,22 @@ class EstimationState:
         diffuse: (M * 6, 3) float16 mean L_d of each cache entry in the last closed-form estimate.
         materials: (M * 6, 5) float32 base colour, roughness and metallic of each entry in that estimate. Both
             have no rows where no refinement follows it.
-
-    Raises:
-        FiptError: ``views-none``, or where the capture or the room can't be read.
     """
 
-    def __init__(
-        self, folder: RunFolder, settings: Settings, reporter: Reporter, workers: Workers | None = None
-    ) -> None:
-        self.folder, self.settings, self.reporter = folder, settings, reporter
+    def __init__(self, given: EstimationInput, reporter: Reporter, workers: Workers | None = None) -> None:
+        self.folder, self.settings, self.reporter = given.folder, given.settings, reporter
+        self.plan, self.views, self.far_off, self.room = given.plan, given.views, given.far_off, given.room
+        self.holes, self.checkpoints = given.holes, given.checkpoints
+        self.told, self.told_again, self.light_again = given.told, given.told_again, given.light_again
         self.workers = workers or LocalWorkers()
         self.device = torch.device(torch_device())
-        self.capture = load_capture(folder)
-        prepare_geometry(folder, settings.clean_scan, settings.close_holes_edges)
-        self.holes = read_scan_holes(folder)
-        if not self.capture.train:
-            raise FiptError("views-none", "The capture has no training views.", "Add photographs.")
-        self.photographs = spread_views(self.capture.train, settings.view_share)
-        self.plan = light_plan([(view.width, view.height) for view in self.photographs], settings)
-        begin = partial(reporter.stage, "light", "Averaging the photographs to the resolution of light")
-        self.views = light_views(folder, self.photographs, settings.light_pixels, begin, reporter.progress)
-        self.far_off = check_input(load_room(folder, outlined=False), self.views, settings)
-        if folder.geometry_npz.exists():
-            text = "Looking for what the scan lacks"  # takes minutes
-            reporter.stage("scan", text if self.holes is None else f"{self.holes.text} {text}")
-        close_holes(folder, self.views)
-        # Outlines depend on the linked masks, not the reverse, so that a resumed run keeps both.
-        self.views = link_masks(folder, load_room(folder, outlined=False), self.views)
-        outline_parts(folder, self.views)
-        self.room = load_room(folder)
-        self.levels = roughness_levels(
-            settings.roughness_levels, settings.roughness_min, settings.roughness_spacing
+        levels = (
+            self.settings.roughness_levels,
+            self.settings.roughness_min,
+            self.settings.roughness_spacing,
         )
+        self.levels = roughness_levels(*levels)
         self.box = room_box(self.room.bounds)
-        files = [folder.capture_json, folder.room_npz, folder.room_json]
-        images = [path for view in self.views for path in view.files]
-        self.told = read_hints(folder.hints_json)
-        again = folder.hints_again_json
-        self.told_again = read_hints(again) if again.exists() else None
-        digest_again = None if self.told_again is None else hints_digest(self.told_again)
-        self.light_again = light_changes(again)
-        digests = hints_digest(self.told), digest_again, self.light_again
-        keys = stage_keys(settings, files, images, *digests)
-        self.checkpoints = Checkpoints(folder.stage, keys)
         self.hints: SurfaceHints | None = None
         self.pixels: PixelStore
         self.scale = 1.0

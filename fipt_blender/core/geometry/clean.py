@@ -11,11 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..robust import MAD_TO_DEVIATION
 from .adjacency import NONE, Mesh, face_vectors, make_mesh
 from .normals import corner_normals, filter_normals, follow_normals
 from .patches import find_patches, triangle_moments
 from .planes import PATCH_EDGES, PlaneRegions, find_planes
-from .roughness import MAD_SCALE, bumps
+from .roughness import bumps
 
 # A scan is rough everywhere: this share of its area ...
 _ROUGH_SHARE = 0.75
@@ -72,7 +73,7 @@ def noise_level(mesh: Mesh, normals: np.ndarray, areas: np.ndarray) -> tuple[flo
     flatness = patches.planes().deviation
     order = np.argsort(flatness)
     half = np.searchsorted(np.cumsum(patches.area[order]), 0.5 * patches.area.sum())
-    return max(float(flatness[order][half]), MAD_SCALE * float(np.median(deviation))), size
+    return max(float(flatness[order][half]), MAD_TO_DEVIATION * float(np.median(deviation))), size
 
 
 def clean_mesh(vertices: np.ndarray, triangles: np.ndarray) -> CleanMesh | None:

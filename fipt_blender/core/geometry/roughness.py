@@ -9,8 +9,6 @@ from scipy.sparse import identity
 
 from .adjacency import Mesh
 
-# The normal distribution's standard deviation as a multiple of its median absolute deviation.
-MAD_SCALE = 1.4826
 # A vertex is smooth if the mean of the unit normals around it is longer than this; at others the fit would
 # measure a crease.
 _SMOOTH = 0.8

@@ -25,7 +25,7 @@ from ..run.finished_views import FinishedViews
 from ..run.per_view import TwoSteps, Workers
 from ..scene.camera_rays import opaque_vector, trace_pixels
 from ..scene.pixels import PixelStore, ViewPixels, open_array
-from ..scene.room import Room, triangle_normals
+from ..scene.room import Room
 from .cache import SurfaceLookup, VoxelGrid
 from .radiance import CachedRadiance, RadianceSource, TracedRadiance
 from .shadings import SampleCounts, ShadingPoints, Shadings, bake, means
@@ -198,15 +198,13 @@ def baked_light(baking: Baking, pixels: PixelStore, rows: np.ndarray, counts: Sa
     """(M, 3) float32 L_d at the centres of some pixels (M,) that see the room, not denoised."""
     set_masking(baking.masking)
     room, lights = baking.room, AreaLights(baking.room.vertices, baking.room.triangles, baking.emitters)
-    source, normals = baking._source(lights), triangle_normals(room.vertices, room.triangles)
+    source = baking._source(lights)
     cameras, result = pixels.camera_positions(), np.zeros((len(rows), 3), np.float32)
     for number, begin in enumerate(range(0, len(rows), CHUNK)):
         chunk = rows[begin : begin + CHUNK]
-        side = np.where(pixels.front[chunk], np.float32(1.0), np.float32(-1.0))[:, None]
-        position = np.asarray(pixels.position[chunk])
+        position, geometric = pixels.surface(room, chunk)
         toward = cameras[pixels.view_of(chunk)] - position
         toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-6)
-        geometric = (normals[pixels.triangle[chunk]] * side).astype(np.float32)
         points = ShadingPoints(position, np.asarray(pixels.normal[chunk]), geometric, toward)
         none = baking.levels[:0]
         baked = bake(points, source, lights, none, counts, baking.seed * 100003 + number)
@@ -277,7 +275,7 @@ class TriangleTables:
     @classmethod
     def of(cls, room: Room, labels: np.ndarray) -> TriangleTables:
         """Tables of a room; `labels` (T,) int."""
-        normals = triangle_normals(room.vertices, room.triangles).astype(np.float32)
+        normals = room.normals.astype(np.float32)
         return cls(mi.Float(normals.reshape(-1)), mi.Int32(np.ascontiguousarray(labels, np.int32)))
 
 

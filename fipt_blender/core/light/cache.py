@@ -17,7 +17,8 @@ import mitsuba as mi
 import numpy as np
 
 from ..run.threads import in_threads
-from ..scene.room import Room, triangle_normals
+from ..scene.pixels import PixelStore
+from ..scene.room import Room
 
 SIDES = 6
 # Points per chunk: temporary arrays of all pixels of a large capture would take gigabytes.
@@ -75,6 +76,15 @@ def _chunks(count: int) -> list[slice]:
     return [slice(start, start + CHUNK) for start in range(0, max(count, 1), CHUNK)]
 
 
+def seen_grid(pixels: PixelStore, room: Room, resolution: int, seed: int) -> VoxelGrid:
+    """The grid of the voxels that pixels saw or that contain surface."""
+    frame = grid_frame(room, resolution)
+    seen = np.zeros(resolution**3, bool)
+    for index in range(len(pixels.views)):
+        seen[frame.flat_index(*pixels.surface(room, pixels.hits(index)))] = True
+    return fill_grid(room, frame, np.flatnonzero(seen), np.random.default_rng([seed, 1]))
+
+
 def grid_frame(room: Room, resolution: int) -> VoxelGrid:
     """The grid over the room's bounds, without rows."""
     low, high = room.bounds
@@ -91,7 +101,7 @@ def fill_grid(room: Room, frame: VoxelGrid, seen: np.ndarray, rng: np.random.Gen
         seen: (K,) int flat voxel indices.
     """
     samples, triangle = sample_surface(room, float(np.median(frame.size)), rng)
-    sample_normals = triangle_normals(room.vertices, room.triangles)[triangle]
+    sample_normals = room.normals[triangle]
     holds_surface = np.zeros(frame.resolution**3, bool)
     holds_surface[seen] = True
     for sign in (1.0, -1.0):
@@ -127,7 +137,7 @@ def unseen_points(
         (U,) int64 entries, (U, 3) float32 points, metres, and (U,) triangles on which they lie.
     """
     points, triangle = sample_surface(room, float(np.median(grid.size)), rng)
-    normals = triangle_normals(room.vertices, room.triangles)[triangle]
+    normals = room.normals[triangle]
     entries = np.concatenate([grid.entries(points, sign * normals) for sign in (1.0, -1.0)])
     of_unseen = np.flatnonzero(count[entries] == 0)
     entries = entries[of_unseen]

@@ -13,10 +13,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import mitsuba as mi
 import numpy as np
 
-from ..scene.room import Room, triangle_normals
+from ..robust import deviation, gauss_newton, student_weights, without_means
+from ..scene.camera_rays import rays_along
+from ..scene.room import Room
 from .cache import VoxelGrid
 
 RAYS = 128  # over the hemisphere of each point; their noise would make the contrast too high
@@ -26,9 +27,9 @@ MOST_LAMPS = 24
 ON_LAMP, OUTSIDE = -1, -2  # in place of cache entries
 _ITERATIONS = 25
 _LONGEST_STEP = 0.7  # of any logarithm
-_DEGREES = 3.0
 # Standard deviation of the logarithm of a point's radiance by texture and gloss.
 _TEXTURE = 0.15
+_LEAST_SPREAD = 0.02  # of a point, however well all agree
 # Neighbouring points share textures and errors of the light: about so many count as one.
 POINTS_PER_SAMPLE = 10.0
 # Standard deviation of the logarithm of a lamp's radiance before anything is known, and its expectation as a
@@ -142,10 +143,11 @@ def hemisphere_rays(
     angle, radius = 2.0 * np.pi * (golden % 1.0), np.sqrt(height)
     local = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1.0 - height)], axis=-1)
     direction = np.einsum("nrc,ncd->nrd", local, _frames(normal)).reshape(-1, 3)
-    surface = room.intersect(_ray(room, np.repeat(position, RAYS, 0), np.repeat(normal, RAYS, 0), direction))
+    start = np.repeat(position + room.offset * normal, RAYS, axis=0)
+    surface = room.intersect(rays_along(start, direction))
     valid, triangle = np.array(surface.valid), np.array(surface.triangle).astype(np.int64)
     front = np.array(surface.front)
-    side = triangle_normals(room.vertices, room.triangles)[triangle] * np.where(front, 1.0, -1.0)[:, None]
+    side = room.normals[triangle] * np.where(front, 1.0, -1.0)[:, None]
     place = np.where(valid, np.array(surface.position), 0.0).T.astype(np.float64)
     entry = grid.entries(place, side)
     entry[lamp[triangle] >= 0] = ON_LAMP
@@ -157,7 +159,7 @@ def _direct(room: Room, position: np.ndarray, normal: np.ndarray, lamp: np.ndarr
     rng = np.random.default_rng([seed, 22])
     lamps = int(lamp.max(initial=-1)) + 1
     direct = np.zeros((len(position), lamps))
-    normals = triangle_normals(room.vertices, room.triangles)
+    start = np.repeat(position + room.offset * normal, LAMP_SAMPLES, axis=0)
     for index in range(lamps):
         members = np.flatnonzero(lamp == index)
         area = np.maximum(room.areas[members].astype(np.float64), 1e-12)
@@ -167,23 +169,15 @@ def _direct(room: Room, position: np.ndarray, normal: np.ndarray, lamp: np.ndarr
         distance = np.linalg.norm(toward, axis=1)
         direction = toward / np.maximum(distance, 1e-9)[:, None]
         here = np.repeat(normal, LAMP_SAMPLES, axis=0)
-        there = np.tile(normals[chosen], (len(position), 1))
+        there = np.tile(room.normals[chosen], (len(position), 1))
         cosines = np.maximum((direction * here).sum(1), 0.0) * np.abs((direction * there).sum(1))
-        surface = room.intersect(_ray(room, np.repeat(position, LAMP_SAMPLES, 0), here, direction))
+        surface = room.intersect(rays_along(start, direction))
         hit = np.array(surface.triangle).astype(np.int64)
         seen = np.array(surface.valid) & (lamp[hit] == index)
         seen &= np.array(surface.distance) > 0.98 * distance - 0.01
         falloff = np.where(seen, cosines / np.maximum(distance, 0.02) ** 2, 0.0).reshape(-1, LAMP_SAMPLES)
         direct[:, index] = falloff.mean(axis=1) * area.sum() / np.pi
     return direct
-
-
-def _ray(room: Room, position: np.ndarray, normal: np.ndarray, direction: np.ndarray) -> mi.Ray3f:
-    origin = position + room.offset * normal
-    return mi.Ray3f(
-        mi.Point3f(*np.ascontiguousarray(origin.T, np.float32)),
-        mi.Vector3f(*np.ascontiguousarray(direction.T, np.float32)),
-    )
 
 
 def _frames(normal: np.ndarray) -> np.ndarray:
@@ -205,25 +199,13 @@ def solve_lamps(
         contrast: expected logarithm of the contrast, and its standard deviation; 0 where it is known.
     """
     fit = _Fit(points, cache, expected, contrast)
-    lamps = len(expected.deviation)
-    x = np.concatenate([[contrast[0]], expected.log_radiance.ravel()])
-    normal, spread = np.eye(len(x)), _TEXTURE
-    for _ in range(_ITERATIONS):
-        residual, jacobian = fit.evaluate(x, spread)
-        spread = max(1.4826 * float(np.median(np.abs(residual))), 0.02)
-        ratio = (residual / spread) ** 2
-        weight = (_DEGREES + 1.0) / (_DEGREES + ratio) / spread**2 / POINTS_PER_SAMPLE
-        prior, pull = fit.prior(x)
-        normal = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
-        right = -jacobian.T @ (weight * residual) + pull
-        step = np.clip(np.linalg.solve(normal, right), -_LONGEST_STEP, _LONGEST_STEP)
-        x = x + step
-        if np.abs(step).max() < 1e-4:
-            break
-    deviation = np.sqrt(np.diag(np.linalg.inv(normal)))
-    return LampLight(
-        x[1:].reshape(lamps, 3), deviation[1:].reshape(lamps, 3), (float(x[0]), float(deviation[0])), spread
+    start = np.concatenate([[contrast[0]], expected.log_radiance.ravel()])
+    found = gauss_newton(
+        fit.system, start, _TEXTURE, most_steps=_ITERATIONS, longest=_LONGEST_STEP, settled=1e-4
     )
+    (log_contrast, *logs), (error, *errors) = found.x.tolist(), found.deviation.tolist()
+    radiance, deviations = np.reshape(logs, (-1, 3)), np.reshape(errors, (-1, 3))
+    return LampLight(radiance, deviations, (log_contrast, error), found.spread)
 
 
 class _Fit:
@@ -242,9 +224,13 @@ class _Fit:
         self._cache, self._entry = cache[used], place.reshape(points.entry.shape)
         self._group = np.unique(points.part, return_inverse=True)[1].reshape(-1)
 
-    def prior(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Precisions of the unknowns (P,), and the pulls towards what is expected."""
-        return self._precision, self._precision * (self._mean - x)
+    def system(self, x: np.ndarray, spread: float) -> tuple[np.ndarray, np.ndarray, float]:
+        """Normal matrix, right side and spread of a step; see :func:`.gauss_newton`."""
+        residual, jacobian = self.evaluate(x, spread)
+        spread = deviation(residual, _LEAST_SPREAD)
+        weight = student_weights((residual / spread) ** 2) / spread**2 / POINTS_PER_SAMPLE
+        normal = jacobian.T @ (weight[:, None] * jacobian) + np.diag(self._precision)
+        return normal, -jacobian.T @ (weight * residual) + self._precision * (self._mean - x), spread
 
     def evaluate(self, x: np.ndarray, spread: float) -> tuple[np.ndarray, np.ndarray]:
         """(R,) residuals and (R, P) derivatives."""
@@ -275,16 +261,10 @@ def _without_parts(
     residual: np.ndarray, jacobian: np.ndarray, group: np.ndarray, spread: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residuals and derivatives less their robust means over each part; parts of few points are left out."""
-    count = np.bincount(group)
-    enough = count[group] >= _LEAST_PART
+    enough = np.bincount(group)[group] >= _LEAST_PART
     residual, jacobian, group = residual[enough], jacobian[enough], group[enough]
-    size = len(count)
-    centre = np.zeros(size)
-    weight = np.ones(len(residual))
+    left, weight = residual, np.ones(len(residual))
     for _ in range(6):
-        total = np.maximum(np.bincount(group, weight, size), 1e-12)
-        centre = np.bincount(group, weight * residual, size) / total
-        weight = 1.0 / (1.0 + ((residual - centre[group]) / spread) ** 2)
-    total = np.maximum(np.bincount(group, weight, size), 1e-12)
-    means = np.stack([np.bincount(group, weight * column, size) / total for column in jacobian.T], axis=1)
-    return residual - centre[group], jacobian - means[group]
+        left = without_means(residual, group, weight)
+        weight = 1.0 / (1.0 + (left / spread) ** 2)
+    return left, without_means(jacobian, group, weight)

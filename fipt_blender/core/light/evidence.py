@@ -34,7 +34,7 @@ DOUBT = 3.0
 LEAST_RESIDUAL_MIXED = 0.8
 # Highlights move with the view: where a triangle is not marked, or no pure pixel supports it,
 # at least this number of views must support emission.
-LEAST_VIEWS = 2
+LEAST_SUPPORTING = 2
 # Triangles without evidence emit if more than this share of their component's area with evidence does.
 MAJORITY = 0.5
 # `brighter_than_white`: by how much, as white surfaces are, too, by noise; most pixels of all views.
@@ -85,7 +85,7 @@ def find_emission(
         needed = np.where(pure, least, max(least, LEAST_RESIDUAL_MIXED))
         bright = hit & (relative_residual(sure * fraction[:, None], reflected) >= needed)
         evidence.support(unit[triangle[bright]], weight[bright], pure[bright])
-    seen_once = (marked & evidence.pure[unit]) | (evidence.views >= LEAST_VIEWS)[unit]
+    seen_once = (marked & evidence.pure[unit]) | (evidence.views >= LEAST_SUPPORTING)[unit]
     emits = evidence.majority[unit] & seen_once
     decided = emits | (evidence.exists & ~evidence.majority)[unit] | (known != 0)
     emits = (emits | (known > 0)) & (known >= 0)

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import mitsuba as mi
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..scene.room import Room, triangle_normals
+from ..scene.camera_rays import rays_along
+from ..scene.room import Room
 from .emitters import Fixture
 
 # Standard deviations that count as the error: what the lamp lights beside it (its shade, the top of a table)
@@ -63,27 +63,19 @@ def _received(
     """
     corners = room.vertices[room.triangles[chosen]].astype(np.float64)
     places = corners.mean(axis=1) + move
-    facing = triangle_normals(room.vertices, room.triangles[chosen])
     own = np.zeros(len(room.triangles) + 1, bool)
     own[lamp.triangles] = True
     start = points + room.offset * normals
     total = np.zeros(len(points))
-    for place, normal in zip(places, facing, strict=True):
+    for place, normal in zip(places, room.normals[chosen], strict=True):
         toward = place - start
         distance = np.linalg.norm(toward, axis=1)
         direction = toward / np.maximum(distance, 1e-9)[:, None]
         leaving = -direction @ normal
         radiance = np.where(leaving > 0.0, lamp.radiance.mean(), lamp.back_radiance.mean())
         cosines = np.maximum((direction * normals).sum(axis=1), 0.0) * np.abs(leaving)
-        surface = room.intersect(_ray(start, direction))
+        surface = room.intersect(rays_along(start, direction))
         hit = np.where(np.array(surface.valid), np.array(surface.triangle), len(room.triangles))
         seen = own[hit] | (hit == len(room.triangles)) | (np.array(surface.distance) >= distance)
         total += np.where(seen, radiance * cosines / np.maximum(distance, CLOSEST) ** 2, 0.0)
     return total * lamp.area / (np.pi * len(places))
-
-
-def _ray(start: np.ndarray, direction: np.ndarray) -> mi.Ray3f:
-    return mi.Ray3f(
-        mi.Point3f(*np.ascontiguousarray(start.T, np.float32)),
-        mi.Vector3f(*np.ascontiguousarray(direction.T, np.float32)),
-    )

@@ -21,8 +21,8 @@ from ..run.settings import Settings
 from ..scene.labels import NO_PART, Parts
 from ..scene.mixed_pixels import find_donors
 from ..scene.pixels import PixelStore, open_array
-from ..scene.room import Room, triangle_normals
-from .cache import Pool, VoxelGrid, fill_grid, grid_frame, unseen_points
+from ..scene.room import Room
+from .cache import Pool, VoxelGrid, seen_grid, unseen_points
 from .environment import Environment, estimate_environment, outside_pixels
 
 # Distance in pixels within which a pure pixel of the same part replaces a mixed one.
@@ -64,7 +64,7 @@ class Observations:
     def hits(self) -> Iterator[np.ndarray]:
         """(n,) int64 pixels that see the mesh, view by view."""
         for index in range(len(self.pixels.views)):
-            yield _hits(self.pixels, index)
+            yield self.pixels.hits(index)
 
     def cache(self, without: np.ndarray | None = None) -> np.ndarray:
         """(M * 6, 3) float32 radiance cache of all pixels, or of all but those on the emitters `without`
@@ -175,36 +175,18 @@ class Observations:
         return np.flatnonzero(drawn < weight) + rows.start
 
 
-def _hits(pixels: PixelStore, index: int) -> np.ndarray:
-    """(n,) int64 pixels of a view that see the mesh."""
-    rows = pixels.rows(index)
-    return np.flatnonzero(pixels.triangle[rows] >= 0) + rows.start
-
-
 def observe(room: Room, pixels: PixelStore, parts: Parts, settings: Settings, folder: Path) -> Observations:
     """Assign the pixels to voxels and estimate the environment; quick, so the result is not stored.
 
     Args:
         folder: for memory-mapped arrays, which are overwritten.
     """
-    normals = triangle_normals(room.vertices, room.triangles).astype(np.float32)
-
-    def surface(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and the geometric normals on the seen side."""
-        side = np.where(pixels.front[rows], np.float32(1.0), np.float32(-1.0))
-        return np.asarray(pixels.position[rows]), normals[pixels.triangle[rows]] * side[:, None]
-
-    views = range(len(pixels.views))
-    frame = grid_frame(room, settings.voxel_resolution)
-    marked = np.zeros(settings.voxel_resolution**3, bool)
-    for index in views:
-        marked[frame.flat_index(*surface(_hits(pixels, index)))] = True
-    grid = fill_grid(room, frame, np.flatnonzero(marked), np.random.default_rng([settings.seed, 1]))
+    grid = seen_grid(pixels, room, settings.voxel_resolution, settings.seed)
     entry = open_array(folder / "entry.npy", (len(pixels),), np.int32, create=True)
-    for index in views:
-        hit, rows = _hits(pixels, index), pixels.rows(index)
+    for index in range(len(pixels.views)):
+        hit, rows = pixels.hits(index), pixels.rows(index)
         own = np.full(rows.stop - rows.start, -1, np.int32)
-        own[hit - rows.start] = grid.entries(*surface(hit))
+        own[hit - rows.start] = grid.entries(*pixels.surface(room, hit))
         entry[rows] = own
     return Observations(
         pixels=pixels,
@@ -225,12 +207,12 @@ def observe(room: Room, pixels: PixelStore, parts: Parts, settings: Settings, fo
 def median_footprint(pixels: PixelStore) -> float:
     """Median width in metres of a pixel on the surfaces that it sees."""
     views = range(len(pixels.views))
-    total = sum(len(_hits(pixels, index)) for index in views)
+    total = sum(len(pixels.hits(index)) for index in views)
     step = max(1, total // FOOTPRINT_PIXELS)
     footprints = []
     before = 0
     for index, view in enumerate(pixels.views):
-        hit = _hits(pixels, index)
+        hit = pixels.hits(index)
         sample = hit[-before % step :: step]  # every step-th hit, counted across views
         before += len(hit)
         camera = np.asarray(view.camera_to_world)[:3, 3].astype(np.float32)

@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..optics.factorised import DIELECTRIC_REFLECTANCE
+from ..robust import LEAST_VIEWS, deviation
 from .emitters import Fixture
 
 LEAST_PIXELS = 50
-LEAST_VIEWS = 3
 # Standard errors by which a slope must exceed zero.
 SURE = 4.0
 # Least coefficient of determination (R squared): a shade that is bright in the middle does not fit a line.
@@ -97,7 +97,7 @@ def _robust_line(y: np.ndarray, x: np.ndarray, view: np.ndarray) -> tuple[np.nda
         information = max(float((weight * (x - middle_x) ** 2).sum()), 1e-12)
         slope = float((weight * (x - middle_x) * (y - middle_y)).sum()) / information
         residual = y - middle_y - slope * (x - middle_x)
-        scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-6 * abs(float(middle_y)), 1e-12)
+        scale = deviation(residual, max(1e-6 * abs(float(middle_y)), 1e-12))
         weight = np.minimum(1.0, OUTLIER * scale / np.maximum(np.abs(residual), 1e-12))
     score = np.bincount(view, weight * (x - middle_x) * residual)
     number = len(score)

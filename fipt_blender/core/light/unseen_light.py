@@ -17,9 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..conventions import equirect_pixel_directions
+from ..robust import deviation, gauss_newton, student_weights
 from ..scene.grouped import numbered
 from ..scene.pixels import PixelStore
-from ..scene.room import Room, triangle_normals
+from ..scene.room import Room
 from .cache import VoxelGrid
 from .clipped import MOST_POINTS, OUTSIDE, POINTS_PER_SAMPLE, hemisphere_rays
 from .environment import Environment, map_cells
@@ -40,7 +41,7 @@ LEAST_POINTS, LEAST_GROUP = 200, 8
 # Radiance of what photographs show outside below which it gives no light, in units of the capture's median.
 DARK_OUTSIDE = 0.01
 LEAST_WEIGHT = 0.5  # of pixels that are used
-_ITERATIONS, _LONGEST_STEP, _DEGREES = 40, 0.5, 3.0
+_ITERATIONS, _LONGEST_STEP = 40, 0.5
 _DARKEST = 1e-4  # radiance, in units of the capture's median
 
 
@@ -128,11 +129,9 @@ def _open_points(
     where = np.concatenate([*chosen, np.zeros(0, np.int64)])
     if len(where) < LEAST_POINTS:
         return None
-    side = np.where(pixels.front[where], 1.0, -1.0)[:, None]
     triangle = np.asarray(pixels.triangle[where])
-    normal = (triangle_normals(room.vertices, room.triangles)[triangle] * side).astype(np.float32)
     nothing = np.full(len(room.triangles), -1, np.int32)
-    entry, direction = hemisphere_rays(room, grid, np.asarray(pixels.position[where]), normal, nothing, seed)
+    entry, direction = hemisphere_rays(room, grid, *pixels.surface(room, where), nothing, seed)
     image, known = sky
     cell, outside = map_cells(direction, known.shape[1]), entry == OUTSIDE
     shown = known.reshape(-1)[cell]
@@ -180,8 +179,8 @@ def solve_sky(points: OpenPoints, observed: tuple[np.ndarray, np.ndarray]) -> np
     prior, evidence = _sky_precision(parts), _evidence_precision(observed[1])
     expected = np.linalg.solve(prior + evidence, evidence @ np.tile(observed[0], 3))
     precision = prior + evidence
-    x, spread = expected.copy(), 0.15
-    for _ in range(_ITERATIONS):
+
+    def system(x: np.ndarray, spread: float) -> tuple[np.ndarray, np.ndarray, float]:
         normal, pull = precision.copy(), precision @ (expected - x)
         left = []
         for channel in range(3):
@@ -194,12 +193,10 @@ def solve_sky(points: OpenPoints, observed: tuple[np.ndarray, np.ndarray]) -> np
             normal[mine, mine] += weighted.T @ rows.jacobian
             pull[mine] -= weighted.T @ rows.residual
             left.append(rows.residual[: len(residual)])
-        spread = max(1.4826 * float(np.median(np.abs(left))), 0.02)
-        step = np.clip(np.linalg.solve(normal, pull), -_LONGEST_STEP, _LONGEST_STEP)
-        x = x + step
-        if np.abs(step).max() < 1e-3:
-            break
-    return np.asarray(np.exp(x.reshape(3, parts).T))
+        return normal, pull, deviation(np.array(left), 0.02)
+
+    found = gauss_newton(system, expected, 0.15, most_steps=_ITERATIONS, longest=_LONGEST_STEP, settled=1e-3)
+    return np.asarray(np.exp(found.x.reshape(3, parts).T))
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,8 +218,7 @@ def _without_albedo(residual: np.ndarray, jacobian: np.ndarray, group: np.ndarra
     for _ in range(6):
         total = np.bincount(group, weight, size) + precision
         albedo = (np.bincount(group, weight * residual, size) + precision * expected) / total
-        ratio = ((residual - albedo[group]) / spread) ** 2
-        weight = (_DEGREES + 1.0) / (_DEGREES + ratio) / (spread**2 * POINTS_PER_SAMPLE)
+        weight = student_weights(((residual - albedo[group]) / spread) ** 2) / (spread**2 * POINTS_PER_SAMPLE)
         expected, precision = _expected_albedo(albedo)
     total = np.bincount(group, weight, size) + precision
     albedo = (np.bincount(group, weight * residual, size) + precision * expected) / total
@@ -243,9 +239,8 @@ def _expected_albedo(albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     most = np.log(MOST_ALBEDO)
     above = albedo > most
     expected = np.where(above, most, np.log(ALBEDO))
-    deviation = np.where(above, MOST_SPREAD, ALBEDO_SPREAD)
-    ratio = ((albedo - expected) / deviation) ** 2
-    return expected, (_DEGREES + 1.0) / (_DEGREES + ratio) / deviation**2
+    width = np.where(above, MOST_SPREAD, ALBEDO_SPREAD)
+    return expected, student_weights(((albedo - expected) / width) ** 2) / width**2
 
 
 def _sky_precision(parts: int) -> np.ndarray:

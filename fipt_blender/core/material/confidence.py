@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.grouped import grouped_median, grouped_sums
+from ..scene.grouped import grouped_median, grouped_sums, pairs_of
 from .pixel_samples import residual_weight
 
 # Standard deviation of a value of which nothing is known but that it lies in [0, 1].
@@ -129,12 +129,10 @@ def _view_variance(
         cell, view: (N,) int of the pixels.
         information: (cells, 3). group_of_cell: (cells,) int.
     """
-    stride = int(view.max(initial=0)) + 1
-    pair, pair_of_pixel = np.unique(cell.astype(np.int64) * stride + view, return_inverse=True)
-    cell_of_pair = pair // stride
+    cell_of_pair, _, pair_of_pixel = pairs_of(cell, view)
     weighted = pixels.weight * pixels.by_color
-    score = grouped_sums(weighted * pixels.residual, pair_of_pixel, len(pair))
-    pair_information = np.maximum(grouped_sums(weighted * pixels.by_color, pair_of_pixel, len(pair)), 1e-12)
+    score = grouped_sums(weighted * pixels.residual, pair_of_pixel)
+    pair_information = np.maximum(grouped_sums(weighted * pixels.by_color, pair_of_pixel), 1e-12)
     views = np.bincount(cell_of_pair, minlength=len(information)).astype(float)
     total = grouped_sums(score**2 / pair_information, cell_of_pair, len(information))
     of_cell = total / np.maximum(views, 1.0)[:, None]

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..optics.factorised import color_line, level_roughness
 from ..run.settings import Settings
-from ..scene.grouped import grouped_sums, numbered
+from ..scene.grouped import grouped_sums, numbered, pairs_of, rows_of_groups
 from .pixel_samples import PixelSamples, residual_weight
 from .projection import fit_colors
 
@@ -80,9 +80,7 @@ def group_log_likelihoods(
     used = replace(used, diffuse=_shared_light(used.diffuse, light_cell))
     cells = DeviceCells(used)
     variance, best = _residual_variance(cells, used, groups, settings.view_error)
-    views = int(used.view.max()) + 1
-    pairs, pair = np.unique(used.group.astype(np.int64) * views + used.view, return_inverse=True)
-    group = pairs // views
+    group, _, pair = pairs_of(used.group, used.view)
     pixels = np.maximum(np.bincount(pair, used.weight), 1e-6)
     means = np.bincount(pair, _residuals(used, best, variance) * used.weight) / pixels
     common = view_errors(means, pixels, group, variance, settings)
@@ -246,8 +244,7 @@ def _residual_variance(
     materials = np.array(list(itertools.product(range(len(samples.levels)), (0.0, 1.0))))
     squared, group = cells.squares(*materials.T), samples.group
     median, best = np.full(groups, np.inf), np.zeros(groups, np.int64)
-    order = np.argsort(group, kind="stable")
-    for index, rows in enumerate(np.split(order, np.searchsorted(group[order], np.arange(1, groups)))):
+    for index, rows in enumerate(rows_of_groups(group, groups)):
         if len(rows):
             middle = len(rows) // 2
             medians = np.partition(squared[:, rows], middle, axis=1)[:, middle]

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.grouped import grouped_weighted_median
+from ..robust import MAD_TO_DEVIATION
+from ..scene.grouped import grouped_weighted_median, rows_of_groups
 from .confidence import UNIFORM_DEVIATION
 
 # Share of outliers: initial value and bounds.
 FIRST_OUTLIERS, LEAST_OUTLIERS, MOST_OUTLIERS = 0.05, 1e-4, 0.5
 LEAST_SPREAD = 1e-3
-MAD_TO_DEVIATION = 1.4826  # standard deviation of a normal distribution by its median absolute deviation
 ITERATIONS = 60
 CHUNK = 1 << 20
 
@@ -48,10 +48,8 @@ def part_priors(values: np.ndarray, errors: np.ndarray, part: np.ndarray, parts:
         errors: (K,) standard error of each, root mean square over its channels.
         part: (K,) int, negative for none.
     """
-    order = np.argsort(part, kind="stable")
-    bounds = np.searchsorted(part[order], np.arange(parts + 1))
     priors = PartPriors(np.full((parts, values.shape[1]), np.nan), *np.full((2, parts), np.nan))
-    for index, rows in enumerate(np.split(order, bounds)[1:-1]):
+    for index, rows in enumerate(rows_of_groups(part, parts)):
         if len(rows):
             fit = _fit(values[rows], errors[rows])
             priors.median[index], priors.spread[index], priors.outliers[index] = fit

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..light.baking import ShadingStore
 from ..optics.factorised import color_line, level_share
+from ..scene.grouped import rows_of_groups
 
 # A part emits if the relative spread of its radiance is less than this share of that of its irradiance. In
 # the example rooms surfaces stay above 0.5 and lamps below 0.01.
@@ -52,10 +53,7 @@ def constant_parts(radiance: np.ndarray, irradiance: np.ndarray, part: np.ndarra
         part: (N,) int, negative for none.
     """
     result = np.zeros(parts, bool)
-    order = np.argsort(part, kind="stable")
-    bounds = np.searchsorted(part[order], np.arange(parts + 1))
-    for index in range(parts):
-        rows = order[bounds[index] : bounds[index + 1]]
+    for index, rows in enumerate(rows_of_groups(part, parts)):
         if len(rows) < CONSTANT_PIXELS:
             continue
         emitted, received = (_relative_spread(values[rows]) for values in (radiance, irradiance))

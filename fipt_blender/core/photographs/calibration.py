@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .alignment import FINEST_SIDE, STILL_PIXELS, Motion, after, grey, measure, warped
 from .frames import CLIPPED_CODE, Frame, Stored, block_mean, linear_frame
 from .merging import measure_noise
+from .motion import FINEST_SIDE, STILL_PIXELS, Motion, after, grey, measure, warped
 from .preparation import Photograph
 from .response import Response, recover_response, split_samples, srgb_curve
 

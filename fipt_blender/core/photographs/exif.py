@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import math
 import struct
 from collections.abc import Mapping
 from dataclasses import replace
@@ -22,7 +21,7 @@ import rawpy
 from exifread.core.exceptions import ExifError
 from PIL import Image, UnidentifiedImageError
 
-from ..capture.encoded import MOST_PIXELS
+from ..capture.encoded import MOST_PIXELS, exif_number, relative_exposure
 from ..capture.images import EXR_SUFFIX, read_size
 from ..run.errors import FiptError
 from . import radiance_hdr
@@ -101,16 +100,6 @@ def unreadable(path: Path, reason: object) -> FiptError:
         f"{path} can't be read ({reason}).",
         "Copy it from the camera again, or remove it from the folder.",
     )
-
-
-def relative_exposure(shutter: float | None, aperture: float | None, iso: float | None) -> float | None:
-    """The light that reaches the values: shutter * iso / (100 * aperture²).
-
-    Lenses without contacts report no aperture: it counts as 1 then, as it does not change within a bracket.
-    """
-    if shutter is None:
-        return None
-    return shutter * (100.0 if iso is None else iso) / 100.0 / (1.0 if aperture is None else aperture) ** 2
 
 
 def _photograph(name: str, kind: str, size: tuple[int, int], tags: Mapping[str, Any]) -> Photograph:
@@ -195,16 +184,7 @@ def _corrected(path: Path) -> bool | None:
 
 
 def _number(tags: Mapping[str, Any], name: str, least: float = 1e-9, most: float = 1e9) -> float | None:
-    value = tags.get(name)
-    if isinstance(value, (list, tuple)):
-        value = value[0] if value else None
-    if value is None:
-        return None
-    try:
-        number = float(value)
-    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
-        return None
-    return number if math.isfinite(number) and least <= number <= most else None
+    return exif_number(tags.get(name), least, most)
 
 
 def _text(tags: Mapping[str, Any], name: str) -> str:

@@ -17,10 +17,10 @@ import rawpy
 from PIL import Image
 
 from ..run.errors import FiptError
-from .alignment import grey, log_values, measure, warped
 from .brackets import stops_between
 from .exif import DAMAGE, kind_of
 from .frames import CLIPPED_CODE, linear_frame, load
+from .motion import grey, log_values, measure, warped
 from .preparation import Photograph
 from .response import srgb_curve
 

@@ -16,14 +16,14 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from .alignment import Motion, warped
+from ..radiometry.adjustment import CODE_NOISE
 from .frames import BAND_ROWS, Frame, block_mean
+from .motion import Motion, warped
 
 PASSES = 2  # of the weights' expectation
 # The hat: full weight up to here, none from the ceiling on.
 HAT_FROM, HAT_TO = 0.7, 0.97
 _LEAST_WEIGHT = 1e-9
-CODE_NOISE = 1.0  # standard deviation of an 8-bit code: rounding, compression and the sensor's noise
 MOVED_LOG = 0.15  # regions whose exposures differ by more than this in the logarithm have moved
 _MOVED_SIGMAS = 5.0
 # Exposures that a fraction of a pixel moved out of the image still count in the last rows and columns, which

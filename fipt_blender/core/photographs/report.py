@@ -16,9 +16,10 @@ import numpy as np
 from PIL import Image
 
 from ..capture import colmap
+from ..capture.averaging import narrowed
 from ..capture.images import read_radiance
 from ..capture.rig import ReadOptions, Rig
-from ..report.comparison import resize_to, to_display
+from ..report.comparison import to_display
 from ..report.html import write_page
 from ..report.pictures import write_jpeg
 from ..run.errors import FiptError
@@ -173,10 +174,7 @@ def small(path: Path, width: int = PICTURE_WIDTH) -> np.ndarray:
     """
     image = read_radiance(path)
     step = max(1, image.shape[1] // (2 * width))
-    image = image[::step, ::step]
-    if image.shape[1] <= width:
-        return image
-    return resize_to(image, width, max(1, round(image.shape[0] * width / image.shape[1])))
+    return narrowed(image[::step, ::step], width)
 
 
 def _picture(folder: PreparationFolder, group: Group, index: int, exposure: float) -> str:
@@ -231,9 +229,8 @@ def _named(entries: Sequence[Mapping[str, Any]], name: str) -> Mapping[str, Any]
 
 def _plan(capture: Path) -> Plan | None:
     """The solved cameras from above, or None without a model."""
-    if not colmap.detect(capture):
-        return None
-    return make_plan(colmap.read(capture, ReadOptions()))
+    found = colmap.find(capture)
+    return None if found is None else make_plan(colmap.read(found, ReadOptions()))
 
 
 def make_plan(rig: Rig) -> Plan | None:

@@ -15,7 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import isotonic_regression
 
-LEVELS = 256
+from ..capture.encoded import srgb_decoded
+from ..radiometry.response import LEVELS
+
 # Weight of the departure's squared second difference against one sample's squared residual, per sample.
 SMOOTHNESS = 30.0
 # Weight that keeps codes near sRGB's curve of which no sample says anything.
@@ -39,9 +41,7 @@ class Response:
 
 def srgb_curve() -> np.ndarray:
     """(256, 3) linear values of sRGB's codes."""
-    code = np.arange(LEVELS) / (LEVELS - 1.0)
-    linear = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
-    return np.repeat(linear[:, None], 3, axis=1)
+    return np.repeat(srgb_decoded(np.arange(LEVELS) / (LEVELS - 1.0))[:, None], 3, axis=1)
 
 
 def recover_response(samples: Sequence[np.ndarray], exposures: Sequence[np.ndarray]) -> Response:

@@ -21,7 +21,6 @@ from torch.nn import functional
 from .tiny_vit import LayerNorm2d
 
 MASKS = 3  # for each point: a part of a thing, the thing, and what it belongs to
-TOKENS_EACH = 2 + MASKS  # of an answer: its confidence, and one mask for all and three that compete
 LAYERS = 2
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 from ..capture.formats import read_rig
-from ..capture.images import read_radiance, read_size
+from ..capture.images import JPEG_QUALITY, read_radiance, read_size
 from ..capture.rig import ReadOptions
 from ..run.errors import FiptError
 from ..run.messages import Reporter
@@ -28,7 +28,6 @@ from .solving import LeftOut, Solve, SolveView, camera_groups, copy_name, regist
 from .tonemap import tone_mapped
 
 _COPIES_SHARE = 0.1  # of the step's time
-_JPEG_QUALITY = 95
 POOR_ERROR = 1.5  # pixels of mean reprojection error; a good solve has less than one
 SMALL_SIDE = 1000  # pixels; in smaller images, most photographs of a room have too few features
 FEW_VIEWS = 3  # of one camera; with less, its focal length is hardly determined
@@ -144,7 +143,7 @@ def _write_copies(folder: PreparationFolder, groups: list[Group], reporter: Repo
     for index, group in enumerate(groups):
         buffer = io.BytesIO()
         picture = tone_mapped(read_radiance(folder.image(group)))
-        Image.fromarray(picture).save(buffer, "JPEG", quality=_JPEG_QUALITY)
+        Image.fromarray(picture).save(buffer, "JPEG", quality=JPEG_QUALITY)
         copy = copy_file(folder, group.name)
         if not copy.is_file() or copy.read_bytes() != buffer.getvalue():
             changed = True

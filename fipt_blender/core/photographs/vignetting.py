@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..robust import deviation, without_means
 from ..scene.grouped import grouped_sums
 
 TERMS = 3  # r², r⁴, r⁶ of the logarithm of the share of light
@@ -20,7 +21,6 @@ LEAST_SIGNIFICANCE = 4.0  # standard errors by which the corner must be darker
 LEAST_FALLOFF = 0.02  # of the light in the corner; less is not worth a correction
 _ITERATIONS = 12
 _OUTLIER = 4.685  # times the noise, beyond which Tukey's weights are zero (95 % efficient for normal noise)
-_MAD_TO_SIGMA = 1.4826
 # Weak pull of the coefficients towards zero, in observations: it decides only where radii are not covered.
 _RIDGE = 1e-3
 
@@ -86,12 +86,12 @@ def fit_falloff(observations: Observations) -> Falloff | None:
     values = observations.log_radiance[shared]
     weights, residual = np.ones(len(point)), np.zeros(len(point))
     for _ in range(_ITERATIONS):
-        centered = _without_means(columns, point, weights)
-        target = _without_means(values[:, None], point, weights)[:, 0]
+        centered = without_means(columns, point, weights)
+        target = without_means(values, point, weights)
         normal = centered.T @ (weights[:, None] * centered) + _RIDGE * np.eye(columns.shape[1])
         solution = np.linalg.solve(normal, centered.T @ (weights * target))
         residual = target - centered @ solution
-        sigma = max(_MAD_TO_SIGMA * float(np.median(np.abs(residual))), 1e-6)
+        sigma = deviation(residual, 1e-6)
         weights = np.clip(1.0 - (residual / (_OUTLIER * sigma)) ** 2, 0.0, None) ** 2
     coefficients = solution[:TERMS]
     # Errors of one view's or point's observations are alike, so that they count by points, not by pixels.
@@ -123,12 +123,3 @@ def _shared(point: np.ndarray) -> np.ndarray:
     """(N,) whether an observation's point has others."""
     _, inverse, counts = np.unique(point, return_inverse=True, return_counts=True)
     return np.asarray(counts[inverse] > 1)
-
-
-def _without_means(values: np.ndarray, point: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Values (N, C) minus their weighted means over each point."""
-    means = (
-        grouped_sums(values * weights[:, None], point)
-        / np.maximum(np.bincount(point, weights), 1e-12)[:, None]
-    )
-    return np.asarray(values - means[point])

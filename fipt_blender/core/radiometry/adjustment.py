@@ -16,6 +16,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags
 
 from ..capture.encoded import CLIPPED_CODE
+from ..robust import LEAST_VIEWS, deviation, student_weights
 from .response import COMPONENTS, LEVELS, LOWEST_CODE, Basis, interpolated, slope
 
 FALLOFF_TERMS = 2  # r² and r⁴ of the logarithm of the share of light
@@ -23,10 +24,8 @@ FALLOFF_TERMS = 2  # r² and r⁴ of the logarithm of the share of light
 _GAIN_DEVIATION, _FALLOFF_DEVIATION = 3.0, 0.1
 # Standard deviation of a code of a small calm area: rounding, JPEG, noise.
 CODE_NOISE = 1.0
-_DEGREES = 3.0  # of freedom of Student's t-distribution
 _ITERATIONS = 10
 _FIRST_NOISE, _LEAST_NOISE = 0.02, 2e-3  # of the logarithm of radiance, in contrasts
-LEAST_VIEWS = 3  # that must see a point: two can't outvote the error of one of them
 # Neighbouring points share the errors of the model (gloss, mesh): about so many rows count as one.
 ROWS_PER_SAMPLE = 10.0
 
@@ -95,7 +94,7 @@ def adjust(samples: Samples, views: int, basis: Basis) -> Adjustment:
         # A relative error of radiance, in codes by the typical slope: the found one would favor flat shapes.
         spread = np.sqrt(CODE_NOISE**2 + (noise / interpolated(typical, predicted)) ** 2)
         ratio = (error / spread) ** 2 if iteration else np.ones(len(error))
-        precision = (_DEGREES + 1.0) / (_DEGREES + ratio) / (system.slope * spread) ** 2 / ROWS_PER_SAMPLE
+        precision = student_weights(ratio) / (system.slope * spread) ** 2 / ROWS_PER_SAMPLE
         solution, normal, expected = system.solve(precision)
         shape = basis.shape(solution[:COMPONENTS])
         predicted = np.interp(expected, shape, np.arange(LEVELS))
@@ -121,7 +120,7 @@ def _model_noise(error: np.ndarray, slopes: np.ndarray) -> float:
     """Standard deviation of log radiance beside the noise of codes, from errors of codes (R,), robustly."""
     if not len(error):
         return _FIRST_NOISE
-    spread = 1.4826 * float(np.median(np.abs(error * slopes)))
+    spread = deviation(error * slopes)
     return float(np.sqrt(max(spread**2 - float(np.median(CODE_NOISE * slopes)) ** 2, _LEAST_NOISE**2)))
 
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..robust import student_weights
 from .response import Basis
 
 # Standard deviation of exposures as files tell them, rounded to a third of a stop and true to a tenth or so,
 # before they are compared with the gains: it counts as much as one view.
 EXIF_DEVIATION = 0.12 * np.log(2.0)
 _LEAST_EXPOSURES = 4
-_DEGREES = 3.0
 _ITERATIONS = 15
 
 
@@ -68,7 +68,7 @@ def exif_contrast(log_gains: np.ndarray, exposures: np.ndarray) -> Source | None
         # Two unknowns, the contrast and the unit, are fitted to the exposures.
         scatter = (EXIF_DEVIATION**2 + float((weight * squared).sum())) / (len(found) - 1)
         deviation = float(np.sqrt(scatter))
-        weight = (_DEGREES + 1.0) / (_DEGREES + squared / scatter)
+        weight = student_weights(squared / scatter)
     if value <= 0.0:
         return None
     return Source("exif", float(np.log(value)), deviation / (float(np.sqrt(information)) * value))

@@ -87,20 +87,3 @@ def error_picture(estimate: np.ndarray, truth: np.ndarray, exposure: float = 1.0
     """Mean absolute difference of display values in false colours (H, W, 3); ERROR_FULL is the brightest."""
     difference = np.abs(tone_mapped(estimate, exposure) - tone_mapped(truth, exposure)).mean(axis=-1)
     return error_colors(difference / ERROR_FULL)
-
-
-def resize_to(image: np.ndarray, width: int, height: int) -> np.ndarray:
-    """A scene-linear image (H, W, C) at another size; box filter, which preserves the mean."""
-    if image.shape[:2] == (height, width):
-        return image
-    return _resized_rows(_resized_rows(image, height).swapaxes(0, 1), width).swapaxes(0, 1)
-
-
-def _resized_rows(image: np.ndarray, count: int) -> np.ndarray:
-    """Means of the rows over `count` equal intervals of the image's height, with fractions of rows."""
-    total = np.concatenate([np.zeros_like(image[:1], np.float64), np.cumsum(image, axis=0, dtype=np.float64)])
-    edges = np.linspace(0.0, len(image), count + 1)
-    low = np.minimum(edges.astype(int), len(image) - 1)
-    share = (edges - low).reshape(-1, *[1] * (image.ndim - 1))
-    at_edges = total[low] + share * (total[low + 1] - total[low])
-    return (np.diff(at_edges, axis=0) * (count / len(image))).astype(np.float32)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..capture.averaging import means
+from ..capture.averaging import means, narrowed
 from ..capture.images import read_radiance
 from ..capture.views import Capture, View, load_capture
 from ..run.documents import Fields, read_json
@@ -25,7 +25,7 @@ from ..run.runfolder import PRODUCT_VERSION, RunFolder
 from ..run.settings import Settings
 from ..run.shapes import EMITTERS, RENDERS, STATISTICS, STEPS
 from ..run.shapes import MAPS as MAPS_FILE
-from .comparison import ERROR_FULL, choose_exposure, error_picture, psnr, resize_to, to_display
+from .comparison import ERROR_FULL, choose_exposure, error_picture, psnr, to_display
 from .fixture_names import run_fixture_names
 from .html import write_page
 from .pictures import write_png
@@ -160,14 +160,6 @@ class _Album:
         return f"images/{name}"
 
 
-def _shown(image: np.ndarray) -> np.ndarray:
-    """A scene-linear image (H, W, 3), averaged to `PICTURE_WIDTH` if it is wider."""
-    height, width = image.shape[:2]
-    if width <= PICTURE_WIDTH:
-        return image
-    return means(image, PICTURE_WIDTH, max(1, round(height * PICTURE_WIDTH / width)))
-
-
 class _Photographs:
     """Photographs of the capture as the page shows them; each is decoded once."""
 
@@ -177,7 +169,7 @@ class _Photographs:
     def of(self, view: View) -> np.ndarray:
         """Scene-linear radiance (h, w, 3) of a view."""
         if view.name not in self._known:
-            self._known[view.name] = _shown(view.radiance())
+            self._known[view.name] = narrowed(view.radiance(), PICTURE_WIDTH)
         return self._known[view.name]
 
 
@@ -205,12 +197,12 @@ def _shot(
 ) -> Shot:
     """One Cycles render with the photograph of its view; only a re-render is compared with it."""
     kind, name = str(entry["kind"]), str(entry["view"])
-    image = _shown(read_radiance(run.resolve(entry["image"])))
+    image = narrowed(read_radiance(run.resolve(entry["image"])), PICTURE_WIDTH)
     shot = Shot(_TITLES.get(kind, kind), name, album.add("render", to_display(image, exposure)))
     view = next((view for view in capture.views if view.name == name), None) if capture else None
     if view is None:
         return shot
-    photo = resize_to(photographs.of(view), image.shape[1], image.shape[0])
+    photo = means(photographs.of(view), image.shape[1], image.shape[0])
     shot = replace(shot, photo=album.add("photo", to_display(photo, exposure)))
     if kind != "rerender":
         return shot

@@ -85,7 +85,7 @@ def stage_keys(
     return keys
 
 
-_START_AGAIN = "Start the estimation again without resuming it."
+START_AGAIN = "Start the estimation again without resuming it."
 _BAKED_NAME = "baked.json"
 # Folders of the shadings; a refinement with hints keeps those before it, for other hints.
 SHADINGS, HINTED_SHADINGS = "shadings", "hinted_shadings"
@@ -227,7 +227,7 @@ class Checkpoints:
             FiptError: ``file-damaged``.
         """
         if name not in self._data["values"]:
-            raise FiptError("file-damaged", f"{self._path} lacks the value '{name}'.", _START_AGAIN)
+            raise FiptError("file-damaged", f"{self._path} lacks the value '{name}'.", START_AGAIN)
         return self._data["values"][name]
 
     def facts(self) -> list[dict[str, Any]]:
@@ -276,7 +276,7 @@ def load_tensors(path: Path, device: torch.device) -> dict[str, Any]:
         if not isinstance(state, dict):
             raise TypeError("it holds no tensors by name")
     except Exception as error:
-        raise FiptError("file-damaged", f"{path} can't be read ({error}).", _START_AGAIN) from None
+        raise FiptError("file-damaged", f"{path} can't be read ({error}).", START_AGAIN) from None
     return state
 
 

@@ -19,7 +19,7 @@ _CORE = Path(__file__).resolve().parent.parent
 ROOMS = (
     *("alignment", "depth", "capture", "geometry", "radiometry", "scene", "optics", "light", "views"),
     *("material", "estimate", "textures"),
-    "conventions.py",
+    *("conventions.py", "robust.py"),
 )
 
 

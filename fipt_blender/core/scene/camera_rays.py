@@ -46,6 +46,14 @@ def trace_pixels(
     return room.intersect(mi.Ray3f(opaque_vector(mi.Point3f, pose[:3, 3]), direction))
 
 
+def rays_along(origins: np.ndarray, directions: np.ndarray) -> mi.Ray3f:
+    """Rays from points (N, 3), or one point (3,), along unit directions (N, 3)."""
+    origin, direction = (
+        np.ascontiguousarray(np.atleast_2d(each).T, np.float32) for each in (origins, directions)
+    )
+    return mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(*direction))
+
+
 def first_hits(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
     """(N,) int64 triangle of each ray, -1 where it meets none, and (N,) metres to it, infinite there."""
     dr.eval(surface.valid, surface.triangle, surface.distance)  # one after the other, each would be traced

@@ -33,6 +33,39 @@ def _ranks(values: np.ndarray) -> np.ndarray:
     return np.unique(values, return_inverse=True)[1].astype(np.int64)
 
 
+def pairs_of(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Each pair of values of int columns (N,) from 0 once, ascending, and (N,) which pair each row has."""
+    count = int(other.max(initial=0)) + 1
+    pairs, pair = np.unique(one.astype(np.int64) * count + other, return_inverse=True)
+    return pairs // count, pairs % count, pair
+
+
+def rows_of_groups(group: np.ndarray, count: int) -> list[np.ndarray]:
+    """The rows of each group from 0, ascending; group (N,) int, negative for none."""
+    order = np.argsort(group, kind="stable")
+    return np.split(order, np.searchsorted(group[order], np.arange(count + 1)))[1:-1]
+
+
+def strongest(
+    group: np.ndarray,
+    label: np.ndarray,
+    weight: np.ndarray,
+    count: int,
+    of_equals: Literal["low", "high"] = "low",
+) -> np.ndarray:
+    """(count,) int64 the label with the largest weight of each group; -1 for empty groups.
+
+    Args:
+        group, label, weight: (N,), labels of a group once each.
+        count: number of groups.
+        of_equals: which of the labels with equal weights.
+    """
+    found = np.full(count, -1, np.int64)
+    order = np.lexsort((-label if of_equals == "low" else label, weight))  # the last assignment wins
+    found[group[order]] = label[order]
+    return found
+
+
 def grouped_sums(values: np.ndarray, group: np.ndarray, count: int = 0) -> np.ndarray:
     """(G, C) float64 sum of each group's values, column by column.
 

@@ -19,8 +19,8 @@ from ..capture.views import View
 from ..geometry.adjacency import weld
 from ..run.run_files import array_digest
 from .components import mesh_components
-from .grouped import numbered, summed_by_key
-from .modelled_parts import divided_surfaces, mesh_surfaces
+from .grouped import numbered, strongest, summed_by_key
+from .modelled_parts import corners_within, divided_surfaces, mesh_surfaces
 from .room import Room
 from .segments import scan_segments
 from .smooth_parts import Votes, smooth_labels
@@ -162,12 +162,7 @@ def loose_pieces(triangles: np.ndarray, objects: np.ndarray) -> np.ndarray:
         triangles: (T, 3) welded vertex indices; triangles that share a vertex are connected.
         objects: (T,) object of each triangle.
     """
-    if not len(triangles):
-        return np.zeros(0, np.int32)
-    # A node for each vertex of each object.
-    keys = triangles.astype(np.int64) + objects.astype(np.int64)[:, None] * (int(triangles.max()) + 1)
-    corners = np.unique(keys, return_inverse=True)[1].reshape(-1, 3)
-    return mesh_components(corners).astype(np.int32)
+    return mesh_components(corners_within(triangles, objects)).astype(np.int32)
 
 
 def fuse_masks(masks: Iterable[np.ndarray | None], triangles: Iterable[np.ndarray], count: int) -> np.ndarray:
@@ -181,11 +176,7 @@ def fuse_masks(masks: Iterable[np.ndarray | None], triangles: Iterable[np.ndarra
         (count,) int64 ids, NO_PART where no labelled pixel saw the triangle. Ties go to the lower id.
     """
     votes = count_votes(masks, triangles)
-    label = np.full(count, NO_PART, np.int64)
-    # The last assignment to a triangle wins, so sort by votes, then by descending id.
-    order = np.lexsort((-votes.label, votes.weight))
-    label[votes.triangle[order]] = votes.label[order]
-    return label
+    return strongest(votes.triangle, votes.label, votes.weight, count)
 
 
 def count_votes(

@@ -16,9 +16,10 @@ from scipy.sparse import csr_array
 from ..capture.images import write_exr
 from ..capture.views import View
 from ..run.run_files import array_digest
-from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
+from ..run.runfolder import RunFolder, atomic_path
 from .camera_rays import first_hits, trace_pixels
 from .coverage import coarse_view, resampled
+from .grouped import strongest
 from .labels import choose_source, masks_digest
 from .linking import RegionPixels, link_regions
 from .pixels import CELL_PIXELS
@@ -56,8 +57,9 @@ class _Seen:
 def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
     """The views, with part masks whose ids all of them share.
 
-    Masks that share their ids already stay as they are; others are written to ``linked/`` of the run folder
-    and kept as long as the mesh, the masks and the poses stay the same. Mitsuba's variant must be set.
+    Masks that share their ids already stay as they are, and so do the views. Others are written to
+    ``linked/`` of the run folder and kept as long as the mesh, the masks and the poses stay the same.
+    Mitsuba's variant must be set.
 
     Raises:
         FiptError: those of reading the masks, ``disk-full`` or ``run-unwritable``.
@@ -73,22 +75,19 @@ def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
         return linked
     seen = seen_cells(room, views)
     cells, places = numbered_cells(seen)
-    pixels = _region_pixels(seen, cells)
+    pixels = [
+        RegionPixels(one.ids[cell >= 0].astype(np.int64), cell[cell >= 0])
+        for one, cell in zip(seen, cells, strict=True)
+    ]
     if shared_ids(pixels) >= SHARED:
         return list(views)
     part = link_regions(pixels, places)
     record.unlink(missing_ok=True)
     for one, cell in zip(seen, cells, strict=True):
         write_exr(names[one.view.name], _linked(one, np.append(part, -1)[cell]))
-    with explained_write_errors(run.root), atomic_path(record) as temporary:
+    with atomic_path(record) as temporary:
         temporary.write_text(digest, encoding="utf-8")
     return linked
-
-
-def masks_share_ids(room: Room, views: Sequence[View]) -> bool:
-    """Whether an id of the views' part masks means the same in all views; True without masks."""
-    seen = seen_cells(room, views)
-    return shared_ids(_region_pixels(seen, numbered_cells(seen)[0])) >= SHARED
 
 
 def shared_ids(views: Sequence[RegionPixels]) -> float:
@@ -149,13 +148,6 @@ def numbered_cells(seen: Sequence[_Seen]) -> tuple[list[np.ndarray], np.ndarray]
     return cells, places
 
 
-def _region_pixels(seen: Sequence[_Seen], cells: Sequence[np.ndarray]) -> list[RegionPixels]:
-    return [
-        RegionPixels(one.ids[cell >= 0].astype(np.int64), cell[cell >= 0])
-        for one, cell in zip(seen, cells, strict=True)
-    ]
-
-
 def _linked(seen: _Seen, part: np.ndarray) -> np.ndarray:
     """(H, W) int32 part of each pixel from 1, 0 for none.
 
@@ -173,9 +165,7 @@ def _linked(seen: _Seen, part: np.ndarray) -> np.ndarray:
     region_of = counts.argmax(axis=0)
     table = counts.tocoo()
     own = region_of[table.col] == table.row
-    order = np.argsort(table.data[own], kind="stable")  # the last assignment to a region wins
-    main = np.full(shape[0], -1)
-    main[table.row[own][order]] = table.col[own][order]
+    main = strongest(table.row[own], table.col[own], table.data[own], shape[0], "high")
     of_one = (total > 0) & (most >= ONE_PART * total)
     fine = resampled(part, mask.shape)
     past = (main[mask] >= 0) & ((fine < 0) | (region_of[fine] != mask))

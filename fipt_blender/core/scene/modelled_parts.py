@@ -12,7 +12,7 @@ import numpy as np
 
 from ..geometry.adjacency import face_vectors, make_mesh
 from .components import graph_components, mesh_components
-from .grouped import numbered
+from .grouped import numbered, pairs_of, strongest
 from .room import Room
 from .smooth_parts import Votes
 from .spreading import NO_PART, spread_labels
@@ -58,7 +58,7 @@ def divided_surfaces(room: Room, own: np.ndarray, votes: Votes) -> np.ndarray:
     cosine = (normals[one] * normals[other]).sum(axis=1)
     same = own[one] == own[other]
     flat = graph_components(mesh.dual_edges[same & (cosine > np.cos(FLAT))], len(own))
-    connected = mesh_components(_corners(mesh.triangles, own))
+    connected = mesh_components(corners_within(mesh.triangles, own))
     label = _inside(flat, mesh.triangles, votes)
     for piece, least in ((flat, LEAST_VOTES), (connected, LEAST_VOTES), (own, 0.0)):
         best, share, total = _strongest(piece, votes)
@@ -79,25 +79,22 @@ def _inside(piece: np.ndarray, triangles: np.ndarray, votes: Votes) -> np.ndarra
     regions = np.unique(np.stack([piece, own])[:, divided], axis=1)
     several = np.bincount(regions[0], minlength=len(total)) > 1
     label = np.where(divided & several[piece], own, NO_PART)
-    return spread_labels(label, _corners(triangles, piece))
+    return spread_labels(label, corners_within(triangles, piece))
 
 
-def _corners(triangles: np.ndarray, surface: np.ndarray) -> np.ndarray:
+def corners_within(triangles: np.ndarray, surface: np.ndarray) -> np.ndarray:
     """(T, 3) vertices, a vertex of each surface (T,) apart, so that triangles are neighbours within one."""
-    keys = triangles.astype(np.int64) + surface[:, None] * (int(triangles.max(initial=0)) + 1)
+    keys = triangles.astype(np.int64) + surface.astype(np.int64)[:, None] * (
+        int(triangles.max(initial=0)) + 1
+    )
     return np.unique(keys, return_inverse=True)[1].reshape(-1, 3)
 
 
 def _strongest(piece: np.ndarray, votes: Votes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(P,) id with most votes in each piece (T,), the lower of equals, its share of them, and their sum."""
     count = int(piece.max(initial=-1)) + 1
-    ids, column = np.unique(votes.label, return_inverse=True)
-    key, place = np.unique(piece[votes.triangle] * max(len(ids), 1) + column, return_inverse=True)
-    weight = np.bincount(place, votes.weight, minlength=len(key))
-    of, column = key // max(len(ids), 1), key % max(len(ids), 1)
-    total = np.bincount(of, weight, minlength=count)
-    best, most = np.full(count, NO_PART, np.int64), np.zeros(count)
-    order = np.lexsort((-column, weight))  # the last assignment wins
-    best[of[order]] = ids[column[order]]
-    most[of[order]] = weight[order]
-    return best, most / np.maximum(total, 1e-30), total
+    of, label, place = pairs_of(piece[votes.triangle], votes.label)
+    weight = np.bincount(place, votes.weight, minlength=len(of))
+    total, most = np.bincount(of, weight, minlength=count), np.zeros(count)
+    np.maximum.at(most, of, weight)
+    return strongest(of, label, weight, count), most / np.maximum(total, 1e-30), total

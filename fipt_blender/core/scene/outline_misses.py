@@ -8,13 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
-import mitsuba as mi
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from ..capture.views import View
 from ..run.threads import in_threads
-from .camera_rays import first_hits, opaque_vector
+from .camera_rays import first_hits, rays_along
 from .room import Room
 
 # Outlines of mesh and mask that are farther apart, in pixels, are not the same.
@@ -187,7 +186,4 @@ def _first_hit(room: Room, view: View, direction: np.ndarray) -> tuple[np.ndarra
     unit = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
     if not len(unit):
         return np.zeros(0, np.int64), np.zeros(0)
-    origin = opaque_vector(mi.Point3f, np.asarray(view.camera_to_world)[:3, 3])
-    return first_hits(
-        room.intersect(mi.Ray3f(origin, mi.Vector3f(*np.ascontiguousarray(unit.T, np.float32))))
-    )
+    return first_hits(room.intersect(rays_along(np.asarray(view.camera_to_world)[:3, 3], unit)))

@@ -19,7 +19,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 from ..capture.views import View
 from ..geometry.adjacency import Mesh, face_vectors, make_mesh
 from ..run.run_files import array_digest, read_geometry, read_outlines, read_room_files
-from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
+from ..run.runfolder import RunFolder, atomic_path
 from .camera_rays import first_hits, trace_pixels
 from .disagreement import mask_of
 from .grouped import grouped_sums
@@ -46,37 +46,42 @@ FOLD, HALVINGS = 0.3, 4
 _TOLERANCE, _MOST_STEPS = 1e-3, 100
 
 
-def outline_parts(run: RunFolder, views: Sequence[View]) -> None:
+def outline_parts(run: RunFolder, views: Sequence[View], room: Room | None = None) -> bool:
     """Write outlines.npz where the run's mesh is a scan and the views have masks; keep it if it fits them.
 
     Mitsuba's variant must be set.
 
     Args:
         views: training views.
+        room: the run's, without outlines; read where None.
+
+    Returns:
+        whether the run's room has outlines.
 
     Raises:
         FiptError: those of the readers of room and masks, ``disk-full`` or ``run-unwritable``.
     """
     if not run.geometry_npz.exists():
         run.outlines_npz.unlink(missing_ok=True)
-        return
+        return False
     cleaned = read_geometry(run, read_room_files(run, "mesh-damaged")[0])
     if cleaned is None:
-        return
-    room = load_room(run, outlined=False)
+        return False
+    room = room or load_room(run, outlined=False)
     source = choose_source(room, views)
     if source not in IMAGE_SOURCES:
         run.outlines_npz.unlink(missing_ok=True)
-        return
+        return False
     images = (view.part_ids() if source == "masks" else view.semantic_ids() for view in views)
     masks = masks_digest(views, images)
     stored = read_outlines(run, cleaned["vertices"])
     if stored is not None and np.array_equal(stored["masks"], masks):
-        return
+        return True
     triangles = [first_hits(trace_pixels(room, view))[0] for view in views]
     vertices = outlined_vertices(room, views, choose_parts(room, views, triangles))
-    with explained_write_errors(run.root), atomic_path(run.outlines_npz) as temporary:
+    with atomic_path(run.outlines_npz) as temporary:
         np.savez(temporary, vertices=vertices, cleaned=array_digest(cleaned["vertices"]), masks=masks)
+    return True
 
 
 def outlined_vertices(room: Room, views: Sequence[View], parts: Parts) -> np.ndarray:

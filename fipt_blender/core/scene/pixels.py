@@ -19,6 +19,7 @@ import numpy as np
 from ..capture.images import read_radiance
 from ..capture.views import View
 from ..run.arrays import DAMAGE
+from ..run.checkpoints import START_AGAIN
 from ..run.errors import FiptError
 from ..run.per_view import LocalWorkers, Workers
 from .camera_rays import trace_pixels
@@ -76,6 +77,16 @@ class PixelStore:
         arrays = (self.position, self.normal, self.triangle, self.front)
         return ViewPixels(view, self.views[view], *(np.array(array[rows]) for array in arrays))
 
+    def hits(self, view: int) -> np.ndarray:
+        """(n,) int64 pixels of a view that see the mesh."""
+        rows = self.rows(view)
+        return np.flatnonzero(self.triangle[rows] >= 0) + rows.start
+
+    def surface(self, room: Room, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions (n, 3) that pixels (n,) see, and float32 geometric normals (n, 3) on the seen sides."""
+        side = np.where(self.front[rows], np.float32(1.0), np.float32(-1.0))[:, None]
+        return np.asarray(self.position[rows]), (room.normals[self.triangle[rows]] * side).astype(np.float32)
+
     def camera_positions(self) -> np.ndarray:
         """(n, 3) float32 camera centre of each view."""
         return np.array([view.camera_to_world[:3, 3] for view in self.views], np.float32)
@@ -112,8 +123,6 @@ _ARRAYS: dict[str, tuple[type, tuple[int, ...]]] = {
     "weight": (np.float32, ()),
 }
 
-_START_AGAIN = "Start the estimation again without resuming it."
-
 
 def open_array(
     path: Path, shape: tuple[int, ...], dtype: type, create: bool, keep: bool = False
@@ -137,9 +146,9 @@ def open_array(
     try:
         array = np.lib.format.open_memmap(path, mode="r+" if create else "r")
     except DAMAGE as error:
-        raise FiptError("file-damaged", f"{path} can't be read ({error}).", _START_AGAIN) from None
+        raise FiptError("file-damaged", f"{path} can't be read ({error}).", START_AGAIN) from None
     if array.shape != shape or array.dtype != dtype:
-        raise FiptError("file-damaged", f"{path} does not fit the capture.", _START_AGAIN)
+        raise FiptError("file-damaged", f"{path} does not fit the capture.", START_AGAIN)
     return array
 
 

@@ -16,6 +16,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..geometry.adjacency import face_vectors
 from ..geometry.stored import stored_geometry
 from ..run.errors import FiptError
 from ..run.run_files import CLOSING, read_room_files
@@ -98,9 +99,18 @@ class Room:
         return used.min(axis=0), used.max(axis=0)
 
     @cached_property
+    def _faces(self) -> tuple[np.ndarray, np.ndarray]:
+        return face_vectors(np.asarray(self.vertices, np.float64), self.triangles)
+
+    @property
+    def normals(self) -> np.ndarray:
+        """(T, 3) float64 unit geometric normals; (0, 0, 1) for triangles without area."""
+        return self._faces[0]
+
+    @property
     def areas(self) -> np.ndarray:
         """(T,) float64 triangle areas in square metres."""
-        return 0.5 * np.linalg.norm(_edge_cross(self.vertices, self.triangles), axis=1)
+        return self._faces[1]
 
     def points_on(self, triangles: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """(..., 3) points on triangles (...), evenly distributed where u and v (...) are so in [0, 1)."""
@@ -133,7 +143,7 @@ class Room:
     @cached_property
     def _shading(self) -> tuple[mi.Float, mi.Float]:
         """Geometric normal of each triangle and shading normal of each corner, as flat Dr.Jit arrays."""
-        geometric = triangle_normals(self.vertices, self.triangles).astype(np.float32)
+        geometric = self.normals.astype(np.float32)
         corner = np.ascontiguousarray(self.corner_normals, np.float32).reshape(-1)
         return mi.Float(geometric.reshape(-1)), mi.Float(corner)
 
@@ -182,16 +192,8 @@ class Room:
 
 
 def triangle_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(T, 3) float64 unit geometric normals; (0, 0, 1) for triangles without area."""
-    cross = _edge_cross(vertices, triangles)
-    length = np.linalg.norm(cross, axis=1, keepdims=True)
-    return np.where(length > 1e-30, cross / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
-
-
-def _edge_cross(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(T, 3) float64 cross product of two edges of each triangle: its normal, twice its area long."""
-    corners = np.asarray(vertices, np.float64)[np.asarray(triangles)]
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    """(T, 3) float64 unit geometric normals of any mesh, as :attr:`Room.normals`."""
+    return face_vectors(np.asarray(vertices, np.float64), triangles)[0]
 
 
 def load_room(run: RunFolder, outlined: bool = True) -> Room:

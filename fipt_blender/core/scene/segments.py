@@ -11,6 +11,7 @@ import numpy as np
 
 from .adjacency import Adjacency, averaged_normals
 from .components import graph_components
+from .grouped import pairs_of, strongest
 
 # A segment has at least so many median triangles' area.
 LEAST_SIZE = 100.0
@@ -54,9 +55,8 @@ def absorb_small(component: np.ndarray, adjacency: Adjacency, area: np.ndarray, 
         wanted = size[low] < least
         if not wanted.any():
             return component
-        keys, place = np.unique(low[wanted] * count + high[wanted], return_inverse=True)
+        small, large, place = pairs_of(low[wanted], high[wanted])
         length = np.bincount(place, adjacency.length[border][wanted])
-        order = np.argsort(length, kind="stable")
-        joins = np.arange(count)
-        joins[keys[order] // count] = keys[order] % count
-        component = graph_components(np.stack([np.arange(count), joins], axis=1), count)[component]
+        joined = strongest(small, large, length, count, "high")
+        joins = np.flatnonzero(joined >= 0)
+        component = graph_components(np.stack([joins, joined[joins]], axis=1), count)[component]

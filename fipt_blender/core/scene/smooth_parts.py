@@ -15,6 +15,7 @@ from scipy.sparse import csr_array, diags_array
 
 from .adjacency import Adjacency, averaged_normals
 from .components import graph_components
+from .grouped import pairs_of, strongest
 
 # Share of the votes that goes on to the neighbours at each step; the walk is about three triangles long.
 ONWARD = 0.9
@@ -69,9 +70,8 @@ def smooth_labels(votes: Votes, adjacency: Adjacency, cross: np.ndarray) -> np.n
     labels, column = np.unique(votes.label, return_inverse=True)
     passage = edge_passage(adjacency, cross)
     sums = _walk(votes, column, len(labels), adjacency.matrix(passage))
-    found = np.full(adjacency.count, -1, np.int64)
-    reached = np.diff(sums.indptr) > 0
-    found[reached] = _strongest(sums)[reached]
+    row = np.repeat(np.arange(adjacency.count), np.diff(sums.indptr))
+    found = strongest(row, sums.indices, sums.data, adjacency.count)
     found = without_specks(found, adjacency, np.linalg.norm(cross, axis=1))
     known = found >= 0
     found[known] = labels[found[known]]
@@ -90,16 +90,6 @@ def _walk(votes: Votes, column: np.ndarray, labels: int, passage: csr_array) -> 
         sums.data[sums.data < FORGOTTEN] = 0.0
         sums.eliminate_zeros()
     return sums
-
-
-def _strongest(sums: csr_array) -> np.ndarray:
-    """(T,) column of the largest value of each row, the lower one of equals; 0 for empty rows."""
-    row = np.repeat(np.arange(sums.shape[0]), np.diff(sums.indptr))
-    # The last assignment to a row wins.
-    order = np.lexsort((-sums.indices, sums.data))
-    best = np.zeros(sums.shape[0], np.int64)
-    best[row[order]] = sums.indices[order]
-    return best
 
 
 def without_specks(label: np.ndarray, adjacency: Adjacency, area: np.ndarray) -> np.ndarray:
@@ -122,13 +112,9 @@ def without_specks(label: np.ndarray, adjacency: Adjacency, area: np.ndarray) ->
     within = np.where(speck[one], one, other)[border]
     beyond = np.where(speck[one], other, one)[border]
     valid = label[beyond] >= 0
-    count = int(label.max(initial=-1)) + 1
-    key = component[within[valid]] * count + label[beyond[valid]]
-    keys, place = np.unique(key, return_inverse=True)
+    of, next_to, place = pairs_of(component[within[valid]], label[beyond[valid]])
     length = np.bincount(place, adjacency.length[border][valid])
-    order = np.argsort(length, kind="stable")
-    taken = np.full(len(size), -1, np.int64)
-    taken[keys[order] // max(count, 1)] = keys[order] % max(count, 1)
+    taken = strongest(of, next_to, length, len(size), "high")
     replaced = speck & (taken[component] >= 0)
     return np.where(replaced, taken[component], label)
 

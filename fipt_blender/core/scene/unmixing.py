@@ -20,6 +20,7 @@ from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import spsolve
 
 from ..capture.views import View
+from ..radiometry.inversion import MODEL_ERROR
 from ..run.per_view import LocalWorkers, Workers
 from .fragments import OUTSIDE, Fragments, trace_fragments
 from .grouped import grouped_sums
@@ -43,9 +44,8 @@ SPREAD, SPREAD_FRAGMENTS = 0.5, 0.2
 NOISE = 0.02
 # Standard deviation of a coverage by 16 samples: 0.035 at edges of any slope, 0.048 for strips.
 COVERAGE_ERROR = 0.04
-# Standard error of what the model explains of a pure pixel, relative to its radiance plus a floor (in units
-# of the capture's median). A radiance with this error has the weight 1/2.
-MODEL_ERROR = 0.1
+# The radiance (in units of the capture's median) to which MODEL_ERROR, the standard error of what the model
+# explains of a pure pixel, is not relative.
 FLOOR = 0.05
 # Pixels per chunk; each needs 16 rays.
 CHUNK = 1 << 15

@@ -12,17 +12,17 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import mitsuba as mi
 import numpy as np
 
 from ..capture.views import View
 from ..light.cache import side_index
-from ..scene.camera_rays import first_hits
-from ..scene.grouped import grouped_median, grouped_sums, numbered
+from ..robust import LEAST_VIEWS
+from ..scene.camera_rays import first_hits, rays_along
+from ..scene.grouped import grouped_median, grouped_sums, numbered, pairs_of
 from ..scene.pixels import CELL_PIXELS
-from ..scene.room import Room, triangle_normals
+from ..scene.room import Room
 from .cells import lattice_spacing
-from .sights import LEAST_VIEWS, grid_points, seen_before
+from .masked_views import grid_points, seen_before
 
 # Difference of the logarithm of radiance (root mean square over the channels) beyond which photographs
 # disagree entirely. Gloss and errors of poses make it large on one surface, too.
@@ -164,8 +164,7 @@ def hits_of(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Triangle and distance (:func:`.first_hits`) of rays from the views (n,) along directions (n, 3)."""
     places = np.array([each.camera_to_world[:3, 3] for each in views], np.float32)
-    origin = mi.Point3f(np.ascontiguousarray(places[view].T))
-    return first_hits(room.intersect(mi.Ray3f(origin, mi.Vector3f(np.ascontiguousarray(direction.T)))))
+    return first_hits(room.intersect(rays_along(places[view], direction)))
 
 
 def cells_of(
@@ -180,15 +179,14 @@ def cells_of(
     triangle, distance = hits
     places = np.array([each.camera_to_world[:3, 3] for each in views])
     points = places[view] + direction * distance[:, None]
-    side = side_index(triangle_normals(room.vertices, room.triangles))[triangle]
+    side = side_index(room.normals)[triangle]
     return numbered([*np.floor(points / (CELL_PIXELS * size)).astype(np.int64).T, side])
 
 
 def _means(view: np.ndarray, cell: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, ...]:
     """View and cell (m,) of each cell in each view, and the mean (m, 3) of its colours."""
-    views = int(view.max(initial=0)) + 1
-    pairs, pair = np.unique(cell * views + view, return_inverse=True)
-    return pairs % views, pairs // views, grouped_sums(color, pair) / np.bincount(pair)[:, None]
+    cell, view, pair = pairs_of(cell, view)
+    return view, cell, grouped_sums(color, pair) / np.bincount(pair)[:, None]
 
 
 def _exposures(view: np.ndarray, cell: np.ndarray, color: np.ndarray, views: int) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from ..capture.views import View
 from ..light.cache import side_index
 from ..scene.pixels import CELL_PIXELS, PixelStore
-from ..scene.room import Room, triangle_normals
+from ..scene.room import Room
 
 # Radiance below this share of the capture's median is too dark to compare; it is clamped to it.
 DARK = 0.02
@@ -143,7 +143,7 @@ def surface_cells(pixels: PixelStore, room: Room, part: np.ndarray, footprint: f
     low, high = room.bounds
     spacing = float(np.median([lattice_spacing(view) for view in pixels.views]))
     size = max(CELL_PIXELS * spacing * footprint, float((high - low).max()) / MOST_CELLS)
-    grid = CellGrid(part, side_index(triangle_normals(room.vertices, room.triangles)), low, size)
+    grid = CellGrid(part, side_index(room.normals), low, size)
     keys = np.zeros(0, np.int64)
     pending: list[np.ndarray] = []
     pixel_count = pending_count = 0

@@ -19,9 +19,9 @@ from ..run.messages import Reporter
 from ..run.settings import Settings
 from ..scene.pixels import LEFT_OUT, PixelStore
 from ..scene.room import Room
-from .alignment import FAR_OFF, misaligned_views
 from .cells import SurfaceCells, surface_cells
 from .exposure import exposure_gains, unlike_exposures
+from .misaligned import FAR_OFF, misaligned_views
 from .unmeshed import measure, most_reflected_at, shown_by, unmeshed_lights
 
 

@@ -5,13 +5,12 @@ bright they are (:mod:`..light.clipped`)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..geometry.adjacency import weld
-from ..light.cache import Pool, VoxelGrid, fill_grid, grid_frame
+from ..light.cache import Pool, seen_grid
 from ..light.clipped import MOST_LAMPS, MOST_POINTS, LampLight, LitPoints, light_on_points
 from ..light.emitter_surfaces import PATCH, surface_patches
 from ..radiometry.adjustment import usable
@@ -20,8 +19,8 @@ from ..run.settings import Settings
 from ..scene.adjacency import Scan
 from ..scene.components import graph_components, mesh_components
 from ..scene.grouped import numbered
-from ..scene.pixels import NO_TRIANGLE, PixelStore
-from ..scene.room import Room, triangle_normals
+from ..scene.pixels import NO_TRIANGLE
+from ..scene.room import Room
 from .codes import Codes
 
 # A triangle is a clipped surface if more than this share of its pixels is clipped.
@@ -166,13 +165,7 @@ def light_on_surfaces(
 ) -> Lit:
     """Points of the surfaces with the light that reaches them, and the radiance of all cache entries."""
     pixels, encoded = codes.pixels, codes.encoded
-    normals = triangle_normals(room.vertices, room.triangles).astype(np.float32)
-
-    def surface(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        side = np.where(pixels.front[rows], np.float32(1.0), np.float32(-1.0))
-        return np.asarray(pixels.position[rows]), normals[pixels.triangle[rows]] * side[:, None]
-
-    grid = _grid(pixels, room, surface, settings)
+    grid = seen_grid(pixels, room, settings.voxel_resolution, settings.seed)
     lamps = int(lamp.max(initial=-1)) + 1
     pooled, bound = Pool(grid, 3), np.full((lamps + 1, 3), -np.inf)
     rng = np.random.default_rng([settings.seed, 20])
@@ -189,28 +182,14 @@ def light_on_surfaces(
         hit = np.flatnonzero((triangle >= 0) & (on < 0))
         # Bounds count where there is nothing else.
         weight = np.where(good[hit].all(axis=1) & pixels.pure[rows][hit], 1.0, 1e-3)
-        pooled.add(grid.entries(*surface(hit + rows.start)), value[hit], weight)
+        pooled.add(grid.entries(*pixels.surface(room, hit + rows.start)), value[hit], weight)
         able = hit[pixels.pure[rows][hit] & good[hit].any(axis=1) & (part[triangle[hit]] >= 0)]
         drawn = rng.permutation(able)[: max(1, MOST_POINTS // len(encoded))]
         chosen.append(drawn + rows.start)
         values.append(np.where(good[drawn], value[drawn], np.nan))
     where = np.concatenate(chosen)
-    entry, direct = light_on_points(room, grid, surface(where), lamp, settings.seed)
+    entry, direct = light_on_points(room, grid, pixels.surface(room, where), lamp, settings.seed)
     points = LitPoints(np.concatenate(values), part[pixels.triangle[where]], entry, direct)
     of_view = np.repeat(np.arange(len(encoded)), [len(rows) for rows in chosen])
     cache = pooled.filled()[0].astype(np.float64)
     return Lit(points, where, of_view, cache, np.where(np.isfinite(bound), bound, 0.0))
-
-
-def _grid(
-    pixels: PixelStore,
-    room: Room,
-    surface: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
-    settings: Settings,
-) -> VoxelGrid:
-    frame = grid_frame(room, settings.voxel_resolution)
-    marked = np.zeros(settings.voxel_resolution**3, bool)
-    for index in range(len(pixels.views)):
-        rows = pixels.rows(index)
-        marked[frame.flat_index(*surface(np.flatnonzero(pixels.triangle[rows] >= 0) + rows.start))] = True
-    return fill_grid(room, frame, np.flatnonzero(marked), np.random.default_rng([settings.seed, 1]))

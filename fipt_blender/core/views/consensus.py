@@ -19,7 +19,7 @@ from scipy import sparse
 from ..capture.views import View
 from ..run.errors import FiptError
 from ..run.settings import Settings
-from ..scene.grouped import grouped_sums
+from ..scene.grouped import grouped_sums, pairs_of
 from ..scene.room import Room
 from .agreement import FLOOR, cells_of, hits_of, on_lattice
 
@@ -29,7 +29,7 @@ LEAST_SPREAD = 0.1  # standard deviation of log radiance in the shared cells, be
 # Correlation of neighbouring pixels of a photograph below which it is mostly noise and tells nothing. Rooms
 # have 0.83 and more, photographs traced with few samples 0.4 to 0.8.
 CLEAR = 0.75
-LEAST_VIEWS = 4  # that must be judged before anything is said of poses or mesh
+JUDGED_VIEWS = 4  # that must be judged before anything is said of poses or mesh
 # Correlation of a pair of which one pose may be wrong. Right ones reach 0.9, wrong ones 0.15 in the median.
 AGREE = 0.5
 SOFTNESS = 0.1  # of a view's mean correlation, within which it is neither credible nor not
@@ -171,10 +171,10 @@ def pair_agreement(room: Room, small: SmallViews, places: np.ndarray | None = No
     view, hits = number[met], (triangle[met], distance[met])
     size = float(np.median(distance[met] / np.array([each.fx for each in views])[view]))
     cell = cells_of(views, room, view, direction[met], hits, size)
-    pairs, pair = np.unique(cell * count + view, return_inverse=True)
+    seen_cell, seen_by, pair = pairs_of(cell, view)
     color = grouped_sums(np.concatenate(small.color)[met], pair) / np.bincount(pair)[:, None]
-    place, shape = (pairs % count, pairs // count), (count, int(cell.max()) + 1)
-    shows = sparse.csr_matrix((np.ones(len(pairs)), place), shape)
+    place, shape = (seen_by, seen_cell), (count, int(cell.max()) + 1)
+    shows = sparse.csr_matrix((np.ones(len(seen_by)), place), shape)
     shared = (shows @ shows.T).toarray()
     common, covariance, variance = np.maximum(shared, 1.0), none, none
     for channel in range(3):
@@ -205,7 +205,7 @@ def check_input(room: Room, views: Sequence[View], settings: Settings) -> dict[i
     if not settings.force:
         _check_photographs(small)
     credible, judged = found.credible()
-    few = judged.sum() < LEAST_VIEWS
+    few = judged.sum() < JUDGED_VIEWS
     blind = int((found.seen < LITTLE_SEEN).sum())
     elsewhere = 2 * blind >= len(views) or found.seen.mean() < LEAST_SEEN
     doubtful = found.median < MEND or not credible.all()
@@ -285,7 +285,7 @@ def _check_mesh(room: Room, small: SmallViews, given: PairAgreement, anything: b
     best, name = 0.0, ""
     for text, places in _placements(room, some.views, anything):
         found = pair_agreement(room, some, places)
-        enough = (found.weight > 0.0).sum() >= 2 * LEAST_VIEWS and found.seen.mean() > LEAST_SEEN
+        enough = (found.weight > 0.0).sum() >= 2 * JUDGED_VIEWS and found.seen.mean() > LEAST_SEEN
         if enough and found.median > best:
             best, name = found.median, text
         if best > WELL:

@@ -5,12 +5,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator, cg
+from scipy.sparse import csr_array
 
+from ..robust import deviation, without_means
 from .cells import SurfaceCells
 
 # Exposures are estimated from about this many pixels.
@@ -19,6 +18,8 @@ GAIN_PIXELS = 1_000_000
 SHARED_CELLS = 30
 # Exposures that differ by less than this factor are not corrected: highlights cause differences of this size.
 SAME_EXPOSURE = 1.06
+# Least standard deviation of the logarithm of a cell's radiance in a view.
+LEAST_SPREAD = 0.01
 
 
 def exposure_gains(cells: SurfaceCells, without: Collection[int] = ()) -> np.ndarray:
@@ -39,67 +40,35 @@ def exposure_gains(cells: SurfaceCells, without: Collection[int] = ()) -> np.nda
         means.append(in_view.among(asked).means())
     view = np.repeat(np.arange(views), [len(of_view) for of_view, _ in means])
     cell, value = (np.concatenate(columns) for columns in zip(*means, strict=True))
-    order = np.argsort(cell, kind="stable")
-    cell, view, value = cell[order], view[order], value[order]
     shared = np.bincount(cell, minlength=cells.count)[cell] > 1
     cell, view, value = cell[shared], view[shared], value[shared]
     judged = np.bincount(view, minlength=views) >= SHARED_CELLS
     if not judged.any():
         return np.ones(views)
-    samples = _GainSamples(cell, view, value, np.ones(len(cell)), cells.count, views)
-    gain = np.zeros(views)
+    weight, gain = np.ones(len(cell)), np.zeros(views)
     for _ in range(8):
-        gain = samples.solve(gain)
-        residual = samples.without_cells(value - gain[view])
-        scale = max(1.48 * float(np.median(np.abs(residual))), 0.01)
-        samples = replace(samples, weight=1.0 / (1.0 + (residual / (2.0 * scale)) ** 2))
+        gain = _solved(cell, view, value, weight, views)
+        residual = without_means(value - gain[view], cell, weight)
+        weight = 1.0 / (1.0 + (residual / (2.0 * deviation(residual, LEAST_SPREAD))) ** 2)
     gain -= np.median(gain[judged])
     return np.where(judged, np.exp(gain), 1.0)
 
 
-@dataclass(frozen=True)
-class _GainSamples:
-    """Log radiance of the cells that several views share: K samples, one for each cell and view.
+def _solved(
+    cell: np.ndarray, view: np.ndarray, value: np.ndarray, weight: np.ndarray, views: int
+) -> np.ndarray:
+    """(views,) log gains by weighted least squares, with the cells eliminated.
 
-    Attributes:
-        cell: (K,) int64.
-        view: (K,) int64.
-        value: (K,) float64 log radiance.
-        weight: (K,) float64.
-        cells: number of all cells.
-        views: number of all views.
+    Only their differences are determined: of all solutions the smallest is taken.
+
+    Args:
+        cell, view: (K,) int. value: (K,) log radiance. weight: (K,).
     """
-
-    cell: np.ndarray
-    view: np.ndarray
-    value: np.ndarray
-    weight: np.ndarray
-    cells: int
-    views: int
-
-    @cached_property
-    def _cell_weight(self) -> np.ndarray:
-        """(cells,)"""
-        return np.maximum(np.bincount(self.cell, self.weight, self.cells), 1e-12)
-
-    def without_cells(self, values: np.ndarray) -> np.ndarray:
-        """(K,) values minus the weighted mean of their cell."""
-        mean = np.bincount(self.cell, self.weight * values, self.cells) / self._cell_weight
-        return values - mean[self.cell]
-
-    def solve(self, start: np.ndarray) -> np.ndarray:
-        """(views,) log gains of the views by weighted least squares, with the cells eliminated.
-
-        Args:
-            start: (views,) gains to start from; only differences are determined, the offset is that of these.
-        """
-
-        def view_sums(values: np.ndarray) -> np.ndarray:
-            return np.bincount(self.view, self.weight * self.without_cells(values), self.views)
-
-        normal = LinearOperator((self.views,) * 2, lambda gain: view_sums(gain[self.view]), dtype=np.float64)
-        tolerance = 1e-6 * max(float(self.weight.sum()), 1.0) ** 0.5
-        return cg(normal, view_sums(self.value), start, rtol=0.0, atol=tolerance, maxiter=60)[0]
+    shares = csr_array((weight, (cell, view)), shape=(int(cell.max()) + 1, views))
+    total = np.maximum(np.bincount(cell, weight), 1e-12)
+    normal = np.diag(np.bincount(view, weight, views)) - (shares.T @ (shares / total[:, None])).toarray()
+    right = np.bincount(view, weight * without_means(value, cell, weight), views)
+    return np.linalg.lstsq(normal, right, rcond=1e-12)[0]
 
 
 def unlike_exposures(gains: np.ndarray) -> np.ndarray:

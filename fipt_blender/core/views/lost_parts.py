@@ -16,7 +16,8 @@ from scipy.special import bdtrc  # scipy.stats takes half a second to import
 
 from ..geometry.adjacency import NONE
 from ..geometry.prism import prism
-from .sights import LEAST_VIEWS, MISSES, Sight, grid_points
+from ..robust import LEAST_VIEWS
+from .masked_views import MISSES, MaskedView, grid_points
 
 # A part is lost if most of its pixels meet other surfaces in more views than chance explains.
 LEVEL = 0.05
@@ -31,25 +32,27 @@ _MOST_POINTS = 4_000_000
 Surface = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-def lost_parts(sights: Sequence[Sight], bounds: tuple[np.ndarray, np.ndarray], edge: float) -> list[Surface]:
+def lost_parts(
+    masked: Sequence[MaskedView], bounds: tuple[np.ndarray, np.ndarray], edge: float
+) -> list[Surface]:
     """Prisms for the parts of part masks that a scan lost.
 
     Args:
-        sights: of training views.
+        masked: what the training views show.
         bounds: lowest and highest corner of the scan, metres.
         edge: median edge of the scan, metres.
 
     Returns:
         for each its surface, whose triangles are on no planes.
     """
-    found = (_prism(sights, part, bounds, edge) for part in _lost(sights))
+    found = (_prism(masked, part, bounds, edge) for part in _lost(masked))
     return [each for each in found if each is not None]
 
 
-def _lost(sights: Sequence[Sight]) -> list[int]:
+def _lost(masked: Sequence[MaskedView]) -> list[int]:
     """Ids of the parts that are lost, by a sign test over the views, and that are not the bright outside."""
     found, pixels, bright = (
-        np.array([getattr(sight, name) for sight in sights]) for name in ("found", "pixels", "bright")
+        np.array([getattr(one, name) for one in masked]) for name in ("found", "pixels", "bright")
     )
     lost = []
     for part in np.flatnonzero(pixels.any(axis=0)):
@@ -70,13 +73,13 @@ def unlikely(count: int, views: int) -> bool:
 
 
 def _prism(
-    sights: Sequence[Sight], part: int, bounds: tuple[np.ndarray, np.ndarray], edge: float
+    masked: Sequence[MaskedView], part: int, bounds: tuple[np.ndarray, np.ndarray], edge: float
 ) -> Surface | None:
     """The prism of a part, None where none has its outlines."""
-    shown = [sight.shown(part) for sight in sights]
+    shown = [one.shown(part) for one in masked]
     sizes = [
-        sight.distance[(image > 0) & np.isfinite(sight.distance)] / sight.view.fx
-        for sight, image in zip(sights, shown, strict=True)
+        one.distance[(image > 0) & np.isfinite(one.distance)] / one.view.fx
+        for one, image in zip(masked, shown, strict=True)
     ]
     every = np.concatenate(sizes)
     cell = max(edge, float(np.median(every)) if len(every) else 0.0)
@@ -85,7 +88,7 @@ def _prism(
         shape = np.maximum(np.ceil((high - low) / step).astype(int), 1)
         if np.prod(shape) > _MOST_POINTS:
             return None
-        yes, no = _votes(sights, shown, grid_points(low, step, shape), edge)
+        yes, no = _votes(masked, shown, grid_points(low, step, shape), edge)
         yes, no = yes.reshape(shape), no.reshape(shape)
         if step == cell:
             break
@@ -94,7 +97,7 @@ def _prism(
             return None
         places = np.argwhere(body)
         low, high = low + (places.min(axis=0) - 1) * step, low + (places.max(axis=0) + 2) * step
-    found = _fitted(sights, shown, (yes, no), (low, cell), edge)
+    found = _fitted(masked, shown, (yes, no), (low, cell), edge)
     if found is None:
         return None
     footprint, first, last = found
@@ -103,12 +106,12 @@ def _prism(
 
 
 def _votes(
-    sights: Sequence[Sight], shown: Sequence[np.ndarray], points: np.ndarray, tolerance: float
+    masked: Sequence[MaskedView], shown: Sequence[np.ndarray], points: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N,) int, how many views show the part at each point (N, 3), and how many show another."""
     yes, no = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
-    for sight, image in zip(sights, shown, strict=True):
-        rows, y, x = sight.seen(points, tolerance)
+    for one, image in zip(masked, shown, strict=True):
+        rows, y, x = one.seen(points, tolerance)
         yes[rows] += image[y, x] > 0
         no[rows] += image[y, x] < 0
     return yes, no
@@ -123,7 +126,7 @@ def largest_piece(mask: np.ndarray) -> np.ndarray | None:
 
 
 def _fitted(
-    sights: Sequence[Sight],
+    masked: Sequence[MaskedView],
     shown: Sequence[np.ndarray],
     votes: tuple[np.ndarray, np.ndarray],
     grid: tuple[np.ndarray, float],
@@ -148,7 +151,7 @@ def _fitted(
         places = np.stack([np.tile(column, layers), np.tile(row, layers)], axis=1)
         height = np.repeat(np.arange(first, last + 1), len(column))[:, None]
         points = low + (np.concatenate([places, height], axis=1) + 0.5) * cell
-        return _overlap(sights, shown, points, cell, tolerance), footprint
+        return _overlap(masked, shown, points, cell, tolerance), footprint
 
     layers = yes.shape[2]
     score, first, last = max((overlap(layer, layer)[0], layer, layer) for layer in range(layers))
@@ -166,7 +169,7 @@ def _fitted(
 
 
 def _overlap(
-    sights: Sequence[Sight],
+    masked: Sequence[MaskedView],
     shown: Sequence[np.ndarray],
     points: np.ndarray,
     cell: float,
@@ -174,13 +177,13 @@ def _overlap(
 ) -> float:
     """Intersection over union of the part's pixels and those of cells around points (N, 3)"""
     both = either = 0
-    for sight, image in zip(sights, shown, strict=True):
+    for one, image in zip(masked, shown, strict=True):
         covered = np.zeros(image.shape, bool)
-        rows, y, x = sight.seen(points, tolerance)
+        rows, y, x = one.seen(points, tolerance)
         covered[y, x] = True
         if len(rows):
-            distance = np.median(np.linalg.norm(points[rows] - sight.place, axis=1))
-            size = int(np.ceil(sight.view.fx * cell / distance)) + 1
+            distance = np.median(np.linalg.norm(points[rows] - one.place, axis=1))
+            size = int(np.ceil(one.view.fx * cell / distance)) + 1
             covered = binary_closing(np.pad(covered, size), np.ones((size, size)))[size:-size, size:-size]
         both += int((covered & (image > 0)).sum())
         either += int(((covered & (image != 0)) | (image > 0)).sum())

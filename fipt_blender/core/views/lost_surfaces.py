@@ -21,10 +21,10 @@ from scipy.ndimage import label as connected
 from ..capture.views import View
 from ..geometry.adjacency import NONE
 from ..geometry.prism import prism
+from ..robust import LEAST_VIEWS
 from ..scene.room import Room
 from .agreement import Box, ComparedPixels, cells_of, compared_pixels, doubts, hits_of
 from .lost_parts import Surface, largest_piece, unlikely
-from .sights import LEAST_VIEWS
 
 # A point of a lost thing takes at least this much disagreement away, mean over the views.
 LEAST_GAIN = 0.1

@@ -26,11 +26,11 @@ from ..run.run_files import PANES, has_searched_panes, mesh_digest, read_room_fi
 from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
 from ..scene.camera_rays import first_hits, trace_pixels
 from ..scene.labels import choose_source, masks_digest
-from ..scene.linked_masks import link_masks, masks_share_ids
+from ..scene.linked_masks import link_masks
 from ..scene.room import Room, load_room
 from .lost_parts import Surface, lost_parts
 from .lost_surfaces import lost_surfaces
-from .sights import OUTSIDE, part_sights
+from .masked_views import OUTSIDE, masked_views
 from .torn_parts import torn_parts
 
 # A hole counts if so many pixels look into it, and this share of them meets no surface behind it.
@@ -38,14 +38,14 @@ LEAST_PIXELS, LEAST_MISSED = 100, 0.5
 
 
 @dataclass
-class _Sight:
+class _Look:
     """What the pixels that look into a hole show: their number, and the luminance of those that miss."""
 
     count: int
     missed: list[np.ndarray]
 
 
-def close_holes(run: RunFolder, views: Sequence[View]) -> None:
+def close_holes(run: RunFolder, views: Sequence[View], room: Room | None = None) -> bool:
     """Write panes.npz, and extend geometry.npz, where photographs show surfaces that a scan lacks.
 
     Nothing changes where the mesh is no scan, where the room has panes already, or where these masks were
@@ -53,26 +53,30 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
 
     Args:
         views: training views.
+        room: the run's, without outlines; read where None.
+
+    Returns:
+        whether the run's room has more surfaces now.
 
     Raises:
         FiptError: those of the readers of room and photographs, ``disk-full`` or ``run-unwritable``.
     """
     if not run.geometry_npz.exists():
         run.panes_npz.unlink(missing_ok=True)
-        return
+        return False
     arrays, names = read_room_files(run, "mesh-damaged")
     if PANES in (names.get("object_ids") or names["objects"]):
-        return
+        return False
     cleaned = stored_geometry(run, arrays)
     use_masks = names.get("parts", "masks") in ("auto", "masks")
     masks = masks_digest(views, (view.part_ids() for view in views if use_masks))
     if cleaned is None or has_searched_panes(run, arrays, masks):
-        return
+        return False
     mesh, _ = make_mesh(cleaned.vertices, arrays["triangles"])
     edge = median_edge(mesh)
     holes = flat_holes(mesh, edge)
-    room = load_room(run)
-    closed = [hole for hole, seen in zip(holes, _sights(room, holes, views), strict=True) if seen]
+    room = room or load_room(run, outlined=False)
+    closed = [hole for hole, seen in zip(holes, _looks(room, holes, views), strict=True) if seen]
     added = _panes(closed) if closed else None
     for surface in _things(run, room if added is None else _with(room, added), views, edge):
         added = surface if added is None else _joined(added, surface)
@@ -89,7 +93,7 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
                 masks=masks,
             )
         if added is None:
-            return
+            return False
         plane = np.where(plane == NONE, NONE, int(cleaned.plane.max(initial=-1)) + 1 + plane)
         extended = CleanMesh(
             np.concatenate([cleaned.vertices, vertices]),
@@ -98,6 +102,7 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
             cleaned.noise,
         )
         store_geometry(run, read_room_files(run)[0], extended)
+    return True
 
 
 def _things(run: RunFolder, room: Room, views: Sequence[View], edge: float) -> list[Surface]:
@@ -107,13 +112,14 @@ def _things(run: RunFolder, room: Room, views: Sequence[View], edge: float) -> l
     """
     if choose_source(room, views) != "masks":
         return lost_surfaces(room, views, edge)
-    shared = masks_share_ids(room, views)
+    linked = link_masks(run, room, views)
+    shared = linked == list(views)
     found = [] if shared else lost_surfaces(room, views, edge)
     for surface in found:
         room = _with(room, surface)
-    sights, label = part_sights(room, views if shared else link_masks(run, room, views))
-    lost = lost_parts(sights, room.bounds, edge) if shared else []
-    return found + lost + torn_parts(room, label, sights, lost, edge)
+    masked, label = masked_views(room, link_masks(run, room, views) if found else linked)
+    lost = lost_parts(masked, room.bounds, edge) if shared else []
+    return found + lost + torn_parts(room, label, masked, lost, edge)
 
 
 def _with(room: Room, surface: Surface) -> Room:
@@ -152,25 +158,25 @@ def _panes(holes: Sequence[FlatHole]) -> Surface:
     return joined(vertices), joined(triangles), joined(normals), joined(numbers)
 
 
-def _sights(room: Room, holes: Sequence[FlatHole], views: Sequence[View]) -> list[bool]:
+def _looks(room: Room, holes: Sequence[FlatHole], views: Sequence[View]) -> list[bool]:
     """Whether the photographs show that each hole is a surface."""
-    sights = [_Sight(0, []) for _ in holes]
+    looks = [_Look(0, []) for _ in holes]
     medians = []
     for view in views if holes else ():
         luminance = view.radiance().reshape(-1, 3) @ LUMINANCE
         medians.append(np.median(luminance))
         reached = first_hits(trace_pixels(room, view))[1]
         origin, directions = view.camera_to_world[:3, 3], view.rays()[1]
-        for hole, sight in zip(holes, sights, strict=True):
+        for hole, look in zip(holes, looks, strict=True):
             enters, distance = hole.crossed(origin, directions)
             enters &= reached > distance
-            sight.count += int(enters.sum())
-            sight.missed.append(luminance[enters & np.isinf(reached)])
+            look.count += int(enters.sum())
+            look.missed.append(luminance[enters & np.isinf(reached)])
     outside = OUTSIDE * float(np.median(medians)) if medians else 0.0
-    return [_is_surface(sight, outside) for sight in sights]
+    return [_is_surface(look, outside) for look in looks]
 
 
-def _is_surface(sight: _Sight, outside: float) -> bool:
-    missed = np.concatenate(sight.missed)
-    enough = len(missed) >= max(LEAST_PIXELS, LEAST_MISSED * sight.count)
+def _is_surface(look: _Look, outside: float) -> bool:
+    missed = np.concatenate(look.missed)
+    enough = len(missed) >= max(LEAST_PIXELS, LEAST_MISSED * look.count)
     return enough and float(np.median(missed)) < outside

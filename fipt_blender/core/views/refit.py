@@ -40,8 +40,8 @@ MOST_CORRECTION = 1.0
 # contrast.
 MOST_DIFFERENCE_SCAN = 0.15
 MOST_LIGHT = 6.0e4  # in half floats
-# Darkest L_d, in units of the capture's median, that is compared.
-_LEAST_LIGHT = 1e-3
+# Darkest L_d, in units of the capture's median, that is compared and by which is divided.
+LEAST_LIGHT = 1e-3
 # Standard deviation of the logarithm of what a clipped surface reflects, by its albedo and its shadings.
 _REFLECTED = 0.5
 # Albedo of a part of which no unclipped pixel is known, and the highest that is believed.
@@ -74,7 +74,7 @@ def refit_photographs(
     diffuse[seen] = np.minimum(light_of(seen, POINT_SAMPLES), MOST_LIGHT)
     light = np.asarray(diffuse[lit.pixel], np.float64)
     radiance = np.asarray(pixels.radiance[lit.pixel], np.float64)
-    valid = (np.asarray(pixels.triangle[lit.pixel]) >= 0) & (light > _LEAST_LIGHT).all(axis=1)
+    valid = (np.asarray(pixels.triangle[lit.pixel]) >= 0) & (light > LEAST_LIGHT).all(axis=1)
     valid &= (radiance > 0.0).all(axis=1)
     if not valid.any():
         return before
@@ -83,7 +83,7 @@ def refit_photographs(
     )
     shift = found.radiometry.adjustment.log_gains - radiometry.adjustment.log_gains
     model = lit.points.light(lit.cache, _shown(pixels, found, unit), contrast)
-    correction = np.log(np.maximum(light, _LEAST_LIGHT)) + unit - np.log(np.maximum(model, 1e-12))
+    correction = np.log(np.maximum(light, LEAST_LIGHT)) + unit - np.log(np.maximum(model, 1e-12))
     if room.scan is not None:
         usual = np.median(correction[valid], axis=0)
         valid &= (np.abs(correction - usual) < MOST_DIFFERENCE_SCAN).all(axis=1)
@@ -223,7 +223,7 @@ def _albedos(
 ) -> dict[int, np.ndarray]:
     """(3,) median albedo of the pixels (M,) of each part that has enough of them."""
     light = np.asarray(diffuse[rows], np.float64)
-    good = (light > _LEAST_LIGHT).all(axis=1)
+    good = (light > LEAST_LIGHT).all(axis=1)
     if not good.any():
         return {}
     own, ratio = part[pixels.triangle[rows]][good], pixels.radiance[rows][good] / light[good]

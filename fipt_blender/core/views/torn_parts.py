@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import mitsuba as mi
 import numpy as np
 from scipy.ndimage import binary_dilation, binary_opening, binary_propagation
 from scipy.ndimage import label as connected
@@ -21,11 +20,13 @@ from scipy.ndimage import label as connected
 from ..geometry.adjacency import NONE, face_vectors
 from ..geometry.revolution import Revolution, fit_revolutions
 from ..geometry.sheet import Sheet, fit_sheets
+from ..light.lamp_outline import LEAST_COSINE
+from ..robust import LEAST_VIEWS
 from ..run.threads import in_threads
-from ..scene.camera_rays import first_hits, trace_pixels
+from ..scene.camera_rays import first_hits, rays_along, trace_pixels
 from ..scene.room import Room
 from .lost_parts import Surface
-from .sights import LEAST_VIEWS, MISSES, Sight
+from .masked_views import MISSES, MaskedView
 
 # Triangles of a part within so many edges are of one thing; fewer triangles do not tell a shape.
 APART, LEAST_TRIANGLES = 2.0, 100
@@ -33,8 +34,6 @@ APART, LEAST_TRIANGLES = 2.0, 100
 LEAST_KNOWN = 0.5
 # Sheets complete parts of which this share of the pixels meets others.
 TORN = 0.05
-# A view shows the front of a cell if the cosine there is larger.
-LEAST_COSINE = 0.2
 # The scan has a cell if it has a surface within so many edges in front of and behind it, seen at places so
 # far from its middle, in cells, along both axes.
 WITHIN, _BESIDE = 0.75, (-0.25, 0.25)
@@ -44,7 +43,7 @@ Shape = Revolution | Sheet
 
 
 def torn_parts(
-    room: Room, label: np.ndarray, sights: Sequence[Sight], lost: Sequence[Surface], edge: float
+    room: Room, label: np.ndarray, masked: Sequence[MaskedView], lost: Sequence[Surface], edge: float
 ) -> list[Surface]:
     """Surfaces that complete the torn parts of a scan.
 
@@ -53,7 +52,7 @@ def torn_parts(
     Args:
         room: the scan.
         label: (T,) id of the part of each triangle, 0 or less for none.
-        sights: of training views.
+        masked: what the training views show.
         lost: what is added for other reasons.
         edge: median edge of the scan, metres.
 
@@ -62,9 +61,9 @@ def torn_parts(
     """
     normals, areas = face_vectors(room.vertices.astype(np.float64), room.triangles)
     middles = room.vertices.astype(np.float64)[room.triangles].mean(axis=1)
-    pixels, found = (sum(getattr(sight, name) for sight in sights) for name in ("pixels", "found"))
+    pixels, found = (sum(getattr(one, name) for one in masked) for name in ("pixels", "found"))
     parts = np.unique(label[label > 0])
-    completion = _Completion(room, sights, edge)
+    completion = _Completion(room, masked, edge)
     for surface in lost:
         completion.put(surface)
     completion.look()
@@ -91,12 +90,12 @@ class _Completion:
 
     Args:
         room: the scan.
-        sights: of it.
+        masked: what views show of it.
         edge: median edge of the scan, metres.
     """
 
-    def __init__(self, room: Room, sights: Sequence[Sight], edge: float) -> None:
-        self._rooms, self._sights, self._edge = [room], list(sights), edge
+    def __init__(self, room: Room, masked: Sequence[MaskedView], edge: float) -> None:
+        self._rooms, self._masked, self._edge = [room], list(masked), edge
         self._seen = 1
         self.added: list[Surface] = []
 
@@ -109,11 +108,11 @@ class _Completion:
     def look(self) -> None:
         """From now on, views see nothing behind what has been added."""
         for room in self._rooms[self._seen :]:
-            for number, sight in enumerate(self._sights):
-                reached = first_hits(trace_pixels(room, sight.view))[1].reshape(sight.distance.shape)
-                nearer = reached < sight.distance
-                distance = np.where(nearer, reached, sight.distance).astype(np.float32)
-                self._sights[number] = replace(sight, distance=distance, same=sight.same | nearer)
+            for number, one in enumerate(self._masked):
+                reached = first_hits(trace_pixels(room, one.view))[1].reshape(one.distance.shape)
+                nearer = reached < one.distance
+                distance = np.where(nearer, reached, one.distance).astype(np.float32)
+                self._masked[number] = replace(one, distance=distance, same=one.same | nearer)
         self._seen = len(self._rooms)
 
     def add(self, shape: Shape, part: int, missing: Callable[[np.ndarray, _Votes], np.ndarray]) -> None:
@@ -123,14 +122,14 @@ class _Completion:
             missing: which cells (R, S) are, by those that there are already and what views show.
         """
         has = np.logical_or.reduce([_on_scan(shape, room, self._edge) for room in self._rooms])
-        chosen = missing(has, _votes(shape, self._sights, part, self._edge))
+        chosen = missing(has, _votes(shape, self._masked, part, self._edge))
         if chosen.any():
             vertices, triangles, normals = shape.surface(chosen)
             self.put((vertices, triangles, normals, np.full(len(triangles), NONE)))
 
     def distance(self, shape: Shape, part: int) -> float:
         """Mean distance in metres between views and the cells that they show."""
-        votes = _votes(shape, self._sights, part, self._edge)
+        votes = _votes(shape, self._masked, part, self._edge)
         return float(votes.distance.sum() / max(votes.yes.sum(), 1))
 
 
@@ -175,34 +174,33 @@ def _on_scan(shape: Shape, room: Room, edge: float) -> np.ndarray:
         for across in _BESIDE:
             places, facing = (each.reshape(-1, 3) for each in shape.cells(down, across))
             start = places + WITHIN * edge * facing
-            ray = mi.Ray3f(*(mi.Vector3f(*each.T.astype(np.float32)) for each in (start, -facing)))
-            surface = room.intersect(ray)
+            surface = room.intersect(rays_along(start, -facing))
             there = np.array(surface.front) & (first_hits(surface)[1] < 2.0 * WITHIN * edge)
             has &= there.reshape(has.shape)
     return has
 
 
-def _votes(shape: Shape, sights: Sequence[Sight], part: int, tolerance: float) -> _Votes:
+def _votes(shape: Shape, masked: Sequence[MaskedView], part: int, tolerance: float) -> _Votes:
     """What views show of a part at the cells of a shape, which are so many metres before the scan."""
     centres, facing = (each.reshape(-1, 3) for each in shape.cells())
 
-    def of_view(sight: Sight) -> tuple[np.ndarray, ...]:
-        ray = sight.place - centres
+    def of_view(one: MaskedView) -> tuple[np.ndarray, ...]:
+        ray = one.place - centres
         rows = np.flatnonzero((ray * facing).sum(axis=1) > LEAST_COSINE * np.linalg.norm(ray, axis=1))
-        seen, y, x = sight.seen(centres[rows], tolerance)
+        seen, y, x = one.seen(centres[rows], tolerance)
         rows = rows[seen]
-        shown, same = sight.shown(part)[y, x], sight.same[y, x]
+        shown, same = one.shown(part)[y, x], one.same[y, x]
         away = np.linalg.norm(ray[rows], axis=1)
-        far = sight.distance[y, x]
+        far = one.distance[y, x]
         far = np.where(np.isfinite(far), far, 0.0)
         # Through a hole, the other side of a round thing is seen, too.
-        behind = sight.place + far[:, None] * (-ray[rows] / away[:, None])
+        behind = one.place + far[:, None] * (-ray[rows] / away[:, None])
         yes = (shown > 0) & ~same
         there = (shown > 0) & same & ~shape.near(behind, 2.0 * tolerance)
         return rows, yes, there, shown < 0, yes * away
 
     sums = np.zeros((4, len(centres)))
-    for rows, *columns in in_threads(of_view, sights):
+    for rows, *columns in in_threads(of_view, masked):
         for total, column in zip(sums, columns, strict=True):
             total[rows] += column
     return _Votes(*sums.reshape(4, *shape.shape))

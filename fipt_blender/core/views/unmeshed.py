@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import maximum_filter
 
+from ..robust import LEAST_VIEWS
 from ..scene.grouped import grouped_median, grouped_sums
 from ..scene.pixels import PixelStore
 from .cells import CellPixels, SurfaceCells
@@ -23,8 +24,6 @@ from .cells import CellPixels, SurfaceCells
 STANDS_OUT = 3.0
 # ... and this many times as bright as the capture's median.
 BRIGHT = 4.0
-# Views in which a lamp must stand out, and views that must have seen a cell.
-LEAST_VIEWS = 3
 # Rays meet where they pass each other within this many pixel footprints.
 MEET = 3.0
 # Share of the distance to the surface within which they must meet.

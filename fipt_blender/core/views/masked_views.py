@@ -13,13 +13,12 @@ from ..capture.views import View
 from ..conventions import project
 from ..optics.lights import LUMINANCE
 from ..scene.camera_rays import first_hits, trace_pixels
+from ..scene.grouped import pairs_of
 from ..scene.labels import NO_PART, at_border, choose_parts
 from ..scene.room import Room
 
 # Share of the views of a point that may show another part there, for errors of masks and poses.
 MISSES = 0.1
-# Fewer views do not tell how far away a point is.
-LEAST_VIEWS = 3
 # A plane of the scan is of the parts that have this share of its area.
 LEAST_OWN = 0.5
 # What is brighter than so many times the median pixel of the photographs lies outside.
@@ -27,7 +26,7 @@ OUTSIDE = 2.0
 
 
 @dataclass(frozen=True)
-class Sight:
+class MaskedView:
     """What a view shows.
 
     Attributes:
@@ -94,7 +93,7 @@ def grid_points(low: np.ndarray, step: float, shape: np.ndarray) -> np.ndarray:
     return np.asarray(low + (np.indices(tuple(shape)).reshape(3, -1).T + 0.5) * step)
 
 
-def part_sights(room: Room, views: Sequence[View]) -> tuple[list[Sight], np.ndarray]:
+def masked_views(room: Room, views: Sequence[View]) -> tuple[list[MaskedView], np.ndarray]:
     """What the views with masks show of a scan, and (T,) the id of the part of each triangle, or NO_PART.
 
     What is behind a part that the scan lacks takes its label. Planes tell some of these triangles: they have
@@ -114,7 +113,7 @@ def part_sights(room: Room, views: Sequence[View]) -> tuple[list[Sight], np.ndar
         medians.append(np.median(luminance))
         missing.append(luminance[np.isinf(reached).reshape(luminance.shape)])
     outside = OUTSIDE * float(np.median(medians))
-    sights = []
+    masked = []
     for view, image, luminance, (triangle, reached) in zip(views, masks, missing, surfaces, strict=True):
         if image is None:
             continue
@@ -127,8 +126,8 @@ def part_sights(room: Room, views: Sequence[View]) -> tuple[list[Sight], np.ndar
             np.bincount(mask[chosen], minlength=count) for chosen in (inner & found, inner, inner & bright)
         )
         same = own[triangle].reshape(mask.shape) == mask
-        sights.append(Sight(view, mask, distance, same, *counts))
-    return sights, label
+        masked.append(MaskedView(view, mask, distance, same, *counts))
+    return masked, label
 
 
 def _on_other_planes(label: np.ndarray, room: Room) -> np.ndarray:
@@ -137,10 +136,7 @@ def _on_other_planes(label: np.ndarray, room: Room) -> np.ndarray:
     if room.plane is None:
         return other
     on = room.plane >= 0
-    count = int(label.max(initial=0)) + 1
-    key = room.plane[on].astype(np.int64) * count + np.maximum(label[on], 0)
-    key, place = np.unique(key, return_inverse=True)
+    plane, _, place = pairs_of(room.plane[on], np.maximum(label[on], 0))
     area = np.bincount(place, room.areas[on])
-    total = np.bincount(key // count, area)
-    other[on] = (area < LEAST_OWN * total[key // count])[place]
+    other[on] = (area < LEAST_OWN * np.bincount(plane, area)[plane])[place]
     return other

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from ..robust import deviation
+
 FINEST_SIDE = 1024  # pixels of the longer side at which motion is measured
 COARSEST_SIDE = 48
 STEPS = 20
@@ -199,7 +201,7 @@ def _refined(reference: np.ndarray, exposure: np.ndarray, motion: Motion) -> Mot
         )
         plain = np.einsum("ni,i->n", columns[:, 3:], tone[:, 0])
         residual = a - plain
-        spread = 1.4826 * np.median(np.abs(residual)) + 1e-6
+        spread = deviation(residual) + 1e-6
         weighted = columns * (np.abs(residual) < _OUTLIER * spread)[:, None]
         step = np.linalg.solve(_products(weighted, columns), _products(weighted, residual[:, None]))[:, 0]
         motion = Motion(motion.x + step[0], motion.y + step[1], motion.angle + step[2])

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..run.threads import in_threads
 from .cells import SurfaceCells, lattice, lattice_hits, lattice_spacing
-from .consensus import disagreement
+from .consensus import JUDGED_VIEWS, disagreement
 from .registration import Fit, register
 
 # A view may be misaligned if its displacement is at least this many lattice steps, and this many times the
@@ -31,7 +31,6 @@ LEAST_DIFFERENCE = 0.2
 # If registration finds more than this share of the views misaligned, beside those that are far off, it does
 # not know which of them are right.
 MOST_LEFT_OUT = 1.0 / 3.0
-LEAST_VIEWS = 4
 # Of a view that no small rotation aligns.
 FAR_OFF = Fit(shift=np.inf, improvement=1.0, gain=0.0, difference=np.inf)
 
@@ -56,7 +55,7 @@ def misaligned_views(
     spacings = [lattice_spacing(view) for view in views]
     misaligned: dict[int, Fit] = {index: FAR_OFF for index in far_off}
     judged = [index for index in range(len(views)) if len(lattice_hits(cells.pixels, index))]
-    if len(judged) < LEAST_VIEWS:
+    if len(judged) < JUDGED_VIEWS:
         return {}
     while True:
         kept = [index for index in judged if index not in misaligned]

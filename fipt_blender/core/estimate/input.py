@@ -1,0 +1,136 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The input of an estimation: the views at the resolution of light, and the room as photographs complete it.
+
+Each step keeps its files in the run folder and does nothing where they fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from ..capture.light_views import light_views
+from ..capture.views import View, load_capture
+from ..geometry.stored import prepare_geometry
+from ..run.checkpoints import Checkpoints, stage_keys
+from ..run.errors import FiptError
+from ..run.hints import Hint, hints_digest, light_changes, read_hints
+from ..run.light_size import LightPlan, light_plan, refuse_full_disk
+from ..run.messages import Reporter
+from ..run.run_files import ScanHoles, read_scan_holes
+from ..run.runfolder import RunFolder
+from ..run.settings import Settings
+from ..scene.linked_masks import link_masks
+from ..scene.outlines import outline_parts
+from ..scene.room import Room, load_room
+from ..views.consensus import check_input
+from ..views.panes import close_holes
+
+
+@dataclass(frozen=True, eq=False)
+class EstimationInput:
+    """What an estimation starts from.
+
+    Attributes:
+        folder: the run's.
+        settings: of the run.
+        plan: at which resolution the views are, and the expected cost.
+        views: those that are used, at the resolution of light, with part masks whose ids all of them share.
+        far_off: views whose poses are far off, and their correlation with the others.
+        room: with what closes holes of a scan, and the outlines that masks show.
+        holes: of a scan; None for an exact mesh.
+        told, told_again: hints that all stages honour, and those that the hinted stages honour instead; None
+            where there are no hinted stages.
+        light_again: whether the hinted stages include a refinement.
+        checkpoints: what earlier runs have finished with the same input.
+    """
+
+    folder: RunFolder
+    settings: Settings
+    plan: LightPlan
+    views: list[View]
+    far_off: dict[int, float]
+    room: Room
+    holes: ScanHoles | None
+    told: Sequence[Hint]
+    told_again: Sequence[Hint] | None
+    light_again: bool
+    checkpoints: Checkpoints
+
+
+def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> EstimationInput:
+    """Prepare the input; takes minutes for a scan. Mitsuba's variant must be set.
+
+    Args:
+        folder: holds capture.json and room.npz.
+        reporter: gets stages and progress.
+
+    Raises:
+        FiptError: ``views-none``, where the capture or the room can't be read, and those of `check_input`.
+    """
+    photographs = training_views(folder, settings)
+    prepare_geometry(folder, settings.clean_scan, settings.close_holes_edges)
+    holes = read_scan_holes(folder)
+    if not photographs:
+        raise FiptError("views-none", "The capture has no training views.", "Add photographs.")
+    plan = light_plan([(view.width, view.height) for view in photographs], settings)
+    begin = partial(reporter.stage, "light", "Averaging the photographs to the resolution of light")
+    views = light_views(folder, photographs, settings.light_pixels, begin, reporter.progress)
+    room = load_room(folder, outlined=False)
+    far_off = check_input(room, views, settings)
+    if folder.geometry_npz.exists():
+        text = "Looking for what the scan lacks"  # takes minutes
+        reporter.stage("scan", text if holes is None else f"{holes.text} {text}")
+    if close_holes(folder, views, room):
+        room = load_room(folder, outlined=False)
+    # Outlines depend on the linked masks, not the reverse, so that a resumed run keeps both.
+    views = link_masks(folder, room, views)
+    if outline_parts(folder, views, room):
+        room = load_room(folder)
+    told, again = read_hints(folder.hints_json), folder.hints_again_json
+    told_again, light_again = read_hints(again) if again.exists() else None, light_changes(again)
+    digests = hints_digest(told), None if told_again is None else hints_digest(told_again), light_again
+    files = [folder.capture_json, folder.room_npz, folder.room_json]
+    keys = stage_keys(settings, files, [path for view in views for path in view.files], *digests)
+    checkpoints = Checkpoints(folder.stage, keys)
+    return EstimationInput(
+        folder, settings, plan, views, far_off, room, holes, told, told_again, light_again, checkpoints
+    )
+
+
+def training_views(folder: RunFolder, settings: Settings) -> list[View]:
+    """The training views that an estimation may use, at full size; none where the capture has none.
+
+    Raises:
+        FiptError: those of `load_capture`.
+    """
+    views = load_capture(folder).train
+    return spread_views(views, settings.view_share) if views else []
+
+
+def spread_views(views: Sequence[View], share: float) -> list[View]:
+    """A share of the views (0 to 1, one at least), spread evenly over their order."""
+    count = min(max(1, round(share * len(views))), len(views))
+    return [views[i * len(views) // count] for i in range(count)]
+
+
+def announce_plan(folder: RunFolder, settings: Settings, reporter: Reporter) -> None:
+    """Tell at which resolution light will be solved, and the expected time and disk.
+
+    Raises:
+        FiptError: ``disk-space`` unless forced, and those of `load_capture`.
+    """
+    views = training_views(folder, settings)
+    if not views:
+        return  # the estimation raises the error
+    plan = light_plan([(view.width, view.height) for view in views], settings)
+    reporter.note(f"{plan.resolution}; {plan.cost}")
+    if not settings.force:
+        refuse_full_disk(folder.stage, plan.bytes, "choose a lower preset, or fewer light_pixels")
+
+
+def estimation_views(folder: RunFolder, settings: Settings) -> list[View]:
+    """The views of an estimation that was done in a folder, at the resolution of its pixels."""
+    return light_views(folder, training_views(folder, settings), settings.light_pixels)
