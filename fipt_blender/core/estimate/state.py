@@ -154,10 +154,10 @@ class EstimationState:
         if folder.geometry_npz.exists():
             text = "Looking for what the scan lacks"  # takes minutes
             reporter.stage("scan", text if self.holes is None else f"{self.holes.text} {text}")
-        close_holes(folder, self.views)
+        close_holes(folder, self.views, settings)
         # Outlines depend on the linked masks, not the reverse, so that a resumed run keeps both.
         self.views = link_masks(folder, load_room(folder, outlined=False), self.views)
-        outline_parts(folder, self.views)
+        outline_parts(folder, self.views if settings.outlines else [])
         self.room = load_room(folder)
         self.levels = roughness_levels(
             settings.roughness_levels, settings.roughness_min, settings.roughness_spacing
@@ -337,7 +337,9 @@ class EstimationState:
         else:
             parts = self.observations.parts
             surface = parts.triangle_part if parts.kind == "part" else None
-            self.fixtures = group_fixtures(self.room, emitting, EmitterPixels.of(self.pixels), surface)
+            self.fixtures = group_fixtures(
+                self.room, emitting, EmitterPixels.of(self.pixels), surface, self.settings.lit_specks
+            )
 
     def _emitters(self) -> tuple[EmitterTable, np.ndarray]:
         """The fixtures as a table of triangles, and the triangles that emit, (T,) bool."""

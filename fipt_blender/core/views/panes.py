@@ -22,8 +22,9 @@ from ..geometry.clean import CleanMesh
 from ..geometry.holes import FlatHole, flat_holes, median_edge
 from ..geometry.stored import store_geometry, stored_geometry
 from ..optics.lights import LUMINANCE
-from ..run.run_files import PANES, has_searched_panes, mesh_digest, read_room_files
+from ..run.run_files import PANES, array_digest, has_searched_panes, mesh_digest, read_room_files
 from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
+from ..run.settings import Settings
 from ..scene.camera_rays import first_hits, trace_pixels
 from ..scene.labels import choose_source, masks_digest
 from ..scene.linked_masks import link_masks, masks_share_ids
@@ -45,7 +46,7 @@ class _Sight:
     missed: list[np.ndarray]
 
 
-def close_holes(run: RunFolder, views: Sequence[View]) -> None:
+def close_holes(run: RunFolder, views: Sequence[View], settings: Settings | None = None) -> None:
     """Write panes.npz, and extend geometry.npz, where photographs show surfaces that a scan lacks.
 
     Nothing changes where the mesh is no scan, where the room has panes already, or where these masks were
@@ -53,10 +54,12 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
 
     Args:
         views: training views.
+        settings: which kinds of surfaces are looked for; None: all.
 
     Raises:
         FiptError: those of the readers of room and photographs, ``disk-full`` or ``run-unwritable``.
     """
+    settings = settings or Settings()
     if not run.geometry_npz.exists():
         run.panes_npz.unlink(missing_ok=True)
         return
@@ -65,16 +68,17 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
         return
     cleaned = stored_geometry(run, arrays)
     use_masks = names.get("parts", "masks") in ("auto", "masks")
-    masks = masks_digest(views, (view.part_ids() for view in views if use_masks))
+    masks = _search_digest(masks_digest(views, (view.part_ids() for view in views if use_masks)), settings)
     if cleaned is None or has_searched_panes(run, arrays, masks):
         return
     mesh, _ = make_mesh(cleaned.vertices, arrays["triangles"])
     edge = median_edge(mesh)
-    holes = flat_holes(mesh, edge)
+    holes = flat_holes(mesh, edge) if settings.panes else []
     room = load_room(run)
     closed = [hole for hole, seen in zip(holes, _sights(room, holes, views), strict=True) if seen]
     added = _panes(closed) if closed else None
-    for surface in _things(run, room if added is None else _with(room, added), views, edge):
+    whole = room if added is None else _with(room, added)
+    for surface in _things(run, whole, views, edge, settings):
         added = surface if added is None else _joined(added, surface)
     nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3, 3)), np.zeros(0, np.int32)
     vertices, triangles, normals, plane = nothing if added is None else added
@@ -100,20 +104,31 @@ def close_holes(run: RunFolder, views: Sequence[View]) -> None:
         store_geometry(run, read_room_files(run)[0], extended)
 
 
-def _things(run: RunFolder, room: Room, views: Sequence[View], edge: float) -> list[Surface]:
+def _search_digest(masks: np.ndarray, settings: Settings) -> np.ndarray:
+    """(32,) uint8 of a search: that of the masks, and of the kinds of surfaces that are not looked for."""
+    kinds = ("panes", "lost_parts", "lost_surfaces", "torn_parts")
+    off = [kind for kind in kinds if not getattr(settings, kind)]
+    return array_digest(masks, np.array(off)) if off else masks
+
+
+def _things(
+    run: RunFolder, room: Room, views: Sequence[View], edge: float, settings: Settings
+) -> list[Surface]:
     """What photographs show and the scan lacks: by part masks, which tell more, where there are any.
 
     Masks that are linked on the mesh take a lost thing for what is behind it. They tell of torn parts alone.
     """
-    if choose_source(room, views) != "masks":
-        return lost_surfaces(room, views, edge)
-    shared = masks_share_ids(room, views)
-    found = [] if shared else lost_surfaces(room, views, edge)
+    masked = choose_source(room, views) == "masks"
+    shared = masked and masks_share_ids(room, views)
+    found = lost_surfaces(room, views, edge) if settings.lost_surfaces and not shared else []
+    if not masked:
+        return found
     for surface in found:
         room = _with(room, surface)
     sights, label = part_sights(room, views if shared else link_masks(run, room, views))
-    lost = lost_parts(sights, room.bounds, edge) if shared else []
-    return found + lost + torn_parts(room, label, sights, lost, edge)
+    lost = lost_parts(sights, room.bounds, edge) if settings.lost_parts and shared else []
+    torn = torn_parts(room, label, sights, lost, edge) if settings.torn_parts else []
+    return found + lost + torn
 
 
 def _with(room: Room, surface: Surface) -> Room:
