@@ -20,11 +20,14 @@ from ..capture.views import View
 from ..geometry.adjacency import NONE, make_mesh
 from ..geometry.clean import CleanMesh
 from ..geometry.holes import FlatHole, flat_holes, median_edge
-from ..geometry.stored import store_geometry, stored_geometry
+from ..geometry.stored import prepare_geometry, store_geometry, stored_geometry
 from ..optics.lights import LUMINANCE
-from ..run.run_files import PANES, array_digest, has_searched_panes, mesh_digest, read_room_files
+from ..run.arrays import read_arrays
+from ..run.errors import FiptError
+from ..run.run_files import PANES, has_searched_panes, mesh_digest, read_room_files
 from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
 from ..run.settings import Settings
+from ..run.shapes import PANES_ARRAYS
 from ..scene.camera_rays import first_hits, trace_pixels
 from ..scene.labels import choose_source, masks_digest
 from ..scene.linked_masks import link_masks, masks_share_ids
@@ -36,6 +39,8 @@ from .torn_parts import torn_parts
 
 # A hole counts if so many pixels look into it, and this share of them meets no surface behind it.
 LEAST_PIXELS, LEAST_MISSED = 100, 0.5
+# The settings that say what is looked for.
+KINDS = ("panes", "lost_parts", "lost_surfaces", "torn_parts")
 
 
 @dataclass
@@ -63,12 +68,16 @@ def close_holes(run: RunFolder, views: Sequence[View], settings: Settings | None
     if not run.geometry_npz.exists():
         run.panes_npz.unlink(missing_ok=True)
         return
+    kinds = [bool(getattr(settings, kind)) for kind in KINDS]
+    if run.panes_npz.exists() and _searched_kinds(run) != kinds:
+        run.panes_npz.unlink()
+        prepare_geometry(run, settings.clean_scan, settings.close_holes_edges)
     arrays, names = read_room_files(run, "mesh-damaged")
     if PANES in (names.get("object_ids") or names["objects"]):
         return
     cleaned = stored_geometry(run, arrays)
     use_masks = names.get("parts", "masks") in ("auto", "masks")
-    masks = _search_digest(masks_digest(views, (view.part_ids() for view in views if use_masks)), settings)
+    masks = masks_digest(views, (view.part_ids() for view in views if use_masks))
     if cleaned is None or has_searched_panes(run, arrays, masks):
         return
     mesh, _ = make_mesh(cleaned.vertices, arrays["triangles"])
@@ -91,6 +100,7 @@ def close_holes(run: RunFolder, views: Sequence[View], settings: Settings | None
                 corner_normals=normals,
                 source=mesh_digest(arrays),
                 masks=masks,
+                **({} if all(kinds) else {"kinds": kinds}),
             )
         if added is None:
             return
@@ -104,11 +114,13 @@ def close_holes(run: RunFolder, views: Sequence[View], settings: Settings | None
         store_geometry(run, read_room_files(run)[0], extended)
 
 
-def _search_digest(masks: np.ndarray, settings: Settings) -> np.ndarray:
-    """(32,) uint8 of a search: that of the masks, and of the kinds of surfaces that are not looked for."""
-    kinds = ("panes", "lost_parts", "lost_surfaces", "torn_parts")
-    off = [kind for kind in kinds if not getattr(settings, kind)]
-    return array_digest(masks, np.array(off)) if off else masks
+def _searched_kinds(run: RunFolder) -> list[bool]:
+    """Which of `KINDS` the search has looked for that wrote panes.npz."""
+    try:
+        found = read_arrays(run.panes_npz, PANES_ARRAYS)
+    except FiptError:
+        return [True] * len(KINDS)  # damaged ones are written anew in any case
+    return np.asarray(found.get("kinds", np.ones(len(KINDS), bool))).tolist()
 
 
 def _things(
