@@ -25,8 +25,8 @@ from benchmarks import constants
 CLEANED, COMPLETED, BAKED = "cleaned", "completed", "baked"
 CLEANED_FILES = ("geometry.npz", "closing.npz")
 COMPLETED_FILES = (*CLEANED_FILES, "panes.npz", "outlines.npz", "linked")
-TRAINING_VIEWS = 8  # of which maps are scored, beside those held back
-SPP = 32  # paths a pixel of the renders
+TRAINING_VIEWS = 4  # of which maps are scored, beside those held back
+SPP = 16  # paths a pixel of the renders
 
 
 def copy_files(source: Path, target: Path, names: tuple[str, ...]) -> None:
