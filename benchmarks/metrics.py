@@ -27,22 +27,6 @@ MIN_ROUGHNESS = 0.02
 
 
 @dataclass(frozen=True)
-class ClosedForm:
-    """A closed-form estimate of pixels.
-
-    Attributes:
-        rows: (N,) pixels with an estimate of kd.
-        kd: (N, 3) of these.
-        roughness, metallic: (P,) of all pixels; NaN without an estimate, as in views that were left out.
-    """
-
-    rows: np.ndarray
-    kd: np.ndarray
-    roughness: np.ndarray
-    metallic: np.ndarray
-
-
-@dataclass(frozen=True)
 class Maps:
     """Maps of one view, true or predicted.
 

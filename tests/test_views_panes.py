@@ -14,6 +14,7 @@ from fipt_blender.core.capture.views import View
 from fipt_blender.core.geometry.stored import prepare_geometry
 from fipt_blender.core.run.run_files import PANES, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.settings import Settings
 from fipt_blender.core.scene.room import load_room
 from fipt_blender.core.views.panes import close_holes
 from samples.scans import scanned_box
@@ -85,6 +86,14 @@ def test_what_shows_the_outside_or_a_surface_stays_open(tmp_path: Path, behind: 
     run = write_run(tmp_path, opened(behind))
     close_holes(run, [view(tmp_path, through)])
     assert PANES not in load_room(run).objects
+
+
+def test_panes_that_are_switched_off_are_looked_for_once_they_are_on(tmp_path: Path) -> None:
+    run = write_run(tmp_path, opened())
+    for there in (False, True, False):
+        close_holes(run, [view(tmp_path, 0.1)], Settings(panes=there, close_holes_edges=0))
+        room = load_room(run)
+        assert (PANES in room.objects) == there and room.scan is not None
 
 
 def test_a_modelled_room_is_never_closed(tmp_path: Path) -> None:

@@ -83,11 +83,11 @@ def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> 
     if folder.geometry_npz.exists():
         text = "Looking for what the scan lacks"  # takes minutes
         reporter.stage("scan", text if holes is None else f"{holes.text} {text}")
-    if close_holes(folder, views, room):
+    if close_holes(folder, views, settings, room):
         room = load_room(folder, outlined=False)
     # Outlines depend on the linked masks, not the reverse, so that a resumed run keeps both.
     views = link_masks(folder, room, views)
-    if outline_parts(folder, views, room):
+    if outline_parts(folder, views if settings.outlines else [], room):
         room = load_room(folder)
     told, again = read_hints(folder.hints_json), folder.hints_again_json
     told_again, light_again = read_hints(again) if again.exists() else None, light_changes(again)

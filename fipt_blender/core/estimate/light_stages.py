@@ -26,7 +26,7 @@ from ..scene.fragments import SUBPIXELS
 from ..scene.grouped import numbered
 from ..scene.mixed_pixels import mark_pure
 from ..scene.pixels import fill_pixels, open_pixels
-from ..scene.unmixing import unmix_pixels
+from ..scene.unmixing import keep_pure, unmix_pixels
 from ..views.check import check_views
 from ..views.photometry import Photometry, adjust_photographs, warn_of_photographs
 from ..views.refit import MOST_REFITS, SETTLED, refit_photographs
@@ -62,8 +62,12 @@ class LightStages(EstimationState):
 
     def _unmix(self, found: Photometry | None, progress: Callable[[float], None]) -> None:
         """Find the pixels' own radiance and its weight."""
-        unmix_pixels(self.pixels, self.room, self._surface_labels(), progress, self.workers)
-        doubt_pixels(self.pixels, self.room, self.parts)
+        if self.settings.unmix:
+            unmix_pixels(self.pixels, self.room, self._surface_labels(), progress, self.workers)
+        else:
+            keep_pure(self.pixels)
+        if self.settings.doubt_pixels:
+            doubt_pixels(self.pixels, self.room, self.parts)
         if found is None:
             return
         for index in range(len(self.views)):
@@ -83,7 +87,7 @@ class LightStages(EstimationState):
         Lamps and contrast change that light, therefore it is repeated until the contrast settles.
         """
         part = self._surface_labels()
-        for number in range(MOST_REFITS):
+        for number in range(MOST_REFITS if self.settings.refit_photographs else 0):
             self._prepare()
             baking = self._baking(*self._first_light(), None, 0)
             before = found.found.radiometry.contrast.value
@@ -120,6 +124,8 @@ class LightStages(EstimationState):
     def _environment(self) -> Environment | None:
         """What the pixels see outside, with the light from unseen directions where the mesh is open."""
         settings, observed = self.settings, self._observed
+        if not settings.unseen_light:
+            return observed.environment
         return with_unseen_light(
             observed.environment,
             self.pixels,
@@ -140,7 +146,9 @@ class LightStages(EstimationState):
         """Cache, presumed lamps and numbers of samples of stage 1."""
         settings, pixels = self.settings, self.pixels
         bright = bright_triangles(self.room, pixels.triangle, pixels.front, pixels.radiance)
-        table, lamps = presume_lamps(self.room, EmitterPixels.of(pixels), bright)
+        table, lamps = replace(bright, reflective=np.ones(len(bright.triangles), bool)), None
+        if settings.presumed_lamps:
+            table, lamps = presume_lamps(self.room, EmitterPixels.of(pixels), bright)
         counts = SampleCounts(settings.diffuse_spp, settings.specular_spp, settings.light_spp)
         return self.observations.cache(without=lamps), table, counts
 

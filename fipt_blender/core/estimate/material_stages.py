@@ -10,6 +10,7 @@ import numpy as np
 
 from ..light.evidence import brighter_than_white, find_emission
 from ..light.lamp_doubt import light_errors
+from ..light.lamp_outline import outlined
 from ..light.reflecting import separate
 from ..material.cell_errors import add_light_errors, cell_errors, draw_pixels, lit_cells
 from ..material.closed_form import (
@@ -135,7 +136,7 @@ class MaterialStages(EstimationState):
         """
         part = self.observations.parts.triangle_part
         known = np.zeros(len(part), np.int8)
-        if not self.photometry:
+        if self.settings.constant_parts and not self.photometry:
             # Semantic classes, and parts that no pixel saw, have no estimate.
             has_part = (part >= 0) & (part < len(data.constant))
             known[has_part] = data.constant[part[has_part]]
@@ -152,7 +153,10 @@ class MaterialStages(EstimationState):
         """(T,) bool, triangles that emit; `known`: :meth:`_known_emission`."""
         estimate = partial(render_rows, cells, data)
         shadings, surfaces = self._open_shadings(), self._emitter_surfaces
-        return find_emission(self.room, self.pixels, shadings, marked, known, estimate, surfaces)
+        found = find_emission(self.room, self.pixels, shadings, marked, known, estimate, surfaces)
+        if self.room.scan is None or not self.settings.lamp_outlines:
+            return found
+        return outlined(self.room.scan, self.pixels, found, surfaces.footprint) & (known >= 0)
 
     def _closed_form_colors(self, rows: np.ndarray) -> np.ndarray:
         """(R, 3) base colour of the last closed-form estimate in the pixels `rows` (R,)."""
@@ -259,7 +263,7 @@ class MaterialStages(EstimationState):
         left_alone = self.observations.left_alone
         errors = self._cell_errors(emitting if left_alone is None else emitting | left_alone)
         fixtures, colors = self.fixtures, np.zeros((len(self.fixtures), 3))
-        if not len(self.emission):
+        if self.settings.reflecting_lamps and not len(self.emission):
             pixels = lamp_pixels(self.pixels, shadings, emitting, self.settings.seed)
             fixtures, colors = separate(self.fixtures, pixels)
         light = RoomLight(fixtures, colors, self.observations.environment, self.view_check.lamps)
@@ -281,7 +285,7 @@ class MaterialStages(EstimationState):
         data, fields, seed = self._closed_form()[0], self._fields(), self.settings.seed
         drawn = draw_pixels(self.pixels, self.units, self.box, self.cells, unused, seed)
         errors = cell_errors(drawn, data, self.units, fields, self.cells)
-        if self.room.scan is None or not self.fixtures:
+        if self.room.scan is None or not self.fixtures or not self.settings.lamp_doubt:
             return errors
         lit = lit_cells(drawn, data, fields, self.cells)
         # Detail finer than an edge is lost, and so is the place of what lights and what hides.

@@ -264,7 +264,9 @@ class EstimationState:
         else:
             parts = self.observations.parts
             surface = parts.triangle_part if parts.kind == "part" else None
-            self.fixtures = group_fixtures(self.room, emitting, EmitterPixels.of(self.pixels), surface)
+            self.fixtures = group_fixtures(
+                self.room, emitting, EmitterPixels.of(self.pixels), surface, self.settings.lit_specks
+            )
 
     def _emitters(self) -> tuple[EmitterTable, np.ndarray]:
         """The fixtures as a table of triangles, and the triangles that emit, (T,) bool."""

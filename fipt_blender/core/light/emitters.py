@@ -116,12 +116,17 @@ def side_medians(pixels: EmitterPixels, group: np.ndarray) -> tuple[np.ndarray, 
 
 
 def group_fixtures(
-    room: Room, emitting: np.ndarray, pixels: EmitterPixels, surface: np.ndarray | None = None
+    room: Room,
+    emitting: np.ndarray,
+    pixels: EmitterPixels,
+    surface: np.ndarray | None = None,
+    lit_specks: bool = True,
 ) -> list[Fixture]:
     """Fixtures of the emitting triangles ((T,) bool), in descending order of power.
 
     Args:
         surface: (T,) int, on a scan a fixture belongs to one of these surfaces; None: all are one.
+        lit_specks: whether fixtures of a scan that brighter ones may light are dropped.
     """
     corners = weld(room.vertices)[room.triangles]
     ids = np.flatnonzero(emitting)
@@ -160,7 +165,7 @@ def group_fixtures(
         middle = room.vertices[room.triangles[members]].mean(axis=1)
         centroid = (middle * area[:, None]).sum(axis=0) / area.sum()
         fixtures.append(Fixture(members, sides[0], sides[1], float(area.sum()), centroid))
-    if room.scan is not None:
+    if room.scan is not None and lit_specks:
         fixtures = _shining(room.scan, fixtures)
     return sorted(fixtures, key=lambda f: -f.area * float((f.radiance + f.back_radiance) @ LUMINANCE))
 

@@ -22,7 +22,6 @@ from ..scene.room import Room
 from ..scene.unmixing import standard_error
 from .baking import ShadingStore
 from .emitter_surfaces import LEAST_RESIDUAL, EmitterSurfaces
-from .lamp_outline import outlined
 
 # Share of a pure pixel's light that may spill over from its neighbours: half where coplanar surfaces meet at
 # its centre, 16 to 30 % by a camera's blur (a Gaussian of half a pixel).
@@ -89,10 +88,7 @@ def find_emission(
     emits = evidence.majority[unit] & seen_once
     decided = emits | (evidence.exists & ~evidence.majority)[unit] | (known != 0)
     emits = (emits | (known > 0)) & (known >= 0)
-    found = extend_to_components(room.areas, surfaces.component, emits, decided)
-    if room.scan is None:
-        return found
-    return outlined(room.scan, pixels, found, surfaces.footprint) & (known >= 0)
+    return extend_to_components(room.areas, surfaces.component, emits, decided)
 
 
 def _doubt(own: np.ndarray, weight: np.ndarray) -> np.ndarray:

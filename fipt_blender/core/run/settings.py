@@ -31,6 +31,11 @@ def _setting(default: Any, text: str, stage: str | None) -> Any:
     return field(default=default, metadata={"help": text, "stage": stage})
 
 
+def _switch(text: str, stage: str | None) -> Any:
+    """Of a mechanism that the paper does not have; benchmarks/trial.py measures what each one brings."""
+    return _setting(True, f"{text} (not in the paper)", stage)
+
+
 @dataclass(frozen=True)
 class Settings:
     """All settings of one run; JSON-serialisable. Runs with equal settings have equal results.
@@ -73,6 +78,28 @@ class Settings:
         " squared edges may be windows and are closed where photographs say so (not in the paper)",
         PIXELS,
     )
+    panes: bool = _switch("close flat holes of a scan in which photographs show a surface", PIXELS)
+    lost_parts: bool = _switch("add parts that masks show and a scan lacks, as prisms", PIXELS)
+    lost_surfaces: bool = _switch(
+        "add things that photographs show and a scan lacks, without shared part masks", PIXELS
+    )
+    torn_parts: bool = _switch("complete parts that a scan tore", PIXELS)
+    outlines: bool = _switch("move the outlines of a scan's parts to those of the masks", PIXELS)
+    doubt_pixels: bool = _switch("give little weight to pixels whose mask and scan disagree", PIXELS)
+    unmix: bool = _switch("use mixed pixels by their share of each surface's radiance", PIXELS)
+    unmeshed_lamps: bool = _switch("leave out pixels of lamps that the mesh lacks", PIXELS)
+    clipped_lamps: bool = _switch(
+        "find the radiance of clipped lamps by the light that they cast, where photographs are not HDR",
+        PIXELS,
+    )
+    refit_photographs: bool = _switch(
+        "adjust photographs that are not HDR once more with baked light", PIXELS
+    )
+    unseen_light: bool = _switch("infer the light that enters an open mesh from unseen directions", PIXELS)
+    presumed_lamps: bool = _switch(
+        "stage 1: give bright surfaces of constant radiance that of their fixture, not of the cache", PIXELS
+    )
+    lit_specks: bool = _switch("drop fixtures of a scan that brighter ones close by may light", PIXELS)
 
     masking: str = _setting(
         "schlick", "G of the BRDF: schlick as in the authors' code, smith as in Cycles", SHADINGS
@@ -199,6 +226,10 @@ class Settings:
         "mask: find emitters by an emission mask; joint: fit emission together with base colour (ablation)",
         ESTIMATE,
     )
+    constant_parts: bool = _switch("call parts lamps whose radiance is constant in varying light", ESTIMATE)
+    lamp_outlines: bool = _switch("give a scan's lamps the outlines that photographs show", ESTIMATE)
+    reflecting_lamps: bool = _switch("give lamps a base colour where their radiance follows the light", None)
+    lamp_doubt: bool = _switch("count errors of the place of a scan's lamps in the confidence", None)
     lambda_joint: float = _setting(
         1e-2,
         "joint emission: weight of its L1 norm, in units of the capture's median (the paper gives no value)",

@@ -106,6 +106,13 @@ def unmix_pixels(
         progress(done / len(store.views))
 
 
+def keep_pure(store: PixelStore) -> None:
+    """Fill `store.own` and `store.weight` without unmixing: mixed pixels have no weight."""
+    for index in range(len(store.views)):
+        rows = store.rows(index)
+        store.own[rows], store.weight[rows] = store.radiance[rows], store.pure[rows]
+
+
 def standard_error(own: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """(n,) standard error of the mean over the channels of unmixed radiances (n, 3) of weights (n,)."""
     model = MODEL_ERROR * (own.mean(axis=1) + FLOOR)

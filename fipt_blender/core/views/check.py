@@ -98,7 +98,8 @@ def check_views(
         )
         for index in unlike:
             pixels.radiance[pixels.rows(index)] /= np.float32(gains[index])
-    check.lamps.extend(_leave_out_unmeshed(cells, settings, reporter, scan=room.scan is not None))
+    if settings.unmeshed_lamps:
+        check.lamps.extend(_leave_out_unmeshed(cells, settings, reporter, scan=room.scan is not None))
     return check
 
 

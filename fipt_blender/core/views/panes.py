@@ -20,10 +20,14 @@ from ..capture.views import View
 from ..geometry.adjacency import NONE, make_mesh
 from ..geometry.clean import CleanMesh
 from ..geometry.holes import FlatHole, flat_holes, median_edge
-from ..geometry.stored import store_geometry, stored_geometry
+from ..geometry.stored import prepare_geometry, store_geometry, stored_geometry
 from ..optics.lights import LUMINANCE
+from ..run.arrays import read_arrays
+from ..run.errors import FiptError
 from ..run.run_files import PANES, has_searched_panes, mesh_digest, read_room_files
 from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
+from ..run.settings import Settings
+from ..run.shapes import PANES_ARRAYS
 from ..scene.camera_rays import first_hits, trace_pixels
 from ..scene.labels import choose_source, masks_digest
 from ..scene.linked_masks import link_masks
@@ -35,6 +39,8 @@ from .torn_parts import torn_parts
 
 # A hole counts if so many pixels look into it, and this share of them meets no surface behind it.
 LEAST_PIXELS, LEAST_MISSED = 100, 0.5
+# The settings that say what is looked for.
+KINDS = ("panes", "lost_parts", "lost_surfaces", "torn_parts")
 
 
 @dataclass
@@ -45,7 +51,9 @@ class _Look:
     missed: list[np.ndarray]
 
 
-def close_holes(run: RunFolder, views: Sequence[View], room: Room | None = None) -> bool:
+def close_holes(
+    run: RunFolder, views: Sequence[View], settings: Settings | None = None, room: Room | None = None
+) -> bool:
     """Write panes.npz, and extend geometry.npz, where photographs show surfaces that a scan lacks.
 
     Nothing changes where the mesh is no scan, where the room has panes already, or where these masks were
@@ -53,32 +61,41 @@ def close_holes(run: RunFolder, views: Sequence[View], room: Room | None = None)
 
     Args:
         views: training views.
+        settings: which kinds of surfaces are looked for; None: all.
         room: the run's, without outlines; read where None.
 
     Returns:
-        whether the run's room has more surfaces now.
+        whether the run's room has other surfaces now.
 
     Raises:
         FiptError: those of the readers of room and photographs, ``disk-full`` or ``run-unwritable``.
     """
+    settings = settings or Settings()
     if not run.geometry_npz.exists():
         run.panes_npz.unlink(missing_ok=True)
         return False
+    changed = False
+    kinds = [bool(getattr(settings, kind)) for kind in KINDS]
+    if run.panes_npz.exists() and _searched_kinds(run) != kinds:
+        run.panes_npz.unlink()
+        prepare_geometry(run, settings.clean_scan, settings.close_holes_edges)
+        room, changed = None, True  # it may have had them
     arrays, names = read_room_files(run, "mesh-damaged")
     if PANES in (names.get("object_ids") or names["objects"]):
-        return False
+        return changed
     cleaned = stored_geometry(run, arrays)
     use_masks = names.get("parts", "masks") in ("auto", "masks")
     masks = masks_digest(views, (view.part_ids() for view in views if use_masks))
     if cleaned is None or has_searched_panes(run, arrays, masks):
-        return False
+        return changed
     mesh, _ = make_mesh(cleaned.vertices, arrays["triangles"])
     edge = median_edge(mesh)
-    holes = flat_holes(mesh, edge)
+    holes = flat_holes(mesh, edge) if settings.panes else []
     room = room or load_room(run, outlined=False)
     closed = [hole for hole, seen in zip(holes, _looks(room, holes, views), strict=True) if seen]
     added = _panes(closed) if closed else None
-    for surface in _things(run, room if added is None else _with(room, added), views, edge):
+    whole = room if added is None else _with(room, added)
+    for surface in _things(run, whole, views, edge, settings):
         added = surface if added is None else _joined(added, surface)
     nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3, 3)), np.zeros(0, np.int32)
     vertices, triangles, normals, plane = nothing if added is None else added
@@ -91,9 +108,10 @@ def close_holes(run: RunFolder, views: Sequence[View], room: Room | None = None)
                 corner_normals=normals,
                 source=mesh_digest(arrays),
                 masks=masks,
+                **({} if all(kinds) else {"kinds": kinds}),
             )
         if added is None:
-            return False
+            return changed
         plane = np.where(plane == NONE, NONE, int(cleaned.plane.max(initial=-1)) + 1 + plane)
         extended = CleanMesh(
             np.concatenate([cleaned.vertices, vertices]),
@@ -105,21 +123,33 @@ def close_holes(run: RunFolder, views: Sequence[View], room: Room | None = None)
     return True
 
 
-def _things(run: RunFolder, room: Room, views: Sequence[View], edge: float) -> list[Surface]:
+def _searched_kinds(run: RunFolder) -> list[bool]:
+    """Which of `KINDS` the search has looked for that wrote panes.npz."""
+    try:
+        found = read_arrays(run.panes_npz, PANES_ARRAYS)
+    except FiptError:
+        return [True] * len(KINDS)  # damaged ones are written anew in any case
+    return np.asarray(found.get("kinds", np.ones(len(KINDS), bool))).tolist()
+
+
+def _things(
+    run: RunFolder, room: Room, views: Sequence[View], edge: float, settings: Settings
+) -> list[Surface]:
     """What photographs show and the scan lacks: by part masks, which tell more, where there are any.
 
     Masks that are linked on the mesh take a lost thing for what is behind it. They tell of torn parts alone.
     """
     if choose_source(room, views) != "masks":
-        return lost_surfaces(room, views, edge)
+        return lost_surfaces(room, views, edge) if settings.lost_surfaces else []
     linked = link_masks(run, room, views)
     shared = linked == list(views)
-    found = [] if shared else lost_surfaces(room, views, edge)
+    found = lost_surfaces(room, views, edge) if settings.lost_surfaces and not shared else []
     for surface in found:
         room = _with(room, surface)
     masked, label = masked_views(room, link_masks(run, room, views) if found else linked)
-    lost = lost_parts(masked, room.bounds, edge) if shared else []
-    return found + lost + torn_parts(room, label, masked, lost, edge)
+    lost = lost_parts(masked, room.bounds, edge) if settings.lost_parts and shared else []
+    torn = torn_parts(room, label, masked, lost, edge) if settings.torn_parts else []
+    return found + lost + torn
 
 
 def _with(room: Room, surface: Surface) -> Room:

@@ -99,7 +99,9 @@ def adjust_photographs(
     told = exif_contrast(adjustment.log_gains.mean(axis=1), exposures)
     sources = [usual_contrast(basis), *([told] if told else [])]
     radiometry = Radiometry(adjustment, combined(sources), tuple(sources))
-    lamp = find_clipped_surfaces(room, codes, part, footprint)
+    lamp = np.full(len(room.triangles), -1, np.int32)
+    if settings.clipped_lamps:
+        lamp = find_clipped_surfaces(room, codes, part, footprint)
     lit = light_on_surfaces(room, part, lamp, codes, radiometry, settings)
     expected = Expectation.of(lit.bound, radiometry.contrast.value)
     radiometry, light = solve_light(radiometry, lit.points, lit.cache, expected, LIGHT_DEVIATION)

@@ -1,8 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The paper's ablations: the effect of each option, the disturbed mesh, the table."""
+"""The paper's ablations: the effect of each option, and the disturbed mesh."""
 
-import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks import ablations, accuracy, disturb, predict
+from benchmarks import accuracy, disturb, predict
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.estimate.input import spread_views
 from fipt_blender.core.light.joint import joint_fixtures
@@ -130,22 +129,6 @@ def test_a_disturbed_box_stays_closed_and_moves_by_sigma(tmp_path: Path) -> None
     assert 2.0 < np.degrees(np.arccos(np.abs(normals[inner, 2]))).mean() < 15.0
 
 
-def test_each_ablation_is_a_run_of_the_accuracy_command() -> None:
-    parser = ablations.make_parser()
-    arguments = parser.parse_args(["c", "o", "--preset", "draft", "--seeds", "3", "--set", "rounds=2"])
-    planned = dict(ablations.planned(arguments, list(ablations.ABLATIONS)))
-    assert list(planned)[-2:] == ["full-seed-1", "full-seed-2"]
-    assert planned["no-stage-3"][-1] == "rounds=0"
-    for options in planned.values():
-        parsed = accuracy.make_parser().parse_args(["capture", *options])
-        command = accuracy.main_job_options(
-            argparse.Namespace(**{**vars(parsed), "mesh_noise": 0.0}), Path("o")
-        )
-        assert command[:2] == ["--parts", parsed.parts]
-        make_settings("draft", dict(change.split("=") for change in parsed.set))
-    assert ablations.main(["c", "o", "--only", "no-such"]) == 2
-
-
 def test_only_an_obj_can_be_disturbed(tmp_path: Path) -> None:
     parsed = accuracy.make_parser().parse_args([str(tmp_path), "--mesh-noise", "0.01"])
     with pytest.raises(FiptError, match=r"scene\.obj"):
@@ -153,31 +136,6 @@ def test_only_an_obj_can_be_disturbed(tmp_path: Path) -> None:
     (tmp_path / "scene.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     options = accuracy.main_job_options(parsed, tmp_path / "run")
     assert options[-2] == "--mesh" and Path(options[-1]).read_text().startswith("o disturbed")
-
-
-def test_finished_ablations_are_not_done_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
-) -> None:
-    calls: list[list[str]] = []
-
-    def fake(argv: list[str]) -> int:
-        calls.append(argv)
-        target = Path(argv[argv.index("--json") + 1])
-        if "joint" in str(argv):
-            return 1
-        figures = dict.fromkeys(ablations.COLUMNS, 20.0 + len(calls))
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(json.dumps({"held_back": figures}))
-        return 0
-
-    monkeypatch.setattr(accuracy, "main", fake)
-    command = ["c", str(tmp_path / "out"), "--only", "full,joint-emission,semantics", "--seeds", "2"]
-    assert ablations.main(command) == 1 and len(calls) == 4
-    assert ablations.main([*command, "--table", str(tmp_path / "t.txt")]) == 1
-    assert len(calls) == 5 and "emission=joint" in calls[4]
-    text = capsys.readouterr().out
-    assert "29.24" in text and "21.00" in text and "noise floor: spread of 2 seeds" in text
-    assert "Joint" not in (tmp_path / "t.txt").read_text()  # failed runs have no row
 
 
 def test_semantic_masks_instead_of_parts(capture: SmallCapture, tmp_path: Path) -> None:

@@ -1,0 +1,122 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One estimation of benchmarks/trial.py in a process of its own: `trial_run.py RUN CAPTURE [options]`.
+
+Estimates a prepared run folder, if wanted with other constants, and scores it. Nothing is baked to textures.
+Constants are set before the engine's modules are imported; therefore the imports are inside functions.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks import constants
+
+# What a finished run leaves for runs that differ from it later on: the cleaned scan, the mesh with all that
+# was added to it, and the stages up to the shadings.
+CLEANED, COMPLETED, BAKED = "cleaned", "completed", "baked"
+CLEANED_FILES = ("geometry.npz", "closing.npz")
+COMPLETED_FILES = (*CLEANED_FILES, "panes.npz", "outlines.npz", "linked")
+TRAINING_VIEWS = 4  # of which maps are scored, beside those held back
+SPP = 16  # paths a pixel of the renders
+
+
+def copy_files(source: Path, target: Path, names: tuple[str, ...]) -> None:
+    """Copy files and folders that exist."""
+    target.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        if (source / name).is_dir():
+            shutil.copytree(source / name, target / name, dirs_exist_ok=True)
+        elif (source / name).exists():
+            shutil.copyfile(source / name, target / name)
+
+
+def estimate(root: Path, store: Path | None) -> dict[str, Any]:
+    """Do the estimation of a run folder.
+
+    Args:
+        store: folder that gets what later runs may begin with; None: nothing is kept.
+
+    Returns:
+        `seconds` of the processor by step, and the number of `fixtures`.
+    """
+    from fipt_blender.core.device.variant import set_variant
+    from fipt_blender.core.run.messages import Reporter
+    from fipt_blender.core.run.runfolder import RunFolder
+
+    run = RunFolder(root)
+    settings = run.read()
+    set_variant(settings.device)
+    from fipt_blender.core.estimate.stages import Estimation
+    from fipt_blender.core.geometry.stored import prepare_geometry
+    from fipt_blender.core.optics.brdf import set_masking
+
+    seconds: dict[str, float] = {}
+
+    class Timed(Estimation):
+        """Notes the time of each stage, and copies the stages before they are written over."""
+
+        def _stage(self, name: str, *work: Any) -> None:
+            done, started = self.checkpoints.done(name), time.process_time()
+            super()._stage(name, *work)
+            if not done:
+                seconds[name] = time.process_time() - started
+            if name == "shadings" and store is not None:
+                shutil.copytree(run.stage, store / BAKED, dirs_exist_ok=True)
+
+    set_masking(settings.masking)
+    started, known = time.process_time(), run.geometry_npz.exists()
+    prepare_geometry(run, settings.clean_scan, settings.close_holes_edges)
+    if not known:
+        seconds["mesh"] = time.process_time() - started
+    if store is not None:
+        copy_files(run.root, store / CLEANED, CLEANED_FILES)
+    started, known = time.process_time(), run.panes_npz.exists()
+    with run.log.open("a", encoding="utf-8") as log:
+        estimation = Timed(run, settings, Reporter(log))
+        if not known:
+            seconds["completion"] = time.process_time() - started
+        if store is not None:
+            copy_files(run.root, store / COMPLETED, COMPLETED_FILES)
+        estimation.run()
+    return {"seconds": seconds, "fixtures": len(estimation.fixtures)}
+
+
+def score(root: Path, capture: Path) -> dict[str, Any]:
+    """The figures of benchmarks/accuracy.py of a finished run, without Cycles."""
+    from benchmarks import accuracy, picture_page
+    from fipt_blender.core.run.runfolder import RunFolder
+
+    page = picture_page.PicturePage(root / "accuracy")
+    scope = accuracy.Scope(capture, spp=SPP, train_views=TRAINING_VIEWS, train_renders=0)
+    return accuracy.score(RunFolder(root), scope, page).figures
+
+
+def main(argv: list[str]) -> int:
+    """Run the command; what it finds out is written to RUN/trial.json."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("run", type=Path, metavar="RUN")
+    parser.add_argument("capture", type=Path, metavar="CAPTURE")
+    parser.add_argument("--store", type=Path, metavar="DIR", help="keep stages there for other runs")
+    parser.add_argument("--constants", default="{}", metavar="JSON", help='{"module.NAME": value}')
+    arguments = parser.parse_args(argv)
+    constants.use(json.loads(arguments.constants))
+    found = estimate(arguments.run, arguments.store)
+    found["figures"] = score(arguments.run, arguments.capture)
+    from fipt_blender.core.run.method import method_digest
+    from fipt_blender.core.run.runfolder import write_json
+
+    write_json(arguments.run.absolute() / "trial.json", {**found, "method": method_digest()})
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

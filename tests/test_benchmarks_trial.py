@@ -1,0 +1,165 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The trial of mechanisms: the jury, switches, numbers of the source, runs that begin with stored stages."""
+
+import dataclasses
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import constants, trial, trial_run
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.settings import Settings, make_settings
+from samples.small_captures import panel_capture, write_run
+
+SOURCE = """
+# Of a wall.
+# In metres.
+WIDTH, HEIGHT = 2.0, 1.0 / 4.0
+_COUNT = 3  # of walls
+AREA = WIDTH * HEIGHT
+NAME, small = "wall", 5
+"""
+
+
+def test_numbers_in_capitals_are_found_with_their_comments() -> None:
+    found = constants.module_constants(SOURCE, "room.wall")
+    assert [(each.key, each.value, each.comment) for each in found] == [
+        ("room.wall.WIDTH", 2.0, "Of a wall. In metres."),
+        ("room.wall.HEIGHT", 0.25, "Of a wall. In metres."),
+        ("room.wall._COUNT", 3, "of walls"),
+    ]
+    assert [found[0].scaled(2.0), found[2].scaled(0.5), found[2].scaled(2.0)] == [4.0, 2, 6]
+    one = dataclasses.replace(found[2], value=1)
+    assert [one.scaled(0.5), one.scaled(2.0)] == [0, 2]
+    assert len(constants.all_constants()) > 100
+
+
+def test_another_number_reaches_all_that_follows_from_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "other_numbers"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "wall.py").write_text(SOURCE)
+    (package / "house.py").write_text("from .wall import HEIGHT\ndef high(value=HEIGHT): return value\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "meta_path", list(sys.meta_path))
+    constants.use({"wall.HEIGHT": 3.0, "wall._COUNT": 9}, package, "other_numbers")
+    from other_numbers import house, wall
+
+    assert (wall.WIDTH, wall.HEIGHT, wall._COUNT, wall.AREA, house.high()) == (2.0, 3.0, 9, 6.0, 3.0)
+    with pytest.raises(ValueError, match="imported already"):
+        constants.use({"wall.WIDTH": 1.0}, package, "other_numbers")
+
+
+def test_every_switch_is_on_and_is_tried() -> None:
+    switches = {
+        item.name
+        for item in dataclasses.fields(Settings)
+        if item.default is True and item.metadata["help"].endswith("(not in the paper)")
+    }
+    tried = {name for mechanism in trial.MECHANISMS.values() for name in mechanism.off}
+    assert switches - {"detail"} <= tried  # of the textures, which have figures of their own
+    for name, mechanism in trial.MECHANISMS.items():
+        make_settings("draft", dict(mechanism.off))
+        assert trial.lines_of(name) >= 0 and trial.without(name).settings == mechanism.off
+    with pytest.raises(FiptError, match="no mechanism"):
+        trial.without("no_such")
+
+
+def test_words_of_a_jury() -> None:
+    found = trial.cases("a:2cm:hdr:parts,none b:exact:jpeg:linked")
+    assert [case.name for case in found] == ["a:2cm:hdr:parts", "a:2cm:hdr:none", "b:exact:jpeg:linked"]
+    assert found[0].voxel == 0.02 and found[2].voxel is None
+    assert found[0].has(("scan", "masks", "parts")) and not found[1].has(("masks",))
+    assert found[2].has(("jpeg", "masks")) and not found[2].has(("scan",))
+    for wrong in ("a:2cm:hdr", "a:cm:hdr:none", "a:2cm:raw:none", "a:2cm:hdr:some"):
+        with pytest.raises(FiptError, match="no capture"):
+            trial.cases(wrong)
+
+
+def row(capture: str, change: str, seconds: dict[str, float], **figures: float) -> dict:
+    classes = [{"share": 0.5, "expected": 0.2, "made": 0.1}]
+    every = dict.fromkeys(trial.COLUMNS, 20.0) | {"confidence": classes} | figures
+    return {
+        "capture": capture,
+        "change": change,
+        "seconds": seconds,
+        "figures": dict.fromkeys(trial.SPLITS, every),
+    }
+
+
+def test_a_mechanism_pays_where_it_gains_more_than_it_loses() -> None:
+    rows = [
+        row("a", "", {"pixels": 9.0, "training": 5.0}), row("b", "", {"pixels": 7.0}),
+        row("a", "panes", {"pixels": 4.0}, kd_psnr=19.0, relight_psnr=20.1),
+        row("b", "panes", {"pixels": 4.0}, kd_psnr=20.0),  # nothing there has a hole
+        row("a", "outlines", {}, sigma_psnr=19.5, relight_psnr=20.6),
+        row("a", "unmix", {}, kd_psnr=19.8),
+        row("a", "lit_specks", {}, emission_iou=20.05),
+        {"capture": "b", "change": "unmix", "error": ["failed"]},
+    ]  # fmt: skip
+    found = trial.effects(rows)
+    assert (found["panes"].acted, found["panes"].tried, found["panes"].seconds) == (1, 2, 4.0)
+    assert found["panes"].mean == pytest.approx([1.0, 0, 0, 0, 0, 0, -0.1, 0])
+    verdicts = {name: effect.verdict() for name, effect in found.items()}
+    assert verdicts == {
+        "panes": "pays", "outlines": "loses as much", "unmix": "does not pay", "lit_specks": "harms",
+    }  # fmt: skip
+    lines = trial.format_table(rows).splitlines()
+    assert lines[2].startswith("| `panes` | 1 of 2 | +1.00 |") and lines[2].endswith("| pays |")
+    assert "| relit −0.10 | 4 |" in lines[2] and "| IoU −0.050 |" in lines[5]
+
+
+def test_runs_are_resumed_after_the_method_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[tuple[str, str]] = []
+
+    def do(self: trial.Trial, case: trial.Case, change: trial.Change) -> None:
+        done.append((case.name, change.name))
+        line = {
+            "capture": case.name,
+            "change": change.name,
+            "method": trial.method_digest(),
+            **self._made_with,
+        }
+        line |= {"error": ["no"]} if case.room == "b" else row(case.name, change.name, {})
+        with self.lines.open("a") as file:
+            file.write(json.dumps(line) + "\n")
+
+    monkeypatch.setattr(trial.Trial, "do", do)
+    words = [str(tmp_path), "--room", "a=x", "--room", "b=y", "--captures", "a,b:2cm:hdr:none"]
+    words += ["--off", "panes,lost_parts", "--numbers", "settings.view_err"]
+    assert trial.main([*words, "--most", "1"]) == 0 and done == [("a:2cm:hdr:none", "")]
+    assert trial.main(words) == 1
+    # Lost parts need masks, and a capture that fails as it is is left alone.
+    changes = [name for capture, name in done if capture.startswith("a")]
+    assert changes == ["", "panes", "settings.view_error*0.5", "settings.view_error*2"]
+    assert [name for capture, name in done if capture.startswith("b")] == [""]
+    count = len(done)
+    trial.main([*words, "--table", str(tmp_path / "t.md")])
+    assert len(done) == count and "`panes`" in (tmp_path / "t.md").read_text()
+    assert trial.main([*words, "--set", "seed=3", "--most", "1"]) == 0 and len(done) == count + 1
+    assert trial.main([str(tmp_path), "--captures", "c:2cm:hdr:none"]) == 1 and trial.main([]) == 2
+
+
+@pytest.mark.usefixtures("one_thread")
+def test_a_run_that_begins_with_stored_stages_finds_the_same(tmp_path: Path) -> None:
+    first = write_run(tmp_path / "first", panel_capture(), rounds=0, training_steps=1)
+    found = trial_run.estimate(first.root, tmp_path / "store")
+    assert found["fixtures"] == 1 and set(found["seconds"]) > {"pixels", "shadings", "training"}
+    again = RunFolder(tmp_path / "again")
+    trial.prepared.copy_input(
+        first, again, make_settings("draft", vars(first.read()) | {"lamp_doubt": False})
+    )
+    shutil.copytree(tmp_path / "store" / trial_run.BAKED, again.stage, dirs_exist_ok=True)
+    assert set(trial_run.estimate(again.root, None)["seconds"]) & {"pixels", "shadings", "estimate-0"} == {
+        "estimate-0"
+    }
+    with np.load(first.fields_npz) as one, np.load(again.fields_npz) as other:
+        assert all(np.array_equal(one[name], other[name]) for name in one.files)
