@@ -34,12 +34,10 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     # Imported here because these modules need Mitsuba's variant when they are loaded.
     from ..optics.brdf import set_masking
     from .stages import Estimation
-    from .state import announce_plan
 
     set_masking(settings.masking)
     if (danger := unprotected(arguments.cluster)) is not None:
         reporter.warning(*danger)
-    announce_plan(folder, settings, reporter)
     with workers_at(arguments.cluster) as workers:
         estimation = Estimation(folder, settings, reporter, workers)
         estimation.run()

@@ -77,21 +77,6 @@ def spread_views(views: Sequence[View], share: float) -> list[View]:
     return [views[i * len(views) // count] for i in range(count)]
 
 
-def announce_plan(folder: RunFolder, settings: Settings, reporter: Reporter) -> None:
-    """Tell at which resolution light will be solved, and the expected time and disk.
-
-    Raises:
-        FiptError: ``disk-space`` unless forced, and those of `load_capture`.
-    """
-    views = spread_views(load_capture(folder).train, settings.view_share)
-    if not views:
-        return  # the estimation raises the error
-    plan = light_plan([(view.width, view.height) for view in views], settings)
-    reporter.note(f"{plan.resolution}; {plan.cost}")
-    if not settings.force:
-        refuse_full_disk(folder.stage, plan.bytes, "choose a lower preset, or fewer light_pixels")
-
-
 def estimation_views(folder: RunFolder, settings: Settings) -> list[View]:
     """The views of an estimation that was done in a folder, at the resolution of its pixels."""
     return light_views(
@@ -132,7 +117,8 @@ class EstimationState:
             have no rows where no refinement follows it.
 
     Raises:
-        FiptError: ``views-none``, or where the capture or the room can't be read.
+        FiptError: ``views-none``, ``disk-space`` unless forced, or where the capture or the room can't be
+            read.
     """
 
     def __init__(
@@ -142,12 +128,16 @@ class EstimationState:
         self.workers = workers or LocalWorkers()
         self.device = torch.device(torch_device())
         self.capture = load_capture(folder)
-        prepare_geometry(folder, settings.clean_scan, settings.close_holes_edges)
-        self.holes = read_scan_holes(folder)
         if not self.capture.train:
             raise FiptError("views-none", "The capture has no training views.", "Add photographs.")
         self.photographs = spread_views(self.capture.train, settings.view_share)
         self.plan = light_plan([(view.width, view.height) for view in self.photographs], settings)
+        reporter.note(f"{self.plan.resolution}; {self.plan.cost}")
+        if not settings.force:
+            remedy = "choose a lower preset, or fewer light_pixels"
+            refuse_full_disk(folder.stage, self.plan.bytes, remedy)
+        prepare_geometry(folder, settings.clean_scan, settings.close_holes_edges)
+        self.holes = read_scan_holes(folder)
         begin = partial(reporter.stage, "light", "Averaging the photographs to the resolution of light")
         self.views = light_views(folder, self.photographs, settings.light_pixels, begin, reporter.progress)
         self.far_off = check_input(load_room(folder, outlined=False), self.views, settings)
