@@ -17,7 +17,7 @@ from ..run.errors import FiptError
 from .rig import Lens, Pinhole
 
 # Pixels that are resampled at a time: so few stay in the processor's cache.
-_BAND = 1 << 18
+_BAND = 1 << 15
 
 
 def lens_camera(lens: Lens, width: int, height: int) -> pycolmap.Camera:
@@ -113,20 +113,27 @@ class Undistortion:
     def image(self, pixels: np.ndarray) -> np.ndarray:
         """Resample an image (source height, source width, C) bilinearly to (height, width, C) float32."""
         source = self._checked(pixels)
-        flat = np.ascontiguousarray(source, np.float32).reshape(-1, source.shape[2])
-        result = np.zeros((len(self._first), source.shape[2]), np.float32)
+        channels = source.shape[2]
+        flat = np.ascontiguousarray(source, np.float32).reshape(-1, channels)
+        result = np.empty((len(self._first), channels), np.float32)
         for begin in range(0, len(result), _BAND):
             rows = slice(begin, begin + _BAND)
-            first, u, v = self._first[rows], self._right[rows], self._down[rows]
-            for index, weight in (
+            first = self._first[rows]
+            # A weight for each channel: numpy is slow along short axes.
+            u, v = np.repeat(self._right[rows], channels), np.repeat(self._down[rows], channels)
+            corners = (
                 (first, (1.0 - u) * (1.0 - v)),
                 (first + self._across, u * (1.0 - v)),
                 (first + self._below, (1.0 - u) * v),
                 (first + (self._across + self._below), u * v),
-            ):
-                corner = flat.take(index, axis=0)
-                corner *= weight[:, None]
-                result[rows] += corner
+            )
+            total = np.zeros(len(u), np.float32)
+            for index, weight in corners:
+                # No index is clipped; to check that would take longer.
+                corner = flat.take(index, axis=0, mode="clip").reshape(-1)
+                corner *= weight
+                total += corner
+            result[rows] = total.reshape(-1, channels)
         return result.reshape(self.pinhole.height, self.pinhole.width, -1)
 
     def ids(self, ids: np.ndarray) -> np.ndarray:
