@@ -15,6 +15,7 @@ from mathutils import Euler, Matrix
 
 from fipt_blender.blend.capture import scene_cameras
 from fipt_blender.blend.capture.exporting import camera_pose
+from fipt_blender.blend.marks import LARGE_PHOTOGRAPH, PIXEL_ASPECT, RESOLUTION
 from fipt_blender.core import conventions
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
@@ -153,3 +154,12 @@ def test_pose_of_a_constrained_camera_is_the_evaluated_one(scene):
     bpy.context.view_layer.update()
     assert np.allclose(camera_pose(item)[:3, 2], [1.0, 0.0, 0.0], atol=1e-6)
     assert math.isclose(np.linalg.det(camera_pose(item)[:3, :3]), 1.0, abs_tol=1e-9)
+
+
+def test_a_small_copy_stands_for_its_photograph(scene, tmp_path):
+    item = own_camera(scene, tmp_path / "small.exr", (12, 6), **LENSES["horizontal"])
+    item.data.background_images[0].image[LARGE_PHOTOGRAPH] = str(tmp_path / "large.exr")
+    photograph(tmp_path / "large.exr", 48, 24)
+    item[RESOLUTION], item[PIXEL_ASPECT] = (48, 24), (1.0, 1.0)
+    frame = scene_cameras.describe_camera(scene, item)
+    assert (frame["file_path"], frame["w"], frame["h"]) == (str(tmp_path / "large.exr"), 48, 24)

@@ -22,6 +22,7 @@ from fipt_blender.core.capture.encoded import srgb_encoded
 from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.run_files import read_capture
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from samples.capture_files import (
@@ -293,3 +294,18 @@ def test_undistorted_ids_keep_large_values(tmp_path, run):
     write_exr(tmp_path / "in" / "parts" / "000_0001.exr", np.full((32, 48), 2**24 - 1))
     run_ingest(tmp_path / "in", run, hold_back=0)
     np.testing.assert_array_equal(read_ids(load_capture(run).views[0].parts), 2**24 - 1)
+
+
+def test_large_photographs_are_decoded_once_and_get_a_small_copy(tmp_path, run, monkeypatch):
+    samples = [make_samples(1, model="OPENCV")[0], make_samples(2)[1]]
+    write_transforms(tmp_path / "in", samples)
+    decoded = []
+    monkeypatch.setattr(ingest, "PREVIEW_SIDE", 40)
+    monkeypatch.setattr(ingest, "read_radiance", lambda path: decoded.append(path) or read_radiance(path))
+    run_ingest(tmp_path / "in", run)
+    assert len(decoded) == 2
+    for view, entry in zip(load_capture(run).views, read_capture(run.capture_json)["views"], strict=True):
+        shown = read_radiance(run.resolve(entry["preview"]))
+        assert max(shown.shape) == 40 < max(view.width, view.height)
+        assert shown.mean() == pytest.approx(view.radiance().mean(), rel=0.02)  # compressed with losses
+    assert not load_capture(run).views[1].image.is_relative_to(run.root)  # needed no change

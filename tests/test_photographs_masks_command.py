@@ -14,7 +14,7 @@ from PIL import Image
 
 from fipt_blender.core.capture.images import read_ids, write_exr, write_ids
 from fipt_blender.core.capture.views import load_capture
-from fipt_blender.core.photographs import masks_command
+from fipt_blender.core.photographs import masks_command, masks_model
 from fipt_blender.core.photographs.masks_model import open_masks_model
 from fipt_blender.core.photographs.tonemap import network_picture
 from fipt_blender.core.run.documents import read_json
@@ -90,7 +90,14 @@ def test_views_without_part_masks_get_regions(run: RunFolder, sam: Path, tmp_pat
     for name, picture in shown.items():
         ids = views[name].part_ids()
         assert np.array_equal(ids, finder(picture)) and len(np.unique(ids)) > 2
-        assert np.array_equal(masks_command.shown_picture(views[name]), picture)
+
+
+def test_models_see_large_photographs_averaged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ids are those of the pixel of the smaller picture at the place."""
+    monkeypatch.setattr(masks_model, "MOST_SIDE", 6)
+    sides = np.repeat(np.float32([1.0, 3.0]), 6)[None, :, None] * np.ones((8, 1, 3), np.float32)
+    ids = masks_model.find_masks(lambda picture: picture[..., 0].astype(np.int32), sides, np.uint8)
+    assert ids.shape == (8, 12) and np.array_equal(ids, sides[..., 0])
 
 
 def test_masks_are_found_again_only_where_something_has_changed(run: RunFolder, sam: Path) -> None:

@@ -13,6 +13,7 @@ import bpy
 import numpy as np
 
 from ..core.run.errors import FiptError
+from .png16 import decode_srgb
 
 MOST_PATH_BYTES = 1023
 LINEAR, ENCODED = "Linear Rec.709", "sRGB"
@@ -33,7 +34,7 @@ def check_length(path: Path) -> None:
 
 
 def load_radiance(path: Path) -> bpy.types.Image | None:
-    """A scene-linear image, displayed as renders are; None where the file is missing.
+    """A scene-linear image, or one of sRGB's codes, displayed as renders are; None where the file is missing.
 
     Raises:
         FiptError: ``path-long``.
@@ -42,7 +43,7 @@ def load_radiance(path: Path) -> bpy.types.Image | None:
         return None
     check_length(path)
     image = bpy.data.images.load(str(path), check_existing=True)
-    image.colorspace_settings.name = LINEAR
+    image.colorspace_settings.name = LINEAR if path.suffix.lower() == ".exr" else ENCODED
     image.use_view_as_render = True  # the scene's view transform and exposure
     return image
 
@@ -130,6 +131,17 @@ def read_texture(path: Path) -> np.ndarray:
     finally:
         bpy.data.images.remove(image)
     return pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
+
+
+def linear_values(image: bpy.types.Image) -> np.ndarray:
+    """(H, W, channels) f32 scene-linear values of an image, bottom row first.
+
+    Blender converts files of floats when it reads them, but leaves codes of 8 bits as they are.
+    """
+    values = image_values(image)
+    if not image.is_float and image.colorspace_settings.name == ENCODED:
+        values[..., :3] = decode_srgb(values[..., :3])
+    return values
 
 
 def image_values(image: bpy.types.Image) -> np.ndarray:

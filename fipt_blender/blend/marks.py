@@ -20,6 +20,8 @@ PIXEL_ASPECT = "fipt_pixel_aspect"
 LOOKED_PAST = "fipt_looked_past"  # hidden while another view is looked through: view layers, whether selected
 # Stored with the camera's data:
 KEPT_PHOTOGRAPH = "fipt_photograph"  # the photograph, while another picture lies over the view
+# On an image that is a smaller copy of a photograph: the file of that
+LARGE_PHOTOGRAPH = "fipt_large_photograph"
 
 # --- objects and meshes of the room ------------------------------------------------------------------------
 OBJECT_ID = "fipt_object_id"  # by which runs find the object again: the name of its first export

@@ -38,6 +38,11 @@ def _chunk(kind: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
+def decode_srgb(values: np.ndarray) -> np.ndarray:
+    """The inverse of `encode_srgb`, of values from 0 to 1."""
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).astype(values.dtype)
+
+
 def encode_srgb(linear: np.ndarray) -> np.ndarray:
     """Values by sRGB's transfer function (IEC 61966-2-1), clipped to 0 to 1."""
     linear = np.clip(linear, 0.0, 1.0)

@@ -20,7 +20,7 @@ from ...core.run.errors import FiptError
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder
 from ..image_datablocks import load_radiance
-from ..marks import PIXEL_ASPECT, RESOLUTION, SPLIT, VIEW, view_cameras
+from ..marks import LARGE_PHOTOGRAPH, PIXEL_ASPECT, RESOLUTION, SPLIT, VIEW, view_cameras
 from ..outliner import CAMERAS, collection
 from .view_geometry import ViewGeometry
 
@@ -91,7 +91,7 @@ def add_camera(
         item.matrix_parent_inverse = Matrix.Identity(4)
     set_camera(item, view, local=parent is not None)
     if photograph:
-        _set_background(item.data, load_radiance(run.resolve(view["image"])))
+        _set_background(item.data, _load_photograph(run, view))
     return item
 
 
@@ -126,6 +126,17 @@ def mark_camera(item: bpy.types.Object, view: dict[str, Any], parameters: conven
     item[SPLIT] = view.get("split", "train")
     item[RESOLUTION] = [int(view["width"]), int(view["height"])]
     item[PIXEL_ASPECT] = [parameters.pixel_aspect_x, parameters.pixel_aspect_y]
+
+
+def _load_photograph(run: RunFolder, view: dict[str, Any]) -> bpy.types.Image | None:
+    """A view's photograph, or its smaller copy where it has one; None where the file is missing."""
+    path = run.resolve(view["image"])
+    if not view.get("preview"):
+        return load_radiance(path)
+    image = load_radiance(run.resolve(view["preview"])) if path.is_file() else None
+    if image is not None:
+        image[LARGE_PHOTOGRAPH] = str(path)
+    return image
 
 
 def _set_background(camera: bpy.types.Camera, image: bpy.types.Image | None) -> None:

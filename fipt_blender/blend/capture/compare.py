@@ -16,7 +16,7 @@ import numpy as np
 
 from ...core.capture.averaging import means
 from ...core.run.errors import FiptError
-from ..image_datablocks import LINEAR, image_values, load_radiance
+from ..image_datablocks import LINEAR, linear_values, load_radiance
 from ..marks import KEPT_PHOTOGRAPH, PICTURE, VIEW, all_view_cameras
 from .backdrop import show_photograph, show_photographs, show_picture
 
@@ -178,7 +178,7 @@ def pixels_of(image: bpy.types.Image) -> np.ndarray:
 
 
 def _all_pixels(image: bpy.types.Image) -> np.ndarray:
-    values = image_values(image)
+    values = linear_values(image)
     picture = np.ones((*values.shape[:2], 4), np.float32)
     picture[..., : min(image.channels, 3)] = values[..., :3]
     return picture

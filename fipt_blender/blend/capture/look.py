@@ -7,6 +7,7 @@ from __future__ import annotations
 import bpy
 
 from ...core.run.errors import FiptError
+from ..marks import VIEW
 from .backdrop import show_photograph
 from .cameras import use_view
 from .compare import follow
@@ -17,14 +18,27 @@ def look_through(
     scene: bpy.types.Scene, view: bpy.types.PropertyGroup, context: bpy.types.Context
 ) -> bpy.types.Object | None:
     """Make a view's camera the scene's and look through it in 3D views; None where the camera was deleted."""
-    camera = view.camera_object()
+    camera, before = view.camera_object(), scene.camera
     if camera is None:
         return None
     use_view(scene, camera)
+    if before is not None and before != camera and VIEW in before:
+        _free_photograph(before)
     show_photograph(scene, camera)
     follow(scene)
     enter_camera(context, scene)
     return camera
+
+
+def _free_photograph(camera: bpy.types.Object) -> None:
+    """Free the pixels of a view's photograph, which Blender reads again where it shows them.
+
+    It would keep those of all views that were looked through, of floats 16 bytes a pixel.
+    """
+    for background in camera.data.background_images:
+        image = background.image
+        if image is not None and image.source == "FILE" and not image.is_dirty:
+            image.buffers_free()
 
 
 def shows_photograph(

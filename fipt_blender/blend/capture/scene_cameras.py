@@ -18,7 +18,7 @@ from ...core.run.documents import Fields, Items, read_json
 from ...core.run.errors import FiptError
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder, write_json
-from ..marks import PIXEL_ASPECT, RESOLUTION
+from ..marks import LARGE_PHOTOGRAPH, PIXEL_ASPECT, RESOLUTION
 from . import cameras
 from .exporting import camera_pose
 from .importing import fill_views
@@ -115,7 +115,8 @@ def describe_camera(scene: bpy.types.Scene, item: bpy.types.Object) -> dict[str,
             "Set its lens type to Perspective, or remove its background image.",
         )
     path = photograph_path(item, background.image)
-    width, height = (int(value) for value in background.image.size)
+    size = item[RESOLUTION] if LARGE_PHOTOGRAPH in background.image else background.image.size
+    width, height = (int(value) for value in size)
     if not width or not height:
         raise FiptError("image-unreadable", f"The photograph {path} can't be read.", "Export it again.")
     fx, fy, cx, cy = photograph_lens(item, background, frame_of(scene, item), width, height)
@@ -138,7 +139,8 @@ def photograph_path(item: bpy.types.Object, image: bpy.types.Image) -> Path:
     Raises:
         FiptError: ``image-missing``.
     """
-    path = Path(bpy.path.abspath(image.filepath, library=image.library)) if image.filepath else None
+    name = image.get(LARGE_PHOTOGRAPH, image.filepath)
+    path = Path(bpy.path.abspath(name, library=image.library)) if name else None
     if path is None or not path.is_file():
         shown_name = path or f"'{image.name}'"
         raise FiptError(

@@ -15,6 +15,7 @@ from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder, atomic_path
 from ..changed import changed
 from ..image_datablocks import LINEAR, image_values
+from ..png16 import decode_srgb
 from ..save import write_error
 
 # Selects still images in image settings, where that is a setting (from Blender 5.0): it decides on formats.
@@ -37,18 +38,23 @@ def view_entry(capture: dict[str, Any], name: str) -> dict[str, Any]:
     )
 
 
-def photograph(run: RunFolder, view: dict[str, Any]) -> np.ndarray:
+def photograph(run: RunFolder, view: dict[str, Any], smaller: bool = False) -> np.ndarray:
     """A view's photograph, (H, W, 3) f32 scene-linear, first row at the top.
+
+    One that is not HDR is read as if its response were sRGB's curve.
+
+    Args:
+        smaller: its smaller copy will do, where it has one.
 
     Raises:
         FiptError: ``image-missing`` or ``path-outside``.
     """
-    path = run.resolve(view["image"])
+    path = run.resolve((smaller and view.get("preview")) or view["image"])
     try:
         pixels = read_pixels(path)
         if not pixels.size:
             raise ValueError("no pixels")
-        return pixels
+        return decode_srgb(pixels) if view.get("encoded") else pixels
     except (RuntimeError, ValueError):
         raise FiptError(
             "image-missing",
@@ -58,7 +64,7 @@ def photograph(run: RunFolder, view: dict[str, Any]) -> np.ndarray:
 
 
 def read_pixels(path: Path, channels: int = 3) -> np.ndarray:
-    """Pixels of a scene-linear image file, (H,W,channels) f32, first row at the top."""
+    """Pixels of an image file as they are stored, (H,W,channels) f32, first row at the top."""
     image = bpy.data.images.load(str(path))
     try:
         image.colorspace_settings.is_data = True

@@ -51,13 +51,13 @@ def check_view(
         FiptError: ``image-missing``, ``disk-full`` or ``run-unwritable``.
     """
     checks = read_checks(run)
-    image, photo = read_pixels(render), photograph(run, view)
+    image, photo = read_pixels(render), photograph(run, view, smaller=True)
     if "exposure" not in checks:
         medians = []
         for entry in capture["views"]:
             if entry["name"] in views:
                 with suppress(FiptError):  # its own check tells that it is missing
-                    medians.append(float(np.median(photograph(run, entry))))
+                    medians.append(float(np.median(photograph(run, entry, smaller=True))))
         checks["exposure"] = choose_exposure(float(np.median(medians)) if medians else 0.0)
     photo = means(photo, image.shape[1], image.shape[0])
     agreement = compare(image, photo, checks["exposure"])

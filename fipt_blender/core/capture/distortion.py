@@ -17,7 +17,7 @@ from ..run.errors import FiptError
 from .rig import Lens, Pinhole
 
 # Pixels that are resampled at a time: so few stay in the processor's cache.
-_BAND = 1 << 18
+_BAND = 1 << 15
 
 
 def lens_camera(lens: Lens, width: int, height: int) -> pycolmap.Camera:
@@ -91,44 +91,55 @@ class Undistortion:
     def __init__(self, lens: Lens, width: int, height: int) -> None:
         self.pinhole = undistorted_pinhole(lens, width, height)
         self._source_shape = (height, width)
-        positions = _source_positions(
-            lens_camera(lens, width, height),
-            self.pinhole,
-            np.arange(self.pinhole.width) + 0.5,
-            np.arange(self.pinhole.height) + 0.5,
-        )
-        # 32 bits hold the index of any pixel (`encoded.MOST_PIXELS`).
-        column = np.clip(np.floor(positions[:, 0]).astype(np.int32), 0, width - 1)
-        row = np.clip(np.floor(positions[:, 1]).astype(np.int32), 0, height - 1)
-        self._nearest = row * width + column
-        x = np.clip(positions[:, 0] - 0.5, 0.0, width - 1.0)
-        y = np.clip(positions[:, 1] - 0.5, 0.0, height - 1.0)
-        left, top = np.floor(x).astype(np.int32), np.floor(y).astype(np.int32)
-        right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
-        u, v = (x - left).astype(np.float32), (y - top).astype(np.float32)
-        self._corners = (
-            (top * width + left, (1.0 - u) * (1.0 - v)),
-            (top * width + right, u * (1.0 - v)),
-            (bottom * width + left, (1.0 - u) * v),
-            (bottom * width + right, u * v),
-        )
+        camera = lens_camera(lens, width, height)
+        count = self.pinhole.width * self.pinhole.height
+        # The upper left one of the four pixels around each position; 32 bits hold the index of any pixel
+        # (`encoded.MOST_PIXELS`). And where between them it is, 0 to 1.
+        self._first = np.empty(count, np.int32)
+        self._right, self._down = np.empty(count, np.float32), np.empty(count, np.float32)
+        columns, lines = np.arange(self.pinhole.width) + 0.5, np.arange(self.pinhole.height) + 0.5
+        step = max(1, _BAND // self.pinhole.width)
+        for begin in range(0, self.pinhole.height, step):
+            positions = _source_positions(camera, self.pinhole, columns, lines[begin : begin + step])
+            x = np.clip(positions[:, 0] - 0.5, 0.0, width - 1.0)
+            y = np.clip(positions[:, 1] - 0.5, 0.0, height - 1.0)
+            left = np.minimum(np.floor(x), max(width - 2, 0)).astype(np.int32)
+            top = np.minimum(np.floor(y), max(height - 2, 0)).astype(np.int32)
+            rows = slice(begin * self.pinhole.width, begin * self.pinhole.width + len(x))
+            self._first[rows], self._right[rows], self._down[rows] = top * width + left, x - left, y - top
+        # To the pixels on the right and below
+        self._across, self._below = min(width - 1, 1), width * min(height - 1, 1)
 
     def image(self, pixels: np.ndarray) -> np.ndarray:
         """Resample an image (source height, source width, C) bilinearly to (height, width, C) float32."""
         source = self._checked(pixels)
-        flat = np.ascontiguousarray(source, np.float32).reshape(-1, source.shape[2])
-        result = np.zeros((self.pinhole.height * self.pinhole.width, source.shape[2]), np.float32)
+        channels = source.shape[2]
+        flat = np.ascontiguousarray(source, np.float32).reshape(-1, channels)
+        result = np.empty((len(self._first), channels), np.float32)
         for begin in range(0, len(result), _BAND):
             rows = slice(begin, begin + _BAND)
-            for index, weight in self._corners:
-                corner = flat.take(index[rows], axis=0)
-                corner *= weight[rows, None]
-                result[rows] += corner
+            first = self._first[rows]
+            # A weight for each channel: numpy is slow along short axes.
+            u, v = np.repeat(self._right[rows], channels), np.repeat(self._down[rows], channels)
+            corners = (
+                (first, (1.0 - u) * (1.0 - v)),
+                (first + self._across, u * (1.0 - v)),
+                (first + self._below, (1.0 - u) * v),
+                (first + (self._across + self._below), u * v),
+            )
+            total = np.zeros(len(u), np.float32)
+            for index, weight in corners:
+                # No index is clipped; to check that would take longer.
+                corner = flat.take(index, axis=0, mode="clip").reshape(-1)
+                corner *= weight
+                total += corner
+            result[rows] = total.reshape(-1, channels)
         return result.reshape(self.pinhole.height, self.pinhole.width, -1)
 
     def ids(self, ids: np.ndarray) -> np.ndarray:
         """Resample an id image (source height, source width) by nearest neighbour."""
-        return self._checked(ids).ravel()[self._nearest].reshape(self.pinhole.height, self.pinhole.width)
+        nearest = self._first + self._across * (self._right >= 0.5) + self._below * (self._down >= 0.5)
+        return self._checked(ids).ravel()[nearest].reshape(self.pinhole.height, self.pinhole.width)
 
     def _checked(self, pixels: np.ndarray) -> np.ndarray:
         if pixels.shape[:2] != self._source_shape:

@@ -32,6 +32,7 @@ REC709 = np.array([0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290])
 BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 # A display window above the first size must hold data in this share of its pixels.
 _LARGE_PIXELS, _LEAST_DATA = 16_000_000, 1.0 / 16.0
+MAX_PNG_ID = 2**16 - 1
 MAX_ID = 2**24 - 1  # highest id of a colour mask; 32-bit floats represent all of them exactly
 
 
@@ -130,13 +131,14 @@ def read_ids(path: Path) -> np.ndarray:
     return np.round(values).astype(np.int32)
 
 
-def write_exr(path: Path, array: np.ndarray, half: bool = False) -> None:
+def write_exr(path: Path, array: np.ndarray, half: bool = False, lossy: bool = False) -> None:
     """Write an image as EXR, completely or not at all.
 
     Args:
         path: the file; its folder is created if missing.
         array: (height, width, 3) as R, G, B, or (height, width) as Y; converted to float.
         half: 16-bit values, clamped to ±65504, instead of 32-bit.
+        lossy: compressed to a quarter, for pictures that are only looked at.
 
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
@@ -147,7 +149,8 @@ def write_exr(path: Path, array: np.ndarray, half: bool = False) -> None:
     else:
         values = values.astype(np.float32)
     planes = {"Y": values} if values.ndim == 2 else dict(zip("RGB", np.moveaxis(values, -1, 0), strict=True))
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    compression = OpenEXR.DWAA_COMPRESSION if lossy else OpenEXR.ZIP_COMPRESSION
+    header = {"compression": compression, "type": OpenEXR.scanlineimage}
     # Written through memory, because OpenEXR does not report the system's reason for a failure.
     buffer = io.BytesIO()
     OpenEXR.File(header, {name: np.ascontiguousarray(plane) for name, plane in planes.items()}).write(buffer)
@@ -180,7 +183,7 @@ def write_ids(path: Path, ids: np.ndarray) -> None:
 
     Args:
         path: the file; its folder is created if missing.
-        ids: (height, width) int from 0 to 65535.
+        ids: (height, width) int from 0 to `MAX_PNG_ID`.
 
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.

@@ -2,16 +2,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Engine command `ingest`: converts a capture in any known format to the capture.json of a run.
 
-Everything is checked before anything is written, so that a rejected capture leaves no files.
+A rejected capture leaves no files: the photographs, each decoded once, are checked while those that must be
+converted are written beside the run's images, which they replace only in the end.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,17 +28,20 @@ from ..run.runfolder import RunFolder, write_json
 from ..run.settings import make_settings
 from ..run.threads import in_threads
 from . import checks
+from .averaging import means
 from .distortion import Undistortion, is_distorted, lens_pinhole, undistorted_pinhole, undistortion
 from .encoded import JPEG_SUFFIXES, file_exposure, is_encoded, srgb_encoded
 from .images import (
     EXR_SUFFIX,
     HALF_MAX,
+    MAX_PNG_ID,
     is_rec709,
     read_ids,
     read_radiance,
     read_size,
     threads_for,
     write_exr,
+    write_ids,
     write_jpeg,
 )
 from .ingest_options import IngestOptions, check_options, options_of
@@ -52,6 +56,10 @@ from .views import CAPTURE_FORMAT, CAPTURE_VERSION
 EXACT_PIXELS = 1_000_000
 # The smallest value with all digits of a half float; a photograph's median must be so many times that.
 LEAST_HALF, DARKER = 2.0**-14, 100.0
+# Longer side of the copies that Blender's windows show of larger photographs, and their usual size: what a
+# screen can show, and what the pictures beside them are rendered at.
+PREVIEW_SIDE = 1920
+PREVIEW_BYTES = 2_000_000
 ID_IMAGES = ("parts", "semantics", "mask")
 
 
@@ -68,7 +76,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
     """
     if run_folder.run_json.exists():
         run_folder.read()
-    reporter.plan([0.1, 0.7, 0.2])
+    reporter.plan([0.1, 0.85, 0.05])
     reporter.stage("cameras", "Reading cameras")
     check_options(options)
     source = read_source(capture.absolute(), options, reporter)
@@ -99,31 +107,36 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
 
     fusion = mesh_fusion(run_folder, capture.absolute(), source, options)
     if fusion is not None:
-        reporter.plan([0.2, 0.7, 0.1])
+        reporter.plan([0.35, 0.6, 0.05])
     remedy = "use photographs whose distortion is undone already, or smaller ones"
     refuse_full_disk(run_folder.images, sum(_rewritten_bytes(view) for view in views), remedy)
-    reporter.stage("images", "Checking photographs")
     exposures = [file_exposure(view.image) for view in views]
-    statistics = _check_pixels(views, exposures, options.clamp_negative, reporter)
-    checked_views = [
-        _CheckedView(view, pinhole, item.minimum < 0.0, exposure)
-        for view, pinhole, item, exposure in zip(views, pinholes, statistics, exposures, strict=True)
-    ]
-
-    fused = None
-    if fusion is not None:
-        text = "Finding depths by dense stereo" if source.stereo else "Fusing the depth images"
-        reporter.stage("fuse", text)
-        fused = None if fusion.is_kept else fusion.mesh(reporter.progress)
-
-    reporter.stage("write", "Writing the capture")
-    if not run_folder.run_json.exists():
+    is_new = not run_folder.run_json.exists()
+    if is_new:
         run_folder.create(make_settings())
-    mesh = write_mesh(run_folder, source, fusion, fused)
-    with atomic_folder(run_folder.images) as images:
-        entries = _write_views(run_folder, images, checked_views, world_from_source, reporter)
+    try:
+        with atomic_folder(run_folder.images) as images:
+            reporter.stage("images", "Reading the photographs")
+            written = _read_views(images, views, exposures, options.clamp_negative, reporter)
+            fused = None
+            if fusion is not None:
+                text = "Finding depths by dense stereo" if source.stereo else "Fusing the depth images"
+                reporter.stage("fuse", text)
+                fused = None if fusion.is_kept else fusion.mesh(reporter.progress)
+
+            reporter.stage("write", "Writing the capture")
+            mesh = write_mesh(run_folder, source, fusion, fused)
+    except FiptError:
+        if is_new:
+            _remove_empty(run_folder)
+        raise
     with suppress(OSError):
         run_folder.images.rmdir()  # if nothing had to be converted
+    files = [_moved(one, images, run_folder.images) for one in written]
+    entries = [
+        _entry(run_folder, *one, world_from_source)
+        for one in zip(views, pinholes, exposures, files, strict=True)
+    ]
     data = {
         "format": CAPTURE_FORMAT,
         "version": CAPTURE_VERSION,
@@ -147,6 +160,16 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
             "undistorted": sum(is_distorted(view.lens, view.width, view.height) for view in views),
         },
     )
+
+
+def _remove_empty(run_folder: RunFolder) -> None:
+    """Remove a run that has nothing but its settings."""
+    with suppress(OSError):
+        run_folder.stage.rmdir()
+        run_folder.results.rmdir()
+        if list(run_folder.root.iterdir()) == [run_folder.run_json]:
+            run_folder.run_json.unlink()
+            run_folder.root.rmdir()
 
 
 def guess_up_axis(views: list[RigView]) -> str:
@@ -270,76 +293,38 @@ def _checked_pinhole(view: RigView) -> Pinhole:
     return undistorted_pinhole(view.lens, view.width, view.height)
 
 
-def _check_pixels(
-    views: list[RigView], exposures: list[float | None], clamp_negative: bool, reporter: Reporter
-) -> list[checks.PixelStatistics]:
-    """Read all images, warn about the photographs, and return the statistics of each.
+def _read_views(
+    folder: Path,
+    views: list[RigView],
+    exposures: list[float | None],
+    clamp_negative: bool,
+    reporter: Reporter,
+) -> list[dict[str, Path]]:
+    """Read all photographs, write what must be converted, and warn about them.
+
+    Args:
+        folder: for the images that are written.
+        exposures: that the files tell, see `file_exposure`.
+
+    Returns:
+        the images written of each view, by kind.
 
     Raises:
         FiptError: those of `read_ids`, `pixel_statistics` and `judge_pixels`.
     """
-    statistics = []
-    for found in in_threads(_statistics, views, threads_for(view.width * view.height for view in views)):
+    statistics, written = [], []
+    # Resamplings are made here, so that the threads share them.
+    work = ((folder, view, _resampling(view)) for view in views)
+    most = threads_for(view.width * view.height for view in views)
+    for found, files in in_threads(lambda item: _read_view(*item), work, most):
         statistics.append(found)
-        reporter.progress(len(statistics) / len(views))
+        written.append(files)
+        reporter.progress(len(written) / len(views))
     notes = checks.judge_pixels([view.name for view in views], statistics, clamp_negative)
     encoded = [is_encoded(view.image) for view in views]
     for note in [*notes, *checks.judge_encoded(encoded, exposures)]:
         reporter.warning(note.code, note.text, note.remedy)
-    return statistics
-
-
-def _statistics(view: RigView) -> checks.PixelStatistics:
-    """What a photograph's values tell; its id images are read, for their errors."""
-    found = checks.pixel_statistics(view.image, read_radiance(view.image))
-    if is_encoded(view.image):  # clipped and of 8 bits, as is said of all of them at once
-        found = replace(found, looks_ldr=False, clipped=0.0)
-    for ids in (view.parts, view.semantics, view.mask):
-        if ids is not None:
-            read_ids(ids)
-    return found
-
-
-@dataclass(frozen=True, eq=False)
-class _CheckedView:
-    """A view that is ready to be written.
-
-    Attributes:
-        pinhole: of its image, undistorted where necessary.
-        negative: whether the photograph contains negative values.
-        exposure: that its file tells, see `file_exposure`.
-    """
-
-    view: RigView
-    pinhole: Pinhole
-    negative: bool
-    exposure: float | None
-
-
-def _write_views(
-    run_folder: RunFolder,
-    folder: Path,
-    views: list[_CheckedView],
-    world_from_source: np.ndarray,
-    reporter: Reporter,
-) -> list[dict[str, Any]]:
-    """Write the images that must be converted to `folder`; return the views' entries in capture.json.
-
-    These name the images where they will be, in the run's folder of images.
-    """
-    entries = []
-    # Resamplings are made here, so that the threads share them.
-    work = ((folder, checked, _resampling(checked.view)) for checked in views)
-    most = threads_for(checked.view.width * checked.view.height for checked in views)
-    for checked, written in zip(
-        views, in_threads(lambda item: _write_images(*item), work, most), strict=True
-    ):
-        moved = {kind: run_folder.images / path.relative_to(folder) for kind, path in written.items()}
-        view = checked.view
-        files = {"image": view.image, **{kind: getattr(view, kind) for kind in ID_IMAGES}, **moved}
-        entries.append(_entry(run_folder, checked, files, world_from_source))
-        reporter.progress(len(entries) / len(views))
-    return entries
+    return written
 
 
 def _resampling(view: RigView) -> Undistortion | None:
@@ -349,47 +334,78 @@ def _resampling(view: RigView) -> Undistortion | None:
     return undistortion(view.lens, view.width, view.height)
 
 
-def _write_images(folder: Path, checked: _CheckedView, resampling: Undistortion | None) -> dict[str, Path]:
-    """Write the images of a view that must be converted to `folder`; return their paths by kind.
+def _read_view(
+    folder: Path, view: RigView, resampling: Undistortion | None
+) -> tuple[checks.PixelStatistics, dict[str, Path]]:
+    """What a photograph's values tell, and the images written of the view, by kind.
 
-    Bilinear weights are positive, so that no value is negative if clamping precedes the resampling.
+    Bilinear weights are positive, so that no value is negative if clamping precedes the resampling. Id images
+    are read, for their errors, also where they stay as they are.
 
     Args:
+        folder: for the images that are written.
         resampling: what undoes the distortion, or None.
     """
-    view = checked.view
     written: dict[str, Path] = {}
-    if resampling is None and not checked.negative and is_rec709(view.image):
-        return written
 
     def target(kind: str, suffix: str = EXR_SUFFIX) -> Path:
         written[kind] = folder / kind / f"{view.name}{suffix}"
         return written[kind]
 
-    pixels = np.maximum(read_radiance(view.image), 0.0)
+    pixels = read_radiance(view.image)
+    found = checks.pixel_statistics(view.image, pixels)
+    negative = found.minimum < 0.0
+    if is_encoded(view.image):  # clipped and of 8 bits, as is said of all of them at once
+        found = replace(found, looks_ldr=False, clipped=0.0)
+    if negative:
+        pixels = np.maximum(pixels, 0.0)
     if resampling is not None:
         pixels = resampling.image(pixels)
-    if pixels[..., 0].size > EXACT_PIXELS and view.image.suffix.lower() in JPEG_SUFFIXES:
-        write_jpeg(target("image", ".jpg"), srgb_encoded(pixels))
-    else:
-        write_exr(target("image"), pixels, half=_fits_half(pixels))
-    if resampling is None:
-        return written
+    if resampling is not None or negative or not is_rec709(view.image):
+        if pixels[..., 0].size > EXACT_PIXELS and view.image.suffix.lower() in JPEG_SUFFIXES:
+            write_jpeg(target("image", ".jpg"), srgb_encoded(pixels))
+        else:
+            write_exr(target("image"), pixels, half=_fits_half(pixels))
     for kind in ID_IMAGES:
         source = getattr(view, kind)
         if source is not None:
-            write_exr(target(kind), resampling.ids(read_ids(source)))
-    return written
+            ids = read_ids(source)
+            if resampling is not None:
+                ids = resampling.ids(ids)
+                if ids.min() >= 0 and ids.max() <= MAX_PNG_ID:  # faster to read, and smaller
+                    write_ids(target(kind, ".png"), ids)
+                else:
+                    write_exr(target(kind), ids)
+    if max(pixels.shape) > PREVIEW_SIDE:
+        _write_preview(view, target, pixels)
+    return found, written
+
+
+def _write_preview(view: RigView, target: Callable[[str, str], Path], pixels: np.ndarray) -> None:
+    """Write a smaller copy of a photograph, with which Blender's windows show it."""
+    shrink = PREVIEW_SIDE / max(pixels.shape)
+    height, width = (max(1, round(shrink * side)) for side in pixels.shape[:2])
+    smaller = means(pixels, width, height)
+    if is_encoded(view.image):
+        write_jpeg(target("preview", ".jpg"), srgb_encoded(smaller))
+    else:
+        write_exr(target("preview", EXR_SUFFIX), smaller, half=True, lossy=True)
+
+
+def _moved(files: dict[str, Path], folder: Path, target: Path) -> dict[str, Path]:
+    """Paths below a folder as they are below another one."""
+    return {kind: target / path.relative_to(folder) for kind, path in files.items()}
 
 
 def _rewritten_bytes(view: RigView) -> int:
-    """Expected size of a view's rewritten photograph, 0 where distortion is none."""
-    if not is_distorted(view.lens, view.width, view.height):
-        return 0
+    """Expected size of a view's rewritten photograph, 0 where distortion is none, and of its copy."""
     pixels = view.width * view.height
+    preview = PREVIEW_BYTES if max(view.width, view.height) > PREVIEW_SIDE else 0
+    if not is_distorted(view.lens, view.width, view.height):
+        return preview
     if pixels <= EXACT_PIXELS:
         return 12 * pixels
-    return (1 if view.image.suffix.lower() in JPEG_SUFFIXES else 6) * pixels
+    return preview + (1 if view.image.suffix.lower() in JPEG_SUFFIXES else 6) * pixels
 
 
 def _fits_half(pixels: np.ndarray) -> bool:
@@ -404,19 +420,27 @@ def _fits_half(pixels: np.ndarray) -> bool:
 
 def _entry(
     run_folder: RunFolder,
-    checked: _CheckedView,
-    files: dict[str, Path | None],
+    view: RigView,
+    pinhole: Pinhole,
+    exposure: float | None,
+    written: dict[str, Path],
     world_from_source: np.ndarray,
 ) -> dict[str, Any]:
-    """The view's entry in capture.json."""
-    view = checked.view
+    """The view's entry in capture.json.
+
+    Args:
+        pinhole: of its image, undistorted where necessary.
+        exposure: that its file tells.
+        written: images that were written of it, by kind.
+    """
+    files = {"image": view.image, **{kind: getattr(view, kind) for kind in ID_IMAGES}, **written}
     return {
         "name": view.name,
         "split": view.split,
-        **asdict(checked.pinhole),
+        **asdict(pinhole),
         "camera_to_world": conventions.transform_poses(world_from_source, view.camera_to_world).tolist(),
         **{kind: _stored_path(run_folder, path) for kind, path in files.items()},
-        **({"encoded": True, "exposure": checked.exposure} if is_encoded(view.image) else {}),
+        **({"encoded": True, "exposure": exposure} if is_encoded(view.image) else {}),
     }
 
 

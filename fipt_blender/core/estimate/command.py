@@ -33,13 +33,12 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     set_variant(settings.device)
     # Imported here because these modules need Mitsuba's variant when they are loaded.
     from ..optics.brdf import set_masking
-    from .input import announce_plan, prepare_input
+    from .input import prepare_input
     from .stages import Estimation
 
     set_masking(settings.masking)
     if (danger := unprotected(arguments.cluster)) is not None:
         reporter.warning(*danger)
-    announce_plan(folder, settings, reporter)
     with workers_at(arguments.cluster) as workers:
         estimation = Estimation(prepare_input(folder, settings, reporter), reporter, workers)
         estimation.run()

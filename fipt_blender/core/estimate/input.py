@@ -65,17 +65,21 @@ def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> 
 
     Args:
         folder: holds capture.json and room.npz.
-        reporter: gets stages and progress.
+        reporter: gets the plan, stages and progress.
 
     Raises:
-        FiptError: ``views-none``, where the capture or the room can't be read, and those of `check_input`.
+        FiptError: ``views-none``, ``disk-space`` unless forced, where the capture or the room can't be read,
+            and those of `check_input`.
     """
     photographs = training_views(folder, settings)
-    prepare_geometry(folder, settings.clean_scan, settings.close_holes_edges)
-    holes = read_scan_holes(folder)
     if not photographs:
         raise FiptError("views-none", "The capture has no training views.", "Add photographs.")
     plan = light_plan([(view.width, view.height) for view in photographs], settings)
+    reporter.note(f"{plan.resolution}; {plan.cost}")
+    if not settings.force:
+        refuse_full_disk(folder.stage, plan.bytes, "choose a lower preset, or fewer light_pixels")
+    prepare_geometry(folder, settings.clean_scan, settings.close_holes_edges)
+    holes = read_scan_holes(folder)
     begin = partial(reporter.stage, "light", "Averaging the photographs to the resolution of light")
     views = light_views(folder, photographs, settings.light_pixels, begin, reporter.progress)
     room = load_room(folder, outlined=False)
@@ -114,21 +118,6 @@ def spread_views(views: Sequence[View], share: float) -> list[View]:
     """A share of the views (0 to 1, one at least), spread evenly over their order."""
     count = min(max(1, round(share * len(views))), len(views))
     return [views[i * len(views) // count] for i in range(count)]
-
-
-def announce_plan(folder: RunFolder, settings: Settings, reporter: Reporter) -> None:
-    """Tell at which resolution light will be solved, and the expected time and disk.
-
-    Raises:
-        FiptError: ``disk-space`` unless forced, and those of `load_capture`.
-    """
-    views = training_views(folder, settings)
-    if not views:
-        return  # the estimation raises the error
-    plan = light_plan([(view.width, view.height) for view in views], settings)
-    reporter.note(f"{plan.resolution}; {plan.cost}")
-    if not settings.force:
-        refuse_full_disk(folder.stage, plan.bytes, "choose a lower preset, or fewer light_pixels")
 
 
 def estimation_views(folder: RunFolder, settings: Settings) -> list[View]:

@@ -68,21 +68,20 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     reporter.done([str(folder.masks_json)], data)
 
 
-def shown_picture(view: View) -> np.ndarray:
-    """A view's photograph as the model sees it, (height, width, 3) uint8 sRGB."""
-    values = view.radiance()
-    return (
-        np.round(255.0 * srgb_encoded(values)).astype(np.uint8) if view.encoded else network_picture(values)
-    )
+def encoded_picture(values: np.ndarray) -> np.ndarray:
+    """A photograph that is not HDR, values by sRGB's curve (h, w, 3), as models see it, uint8 sRGB."""
+    return np.round(255.0 * srgb_encoded(values)).astype(np.uint8)
 
 
 def _find(folder: RunFolder, model: MasksModel, digest: str, views: list[View], reporter: Reporter) -> int:
     """Write the masks of views that have none of this model; returns how many these are."""
+    from .masks_model import find_masks
+
     keys, count = _read_keys(folder), 0
     for index, view in enumerate(views):
         path, key = _mask(folder, model.kind, view.name), _key(digest, view.image)
         if keys.get(view.name) != key or not path.is_file():
-            ids = model(shown_picture(view))
+            ids = find_masks(model, view.radiance(), encoded_picture if view.encoded else network_picture)
             write_ids(path, ids)
             if model.classes:
                 names = {str(number): name for number, name in model.classes.items()}

@@ -4,13 +4,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
+from ..capture.averaging import means
 from . import regions, sam_checkpoint, segmentation
 from .local_models import ModelFolder
+
+# Longer side of the pictures that models see, in pixels: their networks see fewer, but masks are made at the
+# picture's size, one after the other.
+MOST_SIDE = 2048
 
 
 class MasksModel(Protocol):
@@ -43,3 +49,25 @@ def open_masks_model(path: Path) -> MasksModel:
     if folder.kind in segmentation.CLASSES:
         return segmentation.Segmenter(folder)
     raise folder.unusable(f"it is of the type '{folder.kind}'")
+
+
+def find_masks(
+    model: MasksModel, radiance: np.ndarray, picture: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
+    """(height, width) int32 ids of a photograph; a large one is averaged before a model sees it.
+
+    Args:
+        radiance: (height, width, 3) float.
+        picture: what models see of such an image, (h, w, 3) uint8 sRGB.
+    """
+    height, width = radiance.shape[:2]
+    shrink = MOST_SIDE / max(height, width)
+    if shrink >= 1.0:
+        return model(picture(radiance))
+    smaller = means(radiance, max(1, round(shrink * width)), max(1, round(shrink * height)))
+    ids = model(picture(smaller))
+    rows, columns = (
+        ((np.arange(count) + 0.5) * of / count).astype(np.int64)
+        for count, of in zip((height, width), ids.shape, strict=True)
+    )
+    return ids[np.ix_(rows, columns)]

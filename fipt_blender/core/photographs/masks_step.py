@@ -40,7 +40,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     if not preparation.settings.masks:
         _keep_only(folder, {})
         return {"model": None, "classes": []}
-    from .masks_model import open_masks_model  # torch and transformers take seconds
+    from .masks_model import find_masks, open_masks_model  # torch and transformers take seconds
 
     path = Path(preparation.settings.masks).absolute()
     model = open_masks_model(path)
@@ -56,7 +56,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     write_json(_record(folder), {**written, model.kind: sorted({*written[model.kind], *names})})
     pixels = np.zeros(max(model.classes, default=0) + 1, np.int64)
     for index, group in enumerate(groups):
-        ids = model(network_picture(read_radiance(folder.image(group))))
+        ids = find_masks(model, read_radiance(folder.image(group)), network_picture)
         if model.classes:
             counts = np.bincount(ids.ravel(), minlength=len(pixels))
             pixels = counts + np.pad(pixels, (0, len(counts) - len(pixels)))

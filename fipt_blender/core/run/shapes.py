@@ -28,7 +28,12 @@ _VIEW = Fields(
         "camera_to_world": Numbers(4, 4, most=FARTHEST),
         **dict.fromkeys(("parts", "semantics"), Maybe(str)),
     },
-    {"mask": Maybe(str), "encoded": bool, "exposure": Maybe(Number(low=1e-12, high=1e12))},
+    {
+        "mask": Maybe(str),
+        "preview": Maybe(str),
+        "encoded": bool,
+        "exposure": Maybe(Number(low=1e-12, high=1e12)),
+    },
 )
 CAPTURE = Fields(
     {

@@ -10,6 +10,7 @@ cameras.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from ..capture.align_mesh import LEAST_INLIERS, MOST_POINTS, check_fit, placemen
 from ..capture.color_camera import with_color_camera
 from ..capture.depth_points import alignment_points
 from ..capture.formats import FORMATS, read_rig
-from ..capture.images import read_radiance
+from ..capture.images import read_radiance, threads_for
 from ..capture.ingest import distinct_views
 from ..capture.rig import ReadOptions
 from ..capture.views import View, load_capture
@@ -33,6 +34,7 @@ from ..run.errors import FiptError
 from ..run.messages import Reporter
 from ..run.run_files import read_room_files
 from ..run.runfolder import RunFolder, write_json
+from ..run.threads import in_threads
 
 ALIGN_FORMAT = "fipt-align"
 ALIGN_VERSION = 1
@@ -152,19 +154,17 @@ def _by_edges(folder: RunFolder, views: list[View], device: str, reporter: Repor
         FiptError: ``alignment-edges`` where too few views have edges, or nothing is gained.
     """
     set_variant(device)
-    from .misfit import view_misfit  # Mitsuba's types exist only after the variant is set
+    from .misfit import edge_image, image_misfit  # Mitsuba's types exist only after the variant is set
     from .room import load_room
 
     room = load_room(folder)
-    pixels = [_radiance(view) for view in views]
+    most = threads_for(view.width * view.height for view in views)
+    images = list(in_threads(lambda view: _read(view, edge_image), views, most))
     before: float | None = None
     alone: set[int] = set()
     best, least = views, np.inf
     for index in range(_ROUNDS + 1):
-        found = [
-            None if image is None else view_misfit(room, view, image)
-            for view, image in zip(views, pixels, strict=True)
-        ]
+        found = [image_misfit(room, view, image) for view, image in zip(views, images, strict=True)]
         known = [item[0].misfit * item[1] for item in found if item is not None]
         misfit = float(np.median(known)) if known else np.inf
         before = misfit if before is None else before
@@ -192,10 +192,10 @@ def _by_edges(folder: RunFolder, views: list[View], device: str, reporter: Repor
     }
 
 
-def _radiance(view: View) -> np.ndarray | None:
-    """The view's photograph, None where it can't be used."""
+def _read(view: View, make: Callable[[View, np.ndarray], np.ndarray | None]) -> np.ndarray | None:
+    """What `make` makes of the view's photograph (H, W, 3); None where that can't be used."""
     try:
         pixels = read_radiance(view.image)
     except FiptError:
         return None
-    return pixels if pixels.shape[:2] == (view.height, view.width) else None
+    return make(view, pixels) if pixels.shape[:2] == (view.height, view.width) else None

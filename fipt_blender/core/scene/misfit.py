@@ -19,17 +19,17 @@ _SEED = 0
 
 
 def view_misfit(room: Room, view: View, pixels: np.ndarray) -> tuple[EdgeFit, int] | None:
-    """Compare the mesh's edges with those of a photograph; None without a verdict.
+    """Compare the mesh's edges with those of a photograph; see `image_misfit`.
 
     Args:
-        room: the mesh.
-        view: the camera.
         pixels: (H, W, 3) radiance of its photograph.
-
-    Returns:
-        The fit in pixels of the photograph made smaller by a whole factor, and this factor.
     """
-    factor = -(-max(view.width, view.height) // COMPARED)
+    return image_misfit(room, view, edge_image(view, pixels))
+
+
+def edge_image(view: View, pixels: np.ndarray) -> np.ndarray | None:
+    """(h, w) logarithm of a photograph (H, W, 3), made smaller by a whole factor; None where it is black."""
+    factor = _factor(view)
     height, width = view.height // factor, view.width // factor
     # Rows first: numpy is slow along short axes, as those of the channels and of the columns of a block are.
     rows = pixels[: height * factor].reshape(height, factor, -1).mean(axis=1, dtype=np.float64)
@@ -38,10 +38,31 @@ def view_misfit(room: Room, view: View, pixels: np.ndarray) -> tuple[EdgeFit, in
     lit = gray[gray > 0.0]
     if not lit.size:
         return None
-    image = np.log(gray + 1e-2 * float(np.median(lit)))
+    return np.log(gray + 1e-2 * float(np.median(lit)))
+
+
+def image_misfit(room: Room, view: View, image: np.ndarray | None) -> tuple[EdgeFit, int] | None:
+    """Compare the mesh's edges with those of a photograph; None without a verdict.
+
+    Args:
+        room: the mesh.
+        view: the camera.
+        image: of its photograph, by `edge_image`.
+
+    Returns:
+        The fit in pixels of the photograph made smaller by a whole factor, and this factor.
+    """
+    if image is None:
+        return None
+    factor = _factor(view)
     intrinsics = np.diag([1.0 / factor, 1.0 / factor, 1.0]) @ view.intrinsics
     fit = fit_edges(image, view_edges(room, view).over(factor), intrinsics)
     return None if fit is None else (fit, factor)
+
+
+def _factor(view: View) -> int:
+    """By how much a view's photograph is made smaller."""
+    return -(-max(view.width, view.height) // COMPARED)
 
 
 def view_edges(room: Room, view: View) -> MeshEdges:

@@ -15,7 +15,8 @@ import numpy as np
 
 from ..capture.checks import pixel_sample, pixel_statistics
 from ..capture.encoded import srgb_encoded
-from ..capture.images import read_radiance
+from ..capture.images import read_radiance, threads_for, write_exr
+from ..capture.rig import PARTS_FOLDER, SEMANTICS_FOLDER
 from ..capture.views import View, load_capture
 from ..device.variant import set_variant
 from ..radiometry.inversion import MUCH_CLIPPED as MUCH_CLIPPED_ENCODED
@@ -23,6 +24,7 @@ from ..radiometry.inversion import is_clipped
 from ..run.errors import FiptError
 from ..run.messages import Reporter
 from ..run.runfolder import RunFolder, atomic_path, write_json
+from ..run.threads import in_threads
 
 if TYPE_CHECKING:
     from .room import Room
@@ -61,16 +63,19 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     entries: list[dict[str, Any]] = []
     seen = np.zeros((len(capture.views), len(room.triangles)), bool)
     in_sight = np.zeros(len(room.triangles), bool)
-    for index, view in enumerate(capture.views):
+    # The next photographs are decoded while the mesh is compared with one.
+    most = threads_for(view.width * view.height for view in capture.views)
+    photographs = in_threads(examined, capture.views, most)
+    for index, (view, photograph) in enumerate(zip(capture.views, photographs, strict=True)):
         coverage = view_coverage(room, view, known=in_sight)
         seen[index] = coverage.seen
         in_sight |= coverage.in_sight
-        facts = {"name": view.name, "room_share": coverage.room_share, **photograph_facts(view, room)}
+        facts = {"name": view.name, "room_share": coverage.room_share, **with_misfit(photograph, view, room)}
         entries.append({**facts, "warning": view_warning(facts)})
         reporter.progress((index + 1) / len(capture.views))
 
     reporter.stage("parts", "Finding the parts")
-    train = [view for view in capture.train if view.image.is_file()]
+    train = [_with_coarse_ids(folder, view) for view in capture.train if view.image.is_file()]
     train = link_masks(folder, replace(room, parts="masks"), train)  # all sources are counted
     labels = {}
     usable = usable_sources(room, train)
@@ -103,12 +108,59 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     reporter.done([str(folder.root / name) for name in ("survey.json", "survey.npz")])
 
 
-def photograph_facts(view: View, room: Room) -> dict[str, Any]:
-    """Whether the photograph is missing or unusable, its over-exposed share, whether it is no HDR file or
-    an HDR file that looks 8-bit, and how many pixels the mesh's edges are off its own, None where that can't
-    be told.
+def _with_coarse_ids(folder: RunFolder, view: View) -> View:
+    """The view on the coarse grid of its coverage, with id images of that size: those are read several times.
+
+    Raises:
+        FiptError: those of reading the id images, ``disk-full`` or ``run-unwritable``.
     """
-    from .misfit import view_misfit
+    from .coverage import coarse_view, resampled
+
+    coarse = coarse_view(view)
+
+    def written(kind: str, ids: np.ndarray | None) -> Path | None:
+        if ids is None:
+            return None
+        path = folder.root / "coarse" / kind / f"{view.name}.exr"
+        write_exr(path, resampled(ids, (coarse.height, coarse.width)))
+        return path
+
+    return replace(
+        coarse,
+        parts=written(PARTS_FOLDER, view.part_ids()),
+        semantics=written(SEMANTICS_FOLDER, view.semantic_ids()),
+    )
+
+
+def photograph_facts(view: View, room: Room) -> dict[str, Any]:
+    """What is told of a view's photograph, and of the mesh in it; see `examined` and `with_misfit`."""
+    return with_misfit(examined(view), view, room)
+
+
+def with_misfit(
+    photograph: tuple[dict[str, Any], np.ndarray | None], view: View, room: Room
+) -> dict[str, Any]:
+    """The facts of a photograph, and how many pixels the mesh's edges are off its own, None where that can't
+    be told.
+
+    Args:
+        photograph: by `examined`.
+    """
+    from .misfit import image_misfit
+
+    facts, image = photograph
+    found = image_misfit(room, view, image)
+    if found is None:
+        return facts
+    fit, factor = found
+    return facts | {"misfit": round(fit.misfit * factor, 2), "much_off": fit.misfit > MUCH_OFF}
+
+
+def examined(view: View) -> tuple[dict[str, Any], np.ndarray | None]:
+    """Whether the photograph is missing or unusable, its over-exposed share, whether it is no HDR file or
+    an HDR file that looks 8-bit; and the image that is compared with the mesh, None without any.
+    """
+    from .misfit import edge_image
 
     facts: dict[str, Any] = {"image_missing": False, "image_problem": "", "clipped_share": 0.0}
     facts |= {"looks_ldr": False, "encoded": False, "misfit": None, "much_off": False}
@@ -116,21 +168,17 @@ def photograph_facts(view: View, room: Room) -> dict[str, Any]:
         pixels = read_radiance(view.image)
         if pixels.shape[:2] != (view.height, view.width):
             size = f"{pixels.shape[1]} x {pixels.shape[0]}"
-            return facts | {"image_problem": f"is {size} pixels, not {view.width} x {view.height}"}
+            return facts | {"image_problem": f"is {size} pixels, not {view.width} x {view.height}"}, None
         statistics = pixel_statistics(view.image, pixels)
     except FiptError as error:
         missing = error.code == "image-missing"
-        return facts | {"image_missing": missing, "image_problem": "" if missing else error.text}
+        return facts | {"image_missing": missing, "image_problem": "" if missing else error.text}, None
     clipped, looks_ldr = statistics.clipped, statistics.looks_ldr
     if view.encoded:
         codes = srgb_encoded(pixel_sample(pixels)) * 255.0
         clipped, looks_ldr = float(is_clipped(codes).mean()), False  # the import has told of it
     facts |= {"clipped_share": clipped, "looks_ldr": looks_ldr, "encoded": view.encoded}
-    found = view_misfit(room, view, pixels)
-    if found is None:
-        return facts
-    fit, factor = found
-    return facts | {"misfit": round(fit.misfit * factor, 2), "much_off": fit.misfit > MUCH_OFF}
+    return facts, edge_image(view, pixels)
 
 
 def view_warning(facts: dict[str, Any]) -> str:
