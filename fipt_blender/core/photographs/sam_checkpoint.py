@@ -26,6 +26,11 @@ from .tiny_vit import TinyVit, TinyVitSizes
 SUFFIXES = (".pt", ".pth", ".safetensors")
 MOST_BYTES = 8 << 30  # of a checkpoint; SAM's largest model has 2.6 GB
 ENCODER, MOBILE = "image_encoder.", "image_encoder.patch_embed.seq.0.c.weight"
+# A weight by which the checkpoints of other networks are known.
+_OTHERS = {
+    "image_encoder.patch_embed.proj.weight": "SAM",
+    "image_encoder.trunk.patch_embed.proj.weight": "SAM 2",
+}
 # What training leaves behind: counters, TinyViT's classifier, and the encoding of masks as prompts.
 _UNUSED = ("image_encoder.norm_head.", "image_encoder.head.", "prompt_encoder.mask_downscaling.")
 _MOST_WIDTH, _MOST_DEPTH, _MOST_WINDOW = 4096, 64, 32
@@ -212,4 +217,5 @@ def open_checkpoint(path: Path) -> MobileSam:
     weights = read_weights(path)
     if MOBILE in weights:
         return MobileSam(path, weights)
-    raise unusable(path, "its weights are of another network")
+    other = next((name for weight, name in _OTHERS.items() if weight in weights), "another network")
+    raise unusable(path, f"it is a checkpoint of {other}, not of MobileSAM")
