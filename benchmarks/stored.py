@@ -42,7 +42,7 @@ class StoredEstimate:
 
     def __init__(self, run: RunFolder, settings: Settings, scratch: Path) -> None:
         room = load_room(run)
-        self._scan = room.scan is not None
+        self._segments = None if room.scan is None else room_pieces(room)
         self.views = estimation_views(run, settings)
         self.pixels = open_pixels(run.stage / "pixels", self.views)
         bounds = zip(self.pixels.ranges[:-1], self.pixels.ranges[1:], strict=True)
@@ -57,7 +57,7 @@ class StoredEstimate:
     def closed_form(self, settings: Settings) -> ClosedForm:
         """The estimate with other settings; those of earlier stages have no effect."""
         data = training_input(
-            self._observations, self._pieces, self._shadings, self._levels, settings, scan=self._scan
+            self._observations, self._pieces, self._shadings, self._levels, settings, segments=self._segments
         )
         cells, _ = fit_cells(data)
         rows = np.asarray(self._observations.pool)
