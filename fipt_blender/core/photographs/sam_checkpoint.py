@@ -20,12 +20,17 @@ import torch
 from ..run.errors import FiptError
 from .extras import optional
 from .local_models import normalized
-from .sam_decoder import DecoderSizes, SamDecoder
+from .sam_decoder import DecoderSizes, SamDecoder, fast_type
 from .tiny_vit import TinyVit, TinyVitSizes
 
 SUFFIXES = (".pt", ".pth", ".safetensors")
 MOST_BYTES = 8 << 30  # of a checkpoint; SAM's largest model has 2.6 GB
 ENCODER, MOBILE = "image_encoder.", "image_encoder.patch_embed.seq.0.c.weight"
+# A weight by which the checkpoints of other networks are known.
+_OTHERS = {
+    "image_encoder.patch_embed.proj.weight": "SAM",
+    "image_encoder.trunk.patch_embed.proj.weight": "SAM 2",
+}
 # What training leaves behind: counters, TinyViT's classifier, and the encoding of masks as prompts.
 _UNUSED = ("image_encoder.norm_head.", "image_encoder.head.", "prompt_encoder.mask_downscaling.")
 _MOST_WIDTH, _MOST_DEPTH, _MOST_WINDOW = 4096, 64, 32
@@ -114,7 +119,7 @@ class MobileSam:
     side = longest = 1024
     resolution = 256
     keeps_shape = True
-    at_once = 2  # whose features fit the cache
+    at_once = 4  # whose features fit the cache
 
     def __init__(self, path: Path, weights: Weights) -> None:
         used = {name: value for name, value in weights.items() if not name.startswith(_UNUSED)}
@@ -136,6 +141,7 @@ class MobileSam:
                     path, f"its weights do not fit together ({lines[min(1, len(lines) - 1)]})"
                 ) from None
             module.eval().requires_grad_(False)
+        self._decoder.compute_in(fast_type())
 
     def normalized(self, picture: np.ndarray, size: tuple[int, int]) -> torch.Tensor:
         """(1, 3, *size) of a picture (height, width, 3) uint8, sRGB."""
@@ -211,4 +217,5 @@ def open_checkpoint(path: Path) -> MobileSam:
     weights = read_weights(path)
     if MOBILE in weights:
         return MobileSam(path, weights)
-    raise unusable(path, "its weights are of another network")
+    other = next((name for weight, name in _OTHERS.items() if weight in weights), "another network")
+    raise unusable(path, f"it is a checkpoint of {other}, not of MobileSAM")

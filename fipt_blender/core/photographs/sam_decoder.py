@@ -4,7 +4,8 @@
 
 The names of modules are those of the published weights. An image has thousands of places and a prompt seven
 tokens; keys, queries and values of places are therefore never projected, the tokens' are, by the transposed
-matrices (a third of the arithmetic, the same result). What all points share is computed once.
+matrices (a third of the arithmetic, the same result). What all points share is computed once. On processors
+that multiply bfloat16, all but the encoding of positions is done in it.
 """
 
 from __future__ import annotations
@@ -22,6 +23,11 @@ from .tiny_vit import LayerNorm2d
 
 MASKS = 3  # for each point: a part of a thing, the thing, and what it belongs to
 LAYERS = 2
+
+
+def fast_type() -> torch.dtype:
+    """The type of numbers in which this processor multiplies fastest: three times as fast as in float32."""
+    return torch.bfloat16 if torch.cpu.get_capabilities().get("avx512_bf16") else torch.float32
 
 
 @dataclass(frozen=True)
@@ -44,8 +50,8 @@ class ImagePlaces:
     """An encoded image as the decoder takes it.
 
     Attributes:
-        features: (h * w, width) embedding of each place, row by row.
-        positions: (h * w, width) encoded position of each.
+        features: (h * w, width) embedding of each place, row by row, in the decoder's type.
+        positions: (h * w, width) encoded position of each, likewise.
         shape: h and w.
     """
 
@@ -66,13 +72,18 @@ class SamDecoder(nn.Module):
         self.prompt_encoder = _Prompts(sizes.width)
         self.mask_decoder = _Decoder(sizes)
 
+    def compute_in(self, dtype: torch.dtype) -> None:
+        """Answer in another type of numbers."""
+        self.mask_decoder.to(dtype)
+
     def places(self, embedding: torch.Tensor, side: int) -> ImagePlaces:
         """The encoder's result (1, width, h, w) with positions in a square of `side` places."""
         height, width = embedding.shape[-2:]
         y, x = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
         at = torch.stack([x.flatten(), y.flatten()], dim=1).to(embedding) / side
         features = embedding[0].flatten(1).T + self.prompt_encoder.no_mask_embed.weight
-        return ImagePlaces(features.contiguous(), self.prompt_encoder.pe_layer(at), (height, width))
+        positions, dtype = self.prompt_encoder.pe_layer(at), self.mask_decoder.dtype
+        return ImagePlaces(features.contiguous().to(dtype), positions.to(dtype), (height, width))
 
     def forward(
         self, image: ImagePlaces, points: torch.Tensor, wanted: Callable[[torch.Tensor], torch.Tensor]
@@ -86,13 +97,13 @@ class SamDecoder(nn.Module):
                 others are not computed.
 
         Returns:
-            Logits (N, 4 h, 4 w) of the wanted masks, and the confidence (P, MASKS) of all.
+            Logits (N, 4 h, 4 w) of the wanted masks, and the confidence (P, MASKS) of all, float32.
         """
-        tokens = self.mask_decoder.tokens(self.prompt_encoder(points))
+        tokens = self.mask_decoder.tokens(self.prompt_encoder(points).to(image.features.dtype))
         answers, features = self.mask_decoder.transformer(image, tokens)
-        confidence = self.mask_decoder.iou_prediction_head(answers[:, 0])[:, 1:]
+        confidence = self.mask_decoder.iou_prediction_head(answers[:, 0])[:, 1:].float()
         keep = wanted(confidence)
-        return self.mask_decoder.masks(answers, features, image.shape, keep), confidence
+        return self.mask_decoder.masks(answers, features, image.shape, keep).float(), confidence
 
 
 class _Positions(nn.Module):
@@ -139,6 +150,11 @@ class _Decoder(nn.Module):
             [_Perceptron([width, width, width, width // 8]) for _ in range(MASKS + 1)]
         )
         self.iou_prediction_head = _Perceptron([width, width, width, MASKS + 1])
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """The type of its numbers."""
+        return self.iou_token.weight.dtype
 
     def tokens(self, prompts: torch.Tensor) -> torch.Tensor:
         own = torch.cat([self.iou_token.weight, self.mask_tokens.weight])
