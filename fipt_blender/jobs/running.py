@@ -197,7 +197,7 @@ def tick() -> float | None:
         _note(info, message)
     if job.finished:
         _end()
-        return None
+        return None if _active is None else _WORK_SECONDS  # its end may have started the next job
     if _shown(info) != shown:
         redraw()
     return _WATCH_SECONDS if job.waits and not info.stopping else _WORK_SECONDS

@@ -66,15 +66,15 @@ def draw_warnings(
 
 
 def draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, job: running.RunningJob) -> None:
-    """The stage, a progress bar with a cancel button, the remaining time and the memory in use."""
+    """A progress bar with a cancel button, the stage, the remaining time and the largest memory."""
     column = layout.column(align=True)
+    row = column.row(align=True)  # above all text that may wrap, so that the button stays under the pointer
+    row.progress(factor=job.fraction, text=f"{100.0 * job.fraction:.0f}%")
+    row.operator("fipt.cancel", text="", icon="X")
+    draw_text(column, context, iface_("Stopping...") if job.stopping else iface_(job.stage_text))
     if job.scene_name and not uses_run_folder(context.scene, job.run_folder):
         text = iface_("Running for the scene '{}', in {}").format(job.scene_name, job.run_folder.name)
         draw_text(column, context, text, icon="SCENE_DATA")
-    draw_text(column, context, iface_("Stopping...") if job.stopping else iface_(job.stage_text))
-    row = column.row(align=True)
-    row.progress(factor=job.fraction, text=f"{100.0 * job.fraction:.0f}%")
-    row.operator("fipt.cancel", text="", icon="X")
     facts = []
     if job.remaining_seconds is not None and job.fraction > 0.0:
         facts.append(iface_("{} left").format(time_text(job.remaining_seconds)))
@@ -95,8 +95,11 @@ def draw_error(
     _draw_message(box, context, error, alert=True)
     column = box.column(align=True)
     if error["code"] in ("engine-missing", "package-missing"):
-        button = column.operator("preferences.addon_show", text="Open Preferences", icon="PREFERENCES")
-        button.module = __package__.rpartition(".")[0]
+        from .engine import draw_set_up
+
+        draw_set_up(column, context)
+    elif error["code"] == "cameras-missing":
+        column.operator("fipt.photographs_of_capture", icon="RENDERLAYERS")
     elif error["code"] == "out-of-memory":
         column.operator("fipt.smaller_preset", icon="TRIA_DOWN")
     if run is not None:
