@@ -53,7 +53,7 @@ class FIPT_OT_set_up_engine(DataJobOperator, bpy.types.Operator):
         if self.confirmed:
             return self.execute(context)
         self.confirmed, size = True, setup_size.size()
-        message = iface_("Downloads about {:.1f} GB and needs {:.0f} GB on the disk").format(
+        message = iface_("Downloads about {:.1f} GB and needs {:.1f} GB on the disk").format(
             size.download_gb, size.disk_gb
         )
         return context.window_manager.invoke_confirm(

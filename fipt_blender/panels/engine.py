@@ -29,7 +29,7 @@ def draw_set_up(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     if not local:
         size = setup_size.known_size()
         if size is not None:
-            text = iface_("Downloads about {:.1f} GB and needs {:.0f} GB on the disk.")
+            text = iface_("Downloads about {:.1f} GB and needs {:.1f} GB on the disk.")
             draw_text(layout, context, text.format(size.download_gb, size.disk_gb))
     if not local and not bpy.app.online_access:
         _draw_online_access(layout, context)
