@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from ..jobs.options import CaptureOptions
     from ..properties.capture import FIPT_CaptureSettings
 
-CAMERA_FILES = (".json", ".xml", ".sfm", ".out", ".nvm", ".csv", ".bin")
 _MESH_FILES = "*.obj;*.ply;*.stl;*.gltf;*.glb;*.fbx;*.usd;*.usdc;*.usda;*.usdz"
 
 
@@ -130,50 +129,6 @@ class FIPT_OT_import_capture(_ImportJob, bpy.types.Operator):
             return import_capture(run, str(path))
 
         return self._import_job(run, path, arguments, "Adding cameras and mesh", add_to_scene)
-
-
-class FIPT_OT_choose_capture(bpy.types.Operator):
-    """Choose a folder: photographs, a capture with cameras, or the data of a scan. It is read at once"""
-
-    bl_idname = "fipt.choose_capture"
-    bl_label = "Choose Folder"
-    bl_options = {"REGISTER", "INTERNAL"}
-
-    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
-    files: bpy.props.CollectionProperty(
-        type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE", "HIDDEN"}
-    )
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return bool(bpy.ops.fipt.import_capture.poll())
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if self.directory:  # dropped files
-            return self.execute(context)
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        folder = Path(bpy.path.abspath(self.directory))
-        cameras = [file.name for file in self.files if file.name.lower().endswith(CAMERA_FILES)]
-        # Of a photograph, or of any other file in it, the folder is meant.
-        path = folder / cameras[0] if len(cameras) == 1 else folder
-        return set(bpy.ops.fipt.import_capture("INVOKE_DEFAULT", filepath=str(path)))
-
-
-class FIPT_FH_capture(bpy.types.FileHandler):
-    """A camera file dropped on the sidebar"""
-
-    bl_idname = "FIPT_FH_capture"
-    bl_label = "Cameras of a Room"
-    bl_import_operator = "fipt.choose_capture"
-    bl_file_extensions = ";".join(CAMERA_FILES)
-
-    @classmethod
-    def poll_drop(cls, context: bpy.types.Context) -> bool:
-        area, region = context.area, context.region
-        return area is not None and area.type == "VIEW_3D" and region is not None and region.type == "UI"
 
 
 class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
@@ -363,8 +318,6 @@ def _capture_options(settings: FIPT_CaptureSettings) -> CaptureOptions:
 
 CLASSES = (
     FIPT_OT_import_capture,
-    FIPT_OT_choose_capture,
-    FIPT_FH_capture,
     FIPT_OT_use_scene_cameras,
     FIPT_OT_import_mesh,
     FIPT_OT_set_room,

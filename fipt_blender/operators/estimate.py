@@ -50,12 +50,6 @@ class _Estimation(JobOperator):
 
         show_doubts(scene, run)
 
-    @staticmethod
-    def follow(scene: bpy.types.Scene, run: RunFolder) -> None:
-        """Apply the results, unless the artist does not want that or is in another mode than Object Mode."""
-        if scene.fipt.estimate.apply_when_finished:
-            apply_soon(scene, run)
-
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if not super().poll(context):
@@ -102,7 +96,7 @@ class FIPT_OT_estimate(_Estimation, bpy.types.Operator):
     bl_label = "Estimate"
     bl_description = (
         "Estimate the materials and lights of the room from its photographs. You can continue to work"
-        " meanwhile; Esc stops it. At its end the results are applied to the room"
+        " meanwhile; Esc stops it. The results of an earlier estimate are replaced when it has finished"
     )
 
     keep: bpy.props.BoolProperty(
@@ -307,15 +301,6 @@ def scene_settings(scene: bpy.types.Scene) -> Settings:
         stored = run.read()
         changes |= {name: getattr(stored, name) for name in TEXTURE_SETTINGS}
     return make_settings(state.preset, changes)
-
-
-def apply_soon(scene: bpy.types.Scene, run: RunFolder) -> None:
-    """Start Apply Results on a scene, whichever scene the window shows, if it can start."""
-    from ..jobs.job_scene import scene_context
-
-    with scene_context(scene.name, run.root):
-        if bpy.ops.fipt.apply_results.poll():
-            bpy.ops.fipt.apply_results("INVOKE_DEFAULT")
 
 
 def make_steps(run: RunFolder, settings: Settings, resume: bool) -> list[Step]:

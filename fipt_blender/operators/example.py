@@ -83,11 +83,9 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
     @staticmethod
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
         """Show the estimated room from inside."""
-        from ..blend.capture.look import enter_room
         from ..blend.results.scene_state import finish
 
         finish(scene, run)
-        enter_room(bpy.context, scene)
 
 
 def copy_example(data: Path) -> Path:

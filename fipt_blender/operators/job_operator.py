@@ -66,9 +66,8 @@ class StartsJob:
 class JobOperator(StartsJob):
     """Mix-in of an operator that starts a job on a scene; put it before `bpy.types.Operator`.
 
-    A subclass sets `title` and `kind`, implements `make_job`, and may implement `finished`, `follow` and
-    `failed`. With "UNDO" in `bl_options`, the job's end adds an undo step. Extend `poll` with
-    `super().poll(context)`.
+    A subclass sets `title` and `kind`, implements `make_job`, and may implement `finished` and `failed`. With
+    "UNDO" in `bl_options`, the job's end adds an undo step. Extend `poll` with `super().poll(context)`.
     """
 
     kind = ""
@@ -83,8 +82,6 @@ class JobOperator(StartsJob):
 
     # Called with the scene after a success; may raise FiptError.
     finished: Callable[[bpy.types.Scene, RunFolder], None] | None = None
-    # Called with the scene after a success in a window: starts the job that follows, if there is one.
-    follow: Callable[[bpy.types.Scene, RunFolder], None] | None = None
     # Called with the scene after a failure or a cancellation.
     failed: Callable[[bpy.types.Scene, RunFolder], None] | None = None
 
@@ -131,5 +128,3 @@ def _end(info: running.RunningJob, operator: type[JobOperator], waited: bool) ->
         operator.finished(scene, RunFolder(info.run_folder))
     if not waited and "UNDO" in operator.bl_options:
         push_undo(operator.title)
-    if not waited and operator.follow is not None:
-        operator.follow(scene, RunFolder(info.run_folder))

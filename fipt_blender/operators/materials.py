@@ -67,15 +67,9 @@ class FIPT_OT_apply_results(JobOperator, bpy.types.Operator):
 
     @staticmethod
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
-        from ..blend.capture.look import cull_outside, enter_room
         from ..blend.results.scene_state import finish
 
-        is_first = not scene.fipt.materials.object_count
         finish(scene, run)
-        if is_first and not bpy.app.background:
-            enter_room(bpy.context, scene)
-        else:
-            cull_outside(scene)
 
 
 def chosen_settings(scene: bpy.types.Scene, run: RunFolder) -> Settings:

@@ -10,7 +10,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from ..core.run.runfolder import RunFolder
 from ..jobs import running
 from .job import draw_error, draw_progress, draw_warnings
-from .sidebar import Rows, Section, draw_text
+from .sidebar import Rows, Section, SubSection, draw_text
 
 _KIND = "photographs"
 
@@ -89,10 +89,6 @@ class FIPT_PT_photographs(Section, bpy.types.Panel):
             if settings.registered_count >= 0 and job is None:
                 _draw_outcome(layout, settings)
             _draw_last_job(layout, context, settings)
-        header, body = layout.panel("fipt_photographs_settings", default_closed=True)
-        header.label(text="Settings")
-        if body is not None:
-            _draw_settings(body, settings)
 
 
 class FIPT_PT_photographs_done(Section, bpy.types.Panel):
@@ -104,24 +100,39 @@ class FIPT_PT_photographs_done(Section, bpy.types.Panel):
     draw = FIPT_PT_photographs.draw
 
 
-def _draw_settings(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
-    """How the photographs become a capture."""
-    layout.prop(settings, "output")
-    layout.prop(settings, "grouping")
-    column = layout.column(align=True)
-    column.prop(settings, "working_width")
-    column.prop(settings, "response")
-    column.prop(settings, "white_balance")
-    column.prop(settings, "align")
-    column.prop(settings, "vignetting")
-    layout.prop(settings, "cameras")
-    column = layout.column(align=True)
-    column.prop(settings, "scale")
-    if settings.scale != "none":
-        column.prop(settings, "scale_length")
-    if settings.scale == "points":
-        column.prop(settings, "scale_picks")
-        column.operator("fipt.show_merged", icon="IMAGE_DATA")
+class FIPT_PT_photographs_settings(SubSection, bpy.types.Panel):
+    """How the photographs become a capture"""
+
+    bl_label = "Settings"
+    bl_parent_id = "FIPT_PT_photographs"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        settings = context.scene.fipt.photographs
+        layout.prop(settings, "output")
+        layout.prop(settings, "grouping")
+        column = layout.column(align=True)
+        column.prop(settings, "working_width")
+        column.prop(settings, "response")
+        column.prop(settings, "white_balance")
+        column.prop(settings, "align")
+        column.prop(settings, "vignetting")
+        layout.prop(settings, "cameras")
+        column = layout.column(align=True)
+        column.prop(settings, "scale")
+        if settings.scale != "none":
+            column.prop(settings, "scale_length")
+        if settings.scale == "points":
+            column.prop(settings, "scale_picks")
+            column.operator("fipt.show_merged", icon="IMAGE_DATA")
+
+
+class FIPT_PT_photographs_done_settings(SubSection, bpy.types.Panel):
+    """How the photographs become a capture"""
+
+    bl_label = "Settings"
+    bl_parent_id = "FIPT_PT_photographs_done"
+    draw = FIPT_PT_photographs_settings.draw
 
 
 class FIPT_PT_scale_points(bpy.types.Panel):
@@ -210,6 +221,8 @@ CLASSES = (
     FIPT_UL_photograph_groups,
     FIPT_UL_photographs,
     FIPT_PT_photographs,
+    FIPT_PT_photographs_settings,
     FIPT_PT_photographs_done,
+    FIPT_PT_photographs_done_settings,
     FIPT_PT_scale_points,
 )

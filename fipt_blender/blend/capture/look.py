@@ -65,28 +65,34 @@ def enter_room(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
         use_view(scene, cameras[0])
         show_photograph(scene, cameras[0])
         enter_camera(context, scene)
-    culled = cull_outside(scene)
+    culled = is_culled(scene)
     for space in spaces:
         if space.shading.type in ("SOLID", "WIREFRAME"):  # in EEVEE the light of lamps' surfaces is missing
             space.shading.type = "RENDERED" if scene.render.engine == "CYCLES" else "MATERIAL"
         space.shading.show_backface_culling = culled
 
 
-def cull_outside(scene: bpy.types.Scene) -> bool:
+def cull_outside(scene: bpy.types.Scene) -> None:
     """Let viewports, but not Cycles, hide the room's surfaces from behind, where their normals point inwards.
 
-    Returns:
-        Whether they do. A room whose walls face outwards would vanish from inside.
+    A room whose walls face outwards would vanish from inside.
     """
     room = room_with_results(scene)
     cameras = [view.camera_object() for view in scene.fipt.capture.views]
     eyes = [camera.matrix_world.translation for camera in cameras if camera is not None]
     culled = bool(eyes) and inward_share(room, np.mean(eyes, axis=0)) > INWARD_SHARE
-    for item in room:
-        for slot in item.material_slots:
-            if slot.material is not None:
-                slot.material.use_backface_culling = culled
-    return culled
+    for material in _materials(room):
+        material.use_backface_culling = culled
+
+
+def is_culled(scene: bpy.types.Scene) -> bool:
+    """Whether `cull_outside` lets viewports hide the room's surfaces from behind."""
+    return any(material.use_backface_culling for material in _materials(room_with_results(scene)))
+
+
+def _materials(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Material]:
+    slots = [slot for item in objects for slot in item.material_slots]
+    return [slot.material for slot in slots if slot.material is not None]
 
 
 def inward_share(objects: Iterable[bpy.types.Object], eye: np.ndarray) -> float:

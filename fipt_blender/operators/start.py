@@ -1,0 +1,58 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators of the section Start: choose what to work on, of whatever kind it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+CAMERA_FILES = (".json", ".xml", ".sfm", ".out", ".nvm", ".csv", ".bin")
+
+
+class FIPT_OT_choose_capture(bpy.types.Operator):
+    """Choose a folder: photographs, a capture with cameras, or the data of a scan. It is read at once"""
+
+    bl_idname = "fipt.choose_capture"
+    bl_label = "Choose Folder"
+    bl_options = {"REGISTER", "INTERNAL"}
+
+    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
+    files: bpy.props.CollectionProperty(
+        type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE", "HIDDEN"}
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return bool(bpy.ops.fipt.import_capture.poll())
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if self.directory:  # dropped files
+            return self.execute(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        folder = Path(bpy.path.abspath(self.directory))
+        cameras = [file.name for file in self.files if file.name.lower().endswith(CAMERA_FILES)]
+        # Of a photograph, or of any other file in it, the folder is meant.
+        path = folder / cameras[0] if len(cameras) == 1 else folder
+        return set(bpy.ops.fipt.import_capture("INVOKE_DEFAULT", filepath=str(path)))
+
+
+class FIPT_FH_capture(bpy.types.FileHandler):
+    """A camera file dropped on the sidebar"""
+
+    bl_idname = "FIPT_FH_capture"
+    bl_label = "Cameras of a Room"
+    bl_import_operator = "fipt.choose_capture"
+    bl_file_extensions = ";".join(CAMERA_FILES)
+
+    @classmethod
+    def poll_drop(cls, context: bpy.types.Context) -> bool:
+        area, region = context.area, context.region
+        return area is not None and area.type == "VIEW_3D" and region is not None and region.type == "UI"
+
+
+CLASSES = (FIPT_OT_choose_capture, FIPT_FH_capture)
