@@ -170,7 +170,12 @@ def new_run_folder(name: str) -> Path:
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
-    return places.new_run_folder(data_folder(), name)
+    folder = places.new_run_folder(data_folder(), name)
+    if not bpy.app.background:
+        from .bridge.unsaved import mark
+
+        mark(folder)
+    return folder
 
 
 def is_unused_run(folder: Path) -> bool:

@@ -14,7 +14,7 @@ import bpy
 
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
-from . import previews, running, runstate
+from . import previews, recovery, running, runstate
 from .job_scene import find_scene, scene_context, uses_run_folder
 from .window import redraw
 
@@ -49,6 +49,7 @@ def register() -> None:
     bpy.app.handlers.animation_playback_post.append(_note_playback_end)
     runstate.register(_after_look)
     running.register(_after_job)
+    recovery.register()
 
 
 def unregister() -> None:
@@ -59,6 +60,7 @@ def unregister() -> None:
         keymap.keymap_items.remove(item)
     bpy.app.handlers.animation_playback_post.remove(_note_playback_end)
     runstate.unregister()
+    recovery.unregister()
     previews.clear()
 
 

@@ -5,8 +5,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
+
+from ..core.run.runfolder import RunFolder
+from .job_operator import JobOperator
+from .polls import in_object_mode
+
+if TYPE_CHECKING:
+    from ..bridge.process import Message
+    from ..bridge.sequence import Job
+    from ..bridge.step import Slices
 
 CAMERA_FILES = (".json", ".xml", ".sfm", ".out", ".nvm", ".csv", ".bin")
 
@@ -55,4 +65,47 @@ class FIPT_FH_capture(bpy.types.FileHandler):
         return area is not None and area.type == "VIEW_3D" and region is not None and region.type == "UI"
 
 
-CLASSES = (FIPT_OT_choose_capture, FIPT_FH_capture)
+class FIPT_OT_recover_run(JobOperator, bpy.types.Operator):
+    """Open the room of a run again that Blender has left behind, with its results or finished stages"""
+
+    bl_idname = "fipt.recover_run"
+    bl_label = "Open Again"
+    bl_options = {"REGISTER", "UNDO"}
+    title = "Open Run"
+    kind = "capture"
+
+    folder: bpy.props.StringProperty(
+        name="Folder", description="Folder of the run", subtype="DIR_PATH", options={"SKIP_SAVE"}
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.scene.fipt.capture.views:
+            cls.poll_message_set("The scene has a capture already. Use a new scene")
+            return False
+        return in_object_mode(cls, context) and super().poll(context)
+
+    def make_job(self, context: bpy.types.Context) -> Job:
+        from ..bridge.step import Step
+        from ..bridge.unsaved import mark
+        from ..jobs import recovery
+        from ..jobs.run_job import open_job
+
+        run = RunFolder(bpy.path.abspath(self.folder))
+        run.read()  # raises if it is no run
+
+        def add_to_scene() -> Slices[list[Message]]:
+            from ..blend.capture.importing import import_capture
+
+            return import_capture(run, "")
+
+        step = Step("import", "Adding cameras and mesh", 5.0, function=add_to_scene, repeat=True)
+        job = open_job(run, [step], record="import.json")
+        context.scene.fipt.run_folder = str(run.root)
+        if not bpy.app.background:
+            mark(run.root)
+        recovery.forget()
+        return job
+
+
+CLASSES = (FIPT_OT_choose_capture, FIPT_FH_capture, FIPT_OT_recover_run)
