@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import time
 from pathlib import Path
 
@@ -40,7 +41,7 @@ def make_run(data: Path, name: str, hours: float) -> RunFolder:
     rig = {"format": "fipt-capture", "version": 1, "source": "transforms", "mesh": None}
     write_json(run.ingest_json, {**rig, "views": random_views(), "world_from_source": world})
     unsaved.mark(run.root)
-    path = run.root / unsaved.NAME
+    path = unsaved.mark_of(run.root)
     path.write_text(json.dumps({**json.loads(path.read_text()), "started": "earlier"}))
     for file in (*run.root.rglob("*"), run.root):
         os.utime(file, (time.time() - 3600.0 * hours,) * 2)
@@ -55,6 +56,14 @@ def test_the_newest_run_without_a_file_or_a_blender_is_offered(data):
     found = unsaved.newest(data, [])
     assert found is not None and found.folder == left.root and found.size > 0
     assert unsaved.newest(data, [left.root]).folder.name == "old"
+    shutil.rmtree(left.root)
+    assert unsaved.newest(data, []).folder.name == "old" and not unsaved.mark_of(left.root).exists()
+
+
+def test_the_mark_leaves_the_folder_of_a_new_run_empty(data):
+    folder = machine.new_run_folder("room")
+    unsaved.mark(folder)
+    RunFolder(folder).create(make_settings())
 
 
 def test_saving_the_file_makes_its_run_known(data):

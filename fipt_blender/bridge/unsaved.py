@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Runs of which no .blend file knows: a mark in their folder that saving removes. Standard library only."""
+"""Runs of which no .blend file knows: a mark beside their folder that saving removes. Standard library only."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from ..core.run.documents import read_json
 from ..core.run.errors import FiptError
 from ..core.run.process_identity import host_name, process_start
 from ..core.run.runfolder import RunFolder, write_json
+from .places import runs_folder
 from .storage import RUN, list_items, measure, why_in_use
 
-NAME = "unsaved.json"
+SUFFIX = ".unsaved"  # of the mark, a file beside the run's folder, which must be empty at first
 
 
 @dataclass(frozen=True)
@@ -40,12 +41,17 @@ def mark(folder: Path) -> None:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
     pid = os.getpid()
-    write_json(folder / NAME, {"pid": pid, "host": host_name(), "started": process_start(pid)})
+    write_json(mark_of(folder), {"pid": pid, "host": host_name(), "started": process_start(pid)})
 
 
 def unmark(folder: Path) -> None:
     """Note that a .blend file knows of a run."""
-    (folder / NAME).unlink(missing_ok=True)
+    mark_of(folder).unlink(missing_ok=True)
+
+
+def mark_of(folder: Path) -> Path:
+    """The file that marks a run."""
+    return folder.with_name(f"{folder.name}{SUFFIX}")
 
 
 def newest(data: Path, used: Sequence[Path]) -> Unsaved | None:
@@ -55,8 +61,11 @@ def newest(data: Path, used: Sequence[Path]) -> Unsaved | None:
         data: the data folder.
         used: paths that the open file needs.
     """
+    for path in runs_folder(data).glob(f"*{SUFFIX}"):
+        if not path.with_name(path.name.removesuffix(SUFFIX)).exists():
+            path.unlink(missing_ok=True)  # of a run that was deleted
     for item in list_items(data):
-        path = item.folder / NAME
+        path = mark_of(item.folder)
         if item.kind != RUN or not path.is_file() or not RunFolder(item.folder).ingest_json.is_file():
             continue
         if why_in_use(item, used) or _is_alive(path):
