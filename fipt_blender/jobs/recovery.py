@@ -56,8 +56,11 @@ def _look() -> None:
 
 @bpy.app.handlers.persistent
 def _note_saved(*_: object) -> None:
+    from ..bridge.places import runs_folder
     from ..bridge.unsaved import unmark
 
+    runs = runs_folder(machine.data_folder())
     for scene in bpy.data.scenes:
-        if scene.fipt.run_folder:
-            unmark(Path(bpy.path.abspath(scene.fipt.run_folder)))
+        folder = Path(bpy.path.abspath(scene.fipt.run_folder))
+        if scene.fipt.run_folder and folder.parent == runs:  # others have no mark
+            unmark(folder)

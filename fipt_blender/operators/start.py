@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import bpy
 
+from .. import machine
 from ..core.run.runfolder import RunFolder
 from .job_operator import JobOperator
 from .polls import in_object_mode
@@ -86,6 +87,7 @@ class FIPT_OT_recover_run(JobOperator, bpy.types.Operator):
         return in_object_mode(cls, context) and super().poll(context)
 
     def make_job(self, context: bpy.types.Context) -> Job:
+        from ..bridge.places import runs_folder
         from ..bridge.step import Step
         from ..bridge.unsaved import mark
         from ..jobs import recovery
@@ -102,7 +104,7 @@ class FIPT_OT_recover_run(JobOperator, bpy.types.Operator):
         step = Step("import", "Adding cameras and mesh", 5.0, function=add_to_scene, repeat=True)
         job = open_job(run, [step], record="import.json")
         context.scene.fipt.run_folder = str(run.root)
-        if not bpy.app.background:
+        if not bpy.app.background and run.root.parent == runs_folder(machine.data_folder()):
             mark(run.root)
         recovery.forget()
         return job
