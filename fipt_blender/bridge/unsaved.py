@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Runs of which no .blend file knows: a mark beside their folder, removed by saving. Standard library only."""
+"""Runs of which no .blend file knows: a mark beside the folder, removed by saving. Standard library only."""
 
 from __future__ import annotations
 
