@@ -248,6 +248,11 @@ def save_copy(path: str) -> None:
     bpy.ops.wm.save_as_mainfile(filepath=path, copy=True, compress=True)
 
 
+def open_file(path: str) -> None:
+    """Open a scene that `save_copy` has saved, with its own windows."""
+    bpy.ops.wm.open_mainfile(filepath=path)
+
+
 def leave() -> None:
     """Quit Blender without asking."""
     bpy.ops.wm.quit_blender()
