@@ -134,6 +134,16 @@ def test_a_finished_estimate_is_one_line_once_it_is_applied(monkeypatch):
     assert "fipt.estimate" in drawn_by(estimate.FIPT_PT_estimate, is_open=True)[0]
 
 
+def test_without_a_mesh_the_next_step_is_to_bring_one():
+    add_capture()
+    assert "fipt.estimate" in drawn_by(estimate.FIPT_PT_estimate)[0]
+    room = bpy.context.scene.fipt.capture.room_objects(bpy.context.scene)
+    for item in room:
+        bpy.data.objects.remove(item)
+    drawn = drawn_by(estimate.FIPT_PT_estimate)[0]
+    assert "fipt.import_mesh" in drawn and "fipt.estimate" not in drawn
+
+
 def test_a_running_example_does_not_call_the_estimate_stopped(monkeypatch, tmp_path):
     scene = bpy.context.scene
     scene.fipt.run_folder = str(tmp_path)

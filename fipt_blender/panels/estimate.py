@@ -80,8 +80,15 @@ class FIPT_PT_estimate_advanced(SubSection, bpy.types.Panel):
 
 
 def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, state: runstate.RunState) -> None:
-    """The preset, what it costs, and the buttons that start."""
+    """The preset, what it costs, and the buttons that start; without a mesh, the way to one."""
     settings, job = context.scene.fipt.estimate, running.current()
+    if path.has_views(context) and not context.scene.fipt.capture.room_objects(context.scene):
+        text = "The room has no mesh. Import one, or select the objects that form the room."
+        draw_text(layout, context, iface_(text), icon="INFO")
+        column = layout.column(align=True)
+        column.operator("fipt.import_mesh", icon="MESH_DATA")
+        column.operator("fipt.set_room", text="Room from Selection", icon="RESTRICT_SELECT_OFF")
+        return
     column = layout.column()
     column.enabled = job is None
     column.prop(settings, "preset")

@@ -95,6 +95,6 @@ def draw_text(
     column = layout.column(align=True)
     column.alert = alert
     column.scale_y = 0.8
-    lines = textwrap.wrap(text, max(int((width - 50.0) / _CHARACTER_PIXELS), 16)) or [""]
+    lines = textwrap.wrap(text, max(int((width - 50.0) / _CHARACTER_PIXELS), 8)) or [""]
     for index, line in enumerate(lines):
         column.label(text=line, icon=icon if index == 0 else "BLANK1" if icon != "NONE" else "NONE")
