@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import bpy
 
-from ..core.photographs.suffixes import SUFFIXES
+from ..core.capture.suffixes import SUFFIXES
 from ..core.run.errors import FiptError
 from ..jobs import running
 from .job_operator import StartsJob

@@ -9,7 +9,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from .. import machine
 from ..jobs import running, setup_size
-from .job import draw_progress
+from .progress import draw_progress
 from .sidebar import draw_text
 
 

@@ -15,8 +15,9 @@ from ..jobs import running, runstate
 from ..jobs.job_scene import uses_run_folder
 from ..jobs.previews import estimate_pictures
 from . import path
-from .job import draw_error, draw_job, draw_progress, draw_warnings, job_warnings
+from .job import draw_error, draw_job, draw_warnings, job_warnings
 from .presets import FIPT_PT_estimate_presets
+from .progress import draw_progress
 from .sidebar import Section, SubSection, draw_text
 from .statusbar import status_text
 

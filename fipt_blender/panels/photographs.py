@@ -9,7 +9,8 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.run.runfolder import RunFolder
 from ..jobs import running
-from .job import draw_error, draw_progress, draw_warnings
+from .job import draw_error, draw_warnings
+from .progress import draw_progress
 from .sidebar import Rows, Section, SubSection, draw_text
 
 _KIND = "photographs"

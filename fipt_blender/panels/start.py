@@ -13,8 +13,9 @@ from .. import machine
 from ..jobs import recovery, running
 from . import engine, path
 from .capture import FIPT_PT_capture_import, draw_import
-from .job import draw_job, draw_warnings, job_warnings, time_text
+from .job import draw_job, draw_warnings, job_warnings
 from .presets import FIPT_PT_import_presets
+from .progress import time_text
 from .sidebar import Section, SubSection, draw_text
 
 

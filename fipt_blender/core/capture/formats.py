@@ -11,7 +11,6 @@ from types import ModuleType
 
 import numpy as np
 
-from ..photographs.suffixes import SUFFIXES
 from ..run.errors import FiptError
 from ..run.shapes import FARTHEST_UNITS
 from . import (
@@ -32,6 +31,7 @@ from . import (
     transforms,
 )
 from .rig import ReadOptions, Rig
+from .suffixes import SUFFIXES
 
 MOST_FILES = 10_000  # that are looked at for photographs
 
