@@ -9,6 +9,7 @@ enabled as an add-on (scripts, tests).
 from __future__ import annotations
 
 import functools
+import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypedDict, cast
@@ -111,6 +112,37 @@ def engine_python() -> Path:
     )
 
 
+def has_engine() -> bool:
+    """Whether there is an engine, as far as that is known without starting it; for drawing."""
+    from .bridge.interpreter import PYTHON_VARIABLE
+
+    found = status()
+    if found.get("engine") or found.get("error"):
+        return bool((found.get("engine") or {}).get("ready")) and not found.get("error")
+    values = get_preferences()
+    return bool(values.engine_python or os.environ.get(PYTHON_VARIABLE)) or _has_environment(
+        str(data_folder()), values.status
+    )
+
+
+@functools.lru_cache(maxsize=4)
+def _has_environment(data: str, status: str) -> bool:
+    """Whether set-up, or the checkout's, has made an environment; looked up again after each set-up.
+
+    Args:
+        data: the data folder.
+        status: the stored result of the last set-up or check.
+    """
+    from .bridge.pins import managed_environments
+
+    try:
+        made = managed_environments(Path(data))
+    except FiptError:  # the list of packages can't be read, which set-up reports
+        made = []
+    folders = [*made, places.PACKAGE_FOLDER.parent / ".venv"]
+    return any(places.environment_python(folder).exists() for folder in folders)
+
+
 def engine_variables() -> dict[str, str]:
     """Additional environment variables for the engine's process: the chosen GPU."""
     from .core.device.cuda import VISIBLE_VARIABLE
@@ -138,7 +170,12 @@ def new_run_folder(name: str) -> Path:
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
-    return places.new_run_folder(data_folder(), name)
+    folder = places.new_run_folder(data_folder(), name)
+    if not bpy.app.background:
+        from .bridge.unsaved import mark
+
+        mark(folder)
+    return folder
 
 
 def is_unused_run(folder: Path) -> bool:

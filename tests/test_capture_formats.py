@@ -322,6 +322,13 @@ def test_unknown_format_lists_what_was_sought(tmp_path):
         detect_format(tmp_path)
     assert caught.value.code == "format-unknown"
     assert all(name in caught.value.text for name in FORMATS)
+    (tmp_path / "day").mkdir()
+    (tmp_path / "day" / "IMG_1.JPG").touch()
+    for path in (tmp_path, tmp_path / "day", tmp_path / "day" / "IMG_1.JPG"):
+        with pytest.raises(FiptError) as caught:
+            detect_format(path)
+        assert caught.value.code == "cameras-missing" and len(caught.value.remedy.splitlines()) == 1
+    (tmp_path / "day" / "IMG_1.JPG").unlink()
     with pytest.raises(FiptError) as caught:
         detect_format(tmp_path / "nowhere")
     assert caught.value.code == "capture-missing"

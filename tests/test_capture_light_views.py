@@ -196,7 +196,7 @@ def test_a_plan_names_resolution_time_and_disk() -> None:
     small = light_plan([(256, 128)] * 60, settings)
     assert small.resolution == "60 photographs of 0.033 megapixels"
     assert small.seconds < plan.seconds and small.bytes < plan.bytes
-    assert plan.cost.startswith("about ") and plan.cost.endswith(" GB")
+    assert plan.cost.startswith("about ") and plan.cost.endswith(" GB on the disk")
     # The photographs' size hardly changes the cost.
     assert plan.seconds < 1.5 * light_plan([(1600, 1200)] * 60, settings).seconds
 

@@ -72,7 +72,7 @@ BAD = {
     "mask size": ("mask-size", lambda p: write_exr(p / "in/parts/001_0001.exr", np.ones((4, 4)))),
     "mask": ("mask-not-ids", lambda p: write_exr(p / "in/parts/001_0001.exr", np.full((48, 32), 0.5))),
     "no frames": ("no-views", lambda p: (p / "in/transforms.json").write_text('{"frames": []}')),
-    "no format": ("format-unknown", lambda p: (p / "in/transforms.json").unlink()),
+    "no format": ("cameras-missing", lambda p: (p / "in/transforms.json").unlink()),
 }
 
 

@@ -97,7 +97,11 @@ def test_bad_captures_are_refused_in_words_and_change_nothing(imported, sample, 
     run, views = imported.fipt.run_folder, len(imported.fipt.capture.views)
     assert "does not exist" in refused(ops.import_capture, filepath=str(tmp_path / "nowhere"))
     (tmp_path / "empty").mkdir()
-    assert "not a capture in a known format" in refused(ops.import_capture, filepath=str(tmp_path / "empty"))
+    told = refused(ops.import_capture, filepath=str(tmp_path / "empty"))
+    assert "neither photographs nor cameras" in told
+    (tmp_path / "empty" / "IMG_1.JPG").touch()
+    told = refused(ops.import_capture, filepath=str(tmp_path / "empty"))
+    assert "photographs without cameras" in told and "Make Capture" in told
     broken = tmp_path / "broken"
     shutil.copytree(sample, broken)
     (broken / "images" / "003_0001.exr").unlink()

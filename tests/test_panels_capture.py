@@ -78,10 +78,9 @@ def test_a_room_without_mesh_is_told_as_long_as_it_has_none():
 
 
 def test_few_import_settings_are_shown_at_first():
-    """The others are in a subpanel that is closed."""
+    """The others are in a part that is closed."""
     settings = bpy.context.scene.fipt.capture
-    panels = (capture.FIPT_PT_capture_import, capture.FIPT_PT_capture_import_advanced)
-    first, others = (drawn_by(panel)[1] for panel in panels)
-    assert 1 <= len(first) <= 4 and not set(first) & set(others)
-    assert all(hasattr(settings, name) for name in first + others)
-    assert "DEFAULT_CLOSED" in capture.FIPT_PT_capture_import_advanced.bl_options
+    first = drawn_by(capture.FIPT_PT_capture_import)[1]
+    every = drawn_by(capture.FIPT_PT_capture_import, is_open=True)[1]
+    assert 1 <= len(first) <= 5 and len(every) > len(first)
+    assert all(hasattr(settings, name) for name in every)

@@ -42,7 +42,7 @@ def test_every_item_of_the_menus_is_an_operator():
 def test_each_section_has_a_chapter():
     guide = (ROOT / "docs" / "guide.md").read_text(encoding="utf-8")
     for menu in menus.MENUS:
-        chapter = manual.chapter_of(f"FIPT_PT_{menu.bl_label.lower()}")
+        chapter = manual.chapter_of(menu.bl_idname.replace("_MT_", "_PT_"))
         assert chapter and f'<a id="{chapter}"></a>' in guide
         assert manual.chapter_page(chapter) == f"guide.html#{chapter}"
     assert '<a id="install"></a>' in guide

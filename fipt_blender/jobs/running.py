@@ -84,6 +84,13 @@ class _Active:
 
 _active: _Active | None = None
 _last: dict[str | None, RunningJob] = {}
+# Called after the end of each job that a window's timer has advanced.
+_listeners: list[Callable[[RunningJob], None]] = []
+
+
+def register(after_end: Callable[[RunningJob], None]) -> None:
+    """Add a function that is called after each job in a window; it may start the next one."""
+    _listeners.append(after_end)
 
 
 def current() -> RunningJob | None:
@@ -177,6 +184,7 @@ def shut_down() -> None:
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
     _last.clear()
+    _listeners.clear()
 
 
 def tick() -> float | None:
@@ -197,7 +205,9 @@ def tick() -> float | None:
         _note(info, message)
     if job.finished:
         _end()
-        return None
+        for listener in _listeners:
+            listener(info)
+        return None if _active is None else _WORK_SECONDS  # a listener may have started the next job
     if _shown(info) != shown:
         redraw()
     return _WATCH_SECONDS if job.waits and not info.stopping else _WORK_SECONDS

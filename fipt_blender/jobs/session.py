@@ -1,6 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the add-on does between jobs: Esc stops the running one; an engine found at work is attached."""
+"""What the add-on does between jobs: Esc stops the running one, an engine found at work is attached, the
+results of an estimation are applied.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,8 @@ import bpy
 
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
-from . import previews, running, runstate
-from .job_scene import uses_run_folder
+from . import previews, recovery, running, runstate
+from .job_scene import find_scene, scene_context, uses_run_folder
 from .window import redraw
 
 # Title and kind of the job by the command of an engine that is found at work.
@@ -46,6 +48,8 @@ def register() -> None:
         _keymap_items.append((keymap, item))
     bpy.app.handlers.animation_playback_post.append(_note_playback_end)
     runstate.register(_after_look)
+    running.register(_after_job)
+    recovery.register()
 
 
 def unregister() -> None:
@@ -56,6 +60,7 @@ def unregister() -> None:
         keymap.keymap_items.remove(item)
     bpy.app.handlers.animation_playback_post.remove(_note_playback_end)
     runstate.unregister()
+    recovery.unregister()
     previews.clear()
 
 
@@ -92,6 +97,18 @@ def attach(scene: bpy.types.Scene) -> bool:
         info.started -= max(time.time() - run.engine_lock.stat().st_mtime, 0.0)
     running.start(job, info)
     return True
+
+
+def _after_job(info: running.RunningJob) -> None:
+    """Apply the results of an estimation, unless the artist does not want that or is in Edit Mode."""
+    title, _ = _TITLES["estimate"]  # other jobs of that kind apply their results themselves
+    scene = find_scene(info.scene_name, info.run_folder)
+    if info.title != title or info.state != "finished" or scene is None:
+        return
+    if scene.fipt.estimate.apply_when_finished:
+        with scene_context(scene.name, info.run_folder):
+            if bpy.ops.fipt.apply_results.poll():
+                bpy.ops.fipt.apply_results("INVOKE_DEFAULT")
 
 
 def _after_look(folder: Path, state: runstate.RunState, changed: bool) -> None:

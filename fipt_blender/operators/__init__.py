@@ -33,6 +33,7 @@ from . import (
     photographs,
     presets,
     scale_points,
+    start,
     storage,
     views,
 )
@@ -42,6 +43,7 @@ MODULES = (
     storage,
     photographs,
     scale_points,
+    start,
     capture,
     views,
     alignment,

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the section Check: views rendered again beside their photographs, and the report."""
+"""Operators of the section Render: views rendered again beside their photographs, and the report."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def _chosen_views(scene: bpy.types.Scene, which: str) -> list[str]:
         raise FiptError(
             "view-missing",
             text,
-            "Tick views in the section Capture, or choose other Views in the section Check.",
+            "Tick views in the section Capture, or choose other Views in the section Render.",
         )
     return names
 

@@ -40,21 +40,20 @@ class FIPT_OT_set_up_engine(DataJobOperator, bpy.types.Operator):
         description="Download PyTorch's build with CUDA if the one for the CPU can't be reached",
         options={"SKIP_SAVE"},
     )
-    confirmed: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})  # in a window, which must not wait
+    # In a window, which must not wait: by the dialog, or by a button beside which the size is written.
+    confirmed: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """State the size of the download before anything is downloaded."""
-        from ..bridge.torch_build import SIZES, choose_torch_build
-        from ..core.device.cuda import cuda_devices, cuda_driver_version
+        """State the size of the download before anything is downloaded, unless the button has done so."""
+        from ..jobs import setup_size
 
-        values = machine.get_preferences()
-        if bpy.app.background or values.wheel_folder:
+        if bpy.app.background or machine.get_preferences().wheel_folder:
             return super().invoke(context, event)
-        build = choose_torch_build(values.device, cuda_driver_version(), cuda_devices())
-        refused = (machine.status().get("error") or {}).get("code") == "torch-large"
-        self.allow_large, self.confirmed = self.allow_large or refused, True
-        size = SIZES["" if refused else build]
-        message = iface_("Downloads about {:.1f} GB and needs {:.0f} GB on the disk").format(
+        self.allow_large = self.allow_large or setup_size.was_too_large()
+        if self.confirmed:
+            return self.execute(context)
+        self.confirmed, size = True, setup_size.size()
+        message = iface_("Downloads about {:.1f} GB and needs {:.1f} GB on the disk").format(
             size.download_gb, size.disk_gb
         )
         return context.window_manager.invoke_confirm(

@@ -203,7 +203,7 @@ class FIPT_OT_cancel(bpy.types.Operator):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Cancel at once, but ask first where the Esc key would end a long run."""
         from ..jobs import session
-        from ..panels.job import time_text
+        from ..panels.progress import time_text
 
         job = running.current()
         if not self.by_key or job is None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import bpy
 
-from ..core.photographs.suffixes import SUFFIXES
+from ..core.capture.suffixes import SUFFIXES
 from ..core.run.errors import FiptError
 from ..jobs import running
 from .job_operator import StartsJob
@@ -115,6 +115,49 @@ class FIPT_FH_photographs(bpy.types.FileHandler):
         return area is not None and area.type == "VIEW_3D" and region is not None and region.type == "UI"
 
 
+class FIPT_OT_photographs_of_capture(bpy.types.Operator):
+    """Take the folder as photographs without cameras, and find which of them are exposures of one view"""
+
+    bl_idname = "fipt.photographs_of_capture"
+    bl_label = "Make Capture of Photographs"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not context.scene.fipt.capture.path:
+            cls.poll_message_set("Choose a folder first")
+            return False
+        return True
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        state = context.scene.fipt
+        state.photographs.path, state.photographs.chosen = state.capture.path, ""
+        state.photographs.groups.clear()
+        state.capture.path = ""
+        return {"FINISHED"}
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        result = self.execute(context)
+        if result == {"FINISHED"} and bpy.ops.fipt.find_brackets.poll():
+            bpy.ops.fipt.find_brackets("INVOKE_DEFAULT")
+        return result
+
+
+class FIPT_OT_leave_photographs(bpy.types.Operator):
+    """Go back to the example and other folders. The files that were made of the photographs are kept"""
+
+    bl_idname = "fipt.leave_photographs"
+    bl_label = "Leave Photographs"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        settings = context.scene.fipt.photographs
+        for name in ("path", "chosen", "groups", "listed", "registered_count"):
+            settings.property_unset(name)
+        return {"FINISHED"}
+
+
 class FIPT_OT_find_brackets(_PrepareJob, bpy.types.Operator):
     """Read the photographs' headers, and find which of them are exposures of the same view"""
 
@@ -145,8 +188,8 @@ class FIPT_OT_prepare(_PrepareJob, bpy.types.Operator):
     """Merge each group to an HDR image, and find the cameras. A stopped job continues where it was"""
 
     bl_idname = "fipt.prepare"
-    bl_label = "Prepare"
-    title = "Prepare"
+    bl_label = "Make Capture"
+    title = "Make Capture"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -233,7 +276,7 @@ class FIPT_OT_open_photographs_report(bpy.types.Operator):
         folder = context.scene.fipt.photographs.capture_folder()
         page = None if folder is None else folder / "report" / "index.html"
         if page is None or not page.is_file():
-            raise FiptError("report-missing", "There is no report yet.", "Use Prepare first.")
+            raise FiptError("report-missing", "There is no report yet.", "Use Make Capture first.")
         bpy.ops.wm.url_open(url=page.as_uri())
         return {"FINISHED"}
 
@@ -279,7 +322,7 @@ def _write_groups(settings: FIPT_PhotographsSettings, folder: PreparationFolder)
         raise FiptError(
             "brackets-changed",
             f"The groups in {folder.prepare_json} are not those that were listed.",
-            "The list now shows the file's groups. Check them, and use Prepare again.",
+            "The list now shows the file's groups. Check them, and use Make Capture again.",
         )
     if there != wanted:
         write_preparation(folder, replace(preparation, groups=tuple(groups)))
@@ -289,6 +332,8 @@ def _write_groups(settings: FIPT_PhotographsSettings, folder: PreparationFolder)
 
 CLASSES = (
     FIPT_OT_choose_photographs,
+    FIPT_OT_photographs_of_capture,
+    FIPT_OT_leave_photographs,
     FIPT_FH_photographs,
     FIPT_OT_find_brackets,
     FIPT_OT_prepare,

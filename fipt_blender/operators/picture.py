@@ -83,7 +83,7 @@ class FIPT_OT_render_composite(RenderJob, bpy.types.Operator):
         kind = COMPOSITE if backdrop == "PHOTOGRAPH" else INSERT
         run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
         views = [self.view or current_view(scene)]
-        samples = self.samples or settings.samples
+        samples = self.samples or scene.fipt.check.samples
         return make_job(make_order(scene, run, kind, views, samples))
 
     @staticmethod

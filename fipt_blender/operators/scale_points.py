@@ -125,7 +125,7 @@ def _merged(settings: FIPT_PhotographsSettings) -> str:
         path = PreparationFolder(folder).image(Group(settings.groups[settings.active_group].name, ()))
         if path.is_file():
             return str(path)
-    raise FiptError("image-missing", "The active group is not merged yet.", "Use Prepare first.")
+    raise FiptError("image-missing", "The active group is not merged yet.", "Use Make Capture first.")
 
 
 def _image_editor(context: bpy.types.Context) -> bpy.types.Area | None:
@@ -155,7 +155,7 @@ def _pixel_under(context: bpy.types.Context, event: bpy.types.Event) -> tuple[fl
 
 def _has_groups(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
     if not context.scene.fipt.photographs.groups:
-        cls.poll_message_set("Use Find Brackets and Prepare first")
+        cls.poll_message_set("Use Find Brackets and Make Capture first")
         return False
     return True
 

@@ -91,6 +91,8 @@ class FIPT_OT_clear_data(DataJobOperator, bpy.types.Operator):
 
         if bpy.app.background:
             return self.execute(context)
+        if self.names:
+            return context.window_manager.invoke_confirm(self, event)
         self.items.clear()
         used, sizes = used_paths(), machine.usage().get("sizes", {})
         for stored in storage.list_items(machine.data_folder()):
@@ -128,8 +130,10 @@ class FIPT_OT_clear_data(DataJobOperator, bpy.types.Operator):
     def make_job(self) -> tuple[Job, None]:
         from ..bridge import storage
         from ..bridge.step import Step
+        from ..jobs import recovery
         from ..jobs.data_job import data_job
 
+        recovery.forget()
         data, used = machine.data_folder(), used_paths()
         stored = {item.folder.name: item for item in storage.list_items(data)}
         if self.names:

@@ -20,16 +20,18 @@ from . import (
     parts,
     photographs,
     presets,
+    start,
     statusbar,
     swatches,
 )
 
 _MODULES = (
+    start,
     photographs,
     capture,
     alignment,
-    parts,
     estimate,
+    parts,
     hints,
     materials,
     lights,

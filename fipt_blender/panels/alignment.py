@@ -35,7 +35,7 @@ class FIPT_PT_capture_alignment(SubSection, bpy.types.Panel):
 
     bl_label = "Alignment"
     bl_parent_id = "FIPT_PT_capture"
-    bl_order = 3
+    bl_order = 2
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -69,20 +69,15 @@ class FIPT_PT_capture(Section, bpy.types.Panel):
     """Cameras, photographs and the room's mesh"""
 
     bl_label = "Capture"
-    bl_order = 1
+    bl_order = 2
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()
         settings = context.scene.fipt.capture
         column = layout.column(align=True)
-        column.prop(settings, "path")
-        column.operator("fipt.import_capture", icon="IMPORT")
-        if not settings.views:
-            layout.operator("fipt.use_scene_cameras", icon="CAMERA_DATA")
-            if not settings.path:
-                text = "Select the folder that contains your photographs and their solved cameras."
-                draw_text(layout, context, text, icon="INFO")
-                layout.operator("fipt.try_example", icon="HOME")
+        column.prop(settings, "path", text="Folder")
+        column.operator("fipt.import_capture", text="Import Again", icon="FILE_REFRESH")
         draw_import(layout, context)
         draw_warnings(layout, context, "capture", job_warnings(context, "capture"))
 
@@ -92,7 +87,7 @@ class FIPT_PT_capture_import(SubSection, bpy.types.Panel):
 
     bl_label = "Import Settings"
     bl_parent_id = "FIPT_PT_capture"
-    bl_order = 1
+    bl_order = 3
     presets = FIPT_PT_import_presets
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -104,32 +99,32 @@ class FIPT_PT_capture_import(SubSection, bpy.types.Panel):
         column = layout.column(align=True)
         column.prop(settings, "up_axis")
         column.prop(settings, "scale")
-
-
-class FIPT_PT_capture_import_advanced(SubSection, bpy.types.Panel):
-    """Options that few captures need"""
-
-    bl_label = "Advanced"
-    bl_parent_id = "FIPT_PT_capture_import"
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout = self.fields()
-        settings = context.scene.fipt.capture
-        column = layout.column(align=True)
-        column.prop(settings, "format")
-        column.prop(settings, "images")
-        column.prop(settings, "hold_back")
-        column = layout.column(align=True)
-        column.prop(settings, "triangles")
-        column.prop(settings, "plane_room")
-        column.prop(settings, "dense_stereo")
-        column = layout.column(align=True)
-        column.prop(settings, "clamp_negative")
-        row = column.row()
-        row.active = settings.format in ("auto", "transforms")
-        row.prop(settings, "undo_applied_transform")
+        row = layout.row(align=True)
+        row.prop(settings, "triangles")
         if settings.views:
-            layout.operator("fipt.use_scene_cameras", icon="CAMERA_DATA")
+            row.operator("fipt.simplify_room", text="", icon="MOD_DECIM")
+        header, body = layout.panel("fipt_import_advanced", default_closed=True)
+        header.label(text="Advanced")
+        if body is not None:
+            draw_advanced(body, settings)
+
+
+def draw_advanced(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
+    """Options that few captures need."""
+    column = layout.column(align=True)
+    column.prop(settings, "format")
+    column.prop(settings, "images")
+    column.prop(settings, "hold_back")
+    column = layout.column(align=True)
+    column.prop(settings, "plane_room")
+    column.prop(settings, "dense_stereo")
+    column = layout.column(align=True)
+    column.prop(settings, "clamp_negative")
+    row = column.row()
+    row.active = settings.format in ("auto", "transforms")
+    row.prop(settings, "undo_applied_transform")
+    if settings.views:
+        layout.operator("fipt.use_scene_cameras", icon="CAMERA_DATA")
 
 
 class FIPT_PT_capture_room(SubSection, bpy.types.Panel):
@@ -137,8 +132,7 @@ class FIPT_PT_capture_room(SubSection, bpy.types.Panel):
 
     bl_label = "Room"
     bl_parent_id = "FIPT_PT_capture"
-    bl_order = 2
-    bl_options = set()
+    bl_order = 1
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()
@@ -150,9 +144,6 @@ class FIPT_PT_capture_room(SubSection, bpy.types.Panel):
         if settings.views and not settings.room_objects(context.scene):
             text = "The room has no mesh. Import one, or select the objects that form the room."
             draw_text(layout, context, iface_(text), icon="ERROR")
-        row = layout.row(align=True)
-        row.prop(settings, "triangles")
-        row.operator("fipt.simplify_room", text="", icon="MOD_DECIM")
 
 
 class FIPT_PT_capture_views(SubSection, bpy.types.Panel):
@@ -160,7 +151,7 @@ class FIPT_PT_capture_views(SubSection, bpy.types.Panel):
 
     bl_label = "Views"
     bl_parent_id = "FIPT_PT_capture"
-    bl_order = 4
+    bl_order = 0
     bl_options = set()
 
     @classmethod
@@ -285,7 +276,6 @@ CLASSES = (
     FIPT_MT_tick_views,
     FIPT_PT_capture,
     FIPT_PT_capture_import,
-    FIPT_PT_capture_import_advanced,
     FIPT_PT_capture_room,
     FIPT_PT_capture_views,
 )

@@ -1,8 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The section Check: compares renders with photographs."""
+"""The section Render: pictures of the room, renders beside their photographs, the report."""
 
 from __future__ import annotations
+
+import os
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
@@ -11,7 +13,7 @@ from ..properties.check import COMPARISONS
 from .capture import shown_name
 from .job import draw_job, draw_warnings, job_warnings
 from .presets import FIPT_PT_check_presets
-from .sidebar import Rows, Section
+from .sidebar import Rows, Section, draw_text
 
 
 class FIPT_UL_checked_views(Rows, bpy.types.UIList):
@@ -38,19 +40,21 @@ def _draw_row(layout: bpy.types.UILayout, name: str, first: str, second: str, ic
 
 
 class FIPT_PT_check(Section, bpy.types.Panel):
-    """Compare renders with photographs"""
+    """Render the current view, and compare renders with photographs"""
 
-    bl_label = "Check"
+    bl_label = "Render"
     bl_order = 7
+    bl_options = {"DEFAULT_CLOSED"}
     presets = FIPT_PT_check_presets
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()
         settings = context.scene.fipt.check
+        _draw_picture(layout, context, settings)
+        layout.separator()
         column = layout.column(align=True)
         column.prop(settings, "which")
-        column.prop(settings, "samples")
-        layout.operator("fipt.render_views", icon="RENDER_STILL")
+        column.operator("fipt.render_views", icon="RENDER_RESULT")
         draw_job(layout, context, "check")
         if settings.views:
             self._draw_views(context, settings)
@@ -59,7 +63,7 @@ class FIPT_PT_check(Section, bpy.types.Panel):
         row.operator("fipt.write_report", icon="FILE_TEXT")
         row.operator("fipt.open_report", text="", icon="URL")
         draw_job(layout, context, "report")
-        draw_warnings(layout, context, "check", job_warnings(context, "check", "report"))
+        draw_warnings(layout, context, "check", job_warnings(context, "insert", "check", "report"))
 
     def _draw_views(self, context: bpy.types.Context, settings: bpy.types.PropertyGroup) -> None:
         layout = self.layout
@@ -82,10 +86,37 @@ class FIPT_PT_check(Section, bpy.types.Panel):
             row.label(text="0.25")
 
 
+def _draw_picture(
+    layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup
+) -> None:
+    """The picture of the current view: with the rendered room, or over the photograph."""
+    insert = context.scene.fipt.insert
+    row = layout.row(align=True)
+    for mode, text, icon in (("ROOM", "Rendered Room", "HOME"), ("PHOTOGRAPH", "Photograph", "IMAGE_DATA")):
+        row.operator("fipt.set_backdrop", text=text, icon=icon, depress=insert.backdrop == mode).mode = mode
+    if insert.backdrop == "PHOTOGRAPH":
+        shading = getattr(context.space_data, "shading", None)
+        if shading is not None and shading.type != "RENDERED":
+            row = layout.row()
+            row.use_property_split = False
+            row.prop_enum(shading, "type", "RENDERED", text="Preview Shadows")
+        text = "The viewport previews shadows. Reflections in the room appear only in the picture."
+        draw_text(layout, context, text, icon="INFO")
+    layout.prop(settings, "samples")
+    row = layout.row(align=True)
+    row.scale_y = 1.3
+    text = "Render into Photograph" if insert.backdrop == "PHOTOGRAPH" else "Render View"
+    row.operator("fipt.render_composite", text=text, icon="RENDER_STILL")
+    row.operator("fipt.open_picture", text="", icon="WINDOW")
+    draw_job(layout, context, "insert")
+    if insert.picture:
+        layout.label(text=os.path.basename(insert.picture), icon="CHECKMARK", translate=False)
+
+
 def _draw_comparison(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
     """The buttons and the divider of the comparison."""
     column = layout.column(align=True)
-    column.label(text="Compare with Photograph")
+    column.label(text="Wipe the Photograph Over")
     row = column.row(align=True)
     for mode, text, _, icon, _ in COMPARISONS:
         row.operator("fipt.compare", text=text, icon=icon, depress=settings.compare == mode).mode = mode

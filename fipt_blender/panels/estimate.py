@@ -12,9 +12,12 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.run.runfolder import RunFolder
 from ..jobs import running, runstate
+from ..jobs.job_scene import uses_run_folder
 from ..jobs.previews import estimate_pictures
+from . import path
 from .job import draw_error, draw_job, draw_warnings, job_warnings
 from .presets import FIPT_PT_estimate_presets
+from .progress import draw_progress
 from .sidebar import Section, SubSection, draw_text
 from .statusbar import status_text
 
@@ -23,6 +26,7 @@ if TYPE_CHECKING:
 
 # Settings in one column belong together.
 _ADVANCED = (
+    ("rounds",),
     ("diffuse_samples", "specular_samples", "light_samples", "denoise"),
     ("light_pixels", "training_steps"),
     ("voxel_resolution", "roughness_levels"),
@@ -40,29 +44,20 @@ class FIPT_PT_estimate(Section, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()
-        settings = context.scene.fipt.estimate
-        column = layout.column()
-        column.enabled = running.current() is None
-        column.prop(settings, "preset")
-        column.prop(settings, "device")
-        draw_setting(column, settings, "rounds")
-
-        _draw_plan(layout, context)
         state = runstate.known(context.scene.fipt.run_folder)
         job = running.current()
-        if job is None or job.kind != "estimate":
-            column = layout.column(align=True)
-            column.scale_y = 1.4
-            column.operator("fipt.estimate", icon="PLAY")
-            if state.stages and not state.finished:
-                column.operator("fipt.resume", icon="FILE_REFRESH")
-            if job is not None:
-                _draw_waiting(layout, context, job)
         is_running = draw_job(layout, context, "estimate")
-        if job is not None and is_running:
+        if is_running:
+            assert job is not None
             _draw_pictures(layout, tuple(job.pictures))
+        elif job is not None and job.kind == "materials" and uses_run_folder(context.scene, job.run_folder):
+            draw_progress(layout, context, job)
+        elif state.finished and path.has_results(context):
+            _draw_done(layout, context, state)
         else:
-            _draw_state(layout, context, state)
+            _draw_start(layout, context, state)
+            if job is None or not uses_run_folder(context.scene, job.run_folder):
+                _draw_state(layout, context, state)
         elsewhere = () if is_running else state.warnings  # by another Blender
         draw_warnings(layout, context, "estimate", job_warnings(context, "estimate") or elsewhere)
 
@@ -72,16 +67,52 @@ class FIPT_PT_estimate_advanced(SubSection, bpy.types.Panel):
 
     bl_label = "Advanced"
     bl_parent_id = "FIPT_PT_estimate"
-    bl_order = 1
+    bl_order = 2
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()
         layout.enabled = running.current() is None
         settings = context.scene.fipt.estimate
+        layout.prop(settings, "apply_when_finished")
         for names in _ADVANCED:
             column = layout.column(align=True)
             for name in names:
                 draw_setting(column, settings, name)
+
+
+def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, state: runstate.RunState) -> None:
+    """The preset, what it costs, and the buttons that start; without a mesh, the way to one."""
+    settings, job = context.scene.fipt.estimate, running.current()
+    if path.has_views(context) and not context.scene.fipt.capture.room_objects(context.scene):
+        text = "The room has no mesh. Import one, or select the objects that form the room."
+        draw_text(layout, context, iface_(text), icon="INFO")
+        column = layout.column(align=True)
+        column.operator("fipt.import_mesh", icon="MESH_DATA")
+        column.operator("fipt.set_room", text="Room from Selection", icon="RESTRICT_SELECT_OFF")
+        return
+    column = layout.column()
+    column.enabled = job is None
+    column.prop(settings, "preset")
+    if settings.device != "preferences":  # of a script or the command line
+        column.prop(settings, "device")
+    _draw_plan(layout, context)
+    column = layout.column(align=True)
+    column.scale_y = 1.4
+    stopped = state.stages and not state.finished
+    if stopped:
+        column.operator("fipt.resume", icon="FILE_REFRESH")
+    column.operator("fipt.estimate", text="Start Again" if stopped else "Estimate", icon="PLAY")
+    if job is not None:
+        _draw_waiting(layout, context, job)
+
+
+def _draw_done(layout: bpy.types.UILayout, context: bpy.types.Context, state: runstate.RunState) -> None:
+    """A finished estimate is one line; opened, it shows its pictures and how to estimate again."""
+    header, body = layout.panel("fipt_estimate_again", default_closed=True)
+    header.label(text="Estimate Again", icon="CHECKMARK")
+    if body is not None:
+        _draw_start(body, context, state)
+        _draw_pictures(body, state.pictures)
 
 
 def _draw_plan(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -90,8 +121,9 @@ def _draw_plan(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     if not capture.train_count or not capture.megapixels:
         return
     plan = _plan(capture.train_count, capture.megapixels, context.scene.fipt.estimate)
-    draw_text(layout.column(align=True), context, plan.resolution)
-    draw_text(layout.column(align=True), context, plan.cost[0].upper() + plan.cost[1:])
+    draw_text(layout.column(align=True), context, plan.resolution, icon="IMAGE_DATA")
+    text = plan.cost[0].upper() + plan.cost[1:]
+    draw_text(layout.column(align=True), context, text, icon="TIME")
 
 
 def _plan(count: int, megapixels: float, settings: bpy.types.PropertyGroup) -> LightPlan:
@@ -119,13 +151,14 @@ def _draw_state(layout: bpy.types.UILayout, context: bpy.types.Context, state: r
     if state.finished:
         layout.label(text="Finished", icon="CHECKMARK")
     elif state.stages:
-        text = iface_("Stopped. Finished stages: {}").format(state.stages)
+        text = iface_("Stopped. {} stages are finished").format(state.stages)
         layout.label(text=text, icon="PAUSE", translate=False)
     _draw_pictures(layout, state.pictures)
     if state.results:
         if not state.finished:
             layout.label(text="The results are those of the estimate before", icon="INFO")
         layout.operator("fipt.apply_results", icon="MATERIAL")
+        draw_job(layout, context, "materials")
 
 
 def _draw_waiting(layout: bpy.types.UILayout, context: bpy.types.Context, job: running.RunningJob) -> None:
@@ -139,14 +172,14 @@ def _draw_waiting(layout: bpy.types.UILayout, context: bpy.types.Context, job: r
 
 def _draw_pictures(layout: bpy.types.UILayout, paths: tuple[Path, ...]) -> None:
     """The current estimate of base colour and emission."""
-    shown = [path for path in paths if estimate_pictures.icon(path)]
+    shown = [picture for picture in paths if estimate_pictures.icon(picture)]
     if not shown:
         return
     row = layout.row()
-    for path in shown:
+    for picture in shown:
         column = row.column(align=True)
-        column.template_icon(icon_value=estimate_pictures.icon(path), scale=7.0)
-        column.label(text="Emission" if "emission" in path.name else "Base Color")
+        column.template_icon(icon_value=estimate_pictures.icon(picture), scale=7.0)
+        column.label(text="Emission" if "emission" in picture.name else "Base Color")
 
 
 CLASSES = (FIPT_PT_estimate, FIPT_PT_estimate_advanced)

@@ -56,7 +56,7 @@ class FIPT_PT_estimate_hints(SubSection, bpy.types.Panel):
 
     bl_label = "Hints"
     bl_parent_id = "FIPT_PT_estimate"
-    bl_order = 0
+    bl_order = 1
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout

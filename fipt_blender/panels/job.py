@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import bpy
-from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.run.runfolder import RunFolder
 from ..jobs import running
-from ..jobs.job_scene import uses_run_folder
+from .engine import draw_set_up
+from .progress import draw_progress
 from .sidebar import draw_text
 
 if TYPE_CHECKING:
@@ -65,24 +65,6 @@ def draw_warnings(
             _draw_message(body, context, message)
 
 
-def draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, job: running.RunningJob) -> None:
-    """The stage, a progress bar with a cancel button, the remaining time and the memory in use."""
-    column = layout.column(align=True)
-    if job.scene_name and not uses_run_folder(context.scene, job.run_folder):
-        text = iface_("Running for the scene '{}', in {}").format(job.scene_name, job.run_folder.name)
-        draw_text(column, context, text, icon="SCENE_DATA")
-    draw_text(column, context, iface_("Stopping...") if job.stopping else iface_(job.stage_text))
-    row = column.row(align=True)
-    row.progress(factor=job.fraction, text=f"{100.0 * job.fraction:.0f}%")
-    row.operator("fipt.cancel", text="", icon="X")
-    facts = []
-    if job.remaining_seconds is not None and job.fraction > 0.0:
-        facts.append(iface_("{} left").format(time_text(job.remaining_seconds)))
-    if job.memory_gb:
-        facts.append(iface_("{:.1f} GB of memory").format(job.memory_gb))
-    column.label(text="   ".join(facts), translate=False)
-
-
 def draw_error(
     layout: bpy.types.UILayout, context: bpy.types.Context, error: Message, run: RunFolder | None
 ) -> None:
@@ -95,8 +77,9 @@ def draw_error(
     _draw_message(box, context, error, alert=True)
     column = box.column(align=True)
     if error["code"] in ("engine-missing", "package-missing"):
-        button = column.operator("preferences.addon_show", text="Open Preferences", icon="PREFERENCES")
-        button.module = __package__.rpartition(".")[0]
+        draw_set_up(column, context)
+    elif error["code"] == "cameras-missing":
+        column.operator("fipt.photographs_of_capture", icon="RENDERLAYERS")
     elif error["code"] == "out-of-memory":
         column.operator("fipt.smaller_preset", icon="TRIA_DOWN")
     if run is not None:
@@ -110,13 +93,3 @@ def _draw_message(
     column = layout.column(align=True)
     draw_text(column, context, message["text"], icon="ERROR", alert=alert)
     draw_text(column, context, message["remedy"], icon="INFO")
-
-
-def time_text(seconds: float) -> str:
-    """A duration in one or two units: "45 s", "4 min", "1 h 5 min"."""
-    rounded = round(seconds)
-    if rounded < 60:
-        return iface_("{} s").format(rounded)
-    if rounded < 3600:
-        return iface_("{} min").format(round(rounded / 60))
-    return iface_("{} h {} min").format(rounded // 3600, rounded % 3600 // 60)

@@ -22,9 +22,6 @@ class FIPT_PT_materials(Section, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()
         settings = context.scene.fipt.materials
-        row = layout.row()
-        row.scale_y = 1.4
-        row.operator("fipt.apply_results", icon="MATERIAL")
         draw_job(layout, context, "materials")
         if settings.object_count:
             _draw_results(layout, context, settings)
@@ -57,13 +54,13 @@ class FIPT_PT_materials_settings(SubSection, bpy.types.Panel):
         column.prop(settings, "match_exposure")
         column.prop(settings, "mute_lights")
         column.prop(settings, "use_cycles")
+        layout.operator("fipt.apply_results", text="Apply Again", icon="MATERIAL")
 
 
 def _draw_results(
     layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup
 ) -> None:
     """What is shown of the results, and what can be done with them."""
-    layout.separator()
     column = layout.column()
     column.enabled = context.mode == "OBJECT"
     column.prop(settings, "shown")

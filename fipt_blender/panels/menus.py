@@ -15,6 +15,8 @@ KEY = {"type": "F", "value": "PRESS", "shift": True, "alt": True}
 SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
     "Photographs": (("find_brackets", ""), ("prepare", "")),
     "Capture": (
+        ("set_up_engine", ""),
+        ("choose_capture", ""),
         ("import_capture", ""),
         ("import_mesh", ""),
         ("set_room", ""),
@@ -64,11 +66,9 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
         ("bake_probe", ""),
         ("use_cycles", ""),
     ),
-    "Insert": (
-        ("insert_object", "Insert Object into Room"),
-        ("render_composite", "Render View with Objects"),
-    ),
+    "Insert": (("insert_object", "Insert Object into Room"),),
     "Check": (
+        ("render_composite", "Render View with Objects"),
         ("render_views", "Render Views for Check"),
         ("compare", ""),
         ("show_check", ""),
@@ -76,6 +76,8 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
         ("open_report", ""),
     ),
 }
+
+LABELS = {"Check": "Render"}  # of sections that are called otherwise than their classes
 
 _keymap_items: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
 
@@ -105,7 +107,9 @@ def _section_menu(label: str, operators: Sequence[tuple[str, str]]) -> type[bpy.
                 self.layout.operator(f"fipt.{name}")
 
     name = f"FIPT_MT_{label.lower()}"
-    return type(name, (bpy.types.Menu,), {"bl_label": label, "bl_idname": name, "draw": draw})
+    return type(
+        name, (bpy.types.Menu,), {"bl_label": LABELS.get(label, label), "bl_idname": name, "draw": draw}
+    )
 
 
 class FIPT_MT_maps(bpy.types.Menu):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The section Parts: selects how surfaces of the same material are recognised."""
+"""The panel Parts of the section Estimate: selects how surfaces of the same material are recognised."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from .. import machine
 from ..properties.parts import MODEL_SOURCES, SOURCES
 from .capture import shown_colors
 from .job import draw_job, draw_warnings, job_warnings
-from .sidebar import Section, draw_text
+from .sidebar import SubSection, draw_text
 
 _NAMES = {identifier: name for identifier, name, _, _ in SOURCES}
 _TEXTS = {identifier: text for identifier, _, text, _ in SOURCES}
 
 
-class FIPT_PT_parts(Section, bpy.types.Panel):
+class FIPT_PT_parts(SubSection, bpy.types.Panel):
     """Select which surfaces are made of the same material"""
 
     bl_label = "Parts"
-    bl_order = 2
+    bl_parent_id = "FIPT_PT_estimate"
+    bl_order = 0
 
     def draw(self, context: bpy.types.Context) -> None:
         import json

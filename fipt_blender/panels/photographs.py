@@ -9,7 +9,8 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.run.runfolder import RunFolder
 from ..jobs import running
-from .job import draw_error, draw_progress, draw_warnings
+from .job import draw_error, draw_warnings
+from .progress import draw_progress
 from .sidebar import Rows, Section, SubSection, draw_text
 
 _KIND = "photographs"
@@ -59,34 +60,45 @@ class FIPT_PT_photographs(Section, bpy.types.Panel):
     """From the photographs of a camera to a capture"""
 
     bl_label = "Photographs"
-    bl_order = 0
-    bl_options = {"DEFAULT_CLOSED"}
+    bl_order = 1
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()
         settings = context.scene.fipt.photographs
         column = layout.column(align=True)
-        column.prop(settings, "path")
+        row = column.row(align=True)
+        row.prop(settings, "path")
+        row.operator("fipt.leave_photographs", text="", icon="X")
         column.operator("fipt.choose_photographs", text="Choose Files...", icon="FILEBROWSER")
         if settings.chosen:
             text = iface_("{} chosen files").format(len(settings.chosen.splitlines()))
             layout.label(text=text, icon="FILE_IMAGE", translate=False)
-        if not settings.path:
-            text = "Choose the folder with the photographs as your camera has written them."
-            draw_text(layout, context, text, icon="INFO")
         layout.operator("fipt.find_brackets", icon="VIEWZOOM")
         if settings.groups:
             _draw_groups(layout, context, settings)
-            text = "Resume" if _was_stopped(settings) else "Prepare"
-            layout.operator("fipt.prepare", text=text, icon="RENDERLAYERS")
+            column = layout.column()
+            column.scale_y = 1.4
+            if _was_stopped(settings):
+                column.operator("fipt.prepare", text="Resume", icon="FILE_REFRESH")
+            else:
+                column.operator("fipt.prepare", icon="RENDERLAYERS")
         job = running.current()
         if job is not None and job.kind == _KIND:
             draw_progress(layout, context, job)
             draw_warnings(layout, context, _KIND, job.warnings)
-            return
-        if settings.registered_count >= 0 and job is None:
-            _draw_outcome(layout, settings)
-        _draw_last_job(layout, context, settings)
+        else:
+            if settings.registered_count >= 0 and job is None:
+                _draw_outcome(layout, settings)
+            _draw_last_job(layout, context, settings)
+
+
+class FIPT_PT_photographs_done(Section, bpy.types.Panel):
+    """From the photographs of a camera to the capture that was imported"""
+
+    bl_label = "Photographs"
+    bl_order = 1
+    bl_options = {"DEFAULT_CLOSED"}
+    draw = FIPT_PT_photographs.draw
 
 
 class FIPT_PT_photographs_settings(SubSection, bpy.types.Panel):
@@ -114,7 +126,14 @@ class FIPT_PT_photographs_settings(SubSection, bpy.types.Panel):
         if settings.scale == "points":
             column.prop(settings, "scale_picks")
             column.operator("fipt.show_merged", icon="IMAGE_DATA")
-        layout.prop(settings, "masks")
+
+
+class FIPT_PT_photographs_done_settings(SubSection, bpy.types.Panel):
+    """How the photographs become a capture"""
+
+    bl_label = "Settings"
+    bl_parent_id = "FIPT_PT_photographs_done"
+    draw = FIPT_PT_photographs_settings.draw
 
 
 class FIPT_PT_scale_points(bpy.types.Panel):
@@ -204,5 +223,7 @@ CLASSES = (
     FIPT_UL_photographs,
     FIPT_PT_photographs,
     FIPT_PT_photographs_settings,
+    FIPT_PT_photographs_done,
+    FIPT_PT_photographs_done_settings,
     FIPT_PT_scale_points,
 )

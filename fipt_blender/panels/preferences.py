@@ -18,8 +18,8 @@ from ..bridge import places
 from ..core.run.runfolder import PRODUCT_VERSION
 from ..jobs import running
 from ..properties.estimate import DEVICES
-from .job import time_text
 from .menus import draw_shortcut
+from .progress import time_text
 from .sidebar import draw_text
 
 if TYPE_CHECKING:

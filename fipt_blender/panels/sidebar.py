@@ -8,7 +8,7 @@ import textwrap
 
 import bpy
 
-from . import manual
+from . import manual, path
 
 CATEGORY = "FIPT"
 _CHARACTER_PIXELS = 7.0  # mean width of the default font at scale 1
@@ -22,13 +22,25 @@ class Section:
     bl_category = CATEGORY
     presets: type[bpy.types.Panel] | None = None  # the menu of presets in the header
 
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Called by Blender: a section is shown when the artist can use it; see `path`."""
+        return path.is_shown(cls.__name__, context)
+
     def draw_header_preset(self, context: bpy.types.Context) -> None:
-        """Called by Blender: presets, and the button that opens the guide's chapter."""
+        """Called by Blender: the state of a section, presets, and the button of the guide's chapter."""
         layout = self.layout  # type: ignore[attr-defined]
+        name = type(self).__name__
+        helps = bool(manual.address()) and not hasattr(self, "bl_parent_id")
+        buttons = helps + (self.presets is not None)
+        text = path.state_text(name, self.bl_label, buttons, context)  # type: ignore[attr-defined]
+        if text:
+            row = layout.row()
+            row.active = False
+            row.label(text=text, translate=False)
         if self.presets is not None:
             self.presets.draw_panel_header(layout)
-        if manual.address():
-            name = getattr(self, "bl_parent_id", "") or type(self).__name__
+        if helps:
             chapter = manual.chapter_of(name)
             layout.operator("fipt.help", text="", icon="QUESTION", emboss=False).chapter = chapter
 
@@ -83,6 +95,6 @@ def draw_text(
     column = layout.column(align=True)
     column.alert = alert
     column.scale_y = 0.8
-    lines = textwrap.wrap(text, max(int((width - 50.0) / _CHARACTER_PIXELS), 16)) or [""]
+    lines = textwrap.wrap(text, max(int((width - 50.0) / _CHARACTER_PIXELS), 8)) or [""]
     for index, line in enumerate(lines):
         column.label(text=line, icon=icon if index == 0 else "BLANK1" if icon != "NONE" else "NONE")

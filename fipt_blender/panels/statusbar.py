@@ -8,7 +8,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..jobs import running
-from .job import time_text
+from .progress import time_text
 
 
 def register() -> None:

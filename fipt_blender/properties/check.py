@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""State of the section Check: which views are rendered, and how well they match their photographs."""
+"""State of the section Render: samples, which views are compared, how well they match their photographs."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def _error_color(index: int) -> object:
 
 
 class FIPT_CheckSettings(bpy.types.PropertyGroup):
-    """The section Check."""
+    """The section Render."""
 
     which: bpy.props.EnumProperty(
         name="Views", description="Views to render", items=VIEWS, default="HELD_BACK"

@@ -160,6 +160,11 @@ class FIPT_EstimateSettings(bpy.types.PropertyGroup):
         items=_RUN_DEVICES,
         default="preferences",
     )
+    apply_when_finished: bpy.props.BoolProperty(
+        name="Apply When Finished",
+        description="Apply the results to the room at the end of an estimation that was started in a window",
+        default=True,
+    )
     changes: bpy.props.StringProperty(
         name="Changed Settings",
         description="Settings that differ from the preset, as JSON",

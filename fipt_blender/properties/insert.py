@@ -94,13 +94,6 @@ class FIPT_InsertSettings(bpy.types.PropertyGroup):
     backdrop: bpy.props.EnumProperty(
         name="Backdrop", description="What is behind the inserted objects", items=BACKDROPS, default="ROOM"
     )
-    samples: bpy.props.IntProperty(
-        name="Samples",
-        description="Cycles samples per pixel: more samples reduce noise and take longer",
-        default=128,
-        min=1,
-        soft_max=4096,
-    )
     picture: bpy.props.StringProperty(description="Image file of the last rendered picture")
 
 

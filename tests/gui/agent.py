@@ -203,7 +203,13 @@ def drawn() -> list[str]:
 
 
 def panels(prefix: str = "FIPT_PT_") -> list[dict[str, Any]]:
-    """The add-on's panels in the viewport's sidebar, in the order in which they are drawn."""
+    """The add-on's panels that the viewport's sidebar shows, in the order in which they are drawn."""
+    view = _find("VIEW_3D", "UI") if is_open("VIEW_3D", "UI") else _find("VIEW_3D", "WINDOW")
+    shown = {}
+    with bpy.context.temp_override(**view):
+        for panel in _panels(prefix):
+            poll = getattr(panel, "poll", None)
+            shown[panel.__name__] = poll is None or poll(bpy.context)
     found = [
         {
             "name": panel.__name__,
@@ -213,7 +219,8 @@ def panels(prefix: str = "FIPT_PT_") -> list[dict[str, Any]]:
             "closed": "DEFAULT_CLOSED" in getattr(panel, "bl_options", ()),
         }
         for panel in _panels(prefix)
-        if (panel.bl_space_type, panel.bl_region_type) == ("VIEW_3D", "UI")  # others are menus of presets
+        # Others are menus of presets.
+        if (panel.bl_space_type, panel.bl_region_type) == ("VIEW_3D", "UI") and shown[panel.__name__]
     ]
     return sorted(found, key=lambda panel: panel["order"])
 
@@ -239,6 +246,11 @@ def close_window(area: str) -> None:
 def save_copy(path: str) -> None:
     """Save a copy of the scene beside the screenshots; the open file stays the same."""
     bpy.ops.wm.save_as_mainfile(filepath=path, copy=True, compress=True)
+
+
+def open_file(path: str) -> None:
+    """Open a scene that `save_copy` has saved, with its own windows."""
+    bpy.ops.wm.open_mainfile(filepath=path)
 
 
 def leave() -> None:

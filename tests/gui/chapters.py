@@ -38,10 +38,12 @@ class Chapter:
     Attributes:
         act: drives the window, asserts on Blender's data and takes pictures.
         after: the chapter whose scene it continues; "" for Blender's startup scene.
+        anew: whether it opens that scene as it was, since another chapter may have put a room into it.
     """
 
     act: Callable[[Window, Options], None]
     after: str = ""
+    anew: bool = False
 
     @property
     def name(self) -> str:
@@ -85,6 +87,9 @@ def act(window: Window, options: Options, chapters: Iterable[Chapter]) -> None:
     """
     for chapter in chapters:
         start = time.monotonic()
+        if chapter.anew:
+            window.ask("open_file", str(window.shots / f"{chapter.after}.blend"))
+            window.settle()
         chapter.act(window, options)
         print(f"{chapter.name}: {time.monotonic() - start:.0f} s", flush=True)
         window.ask("save_copy", str(window.shots / f"{chapter.name}.blend"))

@@ -35,6 +35,7 @@ class Hand(Blender):
         super().__init__(*arguments, **options)
         self._places: dict[tuple[Where, str], list[tuple[int, int]]] = {}
         self._last_press = (0, 0, 0.0)
+        self.presses = 0  # of mouse buttons, by `press`
 
     def drop_files(self, files: Iterable[Path], where: Where = SIDEBAR) -> None:
         """Drop files from outside on the middle of a region."""
@@ -95,6 +96,7 @@ class Hand(Blender):
             self._let_pass()
             self.display.button(button, down)
         self._last_press = (*self.display.pointer, time.monotonic())
+        self.presses += 1
         self._let_pass()
         self.settle()
 

@@ -93,6 +93,13 @@ def view_through() -> str:
     return ""
 
 
+def seen() -> dict[str, str]:
+    """The split of the view through which the 3D view looks ("" for none), and its shading."""
+    name = view_through()
+    split = [view.split for view in bpy.context.scene.fipt.capture.views if view.camera == name]
+    return {"split": "".join(split), "shading": _view()["area"].spaces.active.shading.type}
+
+
 def view_cameras() -> list[str]:
     """Name of each view's camera, in the list's order."""
     return [view.camera for view in bpy.context.scene.fipt.capture.views]

@@ -46,7 +46,9 @@ def empty_scene(window: Window, options: Options) -> None:
     window.key("a", "Delete")
     window.wait("inside.counts", until=lambda counts: counts["objects"] == 0)
     window.open_tab()
+    window.settle()
     window.shot("01_empty_scene")
+    assert window.sections() == ["Start"], window.sections()
 
 
 def preferences(window: Window, options: Options) -> None:
@@ -75,17 +77,43 @@ def preferences(window: Window, options: Options) -> None:
     window.settle()
 
 
+def example(window: Window, options: Options) -> None:
+    """One click, and the lit room is seen from inside; without a capture, the tab offers nothing else."""
+    window.open_tab()
+    window.settle()
+    window.shot("03_start")
+    assert window.sections() == ["Start"], window.sections()
+    presses = window.presses
+    window.click("fipt.try_example")
+    assert window.presses == presses + 1
+    _progress(window, 0.3)
+    window.shot("03_example_running")
+    finish(window, "estimate", _ENGINE_SECONDS)
+    _assert_inside(window, "held_back")
+    window.settle(20.0)
+    window.shot("03_example_lit")
+
+
+def _assert_inside(window: Window, split: str) -> None:
+    """The room has textures, and the 3D view shows its light through a view of this split."""
+    textured = window.ask("inside.textured")
+    assert textured["objects"] == textured["textured"] > 0, textured
+    seen = window.ask("inside.seen")
+    assert seen["split"] == split and seen["shading"] == "RENDERED", seen
+
+
 def photographs(window: Window, options: Options) -> None:
     """Drop a camera's photographs, correct their brackets by hand, make a capture of them and import it."""
     folder = window.shots.resolve() / "photographs"
     shutil.rmtree(folder, ignore_errors=True)
     script = Path(__file__).with_name("brackets.py")
     subprocess.run([options.engine, script, options.capture, folder], check=True)
-    window.open_section("Photographs")
+    window.open_section("Start")
     window.drop_files(sorted((folder / "card").iterdir()))
     if not window.ask("inside.photographs")["path"]:
         window.press()  # a menu under the pointer asks what to do with images
     finish(window, "photographs")
+    window.open_section("Photographs")
     found = window.ask("inside.photographs")
     assert Path(found["path"]) == folder / "card" and set(found["sizes"]) == {3}, found
     window.shot("03_photographs_found")
@@ -101,6 +129,7 @@ def photographs(window: Window, options: Options) -> None:
     window.open_section("Photographs", "Settings")
     window.set_text("photographs.cameras", str(folder / "solve"))
     window.shot("03_photographs_settings")
+    window.open_section("Photographs")
     window.click("fipt.prepare")
     finish(window, "photographs")
     prepared = window.ask("inside.photographs")
@@ -118,10 +147,12 @@ def photographs(window: Window, options: Options) -> None:
 
 def capture(window: Window, options: Options) -> None:
     """Import the example, look through its views and check them."""
-    window.open_section("Capture")
+    window.open_section("Start")
     window.set_text("capture.path", str(options.capture))
     window.click("fipt.import_capture")
     finish(window, "capture")
+    window.shot("04_capture_closed")
+    window.open_section("Capture", "Views")
     counts = window.ask("inside.counts")
     pictures = len(list(options.capture.glob("*/Image/*.exr")))
     assert counts["views"] == counts["cameras"] == pictures, (counts, pictures)
@@ -145,7 +176,7 @@ def capture(window: Window, options: Options) -> None:
 
 def parts(window: Window, options: Options) -> None:
     """Colour the room by its parts."""
-    window.open_section("Parts")
+    window.open_section("Estimate", "Parts")
     window.click("fipt.show_parts")
     window.settle()
     window.shot("07_parts")
@@ -160,6 +191,7 @@ def estimate(window: Window, options: Options) -> None:
         window.open_section("Estimate", "Advanced")
         for name, value in _FAST.items():
             window.set_text(f"estimate.{name}", str(value))
+        window.open_section("Estimate")
     window.click("fipt.estimate")
     window.wait(
         "inside.job",
@@ -186,8 +218,10 @@ def estimate(window: Window, options: Options) -> None:
     window.shot("10_estimate_resumed")
     assert stages > 0
     finish(window, "estimate", _ENGINE_SECONDS)
-    window.settle()
-    window.shot("11_estimate_finished")
+    finish(window, "materials", _ENGINE_SECONDS)
+    _assert_inside(window, "train")  # the view that was looked through before
+    window.settle(20.0)
+    window.shot("11_estimate_applied")
 
 
 def _stops(window: Window) -> bool:
@@ -201,14 +235,9 @@ def _stops(window: Window) -> bool:
 
 
 def materials(window: Window, options: Options) -> None:
-    """Apply the results, and show the room's maps one after the other."""
+    """Show the room's maps one after the other."""
     window.open_section("Materials")
-    window.click("fipt.apply_results")
-    finish(window, "materials")
-    textured = window.ask("inside.textured")
-    assert textured["objects"] == textured["textured"] > 0, textured
-    window.settle()
-    window.shot("12_materials_applied")
+    window.shot("12_materials")
     for shown in _MAPS:
         window.choose("materials.shown", shown)
         window.settle(5.0)
@@ -217,7 +246,7 @@ def materials(window: Window, options: Options) -> None:
 
 def check(window: Window, options: Options) -> None:
     """Render the current view for comparison with its photograph, and write the report."""
-    window.open_section("Check")
+    window.open_section("Render")
     window.choose("check.which", "CURRENT")
     window.set_text("check.samples", "8" if options.fast else "32")
     window.click("fipt.render_views")
@@ -271,7 +300,8 @@ def insert(window: Window, options: Options) -> None:
     placed = [item for item in window.ask("inside.inserted") if item["name"] in set(new) - before]
     assert placed, new
     window.shot("19_inserted")
-    window.set_text("insert.samples", "8" if options.fast else "32")
+    window.open_section("Render")
+    window.set_text("check.samples", "8" if options.fast else "32")
     window.click("fipt.render_composite")
     finish(window, "insert")
     picture = window.ask("inside.fit_texts")["picture"]
@@ -321,8 +351,9 @@ def _progress(window: Window, fraction: float) -> None:
 CHAPTERS = (
     Chapter(empty_scene),
     Chapter(preferences, "empty_scene"),
-    Chapter(photographs, "preferences"),
-    Chapter(capture, "preferences"),
+    Chapter(example, "preferences"),
+    Chapter(photographs, "preferences", anew=True),
+    Chapter(capture, "preferences", anew=True),
     Chapter(story_align.align, "capture"),
     Chapter(parts, "capture"),
     Chapter(estimate, "capture"),

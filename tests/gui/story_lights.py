@@ -43,7 +43,7 @@ def light_states(window: Window, options: Options) -> None:
 
 def seeing(window: Window, options: Options) -> None:
     """Compare the view with its photograph, and drag the divider in the viewport."""
-    window.open_section("Check")
+    window.open_section("Render")
     window.click_row("check.active", 0)  # the view that was rendered
     window.click("fipt.compare", mode="VIEWPORT")
     window.wait("inside.comparison", until=lambda now: now["mode"] == "VIEWPORT")

@@ -4,9 +4,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import bpy
+
+from fipt_blender import panels as panel_package
 
 
 class Layout:
@@ -58,3 +61,45 @@ def drawn_by(panel: type, is_open: bool = False) -> tuple[list[str], list[str]]:
     layout = Layout(drawn, is_open, properties)
     panel.draw(SimpleNamespace(fields=lambda: layout, layout=layout), context)
     return drawn, properties
+
+
+@dataclass(frozen=True)
+class TabCount:
+    """What the tab shows at once: sections, which of them are open, operators' and properties' names."""
+
+    sections: tuple[str, ...]
+    opened: tuple[str, ...]
+    buttons: tuple[str, ...]
+    settings: tuple[str, ...]
+
+
+def tab_count() -> TabCount:
+    """Count what the tab FIPT shows of the open scene where the artist has opened and closed nothing."""
+    panels = [
+        panel
+        for module in panel_package._MODULES
+        for panel in module.CLASSES
+        if issubclass(panel, bpy.types.Panel)
+        and (panel.bl_space_type, panel.bl_region_type) == ("VIEW_3D", "UI")
+    ]
+    shown = {panel.__name__ for panel in panels if not hasattr(panel, "poll") or panel.poll(bpy.context)}
+    closed = {panel.__name__ for panel in panels if "DEFAULT_CLOSED" in getattr(panel, "bl_options", ())}
+    parent = {panel.__name__: getattr(panel, "bl_parent_id", "") for panel in panels}
+    by_name = {panel.__name__: panel for panel in panels}
+
+    def is_open(name: str) -> bool:
+        return name in shown and name not in closed and (not parent[name] or is_open(parent[name]))
+
+    buttons, settings = [], []
+    for name in filter(is_open, by_name):
+        drawn, properties = drawn_by(by_name[name])
+        buttons += [text for text in drawn if text.startswith(("fipt.", "preferences.", "wm."))]
+        settings += properties
+    sections = [name for name in shown if not parent[name]]
+    sections.sort(key=lambda name: by_name[name].bl_order)
+    return TabCount(
+        tuple(by_name[name].bl_label for name in sections),
+        tuple(by_name[name].bl_label for name in sections if is_open(name)),
+        tuple(buttons),
+        tuple(settings),
+    )

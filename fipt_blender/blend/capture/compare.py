@@ -42,7 +42,7 @@ def start(scene: bpy.types.Scene, mode: str) -> bpy.types.Image:
 
     Args:
         scene: its camera must be that of a view, with its photograph.
-        mode: "RENDER" for the view's render in the section Check, "VIEWPORT" for the viewport itself.
+        mode: "RENDER" for the view's render in the section Render, "VIEWPORT" for the viewport itself.
 
     Raises:
         FiptError: ``view-missing``, ``image-missing``, ``render-missing``.
@@ -136,7 +136,7 @@ def wiped(left: np.ndarray, right: np.ndarray, divider: float) -> np.ndarray:
 
 
 def _render(scene: bpy.types.Scene, view: str) -> bpy.types.Image:
-    """The render of a view in the section Check.
+    """The render of a view in the section Render.
 
     Raises:
         FiptError: ``render-missing``.
@@ -147,7 +147,7 @@ def _render(scene: bpy.types.Scene, view: str) -> bpy.types.Image:
         raise FiptError(
             "render-missing",
             f"There is no render of the view '{view}'.",
-            "Use Render Views in the section Check with the choice Current, or compare with the viewport.",
+            "Use Render Views in the section Render with the choice Current, or compare with the viewport.",
         )
     return image
 

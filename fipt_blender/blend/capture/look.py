@@ -4,14 +4,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import bpy
+import numpy as np
+from mathutils import Vector
 
 from ...core.run.errors import FiptError
-from ..marks import VIEW
+from ..marks import VIEW, room_with_results
 from .backdrop import show_photograph
 from .cameras import use_view
 from .compare import follow
 from .other_cameras import watch
+
+# Furniture faces a point inside with half of its area, walls with all of it if their normals point inwards.
+INWARD_SHARE = 0.5
 
 
 def look_through(
@@ -55,6 +62,72 @@ def enter_camera(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
     for space in view_spaces(context, scene):
         space.region_3d.view_perspective = "CAMERA"
     watch(scene)
+
+
+def enter_room(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
+    """Show the estimated room and its light from inside, through its first held-back view or the first one.
+
+    3D views that look through a view's camera already stay there.
+    """
+    views = [view for view in scene.fipt.capture.views if view.camera_object() is not None]
+    views.sort(key=lambda view: (not view.enabled, view.split != "held_back"))
+    spaces = view_spaces(context, scene)
+    inside = all(space.region_3d.view_perspective == "CAMERA" for space in spaces)
+    cameras = [view.camera_object() for view in views]
+    if views and not (inside and scene.camera in cameras):
+        use_view(scene, cameras[0])
+        show_photograph(scene, cameras[0])
+        enter_camera(context, scene)
+    culled = is_culled(scene)
+    for space in spaces:
+        if space.shading.type in ("SOLID", "WIREFRAME"):  # in EEVEE the light of lamps' surfaces is missing
+            space.shading.type = "RENDERED" if scene.render.engine == "CYCLES" else "MATERIAL"
+        space.shading.show_backface_culling = culled
+
+
+def cull_outside(scene: bpy.types.Scene) -> None:
+    """Let viewports, but not Cycles, hide the room's surfaces from behind, where their normals point inwards.
+
+    A room whose walls face outwards would vanish from inside.
+    """
+    room = room_with_results(scene)
+    cameras = [view.camera_object() for view in scene.fipt.capture.views]
+    eyes = [camera.matrix_world.translation for camera in cameras if camera is not None]
+    culled = bool(eyes) and inward_share(room, np.mean(eyes, axis=0)) > INWARD_SHARE
+    for material in _materials(room):
+        material.use_backface_culling = culled
+
+
+def is_culled(scene: bpy.types.Scene) -> bool:
+    """Whether `cull_outside` lets viewports hide the room's surfaces from behind."""
+    return any(material.use_backface_culling for material in _materials(room_with_results(scene)))
+
+
+def _materials(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Material]:
+    slots = [slot for item in objects for slot in item.material_slots]
+    return [slot.material for slot in slots if slot.material is not None]
+
+
+def inward_share(objects: Iterable[bpy.types.Object], eye: np.ndarray) -> float:
+    """Share of the objects' area that faces a point.
+
+    Args:
+        objects: meshes.
+        eye: (3,) world position.
+    """
+    facing = total = 0.0
+    for item in objects:
+        faces = item.data.polygons
+        areas, normals, centers = (np.empty(len(faces) * size, np.float32) for size in (1, 3, 3))
+        faces.foreach_get("area", areas)
+        faces.foreach_get("normal", normals)
+        faces.foreach_get("center", centers)
+        local = np.array(item.matrix_world.inverted_safe() @ Vector(eye), np.float32)
+        toward = ((local - centers.reshape(-1, 3)) * normals.reshape(-1, 3)).sum(1) > 0.0
+        scale = abs(item.matrix_world.determinant()) ** (2.0 / 3.0)
+        facing += scale * float(areas[toward].sum())
+        total += scale * float(areas.sum())
+    return facing / total if total > 0.0 else 0.0
 
 
 def enter_camera_on_opening() -> None:

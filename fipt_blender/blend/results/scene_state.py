@@ -14,6 +14,7 @@ from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import ATLAS, STATISTICS
 from ..capture.backdrop import set_backdrop
+from ..capture.look import cull_outside, enter_room
 from ..lights import light_state
 from ..lights.missing_lamps import note_missing
 from ..marks import MUTED, other_lights, remove_marks, room_with_results
@@ -31,6 +32,7 @@ def finish(scene: bpy.types.Scene, run: RunFolder) -> None:
         run: the run whose results were applied.
     """
     settings = scene.fipt.materials
+    is_first = not settings.object_count
     note_results(scene, run)
     if not settings.kept_before:
         settings.kept_before = json.dumps({"exposure": scene.view_settings.exposure})
@@ -42,6 +44,9 @@ def finish(scene: bpy.types.Scene, run: RunFolder) -> None:
         use_cycles(scene)
     if scene.fipt.insert.backdrop == "PHOTOGRAPH":  # the new fixtures are part of it
         set_backdrop(scene, "PHOTOGRAPH", scene.fipt.capture.room_objects(scene))
+    cull_outside(scene)
+    if is_first and not bpy.app.background:
+        enter_room(bpy.context, scene)
 
 
 def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:

@@ -255,7 +255,7 @@ def judge_encoded(encoded: Sequence[bool], exposures: Sequence[float | None]) ->
             "images-not-hdr",
             f"{some} photographs are not HDR ({known}). The camera's response, the exposures and the white"
             " balances are estimated from what several photographs show. Lamps are clipped in them.",
-            "Where you have brackets of exposures, merge them into HDR (section Photographs, Prepare):"
+            "Where you have brackets of exposures, merge them into HDR (section Photographs, Make Capture):"
             " that is more accurate.",
         )
     ]

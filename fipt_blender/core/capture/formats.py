@@ -9,6 +9,7 @@ another format; `read(found, options)`; and, if it holds points, `points(found)`
 from __future__ import annotations
 
 import errno
+from itertools import islice
 from pathlib import Path
 from types import ModuleType
 
@@ -34,6 +35,9 @@ from . import (
     transforms,
 )
 from .rig import ReadOptions, Rig, damaged
+from .suffixes import SUFFIXES
+
+MOST_FILES = 10_000  # that are looked at for photographs
 
 # The first match is used: nerfstudio, for example, keeps a COLMAP model beside its transforms.json.
 FORMATS: dict[str, ModuleType] = {
@@ -62,27 +66,39 @@ def detect_format(path: Path) -> str:
     """The name of the first format that matches a capture.
 
     Raises:
-        FiptError: ``capture-missing`` or ``format-unknown``.
+        FiptError: ``capture-missing``; ``cameras-missing`` for photographs alone; ``format-unknown``.
     """
     if not path.exists():
         raise FiptError("capture-missing", f"The capture {path} does not exist.", "Correct the path.")
     for name, module in FORMATS.items():
         if module.find(path) is not None:
             return name
-    layouts = "; ".join(f"{name}: {module.LOOKS_FOR}" for name, module in FORMATS.items())
+    folder = path if path.is_dir() else path.parent
+    if _has_photographs(folder):
+        raise FiptError(
+            "cameras-missing",
+            f"{folder} holds photographs without cameras.",
+            "Make a capture of them: Photographs > Make Capture in Blender, or the command prepare.",
+        )
     raise FiptError(
         "format-unknown",
-        f"{path} is not a capture in a known format. Known formats are {layouts}.",
-        "Choose the folder that contains these files, or export the capture in one of these formats.",
+        f"{path} holds neither photographs nor cameras in a known format ({', '.join(FORMATS)}).",
+        "Choose the folder that contains the camera file and the photographs.",
     )
+
+
+def _has_photographs(folder: Path) -> bool:
+    """Whether a folder, or one directly in it, holds photographs."""
+    files = (file for pattern in ("*", "*/*") for file in folder.glob(pattern))
+    return any(file.suffix.lower() in SUFFIXES for file in islice(files, MOST_FILES))
 
 
 def read_rig(path: Path, name: str, options: ReadOptions) -> Rig:
     """Read a capture; `name` is one of `FORMATS` or "auto".
 
     Raises:
-        FiptError: ``capture-missing``, ``format-unknown``, ``capture-unreadable`` where the system refuses
-            access, or one of the reader's.
+        FiptError: ``capture-missing``, ``cameras-missing``, ``format-unknown``, ``capture-unreadable`` where
+            the system refuses access, or one of the reader's.
     """
     try:
         return _read_rig(path, name, options)

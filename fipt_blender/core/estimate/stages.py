@@ -89,16 +89,17 @@ class Estimation(LightStages, MaterialStages):
             )
             self._show("shadings")
             for index in range(rounds + 1):
+                text = f" (round {index} of {rounds})" if index else ""
                 if index:
                     self._stage(
                         f"refinement-{index}",
-                        f"Refining shadings (round {index + 1} of {rounds + 1})",
+                        f"Refining shadings{text}",
                         partial(self._refine, f"refinement-{index}", index),
                         partial(self._load_shadings, f"refinement-{index}"),
                     )
                 self._stage(
                     f"estimate-{index}",
-                    f"Estimating materials and lamps (round {index + 1} of {rounds + 1})",
+                    f"Estimating materials and lamps{text}",
                     partial(self._estimate, f"estimate-{index}", index < rounds),
                     partial(self._resume_estimate, f"estimate-{index}"),
                 )

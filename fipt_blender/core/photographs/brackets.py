@@ -159,7 +159,8 @@ def _exposure_remarks(members: dict[str, list[Photograph]]) -> list[Remark]:
             Remark(
                 "exposure-unknown",
                 f"There is no exposure data (EXIF) for {_listed(unknown)}.",
-                "Enter exposures in prepare.json, or untick these groups.",
+                "Use the files as your camera has written them, which hold it, or untick these groups. The"
+                " exposures can also be written into prepare.json.",
             )
         )
     apertures = [name for name, items in members.items() if len({item.aperture for item in items}) > 1]

@@ -23,11 +23,11 @@ from PIL import Image, UnidentifiedImageError
 
 from ..capture.encoded import MOST_PIXELS, exif_number, relative_exposure
 from ..capture.images import EXR_SUFFIX, read_size
+from ..capture.suffixes import HEIF_SUFFIXES, LDR_FORMATS, LINEAR_SUFFIXES, RAW_SUFFIXES
 from ..run.errors import FiptError
 from . import radiance_hdr
 from .extras import optional
 from .preparation import Photograph
-from .suffixes import HEIF_SUFFIXES, LDR_FORMATS, LINEAR_SUFFIXES, RAW_SUFFIXES
 
 # What the libraries raise for damaged or hostile files.
 DAMAGE = (

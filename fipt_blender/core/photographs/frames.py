@@ -14,12 +14,12 @@ from scipy import ndimage
 
 from ..capture.encoded import load_codes
 from ..capture.images import EXR_SUFFIX, read_radiance
+from ..capture.suffixes import HEIF_SUFFIXES, LDR_FORMATS
 from ..run.errors import FiptError
 from . import radiance_hdr
 from .exif import DAMAGE, unreadable
 from .extras import optional
 from .preparation import Photograph
-from .suffixes import HEIF_SUFFIXES, LDR_FORMATS
 
 BAND_ROWS = 128
 # A sensor's own ceiling below the nominal one: this share of its pixels holds the highest value.

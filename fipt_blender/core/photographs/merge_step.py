@@ -121,7 +121,7 @@ def calibrate(
         reporter.warning(
             "exposure-doubtful",
             f"The photographs' brightness departs from their exposure data by up to {100 * largest:.0f} %.",
-            "Check the exposures in prepare.json; flickering light and automatic ISO have this effect.",
+            "Flickering light, automatic ISO and edited files have this effect: leave such groups out.",
         )
     photographs = {item.path: with_correction(item, corrections) for items in groups for item in items}
     curve, response = _curve(preparation, groups, surveys, reporter)

@@ -32,6 +32,10 @@ BUSY = 0.7
 # Bytes of the run folder: networks and results; for each pixel of light what is seen and photographed, and
 # shadings of each level.
 FIXED_BYTES, PIXEL_BYTES, LEVEL_BYTES = 150_000_000, 107, 12
+# Bytes of memory: packages, networks and Mitsuba; of a pixel of light that is worked on; of a photograph's
+# pixel while it is decoded. Measured by benchmarks/scaling.py and benchmarks/real_cost.py on the CPU. What is
+# mapped from the run folder counts, too.
+FIXED_MEMORY, LIGHT_MEMORY, DECODE_MEMORY = 1_700_000_000, 36, 45
 # Bytes that are left free on a disk.
 SPARE_BYTES = 200_000_000
 
@@ -88,6 +92,7 @@ class LightPlan:
         megapixels: millions of pixels of a photograph, mean. light_megapixels: of a view as it is solved.
         seconds: expected time with this machine's processor.
         bytes: expected size of the run folder, without photographs.
+        memory: expected peak of the engine's memory in bytes, with what it maps from the run folder.
     """
 
     photographs: int
@@ -96,6 +101,7 @@ class LightPlan:
     light_megapixels: float
     seconds: float
     bytes: int
+    memory: int
 
     @property
     def resolution(self) -> str:
@@ -109,12 +115,13 @@ class LightPlan:
 
     @property
     def cost(self) -> str:
-        """A sentence on time and disk."""
+        """A sentence on time, memory and disk."""
         minutes = max(1, round(self.seconds / 60.0))
         time = f"{minutes} minute{'s' if minutes > 1 else ''}"
         if minutes >= 100:
             time = f"{round(minutes / 60.0)} hours"
-        return f"about {time}, {max(self.bytes / 1e9, 0.1):.1f} GB"
+        disk = max(self.bytes / 1e9, 0.1)
+        return f"about {time}, {self.memory / 1e9:.1f} GB of memory, {disk:.1f} GB on the disk"
 
 
 def _digits(megapixels: float) -> int:
@@ -144,6 +151,8 @@ def light_plan(sizes: Sequence[tuple[int, int]], settings: Settings) -> LightPla
         + light * (LIGHT_SECONDS + RAY_SECONDS * (rays + settings.rounds * refined))
         + SAMPLE_SECONDS * samples
     )
+    disk = FIXED_BYTES + int(light * 1e6 * (PIXEL_BYTES + LEVEL_BYTES * levels))
+    largest = max(width * height for width, height in sizes)
     cores = max(1.0, BUSY * (os.cpu_count() or 1))
     return LightPlan(
         photographs=len(sizes),
@@ -151,7 +160,8 @@ def light_plan(sizes: Sequence[tuple[int, int]], settings: Settings) -> LightPla
         megapixels=megapixels / len(sizes),
         light_megapixels=light / used,
         seconds=seconds / cores,
-        bytes=FIXED_BYTES + int(light * 1e6 * (PIXEL_BYTES + LEVEL_BYTES * levels)),
+        bytes=disk,
+        memory=FIXED_MEMORY + disk + int(LIGHT_MEMORY * light * 1e6) + DECODE_MEMORY * largest,
     )
 
 

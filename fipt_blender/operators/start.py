@@ -1,0 +1,113 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators of the section Start: choose what to work on, of whatever kind it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bpy
+
+from .. import machine
+from ..core.run.runfolder import RunFolder
+from .job_operator import JobOperator
+from .polls import in_object_mode
+
+if TYPE_CHECKING:
+    from ..bridge.process import Message
+    from ..bridge.sequence import Job
+    from ..bridge.step import Slices
+
+CAMERA_FILES = (".json", ".xml", ".sfm", ".out", ".nvm", ".csv", ".bin")
+
+
+class FIPT_OT_choose_capture(bpy.types.Operator):
+    """Choose a folder: photographs, a capture with cameras, or the data of a scan. It is read at once"""
+
+    bl_idname = "fipt.choose_capture"
+    bl_label = "Choose Folder"
+    bl_options = {"REGISTER", "INTERNAL"}
+
+    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
+    files: bpy.props.CollectionProperty(
+        type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE", "HIDDEN"}
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return bool(bpy.ops.fipt.import_capture.poll())
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if self.directory:  # dropped files
+            return self.execute(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        folder = Path(bpy.path.abspath(self.directory))
+        cameras = [file.name for file in self.files if file.name.lower().endswith(CAMERA_FILES)]
+        # Of a photograph, or of any other file in it, the folder is meant.
+        path = folder / cameras[0] if len(cameras) == 1 else folder
+        return set(bpy.ops.fipt.import_capture("INVOKE_DEFAULT", filepath=str(path)))
+
+
+class FIPT_FH_capture(bpy.types.FileHandler):
+    """A camera file dropped on the sidebar"""
+
+    bl_idname = "FIPT_FH_capture"
+    bl_label = "Cameras of a Room"
+    bl_import_operator = "fipt.choose_capture"
+    bl_file_extensions = ";".join(CAMERA_FILES)
+
+    @classmethod
+    def poll_drop(cls, context: bpy.types.Context) -> bool:
+        area, region = context.area, context.region
+        return area is not None and area.type == "VIEW_3D" and region is not None and region.type == "UI"
+
+
+class FIPT_OT_recover_run(JobOperator, bpy.types.Operator):
+    """Open the room of a run again that Blender has left behind, with its results or finished stages"""
+
+    bl_idname = "fipt.recover_run"
+    bl_label = "Open Again"
+    bl_options = {"REGISTER", "UNDO"}
+    title = "Open Run"
+    kind = "capture"
+
+    folder: bpy.props.StringProperty(
+        name="Folder", description="Folder of the run", subtype="DIR_PATH", options={"SKIP_SAVE"}
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.scene.fipt.capture.views:
+            cls.poll_message_set("The scene has a capture already. Use a new scene")
+            return False
+        return in_object_mode(cls, context) and super().poll(context)
+
+    def make_job(self, context: bpy.types.Context) -> Job:
+        from ..bridge.places import runs_folder
+        from ..bridge.step import Step
+        from ..bridge.unsaved import mark
+        from ..jobs import recovery
+        from ..jobs.run_job import open_job
+
+        run = RunFolder(bpy.path.abspath(self.folder))
+        run.read()  # raises if it is no run
+
+        def add_to_scene() -> Slices[list[Message]]:
+            from ..blend.capture.importing import import_capture
+
+            return import_capture(run, "")
+
+        step = Step("import", "Adding cameras and mesh", 5.0, function=add_to_scene, repeat=True)
+        job = open_job(run, [step], record="import.json")
+        context.scene.fipt.run_folder = str(run.root)
+        if not bpy.app.background and run.root.parent == runs_folder(machine.data_folder()):
+            mark(run.root)
+        recovery.forget()
+        return job
+
+
+CLASSES = (FIPT_OT_choose_capture, FIPT_FH_capture, FIPT_OT_recover_run)

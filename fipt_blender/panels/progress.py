@@ -1,0 +1,40 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How the progress of a job is drawn, and durations are written."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from ..jobs import running
+from ..jobs.job_scene import uses_run_folder
+from .sidebar import draw_text
+
+
+def draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, job: running.RunningJob) -> None:
+    """A progress bar with a cancel button, the stage, the remaining time and the largest memory."""
+    column = layout.column(align=True)
+    row = column.row(align=True)  # above all text that may wrap, so that the button stays under the pointer
+    row.progress(factor=job.fraction, text=f"{100.0 * job.fraction:.0f}%")
+    row.operator("fipt.cancel", text="", icon="X")
+    draw_text(column, context, iface_("Stopping...") if job.stopping else iface_(job.stage_text))
+    if job.scene_name and not uses_run_folder(context.scene, job.run_folder):
+        text = iface_("Running for the scene '{}', in {}").format(job.scene_name, job.run_folder.name)
+        draw_text(column, context, text, icon="SCENE_DATA")
+    facts = []
+    if job.remaining_seconds is not None and job.fraction > 0.0:
+        facts.append(iface_("{} left").format(time_text(job.remaining_seconds)))
+    if job.memory_gb:
+        facts.append(iface_("{:.1f} GB of memory").format(job.memory_gb))
+    column.label(text="   ".join(facts), translate=False)
+
+
+def time_text(seconds: float) -> str:
+    """A duration in one or two units: "45 s", "4 min", "1 h 5 min"."""
+    rounded = round(seconds)
+    if rounded < 60:
+        return iface_("{} s").format(rounded)
+    if rounded < 3600:
+        return iface_("{} min").format(round(rounded / 60))
+    return iface_("{} h {} min").format(rounded // 3600, rounded % 3600 // 60)

@@ -1,0 +1,85 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The section Start: the engine, then the example or a folder of the artist's own."""
+
+from __future__ import annotations
+
+import time
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from .. import machine
+from ..jobs import recovery, running
+from . import engine, path
+from .capture import FIPT_PT_capture_import, draw_import
+from .job import draw_job, draw_warnings, job_warnings
+from .presets import FIPT_PT_import_presets
+from .progress import time_text
+from .sidebar import Section, SubSection, draw_text
+
+
+class FIPT_PT_start(Section, bpy.types.Panel):
+    """The first steps: set up the engine, then try the example or choose a folder"""
+
+    bl_label = "Start"
+    bl_order = 0
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        if not machine.has_engine() or _is_setting_up():
+            engine.draw_set_up(layout, context)
+            return
+        if draw_job(layout, context, "estimate"):  # the example, before its views are there
+            return
+        settings = context.scene.fipt.capture
+        column = layout.column()
+        column.scale_y = 1.4
+        column.operator("fipt.try_example", icon="HOME")
+        text = iface_("Or choose a folder: photographs, a capture with cameras, or the data of a scan.")
+        draw_text(layout, context, text)
+        column = layout.column(align=True)
+        column.prop(settings, "path", text="Folder")
+        if settings.path:
+            column.operator("fipt.import_capture", icon="IMPORT")
+        else:
+            column.operator("fipt.choose_capture", text="Choose Folder...", icon="FILEBROWSER")
+        if any(item.type == "CAMERA" and item.data.background_images for item in context.scene.objects):
+            layout.operator("fipt.use_scene_cameras", icon="CAMERA_DATA")
+        _draw_unsaved(layout, context)
+        draw_import(layout, context)
+        draw_warnings(layout, context, "capture", job_warnings(context, "capture"))
+
+
+class FIPT_PT_start_import(SubSection, bpy.types.Panel):
+    """Options for reading the capture"""
+
+    bl_label = "Import Settings"
+    bl_parent_id = "FIPT_PT_start"
+    presets = FIPT_PT_import_presets
+    draw = FIPT_PT_capture_import.draw
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return machine.has_engine() and not path.has_views(context)
+
+
+def _draw_unsaved(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """The run that a Blender has left behind without saving."""
+    found = recovery.known()
+    if found is None:
+        return
+    age = iface_("{} ago").format(time_text(max(time.time() - found.modified, 0.0)))
+    text = iface_("Not saved: {} ({:.0f} MB, {})").format(found.folder.name, found.size / 1e6, age)
+    draw_text(layout, context, text, icon="RECOVER_LAST")
+    row = layout.row(align=True)
+    row.operator("fipt.recover_run").folder = str(found.folder)
+    row.operator("fipt.clear_data", text="", icon="TRASH").names = found.folder.name
+
+
+def _is_setting_up() -> bool:
+    job = running.current()
+    return job is not None and job.kind == running.DATA_KIND
+
+
+CLASSES = (FIPT_PT_start, FIPT_PT_start_import)

@@ -1,0 +1,159 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The guided path: what the tab shows at each stage of the work, and how little of it at first."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import bpy
+import pytest
+
+from fipt_blender import machine
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.jobs import running, runstate, setup_size
+from fipt_blender.panels import estimate, path, start
+from samples.layouts import drawn_by, tab_count
+
+pytestmark = pytest.mark.usefixtures("registered")
+
+
+@pytest.fixture(autouse=True)
+def no_jobs(monkeypatch):
+    """Jobs of other tests are forgotten."""
+    monkeypatch.setattr(running, "_last", {})
+
+
+@pytest.fixture
+def ready(monkeypatch):
+    """An engine that works."""
+    monkeypatch.setattr(machine, "has_engine", lambda: True)
+
+
+def add_capture(views: int = 3) -> None:
+    """Views with cameras, and a cube as the room."""
+    scene = bpy.context.scene
+    settings = scene.fipt.capture
+    for index in range(views):
+        camera = bpy.data.objects.new(f"view {index}", bpy.data.cameras.new("camera"))
+        scene.collection.objects.link(camera)
+        view = settings.views.add()
+        view.name = view.camera = camera.name
+    bpy.ops.mesh.primitive_cube_add()
+    assert bpy.ops.fipt.set_room() == {"FINISHED"}
+    settings.count_views()
+
+
+def test_a_fresh_install_shows_the_engine_alone(monkeypatch):
+    monkeypatch.setattr(machine, "has_engine", lambda: False)
+    count = tab_count()
+    assert count.sections == ("Start",)
+    assert "fipt.set_up_engine" in count.buttons and "fipt.try_example" not in count.buttons
+    assert len(count.buttons) + len(count.settings) <= 5
+
+
+@pytest.mark.usefixtures("ready")
+def test_each_stage_shows_what_can_be_used_then():
+    count = tab_count()
+    assert count.sections == ("Start",) and {"fipt.try_example", "fipt.choose_capture"} <= set(count.buttons)
+    assert len(count.buttons) + len(count.settings) <= 5
+    bpy.context.scene.fipt.photographs.path = "/card"
+    assert tab_count().sections == tab_count().opened == ("Photographs",)
+    add_capture()
+    count = tab_count()
+    assert count.sections == ("Photographs", "Capture", "Estimate") and count.opened == ("Estimate",)
+    bpy.context.scene.fipt.materials.object_count = 1
+    count = tab_count()
+    assert count.sections[-4:] == ("Materials", "Lights", "Insert", "Render")
+    assert {"Insert", "Render", "Capture"}.isdisjoint(count.opened)
+
+
+@pytest.mark.usefixtures("ready")
+@pytest.mark.parametrize(
+    ("width", "told"), [(400, "3 views, mesh of 12 triangles"), (280, "3 views, 12 triangles"), (120, "")]
+)
+def test_a_closed_section_tells_its_state_as_far_as_there_is_room(width, told):
+    add_capture()
+    preferences = SimpleNamespace(system=SimpleNamespace(ui_scale=1.0))
+    context = SimpleNamespace(
+        scene=bpy.context.scene, region=SimpleNamespace(width=width), preferences=preferences
+    )
+    assert path.state_text("FIPT_PT_capture", "Capture", 1, context) == told
+
+
+def test_online_access_is_explained_and_asked_for_where_it_is_needed(monkeypatch):
+    monkeypatch.setattr(machine, "has_engine", lambda: False)
+    drawn, properties = drawn_by(start.FIPT_PT_start)
+    assert ("use_online_access" in properties) is (not bpy.app.online_access)
+    monkeypatch.setattr(machine.DEFAULTS, "wheel_folder", "/wheels")
+    drawn, properties = drawn_by(start.FIPT_PT_start)
+    assert "use_online_access" not in properties and "fipt.set_up_engine" in drawn
+
+
+def test_the_size_of_the_download_is_told_where_it_is_known(monkeypatch):
+    monkeypatch.setattr(machine, "has_engine", lambda: False)
+    monkeypatch.setattr(machine.DEFAULTS, "device", "llvm")
+    assert "GB" not in " ".join(drawn_by(start.FIPT_PT_start)[0])
+    size = setup_size.size()
+    assert f"{size.download_gb:.1f} GB" in " ".join(drawn_by(start.FIPT_PT_start)[0])
+
+
+def test_a_set_up_that_runs_is_shown_with_its_way_to_stop_it(monkeypatch, tmp_path):
+    job = running.RunningJob("Set Up Engine", running.DATA_KIND, "", tmp_path, fraction=0.25)
+    monkeypatch.setattr(running, "current", lambda: job)
+    drawn = drawn_by(start.FIPT_PT_start)[0]
+    assert drawn.index("25%") + 1 == drawn.index("fipt.cancel") and "fipt.set_up_engine" not in drawn
+
+
+def test_without_an_engine_an_error_leads_to_its_set_up(tmp_path):
+    scene = bpy.context.scene
+    info = running.RunningJob("Example", "estimate", scene.name, tmp_path)
+    running.refuse(info, FiptError("engine-missing", "There is no engine.", "Set it up."))
+    assert "fipt.set_up_engine" in drawn_by(estimate.FIPT_PT_estimate)[0]
+
+
+@pytest.mark.usefixtures("ready")
+def test_photographs_without_cameras_lead_to_make_capture(tmp_path):
+    scene = bpy.context.scene
+    scene.fipt.capture.path = str(tmp_path)
+    info = running.RunningJob("Import Capture", "capture", scene.name, tmp_path)
+    running.refuse(info, FiptError("cameras-missing", "Photographs without cameras.", "Make a capture."))
+    assert "fipt.photographs_of_capture" in drawn_by(start.FIPT_PT_start)[0]
+    assert bpy.ops.fipt.photographs_of_capture() == {"FINISHED"}
+    assert scene.fipt.photographs.path == str(tmp_path) and tab_count().sections == ("Photographs",)
+    assert bpy.ops.fipt.leave_photographs() == {"FINISHED"}
+    assert tab_count().sections == ("Start",)
+
+
+def test_a_finished_estimate_is_one_line_once_it_is_applied(monkeypatch):
+    state = runstate.RunState(stages=5, results=True, finished=True)
+    monkeypatch.setattr(runstate, "known", lambda folder: state)
+    assert "fipt.apply_results" in drawn_by(estimate.FIPT_PT_estimate)[0]
+    bpy.context.scene.fipt.materials.object_count = 1
+    assert drawn_by(estimate.FIPT_PT_estimate)[0] == ["Estimate Again"]
+    assert "fipt.estimate" in drawn_by(estimate.FIPT_PT_estimate, is_open=True)[0]
+
+
+def test_without_a_mesh_the_next_step_is_to_bring_one():
+    add_capture()
+    assert "fipt.estimate" in drawn_by(estimate.FIPT_PT_estimate)[0]
+    room = bpy.context.scene.fipt.capture.room_objects(bpy.context.scene)
+    for item in room:
+        bpy.data.objects.remove(item)
+    drawn = drawn_by(estimate.FIPT_PT_estimate)[0]
+    assert "fipt.import_mesh" in drawn and "fipt.estimate" not in drawn
+
+
+def test_a_running_example_does_not_call_the_estimate_stopped(monkeypatch, tmp_path):
+    scene = bpy.context.scene
+    scene.fipt.run_folder = str(tmp_path)
+    monkeypatch.setattr(runstate, "known", lambda folder: runstate.RunState(stages=3))
+    job = running.RunningJob("Apply Results", "materials", scene.name, tmp_path, fraction=0.5)
+    monkeypatch.setattr(running, "current", lambda: job)
+    text = " ".join(drawn_by(estimate.FIPT_PT_estimate)[0])
+    assert "50%" in text and "Stopped" not in text
+
+
+def test_no_process_is_started_while_drawing(monkeypatch):
+    monkeypatch.setattr(machine, "engine_python", lambda: pytest.fail("a process was started"))
+    assert tab_count().sections
