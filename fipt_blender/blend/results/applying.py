@@ -298,7 +298,6 @@ def _swap_in(
     for item, mesh in targets.values():
         set_result_mesh(item, mesh)
     remove_unused(earlier)
-    placed = fixtures.place(scene, new_fixtures)
-    keep_states(scene, placed, kept)
+    placed = keep_states(scene, fixtures.place(scene, new_fixtures), kept)
     placed_names = [item.name for item in placed]
     return Applied([material.name for material in materials.made.values()], placed_names, warnings)
