@@ -88,7 +88,8 @@ def split(scene: bpy.types.Scene, lamp: bpy.types.Object) -> list[bpy.types.Obje
         FiptError: ``fixture-converted`` or ``fixture-animated``.
     """
     _check_plain(lamp)
-    merged, parts = lamp.data, []
+    merged = lamp.data
+    parts: list[bpy.types.Object] = []
     target = collection(scene, FIXTURES)
     for surface in surfaces(lamp):
         material = surface.material

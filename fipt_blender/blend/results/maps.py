@@ -22,6 +22,7 @@ from ..room.originals import result_meshes, show_original
 from ..shown import write_surface
 from . import adjust
 from .materials import MAPS, result_materials
+from .replacing import show_replacements
 
 # Colours are shown as in Blender's colour fields, other values as plain numbers.
 _TRANSFORMS = {"BASE_COLOR": "Standard", "EMISSION": "Standard"}
@@ -51,6 +52,7 @@ def show(scene: bpy.types.Scene, shown: str) -> None:
             )
     for item in items:
         show_original(item, shown == "ORIGINAL")
+    show_replacements(scene, shown)
     meshes = result_meshes(items)
     for material in result_materials(meshes):
         _show_in_material(material, shown)

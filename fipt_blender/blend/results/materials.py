@@ -19,7 +19,7 @@ from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import TEXTURES
 from ..image_datablocks import remove_unused_images, tile_pattern
-from ..marks import MAP, MATERIAL, OUTPUT, PART, PART_NAME, PRINCIPLED, TABLE
+from ..marks import ESTIMATE, MAP, MATERIAL, OUTPUT, PART, PART_NAME, PRINCIPLED, TABLE
 from ..node_trees import node_tree
 from ..room.tiles import tile_number
 from ..room.uv_layer import UV_LAYER
@@ -53,9 +53,28 @@ class Surface:
 
 
 def result_materials(meshes: Iterable[bpy.types.Mesh]) -> list[bpy.types.Material]:
-    """The estimated materials of meshes, each once."""
-    materials = (material for mesh in meshes for material in mesh.materials if material is not None)
-    return list(dict.fromkeys(material for material in materials if MATERIAL in material))
+    """The estimated materials of meshes, each once, those among them that others have replaced."""
+    materials = (material for mesh in meshes for material in slot_estimates(mesh) if material is not None)
+    return list(dict.fromkeys(materials))
+
+
+def slot_estimates(mesh: bpy.types.Mesh) -> list[bpy.types.Material | None]:
+    """The estimated material of each slot of a result mesh, None where the artist's material was kept."""
+    found = []
+    for index, material in enumerate(mesh.materials):
+        own = material is not None and MATERIAL in material
+        found.append(material if own else mesh.get(ESTIMATE.format(index)))
+    return found
+
+
+def materials_by_part(
+    materials: Iterable[bpy.types.Material],
+) -> dict[str, list[bpy.types.Material]]:
+    """Estimated materials by the keys of their parts."""
+    by_part: dict[str, list[bpy.types.Material]] = {}
+    for material in materials:
+        by_part.setdefault(material.get(PART, ""), []).append(material)
+    return by_part
 
 
 def remove_unused(materials: Iterable[bpy.types.Material]) -> None:

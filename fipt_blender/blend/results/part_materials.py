@@ -7,7 +7,7 @@ Materials of earlier results are built anew and keep the artist's name and adjus
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import bpy
@@ -16,13 +16,14 @@ import numpy as np
 from ...bridge.process import Message
 from ...core.run.parts import RoomParts
 from ..image_datablocks import remove_unused_images
-from ..marks import PART, PART_NAME
+from ..marks import PART, PART_NAME, REPLACEMENT
 from ..room.arrays import Room
 from ..room.mesh_arrays import polygon_slots
 from ..room.originals import original_polygons
 from ..room.result_meshes import list_names
 from . import adjust
 from .materials import Surface, images_of, part_material
+from .replacing import fill_slots
 
 
 @dataclass(frozen=True)
@@ -60,11 +61,12 @@ class PartMaterials:
         parts = self.faces.parts.parts
         keys, names = {part.key for part in parts}, {part.name: part.key for part in parts}
         self._adjustments: dict[str, adjust.Adjustment] = {}
+        self._replacements: dict[str, bpy.types.Material] = {}
         self._lost: list[str] = []
         self._reused = {material.get(PART, ""): material for material in reversed(self.earlier)}
         for material in self.earlier:
-            values = adjust.read(material)
-            if values == adjust.NO_ADJUSTMENT:
+            values, replacement = adjust.read(material), material.get(REPLACEMENT)
+            if values == adjust.NO_ADJUSTMENT and replacement is None:
                 continue
             key, name = material.get(PART, ""), material.get(PART_NAME, "")
             kept = key if key in keys else names.get(name)
@@ -72,6 +74,8 @@ class PartMaterials:
                 self._lost.append(name or material.name)
             else:
                 self._adjustments[kept] = values
+                if replacement is not None:
+                    self._replacements[kept] = replacement
         self._images = images_of(self.earlier)
 
     def assign(self, mesh: bpy.types.Mesh, room: Room, index: int) -> None:
@@ -90,9 +94,7 @@ class PartMaterials:
         materials = [
             self._material(value) if value >= 0 else _slot(originals, -1 - value) for value in used.tolist()
         ]
-        mesh.materials.clear()
-        for material in materials:
-            mesh.materials.append(material)
+        fill_slots(mesh, materials)
         mesh.polygons.foreach_set("material_index", slot.ravel().astype(np.int32))
         mesh.update()
 
@@ -105,6 +107,8 @@ class PartMaterials:
                 self._adjustments.get(described.key, adjust.NO_ADJUSTMENT),
                 self._reused.get(described.key),
             )
+            if described.key in self._replacements:
+                self.made[part][REPLACEMENT] = self._replacements[described.key]
         return self.made[part]
 
     def finish(self) -> list[Message]:
@@ -119,21 +123,11 @@ class PartMaterials:
         if not self._lost:
             return []
         names = list_names(sorted(set(self._lost)))
-        text = f"The estimate no longer has the parts that you have adjusted: {names}."
-        remedy = "Adjust the parts that have taken their place."
+        text = f"The estimate no longer has the parts that you have adjusted or replaced: {names}."
+        remedy = "Adjust or replace the parts that have taken their place."
         return [{"type": "warning", "code": "adjustments-lost", "text": text, "remedy": remedy}]
 
 
 def _slot(materials: Sequence[bpy.types.Material | None], index: int) -> bpy.types.Material | None:
     """The material that Blender shows of a slot: an index beyond the last slot shows the last."""
     return materials[min(index, len(materials) - 1)] if materials else None
-
-
-def materials_by_part(
-    materials: Iterable[bpy.types.Material],
-) -> dict[str, list[bpy.types.Material]]:
-    """Estimated materials by the keys of their parts."""
-    by_part: dict[str, list[bpy.types.Material]] = {}
-    for material in materials:
-        by_part.setdefault(material.get(PART, ""), []).append(material)
-    return by_part
