@@ -46,6 +46,7 @@ class FIPT_PT_materials_settings(SubSection, bpy.types.Panel):
         column.enabled = running.current() is None
         column.prop(settings, "atlas_mode")
         if settings.atlas_mode == "uv":
+            column.prop(settings, "atlas_images")
             column.prop(settings, "texture_size")
             column.prop(settings, "texel_density")
         column.prop(settings, "texture_files")

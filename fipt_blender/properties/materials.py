@@ -163,6 +163,29 @@ class FIPT_MaterialsSettings(bpy.types.PropertyGroup):
         ],
         default="uv",
     )
+    atlas_images: bpy.props.EnumProperty(
+        name="Images",
+        description="Which surfaces share an image",
+        items=[
+            ("room", "Shared", "As few images as the room needs, which its parts share", "IMAGE_DATA", 0),
+            (
+                "object",
+                "One per Object",
+                "Images and UVs of its own for each object, to hand objects on. A part that lies on several"
+                " objects has a material for each; its sliders are one",
+                "OBJECT_DATA",
+                1,
+            ),
+            (
+                "part",
+                "One per Part",
+                "Images and UVs of its own for each part, as large as it needs, to hand materials on",
+                "MATERIAL",
+                2,
+            ),
+        ],
+        default="room",
+    )
     texture_size: bpy.props.EnumProperty(
         name="Texture Size",
         description="Maximum width and height of an image. A room uses up to 16 images",

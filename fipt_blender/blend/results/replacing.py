@@ -67,7 +67,7 @@ def adopt(scene: bpy.types.Scene, items: Iterable[bpy.types.Object]) -> list[str
 
     The result depends on the slots alone, so that it is right after undo and redo, too.
     """
-    changed = []
+    changed: list[str] = []
     if scene.fipt.materials.shown != SHOWS_REPLACEMENTS:
         return changed
     for item in items:
