@@ -141,9 +141,10 @@ class _Copies:
                 material = slot.material
                 if not has_maps(material):
                     continue
-                key = (material, -1 if is_uniform(material) else image)
+                uniform = is_uniform(material)
+                key = (material, -1 if uniform else image)
                 if key not in self._materials:
-                    atlas = atlases.get((material[MATERIAL], image))
+                    atlas = None if uniform else atlases[material[MATERIAL], image]
                     self._materials[key] = plain_material(material, atlas)
                 slot.material = self._materials[key]
 
