@@ -63,6 +63,7 @@ def test_a_part_of_one_value_has_constants_which_can_be_adjusted_and_exported(sc
     shown = panel.node_tree.nodes[MAP.format("Base Color")].outputs["Color"].default_value[:3]
     assert np.allclose(shown, ConstantFields.base_color, atol=1e-5)
     assert np.allclose(panel.diffuse_color[:3], ConstantFields.base_color, atol=1e-5)  # for Solid shading
+    assert [node.name for node in panel.node_tree.nodes if node.show_texture] == [MAP.format("Base Color")]
     row = next(row for row in scene.fipt.materials.parts if row.name == "Panel")
     row.roughness_offset = 0.2
     scene.fipt.materials.shown = "ROUGHNESS"

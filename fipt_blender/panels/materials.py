@@ -101,8 +101,9 @@ class FIPT_UL_part_materials(Rows, bpy.types.UIList):
     ) -> None:
         layout.use_property_split = False
         # An icon: a color field can't be disabled without a tint.
-        shown = tuple(round(value, 2) for value in item.base_color.from_scene_linear_to_srgb())
-        layout.label(text=item.name, icon_value=swatches.icon(shown), translate=False)
+        color = item.base_color.copy()  # of a property itself, Blender 4.3 converts zeros
+        red, green, blue = (round(value, 2) for value in color.from_scene_linear_to_srgb())
+        layout.label(text=item.name, icon_value=swatches.icon((red, green, blue)), translate=False)
 
 
 # The adjustments, and where they change nothing; of parts with mean values, sliders show the sums.

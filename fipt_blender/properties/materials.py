@@ -32,8 +32,11 @@ SHOWN = (
     ),
 )
 
-# What a room without the node group loses; docs/method.md "Cycles" has the measurements.
-PLAIN_COST = "The Principled BSDF alone, which every program and every artist reads. PLAIN-COST"
+# What a room without the node group loses: docs/results.md "Materials to hand on".
+PLAIN_COST = (
+    "Use the Principled BSDF alone, which is easier to hand on. Renders of the example room are 2.2 dB"
+    " farther from the photographs, most of all at grazing angles"
+)
 
 
 def _shown_changed(self: FIPT_MaterialsSettings, context: bpy.types.Context) -> None:
@@ -106,6 +109,7 @@ class FIPT_Part(bpy.types.PropertyGroup):
         description="Mean roughness of the part: the estimate, until you change it",
         min=0.0,
         max=1.0,
+        precision=2,
         **_absolute("roughness"),
     )
     metallic_value: bpy.props.FloatProperty(
@@ -113,6 +117,7 @@ class FIPT_Part(bpy.types.PropertyGroup):
         description="Mean metallic of the part: the estimate, until you change it",
         min=0.0,
         max=1.0,
+        precision=2,
         **_absolute("metallic"),
     )
     hue: bpy.props.FloatProperty(

@@ -78,6 +78,9 @@ def _show_in_material(material: bpy.types.Material, shown: str) -> None:
     # Solid shading draws the active texture, or the color of the material without one.
     material.diffuse_color = _BLACK if shown == "EMISSION" else (0.8, 0.8, 0.8, 1.0)
     if is_uniform(material):
+        # Without a mark, Solid shading would draw any texture, also one in a group.
+        nodes[MAP.format("Confidence")].show_texture = shown == "CONFIDENCE"
+        nodes[MAP.format("Base Color")].show_texture = shown != "CONFIDENCE"
         constant = nodes.get(MAP.format(label or "Base Color"))
         if constant is not None and constant.bl_idname == "ShaderNodeRGB" and shown != "EMISSION":
             material.diffuse_color = constant.outputs["Color"].default_value
