@@ -35,4 +35,7 @@ def _follow(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     if items:
         from .replacing import adopt
 
-        adopt(scene, items)
+        keys = adopt(scene, items)
+        rows = scene.fipt.materials.parts
+        for index in (index for index, row in enumerate(rows) if row.key in keys):
+            scene.fipt.materials.active_part = index  # beside whose list Restore Estimate is
