@@ -60,6 +60,35 @@ def test_saving_applying_again_and_revert(applied, tmp_path):
     assert MATERIAL in material and replacement(scene, material[PART]) is None
 
 
+def test_undo_and_redo_of_a_drop(applied):
+    room = room_with_results(applied)
+    first, second = (item.data for item in room)
+    estimate = first.materials[0]
+    second.materials[0] = estimate  # a part that lies on both objects
+    bpy.data.materials.new("wood").use_fake_user = True
+    bpy.ops.ed.undo_push(message="before")
+    first.materials[0] = bpy.data.materials["wood"]
+    bpy.ops.ed.undo_push(message="drop")
+    bpy.context.view_layer.update()
+
+    def shown():
+        bpy.context.view_layer.update()
+        return [item.data.materials[0].name for item in room_with_results(bpy.context.scene)]
+
+    name = bpy.data.materials["wood"].name
+    assert shown() == [name, name]
+    for _ in range(2):
+        bpy.ops.ed.undo()
+        assert len(set(shown())) == 1 and shown()[0] != name
+        bpy.ops.ed.redo()
+        assert shown() == [name, name]
+    bpy.ops.ed.undo_push(message="another step")
+    bpy.ops.ed.undo()
+    assert shown() == [name, name]
+    bpy.ops.ed.undo()
+    assert len(set(shown())) == 1 and shown()[0] != name
+
+
 def test_a_dropped_material_replaces_the_part_on_all_objects(applied):
     room = room_with_results(applied)
     first, second = (item.data for item in room)
