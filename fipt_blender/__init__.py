@@ -24,6 +24,7 @@ def register() -> None:
     from . import machine, operators, panels, properties
     from .blend.capture import other_cameras, pair_marks
     from .blend.lights import outline
+    from .blend.results import dropped
     from .jobs import session
     from .panels import preferences
 
@@ -32,7 +33,8 @@ def register() -> None:
             bpy.utils.register_class(preferences_class)
             _undo.append(partial(bpy.utils.unregister_class, preferences_class))
         machine.recall()
-        for module in (properties, operators, panels, session, other_cameras, pair_marks, outline):
+        watchers = (session, other_cameras, pair_marks, outline, dropped)
+        for module in (properties, operators, panels, *watchers):
             module.register()
             _undo.append(module.unregister)
         _undo.append(_hide_overlay)  # while the scenes still have their settings

@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from fipt_blender.core.light.emitters import Fixture
-from fipt_blender.core.light.lamp_doubt import DEVIATIONS, light_errors
+from fipt_blender.core.light.lamp_doubt import DEVIATIONS, hardly_seen, light_errors, power_errors
 from fipt_blender.core.material.cell_errors import LitCells, add_light_errors
 from fipt_blender.core.material.confidence import UNIFORM_DEVIATION
 from samples.small_rooms import make_room
@@ -61,6 +63,23 @@ def test_where_a_shadow_ends_light_is_least_certain() -> None:
 def test_a_lamp_that_shines_away_has_no_error() -> None:
     above = np.array([[0.3, 0.0, 2.0]])
     assert errors([], 1.0, above, 0.01)[0] == 0.0
+
+
+def test_lamps_that_few_pixels_see_alone_are_doubted_by_the_spread_of_their_radiance() -> None:
+    room = make_room([FLOOR, lamp_above(0.5), lamp_above(1.0)])
+    triangle = np.array([2] * 20 + [4] * 12)
+    own = np.full((32, 3), 100.0, np.float32)
+    own[20:26] *= 1.5
+    pixels = SimpleNamespace(
+        triangle=triangle, own=own, weight=np.full(32, 0.5), pure=np.arange(32) < 22, radiance=own
+    )
+    lamps = [fixture(1, 0.5), fixture(2, 1.0)]
+    (doubt,) = hardly_seen(lamps, pixels, len(room.triangles))
+    assert (doubt.index, doubt.pixels) == (1, 12) and doubt.spread == pytest.approx(0.2)
+    surface = np.array([[0.3, 0.0, 0.75]]), UP  # below that lamp, above the other
+    received = AREA * LUMINANCE / np.pi * 0.25**2 / (0.25**2 + 0.3**2) ** 2
+    found = power_errors(room, lamps, [doubt], surface, 0)
+    assert found[0] == pytest.approx(0.2 * received, rel=0.05)
 
 
 def test_base_color_is_as_wrong_as_the_light() -> None:

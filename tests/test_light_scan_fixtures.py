@@ -43,6 +43,14 @@ def test_a_modelled_room_emits_triangle_by_triangle() -> None:
     assert len(np.unique(surfaces.component)) == 6
 
 
+def test_unjudged_triangles_of_a_modelled_room_follow_those_of_their_part() -> None:
+    room = make_room(BOX)
+    whole = emitter_surfaces(room, Parts(np.full(12, NO_PART, np.int32), "none"), 0.01).component
+    part = np.arange(12, dtype=np.int32) % 2  # the two triangles of a side
+    divided = emitter_surfaces(room, Parts(part, "part"), 0.01).component
+    assert len(np.unique(divided)) == 2 * len(np.unique(whole))
+
+
 def test_a_scan_emits_by_parts_and_without_them_by_patches() -> None:
     part = np.where(in_square(ROOM, CEILING, -0.5, 0.5), 3, SIDE % 2).astype(np.int32)
     part[SIDE == 5] = NO_PART

@@ -62,18 +62,35 @@ def test_black_body_agrees_with_blender_and_daylight():
         assert np.allclose(theirs / luminance(theirs), blackbody(kelvin), rtol=0.03, atol=0.01), kelvin
 
 
-def test_power_in_stops_and_as_a_factor(scene):
+def test_power_in_stops_watts_lumens_and_radiance(scene):
     row = scene.fipt.lights.lights[0]
-    assert (row.on, row.solo, row.stops, row.factor) == (True, False, 0.0, 1.0)
+    assert (row.on, row.solo, row.stops) == (True, False, 0.0)
+    # One square metre of radiance 8, 4, 2 sends out pi A L.
+    assert row.watts == pytest.approx(math.pi * 8.0, rel=1e-5) and row.radiance == pytest.approx(8.0)
+    assert row.lumens == pytest.approx(683.0 * math.pi * luminance(RADIANCE), rel=1e-5)
     row.stops = 1.5
-    assert row.factor == pytest.approx(2.0**1.5)
+    assert row.watts == pytest.approx(math.pi * 8.0 * 2.0**1.5, rel=1e-5)
     assert np.allclose(front(row.object), np.array(RADIANCE) * 2.0**1.5)
-    row.factor = 0.25
-    assert row.stops == pytest.approx(-2.0) and np.allclose(front(row.object), np.array(RADIANCE) / 4.0)
-    row.factor = 0.0
-    assert front(row.object).max() < 1e-4 and math.isfinite(row.stops)
+    for name in ("watts", "lumens", "radiance"):
+        row.stops = 0.0
+        setattr(row, name, 0.25 * getattr(row, name))
+        assert row.stops == pytest.approx(-2.0, abs=1e-5), name
+    row.watts = 0.0  # a light is switched off by its switch
+    assert row.stops == pytest.approx(-2.0, abs=1e-5)
     assert ops.reset_light() == {"FINISHED"}
     assert row.stops == 0.0 and np.allclose(front(row.object), RADIANCE)
+
+
+def test_watts_are_those_of_the_blender_light_that_stands_for_a_fixture(scene):
+    row = scene.fipt.lights.lights[0]
+    ops.fixture_to_area_light()
+    (light,) = [child for child in row.object.children if child.type == "LIGHT"]
+    assert light.data.energy == pytest.approx(row.watts, rel=1e-4)
+    ops.add_light(location=(0, 0, 3), size=1.0, power=50.0)
+    added = scene.fipt.lights.active_light()
+    assert added.watts == pytest.approx(50.0) and added.has_flux()
+    added.object.data.type = "SUN"
+    assert not added.has_power() and not added.has_flux()
 
 
 def test_colour_and_temperature_keep_the_luminance(scene):

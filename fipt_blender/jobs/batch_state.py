@@ -75,7 +75,8 @@ def _remember_settings(state: bpy.types.PropertyGroup, options: MainJobOptions) 
             setattr(estimate, name, value)
     if settings.device != "auto":
         estimate.device = settings.device
-    materials.atlas_mode, materials.write_back = settings.atlas_mode, settings.write_back
+    materials.atlas_mode, materials.atlas_images = settings.atlas_mode, settings.atlas_images
+    materials.write_back = settings.write_back
     materials.texel_density, materials.clean_mesh = settings.texel_density, settings.clean_mesh
     sizes = materials.bl_rna.properties["texture_size"].enum_items.keys()
     materials.texture_size = min(sizes, key=lambda size: abs(int(size) - settings.texture_size))

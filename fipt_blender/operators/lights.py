@@ -7,7 +7,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..blend.marks import FIXTURE, VISIBILITY, has_light_groups
+from ..blend.marks import FIXTURE, MERGED, VISIBILITY, has_light_groups
 from ..core.run.errors import FiptError
 from ..properties.lights import FIPT_Light
 from .new_light import FIPT_OT_add_light, FIPT_OT_add_missing_lamps
@@ -226,6 +226,71 @@ class FIPT_OT_clean_fixture(_OnFixture, bpy.types.Operator):
         self.report({"INFO"}, iface_("The shape is a {}").format(iface_(_SHAPES[shape.kind])))
 
 
+class FIPT_OT_merge_lamps(NeedsLights, bpy.types.Operator):
+    """Join the selected fixtures into one lamp"""
+
+    bl_idname = "fipt.merge_lamps"
+    bl_label = "Merge Lamps"
+    bl_description = (
+        "Join the selected fixtures into one lamp with one row of the list, one light group and the settings"
+        " of the most powerful one. Every surface keeps its radiance"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not super().poll(context) or not in_object_mode(cls, context):
+            return False
+        if sum(FIXTURE in item for item in context.selected_objects) < 2:
+            cls.poll_message_set("Select two or more lamps in the viewport or in the Outliner")
+            return False
+        return True
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.lights.merging import merge
+        from ..blend.outliner import select_only
+
+        chosen = [item for item in context.selected_objects if FIXTURE in item]
+        lamp = merge(chosen)
+        _list_again(context, lamp)
+        select_only(context.view_layer, lamp)
+        self.report({"INFO"}, iface_("{} lamps are one").format(len(chosen)))
+        return {"FINISHED"}
+
+
+class FIPT_OT_split_lamp(_OnFixture, bpy.types.Operator):
+    """Divide a merged lamp into the fixtures that it was merged from"""
+
+    bl_idname = "fipt.split_lamp"
+    bl_label = "Split Lamp"
+    bl_options = {"REGISTER", "UNDO"}
+
+    fixture: light_name_property("fixture")
+
+    def convert(self, context: bpy.types.Context, fixture: bpy.types.Object) -> None:
+        from ..blend.lights.merging import split
+
+        if MERGED not in fixture:
+            raise FiptError("lamp-not-merged", f"'{fixture.name}' is a single lamp.", "Choose a merged lamp.")
+        parts = split(context.scene, fixture)
+        _list_again(context, fixture)
+        self.report({"INFO"}, iface_("The lamp was divided into {}").format(len(parts)))
+
+
+def _list_again(context: bpy.types.Context, active: bpy.types.Object) -> None:
+    """Update list, strengths and light groups after fixtures were merged or divided."""
+    from ..blend.lights.light_groups import make_light_groups
+    from ..blend.lights.light_state import list_lights, refresh
+
+    refresh(context.scene)
+    list_lights(context.scene)
+    lights = context.scene.fipt.lights
+    lights.active = next((index for index, row in enumerate(lights.lights) if row.object == active), 0)
+    if has_light_groups(context.view_layer):
+        make_light_groups(context.scene, context.view_layer)
+
+
 class FIPT_OT_make_light_groups(NeedsLights, bpy.types.Operator):
     """Create light groups for the estimated lights, the environment and your own lights"""
 
@@ -333,6 +398,8 @@ CLASSES = (
     FIPT_OT_fixture_to_area_light,
     FIPT_OT_clean_fixture,
     FIPT_OT_area_light_to_fixture,
+    FIPT_OT_merge_lamps,
+    FIPT_OT_split_lamp,
     FIPT_OT_make_light_groups,
     FIPT_OT_remove_light_groups,
     FIPT_OT_match_exposure,

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ..core.run.settings import Settings
 
 RECORD = "apply.json"
-_ATLAS_SETTINGS = ("atlas_mode", "texture_size", "texel_density")
+_ATLAS_SETTINGS = ("atlas_mode", "atlas_images", "texture_size", "texel_density")
 # Seconds on a small capture, for the progress bar only.
 _ATLAS_SECONDS, _BAKE_SECONDS, _BUILD_SECONDS = 2.0, 25.0, 1.0
 
@@ -92,6 +92,7 @@ def chosen_settings(scene: bpy.types.Scene, run: RunFolder) -> Settings:
     return replace(
         settings,
         atlas_mode=panel.atlas_mode,
+        atlas_images=panel.atlas_images,
         texture_size=int(panel.texture_size),
         texel_density=panel.texel_density,
         write_back=panel.write_back,
@@ -132,7 +133,11 @@ def make_steps(scene_name: str, run: RunFolder, settings: Settings) -> list[Step
             "apply-atlas",
             "Creating texture coordinates",
             _ATLAS_SECONDS,
-            inputs={"room": _stamp(run.estimated().room_npz), **atlas_values},
+            inputs={
+                "room": _stamp(run.estimated().room_npz),
+                "parts": _stamp(run.parts_npz) if settings.atlas_images == "part" else [],
+                **atlas_values,
+            },
             function=lay_out,
             outputs=[run.atlas_npz, run.atlas_json],
         ),

@@ -128,9 +128,64 @@ class FIPT_OT_mark_part_assets(_NeedsParts, bpy.types.Operator):
         return {"FINISHED"}
 
 
+class FIPT_OT_replace_part_material(_NeedsParts, bpy.types.Operator):
+    """Use another material for the whole active part, on all objects. Dropping a material does the same"""
+
+    bl_idname = "fipt.replace_part_material"
+    bl_label = "Replace Material"
+    bl_description = (
+        "Use another material of this file for the whole active part, on all objects on which it lies. A"
+        " material that you drop on a face, for example from the asset browser, does the same"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    material: bpy.props.StringProperty(name="Material", description="Name of the material")
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return context.window_manager.invoke_props_dialog(self)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        self.layout.prop_search(self, "material", bpy.data, "materials")
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.results.replacing import replace_part
+        from ..core.run.errors import FiptError
+
+        part, material = context.scene.fipt.materials.part(), bpy.data.materials.get(self.material)
+        if part is None or material is None:
+            text = f"There is no material '{self.material}'." if part else "No part is chosen."
+            raise FiptError("material-missing", text, "Choose a part in the list and a material of the file.")
+        replace_part(context.scene, part.key, material)
+        return {"FINISHED"}
+
+
+class FIPT_OT_restore_estimate(_NeedsParts, bpy.types.Operator):
+    """Use the estimated material of the active part again, or of all parts"""
+
+    bl_idname = "fipt.restore_estimate"
+    bl_label = "Restore Estimate"
+    bl_options = {"REGISTER", "UNDO"}
+
+    all_parts: bpy.props.BoolProperty(name="All Parts", description="Restore the materials of all parts")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.results.replacing import replace_part, replacement
+
+        scene, settings = context.scene, context.scene.fipt.materials
+        keys = [row.key for row in settings.parts] if self.all_parts else [settings.active_part_key()]
+        replaced = [key for key in keys if replacement(scene, key) is not None]
+        for key in replaced:
+            replace_part(scene, key, None)
+        self.report({"INFO"}, iface_("{} estimated materials restored").format(len(replaced)))
+        return {"FINISHED"}
+
+
 CLASSES = (
     FIPT_OT_pick_part,
     FIPT_OT_select_part_faces,
     FIPT_OT_reset_part,
     FIPT_OT_mark_part_assets,
+    FIPT_OT_replace_part_material,
+    FIPT_OT_restore_estimate,
 )

@@ -7,12 +7,12 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..blend.marks import ANIMATED, FIXTURE, NAMED, VISIBILITY
+from ..blend.marks import ANIMATED, FIXTURE, MERGED, NAMED, VISIBILITY
 from .sidebar import Rows, Section, SubSection, draw_text
 
 
 class FIPT_UL_lights(Rows, bpy.types.UIList):
-    """Fixtures and added lights: on/off, solo, name, color, power in stops"""
+    """Fixtures and added lights: on/off, solo, whole name, color"""
 
     def draw_row(
         self,
@@ -23,17 +23,16 @@ class FIPT_UL_lights(Rows, bpy.types.UIList):
     ) -> None:
         light = item.object
         layout.use_property_split = False
-        halves = layout.split(factor=0.62, align=True)
+        halves = layout.split(factor=0.88, align=True)
         row = halves.row(align=True)
         row.prop(item, "on", text="", icon="LIGHT" if item.on else "OUTLINER_DATA_LIGHT", emboss=False)
         row.prop(item, "solo", text="", icon="SOLO_ON" if item.solo else "SOLO_OFF", emboss=False)
         name = row.row(align=True)
         name.active = item.on
         name.prop(light, "name", text="", emboss=False)
-        values = halves.split(factor=0.27, align=True)
-        values.active = item.on
-        values.prop(item, "color", text="")
-        values.prop(item, "stops", text="")
+        color = halves.row(align=True)
+        color.active = item.on
+        color.prop(item, "color", text="")
 
     def filter_items(
         self, context: bpy.types.Context, data: bpy.types.PropertyGroup, propname: str
@@ -104,13 +103,17 @@ def _draw_light(layout: bpy.types.UILayout, light: bpy.types.PropertyGroup | Non
         layout.label(text=iface_("In the report: {}").format(name), translate=False)
     column = layout.column(align=True)
     column.prop(light, "stops")
-    column.prop(light, "factor")
+    if light.has_power():
+        column.prop(light, "watts")
+    if light.has_flux():
+        column.prop(light, "lumens")
+    if FIXTURE in light.object:
+        column.prop(light, "radiance")
     column = layout.column()
     column.prop(light, "tint")
     if light.tint == "COLOR":
         column.prop(light, "color")
-    else:
-        column.prop(light, "kelvin")
+    column.prop(light, "kelvin")
     row = layout.row(align=True)
     row.operator("fipt.keyframe_lights", text="Keyframe", icon="KEY_HLT")
     if ANIMATED in light.object:
@@ -120,6 +123,10 @@ def _draw_light(layout: bpy.types.UILayout, light: bpy.types.PropertyGroup | Non
             layout.operator("fipt.area_light_to_fixture", icon="LOOP_BACK")
             _draw_profile(layout)
         else:
+            row = layout.row(align=True)
+            row.operator("fipt.merge_lamps", icon="LINKED")
+            if MERGED in light.object:
+                row.operator("fipt.split_lamp", text="", icon="UNLINKED")
             layout.operator("fipt.clean_fixture", icon="MESH_PLANE")
             layout.operator("fipt.fixture_to_area_light", icon="LIGHT_AREA")
     else:

@@ -8,6 +8,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..jobs import running
+from . import swatches
 from .job import draw_job, draw_warnings, job_warnings
 from .lights import draw_engine_choice
 from .sidebar import Rows, Section, SubSection, draw_text
@@ -42,6 +43,7 @@ class FIPT_PT_materials_settings(SubSection, bpy.types.Panel):
         column.enabled = running.current() is None
         column.prop(settings, "atlas_mode")
         if settings.atlas_mode == "uv":
+            column.prop(settings, "atlas_images")
             column.prop(settings, "texture_size")
             column.prop(settings, "texel_density")
         column.prop(settings, "texture_files")
@@ -95,15 +97,15 @@ class FIPT_UL_part_materials(Rows, bpy.types.UIList):
         index: int,
     ) -> None:
         layout.use_property_split = False
-        row = layout.split(factor=0.15, align=True)
-        color = row.row()
-        color.enabled = False
-        color.prop(item, "base_color", text="")
-        row.label(text=item.name, translate=False)
+        # An icon: a color field can't be disabled without a tint.
+        color = item.base_color.copy()  # of a property itself, Blender 4.3 converts zeros
+        red, green, blue = (round(value, 2) for value in color.from_scene_linear_to_srgb())
+        layout.label(text=item.name, icon_value=swatches.icon((red, green, blue)), translate=False)
 
 
-# The sliders, and where they change nothing.
+# The adjustments, and where they change nothing; of parts with mean values, sliders show the sums.
 _SLIDERS = {"roughness_offset": 0.0, "metallic_offset": 0.0, "hue": 0.0, "saturation": 1.0, "value": 1.0}
+_SUMS = {"roughness_offset": "roughness_value", "metallic_offset": "metallic_value"}
 
 
 class FIPT_PT_materials_parts(Section, bpy.types.Panel):
@@ -137,15 +139,32 @@ class FIPT_PT_materials_parts(Section, bpy.types.Panel):
         else:
             text = iface_("No mean values for this part; {:,} faces").format(part.faces)
         draw_text(layout, context, text)
+        replaced = _draw_replacement(layout, context, part)
         column = layout.column(align=True)
-        column.enabled = settings.shown != "ORIGINAL"
+        column.enabled = settings.shown != "ORIGINAL" and not replaced
         for name in _SLIDERS:
-            column.prop(part, name, slider=True)
+            column.prop(part, _SUMS.get(name, name) if part.known else name, slider=True)
         shading = getattr(context.space_data, "shading", None)
         changed = any(getattr(part, name) != neutral for name, neutral in _SLIDERS.items())
         if changed and shading is not None and shading.type == "SOLID":
             text = "Solid shading shows the textures without these changes. Use Material Preview or Rendered."
             draw_text(layout, context, iface_(text), icon="INFO")
+
+
+def _draw_replacement(
+    layout: bpy.types.UILayout, context: bpy.types.Context, part: bpy.types.PropertyGroup
+) -> bool:
+    """The material that replaces that of a part; returns whether there is one."""
+    from ..blend.results.replacing import replacement
+
+    material = replacement(context.scene, part.key)
+    row = layout.row(align=True)
+    if material is None:
+        row.operator("fipt.replace_part_material", text="Replace Material...", icon="MATERIAL")
+        return False
+    row.operator("fipt.replace_part_material", text=material.name, icon="MATERIAL", translate=False)
+    row.operator("fipt.restore_estimate", icon="LOOP_BACK").all_parts = False
+    return True
 
 
 CLASSES = (

@@ -61,12 +61,23 @@ def _change(self: FIPT_Light, values: Mapping[str, float | Sequence[float]]) -> 
         change(self.id_data, self.object, values)
 
 
-def _get_factor(self: FIPT_Light) -> float:
-    return 2.0 ** float(_get(STOPS, 0.0)(self))
+def _quantity(name: str) -> dict[str, Callable[..., object]]:
+    """Getter and setter of a quantity of `blend.lights.power` that is proportional to a light's power."""
 
+    def get(self: FIPT_Light) -> float:
+        if self.object is None:
+            return 0.0
+        from ..blend.lights import power
 
-def _set_factor(self: FIPT_Light, value: float) -> None:
-    _change(self, {STOPS: max(math.log2(max(value, 2.0**-_MAX_STOPS)), -_MAX_STOPS)})
+        return float(getattr(power, name)(self.object))
+
+    def set_value(self: FIPT_Light, value: float) -> None:
+        from ..blend.lights import power
+
+        stops = power.stops_for(value, get(self), float(_get(STOPS, 0.0)(self)))
+        _change(self, {STOPS: min(max(stops, -_MAX_STOPS), _MAX_STOPS)})
+
+    return {"get": get, "set": set_value}
 
 
 def _get_color(self: FIPT_Light) -> tuple[float, float, float]:
@@ -124,17 +135,34 @@ class FIPT_Light(bpy.types.PropertyGroup):
         get=_get(STOPS, 0.0),
         set=_set(STOPS),
     )
-    factor: bpy.props.FloatProperty(
-        name="Factor",
-        description="Power as a factor: 1 is as estimated",
+    watts: bpy.props.FloatProperty(
+        name="Power (W)",
+        description="Power as in Blender's own lights, of the strongest channel. These are watts as far as"
+        " the photographs are in W/(m² sr); otherwise only ratios count",
         min=0.0,
-        soft_max=10.0,
-        max=2.0**_MAX_STOPS,
-        step=10,
-        precision=3,
+        step=100,
+        precision=2,
         options=set(),
-        get=_get_factor,
-        set=_set_factor,
+        **_quantity("watts"),
+    )
+    lumens: bpy.props.FloatProperty(
+        name="Flux (lm)",
+        description="Luminous flux at 683 lm/W, as glTF counts it. A 60 W bulb has about 800 lm",
+        min=0.0,
+        step=1000,
+        precision=0,
+        options=set(),
+        **_quantity("lumens"),
+    )
+    radiance: bpy.props.FloatProperty(
+        name="Radiance",
+        description="Radiance of the lamp's surface in the unit of the photographs, W/(m² sr), of the"
+        " strongest channel; the mean of merged lamps",
+        min=0.0,
+        step=100,
+        precision=2,
+        options=set(),
+        **_quantity("radiance"),
     )
     tint: bpy.props.EnumProperty(
         name="Color From",
@@ -169,6 +197,18 @@ class FIPT_Light(bpy.types.PropertyGroup):
         get=_get_kelvin,
         set=_set_kelvin,
     )
+
+    def has_power(self) -> bool:
+        """Whether the light has a power in watts."""
+        from ..blend.lights.power import has_power
+
+        return has_power(self.object)
+
+    def has_flux(self) -> bool:
+        """Whether the light has a luminous flux."""
+        from ..blend.lights.power import has_flux
+
+        return has_flux(self.object)
 
     def is_here(self) -> bool:
         """Whether the light is still in the list's scene."""

@@ -23,11 +23,12 @@ from ...core.run.runfolder import explained_write_errors
 from ..lights.area_lights import area_light_watts
 from ..marks import FIXTURE_LIGHT, MATERIAL, is_our_light, result_world, room_with_results
 from ..marks import WORLD as OUR_WORLD
+from ..results.materials import is_uniform
 from ..room.originals import shows_original
 from ..room.tiles import split_tiles
 from ..room.uv_layer import UV_LAYER
 from .lamps import GAP, add_backs, plain_lamp
-from .materials import Atlas, glowing_material, has_maps, make_atlases, plain_material
+from .materials import Atlas, AtlasKey, glowing_material, has_maps, make_atlases, plain_material
 
 GLTF, USD = (".glb", ".gltf"), (".usdc", ".usda", ".usd", ".usdz")
 SUFFIXES = GLTF + USD
@@ -128,7 +129,7 @@ class _Copies:
         """Remove these images, too, at the end."""
         self._images = [image for atlas in atlases for image in atlas.images]
 
-    def add_room(self, room: list[bpy.types.Object], atlases: dict[int, Atlas]) -> None:
+    def add_room(self, room: list[bpy.types.Object], atlases: dict[AtlasKey, Atlas]) -> None:
         """Copies of the room's objects with plain materials; the artist's own materials stay."""
         for item in room:
             if not len(item.data.polygons):  # all of it is a lamp
@@ -140,9 +141,12 @@ class _Copies:
                 material = slot.material
                 if not has_maps(material):
                     continue
-                if (material, image) not in self._materials:
-                    self._materials[material, image] = plain_material(material, atlases[image])
-                slot.material = self._materials[material, image]
+                uniform = is_uniform(material)
+                key = (material, -1 if uniform else image)
+                if key not in self._materials:
+                    atlas = None if uniform else atlases[material[MATERIAL], image]
+                    self._materials[key] = plain_material(material, atlas)
+                slot.material = self._materials[key]
 
     def add_lights(self, areas_as_meshes: bool) -> None:
         """Copies of visible lights and lamps; Blender lights that stand for fixtures are left out."""

@@ -13,7 +13,7 @@ import numpy as np
 from ..marks import MAP, MATERIAL, PART, PART_NAME
 from ..node_trees import node_tree
 from ..results import adjust
-from ..results.materials import SPECULAR_LEVEL
+from ..results.materials import SPECULAR_LEVEL, is_uniform, uniform_values
 from ..room.mesh_arrays import corner_uvs, polygon_slots, triangle_loops
 from ..room.tiles import image_uvs, polygon_images, tile_number
 from ..room.uv_layer import UV_LAYER
@@ -41,26 +41,31 @@ class Atlas:
         return [image for image in images if image is not None]
 
 
-def make_atlases(objects: list[bpy.types.Object], folder: Path, packed: bool) -> dict[int, Atlas]:
-    """Write the textures of all atlas images that objects with results use, by their indices.
+# An atlas image: name of the atlas, and its index there.
+AtlasKey = tuple[str, int]
+
+
+def make_atlases(objects: list[bpy.types.Object], folder: Path, packed: bool) -> dict[AtlasKey, Atlas]:
+    """Write the textures of all atlas images that objects with results use.
 
     Args:
         objects: that show their result meshes.
         folder: for the files.
         packed: roughness and metallic in one image, as glTF has them; otherwise in two.
     """
-    materials: dict[int, dict[str, bpy.types.Material]] = {}
+    materials: dict[AtlasKey, dict[str, bpy.types.Material]] = {}
     for item in objects:
         mesh = item.data
         pairs = np.unique(np.stack([polygon_slots(mesh), polygon_images(mesh)], axis=1), axis=0)
         for slot, image in pairs.tolist():
             material = mesh.materials[min(slot, len(mesh.materials) - 1)] if mesh.materials else None
-            if material is not None and MATERIAL in material:
-                materials.setdefault(image, {})[material.get(PART, "")] = material
+            if material is not None and has_maps(material) and not is_uniform(material):
+                materials.setdefault((material[MATERIAL], image), {})[material.get(PART, "")] = material
     atlases = {}
-    for number, by_part in sorted(materials.items()):
-        first = next(iter(by_part.values()))
-        name = first[MATERIAL] if len(materials) == 1 else f"{first[MATERIAL]}.{tile_number(number)}"
+    tiled = {atlas for atlas, number in materials if number > 0}
+    for key, by_part in sorted(materials.items()):
+        first, (atlas, number) = next(iter(by_part.values())), key
+        name = f"{atlas}.{tile_number(number)}" if atlas in tiled else atlas
         maps = read_maps(first, number)
         keys = list(by_part)
         changed = {
@@ -69,10 +74,10 @@ def make_atlases(objects: list[bpy.types.Object], folder: Path, packed: bool) ->
             if adjust.read(by_part[key]) != adjust.NO_ADJUSTMENT
         }
         if changed:
-            corner_uv, part = _triangles(objects, number, keys)
+            corner_uv, part = _triangles(objects, key, keys)
             size = (maps.shape[1], maps.shape[0])
             maps = adjusted_maps(maps, texel_parts(corner_uv, part, size), changed)
-        atlases[number] = _write(maps, name, folder, packed)
+        atlases[key] = _write(maps, name, folder, packed)
     return atlases
 
 
@@ -90,16 +95,17 @@ def _write(maps: np.ndarray, name: str, folder: Path, packed: bool) -> Atlas:
 
 
 def _triangles(
-    objects: list[bpy.types.Object], number: int, keys: list[str]
+    objects: list[bpy.types.Object], image: AtlasKey, keys: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
     """(T, 3, 2) UVs and (T,) indices into `keys` of all triangles on an atlas image."""
+    atlas, number = image
     uvs, parts = [np.zeros((0, 3, 2))], [np.zeros(0, np.int64)]
     for item in objects:
         mesh = item.data
         of_slot = np.array(
             [
                 keys.index(material[PART])
-                if material is not None and MATERIAL in material and material[PART] in keys
+                if material is not None and material.get(MATERIAL) == atlas and material[PART] in keys
                 else -1
                 for material in mesh.materials
             ]
@@ -113,10 +119,16 @@ def _triangles(
     return np.concatenate(uvs), np.concatenate(parts)
 
 
-def plain_material(material: bpy.types.Material, atlas: Atlas) -> bpy.types.Material:
-    """A new Principled material of a part with the exported textures."""
+def plain_material(material: bpy.types.Material, atlas: Atlas | None) -> bpy.types.Material:
+    """A new Principled material of a part with the exported textures; of one value without (None)."""
     made = bpy.data.materials.new(material.get(PART_NAME, "") or material.name)
     principled = _principled(made)
+    if atlas is None:
+        values = adjust.adjusted(adjust.read(material), uniform_values(material)[None])[0].tolist()
+        sockets = {"Base Color": (*values[:3], 1.0), "Roughness": values[3], "Metallic": values[4]}
+        for name, value in sockets.items():
+            principled.inputs[name].default_value = value
+        return made
     tree = node_tree(made)
     uv = tree.nodes.new("ShaderNodeUVMap")
     uv.uv_map = UV_LAYER
@@ -175,8 +187,10 @@ def _principled(material: bpy.types.Material) -> bpy.types.Node:
 
 
 def has_maps(material: bpy.types.Material | None) -> bool:
-    """Whether a material is an estimated one with images."""
+    """Whether a material is an estimated one with images, or with constants in their place."""
     if material is None or MATERIAL not in material:
         return False
+    if is_uniform(material):
+        return True
     node = node_tree(material).nodes.get(MAP.format("Base Color"))
     return node is not None and node.bl_idname == "ShaderNodeTexImage"

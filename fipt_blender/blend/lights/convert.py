@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -33,8 +33,16 @@ from ..marks import (
 )
 from ..outliner import FIXTURES, collection, remove_object
 from ..room.islands import connected_triangles
-from ..room.mesh_arrays import corner_vertices, transform_points, triangle_loops, vertex_positions
+from ..room.mesh_arrays import (
+    corner_vertices,
+    polygon_slots,
+    transform_points,
+    triangle_loops,
+    vertex_positions,
+)
 from . import light_state
+from .fixture_nodes import surfaces
+from .power import world_matrix
 
 MAX_LIGHTS = 16
 RAYS = ("visible_diffuse", "visible_glossy", "visible_transmission", "visible_volume_scatter",
@@ -80,23 +88,48 @@ def fixture_to_lights(scene: bpy.types.Scene, item: bpy.types.Object) -> tuple[l
         FiptError: ``fixture-empty`` where it has no surface.
     """
     lights_to_fixture(scene, item)
-    shapes = fit_shapes(*world_triangles(item))
-    if not shapes:
+    vertices, triangles = world_triangles(item)
+    slot = _triangle_slots(item)
+    emitted = [
+        (shape, sides)
+        for chosen, sides in _emission(item, slot)
+        for shape in fit_shapes(vertices, triangles[chosen])
+    ]
+    if not emitted:
         raise FiptError("fixture-empty", f"'{item.name}' has no surface.", "Choose another fixture.")
     target = collection(scene, FIXTURES)
     lights = []
-    for shape in shapes:
-        for key, backwards in ((BASE, False), (BACK, True)):
-            radiance = list(item.get(key, (0.0, 0.0, 0.0)))
+    for shape, sides in emitted:
+        for radiance, backwards in zip(sides, (False, True), strict=True):
             # The back of a ball is its inside, which does not light the room.
             if max(radiance) > 0.0 and not (backwards and shape.kind == "POINT"):
-                lights.append(_add_light(item, shape, radiance, backwards, target))
+                lights.append(_add_light(item, shape, list(radiance), backwards, target))
     item[AS_CONVERTED] = len(lights)
     item[VISIBILITY] = json.dumps({name: getattr(item, name) for name in RAYS})
     for name in RAYS:
         setattr(item, name, False)
     light_state.refresh(scene)
-    return lights, all(shape.exact for shape in shapes)
+    return lights, all(shape.exact for shape, _ in emitted)
+
+
+def _triangle_slots(item: bpy.types.Object) -> np.ndarray:
+    """(T,) material slot of each triangle of a fixture."""
+    _, polygon = triangle_loops(item.data, mirrored=False)
+    return polygon_slots(item.data)[polygon]
+
+
+def _emission(
+    item: bpy.types.Object, slot: np.ndarray
+) -> list[tuple[np.ndarray, tuple[Sequence[float], Sequence[float]]]]:
+    """Triangles ((T,) bool) of each surface of a fixture with the radiances of its front and back.
+
+    A fixture without its material has one surface.
+    """
+    found = surfaces(item)
+    if len(found) > 1:
+        return [(slot == each.slot, (each.front, each.back)) for each in found]
+    sides = tuple(list(item.get(key, (0.0, 0.0, 0.0))) for key in (BASE, BACK))
+    return [(np.ones(len(slot), bool), (sides[0], sides[1]))]
 
 
 def lights_to_fixture(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
@@ -176,8 +209,7 @@ def _add_light(
     light.matrix_basis = Matrix(matrix.tolist())
     if item.parent is not None:
         light.matrix_world = Matrix(matrix.tolist())
-    fixture_matrix = item.matrix_basis if item.parent is None else item.matrix_world
-    light[AS_CONVERTED] = _shape_and_place(light, fixture_matrix.inverted() @ Matrix(matrix.tolist()))
+    light[AS_CONVERTED] = _shape_and_place(light, world_matrix(item).inverted() @ Matrix(matrix.tolist()))
     return light
 
 
@@ -185,7 +217,7 @@ def world_triangles(item: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     """World positions of a fixture's vertices (V,3) and its triangles (T,3)."""
     mesh = item.data
     loops, _ = triangle_loops(mesh, mirrored=False)
-    matrix = np.array(item.matrix_basis if item.parent is None else item.matrix_world, np.float64)
+    matrix = np.array(world_matrix(item), np.float64)
     return transform_points(vertex_positions(mesh), matrix), corner_vertices(mesh)[loops]
 
 

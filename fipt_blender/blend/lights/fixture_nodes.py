@@ -5,16 +5,49 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import bpy
 
-from ..marks import BACKSIDE, FRONT, OUTPUT
+from ..marks import BACK, BACKSIDE, BASE, FRONT, OUTPUT
 from ..node_trees import node_tree
 from ..shown import UNCHANGED, write_surface
 from .tint import split
 
 _REFLECTION, _MIX = "FIPT Reflection", "FIPT Sides"
 _SIDES = ((FRONT, "Front: strength is radiance"), (BACKSIDE, "Back: strength is radiance"))
+_BLACK = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What one material slot of a fixture emits as estimated; merged lamps have several.
+
+    Attributes:
+        slot: its index.
+        material: made by `emission_material`.
+        front, back: rgb radiance, W/(m² sr).
+    """
+
+    slot: int
+    material: bpy.types.Material
+    front: Sequence[float]
+    back: Sequence[float]
+
+
+def surfaces(item: bpy.types.Object) -> list[Surface]:
+    """The emitting surfaces of a fixture; none of a light, or where the artist has removed the materials.
+
+    The materials of merged lamps carry their own radiances, any other has that of its object.
+    """
+    if item.type != "MESH":
+        return []
+    own = item.get(BASE, _BLACK), item.get(BACK, _BLACK)
+    return [
+        Surface(slot, material, material.get(BASE, own[0]), material.get(BACK, own[1]))
+        for slot, material in enumerate(item.data.materials)
+        if material is not None and material.node_tree is not None
+    ]
 
 
 def emission_material(

@@ -25,6 +25,7 @@ from ..outliner import FIXTURES, collection, remove_object
 from .convert import fixture_to_lights, lights_as_converted
 from .light_drivers import action_of, take_action
 from .light_state import SETTINGS, Setting, adopt, list_lights, plain, refresh
+from .merging import members_of, merge
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class FixtureState:
         action: names of the action and the slot with its keyframes, "" without keyframes.
         name: the object's name if the artist has chosen it, else "".
         lights: copies of these lights if the artist has moved, reshaped or deleted some of them, else None.
+        merged: names of the fixtures that the artist has merged into this one, its own first.
     """
 
     settings: dict[str, Setting]
@@ -51,6 +53,7 @@ class FixtureState:
     action: tuple[str, str] = ("", "")
     name: str = ""
     lights: list[_KeptLight] | None = None
+    merged: tuple[str, ...] = ()
 
 
 def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
@@ -62,17 +65,27 @@ def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
         changed = AS_CONVERTED in item and not lights_as_converted(scene, item)
         lights = [_copied(light) for light in fixture_lights(item)] if changed else None
         states[item[FIXTURE]] = FixtureState(
-            settings, AS_CONVERTED in item, action_of(item), _chosen_name(item), lights
+            settings,
+            AS_CONVERTED in item,
+            action_of(item),
+            _chosen_name(item),
+            lights,
+            tuple(members_of(item)),
         )
     return states
 
 
 def keep_states(
     scene: bpy.types.Scene, items: Iterable[bpy.types.Object], states: Mapping[str, FixtureState]
-) -> None:
-    """Give new fixtures the settings of earlier ones with the same name and radiance; update all lights."""
+) -> list[bpy.types.Object]:
+    """Give new fixtures the settings of earlier ones with the same name and radiance; update all lights.
+
+    Returns:
+        The fixtures, those merged that were merged before.
+    """
     unused = dict(states)
-    for item in items:
+    placed = _merged_again(items, states.values())
+    for item in placed:
         state = states.get(item[FIXTURE])
         if state is None or any(state.settings.get(key) != plain(item[key]) for key in (BASE, BACK)):
             continue
@@ -92,6 +105,19 @@ def keep_states(
             remove_object(light.copy)
     refresh(scene)
     list_lights(scene)
+    return placed
+
+
+def _merged_again(
+    items: Iterable[bpy.types.Object], states: Iterable[FixtureState]
+) -> list[bpy.types.Object]:
+    """The fixtures, those merged again that were merged before, if all of them are still there."""
+    present = {item[FIXTURE]: item for item in items}
+    for state in states:
+        if len(state.merged) > 1 and all(name in present for name in state.merged):
+            lamp = merge([present.pop(name) for name in state.merged])
+            present[lamp[FIXTURE]] = lamp
+    return list(present.values())
 
 
 def _chosen_name(item: bpy.types.Object) -> str:

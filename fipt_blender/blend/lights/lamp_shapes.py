@@ -15,6 +15,8 @@ import numpy as np
 from mathutils import Matrix
 
 from ...core.run.errors import FiptError
+from ..marks import BACK, BASE, remove_marks
+from .power import world_matrix
 
 # Surfaces with a smaller ratio of |vector area| to area are closed.
 _CLOSED = 0.5
@@ -184,10 +186,10 @@ def clean_fixture(item: bpy.types.Object, vertices: np.ndarray, triangles: np.nd
     shape = fit_lamp_shape(vertices, triangles)
     before = item.data
     mesh = shape_mesh(before.name, shape)
-    for material in before.materials:
+    for material in before.materials[:1]:  # merged lamps become one surface of their mean radiance
+        remove_marks(material, BASE, BACK)
         mesh.materials.append(material)
-    to_object = (item.matrix_basis if item.parent is None else item.matrix_world).inverted()
-    mesh.transform(to_object @ Matrix(shape.matrix.tolist()))
+    mesh.transform(world_matrix(item).inverted() @ Matrix(shape.matrix.tolist()))
     item.data = mesh
     name = before.name
     if not before.users:

@@ -15,7 +15,6 @@ import bpy
 
 from ..marks import (
     ANIMATED,
-    BACK,
     BACKSIDE,
     BASE,
     COLOR,
@@ -28,7 +27,7 @@ from ..marks import (
     remove_marks,
 )
 from .color import LUMINANCE, luminance
-from .fixture_nodes import emitting_sides
+from .fixture_nodes import emitting_sides, surfaces
 from .tint import shown_color
 
 KEYED = (ON, STOPS, COLOR)
@@ -115,22 +114,21 @@ def drive(item: bpy.types.Object) -> None:
                 variable.targets[0].id, variable.targets[0].data_path = item, source
         if curve.driver.expression != expression:
             curve.driver.expression = expression
-    material = _material(item)
-    if material is not None and hasattr(material, "cycles") and not fixture_lights(item):
-        # A lamp that is off on this frame may shine on the next one.
-        material.cycles.emission_sampling = emitting_sides(item.get(BASE, _OFF), item.get(BACK, _OFF))
+    for surface in surfaces(item):
+        if hasattr(surface.material, "cycles") and not fixture_lights(item):
+            # A lamp that is off on this frame may shine on the next one.
+            surface.material.cycles.emission_sampling = emitting_sides(surface.front, surface.back)
     item.update_tag()  # the drivers follow
 
 
 def _driven(item: bpy.types.Object) -> Iterator[_Driven]:
     """Everything of a light that its custom properties drive."""
-    material = _material(item)
-    if material is not None:
-        for name, key in ((FRONT, BASE), (BACKSIDE, BACK)):
-            node = material.node_tree.nodes.get(name)
+    for surface in surfaces(item):
+        for name, base in ((FRONT, surface.front), (BACKSIDE, surface.back)):
+            node = surface.material.node_tree.nodes.get(name)
             if node is None:
                 continue
-            yield node.inputs["Strength"], "default_value", -1, _strength_expression(item.get(key, _OFF))
+            yield node.inputs["Strength"], "default_value", -1, _strength_expression(base)
             for channel, letter in enumerate("rgb"):
                 yield node.inputs["Color"], "default_value", channel, letter
     lights = fixture_lights(item) if item.type == "MESH" else [item]
@@ -138,13 +136,6 @@ def _driven(item: bpy.types.Object) -> Iterator[_Driven]:
         yield light.data, "energy", -1, _strength_expression(light.get(BASE, _OFF))
         for channel, letter in enumerate("rgb"):
             yield light.data, "color", channel, letter
-
-
-def _material(item: bpy.types.Object) -> bpy.types.Material | None:
-    if item.type != "MESH" or not item.data.materials or item.data.materials[0] is None:
-        return None
-    material = item.data.materials[0]
-    return None if material.node_tree is None else material
 
 
 def _strength_expression(base: Sequence[float]) -> str:

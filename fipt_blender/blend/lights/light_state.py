@@ -13,7 +13,6 @@ from collections.abc import Iterable, Mapping, Sequence
 import bpy
 
 from ..marks import (
-    BACK,
     BACKGROUND,
     BASE,
     COLOR,
@@ -33,7 +32,7 @@ from ..marks import (
     remove_marks,
     result_world,
 )
-from .fixture_nodes import node_strength, write_radiance, write_shown
+from .fixture_nodes import node_strength, surfaces, write_radiance, write_shown
 from .light_drivers import clear as clear_animation
 from .light_drivers import drive, is_animated, take_color
 from .tint import base_of, powered, shown_color, shown_temperature, split, tinted
@@ -139,7 +138,7 @@ def adopt(item: bpy.types.Object) -> None:
     written, strength = item.get(WRITTEN), _strength(item)
     if written is None or strength is None or math.isclose(strength, written, rel_tol=1e-4, abs_tol=1e-9):
         return
-    base_strength = split(tinted(item, base_of(item)))[1]
+    base_strength = split(tinted(item, _written_base(item)))[1]
     item[ON] = strength > 0.0
     if strength > 0.0 and base_strength > 0.0:
         item[STOPS] = math.log2(strength / base_strength)
@@ -177,26 +176,34 @@ def _shown(scene: bpy.types.Scene) -> str:
 
 
 def _strength(item: bpy.types.Object) -> float | None:
-    """Watts of a light; strength of the side of a fixture that `base_of` names; None where unknown."""
+    """Watts of a light; strength of the shining side of a fixture's first surface; None where unknown."""
     if item.type == "LIGHT":
         return float(item.data.energy)
-    if item.type != "MESH" or not item.data.materials or item.data.materials[0] is None:
-        return None
-    return node_strength(item.data.materials[0], back=max(item.get(BASE, (1.0,))) <= 0.0)
+    first = next(iter(surfaces(item)), None)
+    return None if first is None else node_strength(first.material, back=max(first.front) <= 0.0)
+
+
+def _written_base(item: bpy.types.Object) -> Sequence[float]:
+    """The base rgb of what `_strength` reads."""
+    first = next(iter(surfaces(item)), None)
+    if first is None:
+        return base_of(item)
+    return first.back if max(first.front) <= 0.0 else first.front
 
 
 def _write(item: bpy.types.Object, any_solo: bool, shown: str) -> None:
     on, off = shines(item, any_solo), (0.0, 0.0, 0.0)
+    emitting = surfaces(item)
     if is_animated(item):
         item[GATE] = (1 if on else -1) if any_solo else 0
     if item.type == "LIGHT":
         _write_light(item, item, on)
-    elif item.type == "MESH" and item.data.materials and item.data.materials[0] is not None:
-        material = item.data.materials[0]
-        front = powered(item, item[BASE]) if on else off
-        back = powered(item, item.get(BACK, off)) if on else off
-        write_radiance(material, front, back, sampled=not fixture_lights(item))
-        write_shown(material, shown)
+    elif emitting:
+        for surface in emitting:
+            front = powered(item, surface.front) if on else off
+            back = powered(item, surface.back) if on else off
+            write_radiance(surface.material, front, back, sampled=not fixture_lights(item))
+            write_shown(surface.material, shown)
         for light in fixture_lights(item):
             _write_light(light, item, on)
     if is_animated(item):

@@ -12,9 +12,8 @@ import bpy
 
 from ..changed import all_changed, changed
 from ..lights.convert import RAYS, lights_as_converted
-from ..lights.fixture_nodes import emitting_sides
+from ..lights.fixture_nodes import emitting_sides, surfaces
 from ..marks import (
-    BACK,
     BACKGROUND,
     BACKSIDE,
     BASE,
@@ -26,8 +25,6 @@ from ..marks import (
     fixtures_of,
     result_world,
 )
-
-_BLACK = (0.0, 0.0, 0.0)
 
 
 @contextmanager
@@ -74,26 +71,18 @@ def _emit_by_surface(stack: ExitStack, item: bpy.types.Object, visibility: Mappi
     """Let a fixture's surface emit in place of its Blender lights, visible to these rays."""
     stack.enter_context(all_changed(fixture_lights(item), {"hide_render": True}))
     stack.enter_context(changed(item, visibility))
-    material = _material(item)
-    if material is not None and hasattr(material, "cycles"):  # not where the Cycles add-on is disabled
-        sides = emitting_sides(*(item.get(key, _BLACK) for key in (BASE, BACK)))
-        stack.enter_context(changed(material.cycles, {"emission_sampling": sides}))
+    for surface in surfaces(item):
+        if hasattr(surface.material, "cycles"):  # not where the Cycles add-on is disabled
+            sides = emitting_sides(surface.front, surface.back)
+            stack.enter_context(changed(surface.material.cycles, {"emission_sampling": sides}))
 
 
 def _emit_as_estimated(stack: ExitStack, item: bpy.types.Object) -> None:
-    material = _material(item)
-    if material is None:
-        return
-    for name, key in ((FRONT, BASE), (BACKSIDE, BACK)):
-        node = material.node_tree.nodes.get(name)
-        if node is not None:
-            _set_radiance(stack, node, [float(value) for value in item.get(key, _BLACK)])
-
-
-def _material(item: bpy.types.Object) -> bpy.types.Material | None:
-    """A fixture's material; None where the artist has removed it or its nodes."""
-    material = item.data.materials[0] if item.data.materials else None
-    return None if material is None or material.node_tree is None else material
+    for surface in surfaces(item):
+        for name, radiance in ((FRONT, surface.front), (BACKSIDE, surface.back)):
+            node = surface.material.node_tree.nodes.get(name)
+            if node is not None:
+                _set_radiance(stack, node, [float(value) for value in radiance])
 
 
 def _set_radiance(stack: ExitStack, node: bpy.types.Node, radiance: Sequence[float]) -> None:

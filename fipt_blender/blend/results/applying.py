@@ -80,7 +80,10 @@ class _Results:
         room: the exported room.
         faces: part of each triangle.
         corner_uv: (T,3,2) of the atlas, in its tiles.
-        entries: the entries of textures.json; empty for colour attributes.
+        triangle_atlas: (T,) int, which of several atlases a triangle lies on; 0 where parts share one.
+        entries: the images of textures.json; empty for colour attributes.
+        apart: whether each image is an atlas of its own.
+        uniform: base colour, roughness and metallic of parts of one value, by their keys.
         corner_fields: values of colour attributes by map; empty for UVs.
         emitters: the fixtures of emitters.json.
     """
@@ -88,7 +91,10 @@ class _Results:
     room: Room
     faces: PartFaces
     corner_uv: np.ndarray
+    triangle_atlas: np.ndarray
     entries: list[dict[str, str]]
+    apart: bool
+    uniform: dict[str, tuple[float, ...]]
     corner_fields: dict[str, np.ndarray]
     emitters: list[dict[str, Any]]
 
@@ -214,18 +220,24 @@ def _read(run: RunFolder) -> _Results:
     atlas, arrays = read_atlas(run, count)
     corner_fields: dict[str, np.ndarray] = {}
     entries: list[dict[str, str]] = []
+    uniform: dict[str, tuple[float, ...]] = {}
     if atlas["mode"] == "color_attribute":
         corner_fields = _read_corner_fields(run.textures / "corner_fields.npz", count)
     else:
-        entries = read_textures(run)
+        entries, uniform = read_textures(run)
         if len(entries) != len(atlas["images"]):
             raise FiptError("file-damaged", f"{run.textures_json} does not fit {run.atlas_json}.", _AGAIN)
     parts = read_parts(run, room.triangle_object, room.objects)
+    image, apart = arrays["triangle_image"], bool(atlas.get("apart", False)) and bool(entries)
+    shared = np.zeros_like(image)
     return _Results(
         room=room,
         faces=PartFaces(parts, read_left_alone(run, count)),
-        corner_uv=tiled_uvs(arrays["corner_uv"], arrays["triangle_image"]),
+        corner_uv=tiled_uvs(arrays["corner_uv"], shared if apart else image),
+        triangle_atlas=np.maximum(image, 0) if apart else shared,
         entries=entries,
+        apart=apart,
+        uniform=uniform,
         corner_fields=corner_fields,
         emitters=read_emitters(run, count)["fixtures"],
     )
@@ -280,9 +292,15 @@ def _swap_in(
             item[OBJECT_ID] = (room.object_ids or room.objects)[index]
     earlier = result_materials(result_meshes(item for item, _ in targets.values()))
     entries = results.entries
-    images = load_maps(run, entries, files) if entries else None
-    name = entries[0]["name"] if len(entries) == 1 else SEVERAL
-    materials = PartMaterials(results.faces, images, name, earlier)
+    atlases = [[entry] for entry in entries] if results.apart else [entries]
+    materials = PartMaterials(
+        results.faces,
+        [load_maps(run, images, files) if images else None for images in atlases],
+        [images[0]["name"] if len(images) == 1 else SEVERAL for images in atlases],
+        results.triangle_atlas,
+        results.uniform,
+        earlier,
+    )
     for index, (_, mesh) in targets.items():
         materials.assign(mesh, room, index)
     warnings = [*warnings, *materials.finish()]
@@ -298,7 +316,6 @@ def _swap_in(
     for item, mesh in targets.values():
         set_result_mesh(item, mesh)
     remove_unused(earlier)
-    placed = fixtures.place(scene, new_fixtures)
-    keep_states(scene, placed, kept)
+    placed = keep_states(scene, fixtures.place(scene, new_fixtures), kept)
     placed_names = [item.name for item in placed]
     return Applied([material.name for material in materials.made.values()], placed_names, warnings)

@@ -21,7 +21,8 @@ from ..outliner import FIXTURES, find_collection
 from ..room.originals import result_meshes, show_original
 from ..shown import write_surface
 from . import adjust
-from .materials import MAPS, result_materials
+from .materials import MAPS, is_uniform, result_materials
+from .replacing import show_replacements
 
 # Colours are shown as in Blender's colour fields, other values as plain numbers.
 _TRANSFORMS = {"BASE_COLOR": "Standard", "EMISSION": "Standard"}
@@ -51,6 +52,7 @@ def show(scene: bpy.types.Scene, shown: str) -> None:
             )
     for item in items:
         show_original(item, shown == "ORIGINAL")
+    show_replacements(scene, shown)
     meshes = result_meshes(items)
     for material in result_materials(meshes):
         _show_in_material(material, shown)
@@ -73,9 +75,17 @@ def _show_in_material(material: bpy.types.Material, shown: str) -> None:
     label = _LABELS.get(shown, "")
     write_surface(material, shown, adjust.output(material, label) if label else None, _BLACK)
     active = nodes.get(MAP.format(label)) or nodes.get(MAP.format("Base Color"))
-    if active is not None:
-        nodes.active = active  # solid shading draws the active texture
+    # Solid shading draws the active texture, or the color of the material without one.
     material.diffuse_color = _BLACK if shown == "EMISSION" else (0.8, 0.8, 0.8, 1.0)
+    if is_uniform(material):
+        # Without a mark, Solid shading would draw any texture, also one in a group.
+        nodes[MAP.format("Confidence")].show_texture = shown == "CONFIDENCE"
+        nodes[MAP.format("Base Color")].show_texture = shown != "CONFIDENCE"
+        constant = nodes.get(MAP.format(label or "Base Color"))
+        if constant is not None and constant.bl_idname == "ShaderNodeRGB" and shown != "EMISSION":
+            material.diffuse_color = constant.outputs["Color"].default_value
+    elif active is not None:
+        nodes.active = active
 
 
 def _show_in_mesh(mesh: bpy.types.Mesh, shown: str) -> None:

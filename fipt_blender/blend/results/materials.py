@@ -13,13 +13,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import bpy
+import numpy as np
 
 from ...core.run.documents import read_json
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import TEXTURES
 from ..image_datablocks import remove_unused_images, tile_pattern
-from ..marks import MAP, MATERIAL, OUTPUT, PART, PART_NAME, PRINCIPLED, TABLE
+from ..marks import ESTIMATE, MAP, MATERIAL, OUTPUT, PART, PART_NAME, PRINCIPLED, TABLE
 from ..node_trees import node_tree
 from ..room.tiles import tile_number
 from ..room.uv_layer import UV_LAYER
@@ -43,19 +44,40 @@ class Surface:
     """What a material shows: a part's texels of the atlas.
 
     Attributes:
-        image: name of the atlas; the same for all.
+        image: name of the atlas, the same for all parts that share it.
         key, name: of the part, see `core.run.parts`.
+        values: base colour, roughness and metallic (5,) of a part of one value, which needs no textures.
     """
 
     image: str
     key: str
     name: str
+    values: tuple[float, ...] | None = None
 
 
 def result_materials(meshes: Iterable[bpy.types.Mesh]) -> list[bpy.types.Material]:
-    """The estimated materials of meshes, each once."""
-    materials = (material for mesh in meshes for material in mesh.materials if material is not None)
-    return list(dict.fromkeys(material for material in materials if MATERIAL in material))
+    """The estimated materials of meshes, each once, those among them that others have replaced."""
+    materials = (material for mesh in meshes for material in slot_estimates(mesh) if material is not None)
+    return list(dict.fromkeys(materials))
+
+
+def slot_estimates(mesh: bpy.types.Mesh) -> list[bpy.types.Material | None]:
+    """The estimated material of each slot of a result mesh, None where the artist's material was kept."""
+    found = []
+    for index, material in enumerate(mesh.materials):
+        own = material is not None and MATERIAL in material
+        found.append(material if own else mesh.get(ESTIMATE.format(index)))
+    return found
+
+
+def materials_by_part(
+    materials: Iterable[bpy.types.Material],
+) -> dict[str, list[bpy.types.Material]]:
+    """Estimated materials by the keys of their parts."""
+    by_part: dict[str, list[bpy.types.Material]] = {}
+    for material in materials:
+        by_part.setdefault(material.get(PART, ""), []).append(material)
+    return by_part
 
 
 def remove_unused(materials: Iterable[bpy.types.Material]) -> None:
@@ -92,8 +114,8 @@ def _images(tree: bpy.types.NodeTree) -> set[bpy.types.Image]:
     return {node.image for node in textures if node.image is not None}
 
 
-def read_textures(run: RunFolder) -> list[dict[str, str]]:
-    """The entries of textures.json.
+def read_textures(run: RunFolder) -> tuple[list[dict[str, str]], dict[str, tuple[float, ...]]]:
+    """The images of textures.json, and what parts of one value have, by their keys: `Surface.values`.
 
     Raises:
         FiptError: ``file-missing`` for textures.json or a texture, or ``file-damaged``.
@@ -107,7 +129,11 @@ def read_textures(run: RunFolder) -> list[dict[str, str]]:
                 raise FiptError(
                     "file-missing", f"The texture {path} does not exist.", "Apply the results again."
                 )
-    return entries
+    uniform = {
+        entry["part"]: (*entry["base_color"], entry["roughness"], entry["metallic"])
+        for entry in data.get("uniform", [])
+    }
+    return entries, uniform
 
 
 def load_maps(
@@ -156,6 +182,8 @@ def part_material(
         _add_attributes(material, frame)
     else:
         _add_textures(material, frame, images)
+    if surface.values is not None:
+        _add_values(material, frame, surface.values)
     node = adjust.add_adjustment(material, adjustment)
     node.location = (-220, 300)
     for label in adjust.MAPS:
@@ -192,6 +220,34 @@ def _add_textures(
         node.location = (-580, 300 - 290 * row)
         node.parent = frame
         links.new(uv.outputs["UV"], node.inputs["Vector"])
+
+
+def _add_values(material: bpy.types.Material, frame: bpy.types.Node, values: Sequence[float]) -> None:
+    """Constants in place of all maps but confidence; roughness and metallic are greys, as in the images."""
+    nodes = material.node_tree.nodes
+    colors = {"Base Color": values[:3], "Roughness": (values[3],) * 3, "Metallic": (values[4],) * 3}
+    for label, color in colors.items():
+        before = nodes[MAP.format(label)]
+        place = before.location.copy()
+        nodes.remove(before)
+        node = nodes.new("ShaderNodeRGB")
+        node.name, node.label = MAP.format(label), label
+        node.outputs["Color"].default_value = (*color, 1.0)
+        node.parent, node.location = frame, place
+    nodes.active = nodes[MAP.format("Base Color")]
+
+
+def is_uniform(material: bpy.types.Material) -> bool:
+    """Whether an estimated material has constants in place of textures."""
+    node = node_tree(material).nodes.get(MAP.format("Base Color"))
+    return node is not None and node.bl_idname == "ShaderNodeRGB"
+
+
+def uniform_values(material: bpy.types.Material) -> np.ndarray:
+    """(5,) base colour, roughness and metallic of a material of one value, as estimated."""
+    nodes = node_tree(material).nodes
+    color, *others = (list(nodes[MAP.format(label)].outputs["Color"].default_value) for label in adjust.MAPS)
+    return np.array([*color[:3], *(other[0] for other in others)])
 
 
 def _add_attributes(material: bpy.types.Material, frame: bpy.types.Node) -> None:

@@ -23,8 +23,7 @@ from ..room.arrays import read_room
 from ..room.mesh_arrays import corner_vertices, polygon_slots, polygon_starts
 from ..room.originals import result_meshes
 from . import adjust
-from .materials import result_materials
-from .part_materials import materials_by_part
+from .materials import materials_by_part, result_materials, slot_estimates
 
 _UNKNOWN = (0.5, 0.5, 0.5)
 
@@ -62,8 +61,8 @@ def _face_counts(scene: bpy.types.Scene) -> dict[str, int]:
 
 
 def _slot_parts(mesh: bpy.types.Mesh) -> list[str]:
-    """The key of the part of each slot, "" for the artist's materials."""
-    return ["" if material is None else material.get(PART, "") for material in mesh.materials]
+    """The key of the part of each slot, "" for the artist's materials that were kept."""
+    return ["" if material is None else str(material.get(PART, "")) for material in slot_estimates(mesh)]
 
 
 def _slot_counts(mesh: bpy.types.Mesh) -> np.ndarray:
@@ -173,6 +172,6 @@ def part_under(
         if not has_results(hit.object.original):
             return ""
         mesh = hit.object.evaluated_get(depsgraph).data
-        keys = _slot_parts(mesh)
+        keys = _slot_parts(hit.object.original.data)
         return keys[min(mesh.polygons[hit.face].material_index, len(keys) - 1)] if keys else ""
     return ""

@@ -7,7 +7,7 @@ Materials of earlier results are built anew and keep the artist's name and adjus
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import bpy
@@ -16,13 +16,14 @@ import numpy as np
 from ...bridge.process import Message
 from ...core.run.parts import RoomParts
 from ..image_datablocks import remove_unused_images
-from ..marks import PART, PART_NAME
+from ..marks import PART, PART_NAME, REPLACEMENT
 from ..room.arrays import Room
 from ..room.mesh_arrays import polygon_slots
 from ..room.originals import original_polygons
 from ..room.result_meshes import list_names
 from . import adjust
 from .materials import Surface, images_of, part_material
+from .replacing import fill_slots
 
 
 @dataclass(frozen=True)
@@ -44,27 +45,32 @@ class PartMaterials:
 
     Attributes:
         faces: what the triangles show.
-        images: of the atlas by the labels of their maps; None for colour attributes.
-        name: of the atlas.
+        images: of each atlas by the labels of their maps; of colour attributes, the one is None.
+        names: of the atlases.
+        triangle_atlas: (T,) int, the atlas of each triangle.
+        uniform: base colour, roughness and metallic of parts of one value, by their keys.
         earlier: materials of earlier results.
-        made: those made so far, by the index of the part.
+        made: those made so far, by the indices of part and atlas.
     """
 
     faces: PartFaces
-    images: Mapping[str, bpy.types.Image] | None
-    name: str
+    images: Sequence[Mapping[str, bpy.types.Image] | None]
+    names: Sequence[str]
+    triangle_atlas: np.ndarray
+    uniform: Mapping[str, tuple[float, ...]]
     earlier: Sequence[bpy.types.Material]
-    made: dict[int, bpy.types.Material] = field(default_factory=dict)
+    made: dict[tuple[int, int], bpy.types.Material] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         parts = self.faces.parts.parts
         keys, names = {part.key for part in parts}, {part.name: part.key for part in parts}
         self._adjustments: dict[str, adjust.Adjustment] = {}
+        self._replacements: dict[str, bpy.types.Material] = {}
         self._lost: list[str] = []
         self._reused = {material.get(PART, ""): material for material in reversed(self.earlier)}
         for material in self.earlier:
-            values = adjust.read(material)
-            if values == adjust.NO_ADJUSTMENT:
+            values, replacement = adjust.read(material), material.get(REPLACEMENT)
+            if values == adjust.NO_ADJUSTMENT and replacement is None:
                 continue
             key, name = material.get(PART, ""), material.get(PART_NAME, "")
             kept = key if key in keys else names.get(name)
@@ -72,6 +78,8 @@ class PartMaterials:
                 self._lost.append(name or material.name)
             else:
                 self._adjustments[kept] = values
+                if replacement is not None:
+                    self._replacements[kept] = replacement
         self._images = images_of(self.earlier)
 
     def assign(self, mesh: bpy.types.Mesh, room: Room, index: int) -> None:
@@ -80,32 +88,37 @@ class PartMaterials:
         polygon = room.triangle_polygon[of_object]
         original = original_polygons(mesh)
         count = max(int(polygon.max(initial=-1)), int(original.max(initial=-1))) + 1
+        number = self.faces.parts.triangle.astype(np.int64) * len(self.names) + self.triangle_atlas
         part = np.zeros(count, np.int64)
-        part[polygon[::-1]] = self.faces.parts.triangle[of_object][::-1]  # the first triangle's
+        part[polygon[::-1]] = number[of_object][::-1]  # the first triangle's
         kept = np.zeros(count, bool)
         kept[polygon[self.faces.left_alone[of_object]]] = True
         own = polygon_slots(mesh)
         used, slot = np.unique(np.where(kept[original], -1 - own, part[original]), return_inverse=True)
         originals = list(mesh.materials)
         materials = [
-            self._material(value) if value >= 0 else _slot(originals, -1 - value) for value in used.tolist()
+            self._material(*divmod(value, len(self.names))) if value >= 0 else _slot(originals, -1 - value)
+            for value in used.tolist()
         ]
-        mesh.materials.clear()
-        for material in materials:
-            mesh.materials.append(material)
+        fill_slots(mesh, materials)
         mesh.polygons.foreach_set("material_index", slot.ravel().astype(np.int32))
         mesh.update()
 
-    def _material(self, part: int) -> bpy.types.Material:
-        if part not in self.made:
+    def _material(self, part: int, atlas: int) -> bpy.types.Material:
+        found = self.made.get((part, atlas))
+        if found is None:
             described = self.faces.parts.parts[part]
-            self.made[part] = part_material(
-                Surface(self.name, described.key, described.name),
-                self.images,
+            values = self.uniform.get(described.key)
+            found = part_material(
+                Surface(self.names[atlas], described.key, described.name, values),
+                self.images[atlas],
                 self._adjustments.get(described.key, adjust.NO_ADJUSTMENT),
-                self._reused.get(described.key),
+                self._reused.pop(described.key, None),
             )
-        return self.made[part]
+            self.made[part, atlas] = found
+            if described.key in self._replacements:
+                found[REPLACEMENT] = self._replacements[described.key]
+        return found
 
     def finish(self) -> list[Message]:
         """Remove the images of earlier results that nothing uses, and name the new ones.
@@ -114,26 +127,17 @@ class PartMaterials:
             A warning about adjustments of parts that are no longer there.
         """
         remove_unused_images(self._images)
-        for label, image in (self.images or {}).items():
-            image.name = f"FIPT {self.name} {label}"
+        for name, images in zip(self.names, self.images, strict=True):
+            for label, image in (images or {}).items():
+                image.name = f"FIPT {name} {label}"
         if not self._lost:
             return []
         names = list_names(sorted(set(self._lost)))
-        text = f"The estimate no longer has the parts that you have adjusted: {names}."
-        remedy = "Adjust the parts that have taken their place."
+        text = f"The estimate no longer has the parts that you have adjusted or replaced: {names}."
+        remedy = "Adjust or replace the parts that have taken their place."
         return [{"type": "warning", "code": "adjustments-lost", "text": text, "remedy": remedy}]
 
 
 def _slot(materials: Sequence[bpy.types.Material | None], index: int) -> bpy.types.Material | None:
     """The material that Blender shows of a slot: an index beyond the last slot shows the last."""
     return materials[min(index, len(materials) - 1)] if materials else None
-
-
-def materials_by_part(
-    materials: Iterable[bpy.types.Material],
-) -> dict[str, list[bpy.types.Material]]:
-    """Estimated materials by the keys of their parts."""
-    by_part: dict[str, list[bpy.types.Material]] = {}
-    for material in materials:
-        by_part.setdefault(material.get(PART, ""), []).append(material)
-    return by_part

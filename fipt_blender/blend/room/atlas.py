@@ -8,6 +8,7 @@ then scaled to one texel density and packed into few images. Scans are unwrapped
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from ...bridge.step import Slices
 from ...core.run.errors import FiptError
+from ...core.run.parts import read_parts
 from ...core.run.run_files import read_resolution
 from ...core.run.runfolder import RunFolder, atomic_path, write_json
 from ...core.run.settings import Settings
@@ -23,12 +25,13 @@ from ..slices import find_object, run_through
 from .arrays import Room, read_room
 from .charts import chart_slices, is_scan
 from .islands import island_bounds, rotate_islands, split_sparse_islands, triangle_areas, uv_islands
-from .packing import PAD, Packing, pack_islands, place
+from .packing import PAD, Packing, pack_apart, pack_islands, place
 from .result_meshes import match_objects
 from .tiles import tile_number
 from .unwrapping import UnwrapSource, exported_source, read_source, unwrap, uvs_in_range, uvs_usable
 
 MAX_IMAGES = 16
+_MOST_LETTERS = 60  # of the names of files
 # Where photographs have more detail than light, the density is what they resolve on each island, within these
 # images of the preset's width and height; between the setting's density and the highest one.
 DETAIL_IMAGES = 4
@@ -90,7 +93,7 @@ def make_atlas(
         objects: the objects that `export_room` wrote, in any order; of those that are missing or changed,
             the exported triangles are unwrapped, so that the atlas always holds the whole room.
         run: the run folder with its room.
-        settings: texel_density, texture_size and atlas_mode are used.
+        settings: texel_density, texture_size, atlas_images and atlas_mode are used.
         max_images: where more were needed, all islands are scaled down instead.
 
     Raises:
@@ -106,7 +109,7 @@ def atlas_slices(
     room = read_room(run.estimated())
     count = len(room.triangles)
     if settings.atlas_mode == "color_attribute":
-        _write(run, np.zeros((count, 3, 2)), np.full(count, -1), "color_attribute", [])
+        _write(run, np.zeros((count, 3, 2)), np.full(count, -1), "color_attribute", [], None)
         return Atlas([], [], [], 0.0)
     matches = match_objects(room, objects)
     yield None
@@ -160,8 +163,32 @@ def atlas_slices(
     if resolved is not None:
         size = max(settings.texture_size, DETAIL_SIZES.get(settings.preset, 0))
         settings, max_images = replace(settings, texture_size=size), min(max_images, DETAIL_IMAGES)
-    packing, density = yield from _pack_room(room, islands, run, settings, max_images, resolved)
+    owners = _image_owners(room, run, settings)
+    packing, density = yield from _pack_room(room, islands, run, settings, max_images, resolved, owners)
     return Atlas(packing.sizes, kept, [*unwrapped, *(task.name for task in tasks)], density)
+
+
+@dataclass(frozen=True)
+class _Owners:
+    """What has images of its own.
+
+    Attributes:
+        triangle: (T,) int, the owner of each triangle.
+        names: of the owners.
+    """
+
+    triangle: np.ndarray
+    names: list[str]
+
+
+def _image_owners(room: Room, run: RunFolder, settings: Settings) -> _Owners | None:
+    """The parts or objects that have images of their own; None where all share them."""
+    if settings.atlas_images == "object":
+        return _Owners(room.triangle_object.astype(np.int64), list(room.objects))
+    if settings.atlas_images == "part":
+        parts = read_parts(run, room.triangle_object, room.objects)
+        return _Owners(parts.triangle.astype(np.int64), [part.name for part in parts.parts])
+    return None
 
 
 def _batches(tasks: list[_UnwrapTask]) -> Iterator[list[_UnwrapTask]]:
@@ -185,20 +212,23 @@ def _pack_room(
     settings: Settings,
     max_images: int,
     resolved: np.ndarray | None,
+    owners: _Owners | None,
 ) -> Slices[tuple[Packing, float]]:
     """Scale all islands to one density, or to that of the photographs, pack them and write the atlas.
 
     Args:
         resolved: (T,) texels a metre that photographs resolve, NaN where unseen; None for one density.
+        owners: each gets an image of its own; None: all share images.
 
     Returns:
         the packing, and the lowest density of an island.
     """
     # Number the islands over the whole room.
     stride = int(islands.island.max(initial=0)) + 1
-    _, island = np.unique(
-        room.triangle_object.astype(np.int64) * stride + islands.island, return_inverse=True
-    )
+    number = room.triangle_object.astype(np.int64) * stride + islands.island
+    if owners is not None:  # an island may extend over several parts
+        number = number * len(owners.names) + owners.triangle
+    _, island = np.unique(number, return_inverse=True)
     island_count = int(island.max(initial=-1)) + 1
 
     # Islands without area in space or in the plane can't hold texels.
@@ -224,8 +254,11 @@ def _pack_room(
         yield None
     low, extent = island_bounds(texels, packed_island)
     group = np.zeros(len(low), np.int64)
-    group[packed_island] = owner
-    packing = pack_islands(extent, group, settings.texture_size, max_images=max_images)
+    group[packed_island] = owner if owners is None else owners.triangle[packed]
+    if owners is None:
+        packing = pack_islands(extent, group, settings.texture_size, max_images=max_images)
+    else:
+        packing = pack_apart(extent, group, settings.texture_size)
     placed = place(texels, packed_island, low, packing)
 
     image = np.full(len(room.triangles), -1, np.int64)
@@ -234,7 +267,8 @@ def _pack_room(
     corner_uv = np.zeros_like(islands.uv)
     corner_uv[packed] = placed / sizes[image[packed]][:, None]
     corner_uv[islands.is_scan] = np.round(corner_uv[islands.is_scan] / UV_STEP) * UV_STEP
-    _write(run, corner_uv, image, "uv", packing.sizes)
+    names = None if owners is None else [owners.names[index] for index in np.unique(group).tolist()]
+    _write(run, corner_uv, image, "uv", packing.sizes, names)
     if not len(packing.scale):
         raise FiptError(
             "mesh-empty", "The room's faces have no area.", "Choose the mesh objects that form the room."
@@ -271,14 +305,38 @@ def _island_scale(
 
 
 def _write(
-    run: RunFolder, corner_uv: np.ndarray, image: np.ndarray, mode: str, sizes: list[tuple[int, int]]
+    run: RunFolder,
+    corner_uv: np.ndarray,
+    image: np.ndarray,
+    mode: str,
+    sizes: list[tuple[int, int]],
+    owners: list[str] | None,
 ) -> None:
+    """Write atlas.npz and atlas.json; `owners`: names of those whose images these are, None if shared."""
     with atomic_path(run.atlas_npz) as temporary:
         np.savez(temporary, corner_uv=corner_uv.astype(np.float32), triangle_image=image.astype(np.int32))
     # Several images are tiles of one, which Blender finds by the numbers in their names.
     names = [f"Room.{tile_number(index)}" for index in range(len(sizes))] if len(sizes) > 1 else ["Room.001"]
+    if owners is not None:
+        names = _file_names(owners)
     images = [
         {"name": name, "width": width, "height": height}
         for name, (width, height) in zip(names, sizes, strict=False)
     ]
-    write_json(run.atlas_json, {"mode": mode, "images": images})
+    apart = {"apart": True} if owners is not None else {}
+    write_json(run.atlas_json, {"mode": mode, "images": images, **apart})
+
+
+def _file_names(owners: list[str]) -> list[str]:
+    """Names of files for all systems, of which some do not tell capitals from small letters."""
+    taken: set[str] = set()
+    names = []
+    for owner in owners:
+        name = re.sub(r"[^\w-]+", "_", owner).strip("_")[:_MOST_LETTERS] or "Part"
+        number, found = 1, name
+        while found.lower() in taken:
+            number += 1
+            found = f"{name}_{number}"
+        taken.add(found.lower())
+        names.append(found)
+    return names

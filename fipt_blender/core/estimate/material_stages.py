@@ -4,12 +4,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 
 from ..light.evidence import brighter_than_white, find_emission
-from ..light.lamp_doubt import light_errors
+from ..light.lamp_doubt import HardlySeen, hardly_seen, light_errors, power_errors
 from ..light.lamp_outline import outlined
 from ..light.reflecting import separate
 from ..material.cell_errors import add_light_errors, cell_errors, draw_pixels, lit_cells
@@ -36,6 +37,7 @@ from ..material.training import (
     train,
 )
 from ..material.training_input import training_input
+from ..report.fixture_names import fixture_names
 from ..run.checkpoints import HINTED_ESTIMATE, HINTED_LAMPS, HINTED_TRAINING, UNFINISHED, DamagedStage
 from ..run.errors import FiptError
 from ..run.replacing import atomic_folder, keep_inputs
@@ -284,13 +286,34 @@ class MaterialStages(EstimationState):
         data, fields, seed = self._closed_form()[0], self._fields(), self.settings.seed
         drawn = draw_pixels(self.pixels, self.units, self.box, self.cells, unused, seed)
         errors = cell_errors(drawn, data, self.units, fields, self.cells)
-        if self.room.scan is None or not self.fixtures or not self.settings.lamp_doubt:
+        if not self.settings.lamp_doubt:
+            return errors
+        doubted = hardly_seen(self.fixtures, self.pixels, len(self.room.triangles))
+        if not self.fixtures or (self.room.scan is None and not doubted):
             return errors
         lit = lit_cells(drawn, data, fields, self.cells)
+        if doubted:
+            self._warn_of_lamps(doubted)
+            of_power = power_errors(self.room, self.fixtures, doubted, (lit.points, lit.normals), seed)
+            errors = add_light_errors(errors, lit, of_power)
+        if self.room.scan is None:
+            return errors
         # Detail finer than an edge is lost, and so is the place of what lights and what hides.
         doubt = self.room.scan.edge
         of_light = light_errors(self.room, self.fixtures, (lit.points, lit.normals), doubt, seed)
         return add_light_errors(errors, lit, of_light)
+
+    def _warn_of_lamps(self, doubted: Sequence[HardlySeen]) -> None:
+        """Say which lamps photographs hardly show."""
+        entries = [{"triangles": fixture.triangles} for fixture in self.fixtures]
+        names = fixture_names(self.room, entries)
+        listed = ", ".join(f"{names[lamp.index]} ({lamp.pixels} pixels)" for lamp in doubted)
+        self.reporter.warning(
+            "lamp-hardly-seen",
+            f"The photographs hardly show these lamps: {listed}. Their light and the colors near them may be"
+            " wrong: glow may have become paint.",
+            "Add photographs that show these lamps from near, most of all their bright insides.",
+        )
 
     def _write_doubts(self, folder: RunFolder, names: np.ndarray) -> None:
         data, cells, bright = self._closed_form()

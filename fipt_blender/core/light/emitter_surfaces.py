@@ -78,7 +78,9 @@ def emitter_surfaces(
     least = LEAST_RESIDUAL if room.scan is None else LEAST_RESIDUAL_SCAN
     least += (1.0 - least) * (1.0 - UNSEEN_DOUBT**-unseen_light)
     if room.scan is None:
-        return EmitterSurfaces(np.arange(len(room.triangles)), pieces, least, footprint)
+        # Photographs see most of a lamp shade's outside and little of its inside, which may be one piece.
+        component = numbered([pieces, parts.triangle_part]) if parts.kind == "part" else pieces
+        return EmitterSurfaces(np.arange(len(room.triangles)), component, least, footprint)
     # Detail finer than an edge is lost: rims of thin things face sideways, and pixels show what is beside.
     reach = round(room.scan.edge / max(footprint, 1e-9))
     patch = surface_patches(room.scan, pieces, PATCH * footprint)

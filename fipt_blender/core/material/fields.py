@@ -26,6 +26,7 @@ from .inference import Fields
 from .networks import BrdfNetwork
 from .part_prior import part_priors, shrink_to_parts
 from .seen import Box, SeenCells, fallback_values, seen_statistics
+from .uniform import uniform_parts
 
 # Base colour, and roughness with metallic, among the five values of a point.
 COLOR, MATERIAL = slice(0, 3), slice(3, 5)
@@ -38,7 +39,8 @@ class RoomFields:
     Args:
         fields: the values on seen surfaces.
         units: of the mesh. If errors are given, points of a unit of one material have its median roughness
-            and metallic, and base colours are shrunk towards its median (:mod:`.part_prior`).
+            and metallic, and base colours are shrunk towards its median (:mod:`.part_prior`), which is the
+            colour of all of it where nothing else is certain (:mod:`.uniform`).
         cells: where the photographs saw surfaces.
         errors: (C, 3) float32 standard errors of base colour, roughness and metallic in each cell
             (:func:`.cell_errors.cell_errors`); None if they are not known.
@@ -58,10 +60,12 @@ class RoomFields:
         self.errors = unknown if errors is None else errors
         values = fields.query(cells.points, cells.part)
         self._statistics = seen_statistics(cells.points, cells.part, values, len(units.single))
-        self._prior = None
+        self._prior, self._uniform = None, np.zeros(len(units.single), bool)
         if errors is not None and units.single.any():
             part = np.where(units.is_single(cells.part), cells.part, NO_PART)
-            self._prior = part_priors(values[:, COLOR], _color_errors(errors), part, len(units.single))
+            seen = values[:, COLOR], _color_errors(errors), part
+            self._prior = part_priors(*seen, len(units.single))
+            self._uniform = uniform_parts(*seen, cells.points, self._prior)
 
     def query(
         self, positions: np.ndarray, triangles: np.ndarray
@@ -89,6 +93,9 @@ class RoomFields:
         values = np.empty((len(positions), seen_values.shape[1]), np.float32)
         values[seen] = seen_values
         values[~seen] = fallback_values(positions[~seen], part[~seen], self._statistics)
+        if self._prior is not None:
+            uniform = np.append(self._uniform, False)[np.maximum(part, NO_PART)]
+            values[uniform, COLOR] = self._prior.median[part[uniform]]
         if self.units.fixed is not None:
             fixed = np.append(self.units.fixed, [[np.nan] * 2], axis=0)[np.maximum(part, NO_PART)]
             values[:, MATERIAL] = np.where(np.isnan(fixed), values[:, MATERIAL], fixed)

@@ -24,7 +24,14 @@ REFINEMENT, TRAINING = "refinement-1", "training"
 Value = str | int | float | bool
 
 # The settings of Apply Results; no stage of an estimation reads them.
-TEXTURE_SETTINGS = ("texel_density", "texture_size", "atlas_mode", "write_back", "clean_mesh")
+TEXTURE_SETTINGS = (
+    "texel_density",
+    "texture_size",
+    "atlas_images",
+    "atlas_mode",
+    "write_back",
+    "clean_mesh",
+)
 
 
 def _setting(default: Any, text: str, stage: str | None) -> Any:
@@ -254,6 +261,9 @@ class Settings:
         " solved at (not in the paper)",
         None,
     )
+    atlas_images: str = _setting(
+        "room", "room: parts share the texture images; object or part: images of their own", None
+    )
     atlas_mode: str = _setting("uv", "uv, or color_attribute for meshes that can't have UVs", None)
     clean_mesh: bool = _setting(
         True,
@@ -339,6 +349,7 @@ def _convert(name: str, value: Value, kind: type) -> Value:
 def _check(settings: Settings) -> None:
     choices = {
         "device": ("auto", "cuda", "llvm"),
+        "atlas_images": ("room", "object", "part"),
         "atlas_mode": ("uv", "color_attribute"),
         "write_back": ("cycles", "paper"),
         "masking": ("schlick", "smith"),

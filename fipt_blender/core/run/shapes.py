@@ -199,14 +199,20 @@ ATLAS = Fields(
                 {"name": FileName(), **dict.fromkeys(("width", "height"), Number(1, MOST_SIDE, whole=True))}
             )
         ),
-    }
+    },
+    {"apart": bool},
 )
 TEXTURES = Fields(
     {
         "images": Items(
             Fields(dict.fromkeys(("name", "base_color", "roughness", "metallic", "confidence"), str))
         )
-    }
+    },
+    {
+        "uniform": Items(
+            Fields({"part": str, "base_color": Numbers(3), "roughness": _SHARE, "metallic": _SHARE})
+        )
+    },
 )
 MAPS = Fields(
     {"views": Items(Fields(dict.fromkeys(("view", "base_color", "roughness", "metallic", "emission"), str)))}

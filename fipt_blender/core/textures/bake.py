@@ -14,7 +14,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from ..device.variant import set_variant
 from ..geometry.stored import stored_geometry
 from ..run.documents import read_json
 from ..run.messages import Reporter
+from ..run.parts import RoomParts, read_parts
 from ..run.replacing import atomic_folder
 from ..run.run_files import read_atlas, read_room_files
 from ..run.runfolder import RunFolder, atomic_path, write_json
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 QUERY_POINTS = 1 << 18  # points per query
 PAD_TEXELS = 8  # by which islands are grown
 MAPS = ("base_color", "roughness", "metallic", "confidence")
+# A part whose texels differ by less has one value: half a step of 8-bit textures.
+ONE_VALUE = 0.002
 
 
 class FieldSource(Protocol):
@@ -54,6 +57,48 @@ class Samples:
     roughness: np.ndarray  # (N,)
     metallic: np.ndarray  # (N,)
     confidence: np.ndarray  # (N,3) of the three above, 0 where no photograph saw the point
+
+
+class PartRanges:
+    """The values that the texels of each part have: of a part of one value, a material needs no textures.
+
+    Args:
+        parts: of the room; None where they do not matter.
+    """
+
+    def __init__(self, parts: RoomParts | None) -> None:
+        self._parts = parts
+        count = 0 if parts is None else len(parts.parts)
+        self._low, self._high = np.full((count, 5), np.inf), np.full((count, 5), -np.inf)
+
+    def add(self, samples: Samples, triangles: np.ndarray) -> None:
+        """Texels on triangles (N,)."""
+        if self._parts is None or not len(triangles):
+            return
+        values = np.column_stack([samples.base_color, samples.roughness, samples.metallic])
+        part = self._parts.triangle[triangles]
+        order = np.argsort(part, kind="stable")
+        values, part = values[order], part[order]
+        first = np.flatnonzero(np.concatenate([[True], part[1:] != part[:-1]]))
+        of = part[first]
+        self._low[of] = np.minimum(self._low[of], np.minimum.reduceat(values, first))
+        self._high[of] = np.maximum(self._high[of], np.maximum.reduceat(values, first))
+
+    def uniform(self) -> list[dict[str, Any]]:
+        """The entries of textures.json for parts of one value."""
+        if self._parts is None:
+            return []
+        found = np.flatnonzero((self._high - self._low <= ONE_VALUE).all(axis=1) & (self._low[:, 0] < np.inf))
+        middle = 0.5 * (self._low + self._high)
+        return [
+            {
+                "part": self._parts.parts[index].key,
+                "base_color": middle[index, :3].tolist(),
+                "roughness": float(middle[index, 3]),
+                "metallic": float(middle[index, 4]),
+            }
+            for index in found.tolist()
+        ]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -80,10 +125,12 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     reporter.plan([1.0])
     reporter.stage("textures", "Baking textures")
     given = load_input(folder)
+    room, names = read_room_files(folder)
+    ranges = PartRanges(read_parts(folder, room["triangle_object"], names["objects"]))
     if given is not None and read_json(folder.atlas_json).get("mode") != "color_attribute":
-        files = bake_with_detail(folder, fields, given, fields.units.triangle, reporter.progress)
+        files = bake_with_detail(folder, fields, given, fields.units.triangle, ranges, reporter.progress)
     else:
-        files = bake(folder, fields, reporter.progress)
+        files = bake(folder, fields, reporter.progress, ranges)
     files += write_view_maps(folder, fields, load_capture(folder).views)
     reporter.done([str(path) for path in files])
 
@@ -92,6 +139,7 @@ def bake(
     folder: RunFolder,
     fields: FieldSource,
     progress: Callable[[float], None] = lambda fraction: None,
+    ranges: PartRanges | None = None,
 ) -> list[Path]:
     """Replace textures/: textures.json and its images, or corner_fields.npz in colour-attribute mode.
 
@@ -99,6 +147,7 @@ def bake(
         folder: the run, with room and atlas.
         fields: the estimate.
         progress: called with the share that is done.
+        ranges: of the room's parts, by which textures.json says which have one value.
 
     Returns:
         The files written.
@@ -111,7 +160,8 @@ def bake(
         if atlas["mode"] == "color_attribute":
             names = [_bake_corners(new, fields, corners)]
         else:
-            names = _bake_images(new, fields, atlas["images"], arrays, corners, progress)
+            ranges = ranges or PartRanges(None)
+            names = _bake_images(new, fields, atlas["images"], arrays, corners, progress, ranges)
     progress(1.0)
     return [folder.textures / name for name in names]
 
@@ -123,6 +173,7 @@ def _bake_images(
     arrays: dict[str, np.ndarray],
     corners: np.ndarray,
     progress: Callable[[float], None],
+    ranges: PartRanges,
 ) -> list[str]:
     """Write the maps of all images of the atlas, and textures.json; returns the names of the files.
 
@@ -133,6 +184,7 @@ def _bake_images(
         arrays: content of atlas.npz.
         corners: (T,3,3) f32 world.
         progress: called with the share that is done.
+        ranges: to which the texels are added.
     """
     listed: list[dict[str, str]] = []
     # One image is padded and written, and the surface of the next one found, while an image is sampled.
@@ -145,21 +197,22 @@ def _bake_images(
                 following = entries[index + 1]
                 finding.append(finder.submit(_surface_points, following, index + 1, arrays, corners))
             samples = sample_fields(fields, positions, triangles)
+            ranges.add(samples, triangles)
             if writing is not None:
                 listed.append(writing.result())
             writing = writer.submit(_write_image, folder, entry, texel, samples)
             progress((index + 1) / (len(entries) + 1))
         if writing is not None:
             listed.append(writing.result())
-    return _list_images(folder, listed)
+    return _list_images(folder, listed, ranges)
 
 
-def _list_images(folder: Path, listed: list[dict[str, str]]) -> list[str]:
+def _list_images(folder: Path, listed: list[dict[str, str]], ranges: PartRanges) -> list[str]:
     """Write textures.json with the images that :func:`_write_image` has written; returns all files' names."""
     stored = [
         {"name": entry["name"], **{name: f"textures/{entry[name]}" for name in MAPS}} for entry in listed
     ]
-    write_json(folder / "textures.json", {"images": stored})
+    write_json(folder / "textures.json", {"images": stored, "uniform": ranges.uniform()})
     return [*(entry[name] for entry in listed for name in MAPS), "textures.json"]
 
 
@@ -168,6 +221,7 @@ def bake_with_detail(
     fields: FieldSource,
     given: DetailInput,
     part: np.ndarray,
+    ranges: PartRanges,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[Path]:
     """Like :func:`bake`, with the photographs' detail in base colour; not in colour-attribute mode.
@@ -175,6 +229,8 @@ def bake_with_detail(
     Args:
         given: views, photographs and shadings.
         part: (T,) int part of each triangle, -1 without one.
+        ranges: of the room's parts.
+        progress: called with the share that is done.
     """
     from ..scene.room import load_room
     from .detail import add_detail, stored_texels
@@ -209,9 +265,10 @@ def bake_with_detail(
                 samples = Samples(
                     color[rows], texels.roughness[rows], texels.metallic[rows], texels.confidence[rows]
                 )
+                ranges.add(samples, np.asarray(texels.triangle[rows]))
                 listed.append(_write_image(new, entry, places[index], samples))
                 progress(0.9 + 0.1 * (index + 1) / len(entries))
-            names = _list_images(new, listed)
+            names = _list_images(new, listed, ranges)
     return [folder.textures / name for name in names]
 
 

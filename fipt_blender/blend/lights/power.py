@@ -1,0 +1,81 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A light's power as Blender counts it, in watts, and its luminous flux. Imported while panels draw."""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..marks import BASE, STOPS
+from ..room.mesh_arrays import polygon_slots
+from .color import Rgb, luminance
+from .fixture_nodes import surfaces
+from .tint import base_of, powered, split
+
+# Luminous efficacy at 555 nm, by which glTF and Blender's exporter turn watts into lumens.
+LUMENS_PER_WATT = 683.0
+# Blender lights whose power is a flux: a spot's is that of a point light, a sun's an irradiance.
+_FLUX = ("POINT", "AREA")
+
+
+def has_power(item: bpy.types.Object) -> bool:
+    """Whether a light has a power in watts."""
+    return item.type == "MESH" or (item.type == "LIGHT" and item.data.type != "SUN")
+
+
+def has_flux(item: bpy.types.Object) -> bool:
+    """Whether this power is all that the light sends out, so that it has lumens."""
+    return item.type == "MESH" or (item.type == "LIGHT" and item.data.type in _FLUX)
+
+
+def world_matrix(item: bpy.types.Object) -> Matrix:
+    """An object's matrix to the world, also where it has just been made or moved, without parent."""
+    return item.matrix_basis if item.parent is None else item.matrix_world
+
+
+def slot_areas(item: bpy.types.Object) -> np.ndarray:
+    """(S,) area of the faces of each material slot of a fixture in the world, m²; the scale is uniform."""
+    mesh = item.data
+    area = np.empty(len(mesh.polygons), np.float32)
+    mesh.polygons.foreach_get("area", area)
+    count = max(len(mesh.materials), 1)
+    slot = np.minimum(polygon_slots(mesh), count - 1)
+    return np.bincount(slot, area, minlength=count) * world_matrix(item).median_scale ** 2
+
+
+def base_power(item: bpy.types.Object) -> Rgb:
+    """Watts (rgb) of a light as estimated or added: pi A L of both sides of a fixture's surfaces."""
+    if item.type != "MESH":
+        red, green, blue = item.get(BASE, (0.0, 0.0, 0.0))
+        return (red, green, blue)
+    area, total = slot_areas(item), np.zeros(3)
+    for surface in surfaces(item):
+        total += math.pi * area[surface.slot] * (np.array(surface.front) + np.array(surface.back))
+    red, green, blue = total.tolist()
+    return (red, green, blue)
+
+
+def watts(item: bpy.types.Object) -> float:
+    """A light's power, as in the field Power of a Blender light: that of its strongest channel."""
+    return split(powered(item, base_power(item)))[1]
+
+
+def radiance(item: bpy.types.Object) -> float:
+    """Radiance of a fixture's brighter side, of its strongest channel, W/(m² sr); mean of merged lamps."""
+    return split(powered(item, base_of(item)))[1]
+
+
+def lumens(item: bpy.types.Object) -> float:
+    """A light's luminous flux."""
+    return 2.0 ** float(item.get(STOPS, 0.0)) * LUMENS_PER_WATT * luminance(base_power(item))
+
+
+def stops_for(value: float, present: float, stops: float) -> float:
+    """The power in stops at which a quantity, `present` at `stops`, has a value; unchanged for none."""
+    if present <= 0.0 or value <= 0.0:
+        return stops
+    return stops + math.log2(value / present)
