@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from ..capture.averaging import means
-from ..capture.encoded import is_clipped
+from ..capture.encoded import is_clipped, srgb_decoded
 from ..capture.views import View, load_capture
 from ..light.baking import ShadingStore, open_shadings
 from ..light.observations import median_footprint
@@ -53,12 +53,15 @@ class DetailInput:
         photographs: the training views at full size, in the order of `pixels`.
         pixels, shadings: at light resolution.
         levels: (K,) roughness of the shadings.
+        response: (256,) logarithm of the light that each code of photographs that are not HDR stands for; None
+            where there are none.
     """
 
     photographs: list[View]
     pixels: PixelStore
     shadings: ShadingStore
     levels: np.ndarray
+    response: np.ndarray | None = None
 
     def larger(self) -> list[int]:
         """Indices of the views whose photographs have more pixels than light has."""
@@ -108,7 +111,9 @@ def load_input(run: RunFolder) -> DetailInput | None:
     levels = roughness_levels(settings.roughness_levels, settings.roughness_min, settings.roughness_spacing)
     pixels = open_pixels(run.stage / "pixels", lights)
     shadings = open_shadings(run.stage / str(table["shadings"]), len(pixels), len(levels))
-    return DetailInput(photographs, pixels, shadings, levels)
+    found = read_json(run.statistics_json).get("photometry") if run.statistics_json.exists() else None
+    response = np.array(found["log_curve"], np.float64) if found else None
+    return DetailInput(photographs, pixels, shadings, levels, response)
 
 
 def write_resolution(run: RunFolder, triangles: int) -> None:
@@ -211,24 +216,26 @@ def light_pixels(given: DetailInput, index: int, part: np.ndarray) -> LightPixel
 def photograph(given: DetailInput, index: int) -> np.ndarray:
     """(H, W, 3) float32 radiance of a photograph in the unit of the pixels; NaN where clipped or masked.
 
-    The pixels' radiance has one scale, corrections of exposure and, where photographs are not HDR, of the
-    camera's response: here their median ratio, a channel each.
+    The pixels' radiance has one scale and corrections of exposure: here their median ratio, a channel each.
     """
     view, pixels = given.photographs[index], given.pixels
     image = view.radiance()
     light = pixels.views[index]
     known = np.asarray(pixels.radiance[pixels.rows(index)]).reshape(light.height, light.width, 3)
+    useless = np.zeros(image.shape[:2], bool)
+    if view.encoded:
+        useless |= is_clipped(image).any(axis=2)
+        if given.response is not None:
+            codes = srgb_decoded(np.arange(256) / 255.0)
+            image = np.interp(image, codes, np.exp(given.response)).astype(np.float32)
+    if (masked := view.masked()) is not None:
+        useless |= masked
     mean = means(image, light.width, light.height)
     both = (mean > 0.0) & (known > 0.0)
     ratio = [
         np.median(known[..., c][both[..., c]] / mean[..., c][both[..., c]]) if both[..., c].any() else 1.0
         for c in range(3)
     ]
-    useless = np.zeros(image.shape[:2], bool)
-    if view.encoded:
-        useless |= is_clipped(image).any(axis=2)
-    if (masked := view.masked()) is not None:
-        useless |= masked
     image = image * np.array(ratio, np.float32)
     image[useless] = np.nan
     return image
