@@ -3,7 +3,7 @@
 """Score the textures of a run on photographs of real size: `real_size.py CAPTURE RUN [--factor 8]`.
 
 CAPTURE is what real_photographs.py has rendered. The base colour of the run's textures is looked up in the
-held-back views at full size and compared with the truth:
+held-back views at full size and compared with the truth, where at least one training view sees a surface:
 
     kd        PSNR of kd at full size (dB), as of benchmarks/metrics.py
     kd light  the same after averaging to the pixels of light
@@ -11,6 +11,10 @@ held-back views at full size and compared with the truth:
               surfaces more than two pixels from borders
     paint     RMS of the same band on surfaces of one colour, where the truth has nothing
     halo      RMSE of kd within 3 pixels of light of a shadow's edge, on surfaces of one colour
+    seams     RMS error of the step of luminance between neighbouring pixels where the UV island, or the view
+              that sees the surface best, changes, relative to that of all other neighbours
+
+`--causes` also tells how the squared error of kd is distributed.
 """
 
 from __future__ import annotations
@@ -28,6 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks import metrics
 from benchmarks.truth import split_folder
+from fipt_blender.blend.room.islands import uv_islands
 from fipt_blender.core.capture.formats import read_rig
 from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
 from fipt_blender.core.capture.rig import ReadOptions
@@ -46,23 +51,23 @@ BORDER = 2  # pixels
 
 @dataclass(frozen=True)
 class Truth:
-    """True maps of one held-back view at full size."""
+    """True maps of one held-back view at full size, and the labels of :meth:`Textures.labels`."""
 
     kd: np.ndarray
     material: np.ndarray
     surface: np.ndarray
     light: np.ndarray
+    labels: np.ndarray
 
 
-def read_truth(view: View) -> Truth:
+def read_truth(view: View, labels: np.ndarray) -> Truth:
     """The true maps beside a view's photograph."""
     folder, name = split_folder(view), f"{view.image.stem}.exr"
     kd = read_radiance(folder / "DiffCol" / name)
     material = read_ids(folder / "IndexMA" / name)
     emits = read_radiance(folder / "Emit" / name).max(axis=2) > 0
-    return Truth(
-        kd, material, (material > 0) & ~emits & (kd.max(axis=2) > 0), read_radiance(folder / "L_d" / name)
-    )
+    surface = (material > 0) & ~emits & (kd.max(axis=2) > 0) & (labels >= 0)
+    return Truth(kd, material, surface, read_radiance(folder / "L_d" / name), labels)
 
 
 class Textures:
@@ -74,9 +79,45 @@ class Textures:
         self.room = load_room(run)
         _, arrays = read_atlas(run, len(self.room.triangles))
         self.uv, self.image = arrays["corner_uv"], arrays["triangle_image"]
+        self.island = uv_islands(self.room.triangles, self.uv).astype(np.int64)
         listed = read_json(run.textures_json)["images"]
         self.base_color = [read_radiance(run.root / entry["base_color"]) for entry in listed]
         self.metallic = [read_radiance(run.root / entry["metallic"])[..., 0] for entry in listed]
+
+    def labels(self, view: View, training: list[View]) -> np.ndarray:
+        """(H, W) int of each pixel: its UV island and the training view with most pixels on its area.
+
+        -1 where no training view sees anything.
+        """
+        import drjit as dr
+        import mitsuba as mi
+
+        from fipt_blender.core.scene.camera_rays import trace_pixels
+
+        surface = trace_pixels(self.room, view)
+        valid, triangle = np.array(surface.valid), np.array(surface.triangle)
+        position, normal = np.array(surface.position).T, np.array(surface.geometric_normal).T
+        best, most = np.zeros(len(valid), np.int64), np.zeros(len(valid))
+        for number, other in enumerate(training, 1):
+            pose = other.camera_to_world
+            away = position - pose[:3, 3]
+            local = away @ pose[:3, :3]
+            depth = np.maximum(local[:, 2], 1e-3)
+            x, y = other.fx * local[:, 0] / depth + other.cx, other.fy * local[:, 1] / depth + other.cy
+            distance = np.linalg.norm(away, axis=1)
+            inside = (local[:, 2] > 0) & (x > 0) & (y > 0) & (x < other.width) & (y < other.height)
+            direction = away / np.maximum(distance, 1e-9)[:, None]
+            hit = self.room.intersect(
+                mi.Ray3f(mi.Point3f(pose[:3, 3]), mi.Vector3f(direction.T.astype(np.float32))),
+                mi.Bool(inside & valid),
+            )
+            dr.eval(hit.distance, hit.valid)
+            reached = np.array(hit.valid) & (np.array(hit.distance) > distance - 0.01 - 2 * self.room.noise)
+            density = other.fx**2 * np.abs((direction * normal).sum(axis=1)) / depth**2
+            better = inside & valid & reached & (density > most)
+            best[better], most[better] = number, density[better]
+        label = self.island[np.where(valid, triangle, 0)] * (len(training) + 1) + best
+        return np.where(best > 0, label, -1).reshape(view.height, view.width)
 
     def kd(self, view: View) -> np.ndarray:
         """(H, W, 3) kd in the pixels of a view, means over four places in each."""
@@ -131,6 +172,59 @@ def averaged(image: np.ndarray, factor: int) -> np.ndarray:
     return part.reshape(height, factor, width, factor, *image.shape[2:]).mean(axis=(1, 3))
 
 
+def steps(image: np.ndarray, true: np.ndarray, labels: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """(2, 2): sums of squared errors of steps between neighbours, and their number; of one label, of two."""
+    error, result = (image - true) @ LUMINANCE, np.zeros((2, 2))
+    for axis in (0, 1):
+        one, other = (np.swapaxes(inside, 0, axis)[part] for part in (np.s_[1:], np.s_[:-1]))
+        label = np.swapaxes(labels, 0, axis)
+        step = np.diff(np.swapaxes(error, 0, axis), axis=0)
+        for kind, wanted in enumerate((label[1:] == label[:-1], label[1:] != label[:-1])):
+            chosen = wanted & one & other
+            result[kind] += (step[chosen] ** 2).sum(), chosen.sum()
+    return result
+
+
+def near_shadows(truth: Truth, inside: np.ndarray, factor: int) -> np.ndarray:
+    """(H, W) bool: within 3 pixels of light of a shadow's edge."""
+    light = np.where(inside, truth.light @ LUMINANCE, np.nan)
+    high = ndimage.maximum_filter(np.nan_to_num(light, nan=0.0), factor)
+    low = ndimage.minimum_filter(np.nan_to_num(light, nan=np.inf), factor)
+    edge = inside & (high > SHADOW * low)
+    return np.asarray(ndimage.binary_dilation(edge, iterations=3 * factor))
+
+
+def causes(
+    predicted: list[np.ndarray], true: list[Truth], textured: np.ndarray, factor: int
+) -> dict[str, tuple[float, float, float]]:
+    """By the kind of a pixel its share of all, of the squared error of kd, and how much of that is low.
+
+    Low is the error of means over pixels of light, which the estimate makes.
+    """
+    rows: dict[str, np.ndarray] = {}
+    for image, one in zip(predicted, true, strict=True):
+        inside, error = interiors(one.material), image - one.kd
+        squares = [
+            (part**2).mean(axis=2) for part in (error, ndimage.uniform_filter(error, (factor, factor, 1)))
+        ]
+        near, fine = near_shadows(one, inside & one.surface, factor), textured[one.material]
+        kinds = {
+            "border": ~inside,
+            "texture by a shadow": near & fine,
+            "texture": fine,
+            "one colour by a shadow": near,
+            "one colour": np.ones_like(near),
+        }
+        left = one.surface
+        for kind, wanted in kinds.items():
+            chosen = left & wanted
+            left = left & ~wanted
+            sums = np.array([chosen.sum(), *(part[chosen].sum() for part in squares)])
+            rows[kind] = rows.get(kind, 0.0) + sums
+    count, total, _ = sum(rows.values())
+    return {kind: (row[0] / count, row[1] / total, row[2] / max(row[1], 1e-12)) for kind, row in rows.items()}
+
+
 def score(
     predicted: list[np.ndarray], true: list[Truth], textured: np.ndarray, factor: int
 ) -> dict[str, float]:
@@ -142,6 +236,7 @@ def score(
     whole = [averaged(one.surface.astype(float), factor) > 0.99 for one in true]
     figures["kd_light"] = metrics.pooled_psnr(*small, whole, True)
     ours, theirs, paint, halo = [], [], [], []
+    pairs = np.zeros((2, 2))
     for image, one in zip(predicted, true, strict=True):
         inside = interiors(one.material) & one.surface
         mine, other = (high_band(side @ LUMINANCE, inside, factor) for side in (image, one.kd))
@@ -150,16 +245,16 @@ def score(
         theirs.append(other[fine])
         plain = inside & ~textured[one.material]
         paint.append(mine[plain] ** 2)
-        light = np.where(inside, one.light @ LUMINANCE, np.nan)
-        high = ndimage.maximum_filter(np.nan_to_num(light, nan=0.0), factor)
-        low = ndimage.minimum_filter(np.nan_to_num(light, nan=np.inf), factor)
-        near = ndimage.binary_dilation(inside & (high > SHADOW * low), iterations=3 * factor)
+        near = near_shadows(one, inside, factor)
         halo.append(((image - one.kd)[plain & near] ** 2).mean(axis=1))
+        pairs += steps(image, one.kd, one.labels, inside)
     first, second = np.concatenate(ours), np.concatenate(theirs)
     figures["detail"] = float(np.corrcoef(first, second)[0, 1]) if first.any() else 0.0
     figures["contrast"] = float(first.std() / second.std())
     figures["paint"] = float(np.sqrt(np.concatenate(paint).mean()))
     figures["halo"] = float(np.sqrt(np.concatenate(halo).mean()))
+    alike, unlike = np.sqrt(pairs[:, 0] / np.maximum(pairs[:, 1], 1))
+    figures["seams"] = float(unlike / alike)
     return figures
 
 
@@ -170,6 +265,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("run", type=Path)
     parser.add_argument("--factor", type=int, default=8, help="pixels of a photograph along a pixel of light")
     parser.add_argument("--views", type=int, help="only so many held-back views")
+    parser.add_argument("--causes", action="store_true", help="print where the squared error of kd is")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--maps", type=Path, help="write kd of the views there")
     options = parser.parse_args(argv)
@@ -177,7 +273,7 @@ def main(argv: list[str]) -> int:
     run = RunFolder(options.run)
     placed = np.array(read_json(run.capture_json)["world_from_source"])
     rig = read_rig(options.capture, "auto", ReadOptions())
-    views = [
+    every = [
         View(
             view.name,
             view.split,
@@ -188,17 +284,22 @@ def main(argv: list[str]) -> int:
             transform_poses(placed, view.camera_to_world),
         )
         for view in rig.views
-        if view.split == "held_back"
-    ][: options.views]
+    ]
+    views = [view for view in every if view.split == "held_back"][: options.views]
+    training = [view for view in every if view.split != "held_back"]
     textures = Textures(run)
     predicted = [textures.kd(view) for view in views]
-    true = [read_truth(view) for view in views]
+    true = [read_truth(view, textures.labels(view, training)) for view in views]
     table = read_json(options.capture / "materials.json")["materials"]
     textured = np.zeros(max(entry["id"] for entry in table) + 1, bool)
     for entry in table:
         textured[entry["id"]] = bool(entry["texture"])
     figures = score(predicted, true, textured, options.factor)
     print("  ".join(f"{name} {value:.4g}" for name, value in figures.items()))
+    if options.causes:
+        for kind, shares in causes(predicted, true, textured, options.factor).items():
+            area, squares, low = shares
+            print(f"{kind}: {area:.1%} of the pixels, {squares:.1%} of the squared error, low {low:.1%}")
     if options.maps:
         for view, image in zip(views, predicted, strict=True):
             write_exr(options.maps / f"{view.name.replace('/', '_')}.exr", image)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from fipt_blender.core.capture import views as views_module
 from fipt_blender.core.capture.images import write_exr
@@ -213,6 +214,27 @@ def test_the_edge_of_a_shadow_is_not_painted(tmp_path):
     texels, color = improved(scene(tmp_path, plain, stepped_light))
     assert np.abs(color - texels.base_color).max() < 0.05
     assert np.sqrt(((color - texels.base_color)[middle(texels)] ** 2).mean()) < 0.01
+
+
+def test_a_texture_keeps_its_detail_at_the_edge_of_a_shadow(tmp_path):
+    texels, color = improved(scene(tmp_path, texture, stepped_light))
+    x, y = texels.position[:, 0], texels.position[:, 1]
+    near = middle(texels) & (np.abs(x + 0.3 * y - 1.13) < 0.1)
+    assert np.corrcoef(color[near, 0], mean_texture(texels)[near, 0])[0, 1] > 0.4
+
+
+def test_codes_become_light_by_the_response_that_was_found(tmp_path):
+    given = scene(tmp_path, texture, smooth_light)
+    light = photograph(given.photographs[0], texture, smooth_light, shelf=False)
+    path = tmp_path / "0.png"
+    codes = np.round(255.0 * (light / 2.0) ** (1 / 1.6)).astype(np.uint8)  # brighter and flatter than sRGB's
+    Image.fromarray(codes).save(path)
+    view = replace(given.photographs[0], image=path, encoded=True)
+    response = 1.6 * np.log(np.maximum(np.arange(256), 0.5) / 255.0)
+    encoded = replace(given, photographs=[view, *given.photographs[1:]], response=response)
+    radiance = detail.photograph(encoded, 0)
+    bright = light > 0.1
+    assert np.abs(radiance[bright] / light[bright] - 1.0).max() < 0.05
 
 
 def test_noise_of_a_wall_of_one_colour_is_not_painted(tmp_path):

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from ..capture.averaging import means
-from ..capture.encoded import is_clipped
+from ..capture.encoded import is_clipped, srgb_decoded
 from ..capture.views import View, load_capture
 from ..light.baking import ShadingStore, open_shadings
 from ..light.observations import median_footprint
@@ -53,12 +53,15 @@ class DetailInput:
         photographs: the training views at full size, in the order of `pixels`.
         pixels, shadings: at light resolution.
         levels: (K,) roughness of the shadings.
+        response: (256,) logarithm of the light of each code, for photographs that are not HDR; None without
+            such.
     """
 
     photographs: list[View]
     pixels: PixelStore
     shadings: ShadingStore
     levels: np.ndarray
+    response: np.ndarray | None = None
 
     def larger(self) -> list[int]:
         """Indices of the views whose photographs have more pixels than light has."""
@@ -108,7 +111,9 @@ def load_input(run: RunFolder) -> DetailInput | None:
     levels = roughness_levels(settings.roughness_levels, settings.roughness_min, settings.roughness_spacing)
     pixels = open_pixels(run.stage / "pixels", lights)
     shadings = open_shadings(run.stage / str(table["shadings"]), len(pixels), len(levels))
-    return DetailInput(photographs, pixels, shadings, levels)
+    found = read_json(run.statistics_json).get("photometry") if run.statistics_json.exists() else None
+    response = np.array(found["log_curve"], np.float64) if found else None
+    return DetailInput(photographs, pixels, shadings, levels, response)
 
 
 def write_resolution(run: RunFolder, triangles: int) -> None:
@@ -211,24 +216,26 @@ def light_pixels(given: DetailInput, index: int, part: np.ndarray) -> LightPixel
 def photograph(given: DetailInput, index: int) -> np.ndarray:
     """(H, W, 3) float32 radiance of a photograph in the unit of the pixels; NaN where clipped or masked.
 
-    The pixels' radiance has one scale, corrections of exposure and, where photographs are not HDR, of the
-    camera's response: here their median ratio, a channel each.
+    The pixels' radiance has one scale and corrections of exposure: here their median ratio, a channel each.
     """
     view, pixels = given.photographs[index], given.pixels
     image = view.radiance()
     light = pixels.views[index]
     known = np.asarray(pixels.radiance[pixels.rows(index)]).reshape(light.height, light.width, 3)
+    useless = np.zeros(image.shape[:2], bool)
+    if view.encoded:
+        useless |= is_clipped(image).any(axis=2)
+        if given.response is not None:
+            codes = srgb_decoded(np.arange(256) / 255.0)
+            image = np.interp(image, codes, np.exp(given.response)).astype(np.float32)
+    if (masked := view.masked()) is not None:
+        useless |= masked
     mean = means(image, light.width, light.height)
     both = (mean > 0.0) & (known > 0.0)
     ratio = [
         np.median(known[..., c][both[..., c]] / mean[..., c][both[..., c]]) if both[..., c].any() else 1.0
         for c in range(3)
     ]
-    useless = np.zeros(image.shape[:2], bool)
-    if view.encoded:
-        useless |= is_clipped(image).any(axis=2)
-    if (masked := view.masked()) is not None:
-        useless |= masked
     image = image * np.array(ratio, np.float32)
     image[useless] = np.nan
     return image
@@ -238,8 +245,7 @@ def with_low_frequencies(seen: Seen, texels: Texels, cells: SurfaceCells) -> np.
     """(n, 3) the colours of one view with the low frequencies of the estimate."""
     position = texels.position[seen.texel]
     estimate = texels.base_color[seen.texel]
-    weight = seen.weight * seen.trust
-    smooth = cells.smooth(seen.texel, position, weight, np.concatenate([seen.color, estimate], axis=1))
+    smooth = cells.smooth(seen.texel, position, seen.weight, np.concatenate([seen.color, estimate], axis=1))
     ratio = smooth[:, 3:] / np.maximum(smooth[:, :3], 1e-4)
     return seen.color * np.clip(ratio, 1.0 / MOST_GAIN, MOST_GAIN)
 
@@ -249,45 +255,35 @@ class Totals:
     """Sums over the views, N texels; float32.
 
     Attributes:
-        weight: (N,) of w q: weights times trust. squares: (N,) of (w q)^2.
-        change: (N, 3) of w q e, where e is the view's base colour less the estimate's.
-        power: (N,) of w q y^2, where y is the luminance of e.
-        trust: (N,) highest q.
-        views: (N,) int16 number of views.
+        weight: (N,) of the weights w. squares: (N,) of w^2.
+        change: (N, 3) of w e, where e is the view's base colour less the estimate's.
+        power: (N,) of w y^2, where y is the luminance of e.
+        light: (N,) of w s^2, where s is the error of y by the view's light.
     """
 
     weight: np.ndarray
     squares: np.ndarray
     change: np.ndarray
     power: np.ndarray
-    trust: np.ndarray
-    views: np.ndarray
+    light: np.ndarray
 
     @classmethod
     def of(cls, count: int) -> Totals:
         """Zero."""
-        one = (np.zeros(count, np.float32) for _ in range(4))
-        return cls(
-            next(one),
-            next(one),
-            np.zeros((count, 3), np.float32),
-            next(one),
-            next(one),
-            np.zeros(count, np.int16),
-        )
+        weight, squares, power, light = (np.zeros(count, np.float32) for _ in range(4))
+        return cls(weight, squares, np.zeros((count, 3), np.float32), power, light)
 
     def add(self, seen: Seen, color: np.ndarray, estimate: np.ndarray) -> None:
         """Add a view: its corrected colours (n, 3); `estimate` (N, 3) of all texels."""
-        rows = seen.texel
-        change = color - estimate[rows]
-        weight = seen.weight * seen.trust
+        rows, weight = seen.texel, seen.weight
+        known = estimate[rows]
+        change = color - known
         luminance = change @ _LUMINANCE
         self.weight[rows] += weight
         self.squares[rows] += weight * weight
         self.change[rows] += weight[:, None] * change
         self.power[rows] += weight * luminance * luminance
-        self.trust[rows] = np.maximum(self.trust[rows], seen.trust)
-        self.views[rows] += 1
+        self.light[rows] += weight * (seen.error * (known @ _LUMINANCE)) ** 2
 
     def result(self, texels: Texels, cells: SurfaceCells, part: np.ndarray) -> np.ndarray:
         """(N, 3) the estimate with as much of the mean change as the views agree on."""
@@ -305,12 +301,12 @@ class Totals:
         variance[several] *= effective[several] / (effective[several] - 1.0)
         owner = part[texels.triangle[rows]] + 1
         alone = _noise_of_parts(variance, several, owner)
-        noise = np.where(several, variance, alone[owner]) / effective
+        # Views share the light's error: their number does not lower it.
+        noise = np.where(several, variance, alone[owner]) / effective + self.light[rows] / weight
         position = texels.position[rows]
         values = np.stack([luminance * luminance, noise], axis=1)
         smooth = cells.smooth(rows, position, np.ones(len(rows), np.float32), values)
         share = np.clip(1.0 - smooth[:, 1] / np.maximum(smooth[:, 0], 1e-12), 0.0, 1.0)
-        share *= self.trust[rows]
         result[rows] = np.clip(result[rows] + share[:, None] * change, 0.0, 1.0)
         return result
 

@@ -26,11 +26,10 @@ MARGIN = 1.0  # pixels around a texel in which its surface must be seen: blur mi
 PLANE = 0.4  # distance from a texel's plane that still is its surface, in widths of a pixel of light
 LEAST_NORMAL = 0.8  # least cosine between a texel's normal and that of a pixel of light beside it
 LEAST_MATCH = 0.3  # least share of the weight of the 3 x 3 pixels of light that sees the texel's surface
-# Deviation of L_d from the mean of its neighbours on both sides, relative to L_d, beyond which pixels of
-# light do not resolve a shadow's edge, and the slope per pixel: an edge within a pixel is an even slope. The
-# trust falls as a Gaussian; below `LEAST_TRUST` a view tells nothing.
-SHADOW_BEND, SHADOW_SLOPE = 0.08, 0.2
-LEAST_TRUST = 0.02
+# Error of L_d where it slopes evenly, as a share of its change in a pixel of light: an edge within a pixel is
+# an even slope, too.
+SLOPE_ERROR = 0.4
+VIEW_ERROR = 0.05  # relative error of L_d with which a view has half the weight of one without
 GLOSS = 0.5  # share of gloss in a photograph's radiance from which it tells nothing of base colour
 DENSITY_POWER = 2.0  # weight of a view by the pixels per area with which it sees a texel
 PYRAMID = 5  # levels of the photograph, each half the size of the one before
@@ -94,14 +93,14 @@ class Seen:
     Attributes:
         texel: (n,) int64.
         color: (n, 3) float32 base colour.
-        weight: (n,) float32 by density and gloss, relative to other views.
-        trust: (n,) float32 in [0, 1], whether the pixels of light resolve the light there.
+        weight: (n,) float32 by density, gloss and error, relative to other views.
+        error: (n,) float32 relative error of L_d, as far as pixels of light do not resolve it.
     """
 
     texel: np.ndarray
     color: np.ndarray
     weight: np.ndarray
-    trust: np.ndarray
+    error: np.ndarray
 
 
 def see_texels(
@@ -156,17 +155,17 @@ def see_texels(
             mi.Float(np.asarray(texels.metallic[rows], np.float32)),
             mi.Float(np.asarray(texels.size[rows], np.float32)),
         )
-        color, weight, trust, seen = _see(points, shared, room, parts, light.view, view, len(levels))
-        dr.eval(color, weight, trust, seen)
+        color, weight, error, seen = _see(points, shared, room, parts, light.view, view, len(levels))
+        dr.eval(color, weight, error, seen)
         kept = np.flatnonzero(np.array(seen))
-        found.append(Seen(rows[kept], np.array(color).T[kept], np.array(weight)[kept], np.array(trust)[kept]))
+        found.append(Seen(rows[kept], np.array(color).T[kept], np.array(weight)[kept], np.array(error)[kept]))
     if not found:
         empty = np.zeros(0, np.float32)
         return Seen(np.zeros(0, np.int64), np.zeros((0, 3), np.float32), empty, empty)
     return Seen(
         *(
             np.concatenate([getattr(one, name) for one in found])
-            for name in ("texel", "color", "weight", "trust")
+            for name in ("texel", "color", "weight", "error")
         )
     )
 
@@ -211,7 +210,7 @@ def _pyramid(radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _see(
     points: _Points, shared: _Shared, room: Room, parts: mi.Int32, light: View, view: View, levels: int
 ) -> tuple[mi.Color3f, mi.Float, mi.Float, mi.Bool]:
-    """Base colour, weight, trust and whether the texel is seen."""
+    """Base colour, weight, error and whether the texel is seen."""
     pose = np.asarray(view.camera_to_world, np.float64)
     axes = [opaque_vector(mi.Vector3f, pose[:3, axis]) for axis in range(3)]
     eye = opaque_vector(mi.Point3f, pose[:3, 3])
@@ -270,9 +269,7 @@ def _see(
     seen &= matched > LEAST_MATCH * total
     scale = dr.select(seen, 1.0 / matched, 0.0)
     slope, offset = color_line(diffuse * scale, s0 * scale, s1 * scale, points.metallic)
-    edge = _unevenness(shades, dr.mean(diffuse) * scale)
-    trust = dr.exp(-edge * edge)
-    seen &= trust > LEAST_TRUST
+    error = _unresolved(shades, dr.mean(diffuse) * scale)
 
     # Whether the surface is seen, and nothing else, around the texel
     for dx, dy in ((-1, -1), (1, -1), (-1, 1), (1, 1)):
@@ -283,9 +280,9 @@ def _see(
         fits &= dr.gather(mi.Int32, parts, hit.triangle, hit.valid) == points.part
         seen &= fits | ~active
 
-    # The photograph, from the level of its pyramid whose pixels are not smaller than the texel
+    # The photograph, from the coarsest level of its pyramid whose pixels are not larger than the texel
     span = dr.maximum(points.size * fx / depth, 1.0)
-    level = mi.UInt32(dr.clip(dr.round(dr.log2(span)), 0, dr.width(shared.starts) - 1))
+    level = mi.UInt32(dr.clip(dr.floor(dr.log2(span)), 0, dr.width(shared.starts) - 1))
     start = dr.gather(mi.UInt32, shared.starts, level, seen)
     level_width = dr.gather(mi.UInt32, shared.sizes, 2 * level, seen)
     level_height = dr.gather(mi.UInt32, shared.sizes, 2 * level + 1, seen)
@@ -308,13 +305,15 @@ def _see(
     seen &= (gloss < GLOSS) & (dr.mean(slope) > 1e-4)
     density = fx * fy * cosine / (depth * depth)
     weight = dr.power(density * 1e-4, DENSITY_POWER) * (1.0 - gloss / GLOSS)
+    weight /= 1.0 + (error / VIEW_ERROR) ** 2
     color = dr.clip(color, -0.5, 2.0)
-    return color, weight, trust, seen
+    return color, weight, error, seen
 
 
-def _unevenness(shades: list[tuple[mi.Float, mi.Bool]], mean: mi.Float) -> mi.Float:
-    """How much L_d of 3 x 3 pixels bends or slopes, in units of `SHADOW_BEND` and `SHADOW_SLOPE`.
+def _unresolved(shades: list[tuple[mi.Float, mi.Bool]], mean: mi.Float) -> mi.Float:
+    """Relative error of L_d in the middle of 3 x 3 pixels of light: how much it bends or slopes.
 
+    It bends by its deviation from the mean of the neighbours on both sides, such as at a shadow's edge.
     Where only one of two sees the surface, half of its difference counts.
 
     Args:
@@ -326,8 +325,8 @@ def _unevenness(shades: list[tuple[mi.Float, mi.Bool]], mean: mi.Float) -> mi.Fl
     for number in range(4):
         (one, first), (other, second) = shades[number], shades[8 - number]
         before, after = dr.select(first, one - middle, 0.0), dr.select(second, other - middle, 0.0)
-        largest = dr.maximum(largest, dr.abs(before + after) * (0.5 / SHADOW_BEND))
-        largest = dr.maximum(largest, dr.abs(before - after) * (0.5 / SHADOW_SLOPE))
+        largest = dr.maximum(largest, dr.abs(before + after) * 0.5)
+        largest = dr.maximum(largest, dr.abs(before - after) * (0.5 * SLOPE_ERROR))
     return largest / dr.maximum(middle, 1e-6)
 
 
