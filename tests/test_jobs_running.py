@@ -372,3 +372,20 @@ def test_an_engine_that_dies_leaves_blender_unharmed(run):
     assert info.state == "failed" and info.error["code"] == "engine-crashed"
     assert "SIGABRT" in info.error["text"] and info.error["remedy"]
     bpy.ops.mesh.primitive_cube_add()
+
+
+def test_a_job_that_starts_at_the_end_of_another_is_advanced_by_the_same_timer(run):
+    """Blender removes a timer whose function returns None, even if it was registered again meanwhile."""
+    following = []
+
+    def follow(info: running.RunningJob) -> None:
+        if not following:
+            following.append(start(make_job(run, lambda: None, engine=False), run))
+
+    running.register(follow)
+    info, delays = start(make_job(run, lambda: None, engine=False), run), []
+    while not following:
+        delays.append(running.tick())
+    assert info.state == "finished" and running.current() is following[0] and None not in delays
+    tick_until(lambda: following[0].state == "finished")
+    assert running.tick() is None

@@ -102,6 +102,6 @@ def finish(window: Window, kind: str, seconds: float = _JOB_SECONDS) -> dict[str
         "inside.job", kind, until=lambda job: job["state"] not in ("", "running"), seconds=seconds, every=0.3
     )
     assert job["state"] == "finished", job
-    window.wait("inside.busy", until=lambda busy: not busy)
+    window.wait("inside.busy", until=lambda busy: not busy, seconds=seconds)  # another job may follow
     window.settle()
     return job
