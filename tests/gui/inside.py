@@ -311,6 +311,7 @@ def part_rows() -> dict[str, Any]:
         "names": [row.name for row in settings.parts],
         "active": active.name if active else "",
         "roughness": active.roughness_offset if active else 0.0,
+        "roughness_value": active.roughness_value if active else 0.0,
         "hue": active.hue if active else 0.0,
         "assets": sum(material.asset_data is not None for material in bpy.data.materials),
         "mode": bpy.context.mode,

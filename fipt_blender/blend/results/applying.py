@@ -234,13 +234,28 @@ def _read(run: RunFolder) -> _Results:
         room=room,
         faces=PartFaces(parts, read_left_alone(run, count)),
         corner_uv=tiled_uvs(arrays["corner_uv"], shared if apart else image),
-        triangle_atlas=np.maximum(image, 0) if apart else shared,
+        triangle_atlas=_own_images(image, parts.triangle, room.triangle_object) if apart else shared,
         entries=entries,
         apart=apart,
         uniform=uniform,
         corner_fields=corner_fields,
         emitters=read_emitters(run, count)["fixtures"],
     )
+
+
+def _own_images(image: np.ndarray, part: np.ndarray, owner: np.ndarray) -> np.ndarray:
+    """(T,) image of each triangle; those without area, which have none (-1), take that of others beside them.
+
+    Args:
+        image: (T,) int. part, owner: (T,) int, of each triangle; those of one part and object have one image.
+    """
+    both = part.astype(np.int64) * (int(owner.max(initial=0)) + 1) + owner
+    found = image.astype(np.int64)
+    for group in (both, part.astype(np.int64), owner.astype(np.int64)):
+        largest = np.full(int(group.max(initial=0)) + 1, -1, np.int64)
+        np.maximum.at(largest, group, found)
+        found = np.where(found < 0, largest[group], found)
+    return np.maximum(found, 0)
 
 
 def _cleaned_scan(run: RunFolder, room: Room) -> dict[str, np.ndarray] | None:
