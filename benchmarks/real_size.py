@@ -47,27 +47,29 @@ PLACES = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))  # lookups
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 SHADOW = 1.25  # ratio of L_d within a pixel of light that makes a shadow's edge
 BORDER = 2  # pixels
+SILHOUETTE = 0.03  # relative difference of the distance of neighbouring pixels
 
 
 @dataclass(frozen=True)
 class Truth:
-    """True maps of one held-back view at full size, and the labels of :meth:`Textures.labels`."""
+    """True maps of one held-back view at full size, and the result of :meth:`Textures.labels`."""
 
     kd: np.ndarray
     material: np.ndarray
     surface: np.ndarray
     light: np.ndarray
     labels: np.ndarray
+    distance: np.ndarray
 
 
-def read_truth(view: View, labels: np.ndarray) -> Truth:
+def read_truth(view: View, labels: np.ndarray, distance: np.ndarray) -> Truth:
     """The true maps beside a view's photograph."""
     folder, name = split_folder(view), f"{view.image.stem}.exr"
     kd = read_radiance(folder / "DiffCol" / name)
     material = read_ids(folder / "IndexMA" / name)
     emits = read_radiance(folder / "Emit" / name).max(axis=2) > 0
     surface = (material > 0) & ~emits & (kd.max(axis=2) > 0) & (labels >= 0)
-    return Truth(kd, material, surface, read_radiance(folder / "L_d" / name), labels)
+    return Truth(kd, material, surface, read_radiance(folder / "L_d" / name), labels, distance)
 
 
 class Textures:
@@ -84,10 +86,10 @@ class Textures:
         self.base_color = [read_radiance(run.root / entry["base_color"]) for entry in listed]
         self.metallic = [read_radiance(run.root / entry["metallic"])[..., 0] for entry in listed]
 
-    def labels(self, view: View, training: list[View]) -> np.ndarray:
-        """(H, W) int of each pixel: its UV island and the training view with most pixels on its area.
+    def labels(self, view: View, training: list[View]) -> tuple[np.ndarray, np.ndarray]:
+        """Of each pixel (H, W) a label of its UV island and the training view with most pixels on its area.
 
-        -1 where no training view sees anything.
+        -1 where no training view sees anything. And metres to what the pixel sees.
         """
         import drjit as dr
         import mitsuba as mi
@@ -117,7 +119,8 @@ class Textures:
             better = inside & valid & reached & (density > most)
             best[better], most[better] = number, density[better]
         label = self.island[np.where(valid, triangle, 0)] * (len(training) + 1) + best
-        return np.where(best > 0, label, -1).reshape(view.height, view.width)
+        shape = (view.height, view.width)
+        return np.where(best > 0, label, -1).reshape(shape), np.array(surface.distance).reshape(shape)
 
     def kd(self, view: View) -> np.ndarray:
         """(H, W, 3) kd in the pixels of a view, means over four places in each."""
@@ -172,15 +175,19 @@ def averaged(image: np.ndarray, factor: int) -> np.ndarray:
     return part.reshape(height, factor, width, factor, *image.shape[2:]).mean(axis=(1, 3))
 
 
-def steps(image: np.ndarray, true: np.ndarray, labels: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """(2, 2): sums of squared errors of steps between neighbours, and their number; of one label, of two."""
-    error, result = (image - true) @ LUMINANCE, np.zeros((2, 2))
+def steps(image: np.ndarray, true: Truth, inside: np.ndarray) -> np.ndarray:
+    """(2, 2): sums of squared errors of steps between neighbours, and their number; of one label, of two.
+
+    Neighbours on different sides of a silhouette do not count.
+    """
+    error, result = (image - true.kd) @ LUMINANCE, np.zeros((2, 2))
     for axis in (0, 1):
         one, other = (np.swapaxes(inside, 0, axis)[part] for part in (np.s_[1:], np.s_[:-1]))
-        label = np.swapaxes(labels, 0, axis)
+        label, distance = np.swapaxes(true.labels, 0, axis), np.swapaxes(true.distance, 0, axis)
+        near = np.abs(distance[1:] / np.maximum(distance[:-1], 1e-6) - 1.0) < SILHOUETTE
         step = np.diff(np.swapaxes(error, 0, axis), axis=0)
         for kind, wanted in enumerate((label[1:] == label[:-1], label[1:] != label[:-1])):
-            chosen = wanted & one & other
+            chosen = wanted & one & other & near
             result[kind] += (step[chosen] ** 2).sum(), chosen.sum()
     return result
 
@@ -247,7 +254,7 @@ def score(
         paint.append(mine[plain] ** 2)
         near = near_shadows(one, inside, factor)
         halo.append(((image - one.kd)[plain & near] ** 2).mean(axis=1))
-        pairs += steps(image, one.kd, one.labels, inside)
+        pairs += steps(image, one, inside)
     first, second = np.concatenate(ours), np.concatenate(theirs)
     figures["detail"] = float(np.corrcoef(first, second)[0, 1]) if first.any() else 0.0
     figures["contrast"] = float(first.std() / second.std())
@@ -289,7 +296,7 @@ def main(argv: list[str]) -> int:
     training = [view for view in every if view.split != "held_back"]
     textures = Textures(run)
     predicted = [textures.kd(view) for view in views]
-    true = [read_truth(view, textures.labels(view, training)) for view in views]
+    true = [read_truth(view, *textures.labels(view, training)) for view in views]
     table = read_json(options.capture / "materials.json")["materials"]
     textured = np.zeros(max(entry["id"] for entry in table) + 1, bool)
     for entry in table:
