@@ -81,6 +81,17 @@ def test_a_closed_section_tells_its_state_as_far_as_there_is_room(width, told):
     assert path.state_text("FIPT_PT_capture", "Capture", 1, context) == told
 
 
+@pytest.mark.usefixtures("ready")
+def test_a_closed_section_tells_of_warnings(monkeypatch, tmp_path):
+    add_capture()
+    bpy.context.scene.fipt.run_folder = str(tmp_path)
+    job = running.RunningJob("Import Capture", "capture", bpy.context.scene.name, tmp_path, state="finished")
+    job.warnings += [{"code": "odd", "text": "Odd.", "remedy": "Even it."}]
+    monkeypatch.setattr(running, "last", lambda kind: job)
+    context = SimpleNamespace(scene=bpy.context.scene, region=None)
+    assert path.state_text("FIPT_PT_capture", "Capture", 1, context) == "3 views, 1 warning"
+
+
 def test_online_access_is_explained_and_asked_for_where_it_is_needed(monkeypatch):
     monkeypatch.setattr(machine, "has_engine", lambda: False)
     drawn, properties = drawn_by(start.FIPT_PT_start)

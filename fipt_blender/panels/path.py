@@ -14,7 +14,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import machine
-from ..jobs import runstate
+from ..jobs import running, runstate
 
 _HEADER_UNITS = 2.6  # of a header's triangle and margins, in units of its height
 _UNIT_PIXELS = 20.0
@@ -87,6 +87,9 @@ def triangle_count(objects: Sequence[bpy.types.Object]) -> int:
 def _capture_state(context: bpy.types.Context) -> Sequence[str]:
     settings = context.scene.fipt.capture
     views = iface_("{} views").format(len(settings.views))
+    job = running.last("capture")
+    if job is not None and job.warnings and running.belongs_to(job, context.scene):
+        return (f"{views}, {running.count_text(len(job.warnings))}", views)  # it is closed at first
     objects = settings.room_objects(context.scene)
     if not objects:
         return (iface_("{}, no mesh").format(views), views)
