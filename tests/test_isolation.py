@@ -47,6 +47,7 @@ SHARED = (
     "run.runfolder",
     "run.settings",
     "run.shapes",
+    "run.versions",
     "report.comparison",
     "report.fixture_names",
     "textures.raster",
