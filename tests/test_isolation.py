@@ -87,6 +87,7 @@ FLOORS = (
     "blend.pictures",
     "properties",
     "jobs",
+    "api",
     "panels",
     "operators",
     "cli",

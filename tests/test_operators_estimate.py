@@ -18,6 +18,8 @@ import bpy
 import pytest
 
 from fipt_blender import machine
+from fipt_blender.api import tasks
+from fipt_blender.api.tasks import make_steps, scene_settings
 from fipt_blender.bridge import interpreter
 from fipt_blender.bridge.attached import find_engine
 from fipt_blender.core.run import settings as settings_module
@@ -25,8 +27,7 @@ from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import run_job, running, runstate
-from fipt_blender.operators import estimate
-from fipt_blender.operators.estimate import make_steps, scene_settings, smaller_preset
+from fipt_blender.operators.estimate import smaller_preset
 from fipt_blender.properties.estimate import CHOICES
 from samples.small_captures import PANEL, QUICK, SmallCapture, panel_capture, write_run
 from samples.small_rooms import BOX
@@ -74,14 +75,14 @@ def scene(run, tmp_path, monkeypatch):
 def quick(monkeypatch) -> dict:
     """Settings below those that the panel offers, for a run of seconds."""
     changes = {**QUICK, "training_steps": 20}
-    monkeypatch.setattr(estimate, "scene_settings", lambda scene: make_settings("draft", changes))
+    monkeypatch.setattr(tasks, "scene_settings", lambda *_: make_settings("draft", changes))
     return changes
 
 
 def start(resume: bool = False) -> running.RunningJob:
     """What the button does in a window, where a timer would call `running.tick`."""
     scene = bpy.context.scene
-    settings = estimate.scene_settings(scene)
+    settings = tasks.scene_settings(scene)
     run = RunFolder(scene.fipt.run_folder)
     run.create(settings)
     job = run_job.open_job(run, make_steps(run, settings, resume), resume=resume)

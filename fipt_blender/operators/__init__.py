@@ -34,6 +34,7 @@ from . import (
     presets,
     scale_points,
     storage,
+    versions,
     views,
 )
 
@@ -49,6 +50,7 @@ MODULES = (
     estimate,
     example,
     hints,
+    versions,
     materials,
     part_materials,
     export,

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import bpy
 
 from .. import machine
+from ..api import tasks
 from ..core.run.runfolder import RunFolder, explained_write_errors
 from ..jobs import running
-from . import estimate, materials
 from .job_operator import JobOperator
 from .polls import in_object_mode
 
@@ -58,7 +58,7 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
         path = copy_example(machine.data_folder())
         scene.fipt.capture.path = str(path)
         scene.fipt.estimate.preset = "draft"
-        settings = estimate.scene_settings(scene)
+        settings = tasks.scene_settings(scene)
         run = RunFolder(machine.new_run_folder(NAME))
         run.create(settings)
         scene.fipt.run_folder = str(run.root)
@@ -71,8 +71,8 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
         steps = [
             ingest_step(run, path, ingest_arguments(CaptureOptions()), "Reading the example", 2.0),
             Step("import", "Adding cameras and mesh", 1.0, function=add_to_scene),
-            *estimate.make_steps(run, settings, resume=False),
-            *materials.make_steps(scene.name, run, settings),
+            *tasks.make_steps(run, settings, resume=False),
+            *tasks.apply_steps(scene.name, run, settings),
         ]
         return open_job(run, steps, record="example.json", launch=self._launch)
 
@@ -81,9 +81,8 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
         """Show the estimated room as the first view sees it."""
         from ..blend.capture.cameras import use_view
         from ..blend.capture.look import enter_camera, view_spaces
-        from ..blend.results.scene_state import finish
 
-        finish(scene, run)
+        tasks.note_applied(scene, run)
         use_view(scene, scene.fipt.capture.views[0].camera_object())
         enter_camera(bpy.context, scene)
         for space in view_spaces(bpy.context, scene):

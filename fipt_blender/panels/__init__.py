@@ -22,6 +22,7 @@ from . import (
     presets,
     statusbar,
     swatches,
+    versions,
 )
 
 _MODULES = (
@@ -31,6 +32,7 @@ _MODULES = (
     parts,
     estimate,
     hints,
+    versions,
     materials,
     lights,
     insert,

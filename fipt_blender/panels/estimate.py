@@ -54,7 +54,7 @@ class FIPT_PT_estimate(Section, bpy.types.Panel):
             column = layout.column(align=True)
             column.scale_y = 1.4
             column.operator("fipt.estimate", icon="PLAY")
-            if state.stages and not state.finished:
+            if state.stages and not state.finished and not state.earlier:
                 column.operator("fipt.resume", icon="FILE_REFRESH")
             if job is not None:
                 _draw_waiting(layout, context, job)
@@ -118,12 +118,14 @@ def _draw_state(layout: bpy.types.UILayout, context: bpy.types.Context, state: r
         draw_error(layout, context, state.error, folder)
     if state.finished:
         layout.label(text="Finished", icon="CHECKMARK")
+    elif state.earlier:
+        layout.label(text="An earlier version is in use", icon="CHECKMARK")
     elif state.stages:
         text = iface_("Stopped. Finished stages: {}").format(state.stages)
         layout.label(text=text, icon="PAUSE", translate=False)
     _draw_pictures(layout, state.pictures)
     if state.results:
-        if not state.finished:
+        if not state.finished and not state.earlier:
             layout.label(text="The results are those of the estimate before", icon="INFO")
         layout.operator("fipt.apply_results", icon="MATERIAL")
 

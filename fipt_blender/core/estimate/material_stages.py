@@ -293,7 +293,7 @@ class MaterialStages(EstimationState):
 
     def _write_doubts(self, folder: RunFolder, names: np.ndarray) -> None:
         data, cells, bright = self._closed_form()
-        decided = np.zeros(len(bright), bool)
+        decided = np.zeros((len(bright), 3), bool)
         if self.hints is not None:
-            decided = self.hints.of_triangles(self.hints.emits) != 0
+            decided = self.hints.of_triangles(self.hints.decides)
         write_doubts(folder, data, cells, bright, decided, names)

@@ -14,7 +14,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -25,8 +25,17 @@ from .errors import FiptError
 from .replacing import atomic_folder, link_folder, link_or_copy
 from .runfolder import RunFolder, beside, explained_write_errors, write_json
 from .settings import TEXTURE_SETTINGS, make_settings
-from .shapes import DOUBTS, EMITTERS, PARTS, RUN, STAGES, STATISTICS
-from .shapes import VERSION, VERSION_FORMAT, VERSION_VERSION
+from .shapes import (
+    DOUBTS,
+    EMITTERS,
+    PARTS,
+    RUN,
+    STAGES,
+    STATISTICS,
+    VERSION,
+    VERSION_FORMAT,
+    VERSION_VERSION,
+)
 
 HINTED = "hinted-"  # how the names of the stages of Re-estimate with Hints begin
 MOST_NAME = 60  # characters of a version's name
@@ -131,7 +140,7 @@ def version_folder(run: RunFolder, version: str) -> RunFolder:
     Raises:
         FiptError: ``version-missing``.
     """
-    if _holds_results(run.results) and _id(run.results) == version:
+    if version and present_version(run) == version:
         return run
     if version not in {folder.name for folder in _folders(run)}:
         raise FiptError(
@@ -197,10 +206,15 @@ def settle(run: RunFolder) -> None:
     with explained_write_errors(run.versions):
         if old.is_dir():
             _keep(run, old)
-        present = _id(run.results) if _holds_results(run.results) else ""
+        present = present_version(run)
         for folder in _subfolders(run.versions):
             if folder.name == present or not _holds_results(folder):
                 _delete(folder)
+
+
+def present_version(run: RunFolder) -> str:
+    """The id of the results; "" where there are none."""
+    return _id(run.results) if _holds_results(run.results) else ""
 
 
 def stages_last(run: RunFolder) -> str:
@@ -281,6 +295,46 @@ def figures(run: RunFolder, version: str) -> Figures:
     )
 
 
+def comparison(run: RunFolder, first: str, second: str, parts: int) -> list[tuple[str, str, str]]:
+    """What two versions differ in, for people: a name, and the values of both.
+
+    Args:
+        run: the run folder.
+        first, second: ids of versions.
+        parts: so many of those whose material differs most, with base colour, roughness and metallic; their
+            names are in quotes.
+
+    Raises:
+        FiptError: ``version-missing``.
+    """
+    listed = {version.id: version for version in list_versions(run)}
+    one, other = figures(run, first), figures(run, second)
+
+    def row(name: str, show: Callable[[Version, Figures], str]) -> tuple[str, str, str]:
+        return name, show(listed[first], one), show(listed[second], other)
+
+    rows = [
+        row("Version", lambda version, _: version.title),
+        row("Preset", lambda version, _: version.preset.capitalize()),
+        row("Settings", lambda version, _: ", ".join(version.changes) or "-"),
+        row("Hints", lambda version, _: ", ".join(version.hints) or "-"),
+        row("Time", lambda _, found: _number(found.seconds, "{:.0f} s")),
+        row("Lamps", lambda _, found: _number(found.lamps, "{}")),
+        row("Power", lambda _, found: _number(found.power, "{:.4g} W")),
+        row("Environment", lambda _, found: {None: "-", True: "yes", False: "no"}[found.environment]),
+        row("Parts", lambda _, found: str(len(found.parts))),
+        row("Questions", lambda _, found: _number(found.doubts, "{}")),
+    ]
+    for name in changed_parts(one, other)[:parts]:
+        values = (" ".join(f"{value:.2f}" for value in found.parts[name]) for found in (one, other))
+        rows.append((f"'{name}'", *values))
+    return rows
+
+
+def _number(value: float | None, text: str) -> str:
+    return "-" if value is None else text.format(value)
+
+
 def changed_parts(first: Figures, second: Figures) -> list[str]:
     """Names of the parts that both have, those whose material differs most first."""
     distance = {
@@ -297,7 +351,7 @@ def _keep(run: RunFolder, old: Path) -> None:
         shutil.rmtree(old)
         return
     name, given = _id(old), _read(old).get("name", "")
-    if _holds_results(run.results) and name == _id(run.results):  # the same estimate again
+    if name == present_version(run):  # the same estimate again
         if given and not _read(run.results).get("name"):
             _write(run.results, given, _time(run.results))
         shutil.rmtree(old)

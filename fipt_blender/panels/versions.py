@@ -1,0 +1,69 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panel Versions of the section Estimate: the estimates that the run keeps."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from ..jobs import running, runstate
+from .estimate import draw_setting
+from .sidebar import SubSection, draw_text, size_text
+
+if TYPE_CHECKING:
+    from ..core.run.versions import Version
+
+
+class FIPT_PT_estimate_versions(SubSection, bpy.types.Panel):
+    """Earlier estimates of this run: use, compare, name and delete them"""
+
+    bl_label = "Versions"
+    bl_parent_id = "FIPT_PT_estimate"
+    bl_order = 2
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return runstate.known(context.scene.fipt.run_folder).results
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        state = runstate.known(context.scene.fipt.run_folder)
+        shown = context.scene.fipt.materials.applied_version
+        column = layout.column()
+        column.enabled = running.current() is None
+        for version in state.versions:
+            _draw_version(column.box(), version, shown)
+        text = iface_("{} in all").format(size_text(state.size))
+        layout.label(text=text, icon="DISK_DRIVE", translate=False)
+        if shown and state.versions and shown != state.versions[0].id:
+            text = iface_("The room shows another estimate than the one in use. Apply Results shows that.")
+            draw_text(layout, context, text, icon="INFO")
+        column = layout.column()
+        column.enabled = running.current() is None
+        draw_setting(column, context.scene.fipt.estimate, "kept_versions")
+
+
+def _draw_version(layout: bpy.types.UILayout, version: Version, shown: str) -> None:
+    """One version: title, what it differs in, size, and what can be done with it."""
+    row = layout.row(align=True)
+    icon = "RADIOBUT_ON" if version.current else "RADIOBUT_OFF"
+    row.operator(
+        "fipt.use_version", text=version.title, icon=icon, emboss=False, translate=False
+    ).version = version.id
+    row.operator("fipt.rename_version", text="", icon="GREASEPENCIL", emboss=False).version = version.id
+    if not version.current:
+        row.operator(
+            "fipt.compare_versions", text="", icon="SPLIT_HORIZONTAL", emboss=False
+        ).version = version.id
+        row.operator("fipt.delete_version", text="", icon="X", emboss=False).version = version.id
+    row = layout.row()
+    row.scale_y = 0.8
+    facts = [version.preset.capitalize() if version.name else "", version.what, size_text(version.size)]
+    text = ", ".join(filter(None, facts))
+    row.label(text=text, icon="CHECKMARK" if version.id == shown else "BLANK1", translate=False)
+
+
+CLASSES = (FIPT_PT_estimate_versions,)
