@@ -36,10 +36,10 @@ def write_estimate(run: RunFolder, gray: float, key: str, hinted: str = "") -> s
         run.stages_json, {"keys": keys, "stages": {k: {} for k in keys}, "warnings": {}, "values": {}}
     )
     with versions.new_results(run) as new:
-        shutil.copytree(run.results, new.results, dirs_exist_ok=True)
-        new.fields_npz.unlink()
+        for path in (run.emitters_json, run.statistics_json, run.doubts_json):
+            if path.exists():
+                shutil.copy(path, new.results / path.name)
         new.fields_npz.write_text(str(gray))
-        (new.results / "doubts").mkdir(exist_ok=True)
         keep_inputs(new, new.results)
         versions.note_version(new.results)
     return versions.present_version(run)

@@ -10,6 +10,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..api import tasks
+from ..core.run.errors import FiptError
 from ..jobs import running, runstate
 from .job_operator import JobOperator
 from .polls import has_run, in_object_mode
@@ -142,9 +143,12 @@ class FIPT_OT_compare_versions(bpy.types.Operator):
             self.report({"INFO"}, f"{iface_(name)}: {', '.join(values)}")
         return {"FINISHED"}
 
-    @reports_errors
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self._rows = self._compare(context)
+        try:
+            self._rows = self._compare(context)
+        except FiptError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         return context.window_manager.invoke_popup(self, width=420)
 
     def draw(self, context: bpy.types.Context) -> None:
