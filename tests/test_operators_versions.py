@@ -32,9 +32,7 @@ pytestmark = pytest.mark.usefixtures("registered")
 def write_estimate(run: RunFolder, gray: float, key: str, hinted: str = "") -> str:
     """New results whose base colour is gray, as an engine writes them; returns their version."""
     keys = {"training": key, **({"hinted-training": hinted} if hinted else {})}
-    write_json(
-        run.stages_json, {"keys": keys, "stages": {k: {} for k in keys}, "warnings": {}, "values": {}}
-    )
+    write_json(run.stages_json, {"keys": keys, "stages": {k: {} for k in keys}, "warnings": {}, "values": {}})
     with versions.new_results(run) as new:
         for path in (run.emitters_json, run.statistics_json, run.doubts_json):
             if path.exists():

@@ -48,22 +48,21 @@ class FIPT_PT_estimate_versions(SubSection, bpy.types.Panel):
 
 def _draw_version(layout: bpy.types.UILayout, version: Version, shown: str) -> None:
     """One version: title, what it differs in, size, and what can be done with it."""
-    row = layout.row(align=True)
     icon = "RADIOBUT_ON" if version.current else "RADIOBUT_OFF"
-    row.operator(
-        "fipt.use_version", text=version.title, icon=icon, emboss=False, translate=False
-    ).version = version.id
-    row.operator("fipt.rename_version", text="", icon="GREASEPENCIL", emboss=False).version = version.id
-    if not version.current:
-        row.operator(
-            "fipt.compare_versions", text="", icon="SPLIT_HORIZONTAL", emboss=False
-        ).version = version.id
-        row.operator("fipt.delete_version", text="", icon="X", emboss=False).version = version.id
-    row = layout.row()
-    row.scale_y = 0.8
+    column = layout.column(align=True)
+    row = column.row()
+    row.alignment = "LEFT"
+    button = row.operator("fipt.use_version", text=version.title, icon=icon, emboss=False, translate=False)
+    button.version = version.id
     facts = [version.preset.capitalize() if version.name else "", version.what, size_text(version.size)]
-    text = ", ".join(filter(None, facts))
-    row.label(text=text, icon="CHECKMARK" if version.id == shown else "BLANK1", translate=False)
+    row = column.row(align=True)
+    text, icon = ", ".join(filter(None, facts)), "CHECKMARK" if version.id == shown else "BLANK1"
+    row.label(text=text, icon=icon, translate=False)
+    buttons = [("fipt.rename_version", "GREASEPENCIL")]
+    if not version.current:
+        buttons += [("fipt.compare_versions", "SPLIT_HORIZONTAL"), ("fipt.delete_version", "X")]
+    for name, icon in buttons:
+        row.operator(name, text="", icon=icon, emboss=False).version = version.id
 
 
 CLASSES = (FIPT_PT_estimate_versions,)
