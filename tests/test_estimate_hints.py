@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fipt_blender.core.estimate import doubts
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.run.hints import Hint, write_hints
 from fipt_blender.core.run.runfolder import RunFolder
@@ -85,9 +86,13 @@ def test_hints_are_honoured_again_and_reuse_all_stages(
     np.testing.assert_array_equal(wall_values(run, capture.room), before)
 
 
-def test_what_a_hint_says_is_not_asked_again(finished: RunFolder, tmp_path: Path) -> None:
+def test_what_a_hint_says_is_not_asked_again(
+    finished: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """However wide the range that an answer leaves. The results before stay as a version."""
     run = copy_of(finished, tmp_path)
+    monkeypatch.setattr(doubts, "LEAST_DOUBT", 1e-6)  # ask about each wall
+    run_here(run)
     before = present_version(run)
     asked = json.loads(run.doubts_json.read_text())["doubts"]
     gloss = next(doubt for doubt in asked if doubt["question"] == "gloss")

@@ -81,7 +81,8 @@ def question(metallic: float, errors: np.ndarray, color: float, lamp: bool) -> t
     """
     if lamp:
         return "lamp", "Lamp or white surface?"
-    if errors[1] >= LEAST_DOUBT and errors[1] >= 0.5 * errors[0] and 0.0 < metallic < 1.0:
+    unclear = 0.0 < metallic < 1.0 or errors[0] == 0.0  # where a hint says how rough it is
+    if errors[1] >= LEAST_DOUBT and errors[1] >= 0.5 * errors[0] and unclear:
         return "metal", "Dark metal or plastic?" if color < DARK else "Metal or paint?"
     return "gloss", "Glossy or matt?"
 
