@@ -31,7 +31,8 @@ class FIPT_PT_estimate_versions(SubSection, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()
         state = runstate.known(context.scene.fipt.run_folder)
-        shown = context.scene.fipt.materials.applied_version
+        materials = context.scene.fipt.materials
+        shown = materials.applied_version if materials.object_count else ""
         column = layout.column()
         column.enabled = running.current() is None
         for version in state.versions:
@@ -39,7 +40,9 @@ class FIPT_PT_estimate_versions(SubSection, bpy.types.Panel):
         text = iface_("{} in all").format(size_text(state.size))
         layout.label(text=text, icon="DISK_DRIVE", translate=False)
         if shown and state.versions and shown != state.versions[0].id:
-            text = iface_("The room shows another estimate than the one in use. Apply Results shows that.")
+            text = iface_(
+                "The room shows another estimate than the one in use. Apply Results shows the one in use."
+            )
             draw_text(layout, context, text, icon="INFO")
         column = layout.column()
         column.enabled = running.current() is None

@@ -7,9 +7,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from ...core.run.documents import load_document
-from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import MAPS
 from ...core.run.versions import version_folder
@@ -34,19 +34,31 @@ def show(scene: bpy.types.Scene, run: RunFolder, version: str) -> bool:
     if not names:
         return False
     name = next((name for name in names if present[name] == scene.camera), names[0])
-    left, right = (load_radiance(found[name]) for found in pictures)
+    left, right = (_pixels(found[name]) for found in pictures)
     if left is None or right is None:
         return False
     cameras.use_view(scene, present[name])
-    compare.start_pair(scene, compare.pixels_of(left), compare.pixels_of(right))
+    compare.start_pair(scene, left, right)
     return True
+
+
+def _pixels(path: Path) -> np.ndarray | None:
+    """The linear values (H,W,4) of a picture; None where it can't be read."""
+    image = load_radiance(path)
+    if image is None:
+        return None
+    image.reload()  # another version may have been there
+    values = compare.pixels_of(image) if min(image.size) > 0 else None
+    if not image.users:
+        bpy.data.images.remove(image)
+    return values
 
 
 def _pictures(results: Path) -> dict[str, Path]:
     """The pictures of base colour by the names of their views; none where no textures were baked."""
     try:
         entries = load_document(results / "maps" / "maps.json", MAPS)["views"]
-    except (OSError, ValueError, FiptError):
+    except (OSError, ValueError):
         return {}
     # The paths are those in the run's results; a version has the same files in its own folder.
     return {entry["view"]: results / "maps" / Path(entry["base_color"]).name for entry in entries}
