@@ -79,7 +79,7 @@ def start_pair(scene: bpy.types.Scene, left: np.ndarray, right: np.ndarray) -> b
         left, right: display values, linear; the scene's exposure is taken out of them.
     """
     end(scene)
-    gain = np.float32([*[2.0**-scene.view_settings.exposure] * 3, 1.0])
+    gain = np.array([*[2.0**-scene.view_settings.exposure] * 3, 1.0], np.float32)
     right = resize_to(right, left.shape[1], left.shape[0]).astype(np.float32)
     return _show(scene, "VERSIONS", left * gain, right * gain)
 

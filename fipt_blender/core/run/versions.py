@@ -326,8 +326,11 @@ def comparison(run: RunFolder, first: str, second: str, parts: int) -> list[tupl
         row("Questions", lambda _, found: _number(found.doubts, "{}")),
     ]
     for name in changed_parts(one, other)[:parts]:
-        values = (" ".join(f"{value:.2f}" for value in found.parts[name]) for found in (one, other))
-        rows.append((f"'{name}'", *values))
+
+        def values(_: Version, found: Figures, name: str = name) -> str:
+            return " ".join(f"{value:.2f}" for value in found.parts[name])
+
+        rows.append(row(f"'{name}'", values))
     return rows
 
 
