@@ -17,7 +17,7 @@ from pathlib import Path
 import bpy
 import pytest
 
-from fipt_blender import machine
+from fipt_blender import api, machine
 from fipt_blender.api import tasks
 from fipt_blender.api.tasks import make_steps, scene_settings
 from fipt_blender.bridge import interpreter
@@ -133,8 +133,11 @@ def test_estimate_works_on_the_scene_as_it_is_and_starts_anew_unless_stages_are_
     assert not ops.resume.poll()  # it is finished
 
     quick["training_steps"] = 12
-    assert ops.estimate(keep=True) == {"FINISHED"} and worked(run) == ["training"]
+    outcome = api.estimate(keep_stages=True)
+    assert outcome.run == run.root and worked(run) == ["training"]
     assert run.read().training_steps == 12 and done(run) == STAGES
+    newest, before = api.versions()
+    assert newest.changes[-1] == "training_steps=12" and before.changes[-1] == "training_steps=20"
 
     before = run.emitters_json.stat().st_mtime_ns
     assert ops.estimate() == {"FINISHED"} and worked(run) == STAGES

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -37,14 +38,15 @@ def run_versions(arguments: argparse.Namespace, display: Display) -> None:
     for version in arguments.delete:
         remove_version(run, version)
     if arguments.compare:
-        rows = comparison(run, *arguments.compare, _MOST_PARTS)
+        first, second = arguments.compare
+        rows = comparison(run, first, second, _MOST_PARTS)
         display.show({"type": "done", "files": [], "data": {"comparison": rows}})
         _print_table(arguments, rows)
         return
     found = list_versions(run)
     data = {"versions": [{**asdict(version), "date": version.date} for version in found]}
     display.show({"type": "done", "files": files, "data": {**data, "size": total_size(run)}})
-    rows = [
+    table = [
         (
             ("* " if version.current else "  ") + version.id,
             version.title,
@@ -53,7 +55,7 @@ def run_versions(arguments: argparse.Namespace, display: Display) -> None:
         )
         for version in found
     ]
-    _print_table(arguments, [*rows, ("", "", "", f"{format_size(total_size(run))} in all")])
+    _print_table(arguments, [*table, ("", "", "", f"{format_size(total_size(run))} in all")])
 
 
 def _use(run: RunFolder, version: str, display: Display) -> list[str]:
@@ -83,7 +85,7 @@ def _use(run: RunFolder, version: str, display: Display) -> list[str]:
     return [str(blend)]
 
 
-def _print_table(arguments: argparse.Namespace, rows: list[tuple[str, ...]]) -> None:
+def _print_table(arguments: argparse.Namespace, rows: Sequence[tuple[str, ...]]) -> None:
     if arguments.json or arguments.quiet:
         return
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
