@@ -213,6 +213,20 @@ def test_only_the_stages_of_the_results_can_be_continued(run_folder: RunFolder) 
         versions.refuse_other_stages(run_folder)
 
 
+def test_the_inputs_of_the_results_come_back_and_the_settings_stay(run_folder: RunFolder) -> None:
+    run_folder.room_npz.write_bytes(b"estimated")
+    estimate(run_folder, "first", rounds=2)
+    stages_before = run_folder.stages_json.read_bytes()
+    run_folder.room_npz.unlink()
+    run_folder.room_npz.write_bytes(b"of an estimate that was stopped at once")
+    run_folder.create(make_settings("draft", {"rounds": 0}))
+    for _ in range(2):
+        versions.restore_inputs(run_folder)
+        assert run_folder.room_npz.read_bytes() == b"estimated" and run_folder.read().rounds == 0
+    assert run_folder.stages_json.read_bytes() == stages_before
+    assert not [path for path in run_folder.root.iterdir() if path.name.startswith(".")]
+
+
 def test_figures_and_the_parts_that_differ(run_folder: RunFolder) -> None:
     made = []
     for color in (0.2, 0.8):

@@ -262,16 +262,22 @@ def reestimation() -> Task:
     """Estimate materials again with the scene's hints, from the stages of the results, and apply that."""
 
     def make(scene: bpy.types.Scene) -> Job:
+        from dataclasses import replace
+
         from ..blend.hints.exchange import write_for_again
-        from ..core.run.versions import refuse_other_stages
+        from ..core.run.versions import refuse_other_stages, restore_inputs
         from ..jobs.main_job import estimate_step
         from ..jobs.run_job import find_launch, open_job, refuse_busy
 
         run = run_of(scene)
         launch = find_launch()
         refuse_busy(run)
-        settings = chosen_settings(scene, run)
+        chosen = chosen_settings(scene, run)
         refuse_other_stages(run)
+        restore_inputs(run)
+        run.create(chosen)
+        kept = scene_settings(scene).kept_versions
+        settings = replace(run.read_estimated(), kept_versions=kept)
         run.create(settings)
         write_for_again(scene, run)
         steps = [estimate_step(run, settings, resume=True), *apply_steps(scene.name, run, settings)]
@@ -316,8 +322,8 @@ def version_change(version: str) -> Task:
 
         run = run_of(scene)
         settings = chosen_settings(scene, run)
-        run.create(settings)
         switch_version(run, version)
+        run.create(settings)
         return _apply_job(scene, run, settings)
 
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:

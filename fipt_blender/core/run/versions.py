@@ -247,6 +247,22 @@ def refuse_other_stages(run: RunFolder) -> None:
         )
 
 
+def restore_inputs(run: RunFolder) -> None:
+    """Make cameras and mesh of the results those of the run, as their stages need them; not the settings.
+
+    An estimate that was stopped at once has left others there, and the stages as they were.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    for path in run.made_from():
+        kept = run.results / path.name
+        if path in (run.run_json, run.stages_json) or not kept.is_file():
+            continue
+        with explained_write_errors(path):
+            _replace(kept, path)
+
+
 @dataclass(frozen=True)
 class Figures:
     """What two versions are compared by; None where it is not known.
@@ -388,10 +404,17 @@ def _bring_back(folder: Path, run: RunFolder) -> None:
             with atomic_folder(path) as new:
                 link_folder(kept, new)
         elif kept.is_file():
-            temporary = path.with_name(f".{os.getpid()}.{path.name}")
-            temporary.unlink(missing_ok=True)
-            link_or_copy(kept, temporary)
-            os.replace(temporary, path)
+            _replace(kept, path)
+
+
+def _replace(source: Path, target: Path) -> None:
+    """Put a file in the place of another one at once, as `link_or_copy`."""
+    if target.exists() and os.path.samefile(source, target):
+        return  # renaming between two names of one file would leave both
+    temporary = target.with_name(f".{os.getpid()}.{target.name}")
+    temporary.unlink(missing_ok=True)
+    link_or_copy(source, temporary)
+    os.replace(temporary, target)
 
 
 def _describe(folder: Path, current: bool) -> Version:
