@@ -47,6 +47,7 @@ SHARED = (
     "run.runfolder",
     "run.settings",
     "run.shapes",
+    "run.version_figures",
     "run.versions",
     "report.comparison",
     "report.fixture_names",

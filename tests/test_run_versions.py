@@ -16,6 +16,7 @@ from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.replacing import keep_inputs
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
+from fipt_blender.core.run.version_figures import changed_parts, figures
 
 
 def stages(run: RunFolder, **keys: str) -> None:
@@ -239,7 +240,7 @@ def test_figures_and_the_parts_that_differ(run_folder: RunFolder) -> None:
         lamp = {"name": "L", "triangles": [], "radiance": [1.0] * 3, "back_radiance": [0.0] * 3}
         fixtures = [{**lamp, "power": [3.0, 6.0, 9.0]}] * len(made)
         write_json(run_folder.emitters_json, {"fixtures": fixtures, "environment": None})
-    first, second = (versions.figures(run_folder, version) for version in made)
+    first, second = (figures(run_folder, version) for version in made)
     assert (first.lamps, second.lamps, first.power, second.power) == (1, 2, 6.0, 12.0)
     assert first.environment is False and first.doubts is None
-    assert versions.changed_parts(first, second) == ["Wall"]
+    assert changed_parts(first, second) == ["Wall"]

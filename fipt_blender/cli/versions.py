@@ -11,7 +11,8 @@ from pathlib import Path
 
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
-from ..core.run.versions import comparison, list_versions, rename_version, settle, total_size
+from ..core.run.version_figures import comparison
+from ..core.run.versions import list_versions, rename_version, settle, total_size
 from ..jobs.options import BLEND_NAME
 from ..jobs.run_job import refuse_busy
 from ..jobs.versions import remove_version, switch_version

@@ -164,7 +164,8 @@ class FIPT_OT_compare_versions(bpy.types.Operator):
     def _compare(self, context: bpy.types.Context) -> list[tuple[str, str, str]]:
         """What differs: a name, and the values of this version and of the present one."""
         from ..blend.capture import version_views
-        from ..core.run.versions import comparison, list_versions
+        from ..core.run.version_figures import comparison
+        from ..core.run.versions import list_versions
 
         run = tasks.run_of(context.scene)
         present = next(iter(list_versions(run)), None)
