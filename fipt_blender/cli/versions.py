@@ -29,8 +29,9 @@ def run_versions(arguments: argparse.Namespace, display: Display) -> None:
     """
     run = RunFolder(arguments.run)
     run.read()  # raises where it is no run folder
-    refuse_busy(run)
-    settle(run)
+    if arguments.use or arguments.name or arguments.delete:
+        refuse_busy(run)
+        settle(run)
     files: list[str] = []
     if arguments.use:
         files = _use(run, arguments.use, display)
