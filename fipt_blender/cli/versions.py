@@ -52,7 +52,7 @@ def run_versions(arguments: argparse.Namespace, display: Display) -> None:
         (
             ("* " if version.current else "  ") + version.id,
             version.title,
-            ", ".join(filter(None, (version.preset if version.name else "", version.what))),
+            ", ".join(filter(None, (version.made if version.name else "", version.what))),
             format_size(version.size),
         )
         for version in found

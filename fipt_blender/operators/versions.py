@@ -149,13 +149,13 @@ class FIPT_OT_compare_versions(bpy.types.Operator):
         except FiptError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        return context.window_manager.invoke_popup(self, width=420)
+        return context.window_manager.invoke_popup(self, width=560)
 
     def draw(self, context: bpy.types.Context) -> None:
         column = self.layout.column(align=True)
         column.label(text="Compare Versions")
         for name, *values in self._rows:
-            split = column.split(factor=0.4)
+            split = column.split(factor=0.25)
             split.label(text=name, translate=not name.startswith("'"))
             row = split.row()
             for value in values:

@@ -57,10 +57,12 @@ def _draw_version(layout: bpy.types.UILayout, version: Version, shown: str) -> N
     row.alignment = "LEFT"
     button = row.operator("fipt.use_version", text=version.title, icon=icon, emboss=False, translate=False)
     button.version = version.id
-    facts = [version.preset.capitalize() if version.name else "", version.what, size_text(version.size)]
+    facts = [version.made if version.name else "", version.what]
+    if text := ", ".join(filter(None, facts)):
+        column.label(text=text, icon="BLANK1", translate=False)
     row = column.row(align=True)
-    text, icon = ", ".join(filter(None, facts)), "CHECKMARK" if version.id == shown else "BLANK1"
-    row.label(text=text, icon=icon, translate=False)
+    icon = "CHECKMARK" if version.id == shown else "BLANK1"
+    row.label(text=size_text(version.size), icon=icon, translate=False)
     buttons = [("fipt.rename_version", "GREASEPENCIL")]
     if not version.current:
         buttons += [("fipt.compare_versions", "SPLIT_HORIZONTAL"), ("fipt.delete_version", "X")]

@@ -69,9 +69,14 @@ class Version:
         return time.strftime("%Y-%m-%d %H:%M", time.localtime(self.time))
 
     @property
+    def made(self) -> str:
+        """Preset and date."""
+        return " ".join(filter(None, (self.preset.capitalize(), self.date)))
+
+    @property
     def title(self) -> str:
         """Its name, or preset and date."""
-        return self.name or " ".join(filter(None, (self.preset.capitalize(), self.date)))
+        return self.name or self.made
 
     @property
     def what(self) -> str:
