@@ -137,7 +137,7 @@ def test_estimate_works_on_the_scene_as_it_is_and_starts_anew_unless_stages_are_
     assert outcome.run == run.root and worked(run) == ["training"]
     assert run.read().training_steps == 12 and done(run) == STAGES
     newest, before = api.versions()
-    assert newest.changes[-1] == "training_steps=12" and before.changes[-1] == "training_steps=20"
+    assert "training_steps=12" in newest.changes and "training_steps=20" in before.changes
 
     before = run.emitters_json.stat().st_mtime_ns
     assert ops.estimate() == {"FINISHED"} and worked(run) == STAGES
