@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -143,19 +144,19 @@ def test_results_of_earlier_releases_are_versions_too(run_folder: RunFolder) -> 
     assert run_folder.fields_npz.read_text() == "old" and run_folder.estimated() is run_folder
 
 
-class Killed(BaseException):
-    """As by SIGKILL: nothing is tidied up."""
-
-
 def calls_that_change_the_disk() -> list[tuple[object, str]]:
     return [(os, "rename"), (os, "replace"), (os, "link"), (shutil, "rmtree"), (Path, "unlink")]
 
 
-def killed_at(work: Callable[[], object], number: int, folder: Path) -> bool:
+def killed_at(work: Callable[[], object], number: int) -> bool:
     """Do work in a process that is killed before its `number`-th change of the disk; whether it was."""
     child = os.fork()
     if child:
-        return os.waitpid(child, 0)[1] != 0
+        ended_by = os.WTERMSIG(os.waitpid(child, 0)[1])
+        assert ended_by in (signal.SIGKILL, signal.SIGTERM), "the work has failed"
+        return ended_by == signal.SIGKILL
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.signal(signal.SIGABRT, signal.SIG_DFL)
     count = 0
 
     def counted(function: Callable[..., object]) -> Callable[..., object]:
@@ -163,7 +164,7 @@ def killed_at(work: Callable[[], object], number: int, folder: Path) -> bool:
             nonlocal count
             count += 1
             if count == number:
-                os.kill(os.getpid(), 9)
+                os.kill(os.getpid(), signal.SIGKILL)
             return function(*arguments, **options)
 
         return call
@@ -172,8 +173,9 @@ def killed_at(work: Callable[[], object], number: int, folder: Path) -> bool:
         for owner, name in calls_that_change_the_disk():
             setattr(owner, name, counted(getattr(owner, name)))
         work()
+        os.kill(os.getpid(), signal.SIGTERM)  # rather than pytest's end
     finally:
-        os._exit(0)
+        os.abort()
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
@@ -187,7 +189,7 @@ def test_a_kill_at_any_moment_loses_no_version(tmp_path: Path, what: str) -> Non
     for number in range(1, 100):
         run = RunFolder(shutil.copytree(start.root, tmp_path / str(number)))
         work = (lambda r=run: versions.use_version(r, first)) if what == "use" else None
-        if not killed_at(work or (lambda r=run: estimate(r, "third")), number, run.root):
+        if not killed_at(work or (lambda r=run: estimate(r, "third")), number):
             break
         versions.settle(run)
         found = contents(run)
