@@ -318,14 +318,6 @@ def _view() -> dict[str, Any]:
     return {"window": window, "area": area, "region": region}
 
 
-def versions() -> list[dict[str, Any]]:
-    """The estimates that the run keeps, the present one first, and whether the room shows them."""
-    state = bpy.context.scene.fipt
-    known = _ours("jobs.runstate").known(state.run_folder).versions
-    shown = state.materials.applied_version
-    return [{"id": each.id, "shown": each.id == shown, "hints": list(each.hints)} for each in known]
-
-
 def hints() -> dict[str, Any]:
     """The hints, the engine's questions, and what the last estimate tells of its hints."""
     state = bpy.context.scene.fipt

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The story's chapter on hints: a part clicked, an estimate again, versions, a question answered."""
+"""The story's chapter on hints: a part clicked, an estimate again, a question answered."""
 
 from __future__ import annotations
 
@@ -28,17 +28,6 @@ def hints(window: Window, options: Options) -> None:
     window.open_section("Estimate", "Hints")
     found = window.ask("inside.hints")
     assert found["told"][0]["metallic"] == 1.0, found
-    window.open_section("Estimate", "Versions")
-    newest, before = window.wait("inside.versions", until=lambda now: len(now) == 2)
-    assert newest["shown"] and newest["hints"] and not before["hints"], (newest, before)
-    window.shot("33_versions")
-    for version in (before, newest):
-        window.click("fipt.use_version", version=version["id"])
-        finish(window, "materials", _ENGINE_SECONDS)
-        window.wait(
-            "inside.versions", until=lambda now, used=version: now[0]["id"] == used["id"] and now[0]["shown"]
-        )
-    window.open_section("Estimate", "Hints")
     window.shot("33_hints_questions")
     if found["questions"]:  # with few rays and steps, which these are is chance
         window.click("fipt.answer_doubt", answer="LEAVE")
