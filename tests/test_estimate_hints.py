@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fipt_blender.core.estimate import doubts
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.run.hints import Hint, write_hints
 from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.versions import can_continue, list_versions, present_version
 from samples.small_captures import PANEL_TRIANGLES, SmallCapture, panel_capture, run_here, write_run
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -82,6 +84,23 @@ def test_hints_are_honoured_again_and_reuse_all_stages(
     run.hints_again_json.unlink()
     assert stages(run_here(run)) == []
     np.testing.assert_array_equal(wall_values(run, capture.room), before)
+
+
+def test_what_a_hint_says_is_not_asked_again(
+    finished: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However wide the range that an answer leaves. The results before stay as a version."""
+    run = copy_of(finished, tmp_path)
+    monkeypatch.setattr(doubts, "LEAST_DOUBT", 1e-6)  # ask about each wall
+    run_here(run)
+    before = present_version(run)
+    asked = json.loads(run.doubts_json.read_text())["doubts"]
+    gloss = next(doubt for doubt in asked if doubt["question"] == "gloss")
+    again(run, Hint((tuple(gloss["point"]),), gloss["name"], roughness=(0.0, 0.9)))
+    left = json.loads(run.doubts_json.read_text())["doubts"]
+    assert (gloss["name"], "gloss") not in {(doubt["name"], doubt["question"]) for doubt in left}
+    newest, oldest = list_versions(run)
+    assert oldest.id == before and newest.hints == (gloss["name"],) and can_continue(run)
 
 
 def test_lamps_and_left_alone(finished: RunFolder, capture: SmallCapture, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 import pytest
 
-from fipt_blender import machine
+from fipt_blender import api, machine
 from fipt_blender.blend.capture import overlay
 from fipt_blender.blend.capture.exporting import export_capture
 from fipt_blender.core.capture.images import read_ids, write_exr
@@ -78,8 +78,7 @@ def test_import_makes_a_run_and_everything_the_artist_sees(imported, sample, tmp
 
 def test_import_again_and_of_another_capture(imported, sample, tmp_path):
     first = imported.fipt.run_folder
-    imported.fipt.capture.scale = 0.5
-    assert ops.import_capture() == {"FINISHED"} and imported.fipt.run_folder == first
+    assert api.import_capture(sample, options={"scale": 0.5}).run == Path(first)
     places = np.array([view.camera_object().location for view in imported.fipt.capture.views])
     assert np.abs(places).max() < 1.01
     other = tmp_path / "other"

@@ -17,7 +17,9 @@ from pathlib import Path
 import bpy
 import pytest
 
-from fipt_blender import machine
+from fipt_blender import api, machine
+from fipt_blender.api import tasks
+from fipt_blender.api.tasks import make_steps, scene_settings
 from fipt_blender.bridge import interpreter
 from fipt_blender.bridge.attached import find_engine
 from fipt_blender.core.run import settings as settings_module
@@ -25,8 +27,7 @@ from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import run_job, running, runstate
-from fipt_blender.operators import estimate
-from fipt_blender.operators.estimate import make_steps, scene_settings, smaller_preset
+from fipt_blender.operators.estimate import smaller_preset
 from fipt_blender.properties.estimate import CHOICES
 from samples.small_captures import PANEL, QUICK, SmallCapture, panel_capture, write_run
 from samples.small_rooms import BOX
@@ -74,14 +75,14 @@ def scene(run, tmp_path, monkeypatch):
 def quick(monkeypatch) -> dict:
     """Settings below those that the panel offers, for a run of seconds."""
     changes = {**QUICK, "training_steps": 20}
-    monkeypatch.setattr(estimate, "scene_settings", lambda scene: make_settings("draft", changes))
+    monkeypatch.setattr(tasks, "scene_settings", lambda *_: make_settings("draft", changes))
     return changes
 
 
 def start(resume: bool = False) -> running.RunningJob:
     """What the button does in a window, where a timer would call `running.tick`."""
     scene = bpy.context.scene
-    settings = estimate.scene_settings(scene)
+    settings = tasks.scene_settings(scene)
     run = RunFolder(scene.fipt.run_folder)
     run.create(settings)
     job = run_job.open_job(run, make_steps(run, settings, resume), resume=resume)
@@ -132,8 +133,11 @@ def test_estimate_works_on_the_scene_as_it_is_and_starts_anew_unless_stages_are_
     assert not ops.resume.poll()  # it is finished
 
     quick["training_steps"] = 12
-    assert ops.estimate(keep=True) == {"FINISHED"} and worked(run) == ["training"]
+    outcome = api.estimate(keep_stages=True)
+    assert outcome.run == run.root and worked(run) == ["training"]
     assert run.read().training_steps == 12 and done(run) == STAGES
+    newest, before = api.versions()
+    assert "training_steps=12" in newest.changes and "training_steps=20" in before.changes
 
     before = run.emitters_json.stat().st_mtime_ns
     assert ops.estimate() == {"FINISHED"} and worked(run) == STAGES

@@ -85,15 +85,19 @@ def why_in_use(item: Item, used: Sequence[Path]) -> str:
 
 
 def measure(folder: Path) -> Iterator[int]:
-    """Yield the size of a folder counted so far, in bytes, after each of its subfolders."""
-    total = 0
+    """Yield the size of a folder counted so far, in bytes, after each of its subfolders.
+
+    A file of several names, as versions of a run share some, counts once.
+    """
+    sizes: dict[tuple[int, int], int] = {}
     for parent, _, names in os.walk(folder):
         for name in names:
             try:
-                total += os.lstat(os.path.join(parent, name)).st_size
+                status = os.lstat(os.path.join(parent, name))
             except OSError:  # the file may be deleted meanwhile
-                pass
-        yield total
+                continue
+            sizes[status.st_dev, status.st_ino] = status.st_size
+        yield sum(sizes.values())
 
 
 def delete(item: Item, data: Path, used: Sequence[Path]) -> Iterator[None]:

@@ -23,6 +23,7 @@ from ..jobs.run_job import find_launch
 from ..machine import data_folder
 from .arguments import make_options, make_parser
 from .output import Display, interrupts, private_stdout
+from .versions import run_versions
 
 
 def main(argv: Sequence[str]) -> int:
@@ -31,8 +32,8 @@ def main(argv: Sequence[str]) -> int:
         arguments = make_parser().parse_args(list(argv))
     except SystemExit as end:  # argparse; Blender would print a traceback
         return end.code if isinstance(end.code, int) else 2
-    commands = {"estimate": _estimate, "prepare": _prepare, "export": _export, "check": _check}
-    return commands[arguments.command](arguments)
+    commands = {"estimate": _estimate, "prepare": _prepare, "export": _export, "versions": _versions}
+    return {**commands, "check": _check}[arguments.command](arguments)
 
 
 def _estimate(arguments: argparse.Namespace) -> int:
@@ -98,6 +99,14 @@ def _export(arguments: argparse.Namespace) -> int:
     for warning in exported.warnings:
         display.show(warning)
     display.show({"type": "done", "files": [str(exported.path)], "data": {"objects": exported.objects}})
+    return 0
+
+
+def _versions(arguments: argparse.Namespace) -> int:
+    try:
+        run_versions(arguments, Display(sys.stdout, arguments.json, arguments.quiet))
+    except FiptError as error:
+        return _report_error(arguments, error)
     return 0
 
 

@@ -20,6 +20,7 @@ from ..core.run.runfolder import RunFolder
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
+    from ..core.run.versions import Version
 
 _FRESH_SECONDS = 2.0
 
@@ -32,6 +33,10 @@ class RunState:
         stages: number of finished stages.
         results: whether the results of an estimation exist.
         finished: whether they are those of the last estimation, which has finished then.
+        earlier: whether the last estimation has finished, but the results are another version.
+        continues: whether Re-estimate with Hints can go on from the stages of the results.
+        versions: all of them, the present one first.
+        size: bytes of the files of all versions.
         engine: the command of the engine at work there, or "".
         warnings, error: warnings of the last run, and the error that ended it.
         pictures: the newest preview images.
@@ -40,6 +45,10 @@ class RunState:
     stages: int = 0
     results: bool = False
     finished: bool = False
+    earlier: bool = False
+    continues: bool = False
+    versions: tuple[Version, ...] = ()
+    size: int = 0
     engine: str = ""
     warnings: tuple[Message, ...] = ()
     error: Message | None = None
@@ -92,6 +101,7 @@ def forget(folder: Path) -> None:
 def look(run: RunFolder) -> RunState:
     """Read the state of a run folder from the disk."""
     from ..bridge.attached import find_engine
+    from ..core.run import versions
 
     engine = find_engine(run)
     warnings, pictures, error = [], (), None
@@ -104,10 +114,17 @@ def look(run: RunFolder) -> RunState:
             pictures = tuple(run.root / name for name in message["files"])
     results = run.statistics_json.exists() and run.emitters_json.exists() and run.fields_npz.exists()
     stages = _stages(run.stages_json)
+    finished = results and _of_last_estimation(run, stages)
+    listed = tuple(versions.list_versions(run))
+    last = versions.stages_last(run)
     return RunState(
         stages=0 if stages is None else len(stages["stages"]),
         results=results,
-        finished=results and _of_last_estimation(run, stages),
+        finished=finished,
+        earlier=results and not finished and any(version.id == last for version in listed),
+        continues=results and versions.can_continue(run),
+        versions=listed,
+        size=versions.total_size(run),
         engine=engine.command[0] if engine is not None else "",
         warnings=tuple(warnings),
         error=error,

@@ -35,6 +35,7 @@ from . import (
     scale_points,
     start,
     storage,
+    versions,
     views,
 )
 
@@ -51,6 +52,7 @@ MODULES = (
     estimate,
     example,
     hints,
+    versions,
     materials,
     part_materials,
     export,

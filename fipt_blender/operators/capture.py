@@ -11,6 +11,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import machine
+from ..api import tasks
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
 from ..jobs import running
@@ -21,15 +22,13 @@ from .reporting import report_warnings, reports_errors
 if TYPE_CHECKING:
     from ..bridge.process import Message
     from ..bridge.sequence import Job
-    from ..bridge.step import Slices, StepFunction
-    from ..jobs.options import CaptureOptions
-    from ..properties.capture import FIPT_CaptureSettings
+    from ..jobs.tasks import Task
 
 _MESH_FILES = "*.obj;*.ply;*.stl;*.gltf;*.glb;*.fbx;*.usd;*.usdc;*.usda;*.usdz"
 
 
 class _ImportJob(JobOperator):
-    """Base of both imports: a run folder for the capture, given back if the import fails."""
+    """Base of both imports."""
 
     kind = "capture"
     bl_options = {"REGISTER", "UNDO"}
@@ -38,58 +37,12 @@ class _ImportJob(JobOperator):
     def poll(cls, context: bpy.types.Context) -> bool:
         return in_object_mode(cls, context) and super().poll(context)
 
-    @staticmethod
-    def failed(scene: bpy.types.Scene, run: RunFolder) -> None:
-        """Give the scene its previous run folder back and delete the new one."""
-        import shutil
-
-        previous = scene.fipt.capture.previous_run
-        if previous and previous != scene.fipt.run_folder:
-            scene.fipt.run_folder = previous
-            shutil.rmtree(run.root, ignore_errors=True)
-
-    @staticmethod
-    def _open_run(scene: bpy.types.Scene, source: str, name: str) -> RunFolder:
-        """The scene's run folder, or a new one if it has none or that holds another capture or none."""
-        import shutil
-
-        from ..core.run.settings import make_settings
-
-        settings, previous = scene.fipt.capture, scene.fipt.run_folder
-        settings.previous_run = previous
-        run = RunFolder(bpy.path.abspath(previous)) if previous else None
-        if run is not None and machine.is_unused_run(run.root):
-            # Of a first import that failed, with the name of what it tried to import.
-            shutil.rmtree(run.root, ignore_errors=True)
-            settings.previous_run, run = "", None
-        if run is None or (run.capture_json.exists() and settings.imported_path != source):
-            run = RunFolder(machine.new_run_folder(name))
-        if not run.run_json.exists():
-            run.create(make_settings())
-        scene.fipt.run_folder = str(run.root)
-        return run
-
-    @staticmethod
-    def _import_job(
-        run: RunFolder, path: Path, arguments: list[str], text: str, add_to_scene: StepFunction
-    ) -> Job:
-        """The engine reads and checks a capture; then it is added to the scene."""
-        from ..bridge.step import Step
-        from ..jobs.run_job import ingest_step, open_job
-
-        steps = [
-            ingest_step(run, path, arguments, "Reading and checking the photographs", 20.0),
-            Step("import", text, 5.0, function=add_to_scene, repeat=True),
-        ]
-        return open_job(run, steps, record="import.json")
-
 
 class FIPT_OT_import_capture(_ImportJob, bpy.types.Operator):
     """Read and check the photographs and cameras, and add the cameras and the room's mesh to the scene"""
 
     bl_idname = "fipt.import_capture"
     bl_label = "Import Capture"
-    title = "Import Capture"
 
     filepath: bpy.props.StringProperty(
         name="Capture",
@@ -98,37 +51,10 @@ class FIPT_OT_import_capture(_ImportJob, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    def make_job(self, context: bpy.types.Context) -> Job:
-        from ..jobs.options import capture_source, ingest_arguments
-
-        scene = context.scene
+    def task(self, context: bpy.types.Context) -> Task:
         if self.filepath:
-            scene.fipt.capture.path = self.filepath
-        settings = scene.fipt.capture
-        if not settings.path:
-            raise FiptError(
-                "capture-missing",
-                "No capture is selected.",
-                "Select its folder or camera file in the section Capture.",
-            )
-        path = Path(bpy.path.abspath(settings.path)).absolute()
-        if not path.exists():
-            raise FiptError(
-                "capture-missing",
-                f"The capture {path} does not exist.",
-                "Select the folder that contains the cameras, or the camera file itself, as Capture.",
-            )
-        path = capture_source(path)
-        arguments = ingest_arguments(_capture_options(settings))
-        machine.engine_python()  # raises before anything is created
-        run = self._open_run(scene, str(path), path.stem if path.is_file() else path.name)
-
-        def add_to_scene() -> Slices[list[Message]]:
-            from ..blend.capture.importing import import_capture
-
-            return import_capture(run, str(path))
-
-        return self._import_job(run, path, arguments, "Adding cameras and mesh", add_to_scene)
+            context.scene.fipt.capture.path = self.filepath
+        return tasks.capture_import()
 
 
 class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
@@ -137,6 +63,7 @@ class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
     bl_idname = "fipt.use_scene_cameras"
     bl_label = "Use Scene Cameras"
     title = "Use Scene Cameras"
+    failed = staticmethod(tasks.give_back)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -153,11 +80,11 @@ class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
         settings = scene.fipt.capture
         machine.engine_python()
         name = bpy.path.display_name_from_filepath(bpy.data.filepath) or scene.name
-        run = self._open_run(scene, SCENE_SOURCE, name)
+        run = tasks.open_run(scene, SCENE_SOURCE, name)
         try:
             path, skipped = write_scene_cameras(scene, run)
         except FiptError:
-            self.failed(scene, run)
+            tasks.give_back(scene, run)
             raise
         options = CaptureOptions(
             format="transforms",
@@ -175,7 +102,7 @@ class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
             remedy = "To use them as well, give each its photograph as background image."
             return [{"type": "warning", "code": "cameras-left-out", "text": text, "remedy": remedy}]
 
-        return self._import_job(run, path, ingest_arguments(options), "Listing the cameras", adopt)
+        return tasks.import_job(run, path, ingest_arguments(options), "Listing the cameras", adopt)
 
 
 class FIPT_OT_import_mesh(bpy.types.Operator):
@@ -276,44 +203,6 @@ class FIPT_OT_simplify_room(bpy.types.Operator):
         text = iface_("The room has {:,} triangles, {:,} without simplification")
         self.report({"INFO"}, text.format(after, before))
         return {"FINISHED"}
-
-
-def _capture_options(settings: FIPT_CaptureSettings) -> CaptureOptions:
-    """The import settings of the panel.
-
-    Raises:
-        FiptError: ``mesh-missing`` or ``images-missing``.
-    """
-    from ..jobs.options import CaptureOptions
-
-    mesh = Path(bpy.path.abspath(settings.mesh)).absolute() if settings.mesh else None
-    if mesh is not None and not mesh.is_file():
-        raise FiptError(
-            "mesh-missing",
-            f"The mesh {mesh} does not exist.",
-            "Select another file as Mesh in Import Settings, or clear the field.",
-        )
-    images = Path(bpy.path.abspath(settings.images)).absolute() if settings.images else None
-    if images is not None and not images.is_dir():
-        raise FiptError(
-            "images-missing",
-            f"The folder {images} does not exist.",
-            "Select another folder as Photographs in Import Settings, or clear the field.",
-        )
-    return CaptureOptions(
-        mesh=mesh,
-        format=settings.format,
-        up_axis=settings.up_axis,
-        scale=float(settings.scale),
-        hold_back=0 if settings.hold_back < 2 else settings.hold_back,
-        images=images,
-        clamp_negative=settings.clamp_negative,
-        align_mesh=settings.align_mesh,
-        plane_room=settings.plane_room,
-        dense_stereo=settings.dense_stereo,
-        triangles=settings.triangles,
-        undo_applied_transform=settings.undo_applied_transform,
-    )
 
 
 CLASSES = (

@@ -4,51 +4,28 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from .. import machine
+from ..api import tasks
 from ..core.run.runfolder import RunFolder
 from ..jobs import running, runstate
-from ..jobs.window import push_undo
 from ..properties.estimate import PRESETS
 from .job_operator import JobOperator
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
-    from ..bridge.process import Message
     from ..bridge.sequence import Job
-    from ..bridge.step import Slices, Step
-    from ..core.run.settings import Settings
+    from ..jobs.tasks import Task
 
 _ASK_SECONDS = 60.0  # after so much work, Esc asks before it cancels
-# Seconds on a small capture, for the progress bar only.
-_CAMERAS_SECONDS, _ROOM_SECONDS = 1.0, 2.0
 
 
 class _Estimation(JobOperator):
-    """Base of Estimate and Resume: the steps from the scene to the results."""
-
-    title = "Estimate"
-    kind = "estimate"
-
-    def keeps_stages(self) -> bool:
-        """Whether finished stages are kept where room, views and settings have not changed for them."""
-        raise NotImplementedError
-
-    def keeps_hints(self) -> bool:
-        """Whether the hints that the run was started with are honoured, instead of the scene's."""
-        return False
-
-    @staticmethod
-    def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
-        """List what is in doubt."""
-        from .hints import show_doubts
-
-        show_doubts(scene, run)
+    """Base of Estimate and Resume."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -63,31 +40,6 @@ class _Estimation(JobOperator):
             return False
         return True
 
-    def make_job(self, context: bpy.types.Context) -> Job:
-        from ..jobs import run_job
-
-        scene = context.scene
-        launch = run_job.find_launch()
-        settings = scene_settings(scene)
-        if not scene.fipt.run_folder:
-            name = Path(bpy.data.filepath).stem or scene.name
-            scene.fipt.run_folder = str(machine.new_run_folder(name))
-            push_undo(self.title)
-        run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
-        run_job.refuse_busy(run)
-        run.create(settings)
-        if not self.keeps_hints():
-            from ..blend.hints.exchange import write_for_run
-
-            write_for_run(scene, run)
-        return run_job.open_job(
-            run,
-            make_steps(run, settings, self.keeps_stages()),
-            resume=self.keeps_stages(),
-            result=lambda: result_files(run),
-            launch=launch,
-        )
-
 
 class FIPT_OT_estimate(_Estimation, bpy.types.Operator):
     """Estimate the materials and lights of the room from its photographs"""
@@ -96,7 +48,7 @@ class FIPT_OT_estimate(_Estimation, bpy.types.Operator):
     bl_label = "Estimate"
     bl_description = (
         "Estimate the materials and lights of the room from its photographs. You can continue to work"
-        " meanwhile; Esc stops it. The results of an earlier estimate are replaced when it has finished"
+        " meanwhile; Esc stops it. When it has finished, the results before become a version"
     )
 
     keep: bpy.props.BoolProperty(
@@ -105,8 +57,8 @@ class FIPT_OT_estimate(_Estimation, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    def keeps_stages(self) -> bool:
-        return self.keep
+    def task(self, context: bpy.types.Context) -> Task:
+        return tasks.estimation(keep_stages=self.keep)
 
 
 class FIPT_OT_resume(_Estimation, bpy.types.Operator):
@@ -119,12 +71,6 @@ class FIPT_OT_resume(_Estimation, bpy.types.Operator):
         " again at the first stage that depends on the change"
     )
 
-    def keeps_stages(self) -> bool:
-        return True
-
-    def keeps_hints(self) -> bool:
-        return True
-
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if not super().poll(context):
@@ -133,19 +79,23 @@ class FIPT_OT_resume(_Estimation, bpy.types.Operator):
         if not state.stages and not state.engine:
             cls.poll_message_set("There is no stopped run to resume")
             return False
-        if state.finished and not state.engine:
+        if (state.finished or state.earlier) and not state.engine:
             cls.poll_message_set("The last run is finished. Use Estimate to start a new one")
             return False
         return True
 
-    def make_job(self, context: bpy.types.Context) -> Job:
-        from ..jobs.main_job import estimate_step
-        from ..jobs.run_job import attach_job
+    def task(self, context: bpy.types.Context) -> Task:
+        again = tasks.estimation(keep_stages=True, keep_hints=True)
 
-        run = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
-        # An engine that is still at work, started from here or elsewhere, is watched to its end.
-        attached = attach_job(run, [estimate_step(run, run.read())])
-        return attached or super().make_job(context)
+        def make(scene: bpy.types.Scene) -> Job:
+            from ..jobs.main_job import estimate_step
+            from ..jobs.run_job import attach_job
+
+            run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
+            # An engine that is still at work, started from here or elsewhere, is watched to its end.
+            return attach_job(run, [estimate_step(run, run.read())]) or again.make(scene)
+
+        return replace(again, make=make)
 
 
 class FIPT_OT_notice(bpy.types.Operator):
@@ -283,52 +233,6 @@ def smaller_preset(preset: str) -> str | None:
     names = [name for name, _, _ in PRESETS]
     index = names.index(preset)
     return names[index - 1] if index else None
-
-
-def scene_settings(scene: bpy.types.Scene) -> Settings:
-    """The settings in the section Estimate; the texture settings are those of the run folder, if it has any.
-
-    Raises:
-        FiptError: ``setting-invalid``; those of `RunFolder.read`.
-    """
-    from ..core.run.settings import TEXTURE_SETTINGS, make_settings
-
-    state = scene.fipt.estimate
-    device = machine.device_setting() if state.device == "preferences" else state.device
-    changes = {**state.values(), "device": device}
-    run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
-    if scene.fipt.run_folder and run.run_json.exists():
-        stored = run.read()
-        changes |= {name: getattr(stored, name) for name in TEXTURE_SETTINGS}
-    return make_settings(state.preset, changes)
-
-
-def make_steps(run: RunFolder, settings: Settings, resume: bool) -> list[Step]:
-    """The steps from the current scene to the results; see `estimate_step`."""
-    from ..bridge.step import Step
-    from ..jobs.main_job import EXPORT_TEXT, estimate_step
-
-    def cameras() -> None:
-        from ..jobs.room_steps import export_scene_cameras
-
-        export_scene_cameras(run)
-
-    def room() -> Slices[list[Message]]:
-        from ..jobs.room_steps import export_scene_room
-
-        return export_scene_room(run)
-
-    return [
-        Step("cameras", "Reading the cameras", _CAMERAS_SECONDS, function=cameras, repeat=True),
-        Step("room", EXPORT_TEXT, _ROOM_SECONDS, function=room, repeat=True),
-        estimate_step(run, settings, resume),
-    ]
-
-
-def result_files(run: RunFolder) -> list[str]:
-    """Paths of the files that an estimation writes for the other sections."""
-    paths = [run.fields_npz, run.emitters_json, run.environment_exr, run.statistics_json]
-    return [str(path) for path in paths if path.exists()]
 
 
 CLASSES = (

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import bpy
 
 from .. import machine
+from ..api import tasks
 from ..core.run.runfolder import RunFolder, explained_write_errors
 from ..jobs import running
-from . import estimate, materials
 from .job_operator import JobOperator
 from .polls import in_object_mode
 
@@ -62,7 +62,7 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
         path = copy_example(machine.data_folder())
         scene.fipt.capture.path = str(path)
         scene.fipt.estimate.preset = "draft"
-        settings = estimate.scene_settings(scene)
+        settings = tasks.scene_settings(scene)
         run = RunFolder(machine.new_run_folder(NAME))
         run.create(settings)
         scene.fipt.run_folder = str(run.root)
@@ -75,17 +75,15 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
         steps = [
             ingest_step(run, path, ingest_arguments(CaptureOptions()), "Reading the example", 2.0),
             Step("import", "Adding cameras and mesh", 1.0, function=add_to_scene),
-            *estimate.make_steps(run, settings, resume=False),
-            *materials.make_steps(scene.name, run, settings),
+            *tasks.make_steps(run, settings, resume=False),
+            *tasks.apply_steps(scene.name, run, settings),
         ]
         return open_job(run, steps, record="example.json", launch=self._launch)
 
     @staticmethod
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
         """Show the estimated room from inside."""
-        from ..blend.results.scene_state import finish
-
-        finish(scene, run)
+        tasks.note_applied(scene, run)
 
 
 def copy_example(data: Path) -> Path:

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..core.run.runfolder import RunFolder
-from ..jobs import previews, runstate
+from ..api import tasks
+from ..jobs import runstate
 from ..properties.hints import ANSWERS
 from .job_operator import JobOperator
 from .pointer import PicksAlongRay
-from .polls import has_run
+from .polls import has_run, in_object_mode
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
     from mathutils import Vector
 
-    from ..bridge.sequence import Job
+    from ..jobs.tasks import Task
 
 
 class _PicksSurface(PicksAlongRay):
@@ -175,8 +175,9 @@ class FIPT_OT_read_doubts(bpy.types.Operator):
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
-        count = show_doubts(context.scene, RunFolder(bpy.path.abspath(context.scene.fipt.run_folder)))
-        self.report({"INFO"}, iface_("{} questions").format(count))
+        tasks.show_doubts(context.scene, tasks.run_of(context.scene))
+        open_ones = sum(not doubt.answered for doubt in context.scene.fipt.hints.doubts)
+        self.report({"INFO"}, iface_("{} questions").format(open_ones))
         return {"FINISHED"}
 
 
@@ -224,48 +225,24 @@ class FIPT_OT_reestimate(JobOperator, bpy.types.Operator):
     bl_idname = "fipt.reestimate"
     bl_label = "Re-estimate with Hints"
     bl_description = (
-        "Estimate the materials again with the hints. The light that the last estimate has computed is kept,"
-        " so that it takes about a minute. Estimate uses the hints from its beginning"
+        "Estimate the materials again with the hints and apply them. The light that the last estimate has"
+        " computed is kept, so that it takes about a minute. Estimate uses the hints from its beginning"
     )
-    title = "Re-estimate with Hints"
-    kind = "estimate"
+    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if not super().poll(context) or not has_run(cls, context):
             return False
-        if not runstate.known(context.scene.fipt.run_folder).finished:
-            cls.poll_message_set("Finish an estimate first")
+        state = runstate.known(context.scene.fipt.run_folder)
+        if not state.continues:
+            gone = "Another estimate has replaced the stages of these results. Use Estimate with the hints"
+            cls.poll_message_set(gone if state.earlier else "Finish an estimate first")
             return False
-        return True
+        return in_object_mode(cls, context)
 
-    def make_job(self, context: bpy.types.Context) -> Job:
-        from ..blend.hints.exchange import write_for_again
-        from ..jobs.main_job import estimate_step
-        from ..jobs.run_job import find_launch, open_job, refuse_busy
-
-        run = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
-        launch = find_launch()
-        refuse_busy(run)
-        settings = run.read()
-        write_for_again(context.scene, run)
-        return open_job(run, [estimate_step(run, settings, resume=True)], resume=False, launch=launch)
-
-    @staticmethod
-    def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
-        """List what is still in doubt."""
-        show_doubts(scene, run)
-
-
-def show_doubts(scene: bpy.types.Scene, run: RunFolder) -> int:
-    """List a run's questions and load their pictures; returns their number."""
-    from pathlib import Path
-
-    from ..blend.hints.exchange import read_doubts
-
-    count = read_doubts(scene, run)
-    previews.doubt_pictures.load([Path(doubt.picture) for doubt in scene.fipt.hints.doubts])
-    return count
+    def task(self, context: bpy.types.Context) -> Task:
+        return tasks.reestimation()
 
 
 def _has_hint(cls: type, context: bpy.types.Context) -> bool:

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
@@ -15,8 +14,7 @@ from .. import machine
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder, explained_write_errors
 from ..jobs import running
-from ..jobs.job_scene import find_scene
-from ..jobs.window import push_undo
+from ..jobs.tasks import Task, begin
 from .reporting import report_warnings
 
 if TYPE_CHECKING:
@@ -66,8 +64,9 @@ class StartsJob:
 class JobOperator(StartsJob):
     """Mix-in of an operator that starts a job on a scene; put it before `bpy.types.Operator`.
 
-    A subclass sets `title` and `kind`, implements `make_job`, and may implement `finished` and `failed`. With
-    "UNDO" in `bl_options`, the job's end adds an undo step. Extend `poll` with `super().poll(context)`.
+    A subclass implements `task`, or sets `title` and `kind`, implements `make_job`, and may implement
+    `finished` and `failed`. With "UNDO" in `bl_options`, the job's end adds an undo step. Extend `poll` with
+    `super().poll(context)`.
     """
 
     kind = ""
@@ -85,19 +84,16 @@ class JobOperator(StartsJob):
     # Called with the scene after a failure or a cancellation.
     failed: Callable[[bpy.types.Scene, RunFolder], None] | None = None
 
-    def _begin(self, context: bpy.types.Context, wait: bool) -> running.RunningJob:
-        scene, operator = context.scene, type(self)
-        begin = running.run if wait else running.start
-        try:
-            job = self.make_job(context)
-            return begin(job, self._info(scene), lambda info: _end(info, operator, wait))
-        except FiptError as error:
-            running.refuse(self._info(scene), error)
-            raise
+    def task(self, context: bpy.types.Context) -> Task:
+        """What it starts."""
+        operator = type(self)
+        undo = "UNDO" in operator.bl_options
+        return Task(
+            self.title, self.kind, lambda _: self.make_job(context), operator.finished, operator.failed, undo
+        )
 
-    def _info(self, scene: bpy.types.Scene) -> running.RunningJob:
-        folder = Path(bpy.path.abspath(scene.fipt.run_folder))
-        return running.RunningJob(self.title, self.kind, scene.name, folder)
+    def _begin(self, context: bpy.types.Context, wait: bool) -> running.RunningJob:
+        return begin(self.task(context), context.scene, wait)
 
 
 class DataJobOperator(StartsJob):
@@ -114,17 +110,3 @@ class DataJobOperator(StartsJob):
         job, on_end = self.make_job()
         begin = running.run if wait else running.start
         return begin(job, running.RunningJob(self.title, running.DATA_KIND, "", data), on_end)
-
-
-def _end(info: running.RunningJob, operator: type[JobOperator], waited: bool) -> None:
-    scene = find_scene(info.scene_name, info.run_folder)
-    if scene is None:
-        return
-    if info.state != "finished":
-        if operator.failed is not None:
-            operator.failed(scene, RunFolder(info.run_folder))
-        return
-    if operator.finished is not None:
-        operator.finished(scene, RunFolder(info.run_folder))
-    if not waited and "UNDO" in operator.bl_options:
-        push_undo(operator.title)

@@ -14,6 +14,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from .. import machine
 from ..core.run.errors import FiptError
 from ..jobs import running
+from ..panels.sidebar import size_text
 from .job_operator import DataJobOperator
 
 if TYPE_CHECKING:
@@ -181,18 +182,13 @@ def _describe(item: Item, size: int | None) -> str:
     """Size, date and use of a folder, e.g. "3.2 GB, 2026-11-20 10:15, the engine's environment"."""
     from ..bridge.storage import ENVIRONMENT
 
-    facts = [] if size is None else [format_size(size)]
+    facts = [] if size is None else [size_text(size)]
     facts.append(time.strftime("%Y-%m-%d %H:%M", time.localtime(item.modified)))
     if item.current:
         facts.append(iface_("the engine's environment"))
     elif item.kind == ENVIRONMENT:
         facts.append(iface_("an unused environment"))
     return ", ".join(facts)
-
-
-def format_size(size: float) -> str:
-    """A size in MB or GB (powers of 1000)."""
-    return f"{size / 1e9:.1f} GB" if size >= 1e8 else f"{size / 1e6:.1f} MB"
 
 
 CLASSES = (FIPT_PG_data_item, FIPT_OT_measure_data, FIPT_OT_clear_data)

@@ -23,6 +23,7 @@ from . import (
     start,
     statusbar,
     swatches,
+    versions,
 )
 
 _MODULES = (
@@ -33,6 +34,7 @@ _MODULES = (
     estimate,
     parts,
     hints,
+    versions,
     materials,
     lights,
     insert,

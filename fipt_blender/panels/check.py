@@ -124,8 +124,9 @@ def _draw_comparison(layout: bpy.types.UILayout, settings: bpy.types.PropertyGro
         row = column.row(align=True)
         row.use_property_split = False
         row.prop(settings, "divider", slider=True)
-        button = row.operator("fipt.compare", text="", icon="WINDOW")
-        button.mode, button.window = settings.compare, True
+        if settings.compare != "VERSIONS":
+            button = row.operator("fipt.compare", text="", icon="WINDOW")
+            button.mode, button.window = settings.compare, True
 
 
 CLASSES = (FIPT_UL_checked_views, FIPT_PT_check)

@@ -87,6 +87,11 @@ class Rows:
         raise NotImplementedError
 
 
+def size_text(size: float) -> str:
+    """A size in MB or GB (powers of 1000)."""
+    return f"{size / 1e9:.1f} GB" if size >= 1e8 else f"{size / 1e6:.1f} MB"
+
+
 def draw_text(
     layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE", alert: bool = False
 ) -> None:

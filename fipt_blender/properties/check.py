@@ -117,8 +117,8 @@ class FIPT_CheckSettings(bpy.types.PropertyGroup):
     color_5: _error_color(5)
     compare: bpy.props.EnumProperty(
         name="Compare",
-        description="What the photograph is compared with; set by Compare with Photograph",
-        items=COMPARISONS,
+        description="What is compared; set by Compare with Photograph and by Compare Versions",
+        items=(*COMPARISONS, ("VERSIONS", "Versions", "Wipe one version over another", "RENDERLAYERS", 3)),
         options=set(),
     )
     divider: bpy.props.FloatProperty(

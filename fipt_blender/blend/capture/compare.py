@@ -47,7 +47,6 @@ def start(scene: bpy.types.Scene, mode: str) -> bpy.types.Image:
     Raises:
         FiptError: ``view-missing``, ``image-missing``, ``render-missing``.
     """
-    global _pair
     end(scene)
     camera = scene.camera
     if camera is None or VIEW not in camera:
@@ -69,12 +68,30 @@ def start(scene: bpy.types.Scene, mode: str) -> bpy.types.Image:
         image = _render(scene, camera[VIEW])
         right = means(pixels_of(image), left.shape[1], left.shape[0]).astype(np.float32)
         right[..., 3] = 1.0
-    _pair = _Pair(scene.name, camera.name, left, right)
+    return _show(scene, mode, left, right)
+
+
+def start_pair(scene: bpy.types.Scene, left: np.ndarray, right: np.ndarray) -> bpy.types.Image:
+    """Compare two pictures (H,W,4) that are shown as they are, over the scene's camera.
+
+    Args:
+        scene: its camera must be that of a view.
+        left, right: display values, linear; the scene's exposure is taken out of them.
+    """
+    end(scene)
+    gain = np.array([*[2.0**-scene.view_settings.exposure] * 3, 1.0], np.float32)
+    right = means(right, left.shape[1], left.shape[0]).astype(np.float32)
+    return _show(scene, "VERSIONS", left * gain, right * gain)
+
+
+def _show(scene: bpy.types.Scene, mode: str, left: np.ndarray, right: np.ndarray) -> bpy.types.Image:
+    global _pair
+    _pair = _Pair(scene.name, scene.camera.name, left, right)
     image = bpy.data.images.new(NAME, left.shape[1], left.shape[0], alpha=True, float_buffer=True)
     image.colorspace_settings.name = LINEAR
     image.alpha_mode, image.use_view_as_render = "PREMUL", True
     image[PICTURE] = True
-    show_picture(camera, image)
+    show_picture(scene.camera, image)
     scene.fipt.check.compare = mode
     move(scene)
     _listen()
@@ -84,7 +101,9 @@ def start(scene: bpy.types.Scene, mode: str) -> bpy.types.Image:
 def follow(scene: bpy.types.Scene) -> None:
     """Compare the view to which the scene's camera has changed, as long as a comparison is shown."""
     mode = scene.fipt.check.compare
-    if mode != "OFF":
+    if mode == "VERSIONS":  # its pictures are of one view
+        end(scene)
+    elif mode != "OFF":
         try:
             start(scene, mode)
         except FiptError:

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 from mathutils import Vector
 
@@ -90,7 +92,7 @@ def read_doubts(scene: bpy.types.Scene, run: RunFolder) -> int:
         FiptError: ``file-damaged``.
     """
     settings = scene.fipt.hints
-    entries = []
+    entries: list[dict[str, Any]] = []
     if run.doubts_json.exists():
         entries = read_json(run.doubts_json, DOUBTS, "Run the estimation again.")["doubts"]
     settings.doubts.clear()
@@ -99,8 +101,19 @@ def read_doubts(scene: bpy.types.Scene, run: RunFolder) -> int:
         row.name, row.text, row.view = entry["name"], entry["text"], entry["view"]
         row.question, row.point = entry["question"].upper(), entry["point"]
         row.picture = str(run.doubts / entry["picture"])
+        row.answered = any(_answers(hint, row) for hint in settings.hints)
     settings.active_doubt = min(settings.active_doubt, max(len(settings.doubts) - 1, 0))
     return len(settings.doubts)
+
+
+def _answers(hint: bpy.types.PropertyGroup, doubt: bpy.types.PropertyGroup) -> bool:
+    """Whether a hint says what is asked of a part, of which it has the name."""
+    known = {
+        "METAL": hint.material != "UNKNOWN",
+        "GLOSS": hint.roughness_known != "UNKNOWN",
+        "LAMP": hint.emission != "UNKNOWN",
+    }
+    return hint.name == doubt.name and (hint.leave_alone or known[doubt.question])
 
 
 def answer_doubt(scene: bpy.types.Scene, index: int, answer: str) -> None:

@@ -13,6 +13,7 @@ from ...core.run.documents import read_json
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import ATLAS, STATISTICS
+from ...core.run.versions import present_version
 from ..capture.backdrop import set_backdrop
 from ..capture.look import cull_outside, enter_room
 from ..lights import light_state
@@ -56,6 +57,7 @@ def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:
     settings.object_count = len(room)
     atlas = read_json(run.atlas_json, ATLAS, "Apply the results again.")
     settings.image_count, settings.applied_mode = len(atlas["images"]), str(atlas["mode"])
+    settings.applied_version = present_version(run)
     settings.shown = "ESTIMATED"  # its update function shows them
     scene.fipt.lights.median_radiance = median_radiance(run)
     scene.fipt.lights.median_shown = median_shown(run)

@@ -81,7 +81,8 @@ def question(metallic: float, errors: np.ndarray, color: float, lamp: bool) -> t
     """
     if lamp:
         return "lamp", "Lamp or white surface?"
-    if errors[1] >= LEAST_DOUBT and errors[1] >= 0.5 * errors[0] and 0.0 < metallic < 1.0:
+    unclear = 0.0 < metallic < 1.0 or errors[0] == 0.0  # where a hint says how rough it is
+    if errors[1] >= LEAST_DOUBT and errors[1] >= 0.5 * errors[0] and unclear:
         return "metal", "Dark metal or plastic?" if color < DARK else "Metal or paint?"
     return "gloss", "Glossy or matt?"
 
@@ -96,10 +97,13 @@ def write_doubts(
 ) -> None:
     """Write doubts.json and its pictures into new results, the most doubtful part first.
 
+    What a hint says is not asked again, however wide the range that it leaves.
+
     Args:
         data, cells: the last closed-form estimate.
         bright: (T,) share of each triangle's pixels that are brighter than a white surface.
-        decided: (T,) bool, triangles of which hints say whether they emit.
+        decided: (T, 3) bool, triangles of which hints say how rough they are, whether they are metal, and
+            whether they emit.
         names: (T,) name of each triangle's part, "" without one.
 
     Raises:
@@ -108,12 +112,13 @@ def write_doubts(
     pixels, materials = data.observations.pixels, data.materials
     counts, bright_of, decided_of = _counts(data, bright, decided)
     total = counts.sum(axis=0)
-    doubts = group_doubts(materials.error, total, bright_of, decided_of)
+    open_errors = np.where(decided_of[:, :2], 0.0, materials.error)
+    doubts = group_doubts(open_errors, total, bright_of, decided_of[:, 2])
     order = np.argsort(-doubts.score, kind="stable")[:MOST_DOUBTS]
     entries = []
     for number, group in enumerate(order[doubts.score[order] > 0.0].tolist(), start=1):
         lamp = bool(doubts.lamp[group] >= doubts.material[group])
-        errors, (roughness, metallic) = materials.error[group], materials.mean[group].tolist()
+        errors, (roughness, metallic) = open_errors[group], materials.mean[group].tolist()
         own = cells.group == group
         color = float(np.average(cells.color[own].mean(axis=1), weights=cells.pixels[own]))
         word, text = question(metallic, errors, color, lamp)
@@ -144,19 +149,20 @@ def write_doubts(
 def _counts(
     data: TrainingData, bright: np.ndarray, decided: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(V, G) pixels of each view and group; (G,) share that is bright; (G,) bool, most are decided."""
+    """(V, G) pixels of each view and group; (G,) share that is bright; (G, 3) bool, most are decided."""
     pixels, groups = data.observations.pixels, len(data.materials.mean)
     views = len(pixels.views)
     counts = np.zeros((views, groups), np.int64)
-    sums = np.zeros((2, groups))
+    values = np.column_stack([bright, decided])  # (T, 4)
+    sums = np.zeros((values.shape[1], groups))
     for view in range(views):
         rows = _rows(data, view)
         group, triangle = np.asarray(data.group[rows]), np.asarray(pixels.triangle[rows])
         counts[view] = np.bincount(group, minlength=groups)
-        for total, of_triangle in zip(sums, (bright, decided), strict=True):
+        for total, of_triangle in zip(sums, values.T, strict=True):
             total += np.bincount(group, of_triangle[triangle], minlength=groups)
     share = sums / np.maximum(counts.sum(axis=0), 1)
-    return counts, share[0], share[1] > 0.5
+    return counts, share[0], share[1:].T > 0.5
 
 
 def _rows(data: TrainingData, view: int) -> np.ndarray:

@@ -40,8 +40,9 @@ from ..material.training_input import training_input
 from ..report.fixture_names import fixture_names
 from ..run.checkpoints import HINTED_ESTIMATE, HINTED_LAMPS, HINTED_TRAINING, UNFINISHED, DamagedStage
 from ..run.errors import FiptError
-from ..run.replacing import atomic_folder, keep_inputs
+from ..run.replacing import keep_inputs
 from ..run.runfolder import RunFolder, write_json
+from ..run.versions import new_results, note_version, prune
 from ..textures.detail import remember_views, write_resolution
 from .doubts import write_doubts
 from .hinted import area_names, write_left_alone
@@ -270,8 +271,7 @@ class MaterialStages(EstimationState):
         light = RoomLight(fixtures, colors, self.observations.environment, self.view_check.lamps)
         fields = self._room_fields(errors)
         areas = area_names(self.hints, self.units)
-        with atomic_folder(self.folder.results) as new:
-            folder = RunFolder(self.folder.root, results=new.name)
+        with new_results(self.folder) as folder:
             write_results(folder, fields, light, self.scale, self.reporter)
             names = write_part_list(folder, self.room, self.parts, self.views, self.pixels, fields, areas)
             write_left_alone(folder, left_alone)
@@ -279,7 +279,9 @@ class MaterialStages(EstimationState):
             remember_views(folder, self.views, self._shadings)
             write_resolution(folder, len(self.room.triangles))
             write_json(folder.statistics_json, self.summary())
-            keep_inputs(folder, new)
+            keep_inputs(folder, folder.results)
+            note_version(folder.results)
+        prune(self.folder, self.settings.kept_versions)
 
     def _cell_errors(self, unused: np.ndarray) -> np.ndarray:
         """(C, 3) standard errors in the seen cells, without the pixels of `unused` triangles (T,)."""
@@ -317,7 +319,7 @@ class MaterialStages(EstimationState):
 
     def _write_doubts(self, folder: RunFolder, names: np.ndarray) -> None:
         data, cells, bright = self._closed_form()
-        decided = np.zeros(len(bright), bool)
+        decided = np.zeros((len(bright), 3), bool)
         if self.hints is not None:
-            decided = self.hints.of_triangles(self.hints.emits) != 0
+            decided = self.hints.of_triangles(self.hints.decides)
         write_doubts(folder, data, cells, bright, decided, names)

@@ -91,7 +91,13 @@ class SurfaceHints:
     def about_material(self) -> np.ndarray:
         """(H,) bool, hints that say something of roughness or metallic."""
         shared = np.bincount(self.same, minlength=len(self.same))[self.same] > 1
-        return shared | (np.ptp(self.roughness, axis=1) < 1.0) | (np.ptp(self.metallic, axis=1) < 1.0)
+        return shared | self.decides[:, :2].any(axis=1)
+
+    @property
+    def decides(self) -> np.ndarray:
+        """(H, 3) bool, whether they say how rough a surface is, whether it is metal, and whether it emits."""
+        narrow = [np.ptp(values, axis=1) < 1.0 for values in (self.roughness, self.metallic)]
+        return np.column_stack([*narrow, self.emits != 0])
 
     def of_triangles(self, values: np.ndarray) -> np.ndarray:
         """(T, ...) the value (H, ...) of the hint on each triangle; zero without a hint."""

@@ -40,6 +40,7 @@ class RunFolder:
 
     def __init__(self, root: str | Path, results: str = RESULTS, inputs: str = "") -> None:
         self.root = Path(root).absolute()
+        self._results = results
         made_from = self.root / inputs
         self.run_json = made_from / "run.json"
         self.ingest_json = self.root / "ingest.json"
@@ -72,12 +73,14 @@ class RunFolder:
         self.environment_exr = self.results / "environment.exr"
         self.resolution_npz = self.results / "resolution.npz"
         self.statistics_json = self.results / "statistics.json"
+        self.versions = self.root / "versions"  # earlier results
         self.doubts_json = self.results / "doubts.json"
         self.doubts = self.results / "doubts"
         self.atlas_npz = self.root / "atlas.npz"
         self.atlas_json = self.root / "atlas.json"
         self.textures = self.root / "textures"
         self.textures_json = self.textures / "textures.json"
+        self.apply_json = self.root / "apply.json"
         self.renders = self.root / "renders"
         self.renders_json = self.renders / "renders.json"
         self.report = self.root / "report"
@@ -94,7 +97,7 @@ class RunFolder:
 
         Results of earlier versions do not hold them; then they are those of the run folder.
         """
-        kept = RunFolder(self.root, inputs=RESULTS)
+        kept = RunFolder(self.root, self._results, inputs=self._results)
         return kept if kept.run_json.is_file() else self
 
     def made_from(self) -> list[Path]:
@@ -111,7 +114,7 @@ class RunFolder:
             FiptError: ``run-linked``.
         """
         replaced = [self.images, self.results, self.textures]
-        own = [self.masks, self.linked, self.stage, self.renders, *replaced]
+        own = [self.masks, self.linked, self.stage, self.renders, self.versions, *replaced]
         own += [side for path in replaced for side in beside(path)]
         own += [self.light, self.report, self.survey, self.align, self.scene_cameras]
         own += [self.root / "messages", self.log]

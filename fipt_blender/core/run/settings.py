@@ -264,6 +264,9 @@ class Settings:
     atlas_images: str = _setting(
         "room", "room: parts share the texture images; object or part: images of their own", None
     )
+    kept_versions: int = _setting(
+        5, "number of earlier estimates without a name that the run keeps when a new one is finished", None
+    )
     atlas_mode: str = _setting("uv", "uv, or color_attribute for meshes that can't have UVs", None)
     clean_mesh: bool = _setting(
         True,
@@ -394,6 +397,7 @@ _AT_MOST = {"close_holes_edges": 1000}
 _SHARES = {"view_share", "view_outliers", "group_outliers"}
 _MAY_BE_ZERO = {
     "seed",
+    "kept_versions",
     "close_holes_edges",
     "rounds",
     "lambda_joint",

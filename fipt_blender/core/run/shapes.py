@@ -74,6 +74,12 @@ STAGES = Fields(
     }
 )
 
+VERSION_FORMAT = "fipt-version"
+VERSION_VERSION = 1
+VERSION = Fields(
+    {"format": Choice(VERSION_FORMAT), "version": Choice(VERSION_VERSION), "name": str, "time": _NOT_NEGATIVE}
+)
+
 PREPARE_FORMAT = "fipt-prepare"
 PREPARE_VERSION = 1
 _EXIF_NUMBER = Maybe(Number(low=1e-12, high=1e12))

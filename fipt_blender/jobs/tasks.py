@@ -1,0 +1,78 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What buttons and the Python API start on a scene: how a job is made, and what follows its end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bpy
+
+from ..core.run.errors import FiptError
+from ..core.run.runfolder import RunFolder
+from . import running
+from .job_scene import find_scene
+from .window import push_undo
+
+if TYPE_CHECKING:
+    from ..bridge.sequence import Job
+
+Follow = Callable[[bpy.types.Scene, RunFolder], None]
+
+
+@dataclass(frozen=True)
+class Task:
+    """Work on a scene and its run folder.
+
+    Attributes:
+        title: for the user, e.g. "Estimate".
+        kind: the section that shows it, e.g. "estimate".
+        make: the job, ready to run, on the scene; raises FiptError where it can't start.
+        finished: called with the scene after a success; may raise FiptError.
+        failed: called after a failure or a cancellation.
+        undo: whether its end adds an undo step in a window.
+    """
+
+    title: str
+    kind: str
+    make: Callable[[bpy.types.Scene], Job]
+    finished: Follow | None = None
+    failed: Follow | None = None
+    undo: bool = False
+
+
+def begin(task: Task, scene: bpy.types.Scene, wait: bool) -> running.RunningJob:
+    """Start a task on the context's scene; with `wait`, run it to its end.
+
+    Raises:
+        FiptError: it can't start. How it ended is in the result.
+    """
+    start = running.run if wait else running.start
+    undo = task.title if task.undo and not wait else ""
+    try:
+        job = task.make(scene)
+        # Without `make`: the operator that it may hold is gone by then.
+        return start(job, _info(task, scene), partial(_end, task.finished, task.failed, undo))
+    except FiptError as error:
+        running.refuse(_info(task, scene), error)
+        raise
+
+
+def _info(task: Task, scene: bpy.types.Scene) -> running.RunningJob:
+    folder = Path(bpy.path.abspath(scene.fipt.run_folder))
+    return running.RunningJob(task.title, task.kind, scene.name, folder)
+
+
+def _end(finished: Follow | None, failed: Follow | None, undo: str, info: running.RunningJob) -> None:
+    scene = find_scene(info.scene_name, info.run_folder)
+    if scene is None:
+        return
+    follow = finished if info.state == "finished" else failed
+    if follow is not None:
+        follow(scene, RunFolder(info.run_folder))
+    if info.state == "finished" and undo:
+        push_undo(undo)
