@@ -301,6 +301,8 @@ def test_only_changed_settings_leave_the_preset(scene):
     )
     assert not made.reject_views and not made.correct_exposure
     assert made.batch_size == make_settings("draft").batch_size
+    settings.light_pixels = 0.25  # millions: small captures are told in fractions
+    assert scene_settings(scene).light_pixels == pytest.approx(0.25)
     assert settings.is_changed("denoise") and not settings.is_changed("rounds")
     assert ops.reset_setting(setting="diffuse_samples") == {"FINISHED"}
     assert scene_settings(scene).diffuse_spp == make_settings("draft").diffuse_spp

@@ -42,9 +42,10 @@ class Choice(NamedTuple):
     fields: tuple[str, ...]
     name: str
     description: str
-    least: int = 1
-    most: int = 1_000_000
+    least: float = 1
+    most: float = 1_000_000
     switch: bool = False  # a checkbox instead of a number
+    fraction: bool = False  # a number with decimals
 
 
 CHOICES = {
@@ -74,8 +75,9 @@ CHOICES = {
         "Light Pixels",
         "Millions of pixels of all photographs together at which light is solved. Larger photographs are"
         " averaged: more pixels are slower and show smaller surfaces and shadows",
-        1,
+        0.01,
         1000,
+        fraction=True,
     ),
     "voxel_resolution": Choice(
         ("voxel_resolution",),
@@ -127,7 +129,7 @@ def _preset(name: str) -> Settings:
     return make_settings(name)
 
 
-def _changes(settings: FIPT_EstimateSettings) -> dict[str, int]:
+def _changes(settings: FIPT_EstimateSettings) -> dict[str, float]:
     import json
 
     try:
@@ -140,12 +142,14 @@ def _changes(settings: FIPT_EstimateSettings) -> dict[str, int]:
 def _property(name: str, choice: Choice) -> object:
     """A property with the preset's value until it is changed."""
 
-    def get(self: FIPT_EstimateSettings) -> int:
+    kind = bool if choice.switch else float if choice.fraction else int
+
+    def get(self: FIPT_EstimateSettings) -> float:
         changes = _changes(self)
         value = changes[name] if name in changes else getattr(_preset(self.preset), choice.fields[0])
-        return bool(value) if choice.switch else int(value)
+        return kind(value)
 
-    def set_(self: FIPT_EstimateSettings, value: int) -> None:
+    def set_(self: FIPT_EstimateSettings, value: float) -> None:
         import json
 
         self.changes = json.dumps({**_changes(self), name: value})
@@ -153,7 +157,9 @@ def _property(name: str, choice: Choice) -> object:
     options = {"name": choice.name, "description": choice.description, "get": get, "set": set_}
     if choice.switch:
         return bpy.props.BoolProperty(**options)
-    return bpy.props.IntProperty(**options, min=choice.least, max=choice.most)
+    if choice.fraction:
+        return bpy.props.FloatProperty(**options, min=choice.least, max=choice.most, precision=2)
+    return bpy.props.IntProperty(**options, min=int(choice.least), max=int(choice.most))
 
 
 class FIPT_EstimateSettings(bpy.types.PropertyGroup):
@@ -193,7 +199,7 @@ class FIPT_EstimateSettings(bpy.types.PropertyGroup):
         )
         self.changes = json.dumps(changes) if changes else ""
 
-    def values(self) -> dict[str, int]:
+    def values(self) -> dict[str, float]:
         """The changed fields of `Settings`, for `make_settings`, without the device."""
         return {
             field: value
