@@ -52,7 +52,7 @@ def mesh_fingerprint(path: Path, exclude: Path | None = None) -> str:
         return folder_fingerprint(path, exclude)
     try:
         named = {path.parent / name for name in named_files(path)}
-    except (OSError, ValueError):  # the import tells the user
+    except (OSError, ValueError):  # the import reports it to the user
         named = set()
     return _hashed(path, (f"{file}|{_state(file)}" for file in {path, *named}))
 

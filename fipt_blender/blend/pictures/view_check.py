@@ -56,7 +56,7 @@ def check_view(
         medians = []
         for entry in capture["views"]:
             if entry["name"] in views:
-                with suppress(FiptError):  # its own check tells that it is missing
+                with suppress(FiptError):  # its own check reports that it is missing
                     medians.append(float(np.median(photograph(run, entry, smaller=True))))
         checks["exposure"] = choose_exposure(float(np.median(medians)) if medians else 0.0)
     photo = means(photo, image.shape[1], image.shape[0])

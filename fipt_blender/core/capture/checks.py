@@ -242,7 +242,7 @@ def judge_encoded(encoded: Sequence[bool], exposures: Sequence[float | None]) ->
 
     Args:
         encoded: whether each photograph is one of these.
-        exposures: that each file tells, or None.
+        exposures: stored in each file, or None.
     """
     count = sum(encoded)
     if not count:

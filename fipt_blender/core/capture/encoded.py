@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Photographs that are not HDR: codes of JPEG, PNG and TIFF files, and the exposures that their EXIF tells.
+"""Photographs that are not HDR: codes of JPEG, PNG and TIFF files, and the exposures in their EXIF.
 
 Their response is unknown. They are read as if it were sRGB's curve, which can be undone without loss; the
 radiometric adjustment does so.

@@ -111,7 +111,7 @@ def _at_size(run: RunFolder, view: View, size: tuple[int, int]) -> View:
 
 
 def _file(run: RunFolder, view: View, kind: str, source: Path, size: tuple[int, int]) -> Path:
-    """The averaged file of an image of a view; its name tells what it is made from.
+    """The averaged file of an image of a view; its name identifies what it is made from.
 
     Raises:
         FiptError: ``image-missing``.

@@ -286,7 +286,7 @@ def _meshes(folder: Path) -> list[Path]:
 
 
 def _has_faces(path: Path) -> bool:
-    """Whether a mesh file has faces as far as its header tells."""
+    """Whether a mesh file has faces by its header."""
     return path.suffix.lower() != ".ply" or _ply_has_faces(path)
 
 

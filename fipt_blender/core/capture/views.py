@@ -40,7 +40,7 @@ class View:
         parts, semantics: id images of the same size, or None.
         mask: id image of the same size, 0 where the photograph must not be used, or None.
         encoded: whether the photograph is not HDR: the image holds a camera's codes by sRGB's curve.
-        exposure: of such a photograph, the relative exposure that its file tells, or None.
+        exposure: of such a photograph, the relative exposure stored in its file, or None.
     """
 
     name: str

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a run tells of the hints that it has honoured."""
+"""What a run reports of the hints that it has honoured."""
 
 from __future__ import annotations
 

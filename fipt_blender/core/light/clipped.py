@@ -92,7 +92,7 @@ class Expectation:
 
 @dataclass(frozen=True, eq=False)
 class LampLight:
-    """What the light on the points tells.
+    """What is inferred from the light on the points.
 
     Attributes:
         log_radiance: (F, 3) natural logarithms.

@@ -66,7 +66,7 @@ def group_log_likelihoods(
     The pixels of a group in one view, n by their weight, count as n / (`pixels_per_sample` + n t² / s²)
     samples, where s² is the variance of their residuals: a view's shadings err by t in any direction, so many
     pixels of one view tell no more than s² / t² samples. t is `VIEW_SHARE` of what the means of the views
-    show (:func:`view_errors`), at least `view_error`. A share `view_outliers` of the views tells nothing.
+    show (:func:`view_errors`), at least `view_error`. A share `view_outliers` of the views is uninformative.
 
     Args:
         samples: N pixels; those without a group, or alone in their cell, are left out: anything fits these.
@@ -95,7 +95,7 @@ def group_log_likelihoods(
 
 
 def with_outliers(log_likelihood: np.ndarray, share: float, prior: np.ndarray) -> np.ndarray:
-    """(S, N) likelihoods, relative to the best of each column, where a share of the columns tells nothing.
+    """(S, N) likelihoods, relative to the best of each column, where a share of the columns is uninformative.
 
     Args:
         log_likelihood: (S, N). prior: (S,) probability of each candidate, for columns that tell nothing.

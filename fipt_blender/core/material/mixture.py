@@ -163,7 +163,7 @@ def group_posterior(
     Args:
         log_likelihood: (S, groups); all 0 in groups that no pixel shows, which do not count for the room.
         allowed: (S, groups) bool, candidates that are possible, one at least of each group; True for all.
-        outliers: share of the groups whose pixels tell nothing.
+        outliers: share of the groups whose pixels are uninformative.
     """
     broad, weight = prior.broad, prior.weight
     shown = (log_likelihood != 0.0).any(axis=0)

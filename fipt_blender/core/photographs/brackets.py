@@ -46,7 +46,7 @@ def find_groups(
         grouping: ``auto``: consecutive photographs of one camera and one view with different exposures
             (by folders where headers have no exposures, and the folders hold several photographs each);
             ``folders``: each folder is a group; ``single``: each photograph is one.
-        same_view: tells by their content whether two photographs show one view; asked only where time and
+        same_view: whether two photographs show one view, by their content; asked only where time and
             exposures are not enough.
 
     Returns:

@@ -172,7 +172,7 @@ def _tags(path: Path) -> dict[str, Any]:
 
 
 def _corrected(path: Path) -> bool | None:
-    """Whether a camera's JPEG has no vignetting any more, as far as its maker note tells."""
+    """Whether a camera's JPEG has no vignetting any more, by its maker note."""
     with path.open("rb") as file:
         try:
             found = exifread.process_file(file, details=True, extract_thumbnail=False)

@@ -17,7 +17,7 @@ import lensfunpy
 import numpy as np
 
 FULL_FRAME_DIAGONAL = math.hypot(36.0, 24.0)  # mm, to which EXIF's equivalent focal length refers
-ROOM_DISTANCE = 3.0  # metres: EXIF rarely tells the distance of focus, and rooms are this large
+ROOM_DISTANCE = 3.0  # metres: EXIF rarely contains the distance of focus, and rooms are this large
 LEAST_LIGHT = 0.05  # in a corner; less is a mistake of the database, and would amplify noise beyond use
 _SAMPLES = 256  # pixels of the longer side of lensfun's maps, which are smooth
 _FOCAL_TOLERANCE = 0.03  # a lens whose zoom range ends by more than this from EXIF's value is another one

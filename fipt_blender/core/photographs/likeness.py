@@ -61,7 +61,7 @@ class Likeness:
             try:
                 self._pictures[photograph.path] = small_picture(self._source / photograph.path, photograph)
             except (FiptError, *DAMAGE):
-                self._pictures[photograph.path] = None  # the merge tells what is wrong with it
+                self._pictures[photograph.path] = None  # the merge reports what is wrong with it
             while len(self._pictures) > _MOST_KEPT:
                 self._pictures.popitem(last=False)
         return self._pictures[photograph.path]

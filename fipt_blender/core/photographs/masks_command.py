@@ -126,7 +126,7 @@ def _is_own(folder: RunFolder, path: Path | None) -> bool:
 
 
 def _model_digest(path: Path) -> str:
-    """What tells models and versions of this code apart, without reading all weights."""
+    """Identifies the model and the version of this code, without reading all weights."""
     files = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
     return _digest([code_digest(), *(_state(file) for file in files)])
 

@@ -36,7 +36,7 @@ def write_model(folder: Path, model: pycolmap.Reconstruction) -> None:
                 model.write_binary(str(temporary))
                 check_model(temporary)
             except (RuntimeError, ValueError) as error:
-                # pycolmap tells neither the system's reason nor that it could write a part only.
+                # pycolmap reports neither the system's reason nor that it could write a part only.
                 raise OSError(errno.ENOSPC, str(error)) from None
             if folder.exists():
                 shutil.rmtree(folder)

@@ -131,7 +131,7 @@ class PrepareSettings:
     seed: int = _setting(0, "seed of the camera solve", low=0, high=2**31 - 1)
     scale: str = _setting(
         "none",
-        "what tells the real size: none, points (two picked ones), marker (printed) or mesh (its transform)",
+        "source of the real size: none, points (two picked ones), marker (printed) or mesh (its transform)",
         choices=SCALES,
     )
     scale_length: float = _setting(

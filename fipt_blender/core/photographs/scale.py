@@ -23,7 +23,7 @@ _MEAN_UP_WEIGHT = 1e-3
 _LEAST_ANGLE = np.radians(1.0)  # between rays; below, a position along them is not determined
 _MOST_TRIED = 24  # rays whose pairs are tried: 276 of them
 _DROP = 3.0  # times the median distance from the rays: such rays are of something else
-_PICK_SHARE = 0.08  # of the image's diagonal within which a solved point tells the depth of a picked pixel
+_PICK_SHARE = 0.08  # of the image's diagonal within which a solved point gives the depth of a picked pixel
 _PICK_POINTS = 5  # nearest solved points whose median depth is used
 _PICK_FORM = "Write them as VIEW X Y, separated by commas in one point and by a semicolon between the points."
 

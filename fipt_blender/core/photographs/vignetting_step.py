@@ -3,7 +3,7 @@
 """Step `vignetting`: corrects merged images by their overlap where lensfun's database did not.
 
 It does not know all lenses, and a camera may have corrected its JPEGs already: there, what is left is
-measured. stage/corrected.json tells which images are corrected and how, so that none is corrected twice.
+measured. stage/corrected.json lists which images are corrected and how, so that none is corrected twice.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
         if found is None and preparation.of(groups[0])[0].corrected is None:
             reporter.warning(
                 "vignetting-unknown",
-                f"Nothing tells the vignetting of {name}: neither the lens database nor the files, and"
+                f"The vignetting of {name} is unknown: neither the lens database nor the files, and"
                 " the views have too little in common to measure it.",
                 "Use RAW photographs, switch the camera's correction on, or take views that overlap more.",
             )
@@ -195,7 +195,7 @@ class _Corrected:
         file = self._file(name)
         pixels = read_radiance(file)
         pixels *= (self._share(before, pixels) / self._share(coefficients, pixels)).astype(np.float32)
-        # The entries first: wherever the process is stopped, the image's digest tells which one holds.
+        # The entries first: wherever the process is stopped, the image's digest shows which one is valid.
         temporary = self._folder.stage / "corrected.exr"
         write_exr(temporary, pixels)
         entries = [(_digest(file), before), (_digest(temporary), coefficients)]

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The response's contrast, which the agreement of the views leaves open: from EXIF's exposures, and from what
-is usual. Light on the surfaces tells it, too (:mod:`..light.clipped`).
+is usual. Light on the surfaces is evidence of it, too (:mod:`..light.clipped`).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def usual_contrast(basis: Basis) -> Source:
 def exif_contrast(log_gains: np.ndarray, exposures: np.ndarray) -> Source | None:
     """The contrast by which the gains of the views fit the exposures that their files tell.
 
-    How well they fit tells how far the files can be trusted: exact exposures count more than rounded ones.
+    How well they fit shows how far the files can be trusted: exact exposures count more than rounded ones.
 
     Args:
         log_gains: (V,) found, in contrasts. exposures: (V,) relative ones, NaN where unknown.

@@ -29,7 +29,7 @@ _BARE = frozenset(
 )
 # What a room's whole shell is called, and how one place of it is.
 _SHELL = {"wall": "wall", "walls": "wall", "ceiling": "ceiling", "ceilings": "ceiling", "floor": "floor"}
-_WHOLE = 0.9  # of the room's diagonal: an object that holds the whole room tells of no place
+_WHOLE = 0.9  # of the room's diagonal: an object that holds the whole room names no place
 _OWN_SHARE = 0.5  # of an object's area: from there on the object is the lamp
 _NEAR = 0.3  # metres between a bulb and the lamp that holds it
 _EDGE_SHARE, _EDGE = 0.05, 0.15  # of the room's height, and metres: at the ceiling, the floor or a wall
@@ -118,7 +118,7 @@ def _belonging(room: NamedMesh, triangles: np.ndarray, areas: np.ndarray, parts:
     if holder:
         return _sentence([*holder, *([kind] if kind and kind not in holder else [])])
     place = _place(room, points, _mean_normal(room, triangles))
-    if not is_told and _tells_place(room, index, own):
+    if not is_told and _names_place(room, index, own):
         place = [*own[:-1], _SHELL.get(own[-1], own[-1])]
     elif not is_told and class_words:
         place = [*class_words[:-1], _SHELL.get(class_words[-1], class_words[-1])]
@@ -126,7 +126,7 @@ def _belonging(room: NamedMesh, triangles: np.ndarray, areas: np.ndarray, parts:
     return _sentence([*place, *([shape] if shape != place[-1] else [])])
 
 
-def _tells_place(room: NamedMesh, index: int, own: Sequence[str]) -> bool:
+def _names_place(room: NamedMesh, index: int, own: Sequence[str]) -> bool:
     """Whether an object's name says where in the room it is: "Kitchen walls", not "scan"."""
     if not own or set(own) <= _BARE:
         return False

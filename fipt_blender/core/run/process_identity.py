@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What tells a process from others: its machine and its time of start, since numbers of processes recur.
+"""The identity of a process: its machine, its number and its time of start, since numbers recur.
 
 Standard library only.
 """

@@ -299,7 +299,7 @@ def read_outlines(run: RunFolder, cleaned: np.ndarray) -> dict[str, np.ndarray] 
 
 
 def array_digest(*arrays: np.ndarray) -> np.ndarray:
-    """(32,) uint8 that tells the content of arrays apart."""
+    """(32,) uint8 digest of the content of arrays."""
     digest = hashlib.sha256()
     for array in arrays:
         digest.update(np.ascontiguousarray(array).tobytes())
@@ -307,7 +307,7 @@ def array_digest(*arrays: np.ndarray) -> np.ndarray:
 
 
 def mesh_digest(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-    """(32,) uint8 that tells meshes apart, by their vertices and triangles."""
+    """(32,) uint8 digest of a mesh's vertices and triangles."""
     return array_digest(arrays["vertices"].astype(np.float32), arrays["triangles"].astype(np.int32))
 
 

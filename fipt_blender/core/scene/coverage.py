@@ -99,8 +99,8 @@ def fuse_inputs(
 
 
 def _centroids_seen(room: Room, view: View, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(T,) bool each: whether each triangle's centroid is in the image and nothing hides it, and whether
-    nothing hides it, in the image or, unless it is `known`, not.
+    """(T,) bool each: whether each triangle's centroid is in the image and not occluded, and whether it is
+    not occluded, inside or outside the image; outside, only where it is not `known` yet.
     """
     corners = [mi.Int32(np.ascontiguousarray(room.triangles[:, axis], np.int32)) for axis in range(3)]
     table = mi.Float(np.ascontiguousarray(room.vertices, np.float32).reshape(-1))

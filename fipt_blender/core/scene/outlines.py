@@ -3,7 +3,7 @@
 """Outlines of parts on a scan: its vertices move to where the masks of the photographs have their borders.
 
 A scan rounds edges off and ends between two voxels, so that silhouettes and borders of parts are ragged and
-lie off those of the photographs. Each view that sees an outline tells by how many pixels; the moves are the
+lie off those of the photographs. Each view that sees an outline shows by how many pixels; the moves are the
 solution of least squares over all views, small and smooth over the mesh.
 """
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Detail of the photographs on the texels: what they show above the resolution at which light was solved.
 
-Each view that has more pixels than its pixels of light tells a base colour of the texels that it sees
+Each view that has more pixels than its pixels of light gives a base colour of the texels that it sees
 (:mod:`.texel_views`). Its low frequencies are replaced by those of the estimate, so that errors of light,
 exposure and vignetting don't matter and views need no seams; the weighted mean of the views is detail as far
 as they agree (a Wiener filter). Photographs are decoded one at a time, each once.

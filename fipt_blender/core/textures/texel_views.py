@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What one photograph tells of the base colour of texels, by the factorised rendering (paper Eq. 5).
+"""The base colour of texels from one photograph, by the factorised rendering (paper Eq. 5).
 
 A texel that a view sees has base colour (I - offset) / slope (`optics.factorised.color_line`): I is the
 photograph at full size; slope and offset consist of the shadings of the pixels of light around it that see
@@ -30,7 +30,7 @@ LEAST_MATCH = 0.3  # least share of the weight of the 3 x 3 pixels of light that
 # an even slope, too.
 SLOPE_ERROR = 0.4
 VIEW_ERROR = 0.05  # relative error of L_d with which a view has half the weight of one without
-GLOSS = 0.5  # share of gloss in a photograph's radiance from which it tells nothing of base colour
+GLOSS = 0.5  # share of gloss in a photograph's radiance from which it does not count for base colour
 DENSITY_POWER = 2.0  # weight of a view by the pixels per area with which it sees a texel
 PYRAMID = 5  # levels of the photograph, each half the size of the one before
 
@@ -71,7 +71,7 @@ class LightPixels:
     Attributes:
         view: at light resolution.
         position, normal: (M, 3) float32.
-        part: (M,) int32, negative where a pixel tells nothing.
+        part: (M,) int32, negative where a pixel does not count.
         pure: (M,) bool, whether the whole pixel sees one smooth surface.
         diffuse: (M, 3) L_d in the unit of the photographs' radiance.
         specular: (M, K, 2, 3) L_s0 and L_s1 at each roughness level.
@@ -88,7 +88,7 @@ class LightPixels:
 
 @dataclass(frozen=True)
 class Seen:
-    """What one view tells of the texels that it sees; n of them.
+    """The n texels that one view sees, and their base colours.
 
     Attributes:
         texel: (n,) int64.
@@ -114,7 +114,7 @@ def see_texels(
     radiance: np.ndarray,
     levels: np.ndarray,
 ) -> Seen:
-    """The base colours that one view tells.
+    """The base colours of one view.
 
     Args:
         candidates: (n,) int64 texels that the view may see.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Surfaces that are clipped in photographs that are not HDR, and the light on all others, which tells how
+"""Surfaces that are clipped in photographs that are not HDR, and the light on all others, which shows how
 bright they are (:mod:`..light.clipped`)."""
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class ClippedSurfaces:
 
     @property
     def told(self) -> np.ndarray:
-        """(F,) bool, surfaces whose clipped pixels get the radiance that the light tells."""
+        """(F,) bool, surfaces whose clipped pixels get the radiance inferred from the light."""
         if self.light is None:
             return np.zeros(len(self.reflecting), bool)
         told = (self.light.deviation.max(axis=1) < VAGUE) & ~self.reflecting
@@ -127,8 +127,10 @@ def _mostly(group: np.ndarray, clipped: np.ndarray, count: np.ndarray) -> np.nda
 
 
 def _pieces_of_scan(scan: Scan, members: np.ndarray, label: np.ndarray, whole: np.ndarray) -> np.ndarray:
-    """(n,) int64 piece, from 0, of each of some triangles (n,): connected and of one label (T,), or all of a
-    label where it is one piece ((T,) bool)."""
+    """(n,) int64 piece, from 0, of each of the triangles `members` (n,).
+
+    A piece is connected and has one label (T,), or is all of a label that is `whole` ((T,) bool).
+    """
     place = np.full(len(label), -1, np.int64)
     place[members] = np.arange(len(members))
     pairs = scan.adjacency.pairs

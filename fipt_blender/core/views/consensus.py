@@ -25,8 +25,10 @@ from .agreement import FLOOR, cells_of, hits_of, on_lattice
 
 WIDTH = 96  # about, of the photographs that are compared, pixels
 LEAST_CELLS = 30  # that a pair of views must share
-LEAST_SPREAD = 0.1  # standard deviation of log radiance in the shared cells, below which a pair tells nothing
-# Correlation of neighbouring pixels of a photograph below which it is mostly noise and tells nothing. Rooms
+LEAST_SPREAD = (
+    0.1  # standard deviation of log radiance in the shared cells, below which a pair is not compared
+)
+# Correlation of neighbouring pixels of a photograph below which it is mostly noise and is not compared. Rooms
 # have 0.83 and more, photographs traced with few samples 0.4 to 0.8.
 CLEAR = 0.75
 JUDGED_VIEWS = 4  # that must be judged before anything is said of poses or mesh
@@ -81,8 +83,8 @@ class PairAgreement:
     """How well the photographs of V views agree in pairs.
 
     Attributes:
-        correlation: (V, V) of log radiance in the cells that both see; 0 where it tells nothing.
-        weight: (V, V) root of the number of these cells, 0 where it tells nothing.
+        correlation: (V, V) of log radiance in the cells that both see; 0 where they are not compared.
+        weight: (V, V) root of the number of these cells, 0 where they are not compared.
         seen: (V,) share of each view's pixels that see the mesh.
     """
 
@@ -184,10 +186,10 @@ def pair_agreement(room: Room, small: SmallViews, places: np.ndarray | None = No
         variance = variance + (value.multiply(value) @ shows.T).toarray() / common - (sums / common) ** 2
     least = np.minimum(variance, variance.T)
     product = np.sqrt(np.maximum(variance * variance.T, 1e-12))
-    tells = (shared >= LEAST_CELLS) & (least > 3.0 * LEAST_SPREAD**2) & np.outer(small.clear, small.clear)
-    np.fill_diagonal(tells, False)
+    compared = (shared >= LEAST_CELLS) & (least > 3.0 * LEAST_SPREAD**2) & np.outer(small.clear, small.clear)
+    np.fill_diagonal(compared, False)
     return PairAgreement(
-        np.where(tells, covariance / product, 0.0), np.where(tells, np.sqrt(shared), 0.0), seen
+        np.where(compared, covariance / product, 0.0), np.where(compared, np.sqrt(shared), 0.0), seen
     )
 
 

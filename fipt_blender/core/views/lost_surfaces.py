@@ -183,7 +183,7 @@ class _Search:
         seen = cell >= 0
         doubt = np.full(len(cell), np.nan, np.float32)
         doubt[seen] = doubts(view[seen], cell[seen], color[seen])
-        # What too few views see tells nothing.
+        # What too few views see is no evidence.
         by_view = np.bincount(view, np.nan_to_num(before - doubt), len(pixels.views))
         return _Prism(self.low, footprint, layers, mesh, rows, hits[1], cell, doubt, by_view)
 

@@ -3,7 +3,7 @@
 """Surfaces that a scan lacks: panes in its flat holes, prisms for the things that it lost, and what completes
 the parts that it tore.
 
-Photographs see nothing of the room and nothing bright through a hole that is closed.
+A hole is closed if photographs show neither the room nor anything bright through it.
 Such a hole is a window at night, a mirror or a glossy black surface, which scanners do not see. It is closed
 by a pane, an object of its own, whose material is estimated like any other. A bright one shows what is
 outside, and stays open: the environment lights the room through it.

@@ -3,7 +3,7 @@
 """Turns photographs that are not HDR into radiance: the radiometric adjustment on a capture's pixels.
 
 The views are compared on surface cells (:mod:`.cells`). Codes become radiance with a weight for their errors;
-triangles that are clipped in most pixels get the radiance that the light in the room tells (`light.clipped`).
+triangles that are clipped in most pixels get the radiance inferred from the room's light (`light.clipped`).
 Once shadings are baked, both are found again with their light (:mod:`.refit`).
 """
 
@@ -38,7 +38,7 @@ from .clipped_surfaces import VAGUE, ClippedSurfaces, Lit, find_clipped_surfaces
 from .codes import Codes, calm_samples
 from .exposure import exposure_gains
 
-# Systematic error of the contrast that light tells: by gloss, textures and the coarse cache.
+# Systematic error of the contrast inferred from light: by gloss, textures and the coarse cache.
 LIGHT_DEVIATION = 0.06
 LEAST_POINTS = 200
 UNKNOWN_CONTRAST = 1.0  # standard deviation of its logarithm where light alone shall tell it
@@ -115,10 +115,10 @@ def adjust_photographs(
 def solve_light(
     radiometry: Radiometry, points: LitPoints, cache: np.ndarray, expected: Expectation, error: float
 ) -> tuple[Radiometry, LampLight | None]:
-    """The contrast with what light tells of it, and the lamps with this contrast; None with too few points.
+    """The contrast, with the evidence of light, and the lamps with this contrast; None with too few points.
 
     Args:
-        error: systematic one of the contrast that light tells.
+        error: systematic one of the contrast inferred from light.
     """
     if np.isfinite(points.value).any(axis=1).sum() < LEAST_POINTS:
         return radiometry, None

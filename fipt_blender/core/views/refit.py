@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Photographs that are not HDR again, with the light of baked shadings.
 
-The light on surfaces tells the response's contrast and the radiance of clipped lamps (`light.clipped`), but a
-few rays into the cache miss it by several percent where lamps are small and close. Baked shadings do not:
-their L_d over the light of that model corrects the model at each point.
+The light on surfaces determines the response's contrast and the radiance of clipped lamps
+(`light.clipped`), but a few rays into the cache miss it by several percent where lamps are small and close.
+Baked shadings do not: their L_d over the light of that model corrects the model at each point.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ MOST_REFITS = 3
 # Samples of the light over the hemisphere and towards lamps: at points that tell the contrast, which noise of
 # the light would raise, and at other pixels.
 POINT_SAMPLES, PIXEL_SAMPLES = SampleCounts(1024, 0, 256), SampleCounts(64, 0, 32)
-# Systematic error of the contrast that the light of shadings tells, as measured (docs/method.md).
+# Systematic error of the contrast inferred from the light of shadings, as measured (docs/method.md).
 REFIT_DEVIATION = 0.03
 # Largest correction of the logarithm of light: beyond it, the model or the shading is wrong.
 MOST_CORRECTION = 1.0
@@ -65,10 +65,10 @@ def refit_photographs(
     lit, contrast = found.lit, found.radiometry.factor
     if found.clipped.light is None:
         return before
-    tells_albedo = _albedo_pixels(pixels, part, found)
+    albedo_rows = _albedo_pixels(pixels, part, found)
     clipped_rows = [rows for rows, _, _ in _clipped(pixels, found)]
     seen = lit.pixel[np.asarray(pixels.triangle[lit.pixel]) >= 0]
-    others = np.unique(np.concatenate([tells_albedo, *clipped_rows]))
+    others = np.unique(np.concatenate([albedo_rows, *clipped_rows]))
     diffuse = np.zeros((len(pixels), 3), np.float16)
     diffuse[others] = np.minimum(light_of(others, PIXEL_SAMPLES), MOST_LIGHT)
     diffuse[seen] = np.minimum(light_of(seen, POINT_SAMPLES), MOST_LIGHT)
@@ -92,7 +92,7 @@ def refit_photographs(
         value=np.where(valid[:, None], lit.points.value + shift[lit.place], np.nan),
         correction=np.clip(correction, -MOST_CORRECTION, MOST_CORRECTION),
     )
-    albedos = _albedos(pixels, part, tells_albedo, diffuse)
+    albedos = _albedos(pixels, part, albedo_rows, diffuse)
     reflecting, reflected, albedo = _reflected(pixels, part, diffuse, found, unit, albedos)
     broad = Expectation.of(lit.bound, radiometry.contrast.value)
     expected = Expectation(

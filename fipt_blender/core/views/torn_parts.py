@@ -3,7 +3,7 @@
 """Surfaces that complete parts which a scan tore, from what it has of them and their masks.
 
 A voxel that both sides of a thin shade or vase cross holds neither, so that scans tear them; and a scanner
-sees only patches of glossy ones. Light then passes where it should not. What is left of a part tells its
+sees only patches of glossy ones. Light then passes where it should not. What is left of a part shows its
 shape, a surface of revolution or nearly plane sheets, which is continued where the masks show the part and
 the scan has nothing.
 """
