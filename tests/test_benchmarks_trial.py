@@ -150,7 +150,8 @@ def test_runs_are_resumed_after_the_method_as_it_is(tmp_path: Path, monkeypatch:
 
 @pytest.mark.usefixtures("one_thread")
 def test_a_run_that_begins_with_stored_stages_finds_the_same(tmp_path: Path) -> None:
-    first = write_run(tmp_path / "first", panel_capture(), rounds=0, training_steps=1)
+    few = {"diffuse_spp": 4, "specular_spp": 1, "light_spp": 4, "emitter_samples": 10, "batch_size": 64}
+    first = write_run(tmp_path / "first", panel_capture(), rounds=0, training_steps=1, **few)
     found = trial_run.estimate(first.root, tmp_path / "store")
     assert found["fixtures"] == 1 and set(found["seconds"]) > {"pixels", "shadings", "training"}
     again = RunFolder(tmp_path / "again")
