@@ -103,7 +103,7 @@ _TABLE = (
     ("doubt_pixels", "doubt where mask and scan disagree", ["scene/disagreement"], {}, (SCAN, MASKS)),
     ("unmix", "mixed pixels are used", ["scene/unmixing", "scene/fragments"], {}, ()),
     ("unmeshed_lamps", "lamps without a mesh are left out", ["views/unmeshed"], {}, ()),
-    ("reject_views", "misaligned views are left out", ["views/alignment", "views/registration"], {}, ()),
+    ("reject_views", "misaligned views are left out", ["views/misaligned", "views/registration"], {}, ()),
     ("correct_exposure", "unlike exposures are corrected", ["views/exposure"], {}, ()),
     (
         "clipped_lamps",

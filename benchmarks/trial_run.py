@@ -55,6 +55,7 @@ def estimate(root: Path, store: Path | None) -> dict[str, Any]:
     run = RunFolder(root)
     settings = run.read()
     set_variant(settings.device)
+    from fipt_blender.core.estimate.input import prepare_input
     from fipt_blender.core.estimate.stages import Estimation
     from fipt_blender.core.geometry.stored import prepare_geometry
     from fipt_blender.core.optics.brdf import set_masking
@@ -81,11 +82,13 @@ def estimate(root: Path, store: Path | None) -> dict[str, Any]:
         copy_files(run.root, store / CLEANED, CLEANED_FILES)
     started, known = time.process_time(), run.panes_npz.exists()
     with run.log.open("a", encoding="utf-8") as log:
-        estimation = Timed(run, settings, Reporter(log))
+        reporter = Reporter(log)
+        given = prepare_input(run, settings, reporter)
         if not known:
             seconds["completion"] = time.process_time() - started
         if store is not None:
             copy_files(run.root, store / COMPLETED, COMPLETED_FILES)
+        estimation = Timed(given, reporter)
         estimation.run()
     return {"seconds": seconds, "fixtures": len(estimation.fixtures)}
 

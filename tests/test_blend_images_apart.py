@@ -11,9 +11,9 @@ from mathutils import Vector
 
 from fipt_blender.blend.export.exporting import export_room
 from fipt_blender.blend.marks import MAP
-from fipt_blender.blend.results.applying import _own_images
+from fipt_blender.blend.results.applying import own_images
 from fipt_blender.blend.results.materials import is_uniform
-from fipt_blender.blend.room.atlas import _file_names
+from fipt_blender.blend.room.atlas import file_names
 from fipt_blender.core.run.parts import read_parts
 from fipt_blender.core.run.run_files import read_room_files
 from fipt_blender.core.run.runfolder import RunFolder
@@ -118,11 +118,11 @@ def test_each_owner_has_an_image_and_shows_its_place(scene, owner, tmp_path):
 def test_triangles_without_area_take_the_image_of_their_part_and_object():
     part, owner = np.array([0, 0, 1, 1, 1, 2, 3]), np.array([0, 0, 0, 1, 1, 1, 2])
     image = np.array([3, -1, -1, 4, -1, -1, -1])
-    assert _own_images(image, part, owner).tolist() == [3, 3, 4, 4, 4, 4, 0]
+    assert own_images(image, part, owner).tolist() == [3, 3, 4, 4, 4, 4, 0]
 
 
 def test_names_of_files_differ_on_every_system():
-    assert _file_names(["Wall", "wall", "Wall/2", "Wall 2", "?"]) == [
+    assert file_names(["Wall", "wall", "Wall/2", "Wall 2", "?"]) == [
         "Wall",
         "wall_2",
         "Wall_2_2",

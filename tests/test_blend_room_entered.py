@@ -74,9 +74,9 @@ def test_walls_that_face_inwards_are_hidden_from_behind(monkeypatch, inward, sha
 def test_the_results_of_an_estimation_are_applied_if_the_artist_wants_that(scene, wanted):
     folder = Path(scene.fipt.run_folder)
     scene.fipt.estimate.apply_when_finished = wanted
-    session._after_job(running.RunningJob("Estimate", "estimate", scene.name, folder, state="cancelled"))
+    session.after_job(running.RunningJob("Estimate", "estimate", scene.name, folder, state="cancelled"))
     assert not scene.fipt.materials.object_count
-    session._after_job(running.RunningJob("Estimate", "estimate", scene.name, folder, state="finished"))
+    session.after_job(running.RunningJob("Estimate", "estimate", scene.name, folder, state="finished"))
     assert bool(scene.fipt.materials.object_count) is wanted
 
 
@@ -84,6 +84,6 @@ def test_results_wait_where_the_artist_is_in_edit_mode(scene):
     bpy.context.view_layer.objects.active = bpy.data.objects["cube"]
     bpy.ops.object.mode_set(mode="EDIT")
     folder = Path(scene.fipt.run_folder)
-    session._after_job(running.RunningJob("Estimate", "estimate", scene.name, folder, state="finished"))
+    session.after_job(running.RunningJob("Estimate", "estimate", scene.name, folder, state="finished"))
     assert not scene.fipt.materials.object_count
     bpy.ops.object.mode_set(mode="OBJECT")

@@ -131,7 +131,7 @@ def test_captures_of_both_kinds(tmp_path):
     assert "encoded" not in json.loads(run.capture_json.read_text())["views"][2]
     messages = [parse_message(line) for line in stream.getvalue().splitlines()]
     (warning,) = [m for m in messages if m["type"] == "warning" and m["code"] == "images-not-hdr"]
-    assert warning["text"].startswith("2 of 3 photographs") and "Prepare" in warning["remedy"]
+    assert warning["text"].startswith("2 of 3 photographs") and "Make Capture" in warning["remedy"]
 
 
 @pytest.mark.parametrize(("rows", "warning"), [(1, ""), (2, "20.0 % of its pixels look over-exposed")])

@@ -38,6 +38,7 @@ OTHERS = {
     "masking": "smith",
     "emission": "joint",
     "atlas_mode": "color_attribute",
+    "atlas_images": "part",
     "write_back": "paper",
     "preset": "medium",
 }

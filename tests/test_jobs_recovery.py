@@ -75,7 +75,7 @@ def test_saving_the_file_makes_its_run_known(data):
 
 def test_a_run_that_was_left_behind_is_opened_again(data):
     run = make_run(data, "a", 1.0)
-    recovery._look()
+    recovery.look_for_unsaved()
     assert "fipt.recover_run" in drawn_by(start.FIPT_PT_start)[0]
     assert bpy.ops.fipt.recover_run(folder=str(run.root)) == {"FINISHED"}
     fipt = bpy.context.scene.fipt

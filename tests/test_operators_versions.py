@@ -248,9 +248,9 @@ def test_a_script_relights_and_exports_by_the_api_alone(scene, tmp_path):
     scene.collection.objects.link(camera)
     scene.camera, scene.render.resolution_x, scene.render.resolution_y = camera, 16, 8
     brightness = []
-    for factor in (1.0, 2.0):
-        lamp.factor = factor
-        path = api.render(tmp_path / f"{factor}.exr", samples=4)
+    for stops in (0.0, 1.0):
+        lamp.stops = stops
+        path = api.render(tmp_path / f"{stops}.exr", samples=4)
         brightness.append(read_pixels(path).mean())
     assert brightness[1] == pytest.approx(2.0 * brightness[0], rel=0.01) and brightness[0] > 0.0
     part = next(part for part in api.materials() if part.name == "cube" or api.blender_materials(part))

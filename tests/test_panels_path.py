@@ -19,9 +19,9 @@ pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture(autouse=True)
-def no_jobs(monkeypatch):
+def no_jobs():
     """Jobs of other tests are forgotten."""
-    monkeypatch.setattr(running, "_last", {})
+    running.forget()
 
 
 @pytest.fixture

@@ -360,7 +360,8 @@ os._exit(0)
 
 
 _IN_CAPTURE = ("blend.capture", "blend.capture.other_cameras", "blend.capture.pair_marks")
-START_OF_BLEND = {"blend", "blend.marks", "blend.lights", "blend.lights.outline", *_IN_CAPTURE}  # bpy alone
+_WATCHERS = {"blend.lights", "blend.lights.outline", "blend.results", "blend.results.dropped"}
+START_OF_BLEND = {"blend", "blend.marks", *_WATCHERS, *_IN_CAPTURE}  # bpy alone
 
 
 def test_enabling_loads_nothing_heavy_and_disabling_leaves_nothing(tmp_path: Path) -> None:

@@ -35,8 +35,8 @@ def unregister() -> None:
 def known() -> Unsaved | None:
     """The newest run of which no file knows; None before the timer has looked."""
     data = str(machine.data_folder())
-    if data not in _found and not bpy.app.background and not bpy.app.timers.is_registered(_look):
-        bpy.app.timers.register(_look, first_interval=0.0)
+    if data not in _found and not bpy.app.background and not bpy.app.timers.is_registered(look_for_unsaved):
+        bpy.app.timers.register(look_for_unsaved, first_interval=0.0)
     return _found.get(data)
 
 
@@ -45,7 +45,7 @@ def forget() -> None:
     _found.clear()
 
 
-def _look() -> None:
+def look_for_unsaved() -> None:
     from ..bridge.unsaved import newest
 
     data = machine.data_folder()

@@ -183,8 +183,13 @@ def shut_down() -> None:
         _end()
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
-    _last.clear()
+    forget()
     _listeners.clear()
+
+
+def forget() -> None:
+    """Forget the jobs that have ended, with their errors and warnings."""
+    _last.clear()
 
 
 def tick() -> float | None:

@@ -48,7 +48,7 @@ def register() -> None:
         _keymap_items.append((keymap, item))
     bpy.app.handlers.animation_playback_post.append(_note_playback_end)
     runstate.register(_after_look)
-    running.register(_after_job)
+    running.register(after_job)
     recovery.register()
 
 
@@ -99,7 +99,7 @@ def attach(scene: bpy.types.Scene) -> bool:
     return True
 
 
-def _after_job(info: running.RunningJob) -> None:
+def after_job(info: running.RunningJob) -> None:
     """Apply the results of an estimation, unless the artist does not want that or is in Edit Mode."""
     title, _ = _TITLES["estimate"]  # other jobs of that kind apply their results themselves
     scene = find_scene(info.scene_name, info.run_folder)

@@ -26,7 +26,7 @@ from . import (
     versions,
 )
 
-_MODULES = (
+MODULES = (
     start,
     photographs,
     capture,
@@ -44,7 +44,7 @@ _MODULES = (
 )
 
 _register, _unregister = bpy.utils.register_classes_factory(
-    [panel for module in _MODULES for panel in module.CLASSES]
+    [panel for module in MODULES for panel in module.CLASSES]
 )
 
 

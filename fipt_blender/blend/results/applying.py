@@ -234,7 +234,7 @@ def _read(run: RunFolder) -> _Results:
         room=room,
         faces=PartFaces(parts, read_left_alone(run, count)),
         corner_uv=tiled_uvs(arrays["corner_uv"], shared if apart else image),
-        triangle_atlas=_own_images(image, parts.triangle, room.triangle_object) if apart else shared,
+        triangle_atlas=own_images(image, parts.triangle, room.triangle_object) if apart else shared,
         entries=entries,
         apart=apart,
         uniform=uniform,
@@ -243,7 +243,7 @@ def _read(run: RunFolder) -> _Results:
     )
 
 
-def _own_images(image: np.ndarray, part: np.ndarray, owner: np.ndarray) -> np.ndarray:
+def own_images(image: np.ndarray, part: np.ndarray, owner: np.ndarray) -> np.ndarray:
     """(T,) image of each triangle; those without area, which have none (-1), take that of others beside them.
 
     Args:

@@ -318,7 +318,7 @@ def _write(
     # Several images are tiles of one, which Blender finds by the numbers in their names.
     names = [f"Room.{tile_number(index)}" for index in range(len(sizes))] if len(sizes) > 1 else ["Room.001"]
     if owners is not None:
-        names = _file_names(owners)
+        names = file_names(owners)
     images = [
         {"name": name, "width": width, "height": height}
         for name, (width, height) in zip(names, sizes, strict=False)
@@ -327,7 +327,7 @@ def _write(
     write_json(run.atlas_json, {"mode": mode, "images": images, **apart})
 
 
-def _file_names(owners: list[str]) -> list[str]:
+def file_names(owners: list[str]) -> list[str]:
     """Names of files for all systems, of which some do not tell capitals from small letters."""
     taken: set[str] = set()
     names = []
