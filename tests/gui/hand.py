@@ -192,14 +192,18 @@ class Hand(Blender):
         page = 0
         while True:
             yield page
-            before = self.ask("scroll", *where)
-            for _ in range(8):
-                self._wheel(where, 5, 1)
-                if abs(self.ask("scroll", *where) - before) > self.box(where)[3] * 0.6:
-                    break
-            if self.ask("scroll", *where) == before:
+            if not self.scroll_down(where, round(self.box(where)[3] * 0.6)):
                 return
             page += 1
+
+    def scroll_down(self, where: Where, pixels: int) -> bool:
+        """Scroll a region down by about so many pixels; False where it shows its end already."""
+        before = self.ask("scroll", *where)
+        for _ in range(8):
+            self._wheel(where, 5, 1)
+            if abs(self.ask("scroll", *where) - before) >= pixels:
+                break
+        return bool(self.ask("scroll", *where) != before)
 
     def _wheel(self, where: Where, button: int, times: int) -> None:
         left, top, _, height = self.box(where)

@@ -198,7 +198,23 @@ class Window(Hand):
         self.press()
 
     def _open_part(self, name: str, below: int) -> int:
-        """Click downwards from a section's header, where there is no button, until the subpanel opens."""
+        """Click downwards from a section's header, where there is no button, until the subpanel opens.
+
+        Returns:
+            its y; the top of the sidebar where that had to be scrolled to reach it.
+        """
+        top, height = self.box(SIDEBAR)[1], self.box(SIDEBAR)[3]
+        if (y := self._click_open(name, below)) is not None:
+            return y
+        for _ in range(_TRIES):
+            if not self.scroll_down(SIDEBAR, height // 2):
+                break
+            if self._click_open(name, top) is not None:
+                return top
+        raise Lost(f"the part {name} has no header below")
+
+    def _click_open(self, name: str, below: int) -> int | None:
+        """The y of the click that has opened a subpanel, or None where none on the visible part did."""
         left, top, _, height = self.box(SIDEBAR)
         x, step = left + round(60 * self.scale()), round(UNIT * self.scale() * 0.6)
         before = self._drawn()
@@ -212,4 +228,4 @@ class Window(Hand):
                 return y
             if now != before:  # the header of another subpanel
                 self.press()
-        raise Lost(f"the part {name} has no header below")
+        return None
