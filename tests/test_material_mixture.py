@@ -172,22 +172,6 @@ def test_a_group_whose_light_is_wrong_is_outvoted() -> None:
     assert group_posterior(one, CANDIDATES, fixed, allowed, 0.2)[12, 0] == 0.0
 
 
-def test_a_large_surface_of_a_part_whose_light_is_wrong_is_outvoted_by_the_others() -> None:
-    """Three surfaces show a gloss, and one with most of the part's pixels is sure to be diffuse."""
-    gloss = float(LEVELS[3])
-    samples, _ = synthetic(np.random.default_rng(4), [(1.0, 0.0), *[(gloss, 0.0)] * 3], 0.02, 0.0)
-    surface = samples.group
-    samples = samples.take((surface == 0) | (samples.cell % CELLS < CELLS // 8))
-    surface, part = samples.group, replace(samples, group=np.zeros_like(samples.group))
-
-    def found(outliers: float, block: np.ndarray | None) -> float:
-        materials = infer_materials(part, 1, part.cell, SETTINGS, outliers=outliers, block=block)
-        return float(materials.mean[0, 0])
-
-    assert found(0.2, None) > 0.9 and found(0.0, np.zeros_like(surface)) > 0.9
-    assert abs(found(0.2, surface) - gloss) < 0.05
-
-
 def test_groups_of_one_class_and_color_count_more_than_the_room() -> None:
     """Two unclear groups: one is like five glossy groups, the other like twenty diffuse ones."""
     log_likelihood = likelihood_of(*[(12, 40.0)] * 5, *[(12, -40.0)] * 20, (12, 1.0), (12, 1.0))

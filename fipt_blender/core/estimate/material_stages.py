@@ -123,8 +123,9 @@ class MaterialStages(EstimationState):
         of each triangle's pixels that are brighter than white (T,)."""
         if self._input is None:
             shadings, settings = self._open_shadings(), self.settings
+            scan = self.room.scan is not None
             data = training_input(
-                self.observations, self._pieces, shadings, self.levels, settings, self.hints, self._segments
+                self.observations, self._pieces, shadings, self.levels, settings, self.hints, scan
             )
             joint = settings.lambda_joint if settings.emission == "joint" else None
             self._input = (data, *fit_cells(data, joint))

@@ -154,16 +154,9 @@ class EstimationState:
             self._open_shadings()
 
     @cached_property
-    def _segments(self) -> np.ndarray | None:
-        """(T,) int32 segment of each triangle of a scan; None of a modelled mesh."""
-        return None if self.room.scan is None else room_pieces(self.room)
-
-    @cached_property
     def _pieces(self) -> np.ndarray | None:
         """(T,) int32 connected piece of each triangle; None where parts are known, which need no pieces."""
-        if self.parts.kind == "part":
-            return None
-        return room_pieces(self.room) if self._segments is None else self._segments
+        return None if self.parts.kind == "part" else room_pieces(self.room)
 
     # Hints
 

@@ -9,12 +9,11 @@ the groups of one class and colour (Dirichlet distributions); expectation maximi
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..run.settings import Settings
-from ..scene.grouped import numbered
 from .confidence import UNIFORM_DEVIATION
 from .hints import KnownMaterials
 from .likelihood import Candidates, group_log_likelihoods, make_candidates, with_outliers
@@ -53,7 +52,6 @@ def infer_materials(
     similarity: np.ndarray | None = None,
     known: KnownMaterials | None = None,
     outliers: float = 0.0,
-    block: np.ndarray | None = None,
 ) -> GroupMaterials:
     """Roughness and metallic of each group: those with which its cells look most alike in all views.
 
@@ -67,8 +65,7 @@ def infer_materials(
         similarity: (groups, groups) prior probability that two groups are of one material
             (:func:`.groups.similarity`); None where each group is known to be one material of its own.
         known: what is known of the groups; None for nothing.
-        outliers: share of the groups, or of their blocks, whose pixels tell nothing.
-        block: (N,) int, pixels of a group on which the light may err alike; None: all pixels of a group.
+        outliers: share of the groups whose pixels tell nothing.
     """
     candidates = make_candidates(samples.levels)
     broad = broad_prior(candidates)
@@ -76,15 +73,10 @@ def infer_materials(
     # Groups of one material count as one.
     lowest, member = np.unique(known.same, return_inverse=True)
     likelihood = np.zeros((len(broad), len(lowest)))
-    possible = known.allows(candidates.roughness, candidates.metallic)
-    if block is None:
-        found = group_log_likelihoods(samples, groups, light_cell, broad, settings)
-    else:
-        found = _of_blocks(samples, block, light_cell, broad, settings, possible, outliers)
-        outliers = 0.0
+    found = group_log_likelihoods(samples, groups, light_cell, broad, settings)
     np.add.at(likelihood.T, member.reshape(-1), found.T)
     alike = None if similarity is None else similarity[np.ix_(lowest, lowest)]
-    allowed = possible[:, lowest]
+    allowed = known.allows(candidates.roughness, candidates.metallic)[:, lowest]
     prior = Prior(broad, settings.prior_weight, alike)
     posterior = group_posterior(likelihood, candidates, prior, allowed, outliers)
     values = np.stack([candidates.roughness, candidates.metallic])
@@ -95,37 +87,6 @@ def infer_materials(
     low, high = np.stack([known.roughness, known.metallic], axis=1).transpose(2, 0, 1)
     mean, error = np.clip(mean, low, high), np.minimum(error, (high - low) * UNIFORM_DEVIATION)
     return GroupMaterials(mean.astype(np.float32), error.astype(np.float32))
-
-
-def _of_blocks(
-    samples: PixelSamples,
-    block: np.ndarray,
-    light_cell: np.ndarray,
-    broad: np.ndarray,
-    settings: Settings,
-    possible: np.ndarray,
-    outliers: float,
-) -> np.ndarray:
-    """(S, groups) log-likelihoods of groups, the products of those of their blocks.
-
-    Each block has a scale and errors of views of its own, and a share `outliers` of the blocks tells nothing:
-    where light errs, a block is sure of a wrong material, however large it is.
-
-    Args:
-        possible: (S, groups) bool, candidates of each group; others as of :func:`infer_materials`.
-    """
-    grouped = samples.group >= 0
-    number = np.full(len(samples.group), -1)
-    number[grouped] = numbered([samples.group[grouped], block[grouped]])
-    group = np.zeros(int(number.max(initial=-1)) + 1, np.int64)
-    group[number[grouped]] = samples.group[grouped]
-    found = group_log_likelihoods(replace(samples, group=number), len(group), light_cell, broad, settings)
-    shown = (found != 0.0).any(axis=0)
-    robust = with_outliers(np.where(possible[:, group], found, -np.inf), outliers, broad)
-    total = np.zeros(possible.shape)
-    # Of candidates that are impossible for a group nothing is asked.
-    np.add.at(total.T, group[shown], np.log(np.maximum(robust, np.finfo(float).tiny)).T[shown])
-    return np.asarray(total - total.max(axis=0))
 
 
 def broad_prior(candidates: Candidates) -> np.ndarray:

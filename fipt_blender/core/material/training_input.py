@@ -55,7 +55,7 @@ def training_input(
     levels: np.ndarray,
     settings: Settings,
     hints: SurfaceHints | None = None,
-    segments: np.ndarray | None = None,
+    scan: bool = False,
 ) -> TrainingData:
     """The pixels with their shadings, groups and the materials of these.
 
@@ -63,9 +63,8 @@ def training_input(
         pieces: (T,) int connected piece of each triangle; None where parts are known.
         hints: what the artist knows; the parts of the observations are divided by them.
         shadings: of all pixels at the roughness `levels` (K,).
-        segments: (T,) int segment of each triangle of a scan; None for a modelled mesh. The light on a scan
-            errs alike in all views of a surface, which the likelihood does not know: a share `group_outliers`
-            of the groups or, where parts are known, of the segments of each tells nothing.
+        scan: whether the mesh is a scan. Its light errs alike in all views of a surface, which the likelihood
+            does not know: without parts, a share `group_outliers` of the groups tells nothing.
     """
     group, color = observations.part, np.zeros((0, 3))
     groups = int(observations.parts.triangle_part.max(initial=-1)) + 1
@@ -86,11 +85,8 @@ def training_input(
         label, seen_color = observations.part[wide.rows], color[observations.entry[wide.rows]]
         alike = _similarity(wide.group, groups, label, seen_color)
     light = _light_cells(observations, wide.rows)
-    block = None
-    if segments is not None and pieces is None:
-        block = segments[np.asarray(observations.pixels.triangle[wide.rows])]
-    outliers = 0.0 if segments is None else settings.group_outliers
-    materials = infer_materials(wide, groups, light, settings, alike, known, outliers, block)
+    outliers = settings.group_outliers if scan and pieces is not None else 0.0
+    materials = infer_materials(wide, groups, light, settings, alike, known, outliers)
     return TrainingData(observations, shadings, levels, group, materials, constant)
 
 
