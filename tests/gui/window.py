@@ -209,16 +209,18 @@ class Window(Hand):
         for _ in range(_TRIES):
             if not self.scroll_down(SIDEBAR, height // 2):
                 break
-            if self._click_open(name, top) is not None:
+            # From the bottom: to close what is above would scroll the sidebar back.
+            if self._click_open(name, top, upwards=True) is not None:
                 return top
         raise Lost(f"the part {name} has no header below")
 
-    def _click_open(self, name: str, below: int) -> int | None:
+    def _click_open(self, name: str, below: int, upwards: bool = False) -> int | None:
         """The y of the click that has opened a subpanel, or None where none on the visible part did."""
         left, top, _, height = self.box(SIDEBAR)
         x, step = left + round(60 * self.scale()), round(UNIT * self.scale() * 0.6)
         before = self._drawn()
-        for y in range(below + 2 * step, top + height, step):
+        places = range(below + 2 * step, top + height, step)
+        for y in reversed(places) if upwards else places:
             self.display.move(x, y)
             if any(self.under().values()):
                 continue
