@@ -41,6 +41,7 @@ from .exposure import exposure_gains
 # Systematic error of the contrast inferred from light: by gloss, textures and the coarse cache.
 LIGHT_DEVIATION = 0.06
 LEAST_POINTS = 200
+MOST_DEVIATIONS = 4.0  # by which the contrast by light may differ from that of the other sources
 UNKNOWN_CONTRAST = 1.0  # standard deviation of its logarithm where light alone shall tell it
 
 
@@ -127,7 +128,10 @@ def solve_light(
     # Where the mesh is open, most of the light comes from what nothing shows.
     error = float(np.hypot(error, max(float(points.direct[:, -1].mean()) - OPEN, 0.0)))
     sources = [source for source in radiometry.sources if source.name != "light"]
-    sources.append(Source("light", value, float(np.hypot(deviation, error))))
+    light, others = Source("light", value, float(np.hypot(deviation, error))), combined(sources)
+    # Farther off, the light has another explanation: what it says would spoil all radiances.
+    if abs(value - others.value) < MOST_DEVIATIONS * np.hypot(light.deviation, others.deviation):
+        sources.append(light)
     found = Radiometry(radiometry.adjustment, combined(sources), tuple(sources))
     return found, solve_lamps(points, cache, expected, (found.contrast.value, 0.0))
 
