@@ -14,11 +14,18 @@ import pytest
 from benchmarks.ldr import Camera, draw_gains, photograph
 from fipt_blender.core.capture.encoded import srgb_decoded
 from fipt_blender.core.capture.views import load_capture
+from fipt_blender.core.light.clipped import Expectation
 from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.scene.mixed_pixels import mark_pure
 from fipt_blender.core.scene.pixels import PixelStore, fill_pixels, open_pixels
-from fipt_blender.core.views.photometry import Photometry, adjust_photographs, warn_of_photographs
+from fipt_blender.core.views.photometry import (
+    LIGHT_DEVIATION,
+    Photometry,
+    adjust_photographs,
+    solve_light,
+    warn_of_photographs,
+)
 from fipt_blender.core.views.refit import refit_photographs
 from samples.small_captures import CAMERAS, COLORS, PANEL, PANEL_RADIANCE, matt, photograph_room, write_run
 from samples.small_rooms import BOX, make_room, table
@@ -130,6 +137,23 @@ def test_photographs_without_common_points_are_left_as_they_are(tmp_path: Path, 
     pixels, scale, _ = photographed(hdr, [0])
     found, _ = adjusted(pixels, room, scale, tmp_path)
     assert np.isfinite(np.asarray(pixels.radiance)).all() and np.isfinite(found.scale)
+
+
+def test_an_absurd_contrast_by_light_is_left_out(all_adjusted):
+    """Photographs of nearly one code: any light explains them if the contrast is large enough."""
+    found = all_adjusted[2].found
+    expected = Expectation.of(found.lit.bound, found.radiometry.contrast.value)
+
+    def solved(values: np.ndarray):
+        points = replace(found.lit.points, value=values)
+        return solve_light(found.radiometry, points, found.lit.cache, expected, LIGHT_DEVIATION)[0]
+
+    values = found.lit.points.value
+    sources = {source.name: source for source in solved(values).sources}
+    assert "light" in sources
+    flat = solved(np.nanmedian(values) + 0.02 * (values - np.nanmedian(values)))
+    assert "light" not in [source.name for source in flat.sources]
+    assert flat.contrast.value == pytest.approx(sources["usual"].value)
 
 
 @pytest.fixture(scope="module")
