@@ -52,13 +52,11 @@ class Solution:
         x: (P,) unknowns.
         normal: (P, P) matrix of the last step: the inverse of their covariance.
         spread: standard deviation of a row.
-        settled: whether the steps had become small.
     """
 
     x: np.ndarray
     normal: np.ndarray
     spread: float
-    settled: bool
 
     @property
     def deviation(self) -> np.ndarray:
@@ -85,12 +83,11 @@ def gauss_newton(
         longest: by which an unknown changes in a step.
         settled: change of all unknowns below which no more steps are taken.
     """
-    x, normal, done = start, np.eye(len(start)), False
+    x, normal = start, np.eye(len(start))
     for _ in range(most_steps):
         normal, right, spread = system(x, spread)
         step = np.clip(np.linalg.solve(normal, right), -longest, longest)
         x = x + step
-        done = bool(np.abs(step).max() < settled)
-        if done:
+        if np.abs(step).max() < settled:
             break
-    return Solution(x, normal, spread, done)
+    return Solution(x, normal, spread)
