@@ -14,7 +14,7 @@ from ..api import tasks
 from ..core.run.runfolder import RunFolder, explained_write_errors
 from ..jobs import running
 from .job_operator import JobOperator
-from .polls import in_object_mode
+from .polls import has_no_capture, in_object_mode
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
@@ -40,10 +40,8 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if context.scene.fipt.capture.views:
-            cls.poll_message_set("The scene has a capture already. Use a new scene")
-            return False
-        return in_object_mode(cls, context) and super().poll(context)
+        free = has_no_capture(cls, context) and in_object_mode(cls, context)
+        return free and super().poll(context)
 
     def _begin(self, context: bpy.types.Context, wait: bool) -> running.RunningJob:
         from ..jobs.run_job import find_launch

@@ -13,6 +13,7 @@ from ..core.capture.suffixes import SUFFIXES
 from ..core.run.errors import FiptError
 from ..jobs import running
 from .job_operator import StartsJob
+from .polls import over_sidebar
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
@@ -110,9 +111,7 @@ class FIPT_FH_photographs(bpy.types.FileHandler):
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
-        area, region = context.area, context.region
-        # Elsewhere in the 3D Viewport, Blender itself takes dropped images.
-        return area is not None and area.type == "VIEW_3D" and region is not None and region.type == "UI"
+        return over_sidebar(context)
 
 
 class FIPT_OT_photographs_of_capture(bpy.types.Operator):

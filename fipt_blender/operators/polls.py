@@ -37,3 +37,17 @@ def has_results(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bo
         cls.poll_message_set("Use Apply Results first")
         return False
     return True
+
+
+def has_no_capture(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """The scene has no capture yet: a room comes into a scene of its own."""
+    if context.scene.fipt.capture.views:
+        cls.poll_message_set("The scene has a capture already. Use a new scene")
+        return False
+    return True
+
+
+def over_sidebar(context: bpy.types.Context) -> bool:
+    """The pointer drops files on the 3D Viewport's sidebar; elsewhere there, Blender takes dropped images."""
+    area, region = context.area, context.region
+    return area is not None and area.type == "VIEW_3D" and region is not None and region.type == "UI"

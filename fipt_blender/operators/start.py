@@ -12,7 +12,7 @@ import bpy
 from .. import machine
 from ..core.run.runfolder import RunFolder
 from .job_operator import JobOperator
-from .polls import in_object_mode
+from .polls import has_no_capture, in_object_mode, over_sidebar
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
@@ -62,8 +62,7 @@ class FIPT_FH_capture(bpy.types.FileHandler):
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
-        area, region = context.area, context.region
-        return area is not None and area.type == "VIEW_3D" and region is not None and region.type == "UI"
+        return over_sidebar(context)
 
 
 class FIPT_OT_recover_run(JobOperator, bpy.types.Operator):
@@ -81,10 +80,8 @@ class FIPT_OT_recover_run(JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if context.scene.fipt.capture.views:
-            cls.poll_message_set("The scene has a capture already. Use a new scene")
-            return False
-        return in_object_mode(cls, context) and super().poll(context)
+        free = has_no_capture(cls, context) and in_object_mode(cls, context)
+        return free and super().poll(context)
 
     def make_job(self, context: bpy.types.Context) -> Job:
         from ..bridge.places import runs_folder
