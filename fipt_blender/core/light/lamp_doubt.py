@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from ..optics.lights import LUMINANCE
 from ..scene.camera_rays import rays_along
+from ..scene.grouped import rows_of_groups
 from ..scene.pixels import PixelStore
 from ..scene.room import Room
 from .emitters import Fixture, pixels_on
@@ -52,11 +53,14 @@ class HardlySeen:
 
 def hardly_seen(lamps: Sequence[Fixture], pixels: PixelStore, triangles: int) -> list[HardlySeen]:
     """The lamps that photographs hardly show; `triangles`: how many the room has."""
-    found = []
+    lamp_of = np.full(triangles, -1, np.int64)
     for index, lamp in enumerate(lamps):
-        marked = np.zeros(triangles, bool)
-        marked[lamp.triangles] = True
-        rows = pixels_on(pixels.triangle, marked)
+        lamp_of[lamp.triangles] = index
+    on_lamps = pixels_on(pixels.triangle, lamp_of >= 0)  # few, in one pass over all pixels
+    shown_by = rows_of_groups(lamp_of[pixels.triangle[on_lamps]], len(lamps))
+    found = []
+    for index, place in enumerate(shown_by):
+        rows = on_lamps[place]
         if np.count_nonzero(pixels.pure[rows]) >= LEAST_PURE:
             continue
         weight = np.asarray(pixels.weight[rows], np.float64)
