@@ -28,9 +28,6 @@ if TYPE_CHECKING:
     from ..properties.capture import FIPT_CaptureSettings
 
 _ATLAS_SETTINGS = ("atlas_mode", "atlas_images", "texture_size", "texel_density")
-# Seconds on a small capture, for the progress bar only.
-_CAMERAS_SECONDS, _ROOM_SECONDS = 1.0, 2.0
-_ATLAS_SECONDS, _BAKE_SECONDS, _BUILD_SECONDS = 2.0, 25.0, 1.0
 
 
 def run_of(scene: bpy.types.Scene) -> RunFolder:
@@ -245,9 +242,10 @@ def make_steps(run: RunFolder, settings: Settings, resume: bool) -> list[Step]:
 
         return export_scene_room(run)
 
+    # Seconds on a small capture, for the progress bar only.
     return [
-        Step("cameras", "Reading the cameras", _CAMERAS_SECONDS, function=cameras, repeat=True),
-        Step("room", EXPORT_TEXT, _ROOM_SECONDS, function=room, repeat=True),
+        Step("cameras", "Reading the cameras", 1.0, function=cameras, repeat=True),
+        Step("room", EXPORT_TEXT, 2.0, function=room, repeat=True),
         estimate_step(run, settings, resume),
     ]
 
@@ -415,7 +413,7 @@ def apply_steps(scene_name: str, run: RunFolder, settings: Settings) -> list[Ste
         Step(
             "apply-atlas",
             "Creating texture coordinates",
-            _ATLAS_SECONDS,
+            2.0,
             inputs={
                 "room": _stamp(run.estimated().room_npz),
                 "parts": _stamp(run.parts_npz) if settings.atlas_images == "part" else [],
@@ -427,7 +425,7 @@ def apply_steps(scene_name: str, run: RunFolder, settings: Settings) -> list[Ste
         Step(
             "apply-textures",
             "Baking textures",
-            _BAKE_SECONDS,
+            25.0,
             inputs={"fields": _stamp(run.fields_npz)},
             command=["textures", str(run.root)],
             outputs=[run.textures],
@@ -435,7 +433,7 @@ def apply_steps(scene_name: str, run: RunFolder, settings: Settings) -> list[Ste
         Step(
             "apply-build",
             "Building materials and lights",
-            _BUILD_SECONDS,
+            1.0,
             inputs={"time": uuid.uuid4().hex},  # never skipped: its result is in the .blend file
             function=build,
         ),

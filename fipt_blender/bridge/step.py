@@ -15,14 +15,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ..core.run.documents import read_json
+from ..core.run.documents import head, read_json
 from ..core.run.errors import FiptError
 from ..core.run.lock import briefly_locked
 from ..core.run.runfolder import write_json
 from ..core.run.shapes import STEPS
 from .process import Engine, Message
-
-STEPS_VERSION = 1
 
 Result = TypeVar("Result")
 # Work in slices: a generator that yields the share that is done (0 to 1), or None, between two slices.
@@ -128,7 +126,7 @@ class StepRecord:
         self._changed.add(name)
         with briefly_locked(self._path.with_name(f".{self._path.name}.lock")):
             self._take_others()
-            write_json(self._path, {"format": "fipt-steps", "version": STEPS_VERSION, "steps": self._steps})
+            write_json(self._path, {**head("steps"), "steps": self._steps})
 
     def _read(self) -> dict[str, dict[str, Any]]:
         """The steps in the file.
@@ -139,7 +137,9 @@ class StepRecord:
         if not self._path.exists():
             return {}
         data = read_json(self._path, STEPS)
-        steps: dict[str, dict[str, Any]] = data["steps"] if data["version"] == STEPS_VERSION else {}
+        steps: dict[str, dict[str, Any]] = (
+            data["steps"] if data["version"] == head("steps")["version"] else {}
+        )
         return steps
 
     def _take_others(self) -> None:

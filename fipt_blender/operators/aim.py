@@ -11,8 +11,6 @@ from ..blend.marks import NEW_LIGHT
 from .pointer import surface_under_pointer
 from .reporting import reports_errors
 
-_FAR = 2.0  # metres at which the handle of a light is that meets nothing
-
 
 class FIPT_OT_aim_light(bpy.types.Operator):
     """Turn the active light towards a point"""
@@ -102,7 +100,8 @@ class FIPT_GGT_aim(bpy.types.GizmoGroup):
         from ..blend.lights.new_lights import beam_end
 
         item = context.object
-        end = beam_end(context.scene, context.evaluated_depsgraph_get(), item, _FAR)
+        # 2 m away where the beam meets nothing.
+        end = beam_end(context.scene, context.evaluated_depsgraph_get(), item, 2.0)
         self.handle.matrix_basis = (
             Matrix.Translation(end) @ item.matrix_world.to_quaternion().to_matrix().to_4x4()
         )

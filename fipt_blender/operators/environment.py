@@ -21,8 +21,6 @@ from .reporting import reports_errors
 if TYPE_CHECKING:
     from ..bridge.sequence import Job
 
-_LOG_LINES = 30
-
 
 class FIPT_OT_set_up_engine(DataJobOperator, bpy.types.Operator):
     """Create a Python environment for the engine and install its packages there"""
@@ -208,7 +206,7 @@ def read_log() -> list[str]:
 
     try:
         with open(log_file(), encoding="utf-8", errors="replace") as file:
-            return [line.rstrip() for line in deque(file, _LOG_LINES)]
+            return [line.rstrip() for line in deque(file, 30)]
     except OSError as error:
         return [f"{log_file()}: {error.strerror}"]
 

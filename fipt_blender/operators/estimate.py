@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from ..bridge.sequence import Job
     from ..jobs.tasks import Task
 
-_ASK_SECONDS = 60.0  # after so much work, Esc asks before it cancels
-
 
 class _Estimation(JobOperator):
     """Base of Estimate and Resume."""
@@ -160,7 +158,7 @@ class FIPT_OT_cancel(bpy.types.Operator):
             return self.execute(context)
         if session.stops_playback(context.screen):
             return {"PASS_THROUGH"}
-        if job.worked_seconds < _ASK_SECONDS:
+        if job.worked_seconds < 60.0:  # after so much work, Esc asks before it cancels
             return self.execute(context)
         message = iface_("It has been running for {}. Finished stages are kept for Resume.").format(
             time_text(job.worked_seconds)

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from ..blend.insert.surfaces import Surface
 
 _WHEEL_TURN = math.radians(15.0)
-_WHEEL_SCALE = 1.1
 _PLACE_TEXT = "Click: Place   Wheel: Rotate   Ctrl Wheel: Scale   Esc, Right Click: Cancel"
 _FROM_PANEL = ("kind", "copy", "align", "turn", "scale", "drop")
 
@@ -251,7 +250,7 @@ class FIPT_OT_insert_object(WaitsForClicks, bpy.types.Operator):
     def _turn_wheel(self, context: bpy.types.Context, event: bpy.types.Event) -> None:
         sign = 1.0 if event.type == "WHEELUPMOUSE" else -1.0
         if event.ctrl:
-            self.scale *= _WHEEL_SCALE**sign
+            self.scale *= 1.1**sign
         else:
             self.turn += sign * _WHEEL_TURN * (0.1 if event.shift else 1.0)
         self._place(context)

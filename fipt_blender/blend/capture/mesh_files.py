@@ -21,8 +21,6 @@ from ...core.run.errors import FiptError
 from ...core.run.shapes import FARTHEST_UNITS
 from .mesh_names import check_named_files
 
-_MOST_HEADER_BYTES = 1_000_000
-_MOST_COUNT = 2**31 - 1  # Blender's indices are 32-bit
 _CHUNK = 1 << 17  # records of lists that are walked at once
 _TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
@@ -99,7 +97,7 @@ def check_mesh_file(path: Path) -> None:
 
 def _check_ply(path: Path) -> None:
     with open(path, "rb") as file:
-        header = _read_header(file.read(_MOST_HEADER_BYTES))
+        header = _read_header(file.read(1_000_000))
         if not header.order:
             file.seek(header.size)
             _check_ascii(file, header)
@@ -125,7 +123,7 @@ def _read_header(start: bytes) -> _Header:
             case ["format", name, "1.0"] if name in _ORDERS and order is None:
                 order = _ORDERS[name]
             case ["element", name, count] if order is not None and re.fullmatch(r"\d{1,10}", count):
-                if int(count) > _MOST_COUNT:
+                if int(count) > 2**31 - 1:  # Blender's indices are 32-bit
                     raise ValueError(f"it states {int(count):,} elements '{name}'")
                 elements.append(_Element(name, int(count), []))
             case ["property", kind, name] if elements and kind in _TYPES:

@@ -24,7 +24,6 @@ from .exporting import camera_pose
 from .importing import fill_views
 
 SCENE_SOURCE = "scene-cameras"  # `imported_path` of such captures
-_SAME_ASPECT = 2e-3
 _FRAMES = Fields({"frames": Items(Fields({"name": str}))})
 
 
@@ -192,7 +191,7 @@ def photograph_lens(
     # Sizes as displayed: the pixels of a frame may be non-square, those of an image are square.
     shown = (frame.width * frame.camera.pixel_aspect_x, frame.height * frame.camera.pixel_aspect_y)
     scale_x, scale_y = shown[0] / width, shown[1] / height
-    if background.frame_method != "STRETCH" and abs(scale_x / scale_y - 1.0) > _SAME_ASPECT:
+    if background.frame_method != "STRETCH" and abs(scale_x / scale_y - 1.0) > 2e-3:
         scale_x = scale_y = (min if background.frame_method == "FIT" else max)(scale_x, scale_y)
     x, y = frame.camera.pixel_aspect_x / scale_x, frame.camera.pixel_aspect_y / scale_y
     return (

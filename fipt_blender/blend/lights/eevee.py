@@ -22,7 +22,6 @@ from ..room.mesh_arrays import world_bounds
 from .convert import fixture_to_lights
 
 SPACING = 0.4  # metres between the samples of the volume
-_MIN, _MAX = 4, 32  # samples along an axis
 # Samples by which the volume exceeds the room on each side: EEVEE fades it into the world before its border,
 # and walls there would get the world's light.
 _BORDER = 1
@@ -115,5 +114,5 @@ def place_volume(scene: bpy.types.Scene, low: np.ndarray, high: np.ndarray) -> b
 
 def resolution(extent: np.ndarray) -> tuple[int, int, int]:
     """Samples of the volume inside a room of these extents (3,) in metres along each axis."""
-    x, y, z = (min(max(math.ceil(float(size) / SPACING), _MIN), _MAX) for size in extent)
+    x, y, z = (min(max(math.ceil(float(size) / SPACING), 4), 32) for size in extent)
     return x, y, z

@@ -17,8 +17,6 @@ from ..run.errors import FiptError
 from ..run.shapes import FARTHEST_UNITS
 from .glb_file import read_glb
 
-MOST_BYTES = 4_000_000_000
-_HEADER_BYTES = 1_000_000
 _TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
     **{"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
@@ -45,7 +43,7 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if not path.is_file():
         raise FiptError("mesh-missing", f"The mesh {path} does not exist.", "Correct the path.")
     try:
-        vertices, triangles = reader(read_limited(path, MOST_BYTES))
+        vertices, triangles = reader(read_limited(path, 4_000_000_000))
         wrong = int((~(np.abs(vertices) <= FARTHEST_UNITS)).any(axis=1).sum())
         if wrong:
             raise ValueError(f"{wrong} of {len(vertices)} vertices are not finite or impossibly far away")
@@ -82,7 +80,7 @@ class _Element:
 
 
 def _read_ply(data: bytes) -> tuple[np.ndarray, np.ndarray]:
-    end = data.find(b"end_header", 0, _HEADER_BYTES)
+    end = data.find(b"end_header", 0, 1_000_000)
     line_end = data.find(b"\n", end)
     if not data.startswith(b"ply") or end < 0 or line_end < 0:
         raise ValueError("it has no PLY header")

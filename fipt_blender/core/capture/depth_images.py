@@ -30,7 +30,6 @@ from .rig import DepthView, Pinhole, RigView
 
 DEFAULT_VOXEL = 0.02
 SMALLEST_VOXEL, LARGEST_VOXEL = 0.002, 1.0
-NO_DEPTH = 65535  # of 16-bit images, besides 0
 # Beyond this, depth cameras of phones and consoles measure little but noise.
 FARTHEST = 8.0
 # Medians outside of this are no distances in a room: the unit of the depth images is another one.
@@ -128,7 +127,7 @@ def _read_png(path: Path) -> np.ndarray:
             f"{path} is not a 16-bit grayscale PNG, so that it holds no depth.",
             "Export depth images as 16-bit PNG.",
         )
-    return np.where(values == NO_DEPTH, 0, values).astype(np.float32)
+    return np.where(values == 65535, 0, values).astype(np.float32)  # both stand for no depth
 
 
 def _read_exr(path: Path) -> np.ndarray:

@@ -37,8 +37,6 @@ from . import (
 from .rig import ReadOptions, Rig, damaged
 from .suffixes import SUFFIXES
 
-MOST_FILES = 10_000  # that are looked at for photographs
-
 # The first match is used: nerfstudio, for example, keeps a COLMAP model beside its transforms.json.
 FORMATS: dict[str, ModuleType] = {
     module.NAME: module
@@ -90,7 +88,7 @@ def detect_format(path: Path) -> str:
 def _has_photographs(folder: Path) -> bool:
     """Whether a folder, or one directly in it, holds photographs."""
     files = (file for pattern in ("*", "*/*") for file in folder.glob(pattern))
-    return any(file.suffix.lower() in SUFFIXES for file in islice(files, MOST_FILES))
+    return any(file.suffix.lower() in SUFFIXES for file in islice(files, 10_000))
 
 
 def read_rig(path: Path, name: str, options: ReadOptions) -> Rig:

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from .. import conventions
+from ..run.documents import head
 from ..run.errors import FiptError
 from ..run.light_size import refuse_full_disk
 from ..run.messages import Reporter
@@ -49,7 +50,6 @@ from .ingest_options import add_arguments as add_arguments  # of the command
 from .photograph_poses import with_photograph_poses
 from .rig import Pinhole, RigView
 from .source import mesh_fusion, read_source, write_mesh
-from .views import CAPTURE_FORMAT, CAPTURE_VERSION
 
 # Photographs with more pixels than these are rewritten with 8 bits (JPEG) or 16 (HDR) instead of 32: of 12
 # megapixels 144 MB would be written. Smaller ones keep all bits.
@@ -59,7 +59,6 @@ LEAST_HALF, DARKER = 2.0**-14, 100.0
 # Longer side of the copies that Blender's windows show of larger photographs, and their usual size: what a
 # screen can show, and what the pictures beside them are rendered at.
 PREVIEW_SIDE = 1920
-PREVIEW_BYTES = 2_000_000
 ID_IMAGES = ("parts", "semantics", "mask")
 
 
@@ -138,8 +137,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
         for one in zip(views, pinholes, exposures, files, strict=True)
     ]
     data = {
-        "format": CAPTURE_FORMAT,
-        "version": CAPTURE_VERSION,
+        **head("capture"),
         "source": rig.source,
         "world_from_source": world_from_source.tolist(),
         "mesh": None if mesh is None else str(mesh),
@@ -400,7 +398,7 @@ def _moved(files: dict[str, Path], folder: Path, target: Path) -> dict[str, Path
 def _rewritten_bytes(view: RigView) -> int:
     """Expected size of a view's rewritten photograph, 0 where distortion is none, and of its copy."""
     pixels = view.width * view.height
-    preview = PREVIEW_BYTES if max(view.width, view.height) > PREVIEW_SIDE else 0
+    preview = 2_000_000 if max(view.width, view.height) > PREVIEW_SIDE else 0
     if not is_distorted(view.lens, view.width, view.height):
         return preview
     if pixels <= EXACT_PIXELS:

@@ -38,7 +38,6 @@ LOOKS_FOR = (
     "XMP files with xcr:Position beside the photographs, or a CSV file with the columns x, y, alt, heading, f"
 )
 FOLDERS = (".", "images", "input")
-FILM_WIDTH = 36.0  # mm
 _XCR = "{http://www.capturingreality.com/ns/xcr/1.1#}"
 _COLUMNS = ("x", "y", "alt", "heading", "pitch", "roll", "f", "px", "py", "k1", "k2", "k3", "k4", "t1", "t2")
 _XMP_IMAGES = tuple(dict.fromkeys((*IMAGE_FOLDERS, *FOLDERS)))
@@ -172,6 +171,6 @@ def _lens(size: tuple[int, int], film: tuple[float, ...], coefficients: tuple[fl
         coefficients: k1 to k4, t1, t2.
     """
     side = float(max(size))
-    focal = film[0] * side / FILM_WIDTH
+    focal = film[0] * side / 36.0  # mm, of 35 mm film
     intrinsics = (focal, focal, 0.5 * size[0] + film[1] * side, 0.5 * size[1] + film[2] * side)
     return distorting_lens(intrinsics, size, coefficients[:4], (coefficients[5], coefficients[4]))

@@ -27,7 +27,6 @@ PARTS_FOLDER = "parts"
 SEMANTICS_FOLDER = "semantics"
 CLASS_NAMES = "classes.json"  # names of semantic classes by id, beside their masks
 MOST_PART_BYTES = 120  # of one part of a view's name; file systems take 255 with suffix and number
-MOST_NAME_PARTS = 8
 _MALFORMED = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, ParseError, csv.Error)
 
 
@@ -247,7 +246,7 @@ def view_name(path: str) -> str:
     if pure.suffix.lower() in PHOTO_SUFFIXES:
         pure = pure.with_suffix("")
     parts = [part for part in pure.parts if part not in ("..", ".") and not part.endswith((":", "/"))]
-    return "/".join(_shortened(part) for part in parts[-MOST_NAME_PARTS:]) or "view"
+    return "/".join(_shortened(part) for part in parts[-8:]) or "view"
 
 
 def _shortened(part: str) -> str:

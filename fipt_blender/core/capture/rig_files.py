@@ -41,9 +41,7 @@ from .rig import (
 
 IMAGE_FOLDERS = ("hdr", "exr", "images", "input", "Image", ".")
 MESH_STEMS = ("scene", "mesh", "model", "texturedMesh", "scene_dense_mesh")
-HEAD_BYTES = 1 << 16
 MOST_TEXT_BYTES = 256_000_000
-MOST_XML_BYTES = 64_000_000  # a parsed document takes about ten times its size
 
 
 @dataclass(frozen=True)
@@ -180,7 +178,7 @@ def head(path: Path) -> str:
     """The beginning of a file as text, for recognizing its format; empty where it can't be read."""
     try:
         with path.open("rb") as file:
-            return file.read(HEAD_BYTES).decode("utf-8", errors="replace")
+            return file.read(1 << 16).decode("utf-8", errors="replace")
     except OSError:
         return ""
 
@@ -227,7 +225,7 @@ def read_xml_rig(path: Path) -> ElementTree.Element:
     Raises:
         FiptError: ``rig-damaged``.
     """
-    text = read_text_rig(path, MOST_XML_BYTES)
+    text = read_text_rig(path, 64_000_000)  # a parsed document takes about ten times its size
     if "<!DOCTYPE" in text:
         raise damaged(path, "it declares a document type")
     with WellFormed(path):

@@ -32,7 +32,6 @@ LEAST_LIKENESS = 0.9
 # automatically makes different views equally bright instead.
 LEAST_GAIN, MOST_GAIN = 0.5, 2.0
 _LEAST_SHARE = 0.05  # of the pixels must be well exposed in both
-_MOST_KEPT = 32  # small pictures in memory: a bracket's
 
 
 class Likeness:
@@ -62,7 +61,7 @@ class Likeness:
                 self._pictures[photograph.path] = small_picture(self._source / photograph.path, photograph)
             except (FiptError, *DAMAGE):
                 self._pictures[photograph.path] = None  # the merge reports what is wrong with it
-            while len(self._pictures) > _MOST_KEPT:
+            while len(self._pictures) > 32:  # small pictures in memory: a bracket's
                 self._pictures.popitem(last=False)
         return self._pictures[photograph.path]
 

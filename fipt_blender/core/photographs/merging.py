@@ -20,7 +20,6 @@ from ..radiometry.adjustment import CODE_NOISE
 from .frames import BAND_ROWS, Frame, block_mean
 from .motion import Motion, warped
 
-PASSES = 2  # of the weights' expectation
 # The hat: full weight up to here, none from the ceiling on.
 HAT_FROM, HAT_TO = 0.7, 0.97
 _LEAST_WEIGHT = 1e-9
@@ -137,7 +136,7 @@ def merge_exposures(
         lost = ~np.any(only, axis=0)
         usable = [np.where(lost, u, o) for u, o in zip(usable, only, strict=True)]
     radiance = _weighted(values, usable, exposures, noise, None)
-    for _ in range(PASSES):
+    for _ in range(2):  # the second with the weights of the first
         radiance = _weighted(values, usable, exposures, noise, radiance)
     none = ~np.any(usable, axis=0)
     if none.any():

@@ -16,9 +16,6 @@ from scipy import ndimage
 from ..robust import deviation
 
 FINEST_SIDE = 1024  # pixels of the longer side at which motion is measured
-COARSEST_SIDE = 48
-STEPS = 20
-MOST_POINTS = 40_000  # at which residuals are measured
 STILL_PIXELS = 0.15  # smaller motion of any corner, in pixels of the working size, is measurement noise
 MOST_SHARE = 0.15  # of the longer side; larger motion is taken for a failure
 # Standard deviation of the logarithm at the coarsest size, where noise is averaged out.
@@ -133,7 +130,7 @@ def log_values(image: np.ndarray) -> np.ndarray:
 def _pyramid(image: np.ndarray) -> list[np.ndarray]:
     """The image at growing sizes; a pixel of a smaller one is usable if half of its four are."""
     levels = [image]
-    while max(levels[0].shape) >= 2 * COARSEST_SIDE and min(levels[0].shape) >= 16:
+    while max(levels[0].shape) >= 96 and min(levels[0].shape) >= 16:
         last = levels[0]
         height, width = (size // 2 * 2 for size in last.shape)
         blocks = last[:height, :width].reshape(height // 2, 2, width // 2, 2)
@@ -172,10 +169,10 @@ def _refined(reference: np.ndarray, exposure: np.ndarray, motion: Motion) -> Mot
     known = np.flatnonzero(np.isfinite(reference))
     if len(known) < _LEAST_OVERLAP * reference.size:
         return Motion(motion.x, motion.y, motion.angle, -1.0)
-    known = known[:: max(1, len(known) // MOST_POINTS)]
+    known = known[:: max(1, len(known) // 40_000)]
     points = np.stack([known % width, known // width], -1) + 0.5
     target = reference.ravel()[known].astype(np.float64)
-    for _ in range(STEPS):
+    for _ in range(20):
         places = motion.apply(points, width, height)
         values, slopes = _sampled(exposure, places)
         valid = np.isfinite(values)

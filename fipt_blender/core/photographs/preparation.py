@@ -13,11 +13,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..run.documents import read_json
+from ..run.documents import head, read_json
 from ..run.errors import FiptError
 from ..run.paths import is_network, leads_outside
 from ..run.runfolder import write_json
-from ..run.shapes import MOST_SIDE, PREPARE, PREPARE_FORMAT, PREPARE_VERSION
+from ..run.shapes import MOST_SIDE, PREPARE
 
 GROUPINGS = ("auto", "folders", "single")
 RESPONSES = ("auto", "srgb", "linear")
@@ -235,8 +235,7 @@ def write_preparation(folder: PreparationFolder, preparation: Preparation) -> No
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
     data = {
-        "format": PREPARE_FORMAT,
-        "version": PREPARE_VERSION,
+        **head("prepare"),
         "source": str(preparation.source),
         "settings": asdict(preparation.settings),
         "photographs": [asdict(photograph) for photograph in preparation.photographs],

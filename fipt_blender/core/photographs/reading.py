@@ -18,7 +18,6 @@ from .likeness import Likeness
 from .preparation import Group, Photograph, Preparation, PreparationFolder, write_preparation
 
 MOST_PHOTOGRAPHS = 20_000
-_HEADERS_SHARE = 0.7  # of the time; the rest compares photographs
 
 
 def key(folder: PreparationFolder, preparation: Preparation) -> Any:
@@ -50,7 +49,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
             skipped.append({"path": name, "reason": error.text})
             if error.code == "package-optional":
                 skipped[-1]["reason"] += f" {error.remedy}"
-        reporter.progress(_HEADERS_SHARE * (index + 1) / len(names))
+        reporter.progress(0.7 * (index + 1) / len(names))  # of the time; the rest compares photographs
     photographs, doubles = without_doubles(in_order(photographs))
     skipped += [
         {"path": item.path, "reason": "the RAW photograph of the same name is used"} for item in doubles

@@ -29,7 +29,6 @@ SURE, SURE_CELLS = 0.93, 16.0
 # The paper's choices, but for the stability: of 0.95, walls were left without a mask.
 LEAST_CONFIDENCE = 0.88  # IoU with the true mask that the model predicts
 LEAST_STABILITY = 0.9
-STABILITY_OFFSET = 1.0  # of logits
 MOST_COVER = 0.95  # share of a photograph, from which a mask shows no region
 MOST_OVERLAP = 0.7  # IoU of two masks of different regions
 # Pixels of a region's pieces as a share of the photograph's; the paper's 100 pixels at about 1 megapixel.
@@ -198,7 +197,7 @@ def grid_points(count: int, size: tuple[int, int]) -> torch.Tensor:
     return torch.stack([x.flatten() * (size[1] / columns), y.flatten() * (size[0] / rows)], dim=1)
 
 
-def stability(logits: torch.Tensor, offset: float = STABILITY_OFFSET) -> torch.Tensor:
+def stability(logits: torch.Tensor, offset: float = 1.0) -> torch.Tensor:
     """How little masks depend on the threshold: the IoU of those at thresholds of +offset and -offset.
 
     Args:

@@ -12,8 +12,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-_PS_SECONDS = 5.0
-
 
 def host_name() -> str:
     """The name of this machine."""
@@ -34,7 +32,7 @@ def process_start(pid: int) -> str:
             return ""
     try:
         command = ["ps", "-o", "lstart=", "-p", str(pid)]
-        result = subprocess.run(command, capture_output=True, text=True, timeout=_PS_SECONDS, check=False)
+        result = subprocess.run(command, capture_output=True, text=True, timeout=5.0, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return ""
     return result.stdout.strip()

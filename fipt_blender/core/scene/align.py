@@ -30,14 +30,13 @@ from ..capture.rig import ReadOptions
 from ..capture.views import View, load_capture
 from ..conventions import transform_points
 from ..device.variant import set_variant
+from ..run.documents import head
 from ..run.errors import FiptError
 from ..run.messages import Reporter
 from ..run.run_files import read_room_files
 from ..run.runfolder import RunFolder, write_json
 from ..run.threads import in_threads
 
-ALIGN_FORMAT = "fipt-align"
-ALIGN_VERSION = 1
 HOW = ("points", "near", "edges")
 _ROUNDS = 3  # of tracing the edges again after the cameras have moved
 _SEED = 0
@@ -70,7 +69,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         points = solve_points(arguments.capture, arguments.format, views)
         found = _by_points(folder, views, points, arguments.how == "near", reporter)
     path = folder.root / "align.json"
-    write_json(path, {"format": ALIGN_FORMAT, "version": ALIGN_VERSION, **found})
+    write_json(path, {**head("align"), **found})
     reporter.done([str(path)])
 
 

@@ -24,7 +24,6 @@ from ..scene.camera_rays import trace_pixels
 from ..scene.room import Room, load_room
 
 MAX_VIEWS = 3
-MAX_WIDTH = 640
 
 
 def write_view_maps(run: RunFolder, fields: RoomFields, views: Sequence[View]) -> list[Path]:
@@ -41,7 +40,7 @@ def write_view_maps(run: RunFolder, fields: RoomFields, views: Sequence[View]) -
     chosen = sorted(views, key=lambda view: view.split != "held_back")[:MAX_VIEWS]
     for index, view in enumerate(chosen):
         entry = {"view": view.name}
-        for name, values in view_maps(room, lights, fields, shrunk(view, MAX_WIDTH)).items():
+        for name, values in view_maps(room, lights, fields, shrunk(view, 640)).items():
             path = folder / f"{index:03d}_{name}.exr"
             write_exr(path, values, half=True)
             entry[name] = path.relative_to(run.root).as_posix()
