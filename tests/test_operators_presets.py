@@ -9,7 +9,8 @@ from pathlib import Path
 import bpy
 import pytest
 
-from fipt_blender.panels.presets import CLASSES
+from fipt_blender.panels import presets
+from fipt_blender.properties import classes_of
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -66,6 +67,6 @@ def test_import_and_check_settings_come_back(folder):
 
 
 def test_each_menu_knows_its_operator():
-    for menu in CLASSES:
+    for menu in classes_of([presets]):
         section, operator = menu.preset_add_operator.split(".")
         assert getattr(getattr(bpy.ops, section), operator).get_rna_type().identifier

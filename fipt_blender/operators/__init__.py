@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The operators: gather options, call the work, report. One file per section of the panel, with its CLASSES.
+"""The operators: gather options, call the work, report. One file per section of the panel.
 
 They are imported while Blender starts, so a module imports at its top only what declaring its classes needs.
 Jobs (`jobs`, `bridge`), work on Blender's data (`blend`) and the heavier modules of the standard library are
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..properties import classes_of
 from . import (
     aim,
     alignment,
@@ -28,9 +29,11 @@ from . import (
     light_states,
     lights,
     materials,
+    new_light,
     part_materials,
     parts,
     photographs,
+    picture,
     presets,
     scale_points,
     start,
@@ -57,10 +60,12 @@ MODULES = (
     part_materials,
     export,
     lights,
+    new_light,
     light_states,
     eevee,
     aim,
     insert,
+    picture,
     check,
     compare,
     presets,
@@ -68,6 +73,5 @@ MODULES = (
 )
 
 
-register, unregister = bpy.utils.register_classes_factory(
-    [operator for module in MODULES for operator in module.CLASSES]
-)
+CLASSES = classes_of(MODULES)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

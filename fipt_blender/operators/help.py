@@ -7,6 +7,7 @@ from __future__ import annotations
 import bpy
 
 from ..panels import manual
+from .polls import all_of, needs
 
 
 class FIPT_OT_help(bpy.types.Operator):
@@ -19,18 +20,13 @@ class FIPT_OT_help(bpy.types.Operator):
         name="Chapter", description="The chapter; the guide's first page if empty", options={"SKIP_SAVE"}
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not manual.address():
-            cls.poll_message_set(
-                "The guide is part of the extension's zip. Install it, or read docs/guide.md"
-            )
-            return False
-        return True
+    poll = all_of(
+        needs(
+            lambda context: manual.address(),
+            "The guide is part of the extension's zip. Install it, or read docs/guide.md",
+        )
+    )
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         bpy.ops.wm.url_open(url=manual.address() + manual.chapter_page(self.chapter))
         return {"FINISHED"}
-
-
-CLASSES = (FIPT_OT_help,)

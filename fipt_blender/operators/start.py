@@ -12,7 +12,7 @@ import bpy
 from .. import machine
 from ..core.run.runfolder import RunFolder
 from .job_operator import JobOperator
-from .polls import has_no_capture, in_object_mode, over_sidebar
+from .polls import all_of, has_no_capture, in_object_mode, no_job, over_sidebar
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
@@ -78,10 +78,7 @@ class FIPT_OT_recover_run(JobOperator, bpy.types.Operator):
         name="Folder", description="Folder of the run", subtype="DIR_PATH", options={"SKIP_SAVE"}
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        free = has_no_capture(cls, context) and in_object_mode(cls, context)
-        return free and super().poll(context)
+    poll = all_of(has_no_capture, in_object_mode, no_job)
 
     def make_job(self, context: bpy.types.Context) -> Job:
         from ..bridge.places import runs_folder
@@ -105,6 +102,3 @@ class FIPT_OT_recover_run(JobOperator, bpy.types.Operator):
             mark(run.root)
         recovery.forget()
         return job
-
-
-CLASSES = (FIPT_OT_choose_capture, FIPT_FH_capture, FIPT_OT_recover_run)

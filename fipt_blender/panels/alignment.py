@@ -99,6 +99,3 @@ class FIPT_PT_capture_pairs(SubSection, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("fipt.align_by_pairs", icon="CON_CAMERASOLVER")
         row.prop(settings, "show_marks", text="", icon="HIDE_OFF")
-
-
-CLASSES = (FIPT_UL_pairs, FIPT_PT_capture_alignment, FIPT_PT_capture_pairs)

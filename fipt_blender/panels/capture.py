@@ -269,13 +269,3 @@ def shown_colors(scene: bpy.types.Scene) -> str:
     """What is drawn over the room: "coverage", "parts" or "". Does not import the drawing module."""
     overlay = sys.modules.get(__package__.rpartition(".")[0] + ".blend.capture.overlay")
     return overlay.shown(scene) if overlay is not None else ""
-
-
-CLASSES = (
-    FIPT_UL_views,
-    FIPT_MT_tick_views,
-    FIPT_PT_capture,
-    FIPT_PT_capture_import,
-    FIPT_PT_capture_room,
-    FIPT_PT_capture_views,
-)

@@ -127,6 +127,3 @@ def _draw_comparison(layout: bpy.types.UILayout, settings: bpy.types.PropertyGro
         if settings.compare != "VERSIONS":
             button = row.operator("fipt.compare", text="", icon="WINDOW")
             button.mode, button.window = settings.compare, True
-
-
-CLASSES = (FIPT_UL_checked_views, FIPT_PT_check)

@@ -139,6 +139,3 @@ def hint_text(hint: bpy.types.PropertyGroup) -> str:
     if hint.same_object is not None:
         names.append(iface_("as {}").format(hint.same_object.name))
     return ", ".join(names) or iface_("Unknown")
-
-
-CLASSES = (FIPT_UL_doubts, FIPT_UL_hints, FIPT_PT_estimate_hints)

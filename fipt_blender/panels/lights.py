@@ -241,14 +241,3 @@ class FIPT_PT_light_output(SubSection, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("fipt.make_light_groups", icon="RENDERLAYERS")
         row.operator("fipt.remove_light_groups", text="", icon="X")
-
-
-CLASSES = (
-    FIPT_UL_lights,
-    FIPT_UL_light_states,
-    FIPT_MT_save_light_state,
-    FIPT_PT_lights,
-    FIPT_PT_light_states,
-    FIPT_PT_environment,
-    FIPT_PT_light_output,
-)

@@ -216,14 +216,3 @@ def _draw_outcome(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup)
     button = row.operator("fipt.import_capture", icon="IMPORT")
     button.filepath = str(settings.capture_folder() or "")
     row.operator("fipt.open_photographs_report", text="", icon="URL")
-
-
-CLASSES = (
-    FIPT_UL_photograph_groups,
-    FIPT_UL_photographs,
-    FIPT_PT_photographs,
-    FIPT_PT_photographs_settings,
-    FIPT_PT_photographs_done,
-    FIPT_PT_photographs_done_settings,
-    FIPT_PT_scale_points,
-)

@@ -307,6 +307,3 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
             yield
         finally:
             _counting = True
-
-
-CLASSES = (FIPT_CaptureView, FIPT_CaptureSettings)

@@ -95,6 +95,3 @@ class FIPT_InsertSettings(bpy.types.PropertyGroup):
         name="Backdrop", description="What is behind the inserted objects", items=BACKDROPS, default="ROOM"
     )
     picture: bpy.props.StringProperty(description="Image file of the last rendered picture")
-
-
-CLASSES = (FIPT_InsertSettings,)

@@ -371,6 +371,3 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
             light = self.lights[self.active]
             return light if light.is_alive() else None
         return None
-
-
-CLASSES = (FIPT_Light, FIPT_LightState, FIPT_LightsSettings)

@@ -77,8 +77,7 @@ def tab_count() -> TabCount:
     """Count what the tab FIPT shows of the open scene where the artist has opened and closed nothing."""
     panels = [
         panel
-        for module in panel_package.MODULES
-        for panel in module.CLASSES
+        for panel in panel_package.CLASSES
         if issubclass(panel, bpy.types.Panel)
         and (panel.bl_space_type, panel.bl_region_type) == ("VIEW_3D", "UI")
     ]
