@@ -19,7 +19,8 @@ from fipt_blender.core.capture.encoded import (
     srgb_encoded,
 )
 from fipt_blender.core.capture.images import read_radiance, read_size, write_exr
-from fipt_blender.core.capture.ingest import IngestOptions, ingest
+from fipt_blender.core.capture.ingest import ingest
+from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import View, load_capture
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter, parse_message
@@ -121,7 +122,7 @@ def test_captures_of_both_kinds(tmp_path):
         )
     path.write_text(json.dumps(data))
     run, stream = RunFolder(tmp_path / "run"), io.StringIO()
-    ingest(tmp_path / "in", run, IngestOptions(hold_back=0), Reporter(stream))
+    ingest(tmp_path / "in", run, CaptureOptions(hold_back=0), Reporter(stream))
     views = load_capture(run).views
     assert [view.encoded for view in views] == [True, True, False]
     assert views[0].exposure == pytest.approx(1.0 / 60.0 / 64.0, rel=1e-3) and views[2].exposure is None
@@ -152,7 +153,7 @@ def test_check_views_warns_of_single_photographs_that_are_not_hdr(tmp_path, rows
 def test_hdr_captures_say_nothing_of_it(tmp_path):
     write_transforms(tmp_path / "in", make_samples(2))
     stream = io.StringIO()
-    ingest(tmp_path / "in", RunFolder(tmp_path / "run"), IngestOptions(hold_back=0), Reporter(stream))
+    ingest(tmp_path / "in", RunFolder(tmp_path / "run"), CaptureOptions(hold_back=0), Reporter(stream))
     assert "not HDR" not in stream.getvalue()
     write_exr(tmp_path / "x.exr", np.ones((2, 2, 3)))
     assert file_exposure(tmp_path / "x.exr") is None

@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks import fuzz_samples
 from fipt_blender.core.capture.formats import read_rig
-from fipt_blender.core.capture.rig import ReadOptions
+from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.photographs.preparation import PreparationFolder, read_preparation
 from fipt_blender.core.run.errors import FiptError
@@ -49,14 +49,14 @@ def test_paths_that_lead_outside_are_refused(capture: Path, key: str) -> None:
     ):
         with_path(capture, key, path)
         with pytest.raises(FiptError, match="outside of the capture") as caught:
-            read_rig(capture, "auto", ReadOptions())
+            read_rig(capture, "auto", CaptureOptions())
         assert caught.value.code == "path-outside" and "--images" in caught.value.remedy
 
 
 def test_the_users_folder_and_our_own_files_are_trusted(capture: Path) -> None:
     outside = capture.parent / "other" / "secret.exr"
     with_path(capture, "file_path", str(outside))
-    for options in (ReadOptions(images=outside.parent), ReadOptions(own_paths=True)):
+    for options in (CaptureOptions(images=outside.parent), CaptureOptions(own_paths=True)):
         assert read_rig(capture, "auto", options).views[0].image == outside
 
 
@@ -64,11 +64,11 @@ def test_paths_inside_stay_usable(capture: Path) -> None:
     inside = capture / "images" / "000_0001.exr"
     for path in (str(inside), "./images/000_0001.exr", "images/../images/000_0001.exr"):
         with_path(capture, "file_path", path)
-        assert read_rig(capture, "auto", ReadOptions()).views[0].image.resolve() == inside.resolve()
+        assert read_rig(capture, "auto", CaptureOptions()).views[0].image.resolve() == inside.resolve()
     # A photograph that was moved together with the file is found by its name.
     with_path(capture, "file_path", "/gone/elsewhere/000_0001.exr")
     (capture / "000_0001.exr").write_bytes(inside.read_bytes())
-    assert read_rig(capture, "auto", ReadOptions()).views[0].image == capture / "000_0001.exr"
+    assert read_rig(capture, "auto", CaptureOptions()).views[0].image == capture / "000_0001.exr"
 
 
 NETWORK = (
@@ -97,11 +97,11 @@ def test_paths_of_the_synthetic_layout_stay_inside(tmp_path: Path) -> None:
         data["frames"][0]["file_path"] = path
         file.write_text(json.dumps(data))
         with pytest.raises(FiptError) as caught:
-            read_rig(tmp_path / "capture", "auto", ReadOptions())
+            read_rig(tmp_path / "capture", "auto", CaptureOptions())
         assert caught.value.code == "path-outside"
     data["frames"][0]["file_path"] = "./Image/001_0001.exr"
     file.write_text(json.dumps(data))
-    rig = read_rig(tmp_path / "capture", "auto", ReadOptions())
+    rig = read_rig(tmp_path / "capture", "auto", CaptureOptions())
     assert rig.views[0].image.resolve() == (file.parent / "Image" / "001_0001.exr").resolve()
 
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.cli import arguments
+from fipt_blender.core.capture import options
 from fipt_blender.core.capture.distortion import lens_camera
 from fipt_blender.core.capture.formats import FORMATS, detect_format, read_rig
-from fipt_blender.core.capture.rig import ReadOptions
+from fipt_blender.core.capture.options import CaptureOptions
 from samples import rig_writers as write
 from samples.camera_poses import random_rotation
 from samples.metashape_writers import Chunk, metashape_chunk, write_metashape, write_realityscan_csv
@@ -225,13 +225,13 @@ def all_formats(root: Path) -> dict[str, Path]:
 def test_command_line_and_panel_offer_all_formats() -> None:
     from fipt_blender.properties import capture
 
-    assert set(arguments.FORMATS) == {name for name, *_ in capture.FORMATS} == {"auto", *FORMATS}
+    assert {"auto", *options.FORMATS} == {name for name, *_ in capture.FORMATS} == {"auto", *FORMATS}
 
 
 def test_each_format_is_recognized_by_its_content(tmp_path: Path) -> None:
     for name, path in all_formats(tmp_path).items():
         assert detect_format(path) == name
-        assert read_rig(path, name, ReadOptions()).source == name
+        assert read_rig(path, name, CaptureOptions()).source == name
 
 
 def test_photographs_are_found_in_a_named_folder_and_never_outside(tmp_path: Path) -> None:

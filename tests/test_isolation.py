@@ -25,6 +25,7 @@ SHARED = (
     "alignment.sights",
     "alignment.turns",
     "capture.averaging",
+    "capture.options",
     "capture.suffixes",
     "conventions",
     "device.cuda",

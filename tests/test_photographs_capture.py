@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.capture.images import read_radiance
-from fipt_blender.core.capture.ingest import IngestOptions, ingest
+from fipt_blender.core.capture.ingest import ingest
+from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.photographs import command
 from fipt_blender.core.photographs.lens import FULL_FRAME_DIAGONAL
 from fipt_blender.core.photographs.preparation import PreparationFolder
@@ -78,7 +79,7 @@ def test_every_step_leaves_its_facts(prepared: tuple[PreparationFolder, Reporter
 def test_ingest_takes_the_capture(prepared: tuple[PreparationFolder, Reporter], tmp_path: Path) -> None:
     folder, _ = prepared
     reporter = Reporter()
-    ingest(folder.root, RunFolder(tmp_path / "run"), IngestOptions(hold_back=0, up_axis="z"), reporter)
+    ingest(folder.root, RunFolder(tmp_path / "run"), CaptureOptions(hold_back=0, up_axis="z"), reporter)
     capture = json.loads((tmp_path / "run" / "capture.json").read_text(encoding="utf-8"))
     assert capture["source"] == "colmap" and len(capture["views"]) == VIEWS
     found = np.array([view["camera_to_world"] for view in capture["views"]])[:, :3, 3]

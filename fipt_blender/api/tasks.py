@@ -23,10 +23,14 @@ if TYPE_CHECKING:
     from ..bridge.process import Message
     from ..bridge.sequence import Job
     from ..bridge.step import Slices, Step, StepFunction
+    from ..core.capture.options import CaptureOptions
     from ..core.run.settings import Settings, Value
-    from ..jobs.options import CaptureOptions
     from ..properties.capture import FIPT_CaptureSettings
 
+_CAPTURE_SETTINGS = (
+    *("format", "up_axis", "clamp_negative", "align_mesh", "plane_room", "dense_stereo", "triangles"),
+    "undo_applied_transform",
+)
 _ATLAS_SETTINGS = ("atlas_mode", "atlas_images", "texture_size", "texel_density")
 
 
@@ -52,7 +56,7 @@ def capture_import() -> Task:
 
 
 def _import_capture(scene: bpy.types.Scene) -> Job:
-    from ..jobs.options import capture_source, ingest_arguments
+    from ..jobs.options import capture_source
 
     settings = scene.fipt.capture
     if not settings.path:
@@ -69,7 +73,7 @@ def _import_capture(scene: bpy.types.Scene) -> Job:
             "Select the folder that contains the cameras, or the camera file itself, as Capture.",
         )
     path = capture_source(path)
-    arguments = ingest_arguments(_capture_options(settings))
+    arguments = _capture_options(settings).arguments()
     machine.engine_python()  # raises before anything is created
     run = open_run(scene, str(path), path.stem if path.is_file() else path.name)
 
@@ -132,7 +136,7 @@ def _capture_options(settings: FIPT_CaptureSettings) -> CaptureOptions:
     Raises:
         FiptError: ``mesh-missing`` or ``images-missing``.
     """
-    from ..jobs.options import CaptureOptions
+    from ..core.capture.options import CaptureOptions
 
     mesh = Path(bpy.path.abspath(settings.mesh)).absolute() if settings.mesh else None
     if mesh is not None and not mesh.is_file():
@@ -150,17 +154,10 @@ def _capture_options(settings: FIPT_CaptureSettings) -> CaptureOptions:
         )
     return CaptureOptions(
         mesh=mesh,
-        format=settings.format,
-        up_axis=settings.up_axis,
+        images=images,
         scale=float(settings.scale),
         hold_back=0 if settings.hold_back < 2 else settings.hold_back,
-        images=images,
-        clamp_negative=settings.clamp_negative,
-        align_mesh=settings.align_mesh,
-        plane_room=settings.plane_room,
-        dense_stereo=settings.dense_stereo,
-        triangles=settings.triangles,
-        undo_applied_transform=settings.undo_applied_transform,
+        **{name: getattr(settings, name) for name in _CAPTURE_SETTINGS},
     )
 
 

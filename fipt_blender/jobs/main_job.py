@@ -23,7 +23,7 @@ from ..core.run.method import method_digest
 from ..core.run.runfolder import PRODUCT_VERSION, RunFolder
 from ..core.run.settings import TEXTURE_SETTINGS, Settings
 from .fingerprints import folder_fingerprint, mesh_fingerprint
-from .options import BLEND_NAME, MainJobOptions, check_options, ingest_arguments
+from .options import BLEND_NAME, MainJobOptions, check_options
 from .run_job import find_launch, ingest_step, masks_step, open_job, refuse_busy
 
 if TYPE_CHECKING:
@@ -175,7 +175,7 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
 
 
 def _capture_step(options: MainJobOptions, run: RunFolder) -> Step:
-    capture, arguments = options.capture.absolute(), ingest_arguments(options)
+    capture, arguments = options.capture.absolute(), options.arguments()
     mesh, images = (None if path is None else path.absolute() for path in (options.mesh, options.images))
     model = options.masks_model
     return replace(

@@ -32,7 +32,7 @@ def ingest_step(run: RunFolder, capture: Path, arguments: Sequence[str], text: s
     Args:
         run: the run folder into which it is read.
         capture: folder or file.
-        arguments: of :func:`.options.ingest_arguments`.
+        arguments: of `CaptureOptions.arguments`.
         text: shown to the user while the step runs.
         seconds: expected time, on a small machine.
     """

@@ -74,7 +74,7 @@ class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
 
     def make_job(self, context: bpy.types.Context) -> Job:
         from ..blend.capture.scene_cameras import SCENE_SOURCE, adopt_cameras, write_scene_cameras
-        from ..jobs.options import CaptureOptions, ingest_arguments
+        from ..core.capture.options import CaptureOptions
 
         scene = context.scene
         settings = scene.fipt.capture
@@ -102,7 +102,7 @@ class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
             remedy = "To use them as well, give each its photograph as background image."
             return [{"type": "warning", "code": "cameras-left-out", "text": text, "remedy": remedy}]
 
-        return tasks.import_job(run, path, ingest_arguments(options), "Listing the cameras", adopt)
+        return tasks.import_job(run, path, options.arguments(), "Listing the cameras", adopt)
 
 
 class FIPT_OT_import_mesh(bpy.types.Operator):

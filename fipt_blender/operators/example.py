@@ -48,7 +48,7 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
 
     def make_job(self, context: bpy.types.Context) -> Job:
         from ..bridge.step import Step
-        from ..jobs.options import CaptureOptions, ingest_arguments
+        from ..core.capture.options import CaptureOptions
         from ..jobs.run_job import ingest_step, open_job
 
         scene = context.scene
@@ -66,7 +66,7 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
             return import_capture(run, str(path))
 
         steps = [
-            ingest_step(run, path, ingest_arguments(CaptureOptions()), "Reading the example", 2.0),
+            ingest_step(run, path, CaptureOptions().arguments(), "Reading the example", 2.0),
             Step("import", "Adding cameras and mesh", 1.0, function=add_to_scene),
             *tasks.make_steps(run, settings, resume=False),
             *tasks.apply_steps(scene.name, run, settings),

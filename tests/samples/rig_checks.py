@@ -11,7 +11,8 @@ import pytest
 
 from fipt_blender.core.capture.distortion import lens_camera
 from fipt_blender.core.capture.formats import read_rig
-from fipt_blender.core.capture.rig import ReadOptions, Rig
+from fipt_blender.core.capture.options import CaptureOptions
+from fipt_blender.core.capture.rig import Rig
 from fipt_blender.core.run.errors import FiptError
 from samples import rig_writers as write
 
@@ -19,7 +20,7 @@ CENTRED = (0.0, 0.0)
 
 
 def read(path: Path, **options) -> Rig:
-    return read_rig(path, "auto", ReadOptions(**options))
+    return read_rig(path, "auto", CaptureOptions(**options))
 
 
 def room_points(shot: write.Shot) -> np.ndarray:

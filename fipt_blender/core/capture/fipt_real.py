@@ -14,7 +14,8 @@ import numpy as np
 
 from ..run.errors import FiptError
 from .images import read_size
-from .rig import Lens, ReadOptions, Rig, RigView, WellFormed, damaged, find_mesh
+from .options import CaptureOptions
+from .rig import Lens, Rig, RigView, WellFormed, damaged, find_mesh
 from .rig_files import read_text_rig
 
 NAME = "fipt-real"
@@ -26,7 +27,7 @@ def find(path: Path) -> Path | None:
     return path if (path / "cam.txt").is_file() and (path / "K_list.txt").is_file() else None
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(path: Path, options: CaptureOptions) -> Rig:
     """Read all views; the layout defines neither splits nor an up axis.
 
     Raises:

@@ -34,7 +34,8 @@ from . import (
     scannetpp,
     transforms,
 )
-from .rig import ReadOptions, Rig, damaged
+from .options import CaptureOptions
+from .rig import Rig, damaged
 from .suffixes import SUFFIXES
 
 # The first match is used: nerfstudio, for example, keeps a COLMAP model beside its transforms.json.
@@ -91,7 +92,7 @@ def _has_photographs(folder: Path) -> bool:
     return any(file.suffix.lower() in SUFFIXES for file in islice(files, 10_000))
 
 
-def read_rig(path: Path, name: str, options: ReadOptions) -> Rig:
+def read_rig(path: Path, name: str, options: CaptureOptions) -> Rig:
     """Read a capture; `name` is one of `FORMATS` or "auto".
 
     Raises:
@@ -140,7 +141,7 @@ def read_points(path: Path, name: str, sure: bool = False) -> np.ndarray:
     return points[(np.abs(points) <= FARTHEST_UNITS).all(axis=1)]
 
 
-def _read_rig(path: Path, name: str, options: ReadOptions) -> Rig:
+def _read_rig(path: Path, name: str, options: CaptureOptions) -> Rig:
     detected = detect_format(path) if name == "auto" else name
     module = FORMATS[detected]
     if not path.exists():

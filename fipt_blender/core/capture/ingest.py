@@ -45,8 +45,7 @@ from .images import (
     write_ids,
     write_jpeg,
 )
-from .ingest_options import IngestOptions, check_options, options_of
-from .ingest_options import add_arguments as add_arguments  # of the command
+from .options import CaptureOptions, add_options, options_of
 from .photograph_poses import with_photograph_poses
 from .rig import Pinhole, RigView
 from .source import mesh_fusion, read_source, write_mesh
@@ -62,12 +61,19 @@ PREVIEW_SIDE = 1920
 ID_IMAGES = ("parts", "semantics", "mask")
 
 
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("capture", type=Path, help="folder of the capture, or its camera file")
+    parser.add_argument("run", type=Path, help="run folder; created with default settings if missing")
+    add_options(parser)
+
+
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     """Run `ingest` with the command's arguments."""
-    ingest(arguments.capture, RunFolder(arguments.run), options_of(arguments), reporter)
+    ingest(arguments.capture, RunFolder(arguments.run), CaptureOptions(**options_of(arguments)), reporter)
 
 
-def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporter: Reporter) -> None:
+def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, reporter: Reporter) -> None:
     """Read a capture, check all of it, then write capture.json and the images that must be converted.
 
     Raises:
@@ -77,7 +83,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
         run_folder.read()
     reporter.plan([0.1, 0.85, 0.05])
     reporter.stage("cameras", "Reading cameras")
-    check_options(options)
+    options.check()
     source = read_source(capture.absolute(), options, reporter)
     rig = source.rig
     views = distinct_views(rig.views)
@@ -87,7 +93,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
             f"{len(views)} photographs have {len(rig.views)} cameras; the first camera of each is used.",
             "Remove the other ones from the camera file.",
         )
-    views = _assign_splits(_chosen(views, options.most_views), options.hold_back)
+    views = _assign_splits(_chosen(views, options.views), options.hold_back)
     _check_files(views)
     if rig.one_camera:
         views, note = with_photograph_poses(rig, views, options.scale)

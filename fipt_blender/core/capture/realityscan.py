@@ -18,8 +18,9 @@ import numpy as np
 
 from ..conventions import opengl_to_opencv_camera
 from ..run.errors import FiptError
+from .options import CaptureOptions
 from .radial import distorting_lens
-from .rig import Lens, Note, ReadOptions, Rig, RigView, WellFormed
+from .rig import Lens, Note, Rig, RigView, WellFormed
 from .rig_files import (
     IMAGE_FOLDERS,
     Places,
@@ -49,7 +50,7 @@ def find(path: Path) -> Path | None:
     return camera_file(path, (".csv",), _is_camera_table) or next(posed, None)
 
 
-def read(file: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: CaptureOptions) -> Rig:
     """Read all cameras of a CSV file, or of the XMP files in the folder of one. The world is Z up.
 
     Sizes are those of the photographs, since the files have none.

@@ -135,24 +135,6 @@ class Rig:
     one_camera: bool = False
 
 
-@dataclass(frozen=True)
-class ReadOptions:
-    """Options of the readers.
-
-    Attributes:
-        images: folder in which photographs are searched first.
-        undo_applied_transform: transforms.json only: convert the poses to the coordinates from before
-            nerfstudio's ``applied_transform`` and ``applied_scale``.
-        depth_unit: metres per unit of 16-bit depth images.
-        own_paths: transforms.json only: its paths may lead anywhere. For files that we wrote ourselves.
-    """
-
-    images: Path | None = None
-    undo_applied_transform: bool = False
-    depth_unit: float = 0.001
-    own_paths: bool = False
-
-
 def damaged(path: Path, reason: object) -> FiptError:
     """The error for a rig file that does not conform to its format."""
     return FiptError(

@@ -24,12 +24,12 @@ from ..run.errors import FiptError
 from ..run.paths import leads_outside
 from ..run.shapes import MOST_SIDE
 from .images import read_size
+from .options import CaptureOptions
 from .rig import (
     PARTS_FOLDER,
     SEMANTICS_FOLDER,
     Lens,
     Note,
-    ReadOptions,
     RigView,
     WellFormed,
     damaged,
@@ -67,7 +67,7 @@ class Places:
 
     @classmethod
     def around(
-        cls, path: Path, options: ReadOptions, image_folders: tuple[str, ...] = IMAGE_FOLDERS
+        cls, path: Path, options: CaptureOptions, image_folders: tuple[str, ...] = IMAGE_FOLDERS
     ) -> Places:
         """The places around a camera file: its folder and the one above."""
         return cls((path.parent, path.absolute().parent.parent), options.images, image_folders)
@@ -126,7 +126,7 @@ class Places:
         return find_mesh([root / folder for root in self.roots for folder in folders], stems)
 
 
-def photograph(file: Path, name: str, options: ReadOptions) -> Path:
+def photograph(file: Path, name: str, options: CaptureOptions) -> Path:
     """The photograph that a camera file names by its path, below the file's folder or the user's folder.
 
     Raises:
@@ -142,7 +142,7 @@ def photograph(file: Path, name: str, options: ReadOptions) -> Path:
     return image
 
 
-def refuse_outside(file: Path, name: str, options: ReadOptions) -> None:
+def refuse_outside(file: Path, name: str, options: CaptureOptions) -> None:
     """Refuse a path in a camera file that leads out of the file's folder.
 
     Raises:
@@ -157,7 +157,7 @@ def refuse_outside(file: Path, name: str, options: ReadOptions) -> None:
         )
 
 
-def _follows(file: Path, name: str, options: ReadOptions) -> bool:
+def _follows(file: Path, name: str, options: CaptureOptions) -> bool:
     return options.own_paths or not leads_outside(file.parent, name)
 
 

@@ -19,7 +19,7 @@ from .color_camera import with_color_camera
 from .dense_stereo import StereoFusion, stereo_possible
 from .depth_images import Fusion, checked_depths
 from .formats import read_rig
-from .ingest_options import IngestOptions
+from .options import CaptureOptions
 from .points_room import room_note, room_of_points, write_room
 from .rig import Rig
 from .simplified_mesh import simplified_mesh
@@ -44,13 +44,13 @@ class Source:
     stereo: bool
 
 
-def read_source(capture: Path, options: IngestOptions, reporter: Reporter) -> Source:
+def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> Source:
     """Read cameras and mesh, and warn of what the user should know of them.
 
     Raises:
         FiptError: those of the readers, ``mesh-missing``; those of aligning, of planes and of stereo.
     """
-    rig = read_rig(capture, options.format, options.read)
+    rig = read_rig(capture, options.format, options)
     mesh = _mesh(rig, options)
     rig = replace(rig, depths=checked_depths(rig.depths))
     if rig.one_camera:
@@ -66,7 +66,7 @@ def read_source(capture: Path, options: IngestOptions, reporter: Reporter) -> So
     if options.plane_room and mesh is None and not stereo:
         planes = room_of_points(capture, rig)
         notes.append(room_note(planes))
-    simplified, budget = None, options.fusion.triangles
+    simplified, budget = None, options.triangles
     if budget and mesh is not None and (fewer := simplified_mesh(mesh, budget)) is not None:
         simplified = fewer[0]
         notes.append(fewer[1])
@@ -75,7 +75,7 @@ def read_source(capture: Path, options: IngestOptions, reporter: Reporter) -> So
     return Source(rig, mesh, simplified, planes, stereo)
 
 
-def mesh_fusion(run: RunFolder, capture: Path, source: Source, options: IngestOptions) -> Fusion | None:
+def mesh_fusion(run: RunFolder, capture: Path, source: Source, options: CaptureOptions) -> Fusion | None:
     """What makes the mesh of depths; None where there is another one, or no depths."""
     if source.stereo:
         return StereoFusion(run, (), options.fusion, options.scale, capture, source.rig.views)
@@ -101,7 +101,7 @@ def write_mesh(run: RunFolder, source: Source, fusion: Fusion | None, fused: Fus
     return source.mesh
 
 
-def _mesh(rig: Rig, options: IngestOptions) -> Path | None:
+def _mesh(rig: Rig, options: CaptureOptions) -> Path | None:
     if options.mesh is None:
         return None if rig.mesh is None else rig.mesh.absolute()
     if not options.mesh.is_file():

@@ -18,7 +18,8 @@ from PIL import Image
 from ..capture import colmap
 from ..capture.averaging import narrowed
 from ..capture.images import read_radiance
-from ..capture.rig import ReadOptions, Rig
+from ..capture.options import CaptureOptions
+from ..capture.rig import Rig
 from ..report.comparison import to_display
 from ..report.html import write_page
 from ..report.pictures import write_jpeg
@@ -227,7 +228,7 @@ def _named(entries: Sequence[Mapping[str, Any]], name: str) -> Mapping[str, Any]
 def _plan(capture: Path) -> Plan | None:
     """The solved cameras from above, or None without a model."""
     found = colmap.find(capture)
-    return None if found is None else make_plan(colmap.read(found, ReadOptions()))
+    return None if found is None else make_plan(colmap.read(found, CaptureOptions()))
 
 
 def make_plan(rig: Rig) -> Plan | None:

@@ -17,7 +17,7 @@ from PIL import Image
 
 from ..capture.formats import read_rig
 from ..capture.images import JPEG_QUALITY, read_radiance, read_size
-from ..capture.rig import ReadOptions
+from ..capture.options import CaptureOptions
 from ..run.errors import FiptError
 from ..run.messages import Reporter
 from ..run.runfolder import atomic_path, explained_write_errors
@@ -155,7 +155,7 @@ def _write_copies(folder: PreparationFolder, groups: list[Group], reporter: Repo
 
 def _existing(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> Solve:
     """The cameras of an existing solve, in any format that the capture readers know."""
-    rig = read_rig(Path(preparation.settings.cameras).absolute(), "auto", ReadOptions())
+    rig = read_rig(Path(preparation.settings.cameras).absolute(), "auto", CaptureOptions())
     for note in rig.notes:
         reporter.warning(note.code, note.text, note.remedy)
     wanted = []

@@ -26,7 +26,7 @@ from ..capture.depth_points import alignment_points
 from ..capture.formats import FORMATS, read_rig
 from ..capture.images import read_radiance, threads_for
 from ..capture.ingest import distinct_views
-from ..capture.rig import ReadOptions
+from ..capture.options import CaptureOptions
 from ..capture.views import View, load_capture
 from ..conventions import transform_points
 from ..device.variant import set_variant
@@ -79,7 +79,7 @@ def solve_points(capture: Path, name: str, views: list[View]) -> np.ndarray:
     Raises:
         FiptError: ``alignment-points`` or an error of the readers.
     """
-    rig = read_rig(capture, name, ReadOptions())
+    rig = read_rig(capture, name, CaptureOptions())
     if rig.one_camera:
         rig = with_color_camera(rig, 1.0)
     poses = {view.name: view.camera_to_world for view in distinct_views(rig.views)}
