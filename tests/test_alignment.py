@@ -254,10 +254,7 @@ def write_solve(folder: Path, from_solve: np.ndarray, points: np.ndarray) -> lis
         shots.append(replace(shot, width=24, height=16, rotation=level, centre=np.array([2.5, 2.4, 1.5])))
         turned = level @ (from_solve[:3, :3] / scale).T
         solved.append(replace(shots[-1], rotation=turned, centre=moved(from_solve, shots[-1].centre)))
-    rig_writers.write_opensfm(folder, [solved], "perspective")
-    data = json.loads((folder / "reconstruction.json").read_text())
-    data[0]["points"] = {str(i): {"coordinates": list(p)} for i, p in enumerate(moved(from_solve, points))}
-    (folder / "reconstruction.json").write_text(json.dumps(data))
+    rig_writers.write_opensfm(folder, [solved], "perspective", moved(from_solve, points))
     for shot in shots:
         pixels = 2.0 + np.random.default_rng(0).random((16, 24, 3), np.float32)
         write_exr((folder / "images" / shot.name).with_suffix(".exr"), pixels)

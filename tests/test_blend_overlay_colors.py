@@ -10,6 +10,7 @@ import pytest
 from fipt_blender.blend.capture.survey import coverage_colors, part_colors
 from fipt_blender.panels import capture as panel
 from fipt_blender.panels import swatches
+from samples.layouts import Layout
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -40,26 +41,11 @@ def test_everyone_can_tell_the_colors_of_the_coverage_apart(blindness):
     assert (np.diff(seen[1:, 0]) > 15.0).all()  # more views are lighter
 
 
-class Layout:
-    """Records the texts that are drawn into it."""
-
-    def __init__(self, texts):
-        self.texts = texts
-
-    def column(self, **options):
-        return self
-
-    row = column
-
-    def label(self, **options):
-        self.texts.append(options)
-
-
 def test_the_legend_has_a_swatch_of_each_color(monkeypatch):
     monkeypatch.setattr(swatches, "icon", lambda color: color)
-    drawn = []
-    panel.draw_legend(Layout(drawn))
-    levels = [(options["text"], options["icon_value"]) for options in drawn[1:]]
+    layout = Layout()
+    panel.draw_legend(layout)
+    levels = [(options["text"], options["icon_value"]) for options in layout.labels[1:]]
     assert [text for text, _ in levels] == ["0", "1", "2", "3+", "5+"]
     np.testing.assert_array_equal([color for _, color in levels], coverage_colors(np.array([0, 1, 2, 3, 5])))
     pixels = np.reshape(swatches.square_pixels(levels[0][1]), (-1, 4))

@@ -27,15 +27,9 @@ from fipt_blender.core.run import documents
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
+from samples.rig_checks import error_of
 
 HUGE = "9" * 400
-
-
-def error_of(read, *arguments) -> FiptError:
-    with pytest.raises(FiptError) as caught:
-        read(*arguments)
-    assert caught.value.remedy
-    return caught.value
 
 
 def run_ingest(capture: Path, root: Path, **options) -> tuple[RunFolder, list[str]]:

@@ -22,16 +22,10 @@ from fipt_blender.core.capture.formats import read_rig
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.rig import RigView, view_name
 from fipt_blender.core.capture.views import load_capture
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
+from samples.rig_checks import error_of
 
 COLMAP_FILES = ("cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin")
-
-
-def error_of(read, *arguments) -> FiptError:
-    with pytest.raises(FiptError) as caught:
-        read(*arguments)
-    return caught.value
 
 
 # -------------------------------------------------------------------------------------------------- COLMAP

@@ -106,14 +106,14 @@ def test_metashape_that_cannot_be_used(tmp_path: Path, old: str, new: str, code:
     document = (tmp_path / "cameras.xml").read_text()
     assert old in document
     (tmp_path / "cameras.xml").write_text(document.replace(old, new))
-    assert error_of(tmp_path).code == code
+    assert error_of(read, tmp_path).code == code
 
 
 def test_metashape_sensor_without_calibration(tmp_path: Path) -> None:
     write_metashape(tmp_path, [metashape_chunk(Chunk(write.make_shots(count=1)))])
     document = (tmp_path / "cameras.xml").read_text().replace("calibration", "covariance")
     (tmp_path / "cameras.xml").write_text(document)
-    assert error_of(tmp_path).code == "intrinsics-missing"
+    assert error_of(read, tmp_path).code == "intrinsics-missing"
 
 
 @pytest.mark.parametrize("writer", [write_realityscan_csv, write_realityscan_xmp])
@@ -156,12 +156,12 @@ def test_realityscan_lenses_that_are_not_supported(tmp_path: Path, old: str, new
     write_realityscan_xmp(tmp_path, write.make_shots(BROWN3, 1))
     path = tmp_path / "IMG_0000.xmp"
     path.write_text(path.read_text().replace(old, new))
-    assert error_of(tmp_path).code == "camera-model"
+    assert error_of(read, tmp_path).code == "camera-model"
 
 
 @pytest.mark.parametrize("writer", [write_realityscan_csv, write_realityscan_xmp])
 def test_sizes_that_only_photographs_have_need_the_photographs(tmp_path: Path, writer) -> None:
     writer(tmp_path, write.make_shots(BROWN3, 2))
     (tmp_path / "IMG_0001.jpg").unlink()
-    error = error_of(tmp_path)
+    error = error_of(read, tmp_path)
     assert error.code == "image-missing" and "IMG_0001" in error.text

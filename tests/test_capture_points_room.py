@@ -37,10 +37,7 @@ def write_solve(folder: Path, points: np.ndarray) -> None:
         shots.append(
             replace(shot, width=24, height=16, rotation=level, centre=np.array([1.5 + index, 2.0, 1.5]))
         )
-    rig_writers.write_opensfm(folder, [shots], "perspective")
-    data = json.loads((folder / "reconstruction.json").read_text())
-    data[0]["points"] = {str(i): {"coordinates": list(p)} for i, p in enumerate(points)}
-    (folder / "reconstruction.json").write_text(json.dumps(data))
+    rig_writers.write_opensfm(folder, [shots], "perspective", points)
     for shot in shots:
         pixels = 2.0 + np.random.default_rng(0).random((16, 24, 3), np.float32)
         write_exr((folder / "images" / shot.name).with_suffix(".exr"), pixels)

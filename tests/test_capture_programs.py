@@ -112,7 +112,7 @@ def test_models_without_a_pinhole_are_refused(tmp_path: Path, kind: str) -> None
     path = tmp_path / "meshroom" / "cameras.sfm"
     path.write_text(path.read_text().replace('"pinhole"', f'"{kind}"'))
     for name in ("openmvg", "opensfm", "meshroom"):
-        error = error_of(tmp_path / name)
+        error = error_of(read, tmp_path / name)
         assert error.code == "camera-model" and kind in error.text
 
 
@@ -127,7 +127,7 @@ def test_bundler(tmp_path: Path) -> None:
         assert rig.source == "bundler" and rig.up_axis is None
         assert_same(rig, shots)
     (tmp_path / "list.txt").unlink()
-    error = error_of(tmp_path)
+    error = error_of(read, tmp_path)
     assert error.code == "rig-damaged" and "list.txt" in error.text
 
 
@@ -174,7 +174,7 @@ def test_polycam_poses_are_in_the_coordinates_of_the_mesh(tmp_path: Path, correc
 
 def test_polycam_alignment_that_is_no_similarity(tmp_path: Path) -> None:
     write.write_polycam(tmp_path, write.make_shots(count=1), np.diag([1.0, 2.0, 1.0, 1.0]), True)
-    assert error_of(tmp_path).code == "rig-damaged"
+    assert error_of(read, tmp_path).code == "rig-damaged"
 
 
 @pytest.mark.parametrize("each_frame", [True, False])
@@ -267,6 +267,6 @@ def test_damaged_camera_files_are_refused(tmp_path: Path, content: str) -> None:
         else:
             document = ""
         file.write_text(document)
-        error = error_of(path)
+        error = error_of(read, path)
         assert error.code in ("rig-damaged", "format-unknown", "cameras-missing"), (name, error)
         assert error.remedy

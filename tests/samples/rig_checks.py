@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +46,8 @@ def assert_same(rig: Rig, shots: list[write.Shot], pixels: float = 1e-4) -> None
         np.testing.assert_allclose(np.asarray(camera.img_from_cam(local)), expected, atol=pixels)
 
 
-def error_of(path: Path) -> FiptError:
+def error_of(reader: Callable[..., object], *arguments: object) -> FiptError:
     with pytest.raises(FiptError) as caught:
-        read(path)
+        reader(*arguments)
+    assert caught.value.remedy
     return caught.value
