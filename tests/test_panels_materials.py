@@ -9,9 +9,11 @@ from types import SimpleNamespace
 import bpy
 import pytest
 
+from fipt_blender.blend.marks import FIXTURE, NAMED
 from fipt_blender.blend.results import part_list
 from fipt_blender.blend.results.adjust import Adjustment
 from fipt_blender.panels import materials
+from fipt_blender.panels.lights import report_name
 from samples.layouts import Layout
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -67,3 +69,13 @@ def test_after_apply_the_parts_come_first_and_settings_are_closed():
     assert "DEFAULT_CLOSED" in settings.bl_options and "DEFAULT_CLOSED" not in getattr(
         parts, "bl_options", set()
     )
+
+
+def test_the_reports_name_is_told_of_renamed_fixtures_only():
+    item = bpy.data.objects.new("Ceiling panel", None)
+    assert report_name(item) == ""
+    item[FIXTURE], item[NAMED] = "Fixture.001", "Ceiling panel"
+    assert report_name(item) == ""
+    item.name = "Big light"
+    assert report_name(item) == "Ceiling panel"
+    bpy.data.objects.remove(item)
