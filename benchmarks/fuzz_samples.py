@@ -388,7 +388,7 @@ def _simplify(sample: Path, out: Path) -> None:
     """Simplification of mesh files, and the surface to which cameras are aligned."""
     from fipt_blender.core.alignment.mesh_file import read_mesh
     from fipt_blender.core.alignment.surface import sample_surface
-    from fipt_blender.core.capture.simplified_mesh import simplified_mesh
+    from fipt_blender.core.capture.source import simplified_mesh
     from fipt_blender.core.depth.ply import write_ply
 
     for name in ("mesh.ply", "mesh.obj"):
@@ -414,7 +414,7 @@ def write_points(folder: Path) -> None:
 def _plane_room(sample: Path, out: Path) -> None:
     """The room of planes of a solve's points."""
     from fipt_blender.core.capture.formats import read_rig
-    from fipt_blender.core.capture.points_room import room_of_points, write_room
+    from fipt_blender.core.capture.source import room_of_points, write_room
 
     rig = read_rig(sample, "opensfm", CaptureOptions())
     write_room(out / "planes.obj", room_of_points(sample, rig))

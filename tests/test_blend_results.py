@@ -24,9 +24,8 @@ from fipt_blender.blend.results import applying, materials
 from fipt_blender.blend.room import exporting, originals
 from fipt_blender.blend.room.arrays import Room, read_room
 from fipt_blender.blend.room.atlas import make_atlas
-from fipt_blender.blend.room.cleaned import clean_result_mesh
 from fipt_blender.blend.room.exporting import collect_room, export_room
-from fipt_blender.blend.room.result_meshes import make_mesh
+from fipt_blender.blend.room.result_meshes import clean_result_mesh, make_mesh
 from fipt_blender.core.geometry.clean import CleanMesh
 from fipt_blender.core.geometry.stored import prepare_geometry, store_geometry
 from fipt_blender.core.run.documents import read_json

@@ -35,10 +35,7 @@ def moved_chunk(shots: list[write.Shot]) -> Chunk:
 @pytest.mark.parametrize("component", [False, True])
 @pytest.mark.parametrize(
     "style",
-    [
-        replace(BROWN3, aspect=1.01),
-        write.Style((-0.1, 0.02, -0.004, 0.001), (0.002, -0.001), fisheye=True),
-    ],
+    [replace(BROWN3, aspect=1.01), write.Style((-0.1, 0.02, -0.004, 0.001), (0.002, -0.001), fisheye=True)],
 )
 def test_metashape(tmp_path: Path, style: write.Style, component: bool) -> None:
     shots = write.make_shots(style)

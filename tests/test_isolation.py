@@ -41,7 +41,6 @@ SHARED = (
     "run.lock",
     "run.messages",
     "run.method",
-    "run.parent",
     "run.parts",
     "run.paths",
     "run.process_identity",

@@ -276,8 +276,7 @@ def rig_of(width: int, height: int, name: str) -> Rig:
 
 
 @pytest.mark.parametrize(
-    ("rig", "code"),
-    [(rig_of(300, 200, "b"), "solve-foreign"), (rig_of(200, 300, "a"), "solve-size")],
+    ("rig", "code"), [(rig_of(300, 200, "b"), "solve-foreign"), (rig_of(200, 300, "a"), "solve-size")]
 )
 def test_a_solve_of_other_photographs_is_refused(rig: Rig, code: str) -> None:
     with pytest.raises(FiptError) as caught:

@@ -313,7 +313,7 @@ def version_change(version: str) -> Task:
     """Make a version the results of the scene's run, and apply it."""
 
     def make(scene: bpy.types.Scene) -> Job:
-        from ..jobs.versions import switch_version
+        from ..jobs.run_job import switch_version
 
         run = run_of(scene)
         settings = chosen_settings(scene, run)

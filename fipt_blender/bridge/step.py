@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -105,12 +106,7 @@ class StepRecord:
         )
 
     def store(
-        self,
-        name: str,
-        key: str,
-        finished: bool,
-        seconds: float = 0.0,
-        warnings: Sequence[Message] = (),
+        self, name: str, key: str, finished: bool, seconds: float = 0.0, warnings: Sequence[Message] = ()
     ) -> None:
         """Record that a step was started or finished, with its warnings.
 
@@ -158,3 +154,52 @@ def chain_keys(steps: Sequence[Step]) -> list[str]:
         previous = hashlib.sha256(text.encode()).hexdigest()[:24]
         keys.append(previous)
     return keys
+
+
+_PRIOR_SECONDS = 30.0  # weight, against measured time, of the assumption that expected times are right
+
+
+class JobProgress:
+    """Fraction and remaining time of a job.
+
+    Args:
+        weights: expected time of each step in seconds, on a small machine.
+        skipped: whether each step is left out.
+    """
+
+    def __init__(self, weights: Sequence[float], skipped: Sequence[bool]) -> None:
+        self._weight_skipped = sum(weight for weight, skip in zip(weights, skipped, strict=True) if skip)
+        self._weight_total = sum(weights) or 1.0
+        self._weight_done = self._weight_skipped
+        self._started = time.monotonic()
+        self._memory_gb = 0.0
+
+    def complete(self, weight: float) -> None:
+        """Count a step with this weight as done."""
+        self._weight_done += weight
+
+    def note_memory(self, memory_gb: float) -> None:
+        """Take an engine's peak memory in GB into account."""
+        self._memory_gb = max(self._memory_gb, memory_gb)
+
+    def message(self, weight: float, step_fraction: float, step_remaining: float | None) -> dict[str, Any]:
+        """The message `progress` of the job.
+
+        Args:
+            weight: of the current step.
+            step_fraction: share of the step that is done.
+            step_remaining: remaining seconds of the step if known.
+        """
+        done = self._weight_done + weight * min(max(step_fraction, 0.0), 1.0)
+        elapsed = time.monotonic() - self._started
+        # Seconds per expected second on this machine; at first close to 1, as the first steps say little.
+        pace = (elapsed + _PRIOR_SECONDS) / (done - self._weight_skipped + _PRIOR_SECONDS)
+        after = self._weight_total - self._weight_done - weight
+        current = weight * (1.0 - step_fraction) * pace if step_remaining is None else step_remaining
+        return {
+            "type": "progress",
+            "fraction": round(done / self._weight_total, 4),
+            "stage_fraction": round(step_fraction, 4),
+            "remaining_seconds": round(current + after * pace, 1),
+            "memory_gb": self._memory_gb,
+        }

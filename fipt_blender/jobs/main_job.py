@@ -55,11 +55,7 @@ def make_main_job(options: MainJobOptions) -> Job:
     run.create(options.settings)
     _take_hints(run, hints, again, options.resume)
     return open_job(
-        run,
-        _steps(options, run),
-        resume=options.resume,
-        result=lambda: list_files(run),
-        launch=engine,
+        run, _steps(options, run), resume=options.resume, result=lambda: list_files(run), launch=engine
     )
 
 
@@ -211,11 +207,7 @@ def _result_steps(options: MainJobOptions, run: RunFolder, room: Callable[[], Ro
             repeat=True,
         ),
         Step(
-            "textures",
-            "Baking textures",
-            20.0,
-            command=["textures", str(run.root)],
-            outputs=[run.textures],
+            "textures", "Baking textures", 20.0, command=["textures", str(run.root)], outputs=[run.textures]
         ),
         Step(
             "save",

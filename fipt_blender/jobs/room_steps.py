@@ -193,10 +193,7 @@ class RoomSteps:
     def _view(self) -> tuple[str, Support | None]:
         """The view to render, and a place in it for an object, if there is one."""
         if self._choice is None:
-            views = preferred_views(
-                read_capture(self._run.capture_json),
-                self._options.render_view,
-            )
+            views = preferred_views(read_capture(self._run.capture_json), self._options.render_view)
             geometry = [(view["name"], view_geometry(view)) for view in views]
             self._choice = choose_view(make_cast(read_room(self._run)), geometry)
         return self._choice

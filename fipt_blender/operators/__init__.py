@@ -23,7 +23,6 @@ from . import (
     estimate,
     example,
     export,
-    help,
     hints,
     insert,
     light_states,
@@ -69,7 +68,6 @@ MODULES = (
     check,
     compare,
     presets,
-    help,
 )
 
 

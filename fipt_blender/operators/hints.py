@@ -185,11 +185,7 @@ class FIPT_OT_answer_doubt(bpy.types.Operator):
         description="Number of the question in the list, from 0; the active one if negative",
         default=-1,
     )
-    answer: bpy.props.EnumProperty(
-        name="Answer",
-        description="What the part is",
-        items=ANSWERS,
-    )
+    answer: bpy.props.EnumProperty(name="Answer", description="What the part is", items=ANSWERS)
 
     poll = all_of(
         needs(lambda context: context.scene.fipt.hints.doubt() is not None, "Use Find Doubtful Parts first")

@@ -11,8 +11,9 @@ import bpy
 
 from .. import machine
 from ..core.run.runfolder import RunFolder
+from ..panels import manual
 from .job_operator import JobOperator
-from .polls import all_of, has_no_capture, in_object_mode, no_job, over_sidebar
+from .polls import all_of, has_no_capture, in_object_mode, needs, no_job, over_sidebar
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
@@ -102,3 +103,25 @@ class FIPT_OT_recover_run(JobOperator, bpy.types.Operator):
             mark(run.root)
         recovery.forget()
         return job
+
+
+class FIPT_OT_help(bpy.types.Operator):
+    """Open the guide's chapter on this section in the web browser"""
+
+    bl_idname = "fipt.help"
+    bl_label = "Open Guide"
+
+    chapter: bpy.props.StringProperty(
+        name="Chapter", description="The chapter; the guide's first page if empty", options={"SKIP_SAVE"}
+    )
+
+    poll = all_of(
+        needs(
+            lambda context: manual.address(),
+            "The guide is part of the extension's zip. Install it, or read docs/guide.md",
+        )
+    )
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        bpy.ops.wm.url_open(url=manual.address() + manual.chapter_page(self.chapter))
+        return {"FINISHED"}

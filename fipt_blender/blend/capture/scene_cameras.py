@@ -163,11 +163,7 @@ def frame_of(scene: bpy.types.Scene, item: bpy.types.Object) -> Frame:
 
 
 def photograph_lens(
-    item: bpy.types.Object,
-    background: bpy.types.CameraBackgroundImage,
-    frame: Frame,
-    width: int,
-    height: int,
+    item: bpy.types.Object, background: bpy.types.CameraBackgroundImage, frame: Frame, width: int, height: int
 ) -> tuple[float, float, float, float]:
     """Intrinsics fx, fy, cx, cy in pixels of the photograph, as it lies over the camera's frame.
 

@@ -173,11 +173,7 @@ def _shape_and_place(light: bpy.types.Object, matrix: Matrix) -> list[float]:
 
 
 def _add_light(
-    item: bpy.types.Object,
-    shape: Shape,
-    radiance: list[float],
-    backwards: bool,
-    target: bpy.types.Collection,
+    item: bpy.types.Object, shape: Shape, radiance: list[float], backwards: bool, target: bpy.types.Collection
 ) -> bpy.types.Object:
     """Add a Blender light of a shape as a fixture's child; `backwards` it shines from the shape's back."""
     name = f"{item.name} Light"

@@ -120,11 +120,7 @@ def _shelves(
 
 
 def place(
-    corner_uv: np.ndarray,
-    island: np.ndarray,
-    low: np.ndarray,
-    packing: Packing,
-    scale: float = 1.0,
+    corner_uv: np.ndarray, island: np.ndarray, low: np.ndarray, packing: Packing, scale: float = 1.0
 ) -> np.ndarray:
     """Corners in texels of their image, (T,3,2) f64.
 

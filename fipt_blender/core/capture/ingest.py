@@ -236,9 +236,7 @@ def _assign_splits(views: list[RigView], hold_back: int) -> list[RigView]:
     views = [replace(view, split=view.split or "train") for view in views]
     if not any(view.split == "train" for view in views):
         raise FiptError(
-            "no-views",
-            "The capture has no training photograph with a pose.",
-            "Check the camera file.",
+            "no-views", "The capture has no training photograph with a pose.", "Check the camera file."
         )
     return views
 

@@ -18,14 +18,7 @@ from ..run.errors import FiptError
 from .options import CaptureOptions
 from .radial import distorting_lens
 from .rig import Lens, Rig, RigView, WellFormed, damaged, read_json_rig
-from .rig_files import (
-    Places,
-    camera_file,
-    camera_pose,
-    largest_model,
-    numbers,
-    pixel_size,
-)
+from .rig_files import Places, camera_file, camera_pose, largest_model, numbers, pixel_size
 
 NAME = "opensfm"
 LOOKS_FOR = "reconstruction.json with cameras and shots"

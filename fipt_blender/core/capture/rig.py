@@ -138,9 +138,7 @@ class Rig:
 def damaged(path: Path, reason: object) -> FiptError:
     """The error for a rig file that does not conform to its format."""
     return FiptError(
-        "rig-damaged",
-        f"{path} does not conform to its format ({reason}).",
-        "Export the capture again.",
+        "rig-damaged", f"{path} does not conform to its format ({reason}).", "Export the capture again."
     )
 
 

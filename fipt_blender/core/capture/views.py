@@ -165,9 +165,7 @@ def load_capture(run: RunFolder) -> Capture:
     data = read_json(path)
     if not head("capture").items() <= data.items():
         raise FiptError(
-            "capture-version",
-            f"{path} is not a capture of version 1.",
-            "Start a new run in another folder.",
+            "capture-version", f"{path} is not a capture of version 1.", "Start a new run in another folder."
         )
     try:
         check_shape(data, CAPTURE)

@@ -108,11 +108,7 @@ def _wall(name: str, ends: np.ndarray, floor: float, ceiling: float) -> Piece:
 
 
 def _boxes(
-    points: np.ndarray,
-    eyes: np.ndarray,
-    plan: Plan,
-    heights: tuple[float, float],
-    width: float,
+    points: np.ndarray, eyes: np.ndarray, plan: Plan, heights: tuple[float, float], width: float
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Lowest and highest corners of upright boxes around clusters of points that lie on no plane."""
     from scipy.ndimage import label

@@ -64,9 +64,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     total, free = memory_gb()
     if free is not None and free < 4.0:
         reporter.warning(
-            "memory-low",
-            f"Only {free:.1f} GB of memory is free.",
-            "Close other programs or use fewer views.",
+            "memory-low", f"Only {free:.1f} GB of memory is free.", "Close other programs or use fewer views."
         )
     device = "cuda" if cuda else "llvm" if llvm and arguments.device != "cuda" else None
     reporter.done(

@@ -164,10 +164,7 @@ class ModelFolder:
 
 
 def normalized(
-    picture: np.ndarray,
-    size: tuple[int, int],
-    mean: np.ndarray = MEAN,
-    deviation: np.ndarray = STD,
+    picture: np.ndarray, size: tuple[int, int], mean: np.ndarray = MEAN, deviation: np.ndarray = STD
 ) -> torch.Tensor:
     """(1, 3, *size) of a picture (height, width, 3) uint8, sRGB; see `ModelFolder.pixels`."""
     values = (picture.astype(np.float32) / 255.0 - mean) / deviation

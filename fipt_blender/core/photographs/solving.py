@@ -127,11 +127,7 @@ def solve(folder: Path, views: Sequence[SolveView], seed: int, progress: Progres
         _extract(database, folder / "copies", views, lambda share: progress(features * share))
         _match(database, views, seed, lambda share: progress(features + matches * share))
         models = _map(
-            database,
-            folder,
-            len(views),
-            seed,
-            lambda share: progress(features + matches + mapping * share),
+            database, folder, len(views), seed, lambda share: progress(features + matches + mapping * share)
         )
     except RuntimeError as error:
         raise _explained(database, error) from error

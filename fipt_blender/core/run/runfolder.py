@@ -166,12 +166,7 @@ class RunFolder:
             for folder in (self.root, self.stage, self.results):
                 folder.mkdir(parents=True, exist_ok=True)
         write_json(
-            self.run_json,
-            {
-                **head("run"),
-                "product_version": PRODUCT_VERSION,
-                "settings": asdict(settings),
-            },
+            self.run_json, {**head("run"), "product_version": PRODUCT_VERSION, "settings": asdict(settings)}
         )
 
     def read(self) -> Settings:

@@ -24,14 +24,7 @@ REFINEMENT, TRAINING = "refinement-1", "training"
 Value = str | int | float | bool
 
 # The settings of Apply Results; no stage of an estimation reads them.
-TEXTURE_SETTINGS = (
-    "texel_density",
-    "texture_size",
-    "atlas_images",
-    "atlas_mode",
-    "write_back",
-    "clean_mesh",
-)
+TEXTURE_SETTINGS = ("texel_density", "texture_size", "atlas_images", "atlas_mode", "write_back", "clean_mesh")
 
 
 def _setting(default: Any, text: str, stage: str | None) -> Any:
@@ -279,11 +272,7 @@ class Settings:
 
 
 PRESETS: dict[str, dict[str, Value]] = {
-    "draft": {
-        "light_pixels": 2.0,
-        "training_steps": 250,
-        "batch_size": 4096,
-    },
+    "draft": {"light_pixels": 2.0, "training_steps": 250, "batch_size": 4096},
     "medium": {},
     "high": {
         "rounds": 2,

@@ -128,9 +128,7 @@ EMITTERS = Fields(
             Fields({"image": Choice("environment.exr")}, {"observed_share": Number(0.0, 1.0)})
         ),
     },
-    {
-        "missing": Items(Fields({"position": Numbers(3), "radius": _NOT_NEGATIVE, "radiance": Numbers(3)})),
-    },
+    {"missing": Items(Fields({"position": Numbers(3), "radius": _NOT_NEGATIVE, "radiance": Numbers(3)}))},
 )
 _SHARE = Number(0.0, 1.0)
 PARTS = Fields(
@@ -221,8 +219,7 @@ CHECK = Fields(
         "exposure": Number(),
         "views": Items(
             Fields(
-                dict.fromkeys(("view", "split", "render", "error"), str),
-                {"spp": Number(), "denoised": bool},
+                dict.fromkeys(("view", "split", "render", "error"), str), {"spp": Number(), "denoised": bool}
             )
         ),
     }

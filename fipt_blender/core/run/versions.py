@@ -25,12 +25,7 @@ from .errors import FiptError
 from .replacing import atomic_folder, link_folder, link_or_copy
 from .runfolder import RunFolder, beside, explained_write_errors, write_json
 from .settings import TEXTURE_SETTINGS, make_settings
-from .shapes import (
-    RUN,
-    STAGES,
-    STATISTICS,
-    VERSION,
-)
+from .shapes import RUN, STAGES, STATISTICS, VERSION
 
 HINTED = "hinted-"  # how the names of the stages of Re-estimate with Hints begin
 _NOT_SHOWN = {*TEXTURE_SETTINGS, "preset", "device", "detail", "kept_versions"}
