@@ -15,7 +15,7 @@ import numpy as np
 from ..run.documents import Fields, Items, Maybe, Number, Numbers, check_shape, parse_document
 
 _COUNT = Number(0, 1 << 40, whole=True)
-_TRIANGLES = 4
+_TRIANGLES = 4  # the primitive mode of glTF
 _TYPES = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _SHAPE = Fields(
     {},

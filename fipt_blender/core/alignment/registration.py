@@ -17,11 +17,11 @@ from ..run.errors import FiptError
 from .surface import Surface, main_axes
 from .turns import even_turns, rotation_between
 
-LEAST_POINTS = 50
+LEAST_POINTS = 50  # of a solve
 _SCALES = np.array([0.6, 0.75, 0.9, 1.05, 1.25, 1.5])  # of the extents' ratio: points miss part of the room
 _YAWS = 24  # turns about a known up direction; improving bridges half of 15 degrees with ease
-_COARSE_STEPS = 6
-_STEPS = 25
+_COARSE_STEPS = 6  # of improving with few points
+_STEPS = 25  # of improving with all points
 _CAP = 0.05  # of the points' extent: farther points count as outliers
 # Widths of the weights over the standard deviation of the distances: while searching, and while polishing,
 # where wrong points, of which solves have many, would pull the result by some millimeters.

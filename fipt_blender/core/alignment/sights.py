@@ -17,7 +17,6 @@ from .pairs import LEAST_PAIRS, MIRRORED, PairFit, fit_pairs
 from .turns import cross_matrix, even_turns, turn_by
 
 _TURNS = 1000  # rotations that are tried, about 25 degrees apart
-_STEPS = 40
 _LEAST_NUMBERS = 7  # of a similarity; a ray gives two, a point three
 
 
@@ -165,7 +164,7 @@ def _improved(sights: Sights, target: np.ndarray, start: np.ndarray) -> tuple[np
     points = target[sights.pair]
     current, damping = start, 1e-3
     residual, matrix = _angles(sights, points, current)
-    for _ in range(_STEPS):
+    for _ in range(40):
         normal, slope = matrix.T @ matrix, matrix.T @ residual
         step = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-9), -slope)
         tried = _moved(step, points, current)

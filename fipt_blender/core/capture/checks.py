@@ -18,9 +18,8 @@ from ..run.shapes import FARTHEST
 from .encoded import srgb_encoded
 from .rig import Note, Pinhole
 
-CLIPPED_SHARE = 5e-4
+CLIPPED_SHARE = 5e-4  # of the sampled values, at the highest one
 CLIPPED_TOLERANCE = 4e-3  # a few steps of half floats: the pixels of a uniform lamp differ by as much
-SAMPLED_PIXELS = 65536
 # Focal lengths over an image's longer side: views of 179 degrees, and lenses of 3.6 m on 36 mm film.
 FOCAL_LENGTHS = (0.01, 100.0)
 
@@ -139,9 +138,9 @@ def pixel_statistics(path: Path, pixels: np.ndarray) -> PixelStatistics:
 
 
 def pixel_sample(pixels: np.ndarray) -> np.ndarray:
-    """(N, 3) values of at most `SAMPLED_PIXELS` pixels all over a photograph (height, width, 3)."""
+    """(N, 3) values of at most 65,536 pixels all over a photograph (height, width, 3)."""
     flat = pixels.reshape(-1, 3)
-    return np.ascontiguousarray(flat[:: -(-len(flat) // SAMPLED_PIXELS)])
+    return np.ascontiguousarray(flat[:: -(-len(flat) // 65536)])
 
 
 def _is_8bit(values: np.ndarray) -> bool:

@@ -23,7 +23,7 @@ _COUNT = struct.Struct("<Q")
 _CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; then float64 parameters
 _RIG = struct.Struct("<II")  # id, number of sensors; then the sensors, the first without a pose
 _SENSOR_BYTES = 4 + 4  # type, id
-_POSE_BYTES = 7 * 8
+_POSE_BYTES = 7 * 8  # quaternion and translation
 _FRAME_BYTES = 4 + 4 + _POSE_BYTES  # id, rig id, pose; then a 32-bit count and data ids
 _DATA_BYTES = _SENSOR_BYTES + 8
 

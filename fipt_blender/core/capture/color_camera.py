@@ -21,7 +21,7 @@ from .depth_images import read_depth
 from .images import read_radiance
 from .rig import DepthView, Lens, Note, Rig, RigView
 
-MOST_FRAMES = 64
+MOST_FRAMES = 64  # more only cost time
 WIDTH = 320  # pixels to which photographs are reduced
 BLURS = ((8.0, 12), (4.0, 10), (2.0, 8), (1.0, 6))  # pixels of that width, and steps
 SCALE = 0.5  # of robust residuals, in standard deviations of a photograph's details

@@ -34,7 +34,6 @@ FARTHEST = 8.0
 # Medians outside of this are no distances in a room: the unit of the depth images is another one.
 PLAUSIBLE_MEDIAN = (0.1, 20.0)
 SPECK_VOXELS = 10.0  # pieces of less area than a square of this side are dropped
-LEAST_MEASUREMENTS = 2.0
 
 
 def checked_depths(views: Sequence[DepthView]) -> tuple[DepthView, ...]:
@@ -169,7 +168,7 @@ def fuse(
     for index, view in enumerate(views):
         volume.integrate(read_depth(view, scale))
         progress((index + 1) / (len(views) + 1))
-    mesh = extract(volume, min(LEAST_MEASUREMENTS, len(views)))
+    mesh = extract(volume, min(2.0, len(views)))
     mesh = without_specks(mesh, (SPECK_VOXELS * options.voxel) ** 2)
     if options.close_holes > 0.0:
         mesh = with_closed_holes(mesh, options.close_holes)

@@ -25,10 +25,10 @@ from .encoded import check_pixels, is_encoded, missing, pillow_size, read_encode
 EXR_SUFFIX = ".exr"
 MASK_SUFFIXES = (".exr", ".png")
 HALF_MAX = float(np.finfo(np.float16).max)
-JPEG_QUALITY = 95
+JPEG_QUALITY = 95  # an error of about one of 255 steps
 REC709 = np.array([0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290])
 BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
-MAX_PNG_ID = 2**16 - 1
+MAX_PNG_ID = 2**16 - 1  # 16 bits
 MAX_ID = 2**24 - 1  # highest id of a colour mask; 32-bit floats represent all of them exactly
 
 

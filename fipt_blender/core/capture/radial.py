@@ -15,7 +15,7 @@ from ..run.errors import FiptError
 from .rig import Lens
 
 MOST_ERROR = 0.01  # pixels; far below what calibrations are accurate to
-_SAMPLES = 400
+_SAMPLES = 400  # radii to which a lens is fitted
 
 
 def distorting_lens(

@@ -26,7 +26,7 @@ LOOKS_FOR = (
     "frame-*.depth.png and frame-*.pose.txt beside camera-intrinsics.txt, or folders depth, pose, color"
 )
 INTRINSICS = "camera-intrinsics.txt"
-MOST_POSE_BYTES = 10_000
+MOST_POSE_BYTES = 10_000  # of a file of one frame
 PHOTOGRAPHS = (".jpg", ".png", ".jpeg")  # `find_image` prefers an EXR of the same name
 
 

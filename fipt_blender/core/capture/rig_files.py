@@ -41,7 +41,7 @@ from .rig import (
 
 IMAGE_FOLDERS = ("hdr", "exr", "images", "input", "Image", ".")
 MESH_STEMS = ("scene", "mesh", "model", "texturedMesh", "scene_dense_mesh")
-MOST_TEXT_BYTES = 256_000_000
+MOST_TEXT_BYTES = 256_000_000  # of a camera file
 
 
 @dataclass(frozen=True)

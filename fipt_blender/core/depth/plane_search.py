@@ -14,12 +14,12 @@ import numpy as np
 from ..alignment.turns import rotation_between
 from .floor_plan import Line
 
-LEAST_POINTS = 100
+LEAST_POINTS = 100  # of a solve, for a room
 _TILTS = ((20.0, 4.0), (4.0, 1.0), (1.0, 0.25))  # degrees: reach and step of the search for the level
 _LEVEL_SHARE = 0.015  # of the points, at least, that lie on a floor or ceiling
 _BEYOND = 0.05  # of the points, at most, are below the floor: mirrored and wrong ones
 _WALL_SHARE = 0.02  # of the points between floor and ceiling, at least, that lie on a wall
-_WALL_POINTS = 12
+_WALL_POINTS = 12  # at least, that lie on a wall
 _FREE = 0.7  # a wall that is not at right angles to the others needs so many more points: over this
 
 

@@ -32,7 +32,7 @@ from .variant import VARIANTS, set_variant
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-CONNECT_SECONDS = 5.0
+CONNECT_SECONDS = 5.0  # for the scheduler's first answer
 # A run ends after this time without any worker; a worker that is restarted is back by then.
 WORKERS_SECONDS = 60.0
 POLL_SECONDS = 2.0

@@ -19,7 +19,7 @@ from ..report.pictures import write_png
 from ..run.documents import head
 from ..run.runfolder import RunFolder, write_json
 
-MOST_DOUBTS = 20
+MOST_DOUBTS = 20  # of a run
 # Standard deviation of roughness or metallic, or of whether a part emits, from which a part is doubtful.
 LEAST_DOUBT = 0.1
 # Parts with a smaller share of all pixels are not worth a question.

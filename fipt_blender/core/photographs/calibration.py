@@ -16,7 +16,7 @@ from .preparation import Photograph
 from .response import Response, recover_response, split_samples, srgb_curve
 
 SAMPLE_SIDE = 384  # the longer side of the grid on which exposures are compared
-MOST_SAMPLES = 400_000
+MOST_SAMPLES = 400_000  # of all pairs of exposures
 SMOOTH_CODES = 4.0  # places with a larger spread of codes lie on edges
 LEAST_SIMILARITY = 0.5  # of exposures that show the same
 _LOW, _HIGH = 0.02, 0.8  # linear values at which exposures are compared

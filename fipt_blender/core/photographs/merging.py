@@ -24,7 +24,6 @@ from .motion import Motion, warped
 HAT_FROM, HAT_TO = 0.7, 0.97
 _LEAST_WEIGHT = 1e-9
 MOVED_LOG = 0.15  # regions whose exposures differ by more than this in the logarithm have moved
-_MOVED_SIGMAS = 5.0
 # Exposures that a fraction of a pixel moved out of the image still count in the last rows and columns, which
 # would otherwise be left to the noise of darker ones.
 BORDER = 1.0
@@ -167,7 +166,7 @@ def moved_regions(values: Sequence[np.ndarray], sigmas: Sequence[np.ndarray]) ->
             if both.any():
                 ratio[both] -= np.median(ratio[both])
             noise = np.hypot(np.nan_to_num(sigmas[j]), np.nan_to_num(sigmas[k]))
-            moved |= both & (np.abs(ratio) > np.maximum(MOVED_LOG, _MOVED_SIGMAS * noise))
+            moved |= both & (np.abs(ratio) > np.maximum(MOVED_LOG, 5.0 * noise))
     # Edges that are a fraction of a pixel apart leave lines; what has moved has a width.
     moved = ndimage.binary_opening(moved, np.ones((2, 2), bool))
     moved = ndimage.binary_dilation(moved, np.ones((3, 3), bool))

@@ -15,7 +15,7 @@ import numpy as np
 from ..run.documents import read_limited
 from ..run.shapes import MOST_SIDE
 
-_HEADER_BYTES = 65_536
+_HEADER_BYTES = 65_536  # at most
 
 
 def read_size(path: Path) -> tuple[int, int]:

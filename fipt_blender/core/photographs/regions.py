@@ -28,7 +28,7 @@ GRIDS = (6, 12, 24)  # points along the longer side of a photograph, one grid af
 SURE, SURE_CELLS = 0.93, 16.0
 # The paper's choices, but for the stability: of 0.95, walls were left without a mask.
 LEAST_CONFIDENCE = 0.88  # IoU with the true mask that the model predicts
-LEAST_STABILITY = 0.9
+LEAST_STABILITY = 0.9  # IoU of a mask at two thresholds
 MOST_COVER = 0.95  # share of a photograph, from which a mask shows no region
 MOST_OVERLAP = 0.7  # IoU of two masks of different regions
 # Pixels of a region's pieces as a share of the photograph's; the paper's 100 pixels at about 1 megapixel.

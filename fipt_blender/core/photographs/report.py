@@ -36,11 +36,11 @@ _SOURCES = {
     "none": "nothing to correct: measured where views overlap",
     "unknown": "not corrected: neither the files nor the views tell it",
 }
-PICTURE_WIDTH = 400
+PICTURE_WIDTH = 400  # pixels, of the pictures on the page
 CLIPPED_COLOR = (1.0, 0.0, 1.0)
 MIDDLE_GRAY = 0.18  # of the median pixel in the pictures: the scale of radiance is arbitrary
-_PLAN_MARGIN = 24.0
-_CURVE_SIZE = 200.0
+_PLAN_MARGIN = 24.0  # pixels around the cameras' plan
+_CURVE_SIZE = 200.0  # pixels along an edge of the picture of a response
 
 
 @dataclass(frozen=True)

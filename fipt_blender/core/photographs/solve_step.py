@@ -31,7 +31,7 @@ _COPIES_SHARE = 0.1  # of the step's time
 POOR_ERROR = 1.5  # pixels of mean reprojection error; a good solve has less than one
 SMALL_SIDE = 1000  # pixels; in smaller images, most photographs of a room have too few features
 FEW_VIEWS = 3  # of one camera; with less, its focal length is hardly determined
-_NAMES_IN_TEXT = 5
+_NAMES_IN_TEXT = 5  # of a warning
 
 
 def solve_folder(folder: PreparationFolder) -> Path:

@@ -24,7 +24,7 @@ Progress = Callable[[float], None]
 
 FEW_FEATURES = 150  # below, a photograph shows too little to be placed
 LEAST_MODEL = 3  # photographs; smaller models say nothing
-_PAIRS_PER_CALL = 64
+_PAIRS_PER_CALL = 64  # between two messages of progress
 _SHARES = (0.2, 0.6, 0.2)  # of the time: features, matches, mapping
 
 

@@ -19,7 +19,6 @@ TERMS = 3  # r², r⁴, r⁶ of the logarithm of the share of light
 LEAST_OBSERVATIONS = 300  # of points that at least two views see
 LEAST_SIGNIFICANCE = 4.0  # standard errors by which the corner must be darker
 LEAST_FALLOFF = 0.02  # of the light in the corner; less is not worth a correction
-_ITERATIONS = 12
 _OUTLIER = 4.685  # times the noise, beyond which Tukey's weights are zero (95 % efficient for normal noise)
 
 
@@ -83,7 +82,7 @@ def fit_falloff(observations: Observations) -> Falloff | None:
     columns[np.arange(len(point)), TERMS + view] = 1.0
     values = observations.log_radiance[shared]
     weights, residual = np.ones(len(point)), np.zeros(len(point))
-    for _ in range(_ITERATIONS):
+    for _ in range(12):
         centered = without_means(columns, point, weights)
         target = without_means(values, point, weights)
         # A weak pull towards zero decides only where radii are not covered.

@@ -15,8 +15,8 @@ from functools import cache
 
 import numpy as np
 
-LEVELS = 256
-COMPONENTS = 4
+LEVELS = 256  # codes of a channel
+COMPONENTS = 4  # of the basis of responses
 # Codes between which a curve's contrast is measured, as shares of the highest.
 LOW_ANCHOR, HIGH_ANCHOR = 51, 204
 # Codes below this are mostly noise; curves are steep there.

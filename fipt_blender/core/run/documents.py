@@ -22,7 +22,7 @@ from typing import Any
 
 from .errors import FiptError
 
-MOST_BYTES = 256_000_000
+MOST_BYTES = 256_000_000  # of a JSON document
 
 
 def head(name: str) -> dict[str, Any]:

@@ -18,9 +18,9 @@ from .documents import Choice, Fields, Items, Maybe, Numbers, head, read_json
 from .errors import FiptError
 from .runfolder import write_json
 
-MOST_HINTS = 1000
+MOST_HINTS = 1000  # of a document
 MOST_POINTS = 500_000  # of all hints together
-MOST_NAME = 200
+MOST_NAME = 200  # characters
 UNKNOWN, DIELECTRIC, METAL = MATERIALS = ("unknown", "dielectric", "metal")
 
 Point = tuple[float, float, float]

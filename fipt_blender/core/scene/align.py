@@ -39,7 +39,7 @@ from ..run.threads import in_threads
 
 HOW = ("points", "near", "edges")
 _ROUNDS = 3  # of tracing the edges again after the cameras have moved
-_SEED = 0
+_SEED = 0  # of the points that are drawn
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
