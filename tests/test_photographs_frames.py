@@ -105,7 +105,7 @@ def test_merging_five_large_photographs(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(frames, "LARGE_PIXELS", HEIGHT * WIDTH // 2)
     for module in (frames, merging):
         monkeypatch.setattr(module, "BAND_ROWS", 128 * HEIGHT // 4000)
-    monkeypatch.setattr(merging, "GHOST_SIDE", merging.GHOST_SIDE * WIDTH // 6000)
+    monkeypatch.setattr(merging, "SAMPLE_SIDE", merging.SAMPLE_SIDE * WIDTH // 6000)
     y, x = np.mgrid[:HEIGHT, :WIDTH].astype(np.float32)
     for index in range(EXPOSURES):
         moved = x + shift * index

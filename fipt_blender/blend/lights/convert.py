@@ -48,7 +48,6 @@ RAYS = ("visible_diffuse", "visible_glossy", "visible_transmission", "visible_vo
         "visible_shadow")  # fmt: skip
 _SHAPE_FIELDS = ("size", "size_y", "spread", "shadow_soft_size", "exposure", "use_shadow", "use_temperature")
 _KINDS = ("", "POINT", "SUN", "SPOT", "AREA", "SQUARE", "RECTANGLE", "DISK", "ELLIPSE")
-_CLOSED = 0.5  # a surface whose vector area is a smaller share of its area is closed
 
 
 @dataclass(frozen=True)
@@ -247,7 +246,7 @@ def vector_areas(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 def is_closed(vector_area: np.ndarray) -> bool:
     """Whether a surface encloses a volume, given the vector areas (T,3) of its triangles."""
-    return _openness(vector_area) < _CLOSED
+    return _openness(vector_area) < 0.5
 
 
 def _openness(vector_area: np.ndarray) -> float:

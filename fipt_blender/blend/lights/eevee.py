@@ -27,9 +27,8 @@ SPACING = 0.4  # metres between the samples of the volume
 _BORDER = 1
 _SWITCHED_ON = ("use_raytracing", "use_shadows")
 # Radiances below which lights end, and at which reflected light is clamped: Blender's defaults, for a picture
-# whose middle is _MIDDLE.
+# whose middle is a value of 0.18.
 _RADIANCES = {"light_threshold": 0.01, "clamp_surface_indirect": 10.0}
-_MIDDLE = 0.18
 ENGINES = ("BLENDER_EEVEE_NEXT", "BLENDER_EEVEE")  # 4.2 to 4.5; from 5.0
 
 
@@ -69,7 +68,7 @@ def use_eevee(scene: bpy.types.Scene) -> None:
     if not switch_engine(scene, ENGINES):
         raise FiptError("engine-missing", "This Blender has no EEVEE.", "Use Cycles.")
     median = scene.fipt.lights.median_radiance
-    scale = median / _MIDDLE if median > 0.0 else 1.0
+    scale = median / 0.18 if median > 0.0 else 1.0
     wanted: dict[str, float] = {name: scale * value for name, value in _RADIANCES.items()}
     wanted |= dict.fromkeys(_SWITCHED_ON, True)
     # Not every version of Blender has all of them.

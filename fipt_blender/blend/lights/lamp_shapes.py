@@ -16,10 +16,9 @@ from mathutils import Matrix
 
 from ...core.run.errors import FiptError
 from ..marks import BACK, BASE, remove_marks
+from .convert import is_closed, vector_areas
 from .power import world_matrix
 
-# Surfaces with a smaller ratio of |vector area| to area are closed.
-_CLOSED = 0.5
 # Ratio of the variances along and across a closed surface from which it is a tube.
 _LONG = 3.0
 # Fourth moment over squared variance along the sides: 1.8 for a rectangle, 2 for an ellipse.
@@ -55,15 +54,15 @@ def fit_lamp_shape(vertices: np.ndarray, triangles: np.ndarray) -> LampShape:
         FiptError: ``shape-unclear`` where none fits, ``fixture-empty`` where there is no surface.
     """
     corners = vertices[triangles].astype(np.float64)
-    vector_area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    vector_area = vector_areas(vertices.astype(np.float64), triangles)
     area = np.linalg.norm(vector_area, axis=1)
     if not area.sum() > 0.0:
         raise FiptError("fixture-empty", "The lamp has no surface.", "Choose another fixture.")
     points, weight = _points(corners, area)
     middle = weight @ points
     front = vector_area.sum(axis=0)
-    flat = float(np.linalg.norm(front)) >= _CLOSED * float(area.sum())
-    shape = _flat_shape(points, weight, middle, front) if flat else _closed_shape(points, weight, middle)
+    closed = is_closed(vector_area)
+    shape = _closed_shape(points, weight, middle) if closed else _flat_shape(points, weight, middle, front)
     filled = float(area.sum()) / _shape_area(shape)
     if weight @ _on_shape(shape, points) < _FITS or not _FILLED[0] < filled < _FILLED[1]:
         raise FiptError(

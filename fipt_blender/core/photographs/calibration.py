@@ -15,7 +15,7 @@ from .motion import FINEST_SIDE, STILL_PIXELS, Motion, after, grey, measure, war
 from .preparation import Photograph
 from .response import Response, recover_response, split_samples, srgb_curve
 
-SAMPLE_SIDE = 384  # the longer side of the grid on which exposures are compared
+SAMPLE_SIDE = 384  # the longer side of the grid on which exposures are compared, and moved regions found
 MOST_SAMPLES = 400_000  # of all pairs of exposures
 SMOOTH_CODES = 4.0  # places with a larger spread of codes lie on edges
 LEAST_SIMILARITY = 0.5  # of exposures that show the same

@@ -17,6 +17,7 @@ from PIL import Image
 from scipy import ndimage
 
 from ..radiometry.adjustment import CODE_NOISE
+from .calibration import SAMPLE_SIDE
 from .frames import BAND_ROWS, Frame, block_mean
 from .motion import Motion, warped
 
@@ -27,7 +28,6 @@ MOVED_LOG = 0.15  # regions whose exposures differ by more than this in the loga
 # Exposures that a fraction of a pixel moved out of the image still count in the last rows and columns, which
 # would otherwise be left to the noise of darker ones.
 BORDER = 1.0
-GHOST_SIDE = 384  # the longer side of the grid on which moved regions are found
 _DARK, _BRIGHT = 0.01, 0.85  # linear values that are compared to find them
 
 
@@ -271,7 +271,7 @@ def _ghosts(
 ) -> np.ndarray:
     """The choice of `moved_regions` on a coarse grid."""
     height, width = frames[0].values.shape[:2]
-    factor = max(1, max(height, width) // GHOST_SIDE)
+    factor = max(1, max(height, width) // SAMPLE_SIDE)
     rows, columns = height // factor, width // factor
     radiances, sigmas = [], []
     for frame, motion, exposure in zip(frames, motions, exposures, strict=True):

@@ -20,7 +20,7 @@ STILL_PIXELS = 0.15  # smaller motion of any corner, in pixels of the working si
 MOST_SHARE = 0.15  # of the longer side; larger motion is taken for a failure
 # Standard deviation of the logarithm at the coarsest size, where noise is averaged out.
 LEAST_CONTRAST = 0.02
-_LEAST_OVERLAP = 0.05  # share of pixels that must be usable in both
+LEAST_OVERLAP = 0.05  # share of pixels that must be usable in both
 # Log values below that of about 1 % of the ceiling are mostly noise.
 DARKEST, BRIGHTEST = 0.01, 0.95
 _OUTLIER = 2.5  # residuals beyond this many (robust) standard deviations do not count
@@ -154,7 +154,7 @@ def _searched(reference: np.ndarray, exposure: np.ndarray) -> Motion:
                 exposure[other_rows, slice(columns.start + dx, columns.stop + dx)],
             )
             both = np.isfinite(a) & np.isfinite(b)
-            if both.sum() < 2 * _LEAST_OVERLAP * reference.size:
+            if both.sum() < 2 * LEAST_OVERLAP * reference.size:
                 continue
             value = _correlation(a[both], b[both])
             if value > best:
@@ -167,7 +167,7 @@ def _refined(reference: np.ndarray, exposure: np.ndarray, motion: Motion) -> Mot
     height, width = reference.shape
     side = max(height, width)
     known = np.flatnonzero(np.isfinite(reference))
-    if len(known) < _LEAST_OVERLAP * reference.size:
+    if len(known) < LEAST_OVERLAP * reference.size:
         return Motion(motion.x, motion.y, motion.angle, -1.0)
     known = known[:: max(1, len(known) // 40_000)]
     points = np.stack([known % width, known // width], -1) + 0.5
@@ -176,7 +176,7 @@ def _refined(reference: np.ndarray, exposure: np.ndarray, motion: Motion) -> Mot
         places = motion.apply(points, width, height)
         values, slopes = _sampled(exposure, places)
         valid = np.isfinite(values)
-        if valid.sum() < _LEAST_OVERLAP * len(points):
+        if valid.sum() < LEAST_OVERLAP * len(points):
             return Motion(motion.x, motion.y, motion.angle, -1.0)
         a, b, slopes = target[valid], values[valid], slopes[valid]
         # How a pixel's place changes with the angle: perpendicular to its way from the centre.

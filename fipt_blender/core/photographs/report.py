@@ -38,7 +38,6 @@ _SOURCES = {
 }
 PICTURE_WIDTH = 400  # pixels, of the pictures on the page
 CLIPPED_COLOR = (1.0, 0.0, 1.0)
-MIDDLE_GRAY = 0.18  # of the median pixel in the pictures: the scale of radiance is arbitrary
 _PLAN_MARGIN = 24.0  # pixels around the cameras' plan
 _CURVE_SIZE = 200.0  # pixels along an edge of the picture of a response
 
@@ -161,7 +160,8 @@ def _exposure(images: Sequence[Path]) -> float:
     step = max(1, len(existing) // 5)
     medians = [float(np.median(small(path))) for path in existing[::step]]
     median = float(np.median(medians)) if medians else 0.0
-    return MIDDLE_GRAY / median if median > 0.0 else 1.0
+    # The scale of radiance is arbitrary: the median becomes middle gray.
+    return 0.18 / median if median > 0.0 else 1.0
 
 
 def small(path: Path, width: int = PICTURE_WIDTH) -> np.ndarray:

@@ -29,10 +29,8 @@ _BARE = frozenset(
 )
 # What a room's whole shell is called, and how one place of it is.
 _SHELL = {"wall": "wall", "walls": "wall", "ceiling": "ceiling", "ceilings": "ceiling", "floor": "floor"}
-_WHOLE = 0.9  # of the room's diagonal: an object that holds the whole room names no place
 _OWN_SHARE = 0.5  # of an object's area: from there on the object is the lamp
 _NEAR = 0.3  # metres between a bulb and the lamp that holds it
-_TABLE_SHARE = 0.55  # of the room's height: lamps above hang
 
 
 class NamedMesh(Protocol):
@@ -130,7 +128,8 @@ def _names_place(room: NamedMesh, index: int, own: Sequence[str]) -> bool:
         return False
     corners = room.vertices[np.unique(room.triangles[room.triangle_object == index])]
     diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
-    return own[-1] in _SHELL or diagonal < _WHOLE * float(np.linalg.norm(np.ptp(room.vertices, axis=0)))
+    # An object that holds the whole room names no place.
+    return own[-1] in _SHELL or diagonal < 0.9 * float(np.linalg.norm(np.ptp(room.vertices, axis=0)))
 
 
 def _main(owner: np.ndarray, triangles: np.ndarray, areas: np.ndarray) -> tuple[int, float]:
@@ -172,7 +171,7 @@ def _place(room: NamedMesh, points: np.ndarray, normal: np.ndarray) -> list[str]
             return ["wall"]
     if points[:, 2].min() - low[2] < edge:
         return ["floor"]
-    return ["table"] if points[:, 2].mean() - low[2] < _TABLE_SHARE * height else ["hanging"]
+    return ["table"] if points[:, 2].mean() - low[2] < 0.55 * height else ["hanging"]
 
 
 def _shape(points: np.ndarray) -> str:

@@ -16,11 +16,11 @@ import mitsuba as mi
 import numpy as np
 
 from ..capture.views import View
+from ..light.emitters import CHUNK
 from ..optics.factorised import color_line, level_share
 from ..scene.camera_rays import opaque_vector
 from ..scene.room import Room
 
-CHUNK = 1 << 20  # texels in one kernel launch
 LEAST_COSINE = 0.17  # of the angle between normal and view, below which texels are stretched too much
 MARGIN = 1.0  # pixels around a texel in which its surface must be seen: blur mixes neighbours
 PLANE = 0.4  # distance from a texel's plane that still is its surface, in widths of a pixel of light
