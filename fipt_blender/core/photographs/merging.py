@@ -17,12 +17,12 @@ from PIL import Image
 from scipy import ndimage
 
 from ..radiometry.adjustment import CODE_NOISE
-from .calibration import SAMPLE_SIDE
 from .frames import BAND_ROWS, Frame, block_mean
 from .motion import Motion, warped
 
 # The hat: full weight up to here, none from the ceiling on.
 HAT_FROM, HAT_TO = 0.7, 0.97
+SAMPLE_SIDE = 384  # the longer side of the grid on which exposures are compared, and moved regions found
 _LEAST_WEIGHT = 1e-9
 MOVED_LOG = 0.15  # regions whose exposures differ by more than this in the logarithm have moved
 # Exposures that a fraction of a pixel moved out of the image still count in the last rows and columns, which
