@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
+from bpy.types import Context, PropertyGroup, UILayout
 
 from ..jobs import running
 from . import swatches
@@ -32,13 +33,7 @@ class FIPT_PT_materials(Section, bpy.types.Panel):
 class FIPT_UL_part_materials(Rows, bpy.types.UIList):
     """The parts of the room: mean base color, name, and whether its material is adjusted"""
 
-    def draw_row(
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        item: bpy.types.PropertyGroup,
-        index: int,
-    ) -> None:
+    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
         layout.use_property_split = False
         # An icon: a color field can't be disabled without a tint.
         color = item.base_color.copy()  # of a property itself, Blender 4.3 converts zeros
