@@ -143,7 +143,7 @@ def components(count: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return renumbered(root)
 
 
-def main_directions(normals: np.ndarray, areas: np.ndarray, rounds: int = 10) -> np.ndarray:
+def main_directions(normals: np.ndarray, areas: np.ndarray) -> np.ndarray:
     """Directions (D,3) that the surface mostly faces: 26 even ones, moved to the means of what is nearest.
 
     Large planes thus get directions of their own; directions that meet become one.
@@ -151,7 +151,6 @@ def main_directions(normals: np.ndarray, areas: np.ndarray, rounds: int = 10) ->
     Args:
         normals: (T,3) unit.
         areas: (T,).
-        rounds: of moving.
     """
     steps = np.array([-1.0, 0.0, 1.0])
     grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -161,7 +160,7 @@ def main_directions(normals: np.ndarray, areas: np.ndarray, rounds: int = 10) ->
     cells = np.round((normals + 1.0) * 31.5).astype(np.int64) @ np.array([4096, 64, 1])
     _, cell = np.unique(cells, return_inverse=True)
     sums = np.stack([np.bincount(cell, areas * normals[:, axis]) for axis in range(3)], axis=1)
-    for _ in range(rounds):
+    for _ in range(10):
         nearest = np.argmax(sums @ directions.T, axis=1)
         moved = np.stack([np.bincount(nearest, sums[:, axis], len(directions)) for axis in range(3)], axis=1)
         length = np.linalg.norm(moved, axis=1, keepdims=True)

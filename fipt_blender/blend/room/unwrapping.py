@@ -93,7 +93,7 @@ def uvs_usable(corner_uv: np.ndarray, island: np.ndarray, area: np.ndarray) -> b
     return overlap_share(corner_uv, island) <= 0.02
 
 
-def overlap_share(corner_uv: np.ndarray, island: np.ndarray, texels: int = 40_000) -> float:
+def overlap_share(corner_uv: np.ndarray, island: np.ndarray) -> float:
     """Share of the covered texels that more than one triangle of the same island covers, 0 to 1.
 
     The islands are packed apart first, since only an island that overlaps itself is unusable.
@@ -101,8 +101,8 @@ def overlap_share(corner_uv: np.ndarray, island: np.ndarray, texels: int = 40_00
     Args:
         corner_uv: (T,3,2) of one object.
         island: (T,) of `uv_islands`.
-        texels: area that the islands are scaled to for the test.
     """
+    texels = 40_000  # to which the islands are scaled for the test
     low, extent = island_bounds(corner_uv, island)
     total = float((extent[:, 0] * extent[:, 1]).sum())
     if not np.isfinite(total) or total <= 0.0:

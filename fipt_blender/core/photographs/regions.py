@@ -213,7 +213,7 @@ def stability(logits: torch.Tensor, offset: float = 1.0) -> torch.Tensor:
     return inner / outer.clamp(min=1)
 
 
-def distinct_masks(masks: torch.Tensor, confidence: torch.Tensor, most: float = MOST_OVERLAP) -> torch.Tensor:
+def distinct_masks(masks: torch.Tensor, confidence: torch.Tensor) -> torch.Tensor:
     """Greedy non-maximum suppression by the IoU of masks.
 
     The authors' code compares boxes, of which a picture and its frame have the same.
@@ -221,7 +221,6 @@ def distinct_masks(masks: torch.Tensor, confidence: torch.Tensor, most: float = 
     Args:
         masks: (N, P) bool, pixels of N masks.
         confidence: (N,), the highest is kept; of equal ones the first.
-        most: IoU with a kept mask, above which a mask is left out.
 
     Returns:
         Indices of the kept masks, by falling confidence.
@@ -230,7 +229,7 @@ def distinct_masks(masks: torch.Tensor, confidence: torch.Tensor, most: float = 
     cover = masks[order].float()
     area = cover.sum(dim=1)
     shared = cover @ cover.T
-    similar = shared > most * (area[:, None] + area[None] - shared)
+    similar = shared > MOST_OVERLAP * (area[:, None] + area[None] - shared)
     kept: list[int] = []
     left = torch.ones(len(order), dtype=torch.bool)
     for index in range(len(order)):

@@ -91,13 +91,13 @@ def new_results(run: RunFolder) -> Iterator[RunFolder]:
         yield RunFolder(run.root, results=new.name)
 
 
-def note_version(results: Path, name: str = "") -> None:
+def note_version(results: Path) -> None:
     """Write into results when they were finished, now.
 
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
-    _write(results, name, time.time())
+    _write(results, "", time.time())
 
 
 def prune(run: RunFolder, most: int) -> None:
