@@ -22,6 +22,7 @@ HEAVY = ("mitsuba", "drjit", "torch", "OpenEXR", "pycolmap", "pyoidn", "rawpy", 
 # What Blender's side may import of the engine: the standard library and numpy are enough for these.
 SHARED = (
     "alignment.pairs",
+    "alignment.ply_header",
     "alignment.sights",
     "alignment.turns",
     "capture.averaging",
