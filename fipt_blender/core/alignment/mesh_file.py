@@ -65,11 +65,8 @@ def _read_obj(data: bytes) -> tuple[np.ndarray, np.ndarray]:
 def _read_ply(data: bytes) -> tuple[np.ndarray, np.ndarray]:
     header = read_header(data[:1_000_000])
     vertices, triangles = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
-    body = (
-        _AsciiBody(data[header.size :])
-        if header.order == ""
-        else _BinaryBody(data, header.size, header.order)
-    )
+    content = data[header.size :]
+    body = _BinaryBody(content, header.order) if header.order else _AsciiBody(content)
     for element in header.elements:
         columns = body.read(element)
         if element.name == "vertex":
@@ -108,8 +105,8 @@ class _AsciiBody:
 class _BinaryBody:
     """The content of a PLY file in bytes."""
 
-    def __init__(self, data: bytes, start: int, order: str) -> None:
-        self._data, self._place, self._order = data, start, order
+    def __init__(self, data: bytes, order: str) -> None:
+        self._data, self._place, self._order = data, 0, order
 
     def read(self, element: Element) -> dict[str, np.ndarray]:
         """Values of each property; of a list property, those of triangles (count, 3)."""

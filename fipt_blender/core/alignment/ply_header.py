@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Headers of PLY files, for the engine and for the check before Blender's importer, which crashes at damaged ones.
+"""Headers of PLY files, for the engine and for the check before Blender's importer.
 
 Standard library only.
 """
