@@ -112,12 +112,14 @@ def _value(node: ast.expr) -> int | float | None:
 
 
 def _comment(lines: Sequence[str], node: ast.stmt) -> str:
-    """The comment behind a statement, or the lines of comment above it."""
+    """The comment behind a statement, or the lines of comment above it or above the constants before it."""
     behind = lines[(node.end_lineno or node.lineno) - 1].partition("#")[2].strip()
     if behind:
         return behind
-    above: list[str] = []
     line = node.lineno - 2
+    while line >= 0 and re.match(r"_?[A-Z][A-Z0-9_, ]* =", lines[line]) and "#" not in lines[line]:
+        line -= 1
+    above: list[str] = []
     while line >= 0 and lines[line].startswith("#"):
         above.insert(0, lines[line].lstrip("# "))
         line -= 1

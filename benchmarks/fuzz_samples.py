@@ -20,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.rig import Lens
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
@@ -362,9 +363,8 @@ def _depth_points(sample: Path, out: Path) -> None:
     from fipt_blender.core.capture.depth_images import checked_depths
     from fipt_blender.core.capture.depth_points import alignment_points
     from fipt_blender.core.capture.formats import read_rig
-    from fipt_blender.core.capture.rig import ReadOptions
 
-    rig = read_rig(sample, "rgbd", ReadOptions())
+    rig = read_rig(sample, "rgbd", CaptureOptions())
     alignment_points(sample, replace(rig, depths=checked_depths(rig.depths)))
 
 
@@ -388,7 +388,7 @@ def _simplify(sample: Path, out: Path) -> None:
     """Simplification of mesh files, and the surface to which cameras are aligned."""
     from fipt_blender.core.alignment.mesh_file import read_mesh
     from fipt_blender.core.alignment.surface import sample_surface
-    from fipt_blender.core.capture.simplified_mesh import simplified_mesh
+    from fipt_blender.core.capture.source import simplified_mesh
     from fipt_blender.core.depth.ply import write_ply
 
     for name in ("mesh.ply", "mesh.obj"):
@@ -414,10 +414,9 @@ def write_points(folder: Path) -> None:
 def _plane_room(sample: Path, out: Path) -> None:
     """The room of planes of a solve's points."""
     from fipt_blender.core.capture.formats import read_rig
-    from fipt_blender.core.capture.points_room import room_of_points, write_room
-    from fipt_blender.core.capture.rig import ReadOptions
+    from fipt_blender.core.capture.source import room_of_points, write_room
 
-    rig = read_rig(sample, "opensfm", ReadOptions())
+    rig = read_rig(sample, "opensfm", CaptureOptions())
     write_room(out / "planes.obj", room_of_points(sample, rig))
 
 

@@ -35,7 +35,7 @@ from benchmarks.truth import split_folder
 from fipt_blender.blend.room.islands import uv_islands
 from fipt_blender.core.capture.formats import read_rig
 from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
-from fipt_blender.core.capture.rig import ReadOptions
+from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.conventions import transform_poses
 from fipt_blender.core.device.variant import set_variant
@@ -279,7 +279,7 @@ def main(argv: list[str]) -> int:
     set_variant()
     run = RunFolder(options.run)
     placed = np.array(read_json(run.capture_json)["world_from_source"])
-    rig = read_rig(options.capture, "auto", ReadOptions())
+    rig = read_rig(options.capture, "auto", CaptureOptions())
     every = [
         View(
             view.name,

@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks.disturb import read_obj
 from fipt_blender.core.capture.distortion import lens_pinhole
 from fipt_blender.core.capture.formats import read_rig
-from fipt_blender.core.capture.rig import ReadOptions
+from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.depth.cleaning import with_closed_holes
 from fipt_blender.core.depth.extraction import FusedMesh, extract
@@ -126,7 +126,7 @@ def read_truth(capture: Path) -> Truth:
 
 def cameras(capture: Path, scanner: Scanner, rng: np.random.Generator) -> list[View]:
     """The scanner's cameras around the training cameras of a capture, with their field of view."""
-    rig = read_rig(capture, "auto", ReadOptions())
+    rig = read_rig(capture, "auto", CaptureOptions())
     shots = []
     for view in (view for view in rig.views if view.split != "held_back"):
         pinhole = lens_pinhole(view.lens, view.width, view.height)

@@ -23,7 +23,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from fipt_blender.core.alignment.mesh_file import read_mesh
 from fipt_blender.core.alignment.turns import turn_by
 from fipt_blender.core.capture.images import write_exr
-from fipt_blender.core.capture.ingest import IngestOptions, ingest
+from fipt_blender.core.capture.ingest import ingest
+from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import View, load_capture
 from fipt_blender.core.conventions import transform_points
 from fipt_blender.core.device.variant import set_variant
@@ -85,7 +86,7 @@ def examine(capture: Path, halve: bool, seed: int) -> None:
 
     with tempfile.TemporaryDirectory() as temporary:
         run = RunFolder(Path(temporary) / "run")
-        ingest(capture, run, IngestOptions(), Reporter(io.StringIO()))
+        ingest(capture, run, CaptureOptions(), Reporter(io.StringIO()))
         source = load_capture(run)
         views = [halved(view, run.root) for view in source.train] if halve else source.train
         if source.mesh is None:

@@ -29,9 +29,8 @@ def register() -> None:
     from .panels import preferences
 
     try:
-        for preferences_class in preferences.CLASSES:
-            bpy.utils.register_class(preferences_class)
-            _undo.append(partial(bpy.utils.unregister_class, preferences_class))
+        bpy.utils.register_class(preferences.FIPT_Preferences)
+        _undo.append(partial(bpy.utils.unregister_class, preferences.FIPT_Preferences))
         machine.recall()
         watchers = (session, other_cameras, pair_marks, outline, dropped)
         for module in (properties, operators, panels, *watchers):

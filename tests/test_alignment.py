@@ -24,8 +24,8 @@ from fipt_blender.core.alignment.surface import (
 from fipt_blender.core.capture.align_mesh import align_rig
 from fipt_blender.core.capture.formats import read_points, read_rig
 from fipt_blender.core.capture.images import write_exr
-from fipt_blender.core.capture.ingest import IngestOptions, ingest
-from fipt_blender.core.capture.rig import ReadOptions
+from fipt_blender.core.capture.ingest import ingest
+from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
@@ -254,10 +254,7 @@ def write_solve(folder: Path, from_solve: np.ndarray, points: np.ndarray) -> lis
         shots.append(replace(shot, width=24, height=16, rotation=level, centre=np.array([2.5, 2.4, 1.5])))
         turned = level @ (from_solve[:3, :3] / scale).T
         solved.append(replace(shots[-1], rotation=turned, centre=moved(from_solve, shots[-1].centre)))
-    rig_writers.write_opensfm(folder, [solved], "perspective")
-    data = json.loads((folder / "reconstruction.json").read_text())
-    data[0]["points"] = {str(i): {"coordinates": list(p)} for i, p in enumerate(moved(from_solve, points))}
-    (folder / "reconstruction.json").write_text(json.dumps(data))
+    rig_writers.write_opensfm(folder, [solved], "perspective", moved(from_solve, points))
     for shot in shots:
         pixels = 2.0 + np.random.default_rng(0).random((16, 24, 3), np.float32)
         write_exr((folder / "images" / shot.name).with_suffix(".exr"), pixels)
@@ -273,7 +270,7 @@ def test_cameras_are_aligned_to_a_mesh_in_inches(tmp_path: Path) -> None:
     mesh.write_text("\n".join(lines + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in triangles]))
     run = RunFolder(tmp_path / "run")
     stream = io.StringIO()
-    options = IngestOptions(mesh=mesh, align_mesh=True, scale=0.0254, hold_back=0)
+    options = CaptureOptions(mesh=mesh, align_mesh=True, scale=0.0254, hold_back=0)
     ingest(tmp_path / "solve", run, options, Reporter(stream))
     capture = read_json(run.capture_json)
     for view, shot in zip(capture["views"], shots, strict=True):
@@ -288,7 +285,7 @@ def test_cameras_of_another_room_are_not_aligned(tmp_path: Path) -> None:
     rng = np.random.default_rng(12)
     write_solve(tmp_path, np.eye(4), 3.0 * rng.normal(size=(400, 3)))
     (tmp_path / "scan.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    rig = read_rig(tmp_path, "auto", ReadOptions())
+    rig = read_rig(tmp_path, "auto", CaptureOptions())
     points = read_points(tmp_path, rig.source)
     with pytest.raises(FiptError) as caught:
         align_rig(rig, points, tmp_path / "scan.obj")

@@ -85,11 +85,7 @@ def test_a_mirrored_mesh_is_said() -> None:
 
 @pytest.mark.parametrize(
     ("cameras", "text"),
-    [
-        ([[0, 1], [1, 2]], "too few"),
-        ([[0], [1], [2]], "too few"),
-        ([[0], [0], [0], [0], [0]], "scale"),
-    ],
+    [([[0, 1], [1, 2]], "too few"), ([[0], [1], [2]], "too few"), ([[0], [0], [0], [0], [0]], "scale")],
 )
 def test_what_does_not_decide_the_placement_is_refused(cameras: list[list[int]], text: str) -> None:
     points = np.random.default_rng(3).uniform([0, 0, 0], [5, 4, 2.6], (len(cameras), 3))

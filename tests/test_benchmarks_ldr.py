@@ -15,7 +15,7 @@ from benchmarks.metrics import Maps
 from fipt_blender.core.capture.encoded import file_exposure, read_encoded
 from fipt_blender.core.capture.formats import read_rig
 from fipt_blender.core.capture.images import read_radiance, write_exr
-from fipt_blender.core.capture.rig import ReadOptions
+from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from samples.capture_files import level_pose, write_fipt_synthetic
@@ -32,7 +32,7 @@ def source(tmp_path):
 
 def test_a_capture_is_readable_and_its_truth_apart(tmp_path, source):
     camera = ldr.make_capture(source, tmp_path / "out", seed=3, exif="rounded")
-    rig = read_rig(tmp_path / "out", "auto", ReadOptions())
+    rig = read_rig(tmp_path / "out", "auto", CaptureOptions())
     assert [view.image.suffix for view in rig.views] == [".jpg"] * 3
     assert all(view.image.is_file() for view in rig.views)
     truth = json.loads((tmp_path / "out" / ldr.TRUTH).read_text())
@@ -52,7 +52,7 @@ def test_a_capture_is_readable_and_its_truth_apart(tmp_path, source):
 
 def test_exact_exposures_are_exact(tmp_path, source):
     ldr.make_capture(source, tmp_path / "out", seed=3, exif="exact")
-    views = read_rig(tmp_path / "out", "auto", ReadOptions()).views
+    views = read_rig(tmp_path / "out", "auto", CaptureOptions()).views
     truth = json.loads((tmp_path / "out" / ldr.TRUTH).read_text())["views"]
     ratio = [file_exposure(view.image) / truth[view.name]["gains"][1] for view in views]
     assert np.array(ratio) / ratio[0] == pytest.approx(1.0, abs=1e-4)
@@ -61,7 +61,7 @@ def test_exact_exposures_are_exact(tmp_path, source):
 def test_the_photographs_of_a_bracket_are_views_of_one_pose(tmp_path, source):
     ldr.make_capture(source, tmp_path / "one", seed=3, exif="exact")
     ldr.make_capture(source, tmp_path / "out", seed=3, exif="exact", bracket=ldr.Bracket(3, 1.5))
-    single, views = (read_rig(tmp_path / name, "auto", ReadOptions()).views for name in ("one", "out"))
+    single, views = (read_rig(tmp_path / name, "auto", CaptureOptions()).views for name in ("one", "out"))
     assert [view.name for view in views] == [f"train/{number:03d}" for number in range(6)] + ["val/000"]
     for number, view in enumerate(views[:6]):
         before = single[number // 3]
@@ -80,7 +80,7 @@ def test_photographs_without_adjustment_are_decoded_codes(tmp_path, source, exif
     ldr.make_capture(source, tmp_path / "jpg", seed=3, suffix=".png", exif=exif)
     ldr.make_capture(source, tmp_path / "exr", seed=3, suffix=".exr", exif=exif)
     truth = json.loads((tmp_path / "exr" / ldr.TRUTH).read_text())["views"]
-    views = [read_rig(tmp_path / name, "auto", ReadOptions()).views for name in ("jpg", "exr")]
+    views = [read_rig(tmp_path / name, "auto", CaptureOptions()).views for name in ("jpg", "exr")]
     for encoded, plain in zip(*views, strict=True):
         exposure = truth[plain.name]["gains"][1] if exif == "exact" else 1.0
         expected = read_encoded(encoded.image) / exposure

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.own_masks import Faults, main, own_regions
 from fipt_blender.core.capture.formats import read_rig
 from fipt_blender.core.capture.images import read_ids, write_exr
-from fipt_blender.core.capture.rig import ReadOptions
+from fipt_blender.core.capture.options import CaptureOptions
 from samples.capture_files import level_pose, write_fipt_synthetic
 
 PARTS = np.zeros((60, 90), np.int64)
@@ -53,13 +53,13 @@ def test_only_masks_of_training_views_change(tmp_path: Path, rng: np.random.Gene
     source, target = tmp_path / "source", tmp_path / "target"
     poses = [level_pose(rng, np.array([0.0, 1.0, 0.0])) for _ in range(3)]
     write_fipt_synthetic(source, {"train": poses[:2], "val": poses[2:]})
-    views = read_rig(source, "auto", ReadOptions()).views
+    views = read_rig(source, "auto", CaptureOptions()).views
     ids = np.ones((views[0].height, views[0].width))
     ids[:, ids.shape[1] // 2 :] = 5
     for split, name in (("train", "000_0001"), ("train", "001_0001"), ("val", "000_0001")):
         write_exr(source / split / "IndexMA" / f"{name}.exr", ids)
     assert main([str(source), "--output", str(target), "--cut", "0", "--joined", "0", "--missed", "0"]) == 0
-    made = read_rig(target, "auto", ReadOptions()).views
+    made = read_rig(target, "auto", CaptureOptions()).views
     assert [view.name for view in made] == [view.name for view in views]
     for view in made:
         assert view.parts is not None and view.image.resolve().is_relative_to(source.resolve())

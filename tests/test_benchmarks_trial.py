@@ -38,6 +38,11 @@ def test_numbers_in_capitals_are_found_with_their_comments() -> None:
     one = dataclasses.replace(found[2], value=1)
     assert [one.scaled(0.5), one.scaled(2.0)] == [0, 2]
     assert len(constants.all_constants()) > 100
+    shared = constants.module_constants(
+        "# In metres.\nDEPTH = 1.0\nWIDTH = 2.0\n\nHEIGHT = 3.0\n", "room.wall"
+    )
+    assert [each.comment for each in shared] == ["In metres.", "In metres.", ""]
+    assert not [each.key for each in constants.all_constants(skipped=()) if not each.comment]
 
 
 def test_another_number_reaches_all_that_follows_from_it(

@@ -3,11 +3,12 @@
 """Results on the room: materials applied and reverted, fixtures and lights with the right radiance."""
 
 import math
+from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
-from mathutils import Matrix, Vector
+from mathutils import Euler, Matrix, Vector
 
 from fipt_blender.blend import save
 from fipt_blender.blend.capture import cameras
@@ -21,16 +22,20 @@ from fipt_blender.blend.pictures.image_files import read_pixels
 from fipt_blender.blend.pictures.renders import render_cycles_views
 from fipt_blender.blend.results import applying, materials
 from fipt_blender.blend.room import exporting, originals
+from fipt_blender.blend.room.arrays import Room, read_room
 from fipt_blender.blend.room.atlas import make_atlas
+from fipt_blender.blend.room.exporting import collect_room, export_room
+from fipt_blender.blend.room.result_meshes import clean_result_mesh, make_mesh
 from fipt_blender.core.geometry.clean import CleanMesh
-from fipt_blender.core.geometry.stored import store_geometry
+from fipt_blender.core.geometry.stored import prepare_geometry, store_geometry
 from fipt_blender.core.run.documents import read_json
-from fipt_blender.core.run.run_files import CLOSING, PANES, mesh_digest, read_room_files
+from fipt_blender.core.run.run_files import CLOSING, PANES, mesh_digest, read_geometry, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures import bake
 from samples.applied_rooms import ConstantFields
 from samples.rendered_rooms import diffuse_floor
+from samples.scans import scanned_box
 
 
 @pytest.fixture
@@ -377,3 +382,55 @@ def test_an_interrupted_application_adds_no_panes(room):
     next(slices)
     slices.close()
     assert PANES not in bpy.data.objects and PANES not in bpy.data.meshes
+
+
+TRANSFORMS = {
+    "none": Matrix(),
+    "turned": Matrix.LocRotScale((1.0, -2.0, 0.5), Euler((0.2, 0.4, 1.1)), (1.0, 1.0, 1.0)),
+    "stretched": Matrix.Diagonal((2.0, 0.5, 1.0, 1.0)),
+    "mirrored": Matrix.Diagonal((-1.0, 1.0, 1.0, 1.0)),
+}
+
+
+def scanned_object(run: RunFolder, matrix: Matrix) -> tuple[bpy.types.Object, Room]:
+    """A scan of a box as an object of this transform, exported and cleaned."""
+    scan, _ = scanned_box(cells=20, noise=0.01)
+    inverse = np.array(matrix.inverted())
+    mesh = bpy.data.meshes.new("Scan")
+    local = scan.vertices @ inverse[:3, :3].T + inverse[:3, 3]
+    mesh.from_pydata(local.tolist(), [], scan.triangles.tolist())
+    item = bpy.data.objects.new("Scan", mesh)
+    item.matrix_world = matrix
+    bpy.context.scene.collection.objects.link(item)
+    bpy.context.view_layer.update()
+    export_room([item], run)
+    prepare_geometry(run)
+    return item, read_room(run)
+
+
+@pytest.mark.parametrize("transform", TRANSFORMS)
+def test_result_meshes_of_a_scan_are_clean(tmp_path: Path, transform: str) -> None:
+    run = RunFolder(tmp_path)
+    item, room = scanned_object(run, TRANSFORMS[transform])
+    geometry = read_geometry(run, {"vertices": room.vertices, "triangles": room.triangles})
+    assert geometry is not None
+    own = item.data
+    before = np.array([vertex.co for vertex in own.vertices])
+
+    clean = make_mesh(room, 0, item)
+    clean_result_mesh(clean, item, room, 0, geometry)
+
+    assert np.array_equal(before, [vertex.co for vertex in own.vertices])
+    item.data = clean
+    shown = collect_room([item])
+    assert np.array_equal(shown.triangles, room.triangles)
+    assert np.abs(shown.vertices - geometry["vertices"]).max() < 1e-5
+    cosine = (shown.corner_normals * geometry["corner_normals"]).sum(axis=2)
+    assert np.median(cosine) > 0.9999 and np.quantile(cosine, 0.01) > 0.99
+
+
+def test_a_copy_of_another_mesh_is_not_used(tmp_path: Path) -> None:
+    run = RunFolder(tmp_path)
+    _, room = scanned_object(run, Matrix())
+    moved = {"vertices": room.vertices + np.float32(0.1), "triangles": room.triangles}
+    assert read_geometry(run, moved) is None

@@ -22,8 +22,7 @@ from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step, StepRecord
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.lock import hold, holder
-from fipt_blender.core.run.parent import PARENT_VARIABLE
-from fipt_blender.core.run.process_identity import host_name, process_start
+from fipt_blender.core.run.process_identity import PARENT_VARIABLE, host_name, process_start
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import run_job
 from samples.child_processes import is_alive, posix, wait_for
@@ -246,7 +245,7 @@ def test_in_background_the_engine_ends_with_who_started_it(tmp_path):
     # The child starts the engine's watch in a grandchild and is then killed, as a batch run may be.
     watch = (
         f"import sys, time; sys.path.insert(0, {str(ROOT)!r})\n"
-        "from fipt_blender.core.run.parent import end_with_parent\n"
+        "from fipt_blender.core.run.process_identity import end_with_parent\n"
         "end_with_parent(); time.sleep(60)"
     )
     script = (

@@ -19,8 +19,7 @@ from fipt_blender.core.alignment.mesh_file import read_mesh
 from fipt_blender.core.capture.depth_images import DepthView, read_depth
 from fipt_blender.core.capture.formats import read_points, read_rig
 from fipt_blender.core.capture.ingest import ingest
-from fipt_blender.core.capture.ingest_options import IngestOptions
-from fipt_blender.core.capture.rig import ReadOptions
+from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.rig_files import stored_rotation
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.photographs.local_models import ModelFolder
@@ -28,15 +27,9 @@ from fipt_blender.core.run import documents
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
+from samples.rig_checks import error_of
 
 HUGE = "9" * 400
-
-
-def error_of(read, *arguments) -> FiptError:
-    with pytest.raises(FiptError) as caught:
-        read(*arguments)
-    assert caught.value.remedy
-    return caught.value
 
 
 def run_ingest(capture: Path, root: Path, **options) -> tuple[RunFolder, list[str]]:
@@ -50,7 +43,7 @@ def run_ingest(capture: Path, root: Path, **options) -> tuple[RunFolder, list[st
         def flush(self) -> None:
             pass
 
-    ingest(capture, run, IngestOptions(**options), Reporter(Stream()))
+    ingest(capture, run, CaptureOptions(**options), Reporter(Stream()))
     messages = [json.loads(line) for line in "".join(lines).splitlines()]
     return run, [message["code"] for message in messages if message["type"] == "warning"]
 
@@ -192,11 +185,11 @@ def test_huge_numbers_in_camera_files(tmp_path: Path, name: str) -> None:
     texts = {path: path.read_text() for path in paths if path.is_file()}
     path = next(path for path, text in texts.items() if number in text)
     path.write_text(texts[path].replace(number, f"{number.rpartition(' ')[0]} {HUGE}", 1))
-    assert error_of(read_rig, tmp_path, "auto", ReadOptions()).code == "rig-damaged"
+    assert error_of(read_rig, tmp_path, "auto", CaptureOptions()).code == "rig-damaged"
     # In a field that nobody reads it does no harm.
     opening = "[{" if texts[path].lstrip().startswith("[") else "{"
     path.write_text(texts[path].replace(opening, f'{opening}"unread": {HUGE}, ', 1))
-    assert read_rig(tmp_path, "auto", ReadOptions()).views
+    assert read_rig(tmp_path, "auto", CaptureOptions()).views
 
 
 # --------------------------------------------------------------------------------------- sizes and counts
@@ -223,7 +216,7 @@ def test_a_camera_file_of_terabytes_is_not_read(tmp_path: Path, name: str, file:
     with path.open("r+b") as opened:
         opened.truncate(1 << 40)  # of zeros that take no space
     started = time.monotonic()
-    refused = error_of(read_rig, tmp_path, "auto", ReadOptions()).code
+    refused = error_of(read_rig, tmp_path, "auto", CaptureOptions()).code
     assert refused in ("rig-damaged", "format-unknown", "cameras-missing")
     assert time.monotonic() - started < 5.0
 
@@ -263,16 +256,16 @@ def test_xmp_files_without_a_pose_are_told(tmp_path: Path) -> None:
     whole = paths[1].read_bytes()
     for damaged in (whole[: len(whole) // 2], b"", whole.replace(b"<", b"\0", 1)):
         paths[1].write_bytes(damaged)
-        error = error_of(read_rig, tmp_path, "auto", ReadOptions())
+        error = error_of(read_rig, tmp_path, "auto", CaptureOptions())
         assert error.code == "rig-damaged" and paths[1].name in error.text
     text = whole.decode()
     # As RealityScan writes one of a photograph that it could not align, and as other programs write theirs.
     unaligned = text.replace("Position", "Nothing").replace("Rotation", "Nothing2")
     paths[1].write_text(unaligned)
-    rig = read_rig(tmp_path, "auto", ReadOptions())
+    rig = read_rig(tmp_path, "auto", CaptureOptions())
     assert len(rig.views) == len(paths) - 1 and [note.code for note in rig.notes] == ["pose-lost"]
     paths[1].write_text("<x:xmpmeta xmlns:x='adobe:ns:meta/'/>")
-    assert not read_rig(tmp_path, "auto", ReadOptions()).notes
+    assert not read_rig(tmp_path, "auto", CaptureOptions()).notes
 
 
 # ------------------------------------------------------------------------------------------ masks models

@@ -19,18 +19,13 @@ import pytest
 from benchmarks import fuzz, fuzz_samples
 from fipt_blender.core.capture import colmap_sizes, encoded, images, ingest
 from fipt_blender.core.capture.formats import read_rig
-from fipt_blender.core.capture.rig import ReadOptions, RigView, view_name
+from fipt_blender.core.capture.options import CaptureOptions
+from fipt_blender.core.capture.rig import RigView, view_name
 from fipt_blender.core.capture.views import load_capture
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
+from samples.rig_checks import error_of
 
 COLMAP_FILES = ("cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin")
-
-
-def error_of(read, *arguments) -> FiptError:
-    with pytest.raises(FiptError) as caught:
-        read(*arguments)
-    return caught.value
 
 
 # -------------------------------------------------------------------------------------------------- COLMAP
@@ -58,7 +53,7 @@ def test_a_cut_off_colmap_model_is_a_damaged_rig(tmp_path: Path, length: int) ->
         path = tmp_path / "sparse" / "0" / name
         data = path.read_bytes()
         path.write_bytes(data[: length % len(data)])
-        error = error_of(read_rig, tmp_path, "colmap", ReadOptions())
+        error = error_of(read_rig, tmp_path, "colmap", CaptureOptions())
         assert error.code == "rig-damaged" and name in error.text
         path.write_bytes(data)
 
@@ -67,7 +62,7 @@ def test_a_count_beyond_the_file_is_refused_at_once(tmp_path: Path) -> None:
     fuzz_samples.write_colmap(tmp_path, text=False)
     path = tmp_path / "sparse" / "0" / "points3D.bin"
     path.write_bytes(struct.pack("<Q", 2**63) + path.read_bytes()[8:])
-    assert error_of(read_rig, tmp_path, "colmap", ReadOptions()).code == "rig-damaged"
+    assert error_of(read_rig, tmp_path, "colmap", CaptureOptions()).code == "rig-damaged"
 
 
 def test_a_folder_named_by_a_digit_that_is_no_number_is_no_model(tmp_path: Path) -> None:
@@ -77,9 +72,9 @@ def test_a_folder_named_by_a_digit_that_is_no_number_is_no_model(tmp_path: Path)
     fuzz_samples.write_colmap(tmp_path / "other", text=True)
     for path in (tmp_path / "other" / "sparse" / "0").iterdir():
         path.rename(tmp_path / "sparse" / "²" / path.name)
-    assert error_of(read_rig, tmp_path, "auto", ReadOptions()).code == "cameras-missing"
+    assert error_of(read_rig, tmp_path, "auto", CaptureOptions()).code == "cameras-missing"
     (tmp_path / "sparse" / "1").rename(tmp_path / "sparse" / "0")
-    assert len(read_rig(tmp_path, "auto", ReadOptions()).views) == 3
+    assert len(read_rig(tmp_path, "auto", CaptureOptions()).views) == 3
 
 
 # ---------------------------------------------------------------------------------------------------- JSON
@@ -102,7 +97,7 @@ def test_wrong_types_in_transforms_are_named(tmp_path: Path, change: dict, text:
     fuzz_samples.write_transforms(tmp_path)
     data = json.loads((tmp_path / "transforms.json").read_text())
     (tmp_path / "transforms.json").write_text(json.dumps({**data, **change}))
-    error = error_of(read_rig, tmp_path, "transforms", ReadOptions())
+    error = error_of(read_rig, tmp_path, "transforms", CaptureOptions())
     assert error.code == "rig-damaged"
     assert re.search(text, error.text), error.text
 
@@ -111,7 +106,7 @@ def test_nan_in_a_field_that_nobody_reads_does_no_harm(tmp_path: Path) -> None:
     fuzz_samples.write_transforms(tmp_path)
     data = json.loads((tmp_path / "transforms.json").read_text())
     (tmp_path / "transforms.json").write_text(json.dumps({**data, "depth_scale": float("nan")}))
-    assert len(read_rig(tmp_path, "transforms", ReadOptions()).views) == 3
+    assert len(read_rig(tmp_path, "transforms", CaptureOptions()).views) == 3
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may read everything")
@@ -119,7 +114,7 @@ def test_a_folder_without_permission_is_named(tmp_path: Path) -> None:
     fuzz_samples.write_transforms(tmp_path)
     (tmp_path / "images").chmod(0)
     try:
-        assert error_of(read_rig, tmp_path, "transforms", ReadOptions()).code == "capture-unreadable"
+        assert error_of(read_rig, tmp_path, "transforms", CaptureOptions()).code == "capture-unreadable"
     finally:
         (tmp_path / "images").chmod(0o700)
 
@@ -131,7 +126,7 @@ def test_a_refusal_of_the_system_is_an_error_with_a_remedy(tmp_path: Path, monke
         raise PermissionError(13, "Permission denied", str(self))
 
     monkeypatch.setattr(Path, "is_file", refuse)
-    error = error_of(read_rig, tmp_path, "auto", ReadOptions())
+    error = error_of(read_rig, tmp_path, "auto", CaptureOptions())
     assert error.code == "capture-unreadable" and "Permission denied" in error.text
 
 

@@ -13,8 +13,8 @@ import pytest
 
 from fipt_blender.core.alignment.mesh_file import read_mesh
 from fipt_blender.core.capture.dense_stereo import read_depth_map
-from fipt_blender.core.capture.depth_images import FusionOptions
-from fipt_blender.core.capture.ingest import IngestOptions, ingest
+from fipt_blender.core.capture.ingest import ingest
+from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.rig import Lens
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
@@ -54,9 +54,8 @@ def depth_maps(workspace: Path) -> None:
         (folder / f"{image.name}.geometric.bin").write_bytes(data)
 
 
-def options(**changes: object) -> IngestOptions:
-    fusion = FusionOptions(voxel=0.05)
-    return IngestOptions(hold_back=0, dense_stereo=True, up_axis="z", scale=SCALE, fusion=fusion, **changes)
+def options(**changes: object) -> CaptureOptions:
+    return CaptureOptions(hold_back=0, dense_stereo=True, up_axis="z", scale=SCALE, voxel=0.05, **changes)
 
 
 def test_photographs_become_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,8 +14,8 @@ from PIL import Image
 
 from fipt_blender.core.capture.depth_points import depth_points
 from fipt_blender.core.capture.formats import read_rig
-from fipt_blender.core.capture.ingest import IngestOptions, ingest
-from fipt_blender.core.capture.rig import ReadOptions
+from fipt_blender.core.capture.ingest import ingest
+from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
@@ -44,7 +44,7 @@ def test_cameras_come_to_a_laser_mesh_by_their_depth(tmp_path: Path) -> None:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = INCHES * turn, (30.0, -100.0, 7.0)
     moved_mesh(tmp_path / "laser.obj", matrix)
-    options = IngestOptions(
+    options = CaptureOptions(
         hold_back=0, mesh=tmp_path / "laser.obj", align_mesh=True, up_axis="z", scale=0.0254
     )
     ingest(tmp_path / "room", RunFolder(tmp_path / "run"), options, Reporter(io.StringIO()))
@@ -66,7 +66,7 @@ def test_pixels_beside_edges_are_no_points(tmp_path: Path) -> None:
     depth[:, 31] = 2500  # between both sides, as depth cameras measure at edges
     depth[10] = 0
     Image.fromarray(depth).save(path)
-    rig = read_rig(tmp_path / "room", "auto", ReadOptions())
+    rig = read_rig(tmp_path / "room", "auto", CaptureOptions())
     points = depth_points(rig.depths, np.random.default_rng(0))
     pose = rig.depths[0].camera_to_world
     depths = (points - pose[:3, 3]) @ pose[:3, 2]

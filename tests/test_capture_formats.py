@@ -12,7 +12,8 @@ import pytest
 
 from fipt_blender.core.capture.formats import FORMATS, detect_format, read_rig
 from fipt_blender.core.capture.images import write_exr
-from fipt_blender.core.capture.rig import Lens, ReadOptions, find_image, view_name
+from fipt_blender.core.capture.options import CaptureOptions
+from fipt_blender.core.capture.rig import Lens, find_image, view_name
 from fipt_blender.core.run.errors import FiptError
 from samples.capture_files import (
     level_pose,
@@ -26,7 +27,7 @@ from samples.capture_files import (
 
 
 def read(path, **options):
-    return read_rig(path, "auto", ReadOptions(**options))
+    return read_rig(path, "auto", CaptureOptions(**options))
 
 
 def assert_same_cameras(rig, samples):
@@ -334,7 +335,7 @@ def test_unknown_format_lists_what_was_sought(tmp_path):
     assert caught.value.code == "capture-missing"
     write_transforms(tmp_path, make_samples(1))
     with pytest.raises(FiptError) as caught:
-        read_rig(tmp_path, "colmap", ReadOptions())
+        read_rig(tmp_path, "colmap", CaptureOptions())
     assert caught.value.code == "format-unknown"
 
 
@@ -343,7 +344,7 @@ def test_nerfstudio_folder_is_read_as_transforms_unless_told(tmp_path):
     write_colmap(tmp_path, samples, text=False)
     write_transforms(tmp_path, samples)
     assert detect_format(tmp_path) == "transforms"
-    assert read_rig(tmp_path, "colmap", ReadOptions()).source == "colmap"
+    assert read_rig(tmp_path, "colmap", CaptureOptions()).source == "colmap"
 
 
 def test_images_are_found_by_stem_with_exr_first(tmp_path):

@@ -17,7 +17,8 @@ from fipt_blender.core.alignment.mesh_file import read_mesh
 from fipt_blender.core.capture import colmap
 from fipt_blender.core.capture.formats import read_points
 from fipt_blender.core.capture.images import write_exr
-from fipt_blender.core.capture.ingest import IngestOptions, ingest
+from fipt_blender.core.capture.ingest import ingest
+from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
@@ -36,10 +37,7 @@ def write_solve(folder: Path, points: np.ndarray) -> None:
         shots.append(
             replace(shot, width=24, height=16, rotation=level, centre=np.array([1.5 + index, 2.0, 1.5]))
         )
-    rig_writers.write_opensfm(folder, [shots], "perspective")
-    data = json.loads((folder / "reconstruction.json").read_text())
-    data[0]["points"] = {str(i): {"coordinates": list(p)} for i, p in enumerate(points)}
-    (folder / "reconstruction.json").write_text(json.dumps(data))
+    rig_writers.write_opensfm(folder, [shots], "perspective", points)
     for shot in shots:
         pixels = 2.0 + np.random.default_rng(0).random((16, 24, 3), np.float32)
         write_exr((folder / "images" / shot.name).with_suffix(".exr"), pixels)
@@ -56,7 +54,7 @@ def box_points(count: int) -> np.ndarray:
 def test_a_capture_without_a_mesh_gets_a_room(tmp_path: Path) -> None:
     write_solve(tmp_path / "solve", box_points(900))
     run, stream = RunFolder(tmp_path / "run"), io.StringIO()
-    ingest(tmp_path / "solve", run, IngestOptions(plane_room=True, hold_back=0), Reporter(stream))
+    ingest(tmp_path / "solve", run, CaptureOptions(plane_room=True, hold_back=0), Reporter(stream))
     mesh = Path(read_json(run.capture_json)["mesh"])
     assert mesh == run.planes_obj
     vertices, triangles = read_mesh(mesh)
@@ -75,7 +73,7 @@ def test_a_room_of_too_few_points_is_refused_and_nothing_written(tmp_path: Path)
     write_solve(tmp_path / "solve", box_points(30))
     run = RunFolder(tmp_path / "run")
     with pytest.raises(FiptError) as caught:
-        ingest(tmp_path / "solve", run, IngestOptions(plane_room=True), Reporter(io.StringIO()))
+        ingest(tmp_path / "solve", run, CaptureOptions(plane_room=True), Reporter(io.StringIO()))
     assert caught.value.code == "room-points"
     assert not run.planes_obj.exists() and not run.capture_json.exists()
 

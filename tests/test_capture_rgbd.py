@@ -13,10 +13,10 @@ import pytest
 from PIL import Image
 
 from fipt_blender.core.alignment.mesh_file import read_mesh
-from fipt_blender.core.capture.depth_images import FusionOptions, fuse, read_depth
+from fipt_blender.core.capture.depth_images import fuse, read_depth
 from fipt_blender.core.capture.formats import detect_format, read_rig
-from fipt_blender.core.capture.ingest import IngestOptions, ingest
-from fipt_blender.core.capture.rig import ReadOptions
+from fipt_blender.core.capture.ingest import ingest
+from fipt_blender.core.capture.options import CaptureOptions, FusionOptions
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
@@ -35,15 +35,15 @@ def write_matrix(path: Path, matrix: np.ndarray) -> None:
     np.savetxt(path, matrix, "%.9f")
 
 
-def run_ingest(capture: Path, run: Path, options: IngestOptions | None = None) -> dict:
-    ingest(capture, RunFolder(run), options or IngestOptions(hold_back=0), Reporter(io.StringIO()))
+def run_ingest(capture: Path, run: Path, options: CaptureOptions | None = None) -> dict:
+    ingest(capture, RunFolder(run), options or CaptureOptions(hold_back=0), Reporter(io.StringIO()))
     return json.loads((run / "capture.json").read_text())
 
 
 def test_frames_of_one_folder_are_read_with_intrinsics_of_each_size(tmp_path: Path) -> None:
     write_frames(tmp_path / "room" / "data")
     assert detect_format(tmp_path / "room") == "rgbd"
-    rig = read_rig(tmp_path / "room", "auto", ReadOptions())
+    rig = read_rig(tmp_path / "room", "auto", CaptureOptions())
     assert len(rig.views) == len(rig.depths) == FRAMES and rig.mesh is None and not rig.notes
     view, depth = rig.views[1], rig.depths[1]
     assert (view.width, view.height) == (2 * WIDTH, 2 * HEIGHT)
@@ -56,7 +56,7 @@ def test_frames_of_one_folder_are_read_with_intrinsics_of_each_size(tmp_path: Pa
 
 def test_frames_of_scannets_exporter_are_read_in_order_with_both_cameras(tmp_path: Path) -> None:
     rig = read_rig(
-        rgbd_frames.write_exported_scan(tmp_path / "scan", (WIDTH, HEIGHT), FOCAL), "auto", ReadOptions()
+        rgbd_frames.write_exported_scan(tmp_path / "scan", (WIDTH, HEIGHT), FOCAL), "auto", CaptureOptions()
     )
     assert [view.name for view in rig.views] == ["9", "10"]
     assert rig.views[0].lens.parameters == (2.5 * FOCAL, 2.5 * FOCAL, 30.0, 20.0)
@@ -64,7 +64,7 @@ def test_frames_of_scannets_exporter_are_read_in_order_with_both_cameras(tmp_pat
 
 
 def test_zero_and_the_highest_code_are_no_measurements(tmp_path: Path) -> None:
-    rig = read_rig(write_frames(tmp_path / "room"), "auto", ReadOptions())
+    rig = read_rig(write_frames(tmp_path / "room"), "auto", CaptureOptions())
     image = read_depth(rig.depths[0], 1.0)
     assert not image.depth[:8].any() and np.allclose(image.depth[8:], WALL)
     assert image.color is not None and image.color.shape == (HEIGHT, WIDTH, 3)
@@ -74,7 +74,7 @@ def test_frames_without_photographs_add_their_depth_and_lost_poses_are_told(tmp_
     folder = write_frames(tmp_path / "room")
     (folder / "frame-000001.color.png").unlink()
     write_matrix(folder / "frame-000002.pose.txt", np.full((4, 4), -np.inf))
-    rig = read_rig(folder, "auto", ReadOptions())
+    rig = read_rig(folder, "auto", CaptureOptions())
     assert len(rig.views) == 2 and len(rig.depths) == 3
     assert [note.code for note in rig.notes] == ["pose-lost"] and "1 of 4" in rig.notes[0].text
 
@@ -91,17 +91,17 @@ def test_ingest_fuses_the_mesh_once(tmp_path: Path) -> None:
     made = (run / "fused.ply").stat().st_mtime_ns
     run_ingest(capture, run)
     assert (run / "fused.ply").stat().st_mtime_ns == made
-    run_ingest(capture, run, IngestOptions(hold_back=0, fusion=FusionOptions(voxel=0.05)))
+    run_ingest(capture, run, CaptureOptions(hold_back=0, voxel=0.05))
     assert len(read_mesh(run / "fused.ply")[1]) < 0.3 * len(triangles)
 
 
 def test_the_fused_mesh_keeps_to_its_budget(tmp_path: Path) -> None:
     capture, run = write_frames(tmp_path / "room"), tmp_path / "run"
-    run_ingest(capture, run, IngestOptions(hold_back=0, fusion=FusionOptions(triangles=200)))
+    run_ingest(capture, run, CaptureOptions(hold_back=0, triangles=200))
     vertices, triangles = read_mesh(run / "fused.ply")
     assert 100 <= len(triangles) <= 200 and np.abs(vertices[:, 2] - WALL).max() < 5e-3
     with pytest.raises(FiptError, match="5 triangles") as caught:
-        run_ingest(capture, tmp_path / "other", IngestOptions(fusion=FusionOptions(triangles=5)))
+        run_ingest(capture, tmp_path / "other", CaptureOptions(triangles=5))
     assert caught.value.code == "setting-invalid" and not (tmp_path / "other").exists()
 
 
@@ -117,15 +117,13 @@ def test_a_given_mesh_is_simplified_in_a_copy(tmp_path: Path) -> None:
     loose = "".join("v {:.9g} {:.9g} {:.9g}\n".format(*vertex) for vertex in vertices[corners].reshape(-1, 3))
     faces = "".join(f"f {i + 1} {i + 2} {i + 3}\n" for i in range(0, 3 * len(corners), 3))
     (tmp_path / "plane.obj").write_text(loose + faces)
-    options = IngestOptions(hold_back=0, mesh=tmp_path / "plane.obj", fusion=FusionOptions(triangles=300))
+    options = CaptureOptions(hold_back=0, mesh=tmp_path / "plane.obj", triangles=300)
     data = run_ingest(capture, run, options)
     assert data["mesh"] == str(run / "simplified.ply")
     small, triangles = read_mesh(run / "simplified.ply")
     assert 100 <= len(triangles) <= 300
     np.testing.assert_allclose([small.min(axis=0), small.max(axis=0)], [far, far + [4, 4, 0]], atol=2e-3)
-    options = IngestOptions(
-        hold_back=0, mesh=tmp_path / "plane.obj", fusion=FusionOptions(triangles=len(corners))
-    )
+    options = CaptureOptions(hold_back=0, mesh=tmp_path / "plane.obj", triangles=len(corners))
     assert run_ingest(capture, tmp_path / "all", options)["mesh"] == str(tmp_path / "plane.obj")
 
 
@@ -138,7 +136,7 @@ def test_a_mesh_beside_the_frames_is_used(tmp_path: Path) -> None:
 
 def test_some_of_the_photographs_are_used_with_all_depth_images(tmp_path: Path) -> None:
     capture = write_frames(tmp_path / "room")
-    data = run_ingest(capture, tmp_path / "run", IngestOptions(hold_back=0, most_views=2))
+    data = run_ingest(capture, tmp_path / "run", CaptureOptions(hold_back=0, views=2))
     assert [view["name"] for view in data["views"]] == ["frame-000000", "frame-000002"]
     width = np.ptp(read_mesh(tmp_path / "run" / "fused.ply")[0][:, 0])
     assert width > WALL * WIDTH / FOCAL  # what two of all images see; the two with photographs see less
@@ -154,7 +152,7 @@ def test_poses_far_away_are_left_out_instead_of_wrapping_around(tmp_path: Path) 
 
 
 def test_captures_in_other_units_get_voxels_in_metres(tmp_path: Path) -> None:
-    rig = read_rig(write_frames(tmp_path / "room"), "auto", ReadOptions())
+    rig = read_rig(write_frames(tmp_path / "room"), "auto", CaptureOptions())
     assert np.abs(fuse(rig.depths[:2], FusionOptions(), 0.1, lambda share: None).vertices[:, 2]).mean() == (
         pytest.approx(10.0 * WALL, rel=1e-3)
     )
@@ -227,6 +225,4 @@ def test_faults_are_said_and_nothing_is_written(tmp_path: Path, damage, code: st
 @pytest.mark.parametrize("voxel", [0.0, -1.0, 5.0, float("nan")])
 def test_impossible_voxels_are_refused(tmp_path: Path, voxel: float) -> None:
     with pytest.raises(FiptError, match="impossible"):
-        run_ingest(
-            write_frames(tmp_path / "room"), tmp_path / "run", IngestOptions(fusion=FusionOptions(voxel))
-        )
+        run_ingest(write_frames(tmp_path / "room"), tmp_path / "run", CaptureOptions(voxel=voxel))

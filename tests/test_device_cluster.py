@@ -148,10 +148,7 @@ def test_a_worker_of_another_version_or_method_is_named(
     text: str,
 ) -> None:
     monkeypatch.setattr(cluster, name, value)
-    with (
-        cluster.workers_at(three.scheduler_address) as workers,
-        pytest.raises(FiptError) as caught,
-    ):
+    with cluster.workers_at(three.scheduler_address) as workers, pytest.raises(FiptError) as caught:
         list(workers.map(Tracing(capture.room), views(capture)))
     assert caught.value.code == "cluster-worker-unfit" and caught.value.remedy
     assert text in caught.value.text and "mitsuba" in caught.value.text

@@ -39,11 +39,10 @@ def test_the_site_is_complete(tmp_path: Path) -> None:
     assert {path.stem for path in (ROOT / "docs").glob("*.md")} <= pages
     page = Text()
     page.feed((tmp_path / "operators.html").read_text(encoding="utf-8"))
-    for module in operators.MODULES:
-        for each in module.CLASSES:
-            if issubclass(each, bpy.types.Operator):
-                internal = "INTERNAL" in getattr(each, "bl_options", ())
-                assert (f"bpy.ops.{each.bl_idname}\n" in page.text) != internal, each.bl_idname
+    for each in operators.CLASSES:
+        if issubclass(each, bpy.types.Operator):
+            internal = "INTERNAL" in getattr(each, "bl_options", ())
+            assert (f"bpy.ops.{each.bl_idname}\n" in page.text) != internal, each.bl_idname
     assert not list(tmp_path.rglob("*.py")), "hooks are no pages"
 
 

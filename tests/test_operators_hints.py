@@ -18,6 +18,7 @@ from fipt_blender.core.run.hints import light_changes, read_hints
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.panels import hints as panel
 from fipt_blender.panels.hints import hint_text
+from samples.layouts import Layout
 from samples.operator_calls import refused
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -187,28 +188,6 @@ def test_files_of_a_run_and_of_a_run_again(settings, run_folder: RunFolder) -> N
     assert not run_folder.hints_again_json.exists()
 
 
-class Layout:
-    """Stands in for Blender's: notes operators with their texts, and knows whether properties exist."""
-
-    def __init__(self, operators: list[tuple[str, str]]) -> None:
-        vars(self)["operators"] = operators
-
-    def __setattr__(self, name: str, value: object) -> None:
-        """Layouts take any setting."""
-
-    def __getattr__(self, name: str):
-        def call(*arguments, **values):
-            if name == "operator":
-                self.operators.append((arguments[0], values.get("text", "")))
-                assert hasattr(bpy.types, arguments[0].replace("fipt.", "FIPT_OT_"))
-                return SimpleNamespace()
-            if name == "prop":
-                assert arguments[1] in arguments[0].bl_rna.properties
-            return Layout(self.operators)
-
-        return call
-
-
 def test_the_panel_offers_answers_and_hints(settings, run_folder: RunFolder) -> None:
     doubts_of(run_folder, "metal", "gloss", "lamp")
     bpy.context.scene.fipt.run_folder = str(run_folder.root)
@@ -218,17 +197,17 @@ def test_the_panel_offers_answers_and_hints(settings, run_folder: RunFolder) -> 
     answers = []
     for index in range(3):
         settings.active_doubt = index
-        drawn: list[tuple[str, str]] = []
-        panel.FIPT_PT_estimate_hints.draw(SimpleNamespace(layout=Layout(drawn)), bpy.context)
-        answers.append([text for name, text in drawn if name == "fipt.answer_doubt"])
-        assert ("fipt.reestimate", "") in drawn and ("fipt.pick_same_material", "") in drawn
+        layout = Layout()
+        panel.FIPT_PT_estimate_hints.draw(SimpleNamespace(layout=layout), bpy.context)
+        answers.append([button.text for button in layout.buttons if button.name == "fipt.answer_doubt"])
+        assert {"fipt.reestimate", "fipt.pick_same_material"} < set(layout.drawn)
     assert answers == [["Metal", "No Metal", "Leave Alone"], ["Glossy", "Matt", "Leave Alone"]] + [
         ["Lamp", "No Lamp", "Leave Alone"]
     ]
-    drawn = []
+    rows = Layout()
     for row, item in ((panel.FIPT_UL_hints, settings.hint()), (panel.FIPT_UL_doubts, settings.doubt())):
-        row.draw_row(None, bpy.context, Layout(drawn), item, 0)
-    assert drawn == [("fipt.remove_hint", "")]
+        row.draw_row(None, bpy.context, rows, item, 0)
+    assert [button.name for button in rows.buttons] == ["fipt.remove_hint"]
 
 
 def test_too_many_hints_are_refused(settings, monkeypatch: pytest.MonkeyPatch) -> None:

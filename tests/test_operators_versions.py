@@ -25,6 +25,7 @@ from fipt_blender.core.textures import bake
 from fipt_blender.jobs import run_job, running, runstate
 from fipt_blender.panels import versions as panel
 from samples.applied_rooms import ConstantFields, make_scene
+from samples.layouts import Layout
 from samples.operator_calls import refused
 
 ops = bpy.ops.fipt
@@ -173,48 +174,27 @@ def test_re_estimate_applies_its_results_and_asks_nothing_twice(scene, works):
     assert shown(scene) == pytest.approx(0.5, abs=1e-3) and ops.reestimate.poll()
 
 
-class Layout:
-    """Stands in for Blender's: notes labels and the operators of buttons with the version that they get."""
-
-    def __init__(self, notes: list) -> None:
-        vars(self)["notes"] = notes
-
-    def __setattr__(self, name: str, value: object) -> None:
-        """Layouts take any setting."""
-
-    def __getattr__(self, name: str):
-        def call(*arguments, **values):
-            self.notes.append(values.get("text") if name == "label" else arguments[:1])
-            if name == "operator":
-                self.notes[-1] = button = SimpleNamespace(name=arguments[0])
-                return button
-            return Layout(self.notes)
-
-        return call
-
-
 def test_the_panel_says_what_is_in_use_and_what_the_room_shows(scene):
     newest, oldest = ids(scene)
     run = RunFolder(scene.fipt.run_folder)
 
-    def drawn() -> list:
-        notes: list = []
-        fields = SimpleNamespace(fields=lambda: Layout(notes))
-        panel.FIPT_PT_estimate_versions.draw(fields, bpy.context)
-        return notes
+    def drawn() -> Layout:
+        layout = Layout()
+        panel.FIPT_PT_estimate_versions.draw(SimpleNamespace(fields=lambda: layout), bpy.context)
+        return layout
 
     assert panel.FIPT_PT_estimate_versions.poll(bpy.context)
-    notes = drawn()
-    buttons = [(note.name, note.version) for note in notes if isinstance(note, SimpleNamespace)]
+    layout = drawn()
+    buttons = [(button.name, button.version) for button in layout.buttons]
     rename, others = "fipt.rename_version", ("fipt.compare_versions", "fipt.delete_version")
     assert buttons == [("fipt.use_version", newest), (rename, newest), ("fipt.use_version", oldest)] + [
         (name, oldest) for name in (rename, *others)
     ]
-    assert not any("The room shows" in str(note) for note in notes)
+    assert "The room shows" not in " ".join(layout.drawn)
     versions.use_version(run, oldest)
-    assert any("The room shows" in str(note) for note in drawn())
+    assert "The room shows" in " ".join(drawn().drawn)
     ops.revert()
-    assert not any("The room shows" in str(note) for note in drawn())
+    assert "The room shows" not in " ".join(drawn().drawn)
 
 
 def test_the_command_line_lists_and_uses_versions(scene, capsys, tmp_path):

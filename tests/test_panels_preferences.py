@@ -28,6 +28,7 @@ from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import data_job, running
 from fipt_blender.operators import environment as operators
 from fipt_blender.panels import preferences as panel
+from samples.layouts import Layout
 
 OLD = time.time() - 86400
 GPUS = [{"name": f"Card {n}", "uuid": f"GPU-{n}", "memory_gb": 8.0} for n in (1, 2)]
@@ -282,23 +283,6 @@ def test_images_of_the_open_file_keep_their_run(values: Any, data: Path) -> None
     bpy.data.images.remove(image)
     bpy.ops.fipt.clear_data()
     assert not run.root.exists()
-
-
-class Layout:
-    """Stands for a layout where there is no window: takes everything, keeps the texts."""
-
-    def __init__(self, texts: list[str]) -> None:
-        self.__dict__["texts"] = texts
-
-    def __getattr__(self, name: str) -> Any:
-        def called(*arguments: Any, **options: Any) -> Layout:
-            self.texts.append(str(options.get("text", "")))
-            return Layout(self.texts)
-
-        return called
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        pass
 
 
 @pytest.mark.parametrize(

@@ -13,11 +13,15 @@ from scipy import ndimage
 
 from benchmarks.dng import Shot, mosaic_of, write_dng
 from fipt_blender.core.photographs.brackets import find_groups
+from fipt_blender.core.photographs.editing import free_name, merge_groups, split_group
 from fipt_blender.core.photographs.exif import describe
 from fipt_blender.core.photographs.likeness import SIDE, Likeness, small_picture
+from fipt_blender.core.photographs.merging import moved_regions
+from fipt_blender.core.photographs.motion import Motion, after, measure, warped
 from fipt_blender.core.photographs.preparation import Group, Photograph
 from fipt_blender.core.photographs.reading import list_photographs
-from samples.photographs import exif, write_jpeg
+from fipt_blender.core.run.errors import FiptError
+from samples.photographs import exif, smooth_radiance, write_jpeg
 
 HEIGHT, WIDTH = 160, 240
 
@@ -123,3 +127,84 @@ def test_a_photograph_that_cannot_be_read_decides_nothing(tmp_path: Path) -> Non
     assert likeness(first, second) is True
     (tmp_path / "b.jpg").write_bytes(b"\xff\xd8 cut")
     assert Likeness(tmp_path)(first, second) is None
+
+
+@pytest.mark.parametrize("motion", [Motion(), Motion(0.01, -0.02, 0.01), Motion(0.08, 0.03, -0.02)])
+def test_motion_is_measured_across_exposures(motion: Motion) -> None:
+    height, width = 120, 160
+    scene = 0.1 * smooth_radiance(9, 240, 320, 0.8)[..., 0]
+
+    def shot(moved: Motion, exposure: float) -> np.ndarray:
+        y, x = np.mgrid[:height, :width] + 0.5
+        back = Motion(0.0, 0.0, -moved.angle)
+        points = np.stack([x.ravel(), y.ravel()], -1) - width * np.array([moved.x, moved.y])
+        places = back.apply(points, width, height) + [width / 2 - 0.5, height / 2 - 0.5]
+        values = ndimage.map_coordinates(scene, [places[:, 1], places[:, 0]], order=3).reshape(height, width)
+        return np.where(values * exposure < 1.0, values * exposure, np.nan)
+
+    found = measure(shot(Motion(), 1.0), shot(motion, 4.0))
+    rest = Motion(found.x - motion.x, found.y - motion.y, found.angle - motion.angle)
+    assert rest.corner_shift(width, height) < 0.1 and found.similarity > 0.95
+
+
+def test_a_bare_wall_does_not_move() -> None:
+    rng = np.random.default_rng(4)
+    walls = [np.full((120, 160), 0.3) + rng.normal(0.0, 0.01, (120, 160)) for _ in range(2)]
+    assert measure(*walls) == Motion()
+
+
+def test_motions_follow_one_another() -> None:
+    first, second = Motion(0.1, -0.05, 0.3), Motion(-0.02, 0.04, -0.1)
+    points = np.random.default_rng(0).uniform(0.0, 100.0, (5, 2))
+    both = second.apply(first.apply(points, 120, 80), 120, 80)
+    np.testing.assert_allclose(after(first, second).apply(points, 120, 80), both)
+
+
+def test_warping_shifts_rows_and_marks_what_is_outside() -> None:
+    values = np.arange(20.0)[:, None, None].repeat(10, 1)
+    moved = warped(values, Motion(y=0.1), 0, 20)  # two rows of twenty
+    np.testing.assert_allclose(moved[:18, :, 0], values[2:, :, 0])
+    assert np.isnan(moved[18:]).all()
+
+
+def test_what_moves_is_taken_from_one_exposure() -> None:
+    still = np.ones((20, 30))
+    first, second, third = still.copy(), still.copy(), still.copy()
+    first[5:10, 5:10], second[5:10, 12:17] = 3.0, 3.0
+    third[:, 20:] = np.nan
+    choice = moved_regions([first, second, third], [np.full((20, 30), 0.01)] * 3)
+    assert (choice[6:9, 6:9] == 2).all() and (choice[12:] == -1).all() and (choice[:, 24:] == -1).all()
+    assert len(set(choice[5:10, 12:17].ravel())) == 1  # one region, one exposure
+    noisy = [still + np.random.default_rng(i).normal(0.0, 0.03, still.shape) for i in range(3)]
+    assert (moved_regions(noisy, [np.full((20, 30), 0.03)] * 3) == -1).all()
+
+
+GROUPS = [Group("a", ("a.jpg", "x/b.jpg", "c.jpg")), Group("B", ("d.jpg",), False), Group("e", ("e.jpg",))]
+
+
+def test_split_names_the_second_part_by_its_first_photograph():
+    split = split_group(GROUPS, 0, 1)
+    assert [group.name for group in split] == ["a", "b-2", "B", "e"]  # "B" is taken on some file systems
+    assert split[0].photographs == ("a.jpg",) and split[1].photographs == ("x/b.jpg", "c.jpg")
+    assert split[2:] == GROUPS[1:]
+
+
+@pytest.mark.parametrize(("index", "at"), [(0, 0), (0, 3), (1, 0), (1, 1)])
+def test_split_refuses_an_empty_part(index, at):
+    with pytest.raises(FiptError) as caught:
+        split_group(GROUPS, index, at)
+    assert caught.value.code == "group-not-split"
+
+
+def test_merge_keeps_the_first_name_and_undoes_a_split():
+    merged = merge_groups(GROUPS, 1)
+    assert merged == [GROUPS[0], Group("B", ("d.jpg", "e.jpg"), True)]
+    assert merge_groups(split_group(GROUPS, 0, 2), 0) == GROUPS
+    for index in (2, -1):
+        with pytest.raises(FiptError) as caught:
+            merge_groups(GROUPS, index)
+        assert caught.value.code == "group-not-merged"
+
+
+def test_free_names_differ_in_any_case():
+    assert [free_name("A", taken) for taken in ((), ("b",), ("a",), ("a", "A-2"))] == ["A", "A", "A-2", "A-3"]

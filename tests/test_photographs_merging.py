@@ -20,14 +20,8 @@ from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.photographs import command, frames, merge_step, merging
 from fipt_blender.core.photographs.calibration import Survey, correct_exposures
 from fipt_blender.core.photographs.exif import describe
-from fipt_blender.core.photographs.frames import (
-    load,
-)
-from fipt_blender.core.photographs.merging import (
-    measure_noise,
-    merge_exposures,
-    sensor_noise,
-)
+from fipt_blender.core.photographs.frames import load
+from fipt_blender.core.photographs.merging import measure_noise, merge_exposures, sensor_noise
 from fipt_blender.core.photographs.motion import Motion
 from fipt_blender.core.photographs.preparation import (
     Photograph,

@@ -13,7 +13,6 @@ import pytest
 from PIL import Image
 
 from fipt_blender.core.photographs import scale
-from fipt_blender.core.photographs.marker import MarkerDetector
 from fipt_blender.core.photographs.models import poses, read_model, write_model
 from fipt_blender.core.photographs.preparation import (
     Group,
@@ -24,6 +23,7 @@ from fipt_blender.core.photographs.preparation import (
     write_preparation,
 )
 from fipt_blender.core.photographs.scale import Pick
+from fipt_blender.core.photographs.scale_step import MarkerDetector
 from fipt_blender.core.photographs.solve_step import copy_file, model_folder
 from fipt_blender.core.photographs.steps import run_steps
 from fipt_blender.core.photographs.tonemap import tone_mapped

@@ -18,7 +18,8 @@ from PIL import Image
 
 from fipt_blender.core.capture.formats import read_rig
 from fipt_blender.core.capture.images import write_exr
-from fipt_blender.core.capture.rig import Lens, ReadOptions, Rig, RigView
+from fipt_blender.core.capture.options import CaptureOptions
+from fipt_blender.core.capture.rig import Lens, Rig, RigView
 from fipt_blender.core.photographs.lens import FULL_FRAME_DIAGONAL
 from fipt_blender.core.photographs.models import WantedView, model_from_rig, read_model, write_model
 from fipt_blender.core.photographs.pairs import MOST_EXHAUSTIVE, image_pairs
@@ -119,7 +120,7 @@ def picks(points: list[np.ndarray], views: list[int]) -> str:
 
 def centers(folder: PreparationFolder) -> dict[str, np.ndarray]:
     """Positions of the solved cameras by view, as the capture's reader finds them."""
-    rig = read_rig(folder.root, "colmap", ReadOptions())
+    rig = read_rig(folder.root, "colmap", CaptureOptions())
     return {view.name: view.camera_to_world[:3, 3] for view in rig.views}
 
 
@@ -149,7 +150,7 @@ def test_the_largest_room_is_solved_and_the_rest_is_told(
 
 def test_the_capture_reader_takes_the_folder(solved: tuple[PreparationFolder, Preparation, Reporter]) -> None:
     folder, _, _ = solved
-    rig = read_rig(folder.root, "auto", ReadOptions())
+    rig = read_rig(folder.root, "auto", CaptureOptions())
     assert rig.source == "colmap" and [view.name for view in rig.views] == [f"room {i}" for i in range(7)]
     assert all(view.image == folder.images / f"{view.name}.exr" for view in rig.views)
     assert {(view.width, view.height) for view in rig.views} == {(WIDTH, HEIGHT)}
@@ -234,7 +235,7 @@ def test_an_existing_solve_is_taken(
     (tmp_path / "transforms.json").write_text(json.dumps({**rig, "frames": frames}), encoding="utf-8")
     matrix = "1 0 0 0 0 1 0 0 0 0 1 0"
     reporter = run(folder, preparation, cameras=str(tmp_path), scale="mesh", scale_matrix=matrix)
-    views = {view.name: view for view in read_rig(folder.root, "colmap", ReadOptions()).views}
+    views = {view.name: view for view in read_rig(folder.root, "colmap", CaptureOptions()).views}
     assert set(views) == {"g0", "g1"}
     for index in range(2):
         view = views[f"g{index}"]
@@ -275,8 +276,7 @@ def rig_of(width: int, height: int, name: str) -> Rig:
 
 
 @pytest.mark.parametrize(
-    ("rig", "code"),
-    [(rig_of(300, 200, "b"), "solve-foreign"), (rig_of(200, 300, "a"), "solve-size")],
+    ("rig", "code"), [(rig_of(300, 200, "b"), "solve-foreign"), (rig_of(200, 300, "a"), "solve-size")]
 )
 def test_a_solve_of_other_photographs_is_refused(rig: Rig, code: str) -> None:
     with pytest.raises(FiptError) as caught:

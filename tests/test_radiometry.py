@@ -11,20 +11,10 @@ from benchmarks.ldr import Camera
 from fipt_blender.core.radiometry.adjustment import Samples, adjust, falloff_terms
 from fipt_blender.core.radiometry.contrast import EXIF_DEVIATION, Source, combined, exif_contrast
 from fipt_blender.core.radiometry.inversion import BOUND_WEIGHT, Radiometry, reliability
-from fipt_blender.core.radiometry.response import (
-    HIGH_ANCHOR,
-    LOW_ANCHOR,
-    interpolated,
-    response_basis,
-    slope,
-)
+from fipt_blender.core.radiometry.response import HIGH_ANCHOR, LOW_ANCHOR, interpolated, response_basis, slope
 
 VIEWS, POINTS = 12, 1500
-CAMERAS = [
-    Camera(1.8, 0.0, 0.0, 0.0),
-    Camera(2.2, 0.3, 0.1, 0.25),
-    Camera(2.6, 0.1, 0.35, 0.1),
-]
+CAMERAS = [Camera(1.8, 0.0, 0.0, 0.0), Camera(2.2, 0.3, 0.1, 0.25), Camera(2.6, 0.1, 0.35, 0.1)]
 
 
 def true_curve(camera: Camera) -> np.ndarray:

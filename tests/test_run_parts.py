@@ -51,11 +51,7 @@ def test_units_of_few_pixels_join_the_rest_of_their_object(run, monkeypatch):
     monkeypatch.setattr(parts, "MOST_PARTS", 1)
     write(run, [0, 0, -1, 1, -1], [entry(0, "Top", 5), entry(1, "Floor", 9)])
     found = parts.read_parts(run, OF_OBJECT, OBJECTS)
-    assert [found.parts[index].name for index in found.triangle] == [
-        *["Side table"] * 3,
-        "Floor",
-        "Floor 2",
-    ]
+    assert [found.parts[index].name for index in found.triangle] == [*["Side table"] * 3, "Floor", "Floor 2"]
 
 
 def test_a_run_without_description_has_its_objects_as_parts(run):

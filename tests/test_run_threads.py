@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 
@@ -60,3 +62,14 @@ def test_the_second_step_of_a_view_runs_beside_the_first_of_the_next(monkeypatch
             return TwoSteps(first, second)
 
     assert list(LocalWorkers().map(Work(), range(4))) == [(0, 0), (1, 1), (2, 4), (3, 9)]
+
+
+_CODE = "from fipt_blender.core.run.messages import peak_memory_gb; print(peak_memory_gb())"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the system counts otherwise")
+def test_the_memory_of_the_process_that_starts_the_engine_is_not_counted():
+    block = bytearray(400_000_000)
+    block[::4096] = b"x" * len(block[::4096])
+    result = subprocess.run([sys.executable, "-c", _CODE], capture_output=True, text=True, check=True)
+    assert 0.0 < float(result.stdout) < 0.2

@@ -87,11 +87,7 @@ def write_solve(folder: Path, points: np.ndarray, poses: dict[str, np.ndarray]) 
         replace(shot, name=f"{name}.jpg", rotation=pose[:3, :3].T, centre=pose[:3, 3])
         for name, pose in poses.items()
     ]
-    rig_writers.write_opensfm(folder, [shots], "perspective")
-    path = folder / "reconstruction.json"
-    data = json.loads(path.read_text())
-    data[0]["points"] = {str(index): {"coordinates": list(point)} for index, point in enumerate(points)}
-    path.write_text(json.dumps(data))
+    rig_writers.write_opensfm(folder, [shots], "perspective", points)
 
 
 def run_align(folder: Path, how: str, capture: Path | None) -> tuple[dict, list[dict]]:

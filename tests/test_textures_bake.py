@@ -53,8 +53,7 @@ def run(tmp_path):
     uv = np.array([a[[0, 1, 2]], a[[0, 2, 3]], b[[0, 1, 2]], b[[0, 2, 3]]]) / (width, height)
     np.savez(folder.atlas_npz, corner_uv=uv.astype(np.float32), triangle_image=np.zeros(4, np.int32))
     write_json(
-        folder.atlas_json,
-        {"mode": "uv", "images": [{"name": "Room.001", "width": width, "height": height}]},
+        folder.atlas_json, {"mode": "uv", "images": [{"name": "Room.001", "width": width, "height": height}]}
     )
     return folder
 

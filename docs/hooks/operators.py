@@ -40,7 +40,9 @@ def operators_page() -> str:
 
 
 def _chapter(module: ModuleType) -> Iterator[str]:
-    shown = [each for each in module.CLASSES if _is_public(each)]
+    from fipt_blender.properties import classes_of
+
+    shown = [each for each in classes_of([module]) if _is_public(each)]
     if not shown:
         return
     yield from ("", f"## {module.__name__.rpartition('.')[2].replace('_', ' ').capitalize()}")

@@ -241,7 +241,7 @@ def delete_version(version: str, scene: bpy.types.Scene | None = None) -> None:
         FiptError: ``version-missing``, ``version-current``, ``run-busy``.
     """
     from ..jobs import runstate
-    from ..jobs.versions import remove_version
+    from ..jobs.run_job import remove_version
     from .tasks import run_of
 
     run = run_of(scene or bpy.context.scene)

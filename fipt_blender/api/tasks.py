@@ -23,14 +23,15 @@ if TYPE_CHECKING:
     from ..bridge.process import Message
     from ..bridge.sequence import Job
     from ..bridge.step import Slices, Step, StepFunction
+    from ..core.capture.options import CaptureOptions
     from ..core.run.settings import Settings, Value
-    from ..jobs.options import CaptureOptions
     from ..properties.capture import FIPT_CaptureSettings
 
+_CAPTURE_SETTINGS = (
+    *("format", "up_axis", "clamp_negative", "align_mesh", "plane_room", "dense_stereo", "triangles"),
+    "undo_applied_transform",
+)
 _ATLAS_SETTINGS = ("atlas_mode", "atlas_images", "texture_size", "texel_density")
-# Seconds on a small capture, for the progress bar only.
-_CAMERAS_SECONDS, _ROOM_SECONDS = 1.0, 2.0
-_ATLAS_SECONDS, _BAKE_SECONDS, _BUILD_SECONDS = 2.0, 25.0, 1.0
 
 
 def run_of(scene: bpy.types.Scene) -> RunFolder:
@@ -55,7 +56,7 @@ def capture_import() -> Task:
 
 
 def _import_capture(scene: bpy.types.Scene) -> Job:
-    from ..jobs.options import capture_source, ingest_arguments
+    from ..jobs.options import capture_source
 
     settings = scene.fipt.capture
     if not settings.path:
@@ -72,7 +73,7 @@ def _import_capture(scene: bpy.types.Scene) -> Job:
             "Select the folder that contains the cameras, or the camera file itself, as Capture.",
         )
     path = capture_source(path)
-    arguments = ingest_arguments(_capture_options(settings))
+    arguments = _capture_options(settings).arguments()
     machine.engine_python()  # raises before anything is created
     run = open_run(scene, str(path), path.stem if path.is_file() else path.name)
 
@@ -135,7 +136,7 @@ def _capture_options(settings: FIPT_CaptureSettings) -> CaptureOptions:
     Raises:
         FiptError: ``mesh-missing`` or ``images-missing``.
     """
-    from ..jobs.options import CaptureOptions
+    from ..core.capture.options import CaptureOptions
 
     mesh = Path(bpy.path.abspath(settings.mesh)).absolute() if settings.mesh else None
     if mesh is not None and not mesh.is_file():
@@ -153,17 +154,10 @@ def _capture_options(settings: FIPT_CaptureSettings) -> CaptureOptions:
         )
     return CaptureOptions(
         mesh=mesh,
-        format=settings.format,
-        up_axis=settings.up_axis,
+        images=images,
         scale=float(settings.scale),
         hold_back=0 if settings.hold_back < 2 else settings.hold_back,
-        images=images,
-        clamp_negative=settings.clamp_negative,
-        align_mesh=settings.align_mesh,
-        plane_room=settings.plane_room,
-        dense_stereo=settings.dense_stereo,
-        triangles=settings.triangles,
-        undo_applied_transform=settings.undo_applied_transform,
+        **{name: getattr(settings, name) for name in _CAPTURE_SETTINGS},
     )
 
 
@@ -245,9 +239,10 @@ def make_steps(run: RunFolder, settings: Settings, resume: bool) -> list[Step]:
 
         return export_scene_room(run)
 
+    # Seconds on a small capture, for the progress bar only.
     return [
-        Step("cameras", "Reading the cameras", _CAMERAS_SECONDS, function=cameras, repeat=True),
-        Step("room", EXPORT_TEXT, _ROOM_SECONDS, function=room, repeat=True),
+        Step("cameras", "Reading the cameras", 1.0, function=cameras, repeat=True),
+        Step("room", EXPORT_TEXT, 2.0, function=room, repeat=True),
         estimate_step(run, settings, resume),
     ]
 
@@ -318,7 +313,7 @@ def version_change(version: str) -> Task:
     """Make a version the results of the scene's run, and apply it."""
 
     def make(scene: bpy.types.Scene) -> Job:
-        from ..jobs.versions import switch_version
+        from ..jobs.run_job import switch_version
 
         run = run_of(scene)
         settings = chosen_settings(scene, run)
@@ -415,7 +410,7 @@ def apply_steps(scene_name: str, run: RunFolder, settings: Settings) -> list[Ste
         Step(
             "apply-atlas",
             "Creating texture coordinates",
-            _ATLAS_SECONDS,
+            2.0,
             inputs={
                 "room": _stamp(run.estimated().room_npz),
                 "parts": _stamp(run.parts_npz) if settings.atlas_images == "part" else [],
@@ -427,7 +422,7 @@ def apply_steps(scene_name: str, run: RunFolder, settings: Settings) -> list[Ste
         Step(
             "apply-textures",
             "Baking textures",
-            _BAKE_SECONDS,
+            25.0,
             inputs={"fields": _stamp(run.fields_npz)},
             command=["textures", str(run.root)],
             outputs=[run.textures],
@@ -435,7 +430,7 @@ def apply_steps(scene_name: str, run: RunFolder, settings: Settings) -> list[Ste
         Step(
             "apply-build",
             "Building materials and lights",
-            _BUILD_SECONDS,
+            1.0,
             inputs={"time": uuid.uuid4().hex},  # never skipped: its result is in the .blend file
             function=build,
         ),

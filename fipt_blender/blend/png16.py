@@ -12,9 +12,6 @@ import zlib
 
 import numpy as np
 
-_MOST = 65535
-_UP = 2  # filter type: each byte minus the one above it (PNG specification, 9.2)
-
 
 def encode_png(values: np.ndarray) -> bytes:
     """The content of a PNG file.
@@ -23,10 +20,10 @@ def encode_png(values: np.ndarray) -> bytes:
         values: (H, W, 3), 0 to 1, bottom row first as in Blender; others are clipped.
     """
     height, width, _ = values.shape
-    codes = np.round(np.clip(values[::-1], 0.0, 1.0) * _MOST).astype(">u2")
+    codes = np.round(np.clip(values[::-1], 0.0, 1.0) * 65535).astype(">u2")
     rows = codes.reshape(height, -1).view(np.uint8)
     filtered = np.empty((height, rows.shape[1] + 1), np.uint8)
-    filtered[:, 0] = _UP
+    filtered[:, 0] = 2  # each byte minus the one above it (PNG specification, 9.2)
     filtered[:, 1:] = rows
     filtered[1:, 1:] -= rows[:-1]
     header = struct.pack(">IIBBBBB", width, height, 16, 2, 0, 0, 0)

@@ -10,8 +10,6 @@ from typing import NamedTuple
 import bpy
 from mathutils import Matrix, Vector
 
-_MOST_HITS = 64  # a ray that has not found what it looks for by then gives up
-
 
 class Hit(NamedTuple):
     """Where a ray hits a surface.
@@ -52,7 +50,7 @@ def hits(
     direction = direction.normalized()
     # Moves the next ray off the surface that the last one has hit.
     nudge = 1e-5 * max(1.0, max(abs(value) for value in origin))
-    for _ in range(_MOST_HITS):
+    for _ in range(64):  # a ray that has not found what it looks for by then gives up
         hit, position, normal, face, item, matrix = scene.ray_cast(depsgraph, origin, direction)
         if not hit:
             return

@@ -16,10 +16,7 @@ from ..core.run.runfolder import atomic_path, explained_write_errors
 
 # Blender compresses each megabyte by itself. Below this size a second compression gains little.
 LEAST_REPACKED = 10_000_000
-_WINDOW_BITS = 27  # the largest window that Blender's reader accepts
 _PROBE_BYTES = 16_000_000
-# Below this much free space a failed write is blamed on the disk, since no file's size is known beforehand.
-_LITTLE_SPACE = 500_000_000
 
 
 def save_blend(path: Path) -> None:
@@ -54,8 +51,9 @@ def _repack(path: Path) -> None:
         return
     if path.stat().st_size < LEAST_REPACKED:
         return
+    # 27: the largest window that Blender's reader accepts
     parameters = zstandard.ZstdCompressionParameters.from_level(
-        1, window_log=_WINDOW_BITS, enable_ldm=True, write_checksum=True
+        1, window_log=27, enable_ldm=True, write_checksum=True
     )
     try:
         with atomic_path(path) as temporary, open(path, "rb") as source, open(temporary, "wb") as target:
@@ -76,7 +74,8 @@ def write_error(path: Path, error: RuntimeError, code: str) -> FiptError:
             free = shutil.disk_usage(path.parent).free
     except FiptError as reason:
         return reason
-    if free < _LITTLE_SPACE:
+    # How large the file would be is not known.
+    if free < 500_000_000:
         return FiptError(
             "disk-full",
             f"{path} could not be written. The disk is probably full: {free / 1e6:,.0f} MB are left.",

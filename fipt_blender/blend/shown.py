@@ -15,10 +15,7 @@ UNCHANGED = ("ESTIMATED", "ORIGINAL")  # what is shown of a material other than 
 
 
 def write_surface(
-    material: bpy.types.Material,
-    shown: str,
-    source: bpy.types.NodeSocket | None,
-    constant: Sequence[float],
+    material: bpy.types.Material, shown: str, source: bpy.types.NodeSocket | None, constant: Sequence[float]
 ) -> None:
     """Let one of our materials show itself or a map.
 

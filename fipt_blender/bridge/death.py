@@ -13,9 +13,6 @@ from typing import Any
 
 from ..core.run.messages import says_out_of_memory
 
-_TAIL_BYTES = 4096
-_FULL_DISK_BYTES = 1 << 20  # a disk with less free space counts as full
-
 
 def explain_death(returncode: int | None, last_line: str = "", file: Path | None = None) -> dict[str, Any]:
     """The `error` message for an engine that ended without one of its own.
@@ -58,7 +55,7 @@ def _error(code: str, text: str, remedy: str) -> dict[str, Any]:
 
 def _is_full(path: Path) -> bool:
     try:
-        return shutil.disk_usage(path.parent).free < _FULL_DISK_BYTES
+        return shutil.disk_usage(path.parent).free < 1 << 20
     except OSError:
         return False
 
@@ -67,7 +64,7 @@ def last_lines(log: Path) -> list[str]:
     """The last lines of a log; none if it can't be read."""
     try:
         with open(log, "rb") as file:
-            file.seek(max(os.fstat(file.fileno()).st_size - _TAIL_BYTES, 0))
+            file.seek(max(os.fstat(file.fileno()).st_size - 4096, 0))
             return [line.strip() for line in file.read().decode("utf-8", "replace").splitlines()]
     except OSError:
         return []

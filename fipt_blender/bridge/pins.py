@@ -135,14 +135,14 @@ def is_set_up(folder: Path, key: str) -> bool:
     return stamp.get("llvm") is None or Path(stamp["llvm"]).exists()
 
 
-def wheel_command(pins: dict[str, list[str]], version: Version, folder: str = "wheels") -> str:
+def wheel_command(pins: dict[str, list[str]], version: Version) -> str:
     """The command that downloads all wheels that an offline machine of the same kind needs."""
     locked = [without_hashes(requirement) for requirement in pins.get("lock", [])]
     torch = [pin for pin in pins["engine"] if pin.startswith("torch==")]
     pip, llvm = ([without_hashes(pin) for pin in pins[group]] for group in TOOL_GROUPS)
     names = [*pip, *(locked + torch if locked else pins["engine"]), *llvm]
     quoted = " ".join(f'"{name}"' if ";" in name else name for name in names)
-    return f"python{version[0]}.{version[1]} -m pip download --only-binary :all: --dest {folder} {quoted}"
+    return f"python{version[0]}.{version[1]} -m pip download --only-binary :all: --dest wheels {quoted}"
 
 
 def wheel_pythons(folder: Path, pins: dict[str, list[str]]) -> list[Version]:

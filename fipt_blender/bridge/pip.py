@@ -22,7 +22,6 @@ _OPTIONS = ("--no-input", "--disable-pip-version-check", "--progress-bar")
 _RAW_SINCE = (24, 1)  # the first version of pip that prints its progress for programs
 # Share of an installation's time for getting the packages: over an average network, and from a folder.
 _DOWNLOAD_SHARE, _FOLDER_SHARE = 0.7, 0.05
-_WATCH_SECONDS = 1.0
 _NETWORK_SIGNS = (
     *("NewConnectionError", "ConnectTimeout", "ReadTimeout", "name resolution", "getaddrinfo"),
     *("ProxyError", "SSLError", "CERTIFICATE_VERIFY_FAILED", "Network is unreachable", "Connection refused"),
@@ -156,7 +155,7 @@ def run_pip(python: Path, arguments: Sequence[str], progress: PipProgress, bar: 
         threading.Thread(target=_read, args=(child.stdout or (), lines), daemon=True).start()
         while True:
             try:
-                line = lines.get(timeout=_WATCH_SECONDS)
+                line = lines.get(timeout=1.0)
             except queue.Empty:
                 progress.watch()
                 continue

@@ -17,7 +17,6 @@ from ..core.run.runfolder import explained_write_errors
 
 PACKAGE_FOLDER = Path(__file__).resolve().parent.parent
 DATA_VARIABLE = "FIPT_DATA"
-_RUN_NAME_LENGTH = 40
 
 
 def default_data_folder() -> Path:
@@ -54,7 +53,7 @@ def new_run_folder(data: Path, name: str) -> Path:
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
-    slug = re.sub(r"[^\w-]+", "-", name).strip("-_")[:_RUN_NAME_LENGTH] or "run"
+    slug = re.sub(r"[^\w-]+", "-", name).strip("-_")[:40] or "run"
     stem = f"{slug}-{time.strftime('%Y%m%d-%H%M%S')}"
     folder, number = runs_folder(data) / stem, 1
     with explained_write_errors(folder):

@@ -27,8 +27,6 @@ from .death import explain_death, last_lines
 Message = dict[str, Any]
 
 _POLL_SECONDS = 0.05
-_TERMINATE_SECONDS = 1.0  # between asking the engine to end and killing it
-_NICENESS = 10
 
 
 class Engine:
@@ -110,7 +108,7 @@ class Engine:
         """Ask the engine and all that it started to end; `poll` makes sure of it within two seconds."""
         if not self._finished and not self.cancelled:
             self.cancelled = True
-            self._deadline = time.monotonic() + _TERMINATE_SECONDS
+            self._deadline = time.monotonic() + 1.0
             self._signal(terminate=True)
 
     def cancel(self) -> None:
@@ -236,7 +234,7 @@ class EngineProcess(Engine):
         if sys.platform != "win32":
             # Not by preexec_fn, which is unsafe in a process with threads such as Blender.
             try:
-                niceness = max(_NICENESS, os.getpriority(os.PRIO_PROCESS, 0))
+                niceness = max(10, os.getpriority(os.PRIO_PROCESS, 0))
                 os.setpriority(os.PRIO_PGRP, self._process.pid, niceness)
             except OSError:  # the child may have ended already
                 pass

@@ -16,9 +16,8 @@ from typing import Any
 
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import explained_write_errors
-from .job_progress import JobProgress
 from .process import Engine, Message
-from .step import Step, StepRecord, StepSlices, chain_keys
+from .step import JobProgress, Step, StepRecord, StepSlices, chain_keys
 
 SLICE_SECONDS = 0.05  # time for which a function on Blender's data works in one call of `advance`
 

@@ -9,20 +9,19 @@ from __future__ import annotations
 
 import hashlib
 import json
+import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ..core.run.documents import read_json
+from ..core.run.documents import head, read_json
 from ..core.run.errors import FiptError
 from ..core.run.lock import briefly_locked
 from ..core.run.runfolder import write_json
 from ..core.run.shapes import STEPS
 from .process import Engine, Message
-
-STEPS_VERSION = 1
 
 Result = TypeVar("Result")
 # Work in slices: a generator that yields the share that is done (0 to 1), or None, between two slices.
@@ -107,12 +106,7 @@ class StepRecord:
         )
 
     def store(
-        self,
-        name: str,
-        key: str,
-        finished: bool,
-        seconds: float = 0.0,
-        warnings: Sequence[Message] = (),
+        self, name: str, key: str, finished: bool, seconds: float = 0.0, warnings: Sequence[Message] = ()
     ) -> None:
         """Record that a step was started or finished, with its warnings.
 
@@ -128,7 +122,7 @@ class StepRecord:
         self._changed.add(name)
         with briefly_locked(self._path.with_name(f".{self._path.name}.lock")):
             self._take_others()
-            write_json(self._path, {"format": "fipt-steps", "version": STEPS_VERSION, "steps": self._steps})
+            write_json(self._path, {**head("steps"), "steps": self._steps})
 
     def _read(self) -> dict[str, dict[str, Any]]:
         """The steps in the file.
@@ -139,7 +133,9 @@ class StepRecord:
         if not self._path.exists():
             return {}
         data = read_json(self._path, STEPS)
-        steps: dict[str, dict[str, Any]] = data["steps"] if data["version"] == STEPS_VERSION else {}
+        steps: dict[str, dict[str, Any]] = (
+            data["steps"] if data["version"] == head("steps")["version"] else {}
+        )
         return steps
 
     def _take_others(self) -> None:
@@ -158,3 +154,52 @@ def chain_keys(steps: Sequence[Step]) -> list[str]:
         previous = hashlib.sha256(text.encode()).hexdigest()[:24]
         keys.append(previous)
     return keys
+
+
+_PRIOR_SECONDS = 30.0  # weight, against measured time, of the assumption that expected times are right
+
+
+class JobProgress:
+    """Fraction and remaining time of a job.
+
+    Args:
+        weights: expected time of each step in seconds, on a small machine.
+        skipped: whether each step is left out.
+    """
+
+    def __init__(self, weights: Sequence[float], skipped: Sequence[bool]) -> None:
+        self._weight_skipped = sum(weight for weight, skip in zip(weights, skipped, strict=True) if skip)
+        self._weight_total = sum(weights) or 1.0
+        self._weight_done = self._weight_skipped
+        self._started = time.monotonic()
+        self._memory_gb = 0.0
+
+    def complete(self, weight: float) -> None:
+        """Count a step with this weight as done."""
+        self._weight_done += weight
+
+    def note_memory(self, memory_gb: float) -> None:
+        """Take an engine's peak memory in GB into account."""
+        self._memory_gb = max(self._memory_gb, memory_gb)
+
+    def message(self, weight: float, step_fraction: float, step_remaining: float | None) -> dict[str, Any]:
+        """The message `progress` of the job.
+
+        Args:
+            weight: of the current step.
+            step_fraction: share of the step that is done.
+            step_remaining: remaining seconds of the step if known.
+        """
+        done = self._weight_done + weight * min(max(step_fraction, 0.0), 1.0)
+        elapsed = time.monotonic() - self._started
+        # Seconds per expected second on this machine; at first close to 1, as the first steps say little.
+        pace = (elapsed + _PRIOR_SECONDS) / (done - self._weight_skipped + _PRIOR_SECONDS)
+        after = self._weight_total - self._weight_done - weight
+        current = weight * (1.0 - step_fraction) * pace if step_remaining is None else step_remaining
+        return {
+            "type": "progress",
+            "fraction": round(done / self._weight_total, 4),
+            "stage_fraction": round(step_fraction, 4),
+            "remaining_seconds": round(current + after * pace, 1),
+            "memory_gb": self._memory_gb,
+        }

@@ -18,13 +18,11 @@ from pathlib import Path
 from ..core.run.documents import load_document
 from ..core.run.errors import FiptError
 from ..core.run.lock import holder
-from ..core.run.runfolder import RUN_FORMAT, RunFolder
+from ..core.run.runfolder import RunFolder
 from .pins import environments, managed_environments
 from .places import runs_folder
 
 RUN, ENVIRONMENT = "run", "environment"
-# A run that was changed so recently may belong to a job, which holds no lock between engine commands.
-_RECENT_SECONDS = 120.0
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ def is_run(folder: Path) -> bool:
         return not any(folder.iterdir())
     except (OSError, ValueError):
         return False
-    return bool(data.get("format") == RUN_FORMAT)
+    return bool(data.get("format") == "fipt-run")
 
 
 def why_in_use(item: Item, used: Sequence[Path]) -> str:
@@ -79,7 +77,8 @@ def why_in_use(item: Item, used: Sequence[Path]) -> str:
         return "used by the open file"
     if item.kind == RUN and holder(RunFolder(item.folder)) is not None:
         return "an engine is working in it"
-    if item.kind == RUN and time.time() - item.modified < _RECENT_SECONDS:
+    # A run that was changed so recently may belong to a job, which holds no lock between engine commands.
+    if item.kind == RUN and time.time() - item.modified < 120.0:
         return "changed just now"
     return ""
 

@@ -16,10 +16,7 @@ from ..core.device.cuda import Gpu
 # Download site of the PyTorch project with a folder per build; the general package index has only one build.
 TORCH_INDEX = "https://download.pytorch.org/whl"
 # CUDA builds of the pinned version: name, least CUDA version of the driver, range of compute capabilities.
-_CUDA_BUILDS = (
-    ("cu130", 13000, (7, 5), (12, 1)),
-    ("cu126", 12000, (5, 0), (9, 0)),
-)
+_CUDA_BUILDS = (("cu130", 13000, (7, 5), (12, 1)), ("cu126", 12000, (5, 0), (9, 0)))
 
 
 @dataclass(frozen=True)

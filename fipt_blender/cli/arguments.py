@@ -9,17 +9,13 @@ from pathlib import Path
 from typing import TypeAlias
 
 from ..bridge.places import mask_model
-from ..core.conventions import UP_AXES
+from ..core.capture.options import CaptureOptions, add_options, options_of
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import PRODUCT_VERSION
 from ..core.run.settings import PRESETS, make_settings
 from ..jobs.options import PARTS, RENDER_KINDS, MainJobOptions
 from ..machine import data_folder
 
-FORMATS = (
-    *("auto", "fipt-synthetic", "fipt-real", "scannetpp", "transforms", "colmap", "metashape", "realityscan"),
-    *("meshroom", "opensfm", "openmvg", "bundler", "nvm", "polycam", "record3d", "rgbd"),
-)
 _Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 
@@ -57,7 +53,6 @@ def _add_estimate(commands: _Commands) -> argparse.ArgumentParser:
     )
     add = estimate.add_argument
     add("capture", type=Path, metavar="CAPTURE", help="the capture's folder or its camera file")
-    add("--mesh", type=Path, metavar="FILE", help="the room's mesh (default: the one beside the cameras)")
     add("--output", type=Path, metavar="DIR", help="the run folder (default: ./CAPTURE-fipt)")
     add("--preset", choices=tuple(PRESETS), default="medium", help="quality and duration (default: medium)")
     add("--device", choices=("auto", "cuda", "llvm"), help="GPU (cuda) or CPU (llvm) (default: auto)")
@@ -65,37 +60,7 @@ def _add_estimate(commands: _Commands) -> argparse.ArgumentParser:
     add("--rounds", type=int, metavar="N", help="number of refinements of light and materials")
     add("--force", action="store_const", const=True, help="estimate although the input looks useless")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one constant of the method")
-    add("--format", choices=FORMATS, default="auto", help="layout of the capture (default: auto)")
-    up_axes = ("auto", *UP_AXES)
-    add("--up-axis", choices=up_axes, default="auto", help="up axis of the capture; --up-axis=-y for -y")
-    add("--scale", type=float, default=1.0, metavar="S", help="meters per unit of the capture (default: 1)")
-    add("--hold-back", type=int, metavar="N", help="hold back every N-th view for comparison; 0 for none")
-    add("--images", type=Path, metavar="DIR", help="folder of the photographs")
-    add("--views", type=int, default=0, metavar="N", help="use N photographs, evenly spread (default: all)")
-    add("--voxel", type=float, metavar="M", help="meters, of a mesh fused from depth images (default: 0.02)")
-    add(
-        "--close-holes",
-        type=float,
-        metavar="M",
-        help="close holes of a fused mesh up to this width in meters",
-    )
-    add(
-        "--triangles", type=int, default=0, metavar="N", help="simplify a mesh with more triangles to about N"
-    )
-    add(
-        "--depth-unit", type=float, metavar="M", help="unit of 16-bit depth images in meters (default: 0.001)"
-    )
-    add("--clamp-negative", action="store_true", help="treat negative radiance in photographs as zero")
-    add("--align-mesh", action="store_true", help="align the cameras to a mesh from another program")
-    add(
-        "--plane-room", action="store_true", help="without a mesh: fit a room of planes to the solve's points"
-    )
-    add("--dense-stereo", action="store_true", help="without a mesh: one by COLMAP's dense stereo (CUDA)")
-    add(
-        "--undo-applied-transform",
-        action="store_true",
-        help="transforms.json: the mesh has the coordinates from before nerfstudio's applied_transform",
-    )
+    add_options(estimate, without=("own_paths",))
     add(
         "--parts",
         choices=PARTS,
@@ -190,12 +155,7 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
             changes[name] = getattr(arguments, name)
     if arguments.render_spp < 1:
         raise FiptError("option-invalid", f"--render-spp is {arguments.render_spp}.", "Give at least 1.")
-    if arguments.hold_back is not None and (arguments.hold_back < 0 or arguments.hold_back == 1):
-        raise FiptError(
-            "option-invalid", f"--hold-back is {arguments.hold_back}.", "Give 0 for none, or at least 2."
-        )
-    if not 0.0 < arguments.scale < float("inf"):
-        raise FiptError("option-invalid", f"--scale is {arguments.scale}.", "Give a number above 0.")
+    CaptureOptions(**options_of(arguments)).check()
     masks_model = arguments.masks_model
     if arguments.find_masks and masks_model is None:
         masks_model = mask_model(data_folder())
@@ -208,23 +168,8 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
     return MainJobOptions(
         capture=capture,
         output=arguments.output or Path.cwd() / f"{folder.absolute().name}-fipt",
-        mesh=arguments.mesh,
         settings=make_settings(arguments.preset, changes),
-        format=arguments.format,
-        up_axis=arguments.up_axis,
-        scale=arguments.scale,
-        hold_back=arguments.hold_back,
-        images=arguments.images,
-        clamp_negative=arguments.clamp_negative,
-        align_mesh=arguments.align_mesh,
-        plane_room=arguments.plane_room,
-        dense_stereo=arguments.dense_stereo,
-        views=arguments.views,
-        voxel=arguments.voxel,
-        close_holes=arguments.close_holes,
-        triangles=arguments.triangles,
-        depth_unit=arguments.depth_unit,
-        undo_applied_transform=arguments.undo_applied_transform,
+        **options_of(arguments),
         parts=arguments.parts,
         masks_model=masks_model,
         renders=() if arguments.no_renders else RENDER_KINDS,

@@ -17,9 +17,6 @@ from typing import IO
 
 from ..bridge.process import Message
 
-_LINE_SECONDS = 5.0
-_REFRESH_SECONDS = 0.2
-
 
 class Display:
     """Shows messages: as one updated line on a terminal, as a line every few seconds elsewhere, as JSON."""
@@ -66,7 +63,7 @@ class Display:
 
     def _progress(self, message: Message) -> None:
         now = time.monotonic()
-        if now - self._last < (_REFRESH_SECONDS if self._terminal else _LINE_SECONDS):
+        if now - self._last < (0.2 if self._terminal else 5.0):
             return
         self._last = now
         line = f"{100 * message['fraction']:3.0f} %  {self._text}"

@@ -14,8 +14,7 @@ from ..core.run.runfolder import RunFolder
 from ..core.run.version_figures import comparison
 from ..core.run.versions import list_versions, rename_version, settle, total_size
 from ..jobs.options import BLEND_NAME
-from ..jobs.run_job import refuse_busy
-from ..jobs.versions import remove_version, switch_version
+from ..jobs.run_job import refuse_busy, remove_version, switch_version
 from .output import Display, format_size
 
 _MOST_PARTS = 20  # of a comparison

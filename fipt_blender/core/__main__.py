@@ -19,7 +19,7 @@ from contextlib import nullcontext
 from .run.errors import FiptError
 from .run.lock import hold
 from .run.messages import Reporter, claim_stdout, says_out_of_memory
-from .run.parent import end_with_parent
+from .run.process_identity import end_with_parent
 from .run.runfolder import RunFolder
 
 # Name: (module, help). Each module has add_arguments(parser) and run(arguments, reporter).
@@ -76,9 +76,7 @@ def _run(argv: list[str], reporter: Reporter) -> int:
     except ImportError as error:
         traceback.print_exc()
         reporter.error(
-            "package-missing",
-            f"The engine's Python lacks a package ({error}).",
-            "Set up the engine again.",
+            "package-missing", f"The engine's Python lacks a package ({error}).", "Set up the engine again."
         )
         return 1
     except Exception as error:  # every failure must reach the user

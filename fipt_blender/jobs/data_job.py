@@ -41,10 +41,7 @@ def set_up_step(
     """The step that creates the engine's environment; for the arguments see `setup_command`."""
     command = setup_command(python, data, device, wheels, allow_large, mask_model)
     return Step(
-        "set-up",
-        "Setting up the engine",
-        180.0,
-        process=lambda: start_process(command, engine_environment()),
+        "set-up", "Setting up the engine", 180.0, process=lambda: start_process(command, engine_environment())
     )
 
 

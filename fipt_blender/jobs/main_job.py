@@ -23,7 +23,7 @@ from ..core.run.method import method_digest
 from ..core.run.runfolder import PRODUCT_VERSION, RunFolder
 from ..core.run.settings import TEXTURE_SETTINGS, Settings
 from .fingerprints import folder_fingerprint, mesh_fingerprint
-from .options import BLEND_NAME, MainJobOptions, check_options, ingest_arguments
+from .options import BLEND_NAME, MainJobOptions, check_options
 from .run_job import find_launch, ingest_step, masks_step, open_job, refuse_busy
 
 if TYPE_CHECKING:
@@ -55,11 +55,7 @@ def make_main_job(options: MainJobOptions) -> Job:
     run.create(options.settings)
     _take_hints(run, hints, again, options.resume)
     return open_job(
-        run,
-        _steps(options, run),
-        resume=options.resume,
-        result=lambda: list_files(run),
-        launch=engine,
+        run, _steps(options, run), resume=options.resume, result=lambda: list_files(run), launch=engine
     )
 
 
@@ -175,7 +171,7 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
 
 
 def _capture_step(options: MainJobOptions, run: RunFolder) -> Step:
-    capture, arguments = options.capture.absolute(), ingest_arguments(options)
+    capture, arguments = options.capture.absolute(), options.arguments()
     mesh, images = (None if path is None else path.absolute() for path in (options.mesh, options.images))
     model = options.masks_model
     return replace(
@@ -211,11 +207,7 @@ def _result_steps(options: MainJobOptions, run: RunFolder, room: Callable[[], Ro
             repeat=True,
         ),
         Step(
-            "textures",
-            "Baking textures",
-            20.0,
-            command=["textures", str(run.root)],
-            outputs=[run.textures],
+            "textures", "Baking textures", 20.0, command=["textures", str(run.root)], outputs=[run.textures]
         ),
         Step(
             "save",

@@ -1,63 +1,19 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The options of the main job and of reading a capture."""
+"""The options of the main job."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from ..core.capture.options import CaptureOptions
 from ..core.run.errors import FiptError
 from ..core.run.settings import Settings
 
 BLEND_NAME = "room.blend"
 PARTS = ("auto", "masks", "semantics", "materials", "objects", "loose", "none")
 RENDER_KINDS = ("rerender", "relight", "insert")
-
-
-@dataclass(frozen=True, kw_only=True)
-class CaptureOptions:
-    """How a capture is read; the defaults are those of the engine's command `ingest`.
-
-    Attributes:
-        mesh: the room's mesh file, or None for the one found beside the cameras.
-        format: layout of the capture, "auto" to recognise it.
-        up_axis: axis of the source's coordinates that points up, "auto" for what the format says.
-        scale: metres per source unit.
-        hold_back: every N-th view is held back where the capture names none; 0 for none, None for the
-            engine's default.
-        images: folder in which the photographs are looked for first.
-        clamp_negative: whether negative radiance is read as zero.
-        align_mesh: whether the cameras are moved to the mesh by the solve's sparse points.
-        plane_room: whether a room of planes is made from the solve's points where there is no mesh.
-        dense_stereo: whether a mesh is made from the photographs by dense stereo where there is none.
-        views: number of photographs that are used, evenly spread; 0 for all.
-        voxel: metres, of meshes that are fused from depth images; None for the engine's default.
-        close_holes: metres; holes of fused meshes that are not wider are closed; None for none.
-        triangles: budget of the mesh; one with more is simplified. 0 for none.
-        depth_unit: metres per unit of 16-bit depth images, or None for the engine's default.
-        own_paths: transforms.json only; whether its paths may lead anywhere, since we wrote it ourselves.
-        undo_applied_transform: transforms.json only; whether the mesh has the coordinates from before
-            nerfstudio's `applied_transform`.
-    """
-
-    mesh: Path | None = None
-    format: str = "auto"
-    up_axis: str = "auto"
-    scale: float = 1.0
-    hold_back: int | None = None
-    images: Path | None = None
-    clamp_negative: bool = False
-    align_mesh: bool = False
-    plane_room: bool = False
-    dense_stereo: bool = False
-    views: int = 0
-    voxel: float | None = None
-    close_holes: float | None = None
-    triangles: int = 0
-    depth_unit: float | None = None
-    own_paths: bool = False
-    undo_applied_transform: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,37 +51,6 @@ class MainJobOptions(CaptureOptions):
     cluster: str | None = None
     hints: Path | None = None
     hints_again: Path | None = None
-
-
-def ingest_arguments(options: CaptureOptions) -> list[str]:
-    """Arguments of the engine's `ingest`, each one word: a separate "-y" would be taken for an option."""
-    arguments = [f"--format={options.format}", f"--up-axis={options.up_axis}", f"--scale={options.scale!r}"]
-    if options.mesh is not None:
-        arguments.append(f"--mesh={options.mesh.absolute()}")
-    if options.hold_back is not None:
-        arguments.append(f"--hold-back={options.hold_back}")
-    if options.images is not None:
-        arguments.append(f"--images={options.images.absolute()}")
-    for name in ("views", "triangles"):
-        if getattr(options, name):
-            arguments.append(f"--{name}={getattr(options, name)}")
-    for name in ("voxel", "close_holes", "depth_unit"):
-        value = getattr(options, name)
-        if value is not None:
-            arguments.append(f"--{name.replace('_', '-')}={value!r}")
-    if options.clamp_negative:
-        arguments.append("--clamp-negative")
-    if options.align_mesh:
-        arguments.append("--align-mesh")
-    if options.plane_room:
-        arguments.append("--plane-room")
-    if options.dense_stereo:
-        arguments.append("--dense-stereo")
-    if options.own_paths:
-        arguments.append("--own-paths")
-    if options.undo_applied_transform:
-        arguments.append("--undo-applied-transform")
-    return arguments
 
 
 def capture_source(path: Path) -> Path:

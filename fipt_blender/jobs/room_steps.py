@@ -43,7 +43,6 @@ from ..core.run.runfolder import RunFolder
 from .batch_state import panel_state, remember_run
 from .options import BLEND_NAME, MainJobOptions
 
-RERENDERS = 3
 NEW_LIGHT = "FIPT New Light"
 # A chrome ball shows a shadow, reflections and the light of the room at once.
 INSERTED_KIND = "mirror_ball"
@@ -118,7 +117,7 @@ class RoomSteps:
         chosen, _ = self._view()
         views = preferred_views(read_capture(self._run.capture_json), self._options.render_view)
         others = [view["name"] for view in views if view["split"] == "held_back" and view["name"] != chosen]
-        self._render("rerender", [chosen, *others[: RERENDERS - 1]])
+        self._render("rerender", [chosen, *others[:2]])
 
     def relight(self) -> list[Message]:
         """Render the view with the estimated lights off and a new area light below the ceiling.
@@ -194,10 +193,7 @@ class RoomSteps:
     def _view(self) -> tuple[str, Support | None]:
         """The view to render, and a place in it for an object, if there is one."""
         if self._choice is None:
-            views = preferred_views(
-                read_capture(self._run.capture_json),
-                self._options.render_view,
-            )
+            views = preferred_views(read_capture(self._run.capture_json), self._options.render_view)
             geometry = [(view["name"], view_geometry(view)) for view in views]
             self._choice = choose_view(make_cast(read_room(self._run)), geometry)
         return self._choice

@@ -20,8 +20,9 @@ from ..bridge.sequence import Job
 from ..bridge.step import Step, StepRecord
 from ..core.run.errors import FiptError
 from ..core.run.lock import busy
-from ..core.run.parent import PARENT_VARIABLE
+from ..core.run.process_identity import PARENT_VARIABLE
 from ..core.run.runfolder import RunFolder
+from ..core.run.versions import delete_version, use_version
 
 STEPS_NAME = "steps.json"
 
@@ -32,7 +33,7 @@ def ingest_step(run: RunFolder, capture: Path, arguments: Sequence[str], text: s
     Args:
         run: the run folder into which it is read.
         capture: folder or file.
-        arguments: of :func:`.options.ingest_arguments`.
+        arguments: of `CaptureOptions.arguments`.
         text: shown to the user while the step runs.
         seconds: expected time, on a small machine.
     """
@@ -167,3 +168,24 @@ def find_launch(explicit: str | None = None) -> Launch:
     if not window:  # it ends with this process, since no window could attach it later
         variables[PARENT_VARIABLE] = str(os.getpid())
     return Launch(python, {**engine_environment(python), **variables})
+
+
+def switch_version(run: RunFolder, version: str) -> None:
+    """Make a version the run's results; the main job, when it is resumed, estimates what it is told.
+
+    Raises:
+        FiptError: ``version-missing``, ``run-busy``, ``run-linked``, ``disk-full`` or ``run-unwritable``.
+    """
+    refuse_busy(run)
+    use_version(run, version)
+    StepRecord(run.root / STEPS_NAME).store("estimate", f"version {version}", finished=False)
+
+
+def remove_version(run: RunFolder, version: str) -> None:
+    """Delete an earlier version.
+
+    Raises:
+        FiptError: as `switch_version`; ``version-current`` for the present results.
+    """
+    refuse_busy(run)
+    delete_version(run, version)

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 DATA_KIND = "environment"  # kind of the jobs on the data folder
 _WORK_SECONDS = 0.01  # between slices of work on Blender's data
-_WATCH_SECONDS = 0.1  # between looks at the engine
 
 
 @dataclass
@@ -215,7 +214,7 @@ def tick() -> float | None:
         return None if _active is None else _WORK_SECONDS  # a listener may have started the next job
     if _shown(info) != shown:
         redraw()
-    return _WATCH_SECONDS if job.waits and not info.stopping else _WORK_SECONDS
+    return 0.1 if job.waits and not info.stopping else _WORK_SECONDS  # between looks at the engine
 
 
 def count_text(count: int) -> str:

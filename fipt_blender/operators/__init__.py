@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The operators: gather options, call the work, report. One file per section of the panel, with its CLASSES.
+"""The operators: gather options, call the work, report. One file per section of the panel.
 
 They are imported while Blender starts, so a module imports at its top only what declaring its classes needs.
 Jobs (`jobs`, `bridge`), work on Blender's data (`blend`) and the heavier modules of the standard library are
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..properties import classes_of
 from . import (
     aim,
     alignment,
@@ -22,15 +23,16 @@ from . import (
     estimate,
     example,
     export,
-    help,
     hints,
     insert,
     light_states,
     lights,
     materials,
+    new_light,
     part_materials,
     parts,
     photographs,
+    picture,
     presets,
     scale_points,
     start,
@@ -57,17 +59,17 @@ MODULES = (
     part_materials,
     export,
     lights,
+    new_light,
     light_states,
     eevee,
     aim,
     insert,
+    picture,
     check,
     compare,
     presets,
-    help,
 )
 
 
-register, unregister = bpy.utils.register_classes_factory(
-    [operator for module in MODULES for operator in module.CLASSES]
-)
+CLASSES = classes_of(MODULES)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -9,9 +9,8 @@ from mathutils import Matrix, Vector
 
 from ..blend.marks import NEW_LIGHT
 from .pointer import surface_under_pointer
+from .polls import all_of, needs
 from .reporting import reports_errors
-
-_FAR = 2.0  # metres at which the handle of a light is that meets nothing
 
 
 class FIPT_OT_aim_light(bpy.types.Operator):
@@ -25,12 +24,7 @@ class FIPT_OT_aim_light(bpy.types.Operator):
         name="Target", description="Point in world space that the light shines at", subtype="TRANSLATION"
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not _can_aim(context.object):
-            cls.poll_message_set("Select an area light or a spot light")
-            return False
-        return True
+    poll = all_of(needs(lambda context: _can_aim(context.object), "Select an area light or a spot light"))
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -102,10 +96,8 @@ class FIPT_GGT_aim(bpy.types.GizmoGroup):
         from ..blend.lights.new_lights import beam_end
 
         item = context.object
-        end = beam_end(context.scene, context.evaluated_depsgraph_get(), item, _FAR)
+        # 2 m away where the beam meets nothing.
+        end = beam_end(context.scene, context.evaluated_depsgraph_get(), item, 2.0)
         self.handle.matrix_basis = (
             Matrix.Translation(end) @ item.matrix_world.to_quaternion().to_matrix().to_4x4()
         )
-
-
-CLASSES = (FIPT_OT_aim_light, FIPT_GT_aim, FIPT_GGT_aim)

@@ -13,7 +13,7 @@ from .. import machine
 from ..core.run.runfolder import RunFolder
 from .job_operator import JobOperator
 from .pointer import NAVIGATION, WHEEL, WaitsForClicks, is_cancel, is_click, view_under_pointer
-from .polls import has_views, in_object_mode
+from .polls import all_of, has_views, in_object_mode, needs, no_job
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
@@ -33,6 +33,9 @@ _SECOND_TEXT = (
 _MOUSE = ("LEFTMOUSE", "MOUSEMOVE", "INBETWEEN_MOUSEMOVE")
 _CONFIRM = ("RET", "NUMPAD_ENTER", "SPACE")
 _STEPS = {"PAGE_UP": -1, "PAGE_DOWN": 1}
+
+
+_has_pairs = needs(lambda context: context.scene.fipt.alignment.pairs, "Pick points first")
 
 
 class FIPT_OT_pick_pair(WaitsForClicks, bpy.types.Operator):
@@ -60,9 +63,7 @@ class FIPT_OT_pick_pair(WaitsForClicks, bpy.types.Operator):
         name="Second Pixel", description="The point in its photograph", size=2, options={"SKIP_SAVE"}
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return has_views(cls, context) and in_object_mode(cls, context)
+    poll = all_of(has_views, in_object_mode)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -197,9 +198,7 @@ class FIPT_OT_remove_pair(bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return _has_pairs(cls, context)
+    poll = all_of(_has_pairs)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.capture.pairs import remove_pair
@@ -220,9 +219,7 @@ class FIPT_OT_align_by_pairs(bpy.types.Operator):
     bl_label = "Align Cameras by Pairs"
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return _has_pairs(cls, context) and in_object_mode(cls, context)
+    poll = all_of(_has_pairs, in_object_mode)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -257,9 +254,7 @@ class FIPT_OT_align_cameras(JobOperator, bpy.types.Operator):
         ],
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return has_views(cls, context) and in_object_mode(cls, context) and super().poll(context)
+    poll = all_of(has_views, in_object_mode, no_job)
 
     def make_job(self, context: bpy.types.Context) -> Job:
         from ..blend.capture.pairs import imported_cameras
@@ -303,12 +298,10 @@ class FIPT_OT_choose_placement(bpy.types.Operator):
 
     index: bpy.props.IntProperty(name="Index", description="Number of the placement, from 0", min=0)
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.fipt.alignment.candidates:
-            cls.poll_message_set("Align the cameras by points first")
-            return False
-        return in_object_mode(cls, context)
+    poll = all_of(
+        needs(lambda context: context.scene.fipt.alignment.candidates, "Align the cameras by points first"),
+        in_object_mode,
+    )
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -316,13 +309,6 @@ class FIPT_OT_choose_placement(bpy.types.Operator):
 
         choose_placement(context.scene, self.index)
         return {"FINISHED"}
-
-
-def _has_pairs(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    if not context.scene.fipt.alignment.pairs:
-        cls.poll_message_set("Pick points first")
-        return False
-    return True
 
 
 def _place(
@@ -333,12 +319,3 @@ def _place(
     assert found is not None
     region, space = found
     return region, space, (event.mouse_x - region.x, event.mouse_y - region.y)
-
-
-CLASSES = (
-    FIPT_OT_pick_pair,
-    FIPT_OT_remove_pair,
-    FIPT_OT_align_by_pairs,
-    FIPT_OT_align_cameras,
-    FIPT_OT_choose_placement,
-)

@@ -16,7 +16,7 @@ from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
 from ..jobs import running
 from .job_operator import JobOperator
-from .polls import in_object_mode
+from .polls import all_of, in_object_mode, needs, no_job
 from .reporting import report_warnings, reports_errors
 
 if TYPE_CHECKING:
@@ -33,9 +33,7 @@ class _ImportJob(JobOperator):
     kind = "capture"
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return in_object_mode(cls, context) and super().poll(context)
+    poll = all_of(in_object_mode, no_job)
 
 
 class FIPT_OT_import_capture(_ImportJob, bpy.types.Operator):
@@ -65,16 +63,18 @@ class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
     title = "Use Scene Cameras"
     failed = staticmethod(tasks.give_back)
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not any(scene_object.type == "CAMERA" for scene_object in context.scene.objects):
-            cls.poll_message_set("The scene has no cameras")
-            return False
-        return super().poll(context)
+    poll = all_of(
+        needs(
+            lambda context: any(item.type == "CAMERA" for item in context.scene.objects),
+            "The scene has no cameras",
+        ),
+        in_object_mode,
+        no_job,
+    )
 
     def make_job(self, context: bpy.types.Context) -> Job:
         from ..blend.capture.scene_cameras import SCENE_SOURCE, adopt_cameras, write_scene_cameras
-        from ..jobs.options import CaptureOptions, ingest_arguments
+        from ..core.capture.options import CaptureOptions
 
         scene = context.scene
         settings = scene.fipt.capture
@@ -102,7 +102,7 @@ class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
             remedy = "To use them as well, give each its photograph as background image."
             return [{"type": "warning", "code": "cameras-left-out", "text": text, "remedy": remedy}]
 
-        return tasks.import_job(run, path, ingest_arguments(options), "Listing the cameras", adopt)
+        return tasks.import_job(run, path, options.arguments(), "Listing the cameras", adopt)
 
 
 class FIPT_OT_import_mesh(bpy.types.Operator):
@@ -117,9 +117,7 @@ class FIPT_OT_import_mesh(bpy.types.Operator):
     )
     filter_glob: bpy.props.StringProperty(default=_MESH_FILES, options={"HIDDEN"})
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return in_object_mode(cls, context)
+    poll = all_of(in_object_mode)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         context.window_manager.fileselect_add(self)
@@ -187,12 +185,12 @@ class FIPT_OT_simplify_room(bpy.types.Operator):
     bl_label = "Simplify Room"
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.fipt.capture.room_objects(context.scene):
-            cls.poll_message_set("The room has no meshes")
-            return False
-        return in_object_mode(cls, context)
+    poll = all_of(
+        needs(
+            lambda context: context.scene.fipt.capture.room_objects(context.scene), "The room has no meshes"
+        ),
+        in_object_mode,
+    )
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -203,12 +201,3 @@ class FIPT_OT_simplify_room(bpy.types.Operator):
         text = iface_("The room has {:,} triangles, {:,} without simplification")
         self.report({"INFO"}, text.format(after, before))
         return {"FINISHED"}
-
-
-CLASSES = (
-    FIPT_OT_import_capture,
-    FIPT_OT_use_scene_cameras,
-    FIPT_OT_import_mesh,
-    FIPT_OT_set_room,
-    FIPT_OT_simplify_room,
-)

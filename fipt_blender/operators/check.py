@@ -14,7 +14,7 @@ from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
 from ..properties.check import PICTURES, VIEWS
 from .job_operator import JobOperator
-from .polls import has_run
+from .polls import all_of, has_run, needs, no_job
 
 if TYPE_CHECKING:
     from ..bridge.sequence import Job
@@ -32,14 +32,14 @@ class RenderJob(JobOperator):
         options={"SKIP_SAVE"},
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not super().poll(context) or not has_run(cls, context):
-            return False
-        if context.scene.fipt.materials.shown != "ESTIMATED":
-            cls.poll_message_set("Set Show to Estimated first, in the section Materials")  # type: ignore[attr-defined]
-            return False
-        return True
+    poll = all_of(
+        no_job,
+        has_run,
+        needs(
+            lambda context: context.scene.fipt.materials.shown == "ESTIMATED",
+            "Set Show to Estimated first, in the section Materials",
+        ),
+    )
 
 
 def current_view(scene: bpy.types.Scene) -> str:
@@ -59,8 +59,6 @@ def current_view(scene: bpy.types.Scene) -> str:
 
 
 class FIPT_OT_render_views(RenderJob, bpy.types.Operator):
-    """Render views of the estimated room in Cycles and compare them with their photographs"""
-
     bl_idname = "fipt.render_views"
     bl_label = "Render Views"
     bl_description = (
@@ -139,12 +137,7 @@ class FIPT_OT_show_check(bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.fipt.check.views:
-            cls.poll_message_set("Use Render Views first")
-            return False
-        return True
+    poll = all_of(needs(lambda context: context.scene.fipt.check.views, "Use Render Views first"))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.pictures.check_pictures import open_editor, show_active
@@ -174,9 +167,7 @@ class FIPT_OT_write_report(JobOperator, bpy.types.Operator):
     title = "Write Report"
     kind = "report"
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return super().poll(context) and has_run(cls, context)
+    poll = all_of(no_job, has_run)
 
     def make_job(self, context: bpy.types.Context) -> Job:
         from ..bridge.step import Step
@@ -198,12 +189,7 @@ class FIPT_OT_open_report(bpy.types.Operator):
     bl_idname = "fipt.open_report"
     bl_label = "Open Report"
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.fipt.check.report:
-            cls.poll_message_set("Use Write Report first")
-            return False
-        return True
+    poll = all_of(needs(lambda context: context.scene.fipt.check.report, "Use Write Report first"))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         # The path comes from the .blend file, whoever made that.
@@ -217,6 +203,3 @@ class FIPT_OT_open_report(bpy.types.Operator):
             return {"CANCELLED"}
         bpy.ops.wm.url_open(url=page.as_uri())
         return {"FINISHED"}
-
-
-CLASSES = (FIPT_OT_render_views, FIPT_OT_show_check, FIPT_OT_write_report, FIPT_OT_open_report)

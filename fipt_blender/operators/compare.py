@@ -8,6 +8,7 @@ import bpy
 
 from ..blend.marks import VIEW
 from ..properties.check import COMPARISONS
+from .polls import all_of, needs
 from .reporting import reports_errors
 
 _GRIP = 8.0  # pixels on both sides of the divider
@@ -40,12 +41,12 @@ class FIPT_OT_compare(bpy.types.Operator):
     def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
         return next(text for name, _, text, *_ in COMPARISONS if name == properties.mode)
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if context.scene.camera is None or VIEW not in context.scene.camera:
-            cls.poll_message_set("Click a view in the section Capture first")
-            return False
-        return True
+    poll = all_of(
+        needs(
+            lambda context: context.scene.camera is not None and VIEW in context.scene.camera,
+            "Click a view in the section Capture first",
+        )
+    )
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -182,6 +183,3 @@ class FIPT_GGT_divider_image(_Divider, bpy.types.GizmoGroup):
 
     bl_label = "Divider in Image Editor"
     bl_space_type = "IMAGE_EDITOR"
-
-
-CLASSES = (FIPT_OT_compare, FIPT_GT_divider, FIPT_GGT_divider_view, FIPT_GGT_divider_image)

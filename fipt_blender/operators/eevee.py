@@ -9,13 +9,11 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..blend.marks import light_probe
 from ..core.run.errors import FiptError
-from .polls import has_results, in_object_mode
+from .polls import all_of, has_results, in_object_mode, needs
 from .reporting import reports_errors
 
 
 class FIPT_OT_prepare_eevee(bpy.types.Operator):
-    """Make the room look right in EEVEE"""
-
     bl_idname = "fipt.prepare_eevee"
     bl_label = "Set Up for EEVEE"
     bl_description = (
@@ -28,9 +26,7 @@ class FIPT_OT_prepare_eevee(bpy.types.Operator):
         name="Bake", description="Bake the light probe volume, which needs a window", default=True
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return has_results(cls, context) and in_object_mode(cls, context)
+    poll = all_of(has_results, in_object_mode)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -52,12 +48,10 @@ class FIPT_OT_bake_probe(bpy.types.Operator):
     bl_label = "Bake Light Probe"
     bl_options = {"REGISTER"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if light_probe(context.scene) is None:
-            cls.poll_message_set("Use Set Up for EEVEE first")
-            return False
-        return in_object_mode(cls, context)
+    poll = all_of(
+        needs(lambda context: light_probe(context.scene) is not None, "Use Set Up for EEVEE first"),
+        in_object_mode,
+    )
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -79,6 +73,3 @@ def bake(context: bpy.types.Context) -> None:
     context.view_layer.update()  # a new volume
     with context.temp_override(active_object=volume, object=volume):
         bpy.ops.object.lightprobe_cache_bake("INVOKE_DEFAULT", subset="ALL")
-
-
-CLASSES = (FIPT_OT_prepare_eevee, FIPT_OT_bake_probe)

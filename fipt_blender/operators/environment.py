@@ -16,17 +16,20 @@ from .. import machine
 from ..core.run.errors import FiptError
 from ..jobs import running
 from .job_operator import DataJobOperator
+from .polls import all_of, needs, no_job
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
     from ..bridge.sequence import Job
 
-_LOG_LINES = 30
+
+_can_fetch = needs(
+    lambda _: machine.get_preferences().wheel_folder or bpy.app.online_access,
+    "Enable Allow Online Access in Preferences > System > Network, or select a Folder of Wheels",
+)
 
 
 class FIPT_OT_set_up_engine(DataJobOperator, bpy.types.Operator):
-    """Create a Python environment for the engine and install its packages there"""
-
     bl_idname = "fipt.set_up_engine"
     bl_label = "Set Up Engine"
     bl_description = (
@@ -63,20 +66,14 @@ class FIPT_OT_set_up_engine(DataJobOperator, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         return self._start(context, wait=not self.confirmed)
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not super().poll(context):
-            return False
-        values = machine.get_preferences()
-        if values.engine_python:
-            cls.poll_message_set("Clear Own Interpreter first; set-up is not needed while that is used")
-            return False
-        if not values.wheel_folder and not bpy.app.online_access:
-            cls.poll_message_set(
-                "Enable Allow Online Access in Preferences > System > Network, or select a Folder of Wheels"
-            )
-            return False
-        return True
+    poll = all_of(
+        no_job,
+        needs(
+            lambda _: not machine.get_preferences().engine_python,
+            "Clear Own Interpreter first; set-up is not needed while that is used",
+        ),
+        _can_fetch,
+    )
 
     def make_job(self) -> tuple[Job, Callable[[running.RunningJob], None]]:
         from ..jobs.data_job import EngineStatus, data_job, set_up_step
@@ -114,16 +111,7 @@ class FIPT_OT_set_up_mask_model(DataJobOperator, bpy.types.Operator):
     bl_label = "Set Up Mask Model"
     title = "Set Up Mask Model"
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not super().poll(context):
-            return False
-        if not machine.get_preferences().wheel_folder and not bpy.app.online_access:
-            cls.poll_message_set(
-                "Enable Allow Online Access in Preferences > System > Network, or select a Folder of Wheels"
-            )
-            return False
-        return True
+    poll = all_of(no_job, _can_fetch)
 
     def make_job(self) -> tuple[Job, Callable[[running.RunningJob], None]]:
         from ..jobs.data_job import data_job, mask_model_step
@@ -172,12 +160,14 @@ class FIPT_OT_show_log(bpy.types.Operator):
 
     _lines: list[str]
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not (machine.get_preferences().status or running.current() or running.last(running.DATA_KIND)):
-            cls.poll_message_set("Use Set Up Engine or Check first")
-            return False
-        return True
+    poll = all_of(
+        needs(
+            lambda context: (
+                machine.get_preferences().status or running.current() or running.last(running.DATA_KIND)
+            ),
+            "Use Set Up Engine or Check first",
+        )
+    )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self._lines = read_log()
@@ -208,14 +198,12 @@ def read_log() -> list[str]:
 
     try:
         with open(log_file(), encoding="utf-8", errors="replace") as file:
-            return [line.rstrip() for line in deque(file, _LOG_LINES)]
+            return [line.rstrip() for line in deque(file, 30)]
     except OSError as error:
         return [f"{log_file()}: {error.strerror}"]
 
 
 class FIPT_OT_copy_wheel_command(bpy.types.Operator):
-    """Copy a command that downloads all packages into a folder"""
-
     bl_idname = "fipt.copy_wheel_command"
     bl_label = "Copy Download Command"
     bl_description = (
@@ -231,13 +219,3 @@ class FIPT_OT_copy_wheel_command(bpy.types.Operator):
         context.window_manager.clipboard = command
         self.report({"INFO"}, iface_("Copied to the clipboard: {}").format(command))
         return {"FINISHED"}
-
-
-CLASSES = (
-    FIPT_OT_set_up_engine,
-    FIPT_OT_set_up_mask_model,
-    FIPT_OT_check_engine,
-    FIPT_OT_cancel_set_up,
-    FIPT_OT_show_log,
-    FIPT_OT_copy_wheel_command,
-)

@@ -15,35 +15,28 @@ from ..core.run.runfolder import RunFolder
 from ..jobs import running, runstate
 from ..properties.estimate import PRESETS
 from .job_operator import JobOperator
+from .polls import all_of, needs, no_job
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
     from ..bridge.sequence import Job
     from ..jobs.tasks import Task
 
-_ASK_SECONDS = 60.0  # after so much work, Esc asks before it cancels
-
 
 class _Estimation(JobOperator):
     """Base of Estimate and Resume."""
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not super().poll(context):
-            return False
-        if context.mode.startswith("EDIT"):
-            cls.poll_message_set("Leave Edit Mode first")  # type: ignore[attr-defined]
-            return False
-        state = context.scene.fipt
-        if not len(state.capture.views) and not state.run_folder:
-            cls.poll_message_set("Import a capture first, in the section Capture")  # type: ignore[attr-defined]
-            return False
-        return True
+    poll = all_of(
+        no_job,
+        needs(lambda context: not context.mode.startswith("EDIT"), "Leave Edit Mode first"),
+        needs(
+            lambda context: len(context.scene.fipt.capture.views) or context.scene.fipt.run_folder,
+            "Import a capture first, in the section Capture",
+        ),
+    )
 
 
 class FIPT_OT_estimate(_Estimation, bpy.types.Operator):
-    """Estimate the materials and lights of the room from its photographs"""
-
     bl_idname = "fipt.estimate"
     bl_label = "Estimate"
     bl_description = (
@@ -62,8 +55,6 @@ class FIPT_OT_estimate(_Estimation, bpy.types.Operator):
 
 
 class FIPT_OT_resume(_Estimation, bpy.types.Operator):
-    """Continue the last run where it was stopped"""
-
     bl_idname = "fipt.resume"
     bl_label = "Resume"
     bl_description = (
@@ -160,7 +151,7 @@ class FIPT_OT_cancel(bpy.types.Operator):
             return self.execute(context)
         if session.stops_playback(context.screen):
             return {"PASS_THROUGH"}
-        if job.worked_seconds < _ASK_SECONDS:
+        if job.worked_seconds < 60.0:  # after so much work, Esc asks before it cancels
             return self.execute(context)
         message = iface_("It has been running for {}. Finished stages are kept for Resume.").format(
             time_text(job.worked_seconds)
@@ -180,8 +171,6 @@ class FIPT_OT_cancel(bpy.types.Operator):
 
 
 class FIPT_OT_smaller_preset(bpy.types.Operator):
-    """Select the next smaller preset, reset changed settings, and estimate again"""
-
     bl_idname = "fipt.smaller_preset"
     bl_label = "Use a Smaller Preset"
     bl_description = (
@@ -233,13 +222,3 @@ def smaller_preset(preset: str) -> str | None:
     names = [name for name, _, _ in PRESETS]
     index = names.index(preset)
     return names[index - 1] if index else None
-
-
-CLASSES = (
-    FIPT_OT_estimate,
-    FIPT_OT_resume,
-    FIPT_OT_cancel,
-    FIPT_OT_notice,
-    FIPT_OT_smaller_preset,
-    FIPT_OT_reset_setting,
-)

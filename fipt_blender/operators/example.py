@@ -14,7 +14,7 @@ from ..api import tasks
 from ..core.run.runfolder import RunFolder, explained_write_errors
 from ..jobs import running
 from .job_operator import JobOperator
-from .polls import has_no_capture, in_object_mode
+from .polls import all_of, has_no_capture, in_object_mode, no_job
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
@@ -26,8 +26,6 @@ FOLDER = "example"  # of the package, and of the data folder that gets its copy
 
 
 class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
-    """Import a small room, estimate it and apply the results, in a scene of its own"""
-
     bl_idname = "fipt.try_example"
     bl_label = "Try the Example"
     bl_description = (
@@ -38,10 +36,7 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
     title = "Example"
     kind = "estimate"
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        free = has_no_capture(cls, context) and in_object_mode(cls, context)
-        return free and super().poll(context)
+    poll = all_of(has_no_capture, in_object_mode, no_job)
 
     def _begin(self, context: bpy.types.Context, wait: bool) -> running.RunningJob:
         from ..jobs.run_job import find_launch
@@ -53,7 +48,7 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
 
     def make_job(self, context: bpy.types.Context) -> Job:
         from ..bridge.step import Step
-        from ..jobs.options import CaptureOptions, ingest_arguments
+        from ..core.capture.options import CaptureOptions
         from ..jobs.run_job import ingest_step, open_job
 
         scene = context.scene
@@ -71,7 +66,7 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
             return import_capture(run, str(path))
 
         steps = [
-            ingest_step(run, path, ingest_arguments(CaptureOptions()), "Reading the example", 2.0),
+            ingest_step(run, path, CaptureOptions().arguments(), "Reading the example", 2.0),
             Step("import", "Adding cameras and mesh", 1.0, function=add_to_scene),
             *tasks.make_steps(run, settings, resume=False),
             *tasks.apply_steps(scene.name, run, settings),
@@ -98,6 +93,3 @@ def copy_example(data: Path) -> Path:
     with explained_write_errors(target):
         shutil.copytree(PACKAGE_FOLDER / FOLDER, target, dirs_exist_ok=True)
     return target
-
-
-CLASSES = (FIPT_OT_try_example,)

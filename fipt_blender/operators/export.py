@@ -10,7 +10,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.run.errors import FiptError
-from .polls import has_results, in_object_mode
+from .polls import all_of, has_results, in_object_mode, needs
 from .reporting import report_warnings, reports_errors
 
 FORMATS = (
@@ -22,8 +22,6 @@ FORMATS = (
 
 
 class FIPT_OT_export_room(bpy.types.Operator):
-    """Export the estimated room with its lights as glTF or USD"""
-
     bl_idname = "fipt.export_room"
     bl_label = "Export Room"
     bl_description = (
@@ -40,14 +38,14 @@ class FIPT_OT_export_room(bpy.types.Operator):
         name="Format", description="Format of a file whose name has none", items=FORMATS, default=".glb"
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not has_results(cls, context) or not in_object_mode(cls, context):
-            return False
-        if context.scene.fipt.materials.shown != "ESTIMATED":
-            cls.poll_message_set("Choose Estimated as Show first")
-            return False
-        return True
+    poll = all_of(
+        has_results,
+        in_object_mode,
+        needs(
+            lambda context: context.scene.fipt.materials.shown == "ESTIMATED",
+            "Choose Estimated as Show first",
+        ),
+    )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if not self.filepath:
@@ -69,6 +67,3 @@ class FIPT_OT_export_room(bpy.types.Operator):
         report_warnings(self, exported.warnings)
         self.report({"INFO"}, iface_("{} objects written to {}").format(exported.objects, path.name))
         return {"FINISHED"}
-
-
-CLASSES = (FIPT_OT_export_room,)

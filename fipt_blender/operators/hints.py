@@ -14,7 +14,7 @@ from ..jobs import runstate
 from ..properties.hints import ANSWERS
 from .job_operator import JobOperator
 from .pointer import PicksAlongRay
-from .polls import has_run, in_object_mode
+from .polls import all_of, has_run, in_object_mode, needs, no_job
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
@@ -23,15 +23,18 @@ if TYPE_CHECKING:
     from ..jobs.tasks import Task
 
 
+def _state(context: bpy.types.Context) -> runstate.RunState:
+    return runstate.known(context.scene.fipt.run_folder)
+
+
+_in_room_mode = needs(lambda context: context.mode in ("OBJECT", "SCULPT"), "Switch to Object Mode first")
+_has_hint = needs(lambda context: context.scene.fipt.hints.hint() is not None, "Add a hint first")
+
+
 class _PicksSurface(PicksAlongRay):
     """Mix-in of an operator that does something at the surface that the user clicks."""
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if context.mode not in ("OBJECT", "SCULPT"):
-            cls.poll_message_set("Switch to Object Mode first")  # type: ignore[attr-defined]
-            return False
-        return True
+    poll = all_of(_in_room_mode)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -52,8 +55,6 @@ class _PicksSurface(PicksAlongRay):
 
 
 class FIPT_OT_add_hint(_PicksSurface, bpy.types.Operator):
-    """Click on a part of the room to say what it is made of"""
-
     bl_idname = "fipt.add_hint"
     bl_label = "Add Hint"
     bl_description = "Click on a part of the room, or on a face set, to say what it is made of"
@@ -93,12 +94,9 @@ class FIPT_OT_add_area_hint(bpy.types.Operator):
     bl_label = "Hint on Selected Faces"
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if context.mode != "EDIT_MESH":
-            cls.poll_message_set("Select the faces of the area in Edit Mode first")
-            return False
-        return True
+    poll = all_of(
+        needs(lambda context: context.mode == "EDIT_MESH", "Select the faces of the area in Edit Mode first")
+    )
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -121,9 +119,7 @@ class FIPT_OT_pick_same_material(_PicksSurface, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
     pick_text = "Click: Choose the Part of the Same Material   Esc, Right Click: Cancel"
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return _has_hint(cls, context) and super().poll(context)
+    poll = all_of(_has_hint, _in_room_mode)
 
     def use(self, context: bpy.types.Context, item: bpy.types.Object, face: int, point: Vector) -> None:
         hint = context.scene.fipt.hints.hint()
@@ -144,9 +140,7 @@ class FIPT_OT_remove_hint(bpy.types.Operator):
     )
     every: bpy.props.BoolProperty(name="All", description="Remove all hints", options={"SKIP_SAVE"})
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return _has_hint(cls, context)
+    poll = all_of(_has_hint)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         settings = context.scene.fipt.hints
@@ -169,9 +163,7 @@ class FIPT_OT_read_doubts(bpy.types.Operator):
     bl_label = "Find Doubtful Parts"
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return has_run(cls, context)
+    poll = all_of(has_run)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -193,18 +185,11 @@ class FIPT_OT_answer_doubt(bpy.types.Operator):
         description="Number of the question in the list, from 0; the active one if negative",
         default=-1,
     )
-    answer: bpy.props.EnumProperty(
-        name="Answer",
-        description="What the part is",
-        items=ANSWERS,
-    )
+    answer: bpy.props.EnumProperty(name="Answer", description="What the part is", items=ANSWERS)
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if context.scene.fipt.hints.doubt() is None:
-            cls.poll_message_set("Use Find Doubtful Parts first")
-            return False
-        return True
+    poll = all_of(
+        needs(lambda context: context.scene.fipt.hints.doubt() is not None, "Use Find Doubtful Parts first")
+    )
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -220,8 +205,6 @@ class FIPT_OT_answer_doubt(bpy.types.Operator):
 
 
 class FIPT_OT_reestimate(JobOperator, bpy.types.Operator):
-    """Estimate the materials again with the hints, from the pixels and the light of the last estimate"""
-
     bl_idname = "fipt.reestimate"
     bl_label = "Re-estimate with Hints"
     bl_description = (
@@ -230,34 +213,16 @@ class FIPT_OT_reestimate(JobOperator, bpy.types.Operator):
     )
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not super().poll(context) or not has_run(cls, context):
-            return False
-        state = runstate.known(context.scene.fipt.run_folder)
-        if not state.continues:
-            gone = "Another estimate has replaced the stages of these results. Use Estimate with the hints"
-            cls.poll_message_set(gone if state.earlier else "Finish an estimate first")
-            return False
-        return in_object_mode(cls, context)
+    poll = all_of(
+        no_job,
+        has_run,
+        needs(
+            lambda context: _state(context).continues or not _state(context).earlier,
+            "Another estimate has replaced the stages of these results. Use Estimate with the hints",
+        ),
+        needs(lambda context: _state(context).continues, "Finish an estimate first"),
+        in_object_mode,
+    )
 
     def task(self, context: bpy.types.Context) -> Task:
         return tasks.reestimation()
-
-
-def _has_hint(cls: type, context: bpy.types.Context) -> bool:
-    if context.scene.fipt.hints.hint() is None:
-        cls.poll_message_set("Add a hint first")  # type: ignore[attr-defined]
-        return False
-    return True
-
-
-CLASSES = (
-    FIPT_OT_add_hint,
-    FIPT_OT_add_area_hint,
-    FIPT_OT_pick_same_material,
-    FIPT_OT_remove_hint,
-    FIPT_OT_read_doubts,
-    FIPT_OT_answer_doubt,
-    FIPT_OT_reestimate,
-)

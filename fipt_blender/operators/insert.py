@@ -11,7 +11,6 @@ import bpy
 
 from ..core.run.errors import FiptError
 from ..properties.insert import ALIGNMENTS, BALLS, KINDS
-from . import picture
 from .pointer import (
     NAVIGATION,
     WaitsForClicks,
@@ -20,7 +19,7 @@ from .pointer import (
     surface_under_pointer,
     view_under_pointer,
 )
-from .polls import in_object_mode
+from .polls import all_of, in_object_mode
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
@@ -28,14 +27,11 @@ if TYPE_CHECKING:
     from ..blend.insert.surfaces import Surface
 
 _WHEEL_TURN = math.radians(15.0)
-_WHEEL_SCALE = 1.1
 _PLACE_TEXT = "Click: Place   Wheel: Rotate   Ctrl Wheel: Scale   Esc, Right Click: Cancel"
 _FROM_PANEL = ("kind", "copy", "align", "turn", "scale", "drop")
 
 
 class FIPT_OT_insert_object(WaitsForClicks, bpy.types.Operator):
-    """Place an object on the surface under the mouse pointer"""
-
     bl_idname = "fipt.insert_object"
     bl_label = "Place"
     bl_description = (
@@ -111,9 +107,7 @@ class FIPT_OT_insert_object(WaitsForClicks, bpy.types.Operator):
         name="Across", description="Direction of a row of balls, in world space", options={"SKIP_SAVE"}
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return in_object_mode(cls, context)
+    poll = all_of(in_object_mode)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if context.window is None or bpy.app.background:
@@ -251,7 +245,7 @@ class FIPT_OT_insert_object(WaitsForClicks, bpy.types.Operator):
     def _turn_wheel(self, context: bpy.types.Context, event: bpy.types.Event) -> None:
         sign = 1.0 if event.type == "WHEELUPMOUSE" else -1.0
         if event.ctrl:
-            self.scale *= _WHEEL_SCALE**sign
+            self.scale *= 1.1**sign
         else:
             self.turn += sign * _WHEEL_TURN * (0.1 if event.shift else 1.0)
         self._place(context)
@@ -279,8 +273,6 @@ def _missing(what: str, name: str) -> FiptError:
 
 
 class FIPT_OT_remove_inserted(bpy.types.Operator):
-    """Remove the balls, copies and instances that were placed"""
-
     bl_idname = "fipt.remove_inserted"
     bl_label = "Remove Inserted"
     bl_description = (
@@ -289,9 +281,7 @@ class FIPT_OT_remove_inserted(bpy.types.Operator):
     )
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return in_object_mode(cls, context)
+    poll = all_of(in_object_mode)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.insert.placing import remove_inserted
@@ -301,6 +291,3 @@ class FIPT_OT_remove_inserted(bpy.types.Operator):
             self.report({"INFO"}, "Nothing has been placed")
             return {"CANCELLED"}
         return {"FINISHED"}
-
-
-CLASSES = (FIPT_OT_insert_object, FIPT_OT_remove_inserted, *picture.CLASSES)

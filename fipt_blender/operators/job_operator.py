@@ -8,13 +8,13 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import bpy
-from bpy.app.translations import pgettext_iface as iface_
 
 from .. import machine
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder, explained_write_errors
 from ..jobs import running
 from ..jobs.tasks import Task, begin
+from .polls import all_of, no_job
 from .reporting import report_warnings
 
 if TYPE_CHECKING:
@@ -27,14 +27,7 @@ class StartsJob:
     title = ""
     bl_options = {"REGISTER"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        job = running.current()
-        if job is not None:
-            text = iface_("{} is running. Wait for its end, or stop it with Esc").format(iface_(job.title))
-            cls.poll_message_set(text)  # type: ignore[attr-defined]
-            return False
-        return True
+    poll = all_of(no_job)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         return self._start(context, wait=True)
@@ -65,8 +58,8 @@ class JobOperator(StartsJob):
     """Mix-in of an operator that starts a job on a scene; put it before `bpy.types.Operator`.
 
     A subclass implements `task`, or sets `title` and `kind`, implements `make_job`, and may implement
-    `finished` and `failed`. With "UNDO" in `bl_options`, the job's end adds an undo step. Extend `poll` with
-    `super().poll(context)`.
+    `finished` and `failed`. With "UNDO" in `bl_options`, the job's end adds an undo step. A `poll` of its own
+    has `no_job` among its conditions.
     """
 
     kind = ""

@@ -14,6 +14,7 @@ from bpy_extras.io_utils import ImportHelper
 from ..blend.marks import ANIMATED, NEW_LIGHT, PROFILE, fixture_lights, lights_of
 from ..core.run.errors import FiptError
 from .lights import NeedsLights, find_light, light_name_property
+from .polls import all_of, needs
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
@@ -86,12 +87,7 @@ class _NeedsState:
         options={"SKIP_SAVE"},
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not len(context.scene.fipt.lights.states):
-            cls.poll_message_set("Save a light state first")  # type: ignore[attr-defined]
-            return False
-        return True
+    poll = all_of(needs(lambda context: len(context.scene.fipt.lights.states), "Save a light state first"))
 
     def index(self, scene: bpy.types.Scene) -> int:
         """The state's place in the list.
@@ -149,8 +145,6 @@ class FIPT_OT_remove_light_state(_NeedsState, bpy.types.Operator):
 
 
 class FIPT_OT_keyframe_lights(NeedsLights, bpy.types.Operator):
-    """Insert keyframes of power, color and switch on the current frame"""
-
     bl_idname = "fipt.keyframe_lights"
     bl_label = "Keyframe Lights"
     bl_description = (
@@ -213,8 +207,6 @@ def _blender_lights(scene: bpy.types.Scene, name: str) -> list[bpy.types.Object]
 
 
 class FIPT_OT_set_ies_profile(NeedsLights, ImportHelper, bpy.types.Operator):
-    """Let the light send its light as a lamp's IES profile says"""
-
     bl_idname = "fipt.set_ies_profile"
     bl_label = "IES Profile..."
     bl_description = (
@@ -257,14 +249,3 @@ class FIPT_OT_remove_ies_profile(NeedsLights, bpy.types.Operator):
             if PROFILE in light:
                 remove_profile(light)
         return {"FINISHED"}
-
-
-CLASSES = (
-    FIPT_OT_save_light_state,
-    FIPT_OT_recall_light_state,
-    FIPT_OT_remove_light_state,
-    FIPT_OT_keyframe_lights,
-    FIPT_OT_clear_light_keyframes,
-    FIPT_OT_set_ies_profile,
-    FIPT_OT_remove_ies_profile,
-)

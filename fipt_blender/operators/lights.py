@@ -10,8 +10,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from ..blend.marks import FIXTURE, MERGED, VISIBILITY, has_light_groups
 from ..core.run.errors import FiptError
 from ..properties.lights import FIPT_Light
-from .new_light import FIPT_OT_add_light, FIPT_OT_add_missing_lamps
-from .polls import has_results, in_object_mode
+from .polls import all_of, has_results, in_object_mode, needs
 from .reporting import reports_errors
 
 
@@ -41,15 +40,16 @@ def find_light(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
     return row.object
 
 
+has_lights = needs(
+    lambda context: len(context.scene.fipt.lights.lights),
+    "There are no lights yet. Use Apply Results, or add a light",
+)
+
+
 class NeedsLights:
     """Mix-in of operators on the list of lights."""
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not len(context.scene.fipt.lights.lights):
-            cls.poll_message_set("There are no lights yet. Use Apply Results, or add a light")  # type: ignore[attr-defined]
-            return False
-        return True
+    poll = all_of(has_lights)
 
 
 class FIPT_OT_switch_lights(bpy.types.Operator):
@@ -61,9 +61,7 @@ class FIPT_OT_switch_lights(bpy.types.Operator):
 
     on: bpy.props.BoolProperty(name="On", description="Switch the lights on or off", default=True)
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return has_results(cls, context)
+    poll = all_of(has_results)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.lights.light_state import set_estimated_lights
@@ -113,9 +111,7 @@ class FIPT_OT_select_light(NeedsLights, bpy.types.Operator):
     light: light_name_property("light")
     frame: bpy.props.BoolProperty(name="Frame", description="Bring the light into view", default=True)
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return super().poll(context) and in_object_mode(cls, context)
+    poll = all_of(has_lights, in_object_mode)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -158,8 +154,6 @@ class _OnFixture(NeedsLights):
 
 
 class FIPT_OT_fixture_to_area_light(_OnFixture, bpy.types.Operator):
-    """Replace the light of the fixture by Blender lights"""
-
     bl_idname = "fipt.fixture_to_area_light"
     bl_label = "Convert to Blender Light"
     bl_description = (
@@ -200,8 +194,6 @@ _SHAPES = {"RECTANGLE": "rectangle", "ELLIPSE": "disc", "TUBE": "tube", "BALL": 
 
 
 class FIPT_OT_clean_fixture(_OnFixture, bpy.types.Operator):
-    """Replace the mesh of the fixture by the simple shape that fits it"""
-
     bl_idname = "fipt.clean_fixture"
     bl_label = "Clean Shape"
     bl_description = (
@@ -227,8 +219,6 @@ class FIPT_OT_clean_fixture(_OnFixture, bpy.types.Operator):
 
 
 class FIPT_OT_merge_lamps(NeedsLights, bpy.types.Operator):
-    """Join the selected fixtures into one lamp"""
-
     bl_idname = "fipt.merge_lamps"
     bl_label = "Merge Lamps"
     bl_description = (
@@ -237,14 +227,14 @@ class FIPT_OT_merge_lamps(NeedsLights, bpy.types.Operator):
     )
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not super().poll(context) or not in_object_mode(cls, context):
-            return False
-        if sum(FIXTURE in item for item in context.selected_objects) < 2:
-            cls.poll_message_set("Select two or more lamps in the viewport or in the Outliner")
-            return False
-        return True
+    poll = all_of(
+        has_lights,
+        in_object_mode,
+        needs(
+            lambda context: sum(FIXTURE in item for item in context.selected_objects) >= 2,
+            "Select two or more lamps in the viewport or in the Outliner",
+        ),
+    )
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -292,8 +282,6 @@ def _list_again(context: bpy.types.Context, active: bpy.types.Object) -> None:
 
 
 class FIPT_OT_make_light_groups(NeedsLights, bpy.types.Operator):
-    """Create light groups for the estimated lights, the environment and your own lights"""
-
     bl_idname = "fipt.make_light_groups"
     bl_label = "Make Light Groups"
     bl_description = (
@@ -302,14 +290,13 @@ class FIPT_OT_make_light_groups(NeedsLights, bpy.types.Operator):
     )
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not super().poll(context):
-            return False
-        if context.scene.render.engine != "CYCLES":
-            cls.poll_message_set("Only Cycles renders light groups: press Switch to Cycles first")
-            return False
-        return True
+    poll = all_of(
+        has_lights,
+        needs(
+            lambda context: context.scene.render.engine == "CYCLES",
+            "Only Cycles renders light groups: press Switch to Cycles first",
+        ),
+    )
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.lights.light_groups import make_light_groups
@@ -331,12 +318,12 @@ class FIPT_OT_remove_light_groups(bpy.types.Operator):
     bl_label = "Remove Light Groups"
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not has_light_groups(context.view_layer):
-            cls.poll_message_set("This view layer has no groups created by Make Light Groups")
-            return False
-        return True
+    poll = all_of(
+        needs(
+            lambda context: has_light_groups(context.view_layer),
+            "This view layer has no groups created by Make Light Groups",
+        )
+    )
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.lights.light_groups import remove_light_groups
@@ -352,12 +339,9 @@ class FIPT_OT_match_exposure(bpy.types.Operator):
     bl_label = "Exposure from Photographs"
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if context.scene.fipt.lights.median_radiance <= 0.0:
-            cls.poll_message_set("Use Apply Results first")
-            return False
-        return True
+    poll = all_of(
+        needs(lambda context: context.scene.fipt.lights.median_radiance > 0.0, "Use Apply Results first")
+    )
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.results.scene_state import match_exposure
@@ -368,8 +352,6 @@ class FIPT_OT_match_exposure(bpy.types.Operator):
 
 
 class FIPT_OT_hide_other_lights(bpy.types.Operator):
-    """Hide the scene's other lights, or show them again"""
-
     bl_idname = "fipt.hide_other_lights"
     bl_label = "Hide Other Lights"
     bl_description = (
@@ -386,22 +368,3 @@ class FIPT_OT_hide_other_lights(bpy.types.Operator):
         count = mute_other_lights(context.scene, self.hide)
         self.report({"INFO"}, iface_("{} lights changed").format(count))
         return {"FINISHED"}
-
-
-CLASSES = (
-    FIPT_OT_switch_lights,
-    FIPT_OT_list_lights,
-    FIPT_OT_reset_light,
-    FIPT_OT_select_light,
-    FIPT_OT_add_light,
-    FIPT_OT_add_missing_lamps,
-    FIPT_OT_fixture_to_area_light,
-    FIPT_OT_clean_fixture,
-    FIPT_OT_area_light_to_fixture,
-    FIPT_OT_merge_lamps,
-    FIPT_OT_split_lamp,
-    FIPT_OT_make_light_groups,
-    FIPT_OT_remove_light_groups,
-    FIPT_OT_match_exposure,
-    FIPT_OT_hide_other_lights,
-)

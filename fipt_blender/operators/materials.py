@@ -12,15 +12,13 @@ from bpy.app.translations import pgettext_iface as iface_
 from ..api import tasks
 from ..properties.materials import SHOWN
 from .job_operator import JobOperator
-from .polls import has_results, in_object_mode
+from .polls import all_of, has_results, in_object_mode, needs, no_job
 
 if TYPE_CHECKING:
     from ..jobs.tasks import Task
 
 
 class FIPT_OT_apply_results(JobOperator, bpy.types.Operator):
-    """Apply the estimated materials and lights to the room"""
-
     bl_idname = "fipt.apply_results"
     bl_label = "Apply Results"
     bl_description = (
@@ -29,14 +27,9 @@ class FIPT_OT_apply_results(JobOperator, bpy.types.Operator):
     )
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not super().poll(context):
-            return False
-        if not context.scene.fipt.run_folder:
-            cls.poll_message_set("Run Estimate first")
-            return False
-        return in_object_mode(cls, context)
+    poll = all_of(
+        no_job, needs(lambda context: context.scene.fipt.run_folder, "Run Estimate first"), in_object_mode
+    )
 
     def task(self, context: bpy.types.Context) -> Task:
         return tasks.application()
@@ -45,9 +38,7 @@ class FIPT_OT_apply_results(JobOperator, bpy.types.Operator):
 class _NeedsResults:
     """Mix-in of operators on applied results."""
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return has_results(cls, context) and in_object_mode(cls, context)
+    poll = all_of(has_results, in_object_mode)
 
 
 class FIPT_OT_show_map(_NeedsResults, bpy.types.Operator):
@@ -66,8 +57,6 @@ class FIPT_OT_show_map(_NeedsResults, bpy.types.Operator):
 
 
 class FIPT_OT_revert(_NeedsResults, bpy.types.Operator):
-    """Remove the results from the room and restore your own meshes, materials and world"""
-
     bl_idname = "fipt.revert"
     bl_label = "Revert"
     bl_description = (
@@ -89,8 +78,6 @@ class FIPT_OT_revert(_NeedsResults, bpy.types.Operator):
 
 
 class FIPT_OT_use_cycles(bpy.types.Operator):
-    """Make Cycles the scene's render engine"""
-
     bl_idname = "fipt.use_cycles"
     bl_label = "Switch to Cycles"
     bl_description = (
@@ -105,6 +92,3 @@ class FIPT_OT_use_cycles(bpy.types.Operator):
             self.report({"ERROR"}, "Cycles is disabled. Enable its add-on in the preferences.")
             return {"CANCELLED"}
         return {"FINISHED"}
-
-
-CLASSES = (FIPT_OT_apply_results, FIPT_OT_show_map, FIPT_OT_revert, FIPT_OT_use_cycles)

@@ -11,15 +11,13 @@ from bpy.app.translations import pgettext_iface as iface_
 from mathutils import Vector
 
 from .pointer import PicksInViewport, surface_under_pointer
-from .polls import in_object_mode
+from .polls import all_of, in_object_mode, needs
 from .reporting import reports_errors
 
 _PICK_TEXT = "Click: Point the new light at this surface   Esc, Right Click: Cancel"
 
 
 class FIPT_OT_add_light(PicksInViewport, bpy.types.Operator):
-    """Add an area light with a size and power that suit the room"""
-
     bl_idname = "fipt.add_light"
     bl_label = "Add Light"
     bl_description = (
@@ -66,9 +64,7 @@ class FIPT_OT_add_light(PicksInViewport, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return in_object_mode(cls, context)
+    poll = all_of(in_object_mode)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -110,8 +106,6 @@ class FIPT_OT_add_light(PicksInViewport, bpy.types.Operator):
 
 
 class FIPT_OT_add_missing_lamps(bpy.types.Operator):
-    """Add the lamps that the photographs show and the mesh lacks"""
-
     bl_idname = "fipt.add_missing_lamps"
     bl_label = "Add Missing Lamps"
     bl_description = (
@@ -120,12 +114,13 @@ class FIPT_OT_add_missing_lamps(bpy.types.Operator):
     )
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.fipt.lights.missing_lamps:
-            cls.poll_message_set("The mesh lacks no lamp, or the lamps have been added")
-            return False
-        return in_object_mode(cls, context)
+    poll = all_of(
+        needs(
+            lambda context: context.scene.fipt.lights.missing_lamps,
+            "The mesh lacks no lamp, or the lamps have been added",
+        ),
+        in_object_mode,
+    )
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:

@@ -8,25 +8,24 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .pointer import PicksAlongRay
-from .polls import has_results, in_object_mode
+from .polls import all_of, has_results, in_object_mode, needs
 from .reporting import reports_errors
 
 
 class _NeedsParts:
     """Mix-in of operators on the list of parts."""
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not has_results(cls, context) or not in_object_mode(cls, context):
-            return False
-        settings = context.scene.fipt.materials
-        if not settings.parts:
-            cls.poll_message_set("Apply the results again: they have no parts yet")  # type: ignore[attr-defined]
-            return False
-        if settings.shown == "ORIGINAL":
-            cls.poll_message_set("Choose Estimated as Show first")  # type: ignore[attr-defined]
-            return False
-        return True
+    poll = all_of(
+        has_results,
+        in_object_mode,
+        needs(
+            lambda context: context.scene.fipt.materials.parts,
+            "Apply the results again: they have no parts yet",
+        ),
+        needs(
+            lambda context: context.scene.fipt.materials.shown != "ORIGINAL", "Choose Estimated as Show first"
+        ),
+    )
 
 
 class FIPT_OT_pick_part(_NeedsParts, PicksAlongRay, bpy.types.Operator):
@@ -129,8 +128,6 @@ class FIPT_OT_mark_part_assets(_NeedsParts, bpy.types.Operator):
 
 
 class FIPT_OT_replace_part_material(_NeedsParts, bpy.types.Operator):
-    """Use another material for the whole active part, on all objects. Dropping a material does the same"""
-
     bl_idname = "fipt.replace_part_material"
     bl_label = "Replace Material"
     bl_description = (
@@ -179,13 +176,3 @@ class FIPT_OT_restore_estimate(_NeedsParts, bpy.types.Operator):
             replace_part(scene, key, None)
         self.report({"INFO"}, iface_("{} estimated materials restored").format(len(replaced)))
         return {"FINISHED"}
-
-
-CLASSES = (
-    FIPT_OT_pick_part,
-    FIPT_OT_select_part_faces,
-    FIPT_OT_reset_part,
-    FIPT_OT_mark_part_assets,
-    FIPT_OT_replace_part_material,
-    FIPT_OT_restore_estimate,
-)

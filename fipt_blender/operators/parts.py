@@ -14,7 +14,7 @@ from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
 from .job_operator import JobOperator
 from .overlay import ShowsColors
-from .polls import has_views
+from .polls import all_of, has_views, needs, no_job
 
 if TYPE_CHECKING:
     from ..bridge.sequence import Job
@@ -29,14 +29,14 @@ class FIPT_OT_find_masks(JobOperator, bpy.types.Operator):
     title = "Find Masks"
     kind = "masks"
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not has_views(cls, context):
-            return False
-        if not (context.scene.fipt.parts.masks_model or machine.mask_model()):
-            cls.poll_message_set("Use Set Up Mask Model first, or choose a masks model")
-            return False
-        return super().poll(context)
+    poll = all_of(
+        has_views,
+        needs(
+            lambda context: context.scene.fipt.parts.masks_model or machine.mask_model(),
+            "Use Set Up Mask Model first, or choose a masks model",
+        ),
+        no_job,
+    )
 
     def make_job(self, context: bpy.types.Context) -> Job:
         from ..bridge.step import Step
@@ -72,18 +72,15 @@ class FIPT_OT_show_parts(ShowsColors, bpy.types.Operator):
     bl_idname = "fipt.show_parts"
     bl_label = "Show Parts"
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.fipt.parts.counts:
-            cls.poll_message_set("Use Check Views first, in the section Capture; it finds the parts as well")
-            return False
-        return True
+    poll = all_of(
+        needs(
+            lambda context: context.scene.fipt.parts.counts,
+            "Use Check Views first, in the section Capture; it finds the parts as well",
+        )
+    )
 
     @staticmethod
     def color(scene: bpy.types.Scene) -> None:
         from ..blend.capture.survey import show_parts
 
         show_parts(scene)
-
-
-CLASSES = (FIPT_OT_find_masks, FIPT_OT_show_parts)

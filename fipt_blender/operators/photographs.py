@@ -13,7 +13,7 @@ from ..core.capture.suffixes import SUFFIXES
 from ..core.run.errors import FiptError
 from ..jobs import running
 from .job_operator import StartsJob
-from .polls import over_sidebar
+from .polls import all_of, needs, no_job, over_sidebar
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
@@ -24,6 +24,11 @@ if TYPE_CHECKING:
 # The groups that this session has written to prepare.json: folder and digest. After an undo the scene's list
 # is an older one, which is no reason to think that somebody else has changed the file.
 _written: set[tuple[str, str]] = set()
+
+
+_has_folder = needs(
+    lambda context: context.scene.fipt.photographs.path, "Choose the folder of the photographs first"
+)
 
 
 class _PrepareJob(StartsJob):
@@ -121,12 +126,7 @@ class FIPT_OT_photographs_of_capture(bpy.types.Operator):
     bl_label = "Make Capture of Photographs"
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.fipt.capture.path:
-            cls.poll_message_set("Choose a folder first")
-            return False
-        return True
+    poll = all_of(needs(lambda context: context.scene.fipt.capture.path, "Choose a folder first"))
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -164,9 +164,7 @@ class FIPT_OT_find_brackets(_PrepareJob, bpy.types.Operator):
     bl_label = "Find Brackets"
     title = "Find Brackets"
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return _has_folder(cls, context) and super().poll(context)
+    poll = all_of(_has_folder, no_job)
 
     def make_job(
         self, settings: FIPT_PhotographsSettings, photographs: Path, folder: PreparationFolder
@@ -190,12 +188,14 @@ class FIPT_OT_prepare(_PrepareJob, bpy.types.Operator):
     bl_label = "Make Capture"
     title = "Make Capture"
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.fipt.photographs.used_count:
-            cls.poll_message_set("Use Find Brackets first, and tick groups")
-            return False
-        return _has_folder(cls, context) and super().poll(context)
+    poll = all_of(
+        needs(
+            lambda context: context.scene.fipt.photographs.used_count,
+            "Use Find Brackets first, and tick groups",
+        ),
+        _has_folder,
+        no_job,
+    )
 
     def make_job(
         self, settings: FIPT_PhotographsSettings, photographs: Path, folder: PreparationFolder
@@ -218,12 +218,7 @@ class _EditsGroups:
 
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.fipt.photographs.groups:
-            cls.poll_message_set("Use Find Brackets first")  # type: ignore[attr-defined]
-            return False
-        return True
+    poll = all_of(needs(lambda context: context.scene.fipt.photographs.groups, "Use Find Brackets first"))
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -280,13 +275,6 @@ class FIPT_OT_open_photographs_report(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def _has_folder(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    if not context.scene.fipt.photographs.path:
-        cls.poll_message_set("Choose the folder of the photographs first")
-        return False
-    return True
-
-
 def _photographs(settings: FIPT_PhotographsSettings) -> Path:
     """The folder of the photographs.
 
@@ -327,16 +315,3 @@ def _write_groups(settings: FIPT_PhotographsSettings, folder: PreparationFolder)
         write_preparation(folder, replace(preparation, groups=tuple(groups)))
     _written.add((str(folder.root), wanted))
     settings.listed = wanted
-
-
-CLASSES = (
-    FIPT_OT_choose_photographs,
-    FIPT_OT_photographs_of_capture,
-    FIPT_OT_leave_photographs,
-    FIPT_FH_photographs,
-    FIPT_OT_find_brackets,
-    FIPT_OT_prepare,
-    FIPT_OT_split_bracket,
-    FIPT_OT_merge_brackets,
-    FIPT_OT_open_photographs_report,
-)

@@ -12,6 +12,7 @@ import bpy
 from ..core.run.runfolder import RunFolder
 from ..properties.insert import BACKDROPS
 from .check import RenderJob, current_view
+from .polls import all_of, needs
 
 if TYPE_CHECKING:
     from ..bridge.sequence import Job
@@ -51,8 +52,6 @@ class FIPT_OT_set_backdrop(bpy.types.Operator):
 
 
 class FIPT_OT_render_composite(RenderJob, bpy.types.Operator):
-    """Render the current view with the inserted objects in Cycles"""
-
     bl_idname = "fipt.render_composite"
     bl_label = "Render View"
     bl_description = (
@@ -105,12 +104,7 @@ class FIPT_OT_open_picture(bpy.types.Operator):
     bl_label = "Show Picture"
     bl_options = {"REGISTER"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.scene.fipt.insert.picture:
-            cls.poll_message_set("Use Render View first")
-            return False
-        return True
+    poll = all_of(needs(lambda context: context.scene.fipt.insert.picture, "Use Render View first"))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.pictures.check_pictures import load_picture, open_editor
@@ -122,6 +116,3 @@ class FIPT_OT_open_picture(bpy.types.Operator):
             return {"CANCELLED"}
         open_editor(context, image)
         return {"FINISHED"}
-
-
-CLASSES = (FIPT_OT_set_backdrop, FIPT_OT_render_composite, FIPT_OT_open_picture)

@@ -1,50 +1,57 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Conditions that several operators poll; each sets the message that explains a disabled button."""
+"""Conditions that operators poll; each sets the message that explains a disabled button."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from ..jobs import running
+
+Condition = Callable[[Any, bpy.types.Context], bool]
 
 
-def in_object_mode(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """Blender is in Object Mode."""
-    if context.mode != "OBJECT":
-        cls.poll_message_set("Switch to Object Mode first")
-        return False
-    return True
+def needs(test: Callable[[bpy.types.Context], object], message: str) -> Condition:
+    """The condition that a test holds, and what a disabled button says where it does not."""
+
+    def holds(cls: Any, context: bpy.types.Context) -> bool:
+        if not test(context):
+            cls.poll_message_set(message)
+            return False
+        return True
+
+    return holds
 
 
-def has_run(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """The scene has a run folder; its contents are checked when the operator runs."""
-    if not context.scene.fipt.run_folder:
-        cls.poll_message_set("Import a capture and run Estimate first")
-        return False
-    return True
+def all_of(*conditions: Condition) -> Any:
+    """The `poll` of an operator: all conditions hold; the first that does not says why."""
+
+    def poll(cls: Any, context: bpy.types.Context) -> bool:
+        return all(condition(cls, context) for condition in conditions)
+
+    return classmethod(poll)
 
 
-def has_views(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """The scene has a capture."""
-    if not context.scene.fipt.capture.views:
-        cls.poll_message_set("Import a capture first")
-        return False
-    return True
+def no_job(cls: Any, context: bpy.types.Context) -> bool:
+    """No job is running."""
+    job = running.current()
+    text = "{} is running. Wait for its end, or stop it with Esc"
+    return job is None or needs(lambda _: False, iface_(text).format(iface_(job.title)))(cls, context)
 
 
-def has_results(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """Results are applied to the scene."""
-    if not context.scene.fipt.materials.object_count:
-        cls.poll_message_set("Use Apply Results first")
-        return False
-    return True
-
-
-def has_no_capture(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """The scene has no capture yet: a room comes into a scene of its own."""
-    if context.scene.fipt.capture.views:
-        cls.poll_message_set("The scene has a capture already. Use a new scene")
-        return False
-    return True
+in_object_mode = needs(lambda context: context.mode == "OBJECT", "Switch to Object Mode first")
+# The contents of the run folder are checked when the operator runs.
+has_run = needs(lambda context: context.scene.fipt.run_folder, "Import a capture and run Estimate first")
+has_views = needs(lambda context: context.scene.fipt.capture.views, "Import a capture first")
+has_results = needs(lambda context: context.scene.fipt.materials.object_count, "Use Apply Results first")
+# A room comes into a scene of its own.
+has_no_capture = needs(
+    lambda context: not context.scene.fipt.capture.views, "The scene has a capture already. Use a new scene"
+)
 
 
 def over_sidebar(context: bpy.types.Context) -> bool:

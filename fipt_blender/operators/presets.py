@@ -53,6 +53,3 @@ class FIPT_OT_add_check_preset(AddPresetBase, bpy.types.Operator):
     preset_subdir = "fipt/check"
     preset_defines = ["settings = bpy.context.scene.fipt.check"]
     preset_values = ["settings.which", "settings.samples"]
-
-
-CLASSES = (FIPT_OT_add_import_preset, FIPT_OT_add_estimate_preset, FIPT_OT_add_check_preset)

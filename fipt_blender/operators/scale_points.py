@@ -11,6 +11,7 @@ import bpy
 from ..core.photographs.preparation import Group, PreparationFolder
 from ..core.run.errors import FiptError
 from .pointer import NAVIGATION, WHEEL, WaitsForClicks, is_cancel, is_click
+from .polls import all_of, needs
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
@@ -19,15 +20,18 @@ if TYPE_CHECKING:
 _TEXTS = ("Click: First point   Esc, Right Click: Cancel", "Click: Second point   Esc, Right Click: Cancel")
 
 
+_has_groups = needs(
+    lambda context: context.scene.fipt.photographs.groups, "Use Find Brackets and Make Capture first"
+)
+
+
 class FIPT_OT_show_merged(bpy.types.Operator):
     """Show the merged image of the active group in an Image Editor, to pick points in it"""
 
     bl_idname = "fipt.show_merged"
     bl_label = "Show Merged Image"
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return _has_groups(cls, context)
+    poll = all_of(_has_groups)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -61,9 +65,7 @@ class FIPT_OT_pick_scale_points(WaitsForClicks, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return _has_groups(cls, context)
+    poll = all_of(_has_groups)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -151,13 +153,3 @@ def _pixel_under(context: bpy.types.Context, event: bpy.types.Event) -> tuple[fl
     if not (0.0 <= u <= 1.0 and 0.0 <= v <= 1.0):
         return None
     return u * image.size[0], (1.0 - v) * image.size[1]
-
-
-def _has_groups(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    if not context.scene.fipt.photographs.groups:
-        cls.poll_message_set("Use Find Brackets and Make Capture first")
-        return False
-    return True
-
-
-CLASSES = (FIPT_OT_show_merged, FIPT_OT_pick_scale_points)

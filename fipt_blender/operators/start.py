@@ -11,8 +11,9 @@ import bpy
 
 from .. import machine
 from ..core.run.runfolder import RunFolder
+from ..panels import manual
 from .job_operator import JobOperator
-from .polls import has_no_capture, in_object_mode, over_sidebar
+from .polls import all_of, has_no_capture, in_object_mode, needs, no_job, over_sidebar
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
@@ -78,10 +79,7 @@ class FIPT_OT_recover_run(JobOperator, bpy.types.Operator):
         name="Folder", description="Folder of the run", subtype="DIR_PATH", options={"SKIP_SAVE"}
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        free = has_no_capture(cls, context) and in_object_mode(cls, context)
-        return free and super().poll(context)
+    poll = all_of(has_no_capture, in_object_mode, no_job)
 
     def make_job(self, context: bpy.types.Context) -> Job:
         from ..bridge.places import runs_folder
@@ -107,4 +105,23 @@ class FIPT_OT_recover_run(JobOperator, bpy.types.Operator):
         return job
 
 
-CLASSES = (FIPT_OT_choose_capture, FIPT_FH_capture, FIPT_OT_recover_run)
+class FIPT_OT_help(bpy.types.Operator):
+    """Open the guide's chapter on this section in the web browser"""
+
+    bl_idname = "fipt.help"
+    bl_label = "Open Guide"
+
+    chapter: bpy.props.StringProperty(
+        name="Chapter", description="The chapter; the guide's first page if empty", options={"SKIP_SAVE"}
+    )
+
+    poll = all_of(
+        needs(
+            lambda context: manual.address(),
+            "The guide is part of the extension's zip. Install it, or read docs/guide.md",
+        )
+    )
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        bpy.ops.wm.url_open(url=manual.address() + manual.chapter_page(self.chapter))
+        return {"FINISHED"}

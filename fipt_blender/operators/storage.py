@@ -51,6 +51,14 @@ def measure() -> Slices[None]:
     return None
 
 
+class FIPT_PG_data_item(bpy.types.PropertyGroup):
+    """A folder in the data folder, to delete or keep; `name` is the folder's."""
+
+    ticked: bpy.props.BoolProperty(name="Clear", description="Delete this folder", default=True)
+    note: bpy.props.StringProperty()
+    kept: bpy.props.StringProperty(description="Why the folder can't be deleted; empty if it can")
+
+
 class FIPT_OT_measure_data(DataJobOperator, bpy.types.Operator):
     """Measure the disk space that cached runs and the engine's environments use"""
 
@@ -62,14 +70,6 @@ class FIPT_OT_measure_data(DataJobOperator, bpy.types.Operator):
         from ..jobs.data_job import data_job
 
         return data_job([_measure_step()]), None
-
-
-class FIPT_PG_data_item(bpy.types.PropertyGroup):
-    """A folder in the data folder, to delete or keep; `name` is the folder's."""
-
-    ticked: bpy.props.BoolProperty(name="Clear", description="Delete this folder", default=True)
-    note: bpy.props.StringProperty()
-    kept: bpy.props.StringProperty(description="Why the folder can't be deleted; empty if it can")
 
 
 class FIPT_OT_clear_data(DataJobOperator, bpy.types.Operator):
@@ -189,6 +189,3 @@ def _describe(item: Item, size: int | None) -> str:
     elif item.kind == ENVIRONMENT:
         facts.append(iface_("an unused environment"))
     return ", ".join(facts)
-
-
-CLASSES = (FIPT_PG_data_item, FIPT_OT_measure_data, FIPT_OT_clear_data)

@@ -13,7 +13,7 @@ from ..api import tasks
 from ..core.run.errors import FiptError
 from ..jobs import running, runstate
 from .job_operator import JobOperator
-from .polls import has_run, in_object_mode
+from .polls import all_of, has_run, in_object_mode, needs, no_job
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
@@ -38,17 +38,12 @@ def _known(context: bpy.types.Context, version: str) -> Version | None:
 class _NoJob:
     """Mix-in of operators that change the versions at once."""
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if running.current() is not None:
-            cls.poll_message_set("Wait for the end of the running job")  # type: ignore[attr-defined]
-            return False
-        return has_run(cls, context)
+    poll = all_of(
+        needs(lambda context: running.current() is None, "Wait for the end of the running job"), has_run
+    )
 
 
 class FIPT_OT_use_version(JobOperator, bpy.types.Operator):
-    """Use this estimate: it becomes the run's results and is applied to the room"""
-
     bl_idname = "fipt.use_version"
     bl_label = "Use Version"
     bl_description = (
@@ -59,9 +54,7 @@ class FIPT_OT_use_version(JobOperator, bpy.types.Operator):
 
     version: _version_property()
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return super().poll(context) and has_run(cls, context) and in_object_mode(cls, context)
+    poll = all_of(no_job, has_run, in_object_mode)
 
     def task(self, context: bpy.types.Context) -> Task:
         return tasks.version_change(self.version)
@@ -121,8 +114,6 @@ class FIPT_OT_delete_version(_NoJob, bpy.types.Operator):
 
 
 class FIPT_OT_compare_versions(bpy.types.Operator):
-    """Compare this estimate with the one in use: figures, parts whose material differs, and a view"""
-
     bl_idname = "fipt.compare_versions"
     bl_label = "Compare Versions"
     bl_description = (
@@ -133,9 +124,7 @@ class FIPT_OT_compare_versions(bpy.types.Operator):
 
     version: _version_property()
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return has_run(cls, context)
+    poll = all_of(has_run)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -175,6 +164,3 @@ class FIPT_OT_compare_versions(bpy.types.Operator):
 
             enter_camera(context, context.scene)
         return rows
-
-
-CLASSES = (FIPT_OT_use_version, FIPT_OT_rename_version, FIPT_OT_delete_version, FIPT_OT_compare_versions)

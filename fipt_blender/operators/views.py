@@ -12,7 +12,7 @@ from .. import machine
 from ..core.run.runfolder import RunFolder
 from .job_operator import JobOperator
 from .overlay import ShowsColors
-from .polls import has_views
+from .polls import all_of, has_views, needs, no_job
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
@@ -45,9 +45,7 @@ class FIPT_OT_look_through(bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return has_views(cls, context)
+    poll = all_of(has_views)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -88,9 +86,7 @@ class FIPT_OT_tick_views(bpy.types.Operator):
         ],
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return has_views(cls, context)
+    poll = all_of(has_views)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         settings = context.scene.fipt.capture
@@ -115,9 +111,7 @@ class FIPT_OT_check_views(JobOperator, bpy.types.Operator):
     title = "Check Views"
     kind = "survey"
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return has_views(cls, context) and super().poll(context)
+    poll = all_of(has_views, no_job)
 
     def make_job(self, context: bpy.types.Context) -> Job:
         from ..blend.capture.importing import room_missing
@@ -159,18 +153,12 @@ class FIPT_OT_show_coverage(ShowsColors, bpy.types.Operator):
     bl_idname = "fipt.show_coverage"
     bl_label = "Show Coverage"
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if context.scene.fipt.capture.unseen_share < 0.0:
-            cls.poll_message_set("Use Check Views first")
-            return False
-        return True
+    poll = all_of(
+        needs(lambda context: context.scene.fipt.capture.unseen_share >= 0.0, "Use Check Views first")
+    )
 
     @staticmethod
     def color(scene: bpy.types.Scene) -> None:
         from ..blend.capture.survey import show_coverage
 
         show_coverage(scene)
-
-
-CLASSES = (FIPT_OT_look_through, FIPT_OT_tick_views, FIPT_OT_check_views, FIPT_OT_show_coverage)

@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The side panel: draws the state, holds no logic. One file per section, with its CLASSES."""
+"""The side panel: draws the state, holds no logic. One file per section."""
 
 from __future__ import annotations
 
 import bpy
 
+from ..properties import classes_of
 from . import (
     alignment,
     capture,
@@ -43,9 +44,8 @@ MODULES = (
     menus,
 )
 
-_register, _unregister = bpy.utils.register_classes_factory(
-    [panel for module in MODULES for panel in module.CLASSES]
-)
+CLASSES = [*menus.MENUS, *classes_of(MODULES)]
+_register, _unregister = bpy.utils.register_classes_factory(CLASSES)
 
 
 def register() -> None:

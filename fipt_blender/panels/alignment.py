@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
+from bpy.types import Context, PropertyGroup, UILayout
 
 from .job import draw_job, draw_warnings, job_warnings
 from .sidebar import Rows, SubSection, draw_text
@@ -14,13 +15,7 @@ from .sidebar import Rows, SubSection, draw_text
 class FIPT_UL_pairs(Rows, bpy.types.UIList):
     """The pairs of points, each with its error"""
 
-    def draw_row(
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        item: bpy.types.PropertyGroup,
-        index: int,
-    ) -> None:
+    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
         row = layout.row(align=True)
         views = ", ".join(sight.name for sight in item.sights)
         row.label(text=f"{index + 1}: {views}", translate=False)
@@ -99,6 +94,3 @@ class FIPT_PT_capture_pairs(SubSection, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("fipt.align_by_pairs", icon="CON_CAMERASOLVER")
         row.prop(settings, "show_marks", text="", icon="HIDE_OFF")
-
-
-CLASSES = (FIPT_UL_pairs, FIPT_PT_capture_alignment, FIPT_PT_capture_pairs)

@@ -8,6 +8,7 @@ import sys
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
+from bpy.types import Context, PropertyGroup, UILayout
 
 from ..jobs import running
 from . import swatches
@@ -19,13 +20,7 @@ from .sidebar import Rows, Section, SubSection, draw_text
 class FIPT_UL_views(Rows, bpy.types.UIList):
     """The views: whether and for what they are used, and the outcome of their check"""
 
-    def draw_row(
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        item: bpy.types.PropertyGroup,
-        index: int,
-    ) -> None:
+    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
         row = layout.row(align=True)
         row.prop(item, "enabled", text="")
         name = row.row(align=True)
@@ -269,13 +264,3 @@ def shown_colors(scene: bpy.types.Scene) -> str:
     """What is drawn over the room: "coverage", "parts" or "". Does not import the drawing module."""
     overlay = sys.modules.get(__package__.rpartition(".")[0] + ".blend.capture.overlay")
     return overlay.shown(scene) if overlay is not None else ""
-
-
-CLASSES = (
-    FIPT_UL_views,
-    FIPT_MT_tick_views,
-    FIPT_PT_capture,
-    FIPT_PT_capture_import,
-    FIPT_PT_capture_room,
-    FIPT_PT_capture_views,
-)

@@ -8,6 +8,7 @@ import os
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
+from bpy.types import Context, PropertyGroup, UILayout
 
 from ..properties.check import COMPARISONS
 from .capture import shown_name
@@ -19,13 +20,7 @@ from .sidebar import Rows, Section, draw_text
 class FIPT_UL_checked_views(Rows, bpy.types.UIList):
     """Rendered views with their PSNR in dB: display values, linear values"""
 
-    def draw_row(
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        item: bpy.types.PropertyGroup,
-        index: int,
-    ) -> None:
+    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
         icon_name = "HIDE_OFF" if item.held_back else "IMAGE_DATA"
         name = shown_name(item.name, context.scene.fipt.capture.name_prefix)
         _draw_row(layout, name, f"{item.psnr:.1f}", f"{item.psnr_linear:.1f}", icon_name)
@@ -127,6 +122,3 @@ def _draw_comparison(layout: bpy.types.UILayout, settings: bpy.types.PropertyGro
         if settings.compare != "VERSIONS":
             button = row.operator("fipt.compare", text="", icon="WINDOW")
             button.mode, button.window = settings.compare, True
-
-
-CLASSES = (FIPT_UL_checked_views, FIPT_PT_check)

@@ -182,6 +182,3 @@ def _draw_pictures(layout: bpy.types.UILayout, paths: tuple[Path, ...]) -> None:
         column = row.column(align=True)
         column.template_icon(icon_value=estimate_pictures.icon(picture), scale=7.0)
         column.label(text="Emission" if "emission" in picture.name else "Base Color")
-
-
-CLASSES = (FIPT_PT_estimate, FIPT_PT_estimate_advanced)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
+from bpy.types import Context, PropertyGroup, UILayout
 
 from ..jobs import running
 from ..jobs.previews import doubt_pictures
@@ -21,13 +22,7 @@ _CHOICES = {"METAL": ("METAL", "DIELECTRIC"), "GLOSS": ("GLOSSY", "MATT"), "LAMP
 class FIPT_UL_doubts(Rows, bpy.types.UIList):
     """The engine's questions, the most useful one first"""
 
-    def draw_row(
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        item: bpy.types.PropertyGroup,
-        index: int,
-    ) -> None:
+    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
         row = layout.row(align=True)
         row.label(text=item.name, icon="CHECKMARK" if item.answered else "QUESTION", translate=False)
         row.label(text=item.text)
@@ -36,13 +31,7 @@ class FIPT_UL_doubts(Rows, bpy.types.UIList):
 class FIPT_UL_hints(Rows, bpy.types.UIList):
     """What the artist knows of parts and areas"""
 
-    def draw_row(
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        item: bpy.types.PropertyGroup,
-        index: int,
-    ) -> None:
+    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
         row = layout.row(align=True)
         missing = item.object is None or item.object.name not in context.scene.objects
         kind = "FACE_MAPS" if item.area else "MATERIAL"
@@ -139,6 +128,3 @@ def hint_text(hint: bpy.types.PropertyGroup) -> str:
     if hint.same_object is not None:
         names.append(iface_("as {}").format(hint.same_object.name))
     return ", ".join(names) or iface_("Unknown")
-
-
-CLASSES = (FIPT_UL_doubts, FIPT_UL_hints, FIPT_PT_estimate_hints)

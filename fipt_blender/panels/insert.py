@@ -36,6 +36,3 @@ class FIPT_PT_insert(Section, bpy.types.Panel):
         row.scale_y = 1.3
         row.operator("fipt.insert_object", icon="CURSOR")
         row.operator("fipt.remove_inserted", text="", icon="TRASH")
-
-
-CLASSES = (FIPT_PT_insert,)

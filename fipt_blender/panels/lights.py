@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
+from bpy.types import Context, PropertyGroup, UILayout
 
 from ..blend.marks import ANIMATED, FIXTURE, MERGED, NAMED, VISIBILITY
 from .sidebar import Rows, Section, SubSection, draw_text
@@ -14,13 +15,7 @@ from .sidebar import Rows, Section, SubSection, draw_text
 class FIPT_UL_lights(Rows, bpy.types.UIList):
     """Fixtures and added lights: on/off, solo, whole name, color"""
 
-    def draw_row(
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        item: bpy.types.PropertyGroup,
-        index: int,
-    ) -> None:
+    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
         light = item.object
         layout.use_property_split = False
         halves = layout.split(factor=0.88, align=True)
@@ -143,13 +138,7 @@ def _draw_profile(layout: bpy.types.UILayout) -> None:
 class FIPT_UL_light_states(Rows, bpy.types.UIList):
     """Saved states of all lights"""
 
-    def draw_row(
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        item: bpy.types.PropertyGroup,
-        index: int,
-    ) -> None:
+    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
         row = layout.row(align=True)
         row.prop(item, "name", text="", emboss=False, icon="LIGHT")
         row.operator("fipt.recall_light_state", text="", icon="PLAY", emboss=False).state = item.name
@@ -241,14 +230,3 @@ class FIPT_PT_light_output(SubSection, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("fipt.make_light_groups", icon="RENDERLAYERS")
         row.operator("fipt.remove_light_groups", text="", icon="X")
-
-
-CLASSES = (
-    FIPT_UL_lights,
-    FIPT_UL_light_states,
-    FIPT_MT_save_light_state,
-    FIPT_PT_lights,
-    FIPT_PT_light_states,
-    FIPT_PT_environment,
-    FIPT_PT_light_output,
-)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
+from bpy.types import Context, PropertyGroup, UILayout
 
 from ..jobs import running
 from . import swatches
@@ -27,6 +28,60 @@ class FIPT_PT_materials(Section, bpy.types.Panel):
         if settings.object_count:
             _draw_results(layout, context, settings)
         draw_warnings(layout, context, "materials", job_warnings(context, "materials"))
+
+
+class FIPT_UL_part_materials(Rows, bpy.types.UIList):
+    """The parts of the room: mean base color, name, and whether its material is adjusted"""
+
+    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
+        layout.use_property_split = False
+        # An icon: a color field can't be disabled without a tint.
+        color = item.base_color.copy()  # of a property itself, Blender 4.3 converts zeros
+        red, green, blue = (round(value, 2) for value in color.from_scene_linear_to_srgb())
+        layout.label(text=item.name, icon_value=swatches.icon((red, green, blue)), translate=False)
+
+
+class FIPT_PT_materials_parts(Section, bpy.types.Panel):
+    """Adjust the estimated material of a part of the room"""
+
+    bl_label = "Materials of Parts"
+    bl_parent_id = "FIPT_PT_materials"
+    bl_order = 0  # and open: what one needs after Apply Results
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return bool(context.scene.fipt.materials.object_count)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        settings = context.scene.fipt.materials
+        row = layout.row()
+        row.template_list("FIPT_UL_part_materials", "", settings, "parts", settings, "active_part", rows=5)
+        column = row.column(align=True)
+        column.operator("fipt.pick_part", text="", icon="EYEDROPPER")
+        column.operator("fipt.select_part_faces", text="", icon="FACESEL")
+        column.operator("fipt.reset_part", text="", icon="LOOP_BACK").all_parts = False
+        column.separator()
+        column.operator("fipt.mark_part_assets", text="", icon="ASSET_MANAGER").all_parts = False
+        part = settings.part()
+        if part is None:
+            return
+        if part.known:
+            text = iface_("Estimated: roughness {:.2f}, metallic {:.2f}; {:,} pixels")
+            text = text.format(part.roughness, part.metallic, part.pixels)
+        else:
+            text = iface_("No mean values for this part; {:,} faces").format(part.faces)
+        draw_text(layout, context, text)
+        replaced = _draw_replacement(layout, context, part)
+        column = layout.column(align=True)
+        column.enabled = settings.shown != "ORIGINAL" and not replaced
+        for name in _SLIDERS:
+            column.prop(part, _SUMS.get(name, name) if part.known else name, slider=True)
+        shading = getattr(context.space_data, "shading", None)
+        changed = any(getattr(part, name) != neutral for name, neutral in _SLIDERS.items())
+        if changed and shading is not None and shading.type == "SOLID":
+            text = "Solid shading shows the textures without these changes. Use Material Preview or Rendered."
+            draw_text(layout, context, iface_(text), icon="INFO")
 
 
 class FIPT_PT_materials_settings(SubSection, bpy.types.Panel):
@@ -86,69 +141,9 @@ def _draw_preview(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
         row.prop_enum(shading, "type", "RENDERED", text="Preview Light")
 
 
-class FIPT_UL_part_materials(Rows, bpy.types.UIList):
-    """The parts of the room: mean base color, name, and whether its material is adjusted"""
-
-    def draw_row(
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        item: bpy.types.PropertyGroup,
-        index: int,
-    ) -> None:
-        layout.use_property_split = False
-        # An icon: a color field can't be disabled without a tint.
-        color = item.base_color.copy()  # of a property itself, Blender 4.3 converts zeros
-        red, green, blue = (round(value, 2) for value in color.from_scene_linear_to_srgb())
-        layout.label(text=item.name, icon_value=swatches.icon((red, green, blue)), translate=False)
-
-
 # The adjustments, and where they change nothing; of parts with mean values, sliders show the sums.
 _SLIDERS = {"roughness_offset": 0.0, "metallic_offset": 0.0, "hue": 0.0, "saturation": 1.0, "value": 1.0}
 _SUMS = {"roughness_offset": "roughness_value", "metallic_offset": "metallic_value"}
-
-
-class FIPT_PT_materials_parts(Section, bpy.types.Panel):
-    """Adjust the estimated material of a part of the room"""
-
-    bl_label = "Materials of Parts"
-    bl_parent_id = "FIPT_PT_materials"
-    bl_order = 0  # and open: what one needs after Apply Results
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return bool(context.scene.fipt.materials.object_count)
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout = self.fields()
-        settings = context.scene.fipt.materials
-        row = layout.row()
-        row.template_list("FIPT_UL_part_materials", "", settings, "parts", settings, "active_part", rows=5)
-        column = row.column(align=True)
-        column.operator("fipt.pick_part", text="", icon="EYEDROPPER")
-        column.operator("fipt.select_part_faces", text="", icon="FACESEL")
-        column.operator("fipt.reset_part", text="", icon="LOOP_BACK").all_parts = False
-        column.separator()
-        column.operator("fipt.mark_part_assets", text="", icon="ASSET_MANAGER").all_parts = False
-        part = settings.part()
-        if part is None:
-            return
-        if part.known:
-            text = iface_("Estimated: roughness {:.2f}, metallic {:.2f}; {:,} pixels")
-            text = text.format(part.roughness, part.metallic, part.pixels)
-        else:
-            text = iface_("No mean values for this part; {:,} faces").format(part.faces)
-        draw_text(layout, context, text)
-        replaced = _draw_replacement(layout, context, part)
-        column = layout.column(align=True)
-        column.enabled = settings.shown != "ORIGINAL" and not replaced
-        for name in _SLIDERS:
-            column.prop(part, _SUMS.get(name, name) if part.known else name, slider=True)
-        shading = getattr(context.space_data, "shading", None)
-        changed = any(getattr(part, name) != neutral for name, neutral in _SLIDERS.items())
-        if changed and shading is not None and shading.type == "SOLID":
-            text = "Solid shading shows the textures without these changes. Use Material Preview or Rendered."
-            draw_text(layout, context, iface_(text), icon="INFO")
 
 
 def _draw_replacement(
@@ -165,11 +160,3 @@ def _draw_replacement(
     row.operator("fipt.replace_part_material", text=material.name, icon="MATERIAL", translate=False)
     row.operator("fipt.restore_estimate", icon="LOOP_BACK").all_parts = False
     return True
-
-
-CLASSES = (
-    FIPT_PT_materials,
-    FIPT_UL_part_materials,
-    FIPT_PT_materials_parts,
-    FIPT_PT_materials_settings,
-)

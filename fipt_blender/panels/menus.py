@@ -155,8 +155,7 @@ class FIPT_MT_pie(bpy.types.Menu):
         pie.operator("fipt.look_through", text="Next View", icon="TRIA_RIGHT").step = 1
 
 
-MENUS = tuple(_section_menu(label, operators) for label, operators in SECTIONS.items())
-CLASSES = (*MENUS, FIPT_MT_main, FIPT_MT_maps, FIPT_MT_pie_lights, FIPT_MT_pie)
+MENUS = [_section_menu(label, operators) for label, operators in SECTIONS.items()]
 
 
 def register() -> None:

@@ -54,6 +54,3 @@ class FIPT_PT_parts(SubSection, bpy.types.Panel):
         layout.operator(
             "fipt.show_parts", text="Hide Parts" if shown else "Show Parts", icon="OVERLAY", depress=shown
         ).show = not shown
-
-
-CLASSES = (FIPT_PT_parts,)

@@ -16,10 +16,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from .. import machine
 from ..jobs import running, runstate
 
-_HEADER_UNITS = 2.6  # of a header's triangle and margins, in units of its height
-_UNIT_PIXELS = 20.0
 _CHARACTER_PIXELS = 6.5  # mean width of the default font at scale 1
-_BUTTON_UNITS = 1.1  # presets and the guide's button
 
 
 class Place(NamedTuple):
@@ -46,8 +43,9 @@ def state_text(section: str, label: str, buttons: int, context: bpy.types.Contex
     if not texts or context.region is None:
         return next(iter(texts), "")
     width = context.region.width / context.preferences.system.ui_scale
-    units = _HEADER_UNITS + _BUTTON_UNITS * buttons
-    room = (width - units * _UNIT_PIXELS) / _CHARACTER_PIXELS - len(iface_(label))
+    # The triangle and the margins, and each button, in heights of a header (20 pixels).
+    units = 2.6 + 1.1 * buttons
+    room = (width - units * 20.0) / _CHARACTER_PIXELS - len(iface_(label))
     return next((text for text in texts if len(text) <= room), "")
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
+from bpy.types import Context, PropertyGroup, UILayout
 
 from ..core.run.runfolder import RunFolder
 from ..jobs import running
@@ -19,13 +20,7 @@ _KIND = "photographs"
 class FIPT_UL_photograph_groups(Rows, bpy.types.UIList):
     """The groups: whether they are used, the number of photographs, and the outcome"""
 
-    def draw_row(
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        item: bpy.types.PropertyGroup,
-        index: int,
-    ) -> None:
+    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
         row = layout.row(align=True)
         row.prop(item, "used", text="")
         name = row.row(align=True)
@@ -44,13 +39,7 @@ class FIPT_UL_photograph_groups(Rows, bpy.types.UIList):
 class FIPT_UL_photographs(Rows, bpy.types.UIList):
     """The photographs of a group with their exposures"""
 
-    def draw_row(
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        item: bpy.types.PropertyGroup,
-        index: int,
-    ) -> None:
+    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
         split = layout.split(factor=0.45)
         split.label(text=item.name.rpartition("/")[2], translate=False)
         split.label(text=item.exposure or iface_("exposure unknown"), translate=False)
@@ -216,14 +205,3 @@ def _draw_outcome(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup)
     button = row.operator("fipt.import_capture", icon="IMPORT")
     button.filepath = str(settings.capture_folder() or "")
     row.operator("fipt.open_photographs_report", text="", icon="URL")
-
-
-CLASSES = (
-    FIPT_UL_photograph_groups,
-    FIPT_UL_photographs,
-    FIPT_PT_photographs,
-    FIPT_PT_photographs_settings,
-    FIPT_PT_photographs_done,
-    FIPT_PT_photographs_done_settings,
-    FIPT_PT_scale_points,
-)

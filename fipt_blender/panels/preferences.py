@@ -331,6 +331,3 @@ def usage_text(usage: machine.Usage) -> str:
     return iface_("{} cached runs: {:.1f} GB; engine: {:.1f} GB").format(
         len(runs), sum(runs) / 1e9, others / 1e9
     )
-
-
-CLASSES = (FIPT_Preferences,)

@@ -33,6 +33,3 @@ class FIPT_PT_check_presets(PresetPanel, bpy.types.Panel):
     preset_subdir = "fipt/check"
     preset_operator = "script.execute_preset"
     preset_add_operator = "fipt.add_check_preset"
-
-
-CLASSES = (FIPT_PT_import_presets, FIPT_PT_estimate_presets, FIPT_PT_check_presets)

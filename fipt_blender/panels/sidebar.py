@@ -7,6 +7,7 @@ from __future__ import annotations
 import textwrap
 
 import bpy
+from bpy.types import Context, PropertyGroup, UILayout
 
 from . import manual, path
 
@@ -62,27 +63,13 @@ class Rows:
     """Mix-in of a list, before `bpy.types.UIList`; a subclass draws the row of one item."""
 
     def draw_item(
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        data: bpy.types.PropertyGroup,
-        item: bpy.types.PropertyGroup,
-        icon: int,
-        active_data: bpy.types.PropertyGroup,
-        active_property: str,
-        index: int = 0,
-        flt_flag: int = 0,
-    ) -> None:
+        self, context: Context, layout: UILayout, data: PropertyGroup, item: PropertyGroup, icon: int,
+        active_data: PropertyGroup, active_property: str, index: int = 0, flt_flag: int = 0,
+    ) -> None:  # fmt: skip
         """Called by Blender; most lists need no more than the item."""
         self.draw_row(context, layout, item, index)
 
-    def draw_row(
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        item: bpy.types.PropertyGroup,
-        index: int,
-    ) -> None:
+    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
         """Draw an item, the `index`-th of the list."""
         raise NotImplementedError
 

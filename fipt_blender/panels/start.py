@@ -80,6 +80,3 @@ def _draw_unsaved(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
 def _is_setting_up() -> bool:
     job = running.current()
     return job is not None and job.kind == running.DATA_KIND
-
-
-CLASSES = (FIPT_PT_start, FIPT_PT_start_import)

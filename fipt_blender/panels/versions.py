@@ -68,6 +68,3 @@ def _draw_version(layout: bpy.types.UILayout, version: Version, shown: str) -> N
         buttons += [("fipt.compare_versions", "SPLIT_HORIZONTAL"), ("fipt.delete_version", "X")]
     for name, icon in buttons:
         row.operator(name, text="", icon=icon, emboss=False).version = version.id
-
-
-CLASSES = (FIPT_PT_estimate_versions,)

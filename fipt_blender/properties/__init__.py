@@ -2,17 +2,30 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The panel's state, stored in the scene: `scene.fipt`, one group per section.
 
-Each module lists its classes in CLASSES, members before their groups. They import bpy and light modules only,
-since they are imported while Blender starts.
+Members stand before their groups. The modules import bpy and light modules only: they are imported while
+Blender starts.
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterable
+from types import ModuleType
 
 import bpy
 
 from . import alignment, capture, check, estimate, hints, insert, lights, materials, parts, photographs
 
 _MODULES = (photographs, capture, alignment, parts, estimate, hints, materials, lights, insert, check)
+
+
+def classes_of(modules: Iterable[ModuleType]) -> list[type]:
+    """The classes of modules that Blender has to know, in the order in which they stand there."""
+    return [
+        each
+        for module in modules
+        for name, each in vars(module).items()
+        if name.startswith("FIPT_") and each.__module__ == module.__name__
+    ]
 
 
 class FIPT_SceneSettings(bpy.types.PropertyGroup):
@@ -36,7 +49,7 @@ class FIPT_SceneSettings(bpy.types.PropertyGroup):
 
 
 _register_classes, _unregister_classes = bpy.utils.register_classes_factory(
-    [*(group for module in _MODULES for group in module.CLASSES), FIPT_SceneSettings]
+    [*classes_of(_MODULES), FIPT_SceneSettings]
 )
 
 

@@ -70,6 +70,3 @@ class FIPT_AlignmentSettings(bpy.types.PropertyGroup):
     active_candidate: bpy.props.IntProperty(
         name="Placement", description="Placement of the cameras, the best one first"
     )
-
-
-CLASSES = (FIPT_AlignmentSight, FIPT_AlignmentPair, FIPT_AlignmentCandidate, FIPT_AlignmentSettings)

@@ -77,10 +77,7 @@ class FIPT_CaptureView(bpy.types.PropertyGroup):
 
     camera: bpy.props.StringProperty(name="Camera", description="The view's camera object")
     enabled: bpy.props.BoolProperty(
-        name="Use",
-        description="Use this photograph",
-        default=True,
-        update=_views_changed,
+        name="Use", description="Use this photograph", default=True, update=_views_changed
     )
     split: bpy.props.EnumProperty(
         name="Use For",
@@ -307,6 +304,3 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
             yield
         finally:
             _counting = True
-
-
-CLASSES = (FIPT_CaptureView, FIPT_CaptureSettings)

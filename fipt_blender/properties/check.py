@@ -132,6 +132,3 @@ class FIPT_CheckSettings(bpy.types.PropertyGroup):
         update=_move_divider,
     )
     report: bpy.props.StringProperty(description="HTML page of the last report")
-
-
-CLASSES = (FIPT_CheckedView, FIPT_CheckSettings)

@@ -207,6 +207,3 @@ class FIPT_EstimateSettings(bpy.types.PropertyGroup):
             if name in CHOICES
             for field in CHOICES[name].fields
         }
-
-
-CLASSES = (FIPT_EstimateSettings,)

@@ -133,6 +133,3 @@ class FIPT_HintsSettings(bpy.types.PropertyGroup):
     def doubt(self) -> FIPT_Doubt | None:
         """The active question; None without one."""
         return self.doubts[self.active_doubt] if 0 <= self.active_doubt < len(self.doubts) else None
-
-
-CLASSES = (FIPT_Hint, FIPT_Doubt, FIPT_HintsSettings)

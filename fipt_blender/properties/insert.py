@@ -31,11 +31,7 @@ KINDS = (
         4,
     ),
 )
-BALLS = {
-    "GREY_BALL": ("gray_ball",),
-    "MIRROR_BALL": ("mirror_ball",),
-    "BALLS": ("gray_ball", "mirror_ball"),
-}
+BALLS = {"GREY_BALL": ("gray_ball",), "MIRROR_BALL": ("mirror_ball",), "BALLS": ("gray_ball", "mirror_ball")}
 ALIGNMENTS = (
     ("NORMAL", "Surface", "Align the object's up axis with the surface normal", "SNAP_NORMAL", 0),
     ("UPRIGHT", "Upright", "Keep the object upright on any surface", "EMPTY_SINGLE_ARROW", 1),
@@ -61,8 +57,7 @@ class FIPT_InsertSettings(bpy.types.PropertyGroup):
         name="Collection", description="The collection to place an instance of", type=bpy.types.Collection
     )
     copy: bpy.props.BoolProperty(
-        name="Place a Copy",
-        description="Leave the object where it is, and place a copy that shares its data",
+        name="Place a Copy", description="Leave the object where it is, and place a copy that shares its data"
     )
     align: bpy.props.EnumProperty(
         name="Align",
@@ -95,6 +90,3 @@ class FIPT_InsertSettings(bpy.types.PropertyGroup):
         name="Backdrop", description="What is behind the inserted objects", items=BACKDROPS, default="ROOM"
     )
     picture: bpy.props.StringProperty(description="Image file of the last rendered picture")
-
-
-CLASSES = (FIPT_InsertSettings,)

@@ -323,9 +323,7 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
         update=_blend_changed,
     )
     show_outline: bpy.props.BoolProperty(
-        name="Outline",
-        description="Outline the active light of the list in 3D viewports",
-        default=True,
+        name="Outline", description="Outline the active light of the list in 3D viewports", default=True
     )
     missing_lamps: bpy.props.StringProperty(
         description="Lamps that the photographs show and the mesh lacks, not yet added (JSON)",
@@ -371,6 +369,3 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
             light = self.lights[self.active]
             return light if light.is_alive() else None
         return None
-
-
-CLASSES = (FIPT_Light, FIPT_LightState, FIPT_LightsSettings)

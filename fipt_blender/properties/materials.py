@@ -299,6 +299,3 @@ class FIPT_MaterialsSettings(bpy.types.PropertyGroup):
         """Its key; "" without one."""
         part = self.part()
         return part.key if part is not None else ""
-
-
-CLASSES = (FIPT_Part, FIPT_MaterialsSettings)

@@ -87,6 +87,3 @@ class FIPT_PartsSettings(bpy.types.PropertyGroup):
     def engine_source(self) -> str:
         """The source as room.json names it, one of `jobs.options.PARTS`."""
         return ENGINE_SOURCES.get(self.source, self.source)
-
-
-CLASSES = (FIPT_PartsSettings,)

@@ -157,6 +157,3 @@ class FIPT_PhotographsSettings(bpy.types.PropertyGroup):
     def used_count(self) -> int:
         """Number of ticked groups."""
         return sum(group.used for group in self.groups)
-
-
-CLASSES = (FIPT_Photograph, FIPT_PhotographGroup, FIPT_PhotographsSettings)

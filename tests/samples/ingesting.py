@@ -7,14 +7,15 @@ from __future__ import annotations
 import io
 
 from fipt_blender.core.capture.images import read_radiance, write_exr
-from fipt_blender.core.capture.ingest import IngestOptions, ingest
+from fipt_blender.core.capture.ingest import ingest
+from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.run.messages import Reporter, parse_message
 
 
 def run_ingest(capture, run, **options):
     """Ingest and return the messages."""
     stream = io.StringIO()
-    ingest(capture, run, IngestOptions(**options), Reporter(stream))
+    ingest(capture, run, CaptureOptions(**options), Reporter(stream))
     return [parse_message(line) for line in stream.getvalue().splitlines()]
 
 

@@ -19,24 +19,38 @@ class Layout:
         drawn: gets the texts of labels and the names of operators.
         is_open: whether what folds is open.
         properties: gets the names of properties.
+
+    Attributes:
+        labels: the options of labels.
+        buttons: the operators' settings, with `name` and `text`.
     """
 
-    def __init__(self, drawn: list[str], is_open: bool = False, properties: list[str] | None = None) -> None:
-        vars(self).update(drawn=drawn, is_open=is_open, properties=[] if properties is None else properties)
+    def __init__(
+        self,
+        drawn: list[str] | None = None,
+        is_open: bool = False,
+        properties: list[str] | None = None,
+        of: Layout | None = None,
+    ) -> None:
+        lists = {"drawn": drawn, "properties": properties, "labels": None, "buttons": None}
+        made = {name: [] if value is None else value for name, value in lists.items()}
+        vars(self).update(vars(of) if of else {"is_open": is_open, **made})
 
     def __setattr__(self, name: str, value: object) -> None:
         """Settings of a layout do not matter here."""
 
     def __getattr__(self, name: str):
         def call(*arguments, **options):
-            part = Layout(self.drawn, self.is_open, self.properties)
+            part = Layout(of=self)
             if name in ("label", "progress"):
                 self.drawn.append(options["text"])
+                self.labels.append(options)
             elif name in ("prop", "prop_enum"):
                 self.properties.append(arguments[1])
             elif name == "operator":
                 self.drawn.append(arguments[0])
-                return SimpleNamespace()
+                self.buttons.append(SimpleNamespace(name=arguments[0], text=options.get("text", "")))
+                return self.buttons[-1]
             elif name == "panel":
                 return part, part if self.is_open else None
             return part
@@ -77,8 +91,7 @@ def tab_count() -> TabCount:
     """Count what the tab FIPT shows of the open scene where the artist has opened and closed nothing."""
     panels = [
         panel
-        for module in panel_package.MODULES
-        for panel in module.CLASSES
+        for panel in panel_package.CLASSES
         if issubclass(panel, bpy.types.Panel)
         and (panel.bl_space_type, panel.bl_region_type) == ("VIEW_3D", "UI")
     ]

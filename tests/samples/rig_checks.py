@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ import pytest
 
 from fipt_blender.core.capture.distortion import lens_camera
 from fipt_blender.core.capture.formats import read_rig
-from fipt_blender.core.capture.rig import ReadOptions, Rig
+from fipt_blender.core.capture.options import CaptureOptions
+from fipt_blender.core.capture.rig import Rig
 from fipt_blender.core.run.errors import FiptError
 from samples import rig_writers as write
 
@@ -19,7 +21,7 @@ CENTRED = (0.0, 0.0)
 
 
 def read(path: Path, **options) -> Rig:
-    return read_rig(path, "auto", ReadOptions(**options))
+    return read_rig(path, "auto", CaptureOptions(**options))
 
 
 def room_points(shot: write.Shot) -> np.ndarray:
@@ -44,7 +46,8 @@ def assert_same(rig: Rig, shots: list[write.Shot], pixels: float = 1e-4) -> None
         np.testing.assert_allclose(np.asarray(camera.img_from_cam(local)), expected, atol=pixels)
 
 
-def error_of(path: Path) -> FiptError:
+def error_of(reader: Callable[..., object], *arguments: object) -> FiptError:
     with pytest.raises(FiptError) as caught:
-        read(path)
+        reader(*arguments)
+    assert caught.value.remedy
     return caught.value

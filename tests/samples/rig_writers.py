@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -165,11 +166,14 @@ def meshroom_lens(shot: Shot, version: tuple[int, int, int]) -> dict:
     }
 
 
-def write_opensfm(folder: Path, groups: list[list[Shot]], kind: str) -> None:
-    """reconstruction.json: lengths over the longer side, axis times angle, translation."""
+def write_opensfm(
+    folder: Path, groups: list[list[Shot]], kind: str, points: Sequence[np.ndarray] = ()
+) -> None:
+    """reconstruction.json: lengths over the longer side, axis times angle, translation; sparse points."""
+    stored = {str(index): {"coordinates": list(point)} for index, point in enumerate(points)}
     models = []
     for shots in groups:
-        model: dict = {"cameras": {}, "shots": {}, "points": {}, "reference_lla": {}}
+        model: dict = {"cameras": {}, "shots": {}, "points": stored, "reference_lla": {}}
         for shot in shots:
             side = max(shot.width, shot.height)
             camera = {"projection_type": kind, "width": shot.width, "height": shot.height}

@@ -12,70 +12,18 @@ import math
 import re
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from ...core.alignment.ply_header import Element, Header, read_header
 from ...core.run.errors import FiptError
 from ...core.run.shapes import FARTHEST_UNITS
 from .mesh_names import check_named_files
 
-_MOST_HEADER_BYTES = 1_000_000
-_MOST_COUNT = 2**31 - 1  # Blender's indices are 32-bit
 _CHUNK = 1 << 17  # records of lists that are walked at once
-_TYPES = {
-    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
-    **{"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
-    **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
-}
-_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-# Properties whose values are vertex indices, by element.
-_INDICES = {"face": ("vertex_indices", "vertex_index"), "edge": ("vertex1", "vertex2")}
 _LETTERS = re.compile(rb"[A-Za-z]")
 _NUMBERS = re.compile(rb"[-+.\deinaf\s]*", re.IGNORECASE)
-
-
-@dataclass(frozen=True)
-class _Property:
-    """A property of a PLY element; types are numpy's, without byte order."""
-
-    name: str
-    type: str
-    count_type: str = ""  # of a list
-
-
-@dataclass(frozen=True)
-class _Element:
-    name: str
-    count: int
-    properties: list[_Property]
-
-    @property
-    def has_lists(self) -> bool:
-        return any(entry.count_type for entry in self.properties)
-
-    def is_index(self, entry: _Property) -> bool:
-        return entry.name in _INDICES.get(self.name, ())
-
-
-@dataclass(frozen=True)
-class _Header:
-    """A PLY header.
-
-    Attributes:
-        order: byte order of binary data; "" for ASCII.
-        elements: in the order of the data.
-        size: bytes of the header; the data follow.
-    """
-
-    order: str
-    elements: list[_Element]
-    size: int
-
-    @property
-    def vertex_count(self) -> int:
-        return next(element.count for element in self.elements if element.name == "vertex")
 
 
 def check_mesh_file(path: Path) -> None:
@@ -99,7 +47,7 @@ def check_mesh_file(path: Path) -> None:
 
 def _check_ply(path: Path) -> None:
     with open(path, "rb") as file:
-        header = _read_header(file.read(_MOST_HEADER_BYTES))
+        header = read_header(file.read(1_000_000))
         if not header.order:
             file.seek(header.size)
             _check_ascii(file, header)
@@ -107,57 +55,7 @@ def _check_ply(path: Path) -> None:
     _check_binary(np.memmap(path, np.uint8, "r"), header)
 
 
-def _read_header(start: bytes) -> _Header:
-    """Parse the header of a PLY file, given the start of the file."""
-    end = re.search(rb"\nend_header[ \t]*\r?\n", start)
-    if not re.match(rb"ply\s*?\n", start) or end is None:
-        raise ValueError("it has no complete PLY header")
-    try:
-        lines = start[: end.start()].decode("ascii", errors="strict").splitlines()
-    except UnicodeDecodeError:
-        lines = [line.decode("latin-1") for line in start[: end.start()].split(b"\n")]
-    order = None
-    elements: list[_Element] = []
-    for line in lines[1:]:
-        match line.split():
-            case ["comment" | "obj_info", *_]:
-                pass
-            case ["format", name, "1.0"] if name in _ORDERS and order is None:
-                order = _ORDERS[name]
-            case ["element", name, count] if order is not None and re.fullmatch(r"\d{1,10}", count):
-                if int(count) > _MOST_COUNT:
-                    raise ValueError(f"it states {int(count):,} elements '{name}'")
-                elements.append(_Element(name, int(count), []))
-            case ["property", kind, name] if elements and kind in _TYPES:
-                elements[-1].properties.append(_Property(name, _TYPES[kind]))
-            case ["property", "list", count, kind, name] if elements and kind in _TYPES:
-                if _TYPES.get(count, "f")[0] == "f":
-                    raise ValueError(f"the header has the line '{line.strip()[:60]}'")
-                elements[-1].properties.append(_Property(name, _TYPES[kind], _TYPES[count]))
-            case _:
-                raise ValueError(f"the header has the line '{line.strip()[:60]}'")
-    header = _Header(order or "", elements, end.end())
-    _check_elements(header, order is not None)
-    return header
-
-
-def _check_elements(header: _Header, has_format: bool) -> None:
-    names = [element.name for element in header.elements]
-    if not has_format or names.count("vertex") != 1 or len(set(names)) < len(names):
-        raise ValueError("the header lacks the format or has not exactly one element 'vertex'")
-    for element in header.elements:
-        properties = [entry.name for entry in element.properties]
-        if len(set(properties)) < len(properties) or (element.count and not properties):
-            raise ValueError(f"the element '{element.name}' has repeated properties or none")
-        if element.name == "vertex" and (element.has_lists or not {"x", "y", "z"} <= set(properties)):
-            raise ValueError("the vertices have no coordinates x, y and z")
-        for entry in element.properties:
-            is_list = bool(entry.count_type)
-            if element.is_index(entry) and (entry.type[0] == "f" or is_list != (element.name == "face")):
-                raise ValueError(f"the property '{entry.name}' is of a type that can't hold indices")
-
-
-def _check_binary(data: np.ndarray, header: _Header) -> None:
+def _check_binary(data: np.ndarray, header: Header) -> None:
     """Check the bytes (N,) u8 of a binary file after its header."""
     position = header.size
     for element in header.elements:
@@ -184,7 +82,7 @@ def _size(kind: str) -> int:
     return int(kind[1])
 
 
-def _check_rest(element: _Element, needed: int, rest: int) -> None:
+def _check_rest(element: Element, needed: int, rest: int) -> None:
     if needed > rest:
         raise ValueError(
             f"it ends too early: {element.count:,} elements '{element.name}' need {needed:,} bytes,"
@@ -192,7 +90,7 @@ def _check_rest(element: _Element, needed: int, rest: int) -> None:
         )
 
 
-def _check_lists(data: np.ndarray, position: int, element: _Element, count: int, header: _Header) -> int:
+def _check_lists(data: np.ndarray, position: int, element: Element, count: int, header: Header) -> int:
     """Check some elements with lists in binary data; returns the position after them."""
     records = _equal_records(data, position, element, count, header.order)
     if records is not None:
@@ -238,7 +136,7 @@ def _check_lists(data: np.ndarray, position: int, element: _Element, count: int,
 
 
 def _equal_records(
-    data: np.ndarray, position: int, element: _Element, count: int, order: str
+    data: np.ndarray, position: int, element: Element, count: int, order: str
 ) -> np.ndarray | None:
     """Elements whose lists are all as long as those of the first one, as records; None if they differ."""
     fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
@@ -268,17 +166,17 @@ def _check_lengths(lengths: np.ndarray) -> None:
         raise ValueError("a face has no vertices")
 
 
-def _check_indices(indices: np.ndarray, header: _Header) -> None:
+def _check_indices(indices: np.ndarray, header: Header) -> None:
     for index in (int(indices.min(initial=0)), int(indices.max(initial=0))):
         _check_index(index, header)
 
 
-def _check_index(index: int, header: _Header) -> None:
+def _check_index(index: int, header: Header) -> None:
     if index and not 0 <= index < header.vertex_count:
         raise ValueError(f"a face or edge names the vertex {index}, and there are {header.vertex_count:,}")
 
 
-def _check_ascii(lines: Iterator[bytes], header: _Header) -> None:
+def _check_ascii(lines: Iterator[bytes], header: Header) -> None:
     for element in header.elements:
         names = [entry.name for entry in element.properties]
         axes = [names.index(axis) for axis in "xyz"] if element.name == "vertex" else []
@@ -291,7 +189,7 @@ def _check_ascii(lines: Iterator[bytes], header: _Header) -> None:
                 raise ValueError(f"it has {text} before it ends or has an empty line")
             if not _NUMBERS.fullmatch(line):
                 raise ValueError(f"an element '{element.name}' is '{_shorten(line)}'")
-            if element.has_lists or element.name in _INDICES:
+            if element.has_lists or element.name in ("face", "edge"):
                 _check_line(values, element, header)
             elif len(values) < len(element.properties):
                 raise ValueError(f"an element '{element.name}' is '{_shorten(line)}'")
@@ -299,7 +197,7 @@ def _check_ascii(lines: Iterator[bytes], header: _Header) -> None:
         _refuse_wrong(wrong, element.count)
 
 
-def _check_line(values: list[bytes], element: _Element, header: _Header) -> None:
+def _check_line(values: list[bytes], element: Element, header: Header) -> None:
     """Check the values of one element with lists or indices."""
     position = 0
     for entry in element.properties:

@@ -13,7 +13,6 @@ import bpy
 
 from ..marks import LOOKED_PAST, all_view_cameras, is_view, remove_marks
 
-_SECONDS = 0.25  # between two looks at the 3D views
 # Scenes that 3D views show through a view's camera, and the camera for which the others were hidden, by name.
 hidden_for: dict[str, str] = {}
 
@@ -90,7 +89,7 @@ def tick() -> float | None:
         elif camera.name != camera_name:
             hide_others(scene, camera)
             hidden_for[name] = camera.name
-    return _SECONDS if hidden_for else None
+    return 0.25 if hidden_for else None  # between two looks at the 3D views
 
 
 def _looked_through(scene: bpy.types.Scene) -> bpy.types.Object | None:

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 _PICKED = (1.0, 0.65, 0.0, 1.0)
 _ACTIVE = (1.0, 1.0, 1.0, 1.0)
 _OFF = (0.9, 0.1, 0.3, 1.0)
-_SIZE = 7.0  # half the length of a cross, in pixels
 
 _handles: list[object] = []
 
@@ -74,7 +73,7 @@ def _draw() -> None:
 def _cross(place: Vector, color: tuple[float, ...]) -> None:
     from mathutils import Vector
 
-    size = _SIZE * bpy.context.preferences.system.ui_scale
+    size = 7.0 * bpy.context.preferences.system.ui_scale  # half the length of a cross, in pixels
     ends = [(-1, -1), (1, 1), (-1, 1), (1, -1)]
     for grown, tint in ((1.0, (0.0, 0.0, 0.0, 1.0)), (0.0, color)):
         _lines([place + Vector(end) * (size + grown) for end in ends], tint, 3.0 if grown else 1.5)

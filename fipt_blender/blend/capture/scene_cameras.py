@@ -24,7 +24,6 @@ from .exporting import camera_pose
 from .importing import fill_views
 
 SCENE_SOURCE = "scene-cameras"  # `imported_path` of such captures
-_SAME_ASPECT = 2e-3
 _FRAMES = Fields({"frames": Items(Fields({"name": str}))})
 
 
@@ -164,11 +163,7 @@ def frame_of(scene: bpy.types.Scene, item: bpy.types.Object) -> Frame:
 
 
 def photograph_lens(
-    item: bpy.types.Object,
-    background: bpy.types.CameraBackgroundImage,
-    frame: Frame,
-    width: int,
-    height: int,
+    item: bpy.types.Object, background: bpy.types.CameraBackgroundImage, frame: Frame, width: int, height: int
 ) -> tuple[float, float, float, float]:
     """Intrinsics fx, fy, cx, cy in pixels of the photograph, as it lies over the camera's frame.
 
@@ -192,7 +187,7 @@ def photograph_lens(
     # Sizes as displayed: the pixels of a frame may be non-square, those of an image are square.
     shown = (frame.width * frame.camera.pixel_aspect_x, frame.height * frame.camera.pixel_aspect_y)
     scale_x, scale_y = shown[0] / width, shown[1] / height
-    if background.frame_method != "STRETCH" and abs(scale_x / scale_y - 1.0) > _SAME_ASPECT:
+    if background.frame_method != "STRETCH" and abs(scale_x / scale_y - 1.0) > 2e-3:
         scale_x = scale_y = (min if background.frame_method == "FIT" else max)(scale_x, scale_y)
     x, y = frame.camera.pixel_aspect_x / scale_x, frame.camera.pixel_aspect_y / scale_y
     return (

@@ -21,7 +21,6 @@ from ..outliner import INSERTED, collection
 from ..room.mesh_arrays import transform_points
 from .surfaces import Surface
 
-_FAR = 1e6
 _UP = Vector((0.0, 0.0, 1.0))
 
 
@@ -76,7 +75,7 @@ def moved_aside(placement: Placement) -> Iterator[None]:
         yield
         return
     matrix = item.matrix_world.copy()
-    item.matrix_world = Matrix.Translation((0.0, 0.0, _FAR)) @ matrix
+    item.matrix_world = Matrix.Translation((0.0, 0.0, 1e6)) @ matrix
     try:
         yield
     finally:

@@ -23,17 +23,15 @@ MATERIALS = {
     "mirror_ball": ((0.95, 0.95, 0.95), 0.02, 1.0),
     "monkey": ((0.8, 0.25, 0.08), 0.25, 0.0),
 }
-_BALL_SHARE = 0.03  # diameter of a ball as a share of the room's diagonal
-_BALL_SIZE = 0.2  # metres, without a room
 
 
 def ball_size(room: Iterable[bpy.types.Object]) -> float:
     """Diameter in metres that suits a room of any scale."""
     bounds = world_bounds(room)
     if bounds is None:
-        return _BALL_SIZE
+        return 0.2  # metres, without a room
     diagonal = float(np.linalg.norm(bounds[1] - bounds[0]))
-    return _BALL_SHARE * diagonal or _BALL_SIZE
+    return 0.03 * diagonal or 0.2  # of the room's diagonal
 
 
 def make_balls(

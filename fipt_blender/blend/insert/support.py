@@ -28,23 +28,20 @@ class Support:
     radius: float
 
 
-def find_support(
-    cast: Cast, view: ViewGeometry, share: float = 0.18, columns: int = 17, rows: int = 13
-) -> Support | None:
+def find_support(cast: Cast, view: ViewGeometry, share: float = 0.18) -> Support | None:
     """A level, free spot where a ball can stand, near the lower middle of the image.
 
     Args:
         cast: ray casting into the room.
         view: the camera, which must see the whole ball.
         share: diameter of the ball as a share of the image's height.
-        columns, rows: size of the search grid over the image.
 
     Returns:
         The best spot, or None where there is none.
     """
     best: tuple[float, Support] | None = None
-    for row in np.linspace(0.3, 0.9, rows):
-        for column in np.linspace(0.15, 0.85, columns):
+    for row in np.linspace(0.3, 0.9, 13):
+        for column in np.linspace(0.15, 0.85, 17):
             distance = float(np.hypot(column - 0.5, row - 0.65))
             if best is not None and distance >= best[0]:
                 continue

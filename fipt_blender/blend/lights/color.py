@@ -15,7 +15,6 @@ from functools import lru_cache
 Rgb = tuple[float, float, float]
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of Rec.709's primaries (ITU-R BT.709)
 KELVIN_MIN, KELVIN_MAX = 1000.0, 20000.0
-_SECOND_RADIATION = 1.438776877e7  # hc/k in nm K
 _RGB_FROM_XYZ = (
     (3.2404542, -1.5371385, -0.4985314),
     (-0.9692660, 1.8760108, 0.0415560),
@@ -97,7 +96,8 @@ def _uv(xyz: Sequence[float]) -> tuple[float, float]:
 def _blackbody_xyz(kelvin: float) -> tuple[float, float, float]:
     x = y = z = 0.0
     for wavelength, (red, green, blue) in _observers():
-        radiance = (560.0 / wavelength) ** 5 / math.expm1(_SECOND_RADIATION / (wavelength * kelvin))
+        # Planck's law; hc/k in nm K.
+        radiance = (560.0 / wavelength) ** 5 / math.expm1(1.438776877e7 / (wavelength * kelvin))
         x, y, z = x + radiance * red, y + radiance * green, z + radiance * blue
     return x / y, 1.0, z / y
 

@@ -44,14 +44,10 @@ from . import light_state
 from .fixture_nodes import surfaces
 from .power import world_matrix
 
-MAX_LIGHTS = 16
 RAYS = ("visible_diffuse", "visible_glossy", "visible_transmission", "visible_volume_scatter",
         "visible_shadow")  # fmt: skip
 _SHAPE_FIELDS = ("size", "size_y", "spread", "shadow_soft_size", "exposure", "use_shadow", "use_temperature")
 _KINDS = ("", "POINT", "SUN", "SPOT", "AREA", "SQUARE", "RECTANGLE", "DISK", "ELLIPSE")
-_CLOSED = 0.5  # a surface whose vector area is a smaller share of its area is closed
-_FLAT = 0.999  # least cosine between the face normals of a flat piece and their mean
-_FILL_RECTANGLE, _FILL_TOLERANCE = 0.97, 0.03
 
 
 @dataclass(frozen=True)
@@ -176,11 +172,7 @@ def _shape_and_place(light: bpy.types.Object, matrix: Matrix) -> list[float]:
 
 
 def _add_light(
-    item: bpy.types.Object,
-    shape: Shape,
-    radiance: list[float],
-    backwards: bool,
-    target: bpy.types.Collection,
+    item: bpy.types.Object, shape: Shape, radiance: list[float], backwards: bool, target: bpy.types.Collection
 ) -> bpy.types.Object:
     """Add a Blender light of a shape as a fixture's child; `backwards` it shines from the shape's back."""
     name = f"{item.name} Light"
@@ -235,7 +227,7 @@ def fit_shapes(vertices: np.ndarray, triangles: np.ndarray) -> list[Shape]:
         return []
     _, position_id = np.unique(np.round(vertices, 6), axis=0, return_inverse=True)
     piece = connected_triangles(position_id.reshape(-1)[triangles])
-    if piece.max() >= MAX_LIGHTS:
+    if piece.max() >= 16:
         piece = np.zeros_like(piece)
     members = [piece == index for index in range(piece.max() + 1)]
     return [_fit_shape(vertices[triangles[member]], vector_area[member]) for member in members]
@@ -254,7 +246,7 @@ def vector_areas(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 def is_closed(vector_area: np.ndarray) -> bool:
     """Whether a surface encloses a volume, given the vector areas (T,3) of its triangles."""
-    return _openness(vector_area) < _CLOSED
+    return _openness(vector_area) < 0.5
 
 
 def _openness(vector_area: np.ndarray) -> float:
@@ -286,8 +278,9 @@ def _fit_shape(corners: np.ndarray, vector_area: np.ndarray) -> Shape:
         by_axes = _smallest_box(outline, [_long_axis(outline.reshape(-1, 3, 2), areas)])
         box = by_axes if _is_ellipse(area, by_axes) else box
     depth = corners.reshape(-1, 3) @ front
-    flat = bool((vector_area @ front > _FLAT * areas).all()) and np.ptp(depth) < 0.01 * max(box.size)
-    exact = flat and (is_ellipse or area > _FILL_RECTANGLE * math.prod(box.size))
+    # Flat: all face normals are within 2.5 degrees of their mean.
+    flat = bool((vector_area @ front > 0.999 * areas).all()) and np.ptp(depth) < 0.01 * max(box.size)
+    exact = flat and (is_ellipse or area > 0.97 * math.prod(box.size))
     matrix = np.eye(4)
     matrix[:3, 0], matrix[:3, 2] = box.direction[0] * across + box.direction[1] * up, -front
     matrix[:3, 1] = np.cross(matrix[:3, 2], matrix[:3, 0])
@@ -306,7 +299,7 @@ class _Box:
 
 def _is_ellipse(area: float, box: _Box) -> bool:
     """Whether an outline of this area fills its box as an ellipse does."""
-    return abs(area / math.prod(box.size) - 0.25 * math.pi) < _FILL_TOLERANCE
+    return abs(area / math.prod(box.size) - 0.25 * math.pi) < 0.03
 
 
 def _plane_axes(front: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -22,15 +22,13 @@ from ..room.mesh_arrays import world_bounds
 from .convert import fixture_to_lights
 
 SPACING = 0.4  # metres between the samples of the volume
-_MIN, _MAX = 4, 32  # samples along an axis
 # Samples by which the volume exceeds the room on each side: EEVEE fades it into the world before its border,
 # and walls there would get the world's light.
 _BORDER = 1
 _SWITCHED_ON = ("use_raytracing", "use_shadows")
 # Radiances below which lights end, and at which reflected light is clamped: Blender's defaults, for a picture
-# whose middle is _MIDDLE.
+# whose middle is a value of 0.18.
 _RADIANCES = {"light_threshold": 0.01, "clamp_surface_indirect": 10.0}
-_MIDDLE = 0.18
 ENGINES = ("BLENDER_EEVEE_NEXT", "BLENDER_EEVEE")  # 4.2 to 4.5; from 5.0
 
 
@@ -70,7 +68,7 @@ def use_eevee(scene: bpy.types.Scene) -> None:
     if not switch_engine(scene, ENGINES):
         raise FiptError("engine-missing", "This Blender has no EEVEE.", "Use Cycles.")
     median = scene.fipt.lights.median_radiance
-    scale = median / _MIDDLE if median > 0.0 else 1.0
+    scale = median / 0.18 if median > 0.0 else 1.0
     wanted: dict[str, float] = {name: scale * value for name, value in _RADIANCES.items()}
     wanted |= dict.fromkeys(_SWITCHED_ON, True)
     # Not every version of Blender has all of them.
@@ -115,5 +113,5 @@ def place_volume(scene: bpy.types.Scene, low: np.ndarray, high: np.ndarray) -> b
 
 def resolution(extent: np.ndarray) -> tuple[int, int, int]:
     """Samples of the volume inside a room of these extents (3,) in metres along each axis."""
-    x, y, z = (min(max(math.ceil(float(size) / SPACING), _MIN), _MAX) for size in extent)
+    x, y, z = (min(max(math.ceil(float(size) / SPACING), 4), 32) for size in extent)
     return x, y, z

@@ -18,7 +18,6 @@ from ...core.run.errors import FiptError
 from ..marks import PROFILE, remove_marks
 
 MAX_BYTES = 1 << 20
-_MAX_ANGLES = 100_000
 _NODE = "FIPT IES Profile"
 # By what Cycles multiplies candela, in the unit of a point light: 4 pi / 177.83 lm/W. Versions 4.3 and 4.5
 # render 8 % more, 5.2 does not (measured).
@@ -169,7 +168,7 @@ def _parse(text: str) -> Profile:
     count = verticals * horizontals
     if photometry != 1:
         raise ValueError("only photometry of type C is supported")
-    if verticals < 2 or horizontals < 1 or count > _MAX_ANGLES:
+    if verticals < 2 or horizontals < 1 or count > 100_000:
         raise ValueError(f"it has {verticals} x {horizontals} angles")
     values = np.array([float(word) for word in words[13 : 13 + verticals + horizontals + count]])
     if len(values) != verticals + horizontals + count or not np.isfinite(values).all():

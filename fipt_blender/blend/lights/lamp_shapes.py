@@ -16,10 +16,9 @@ from mathutils import Matrix
 
 from ...core.run.errors import FiptError
 from ..marks import BACK, BASE, remove_marks
+from .convert import is_closed, vector_areas
 from .power import world_matrix
 
-# Surfaces with a smaller ratio of |vector area| to area are closed.
-_CLOSED = 0.5
 # Ratio of the variances along and across a closed surface from which it is a tube.
 _LONG = 3.0
 # Fourth moment over squared variance along the sides: 1.8 for a rectangle, 2 for an ellipse.
@@ -28,9 +27,6 @@ _ROUND = 1.9
 _FITS, _MARGIN = 0.85, 0.1
 # The surface's area as a share of the shape's: less has gaps, more is folded or has a back.
 _FILLED = (0.6, 1.7)
-# Largest number of triangles that are divided to have points enough, and divisions of their edges.
-_FEW, _DIVISIONS = 500, 8
-_SEGMENTS, _RINGS = 32, 16
 
 
 @dataclass(frozen=True)
@@ -58,15 +54,15 @@ def fit_lamp_shape(vertices: np.ndarray, triangles: np.ndarray) -> LampShape:
         FiptError: ``shape-unclear`` where none fits, ``fixture-empty`` where there is no surface.
     """
     corners = vertices[triangles].astype(np.float64)
-    vector_area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    vector_area = vector_areas(vertices.astype(np.float64), triangles)
     area = np.linalg.norm(vector_area, axis=1)
     if not area.sum() > 0.0:
         raise FiptError("fixture-empty", "The lamp has no surface.", "Choose another fixture.")
     points, weight = _points(corners, area)
     middle = weight @ points
     front = vector_area.sum(axis=0)
-    flat = float(np.linalg.norm(front)) >= _CLOSED * float(area.sum())
-    shape = _flat_shape(points, weight, middle, front) if flat else _closed_shape(points, weight, middle)
+    closed = is_closed(vector_area)
+    shape = _closed_shape(points, weight, middle) if closed else _flat_shape(points, weight, middle, front)
     filled = float(area.sum()) / _shape_area(shape)
     if weight @ _on_shape(shape, points) < _FITS or not _FILLED[0] < filled < _FILLED[1]:
         raise FiptError(
@@ -79,9 +75,9 @@ def fit_lamp_shape(vertices: np.ndarray, triangles: np.ndarray) -> LampShape:
 
 def _points(corners: np.ndarray, area: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Points (N,3) on triangles and their shares (N,) of the area."""
-    if len(corners) > _FEW:
+    if len(corners) > 500:
         return corners.mean(axis=1), area / area.sum()
-    n = _DIVISIONS
+    n = 8  # divisions of the edges of few triangles, to have points enough
     cells = [((3 * i + 1) / (3 * n), (3 * j + 1) / (3 * n)) for i in range(n) for j in range(n - i)]
     cells += [((3 * i + 2) / (3 * n), (3 * j + 2) / (3 * n)) for i in range(n) for j in range(n - i - 1)]
     u, v = np.array(cells).T[:, :, None]
@@ -160,14 +156,14 @@ def shape_mesh(name: str, shape: LampShape) -> bpy.types.Mesh:
         return mesh
     made = bmesh.new()
     if shape.kind == "ELLIPSE":
-        bmesh.ops.create_circle(made, cap_ends=True, segments=_SEGMENTS, radius=1.0)
+        bmesh.ops.create_circle(made, cap_ends=True, segments=32, radius=1.0)
         # A polygon of the circle's area.
-        x, y = (r * np.sqrt(2.0 * np.pi / (_SEGMENTS * np.sin(2.0 * np.pi / _SEGMENTS))) for r in (x, y))
+        x, y = (r * np.sqrt(2.0 * np.pi / (32 * np.sin(2.0 * np.pi / 32))) for r in (x, y))
         bmesh.ops.transform(made, matrix=Matrix.Diagonal((x, y, 1.0, 1.0)), verts=made.verts)
     elif shape.kind == "TUBE":
-        bmesh.ops.create_cone(made, cap_ends=True, segments=_SEGMENTS, radius1=x, radius2=x, depth=2.0 * z)
+        bmesh.ops.create_cone(made, cap_ends=True, segments=32, radius1=x, radius2=x, depth=2.0 * z)
     else:
-        bmesh.ops.create_uvsphere(made, u_segments=_SEGMENTS, v_segments=_RINGS, radius=x)
+        bmesh.ops.create_uvsphere(made, u_segments=32, v_segments=16, radius=x)
     made.normal_update()
     made.to_mesh(mesh)
     made.free()

@@ -18,12 +18,6 @@ from ..room.mesh_arrays import world_bounds
 from . import light_state
 from .placement import room_light_power
 
-_SIZE_SHARE = 0.2  # of the room's shorter side
-_DISTANCE_SHARE = 0.35  # of the room's diagonal: distance to the lit surface
-_CEILING = -0.7  # vertical component of a ceiling's normal
-_CLEARANCE = 0.05  # metres between a ceiling and its lamp; a scan is bumpy
-_PLAIN_SIZE, _PLAIN_WATTS = 1.0, 100.0  # without a room
-
 
 @dataclass(frozen=True)
 class Suggestion:
@@ -38,13 +32,13 @@ def suggest(scene: bpy.types.Scene) -> Suggestion:
     """A light that alone makes the room about as bright as its photographs."""
     bounds = world_bounds(scene.fipt.capture.room_objects(scene))
     if bounds is None:
-        return Suggestion(_PLAIN_SIZE, _PLAIN_WATTS, 2.0 * _PLAIN_SIZE)
+        return Suggestion(1.0, 100.0, 2.0)
     low, high = bounds
     extent = high - low
     median = scene.fipt.lights.median_radiance
-    size = _SIZE_SHARE * float(min(extent[0], extent[1])) or _PLAIN_SIZE
-    watts = room_light_power(median, low, high) if median > 0.0 else _PLAIN_WATTS * size**2
-    return Suggestion(size, watts, _DISTANCE_SHARE * float(np.linalg.norm(extent)))
+    size = 0.2 * float(min(extent[0], extent[1])) or 1.0
+    watts = room_light_power(median, low, high) if median > 0.0 else 100.0 * size**2
+    return Suggestion(size, watts, 0.35 * float(np.linalg.norm(extent)))
 
 
 def add_light(
@@ -97,8 +91,8 @@ def aim(
         normal: unit normal there, on the side to light.
         distance: metres from the point where nothing is in between.
     """
-    if normal.z < _CEILING:
-        return point + _CLEARANCE * normal, normal.copy()
+    if normal.z < -0.7:  # a ceiling
+        return point + 0.05 * normal, normal.copy()  # a scan is bumpy
     outwards = (normal + Vector((0.0, 0.0, 0.7))).normalized()
     start = point + 1e-3 * distance * normal
     hit, position, *_ = scene.ray_cast(depsgraph, start, outwards)

@@ -15,7 +15,6 @@ import bpy
 from ..marks import FIXTURE_LIGHT
 
 _COLOR, _SHADE = (0.2, 0.9, 1.0, 1.0), (0.0, 0.0, 0.0, 0.6)
-_MAX_EDGES = 4000  # of a fixture's mesh; the box of a larger one is drawn
 _CIRCLE = 32
 _TAB = "FIPT"
 
@@ -118,7 +117,7 @@ def outline(item: bpy.types.Object) -> list[tuple[float, float, float]]:
     mesh = item.data
     key = (mesh.name, len(mesh.vertices), len(mesh.edges))
     if key not in _lines:
-        if len(mesh.edges) > _MAX_EDGES:
+        if len(mesh.edges) > 4000:  # of a fixture's mesh; the box of a larger one is drawn
             _lines[key] = _box([tuple(corner) for corner in item.bound_box])
         else:
             _lines[key] = _mesh_lines(mesh)

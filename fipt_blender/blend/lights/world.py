@@ -10,15 +10,7 @@ from ...core.run.documents import read_json
 from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import EMITTERS
 from ..image_datablocks import remove_unused_images
-from ..marks import (
-    BACKGROUND,
-    MAPPING,
-    ORIGINAL_WORLD,
-    RESULT_WORLD,
-    WORLD,
-    remove_marks,
-    result_world,
-)
+from ..marks import BACKGROUND, MAPPING, ORIGINAL_WORLD, RESULT_WORLD, WORLD, remove_marks, result_world
 from ..node_trees import node_tree
 from ..texture_files import IN_RUN_FOLDER, TextureFiles
 from .light_state import refresh_world

@@ -29,7 +29,6 @@ from .renders import Progress, render_view
 # Changes below the first share of a pixel's radiance are noise or invisible and don't alter the photograph;
 # above the second they are applied in full.
 UNSEEN_CHANGE = (0.005, 0.02)
-_DARK = 0.01  # share of the mean radiance that changes of darker pixels are compared with
 _SHAPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME", "EMPTY"}
 
 
@@ -60,7 +59,8 @@ def compose(layers: Layers) -> np.ndarray:
     uncovered = np.clip(1.0 - alpha, 0.0, 1.0)
     before = uncovered * layers.empty
     # Relative changes, since these vary less between pixels than the surfaces' colours do.
-    level = np.maximum(before, _DARK * float(before.mean()) + 1e-12)
+    # Changes of dark pixels are compared with a share of the mean radiance.
+    level = np.maximum(before, 0.01 * float(before.mean()) + 1e-12)
     share = (layers.full - layers.added[..., :3] - before) / level
     change = _visible(_without_specks(share, alpha)) * level
     shadow = np.divide(before + change, before, out=np.ones_like(before), where=before > 0.0)

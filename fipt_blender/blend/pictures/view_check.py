@@ -21,8 +21,6 @@ from ...core.run.shapes import CHECK
 from .cycles import can_denoise
 from .image_files import photograph, read_pixels, save_png
 
-EQUAL = 100.0  # dB, for images without any difference
-
 
 def check_json(run: RunFolder) -> Path:
     """Path of check.json, which holds the exposure and an entry for each view that was compared."""
@@ -70,7 +68,7 @@ def check_view(
         "error": error.relative_to(run.root).as_posix(),
         "spp": spp,
         "denoised": can_denoise(),
-        **{name: min(value, EQUAL) for name, value in asdict(agreement).items()},
+        **{name: min(value, 100.0) for name, value in asdict(agreement).items()},
     }
     others = [other for other in checks.get("views", []) if other["view"] != view["name"]]
     write_json(check_json(run), {**checks, "views": [*others, entry]})

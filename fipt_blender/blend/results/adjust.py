@@ -120,9 +120,7 @@ def _shifted(color: np.ndarray, values: Adjustment) -> np.ndarray:
     safe = np.where(spread > 0.0, spread, 1.0)
     red, green, blue = (color / safe[:, None]).T
     hue = np.select(
-        [high == color[:, 0], high == color[:, 1]],
-        [green - blue, 2.0 + blue - red],
-        4.0 + red - green,
+        [high == color[:, 0], high == color[:, 1]], [green - blue, 2.0 + blue - red], 4.0 + red - green
     )
     hue = np.where(spread > 0.0, hue, 0.0) / 6.0 + values.hue
     saturation = np.where(high > 0.0, spread / np.where(high > 0.0, high, 1.0), 0.0)

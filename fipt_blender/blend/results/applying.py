@@ -27,16 +27,9 @@ from ..lights.kept_states import keep_states, states_of
 from ..marks import MAP, OBJECT_ID, has_results, object_id
 from ..outliner import remove_object
 from ..room.arrays import Room, read_room
-from ..room.cleaned import clean_result_mesh
 from ..room.mesh_arrays import is_mirrored, triangle_loops
-from ..room.originals import (
-    remove_fixtures,
-    restore_original,
-    result_meshes,
-    set_result_mesh,
-)
-from ..room.panes import add_surfaces
-from ..room.result_meshes import list_names, make_mesh, match_objects
+from ..room.originals import remove_fixtures, restore_original, result_meshes, set_result_mesh
+from ..room.result_meshes import add_surfaces, clean_result_mesh, list_names, make_mesh, match_objects
 from ..room.tiles import tiled_uvs
 from ..room.uv_layer import write_layer
 from ..slices import Slices, find_object, run_through
@@ -99,23 +92,20 @@ class _Results:
     emitters: list[dict[str, Any]]
 
 
-def apply_results(
-    run: RunFolder, objects: Iterable[bpy.types.Object], scene: bpy.types.Scene | None = None
-) -> Applied:
-    """Put textures and emitters of a finished run onto the room.
+def apply_results(run: RunFolder, objects: Iterable[bpy.types.Object]) -> Applied:
+    """Put textures and emitters of a finished run onto the room, in the context's scene.
 
     Objects of the run that are missing, or whose faces have changed, are left out with a warning.
 
     Args:
         run: the run folder with atlas, textures and results/emitters.json.
         objects: the room's objects; earlier results on them are replaced.
-        scene: the scene for the fixtures; the context's by default.
 
     Raises:
         FiptError: ``room-changed`` where all are left out, ``room-edited``, ``uv-layers-full``,
             ``file-missing``, ``file-damaged``.
     """
-    return run_through(apply_slices(run, objects, scene or bpy.context.scene))
+    return run_through(apply_slices(run, objects, bpy.context.scene))
 
 
 def apply_slices(
@@ -127,7 +117,8 @@ def apply_slices(
     """`apply_results`, one object per slice; the scene changes in the last slice.
 
     Args:
-        run, objects, scene: see `apply_results`.
+        run, objects: see `apply_results`.
+        scene: for the fixtures.
         files: where the textures are kept.
 
     Raises:

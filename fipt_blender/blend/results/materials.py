@@ -70,9 +70,7 @@ def slot_estimates(mesh: bpy.types.Mesh) -> list[bpy.types.Material | None]:
     return found
 
 
-def materials_by_part(
-    materials: Iterable[bpy.types.Material],
-) -> dict[str, list[bpy.types.Material]]:
+def materials_by_part(materials: Iterable[bpy.types.Material]) -> dict[str, list[bpy.types.Material]]:
     """Estimated materials by the keys of their parts."""
     by_part: dict[str, list[bpy.types.Material]] = {}
     for material in materials:

@@ -13,7 +13,6 @@ import numpy as np
 from ..png16 import encode_srgb
 from .part_list import part_materials
 
-SIZE = 128  # pixels along an edge of a preview
 _LIGHT = np.array([-0.45, 0.5, 0.74])  # direction to the light, as seen from the camera at +z
 _KEY, _FILL = 1.6, 0.55  # irradiance from the light, and from everywhere
 TAG = "FIPT"
@@ -39,7 +38,7 @@ def _set_preview(material: bpy.types.Material, pixels: np.ndarray) -> None:
     preview.image_pixels_float.foreach_set(np.ascontiguousarray(pixels, np.float32).ravel())
 
 
-def ball(base_color: tuple[float, ...], roughness: float, metallic: float, size: int = SIZE) -> np.ndarray:
+def ball(base_color: tuple[float, ...], roughness: float, metallic: float, size: int = 128) -> np.ndarray:
     """A shaded ball (size, size, 4): display-referred RGBA, bottom row first.
 
     Lambert and GGX (Walter et al. 2007) under one light and an even surrounding, which is enough to tell

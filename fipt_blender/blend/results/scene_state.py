@@ -96,9 +96,7 @@ def match_exposure(scene: bpy.types.Scene) -> float:
     median = scene.fipt.lights.median_radiance
     if median <= 0.0:
         raise FiptError(
-            "radiance-unknown",
-            "The brightness of the photographs is not known.",
-            "Apply the results first.",
+            "radiance-unknown", "The brightness of the photographs is not known.", "Apply the results first."
         )
     stops = math.log2(scene.fipt.lights.median_shown / median)
     kept = scene.fipt.materials.kept_view

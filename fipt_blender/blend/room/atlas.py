@@ -31,16 +31,12 @@ from .tiles import tile_number
 from .unwrapping import UnwrapSource, exported_source, read_source, unwrap, uvs_in_range, uvs_usable
 
 MAX_IMAGES = 16
-_MOST_LETTERS = 60  # of the names of files
 # Where photographs have more detail than light, the density is what they resolve on each island, within these
 # images of the preset's width and height; between the setting's density and the highest one.
 DETAIL_IMAGES = 4
 DETAIL_SIZES = {"draft": 2048, "medium": 4096, "high": 8192}
-MOST_DENSITY = 2000.0  # texels a metre
 # UVs of scans are rounded to this share of an image, a 32nd of a texel or less: they compress to two thirds.
 UV_STEP = 2.0**-16
-# Face corners that are unwrapped in one slice: about 50 ms.
-BATCH_CORNERS = 20_000
 
 
 @dataclass(frozen=True)
@@ -196,7 +192,8 @@ def _batches(tasks: list[_UnwrapTask]) -> Iterator[list[_UnwrapTask]]:
     batch: list[_UnwrapTask] = []
     corners = 0
     for task in tasks:
-        if batch and corners + len(task.source.loop_vertex) > BATCH_CORNERS:
+        # A slice: about 50 ms.
+        if batch and corners + len(task.source.loop_vertex) > 20_000:
             yield batch
             batch, corners = [], 0
         batch.append(task)
@@ -287,7 +284,7 @@ def _island_density(
     weight = np.maximum(area, 1e-12) * seen
     total = np.bincount(island, weight * np.nan_to_num(resolved), count)
     mean = total / np.maximum(np.bincount(island, weight, count), 1e-30)
-    return np.clip(mean, least, max(MOST_DENSITY, least))
+    return np.clip(mean, least, max(2000.0, least))  # texels a metre
 
 
 def _island_scale(
@@ -332,7 +329,7 @@ def file_names(owners: list[str]) -> list[str]:
     taken: set[str] = set()
     names = []
     for owner in owners:
-        name = re.sub(r"[^\w-]+", "_", owner).strip("_")[:_MOST_LETTERS] or "Part"
+        name = re.sub(r"[^\w-]+", "_", owner).strip("_")[:60] or "Part"
         number, found = 1, name
         while found.lower() in taken:
             number += 1

@@ -20,16 +20,12 @@ from .islands import renumbered
 # rooms, whose walls are a few triangles.
 LEAST_TRIANGLES = 20_000
 MOST_UNEVEN = 50.0
-_POSITION_ROUNDS = 6  # of smoothing; noise of a scan is independent from one triangle to the third next
-_NORMAL_ROUNDS = 6
-_BORDER_ROUNDS = 12  # of straightening the borders of charts
 _BORDER_WEIGHT = 0.15  # of a neighbour with the same direction, in cosines
 _MERGE_ANGLE = np.cos(np.radians(25.0))  # directions closer than this become one
 _STEEPEST = np.cos(np.radians(75.0))  # to which a triangle may face away from its chart
 # Pieces of fewer triangles, or with more edges at their border for each triangle, are shared out.
 SMALL = 48
 _THIN = 0.25  # four squares of two triangles wide
-_MERGE_ROUNDS = 4
 
 
 @dataclass(frozen=True)
@@ -147,7 +143,7 @@ def components(count: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return renumbered(root)
 
 
-def main_directions(normals: np.ndarray, areas: np.ndarray, rounds: int = 10) -> np.ndarray:
+def main_directions(normals: np.ndarray, areas: np.ndarray) -> np.ndarray:
     """Directions (D,3) that the surface mostly faces: 26 even ones, moved to the means of what is nearest.
 
     Large planes thus get directions of their own; directions that meet become one.
@@ -155,7 +151,6 @@ def main_directions(normals: np.ndarray, areas: np.ndarray, rounds: int = 10) ->
     Args:
         normals: (T,3) unit.
         areas: (T,).
-        rounds: of moving.
     """
     steps = np.array([-1.0, 0.0, 1.0])
     grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -165,7 +160,7 @@ def main_directions(normals: np.ndarray, areas: np.ndarray, rounds: int = 10) ->
     cells = np.round((normals + 1.0) * 31.5).astype(np.int64) @ np.array([4096, 64, 1])
     _, cell = np.unique(cells, return_inverse=True)
     sums = np.stack([np.bincount(cell, areas * normals[:, axis]) for axis in range(3)], axis=1)
-    for _ in range(rounds):
+    for _ in range(10):
         nearest = np.argmax(sums @ directions.T, axis=1)
         moved = np.stack([np.bincount(nearest, sums[:, axis], len(directions)) for axis in range(3)], axis=1)
         length = np.linalg.norm(moved, axis=1, keepdims=True)
@@ -210,7 +205,7 @@ def _smooth_positions(
     at_hole = beside < 0
     weight[corners[at_hole]] = weight[np.roll(corners, -1, axis=1)[at_hole]] = 0.0
     moved = points
-    for _ in range(_POSITION_ROUNDS):
+    for _ in range(6):  # noise of a scan is independent from one triangle to the third next
         mean = [np.bincount(start, moved[end, axis], len(points)) / degree for axis in range(3)]
         moved = moved + weight[:, None] * (np.stack(mean, axis=1) - moved)
         yield None
@@ -222,7 +217,7 @@ def _smooth_positions(
 def _smooth_normals(cross: np.ndarray, corners: np.ndarray, count: int) -> Slices[np.ndarray]:
     """Unit normals (T,3), averaged over vertices and back to triangles a few times."""
     normals = cross
-    for _ in range(_NORMAL_ROUNDS):
+    for _ in range(6):
         sums = np.zeros((count, 3))
         for corner in range(3):
             for axis in range(3):
@@ -236,7 +231,7 @@ def _smooth_normals(cross: np.ndarray, corners: np.ndarray, count: int) -> Slice
 
 def _straighten(surface: _Surface, label: np.ndarray, directions: np.ndarray) -> Slices[np.ndarray]:
     """Directions (T,) of triangles at borders, chosen anew by how they face and by their neighbours."""
-    for _ in range(_BORDER_ROUNDS):
+    for _ in range(12):
         yield None
         around = np.where(surface.beside >= 0, label[surface.beside], label[:, None])
         border = np.flatnonzero((around != label[:, None]).any(axis=1))
@@ -271,7 +266,7 @@ def _pieces(surface: _Surface, label: np.ndarray) -> np.ndarray:
 
 def _merge_small(surface: _Surface, label: np.ndarray, directions: np.ndarray) -> Slices[np.ndarray]:
     """Triangles of small or thin pieces take the best of the directions of larger pieces beside theirs."""
-    for _ in range(_MERGE_ROUNDS):
+    for _ in range(4):
         yield None
         piece = _pieces(surface, label)
         size = np.bincount(piece)

@@ -88,19 +88,18 @@ def _grouped(island: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return order, starts
 
 
-def rotate_islands(corner_uv: np.ndarray, island: np.ndarray, steps: int = 18) -> np.ndarray:
+def rotate_islands(corner_uv: np.ndarray, island: np.ndarray) -> np.ndarray:
     """Rotate each island so that its bounding box is small and wider than high, (T,3,2) f64.
 
     Args:
         corner_uv: (T,3,2).
         island: (T,) of `uv_islands`.
-        steps: angles tried between 0 and 90 degrees.
     """
     points, owner = _outer_corners(corner_uv, island)
     # Rotate only where that gains something.
     best = island_bounds(corner_uv, island)[1].prod(axis=1) * 0.98
     angle = np.zeros(len(best))
-    for candidate in np.arange(1, steps) * (0.5 * np.pi / steps):
+    for candidate in np.arange(1, 18) * (0.5 * np.pi / 18):
         turned = _rotate(points, np.full(len(points), candidate))
         area = island_bounds(turned, owner)[1].prod(axis=1)
         better = area < best

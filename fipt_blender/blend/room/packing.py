@@ -60,16 +60,16 @@ def pack_islands(
                 max_images = len(packing.sizes)
 
 
-def pack_apart(extent: np.ndarray, group: np.ndarray, size: int, pad: int = PAD) -> Packing:
+def pack_apart(extent: np.ndarray, group: np.ndarray, size: int) -> Packing:
     """Pack the islands of each group into an image of its own, in the order of the groups' numbers.
 
     Args:
-        extent, group, size, pad: as for `pack_islands`; a group that does not fit is scaled down.
+        extent, group, size: as for `pack_islands`; a group that does not fit is scaled down.
     """
     result = Packing(np.zeros(len(extent), np.int32), np.zeros((len(extent), 2)), np.ones(len(extent)), [])
     for index, value in enumerate(np.unique(group)):
         members = np.flatnonzero(group == value)
-        packing = pack_islands(extent[members], np.zeros(len(members), np.int64), size, pad, max_images=1)
+        packing = pack_islands(extent[members], np.zeros(len(members), np.int64), size, PAD, max_images=1)
         result.image[members] = index
         result.offset[members], result.scale[members] = packing.offset, packing.scale
         result.sizes.append(packing.sizes[0])
@@ -120,11 +120,7 @@ def _shelves(
 
 
 def place(
-    corner_uv: np.ndarray,
-    island: np.ndarray,
-    low: np.ndarray,
-    packing: Packing,
-    scale: float = 1.0,
+    corner_uv: np.ndarray, island: np.ndarray, low: np.ndarray, packing: Packing, scale: float = 1.0
 ) -> np.ndarray:
     """Corners in texels of their image, (T,3,2) f64.
 

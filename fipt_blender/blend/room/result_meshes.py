@@ -1,6 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Result meshes: new meshes made from the room's objects as they are evaluated without results."""
+"""Result meshes: new meshes made from the room's objects as they are evaluated without results;
+the cleaned vertices of scans; objects of what the engine has added to a scan."""
 
 from __future__ import annotations
 
@@ -10,10 +11,11 @@ import bpy
 import numpy as np
 
 from ...core.run.errors import FiptError
-from ..marks import object_id
+from ...core.run.run_files import CLOSING, PANES
+from ..marks import OBJECT_ID, object_id
 from .arrays import Room
 from .exporting import fresh_depsgraph
-from .mesh_arrays import is_mirrored, triangle_loops
+from .mesh_arrays import corner_vertices, is_mirrored, transform_points, triangle_loops, vertex_positions
 from .originals import original_shown
 
 
@@ -86,3 +88,60 @@ def make_mesh(room: Room, index: int, item: bpy.types.Object) -> bpy.types.Mesh:
             "Undo the change to its mesh or modifiers, or estimate again.",
         )
     return mesh
+
+
+def clean_result_mesh(
+    mesh: bpy.types.Mesh, item: bpy.types.Object, room: Room, index: int, geometry: dict[str, np.ndarray]
+) -> None:
+    """Move the vertices of a result mesh to those of the cleaned scan, and set its shading normals.
+
+    Args:
+        mesh: the new result mesh of `item`, with the triangles that were exported.
+        item: the object; it is not changed.
+        room, index: the run's room, and the object's index in it.
+        geometry: content of geometry.npz.
+    """
+    of_object = room.triangle_object == index
+    loops, _ = triangle_loops(mesh, is_mirrored(item))
+    matrix = np.array(item.matrix_world, np.float64)
+    positions = vertex_positions(mesh)
+    corners = geometry["vertices"][room.triangles[of_object].ravel()].astype(np.float64)
+    positions[corner_vertices(mesh)[loops.ravel()]] = transform_points(corners, np.linalg.inv(matrix))
+    mesh.vertices.foreach_set("co", positions.astype(np.float32).ravel())
+    # Normals transform by the inverse transpose, back by the transpose.
+    local = geometry["corner_normals"][of_object].reshape(-1, 3).astype(np.float64) @ matrix[:3, :3]
+    normals = np.zeros((len(mesh.loops), 3))
+    normals[loops.ravel()] = local / np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-30)
+    mesh.shade_smooth()
+    mesh.normals_split_custom_set(normals)
+    mesh.update()
+
+
+def add_surfaces(room: Room, objects: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
+    """Add the run's closed holes and panes to the scene's room, where the scene does not have them already.
+
+    The new objects have the collections and the parent of the room's first object, which they move with.
+
+    Args:
+        room: the run's room.
+        objects: the scene's room.
+    """
+    meshes = [item for item in objects if item.type == "MESH"]
+    present = set(map(object_id, meshes))
+    wanted = [name for name in (CLOSING, PANES) if name in room.object_ids and name not in present]
+    return [_new_object(room, name, meshes[0]) for name in wanted] if meshes else []
+
+
+def _new_object(room: Room, name: str, beside: bpy.types.Object) -> bpy.types.Object:
+    triangles = room.triangles[room.triangle_object == room.object_ids.index(name)]
+    used, corners = np.unique(triangles, return_inverse=True)
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata(room.vertices[used].tolist(), [], corners.reshape(-1, 3).tolist())
+    added = bpy.data.objects.new(name, mesh)
+    added[OBJECT_ID] = name
+    for collection in beside.users_collection:
+        collection.objects.link(added)
+    if beside.parent is not None:
+        added.parent = beside.parent
+        added.matrix_parent_inverse = beside.parent.matrix_world.inverted()
+    return added

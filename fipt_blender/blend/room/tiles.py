@@ -10,12 +10,12 @@ import numpy as np
 from .mesh_arrays import corner_uvs, polygon_slots, polygon_starts
 from .uv_layer import UV_LAYER
 
-_FIRST, _ROW = 1001, 10  # number of the first tile, and tiles side by side
+_ROW = 10  # tiles side by side
 
 
 def tile_number(image: int) -> int:
     """UDIM number of an atlas image, which counts from 0."""
-    return _FIRST + image
+    return 1001 + image
 
 
 def tiled_uvs(corner_uv: np.ndarray, triangle_image: np.ndarray) -> np.ndarray:

@@ -27,11 +27,6 @@ from .packing import pack_islands, place
 from .result_meshes import make_mesh
 from .uv_layer import UV_LAYER
 
-# Tolerated faults of a usable UV map, as shares of its object's area.
-MAX_OVERLAP = 0.02
-MAX_DEGENERATE = 0.05
-MAX_COORDINATE = 1.0e3
-
 
 @dataclass(frozen=True)
 class UnwrapSource:
@@ -74,7 +69,7 @@ def exported_source(room: Room, index: int) -> UnwrapSource:
 
 def uvs_in_range(corner_uv: np.ndarray) -> bool:
     """Whether all UVs (T,3,2) are finite and not absurdly large."""
-    return bool(np.isfinite(corner_uv).all()) and float(np.abs(corner_uv).max(initial=0.0)) <= MAX_COORDINATE
+    return bool(np.isfinite(corner_uv).all()) and float(np.abs(corner_uv).max(initial=0.0)) <= 1.0e3
 
 
 def uvs_usable(corner_uv: np.ndarray, island: np.ndarray, area: np.ndarray) -> bool:
@@ -93,12 +88,12 @@ def uvs_usable(corner_uv: np.ndarray, island: np.ndarray, area: np.ndarray) -> b
         return False
     # A face is degenerate below a ten-thousandth of its share of the map's area.
     expected = area * (flat.sum() / area.sum())
-    if area[flat < 1e-4 * expected].sum() > MAX_DEGENERATE * area.sum():
+    if area[flat < 1e-4 * expected].sum() > 0.05 * area.sum():
         return False
-    return overlap_share(corner_uv, island) <= MAX_OVERLAP
+    return overlap_share(corner_uv, island) <= 0.02
 
 
-def overlap_share(corner_uv: np.ndarray, island: np.ndarray, texels: int = 40_000) -> float:
+def overlap_share(corner_uv: np.ndarray, island: np.ndarray) -> float:
     """Share of the covered texels that more than one triangle of the same island covers, 0 to 1.
 
     The islands are packed apart first, since only an island that overlaps itself is unusable.
@@ -106,8 +101,8 @@ def overlap_share(corner_uv: np.ndarray, island: np.ndarray, texels: int = 40_00
     Args:
         corner_uv: (T,3,2) of one object.
         island: (T,) of `uv_islands`.
-        texels: area that the islands are scaled to for the test.
     """
+    texels = 40_000  # to which the islands are scaled for the test
     low, extent = island_bounds(corner_uv, island)
     total = float((extent[:, 0] * extent[:, 1]).sum())
     if not np.isfinite(total) or total <= 0.0:

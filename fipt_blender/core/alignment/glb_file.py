@@ -15,8 +15,7 @@ import numpy as np
 from ..run.documents import Fields, Items, Maybe, Number, Numbers, check_shape, parse_document
 
 _COUNT = Number(0, 1 << 40, whole=True)
-_MOST_NODES = 100_000
-_TRIANGLES = 4
+_TRIANGLES = 4  # the primitive mode of glTF
 _TYPES = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _SHAPE = Fields(
     {},
@@ -119,7 +118,7 @@ def _placed_meshes(content: dict[str, Any]) -> list[tuple[int, np.ndarray]]:
     while waiting:
         index, parent = waiting.pop()
         visited += 1
-        if visited > min(len(nodes), _MOST_NODES):  # a node has one parent, so that none comes twice
+        if visited > min(len(nodes), 100_000):  # a node has one parent, so that none comes twice
             raise ValueError("its nodes form a circle or are too many")
         node = _item(content, "nodes", index)
         matrix = parent @ _matrix(node)

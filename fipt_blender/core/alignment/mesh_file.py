@@ -7,7 +7,6 @@ Every fault of a file becomes one error, and nothing is allocated that the file 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,16 +15,7 @@ from ..run.documents import read_limited
 from ..run.errors import FiptError
 from ..run.shapes import FARTHEST_UNITS
 from .glb_file import read_glb
-
-MOST_BYTES = 4_000_000_000
-_HEADER_BYTES = 1_000_000
-_TYPES = {
-    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
-    **{"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
-    **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
-}
-_CORNERS = ("vertex_indices", "vertex_index")
-_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+from .ply_header import Element, read_header
 
 
 def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -45,7 +35,7 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if not path.is_file():
         raise FiptError("mesh-missing", f"The mesh {path} does not exist.", "Correct the path.")
     try:
-        vertices, triangles = reader(read_limited(path, MOST_BYTES))
+        vertices, triangles = reader(read_limited(path, 4_000_000_000))
         wrong = int((~(np.abs(vertices) <= FARTHEST_UNITS)).any(axis=1).sum())
         if wrong:
             raise ValueError(f"{wrong} of {len(vertices)} vertices are not finite or impossibly far away")
@@ -72,61 +62,19 @@ def _read_obj(data: bytes) -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.array(faces, np.int64).reshape(-1, 3)
 
 
-@dataclass(frozen=True)
-class _Element:
-    """An element of a PLY file: its properties as (name, type, type of the list's length or "")."""
-
-    name: str
-    count: int
-    properties: list[tuple[str, str, str]]
-
-
 def _read_ply(data: bytes) -> tuple[np.ndarray, np.ndarray]:
-    end = data.find(b"end_header", 0, _HEADER_BYTES)
-    line_end = data.find(b"\n", end)
-    if not data.startswith(b"ply") or end < 0 or line_end < 0:
-        raise ValueError("it has no PLY header")
-    order, elements = _header(data[:end].decode("ascii", errors="replace"))
+    header = read_header(data[:1_000_000])
     vertices, triangles = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
-    body = _AsciiBody(data[line_end + 1 :]) if order == "" else _BinaryBody(data, line_end + 1, order)
-    for element in elements:
-        _check_kinds(element)
+    content = data[header.size :]
+    body = _BinaryBody(content, header.order) if header.order else _AsciiBody(content)
+    for element in header.elements:
         columns = body.read(element)
         if element.name == "vertex":
             vertices = np.stack([np.asarray(columns[axis], np.float64) for axis in "xyz"], axis=1)
         elif element.name == "face":
-            lists = next((columns[name] for name in _CORNERS if name in columns), None)
-            triangles = _fans([] if lists is None else lists)
+            corners = next((entry.name for entry in element.properties if element.is_index(entry)), None)
+            triangles = _fans([] if corners is None else columns[corners])
     return vertices, triangles
-
-
-def _header(text: str) -> tuple[str, list[_Element]]:
-    """Byte order and elements of a PLY header."""
-    order: str | None = None
-    elements: list[_Element] = []
-    for words in (line.split() for line in text.splitlines()):
-        if words[:1] == ["format"]:
-            order = _ORDERS[words[1]]
-        elif words[:1] == ["element"]:
-            elements.append(_Element(words[1], int(words[2]), []))
-            if elements[-1].count < 0:
-                raise ValueError("an element has a negative count")
-        elif words[:2] == ["property", "list"]:
-            elements[-1].properties.append((words[4], _TYPES[words[3]], _TYPES[words[2]]))
-        elif words[:1] == ["property"]:
-            elements[-1].properties.append((words[2], _TYPES[words[1]], ""))
-    if order is None:
-        raise ValueError("its header has no format")
-    return order, elements
-
-
-def _check_kinds(element: _Element) -> None:
-    """Refuse coordinates that are lists, and corners of faces that are none or are no whole numbers."""
-    for name, kind, length_type in element.properties:
-        is_corners = element.name == "face" and name in _CORNERS
-        is_coordinate = element.name == "vertex" and name in "xyz"
-        if (is_corners and (not length_type or kind[0] == "f")) or (is_coordinate and length_type):
-            raise ValueError(f"its property {name} is of a type that can't hold {element.name} data")
 
 
 class _AsciiBody:
@@ -135,21 +83,21 @@ class _AsciiBody:
     def __init__(self, data: bytes) -> None:
         self._lines = iter(data.split(b"\n"))
 
-    def read(self, element: _Element) -> dict[str, list]:
+    def read(self, element: Element) -> dict[str, list]:
         """Values of each property; lists for list properties."""
-        columns: dict[str, list] = {name: [] for name, _, _ in element.properties}
+        columns: dict[str, list] = {entry.name: [] for entry in element.properties}
         for _ in range(element.count):
             line = next(self._lines, None)
             if line is None:
                 raise ValueError("it is cut off")
             words, place = line.split(), 0
-            for name, _, length_type in element.properties:
-                if length_type:
+            for entry in element.properties:
+                if entry.count_type:
                     count = int(words[place])
-                    columns[name].append([int(word) for word in words[place + 1 : place + 1 + count]])
+                    columns[entry.name].append([int(word) for word in words[place + 1 : place + 1 + count]])
                     place += count
                 else:
-                    columns[name].append(float(words[place]))
+                    columns[entry.name].append(float(words[place]))
                 place += 1
         return columns
 
@@ -157,24 +105,22 @@ class _AsciiBody:
 class _BinaryBody:
     """The content of a PLY file in bytes."""
 
-    def __init__(self, data: bytes, start: int, order: str) -> None:
-        self._data, self._place, self._order = data, start, order
+    def __init__(self, data: bytes, order: str) -> None:
+        self._data, self._place, self._order = data, 0, order
 
-    def read(self, element: _Element) -> dict[str, np.ndarray]:
+    def read(self, element: Element) -> dict[str, np.ndarray]:
         """Values of each property; of a list property, those of triangles (count, 3)."""
-        lists = [length_type for _, _, length_type in element.properties if length_type]
+        lists = [entry for entry in element.properties if entry.count_type]
         if len(lists) > 1:
             raise ValueError(f"its element {element.name} has several lists")
-        kinds = []
-        for name, kind, length_type in element.properties:
-            if length_type:
-                kinds += [("length", self._order + length_type), (name, self._order + kind, (3,))]
-            else:
-                kinds.append((name, self._order + kind))
+        kinds: list[tuple] = []
+        for entry in element.properties:
+            kinds += [("length", self._order + entry.count_type)] if entry.count_type else []
+            kinds.append((entry.name, self._order + entry.type, (3,) if entry.count_type else ()))
         records = self._take(np.dtype(kinds), element.count)
         if lists and (records["length"] != 3).any():
             raise ValueError("it has faces that are no triangles; triangulate it")
-        return {name: records[name] for name, _, _ in element.properties}
+        return {entry.name: records[entry.name] for entry in element.properties}
 
     def _take(self, kind: np.dtype, count: int) -> np.ndarray:
         if self._place + kind.itemsize * count > len(self._data):

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..run.errors import FiptError
 
-LEAST_PAIRS = 3
+LEAST_PAIRS = 3  # of points: a similarity has seven unknowns
 FLAT = 1e-4  # spread across a line over the spread along it, below which a turn about the line is undecided
 MIRRORED = 0.5  # share of the error that is left if one side is mirrored, below which it is said
 

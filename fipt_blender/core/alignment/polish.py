@@ -20,7 +20,6 @@ from .turns import cross_matrix, turn_by
 LEAST_ALONE = 4.0  # pixels by which a single camera must be off to be moved by itself
 MOST = 8.0  # pixels; larger displacements are not for polishing
 _ROUNDS = 5  # of reweighting views that do not agree with the others
-_STRAY = 1.5  # pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +62,7 @@ def polish(poses: Sequence[np.ndarray], fits: Sequence[EdgeFit | None]) -> Polis
             _pixels(fit, fit.motion - matrix @ change)
             for matrix, (_, fit) in zip(matrices, known, strict=True)
         ]
-        weights = 1.0 / (1.0 + (np.array(left) / _STRAY) ** 2)
+        weights = 1.0 / (1.0 + (np.array(left) / 1.5) ** 2)  # 1.5 pixels
     moved = [_pixels(fit, matrix @ change) for matrix, (_, fit) in zip(matrices, known, strict=True)]
     together = float(np.sqrt(np.mean(np.square(moved))))
     if together > MOST:

@@ -17,20 +17,15 @@ from ..run.errors import FiptError
 from .surface import Surface, main_axes
 from .turns import even_turns, rotation_between
 
-LEAST_POINTS = 50
+LEAST_POINTS = 50  # of a solve
 _SCALES = np.array([0.6, 0.75, 0.9, 1.05, 1.25, 1.5])  # of the extents' ratio: points miss part of the room
 _YAWS = 24  # turns about a known up direction; improving bridges half of 15 degrees with ease
-_TURNS = 576  # evenly spread turns without one, about 30 degrees apart
-_COARSE_POINTS = 100
-_COARSE_SURFACE = 6000
-_COARSE_STEPS = 6
-_KEPT = 24  # starts that are improved with the scale free
-_STEPS = 25
+_COARSE_STEPS = 6  # of improving with few points
+_STEPS = 25  # of improving with all points
 _CAP = 0.05  # of the points' extent: farther points count as outliers
 # Widths of the weights over the standard deviation of the distances: while searching, and while polishing,
 # where wrong points, of which solves have many, would pull the result by some millimeters.
 _SEARCHED, _POLISHED = 3.0, 1.0
-_REPORTED = 6  # candidates that are polished and returned
 _SAME = 0.02  # candidates closer than this, over the extent, are one
 
 
@@ -80,14 +75,14 @@ def register(
     source, from_source = _normalized(points)
     from_target = _normalized(surface.points)[1]
     fine = surface.moved(from_target)
-    coarse = fine.part(rng.permutation(len(fine.points))[:_COARSE_SURFACE])
-    some = source[rng.permutation(len(source))[:_COARSE_POINTS]]
+    coarse = fine.part(rng.permutation(len(fine.points))[:6000])
+    some = source[rng.permutation(len(source))[:100]]
     starts = _starts(source, fine.points, main_axes(surface.normals), up)
     improved = _improved(some, coarse, starts, _COARSE_STEPS, free_scale=False)
-    rough = _ranked(some, coarse, improved)[:_KEPT]
+    rough = _ranked(some, coarse, improved)[:24]  # improved with the scale free
     rough = _improved(some, coarse, rough, 2 * _COARSE_STEPS, free_scale=True)
     found = _improved(source, fine, rough, _STEPS, free_scale=True)
-    different = _different(_ranked(source, fine, found), source)[:_REPORTED]
+    different = _different(_ranked(source, fine, found), source)[:6]
     return _candidates(source, fine, different, np.linalg.inv(from_target), from_source)
 
 
@@ -149,7 +144,7 @@ def _starts(source: np.ndarray, target: np.ndarray, axes: np.ndarray, up: np.nda
 def _turns(axes: np.ndarray, up: np.ndarray | None) -> list[np.ndarray]:
     """Rotations (3, 3) from the solve to the mesh."""
     if up is None:
-        return list(even_turns(_TURNS))
+        return list(even_turns(576))  # evenly spread turns without one, about 30 degrees apart
     upright = rotation_between(np.asarray(up, np.float64), np.array([0.0, 0.0, 1.0]))
     angles = 2.0 * np.pi * np.arange(_YAWS) / _YAWS
     yaws = [

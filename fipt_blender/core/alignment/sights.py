@@ -17,10 +17,7 @@ from .pairs import LEAST_PAIRS, MIRRORED, PairFit, fit_pairs
 from .turns import cross_matrix, even_turns, turn_by
 
 _TURNS = 1000  # rotations that are tried, about 25 degrees apart
-_IMPROVED = 12  # best of them that are improved
-_STEPS = 40
 _LEAST_NUMBERS = 7  # of a similarity; a ray gives two, a point three
-_UNDECIDED = 1e-5  # least over largest singular value of the derivatives
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +123,7 @@ def _solve(sights: Sights, target: np.ndarray) -> tuple[np.ndarray, float]:
             best, least, derivatives = found, cost, matrix
     if np.isfinite(least):
         values = np.linalg.svd(derivatives / np.maximum(np.linalg.norm(derivatives, axis=0), 1e-12))[1]
-        if len(values) < 7 or values[-1] < _UNDECIDED * values[0]:
+        if len(values) < 7 or values[-1] < 1e-5 * values[0]:
             raise _undecided("The picked points leave the placement open")
     back = np.eye(4)
     back[:3, :3] *= size
@@ -150,7 +147,7 @@ def _starts(sights: Sights, target: np.ndarray) -> np.ndarray:
     solved = np.linalg.solve(normal, (np.swapaxes(flat, 1, 2) @ right)[..., None])[..., 0]
     left = np.linalg.norm(flat @ solved[..., None] - right[:, None], axis=(1, 2))
     usable = solved[:, 0] > 1e-9
-    order = np.argsort(np.where(usable, left / np.maximum(solved[:, 0], 1e-9), np.inf))[:_IMPROVED]
+    order = np.argsort(np.where(usable, left / np.maximum(solved[:, 0], 1e-9), np.inf))[:12]
     starts = np.tile(np.eye(4), (len(order), 1, 1))
     starts[:, :3, :3] = np.maximum(solved[order, 0], 1e-3)[:, None, None] * turns[order]
     starts[:, :3, 3] = solved[order, 1:]
@@ -167,7 +164,7 @@ def _improved(sights: Sights, target: np.ndarray, start: np.ndarray) -> tuple[np
     points = target[sights.pair]
     current, damping = start, 1e-3
     residual, matrix = _angles(sights, points, current)
-    for _ in range(_STEPS):
+    for _ in range(40):
         normal, slope = matrix.T @ matrix, matrix.T @ residual
         step = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-9), -slope)
         tried = _moved(step, points, current)

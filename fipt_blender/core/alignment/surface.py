@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from ..conventions import transform_points
 from ..run.errors import FiptError
 
-SAMPLES = 200_000
+SAMPLES = 200_000  # points of a mesh
 NEIGHBOURS = 12  # samples and triangles' middles around a position whose triangles are looked at
 # Height of an ordinary room from floor to ceiling in metres; no two units fit the same number.
 LEAST_HEIGHT, MOST_HEIGHT = 1.9, 4.6

@@ -25,7 +25,6 @@ SURE = 0.97  # share of points near the mesh above which it is not tried mirrore
 MIRRORED = 0.6  # score with the mesh mirrored over that without, below which it is mirrored
 LEAST_INLIERS = 0.6  # of the points near the mesh; a wrong alignment leaves fewer
 ALIKE = 1.3  # a second alignment whose score is at most so many times the best one's is named
-_SEED = 0
 
 
 def aligned_to_mesh(capture: Path, rig: Rig, mesh: Path | None) -> Rig:
@@ -52,7 +51,7 @@ def align_rig(rig: Rig, points: np.ndarray, mesh: Path) -> Rig:
     Raises:
         FiptError: ``alignment-points``, ``alignment-failed``, or one of `read_mesh` and `sample_surface`.
     """
-    rng = np.random.default_rng(_SEED)
+    rng = np.random.default_rng(0)
     surface = sample_surface(*read_mesh(mesh), rng)
     up = -np.mean([view.camera_to_world[:3, 1] for view in rig.views], axis=0)
     best, *others = placements(points, surface, rng, up, f"the mesh {mesh}")

@@ -6,9 +6,6 @@ from __future__ import annotations
 
 import numpy as np
 
-# Most counters at a time in `majority`.
-_MOST_COUNTERS = 1 << 22
-
 
 def means(image: np.ndarray, width: int, height: int) -> np.ndarray:
     """The mean over the area of each pixel of an image at another size.
@@ -72,7 +69,8 @@ def majority(ids: np.ndarray, width: int, height: int) -> np.ndarray:
     column = _target(ids.shape[1], width) * len(known)
     row = _target(ids.shape[0], height)
     result = np.empty((height, width), np.int32)
-    step = max(1, _MOST_COUNTERS // (width * len(known)))
+    # About 4 million counters at a time.
+    step = max(1, (1 << 22) // (width * len(known)))
     for begin in range(0, height, step):
         end = min(begin + step, height)
         first, last = np.searchsorted(row, [begin, end])

@@ -13,8 +13,9 @@ import numpy as np
 
 from ..conventions import opengl_to_opencv_camera
 from ..run.errors import FiptError
+from .options import CaptureOptions
 from .radial import distorting_lens
-from .rig import ReadOptions, Rig, WellFormed
+from .rig import Rig, WellFormed
 from .rig_files import Places, camera_file, camera_pose, numbers, read_text_rig
 
 NAME = "bundler"
@@ -29,7 +30,7 @@ def find(path: Path) -> Path | None:
     return camera_file(path, (".out",), lambda text: text.startswith("# Bundle file"), FOLDERS)
 
 
-def read(file: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: CaptureOptions) -> Rig:
     """Read all cameras that Bundler could solve (their focal length is not zero).
 
     Sizes are those of the photographs, since the file has none. Bundler does not define an up axis.

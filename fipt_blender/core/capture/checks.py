@@ -18,11 +18,8 @@ from ..run.shapes import FARTHEST
 from .encoded import srgb_encoded
 from .rig import Note, Pinhole
 
-ROTATION_TOLERANCE = 1e-3
-NEGATIVE_TOLERANCE = 1e-3  # of the capture's median radiance
-CLIPPED_SHARE = 5e-4
+CLIPPED_SHARE = 5e-4  # of the sampled values, at the highest one
 CLIPPED_TOLERANCE = 4e-3  # a few steps of half floats: the pixels of a uniform lamp differ by as much
-SAMPLED_PIXELS = 65536
 # Focal lengths over an image's longer side: views of 179 degrees, and lenses of 3.6 m on 36 mm film.
 FOCAL_LENGTHS = (0.01, 100.0)
 
@@ -38,7 +35,7 @@ def nearest_rotation(name: str, pose: np.ndarray) -> np.ndarray:
         reason = "contains NaN or infinity"
     elif np.linalg.det(pose[:3, :3]) < 0.0:
         reason = "is mirrored (its determinant is negative)"
-    elif (error := float(np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max())) > ROTATION_TOLERANCE:
+    elif (error := float(np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max())) > 1e-3:
         reason = f"is scaled or sheared (off by {error:.2g})"
     else:
         u, _, vt = np.linalg.svd(pose[:3, :3])
@@ -141,9 +138,9 @@ def pixel_statistics(path: Path, pixels: np.ndarray) -> PixelStatistics:
 
 
 def pixel_sample(pixels: np.ndarray) -> np.ndarray:
-    """(N, 3) values of at most `SAMPLED_PIXELS` pixels all over a photograph (height, width, 3)."""
+    """(N, 3) values of at most 65,536 pixels all over a photograph (height, width, 3)."""
     flat = pixels.reshape(-1, 3)
-    return np.ascontiguousarray(flat[:: -(-len(flat) // SAMPLED_PIXELS)])
+    return np.ascontiguousarray(flat[:: -(-len(flat) // 65536)])
 
 
 def _is_8bit(values: np.ndarray) -> bool:
@@ -191,7 +188,7 @@ def judge_pixels(
         raise FiptError(
             "image-black", "All photographs are black.", "Check the export: the values must be radiance."
         )
-    limit = -NEGATIVE_TOLERANCE * float(np.median(medians))
+    limit = -1e-3 * float(np.median(medians))  # of the capture's median radiance
     pairs = list(zip(names, statistics, strict=True))
     notes: list[Note] = []
     negative = [(name, item) for name, item in pairs if item.minimum < 0.0]

@@ -14,7 +14,8 @@ import pycolmap
 
 from ..run.documents import check_size
 from .colmap_sizes import MOST_BYTES, check_model
-from .rig import Lens, Note, ReadOptions, Rig, damaged
+from .options import CaptureOptions
+from .rig import Lens, Note, Rig, damaged
 from .rig_files import Places
 
 NAME = "colmap"
@@ -44,7 +45,7 @@ def find(path: Path) -> Model | None:
     return Model(path, folder)
 
 
-def read(found: Model, options: ReadOptions) -> Rig:
+def read(found: Model, options: CaptureOptions) -> Rig:
     """Read all registered images of the model, in the order of their names.
 
     Photographs are searched in ``options.images`` and the usual folders beside the model, EXR files first

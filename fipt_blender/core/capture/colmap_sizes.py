@@ -21,13 +21,9 @@ from ..run.documents import check_size
 MOST_BYTES = 2_000_000_000  # of a file; 1,000 photographs with 8,000 points each have 0.5 GB as text
 _COUNT = struct.Struct("<Q")
 _CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; then float64 parameters
-_IMAGE_BYTES = 4 + 7 * 8 + 4  # id, quaternion and translation, camera id; then name, count and 2D points
-_POINT_2D_BYTES = 2 * 8 + 8  # position, id of the 3D point
-_POINT_BYTES = 8 + 3 * 8 + 3 + 8  # id, position, colour, error; then count and track elements
-_TRACK_BYTES = 4 + 4  # image id, index of the 2D point
 _RIG = struct.Struct("<II")  # id, number of sensors; then the sensors, the first without a pose
 _SENSOR_BYTES = 4 + 4  # type, id
-_POSE_BYTES = 7 * 8
+_POSE_BYTES = 7 * 8  # quaternion and translation
 _FRAME_BYTES = 4 + 4 + _POSE_BYTES  # id, rig id, pose; then a 32-bit count and data ids
 _DATA_BYTES = _SENSOR_BYTES + 8
 
@@ -121,14 +117,14 @@ def _parameter_count(model: int) -> int:
 
 
 def _skip_image(cursor: _Cursor) -> None:
-    cursor.skip(_IMAGE_BYTES)
+    cursor.skip(4 + 7 * 8 + 4)  # id, quaternion and translation, camera id
     cursor.skip_name()
-    cursor.skip(_POINT_2D_BYTES * cursor.count())
+    cursor.skip((2 * 8 + 8) * cursor.count())  # position, id of the 3D point
 
 
 def _skip_point(cursor: _Cursor) -> None:
-    cursor.skip(_POINT_BYTES)
-    cursor.skip(_TRACK_BYTES * cursor.count())
+    cursor.skip(8 + 3 * 8 + 3 + 8)  # id, position, colour, error
+    cursor.skip((4 + 4) * cursor.count())  # image id, index of the 2D point
 
 
 def _skip_rig(cursor: _Cursor) -> None:

@@ -21,15 +21,13 @@ from .depth_images import read_depth
 from .images import read_radiance
 from .rig import DepthView, Lens, Note, Rig, RigView
 
-MOST_FRAMES = 64
-POINTS = 30_000  # of all frames together
+MOST_FRAMES = 64  # more only cost time
 WIDTH = 320  # pixels to which photographs are reduced
 BLURS = ((8.0, 12), (4.0, 10), (2.0, 8), (1.0, 6))  # pixels of that width, and steps
 SCALE = 0.5  # of robust residuals, in standard deviations of a photograph's details
 DARKEST = 0.1  # of a photograph's median, added below the logarithm: what is darker is mostly noise
 # Expected sizes of the parameters, which count as much as this share of the measurements.
 EXPECTED = np.array([0.1, 20.0, 20.0, 0.05, 0.05])
-EXPECTED_SHARE = 1e-5
 # The depths of a point and of the depth image where it is seen differ less: metres, and share of the depth.
 VISIBLE = (0.03, 0.01)
 # The camera is changed where the photographs agree clearly better with the new one.
@@ -164,7 +162,7 @@ def _find_sightings(frames: Sequence[DepthView], scale: float) -> Sightings:
     chosen = []
     for image in ranges:
         points = image.points(4)[0]
-        chosen.append(points[rng.permutation(len(points))[: POINTS // len(frames)]])
+        chosen.append(points[rng.permutation(len(points))[: 30_000 // len(frames)]])
     points = np.concatenate(chosen)
     found: list[tuple[np.ndarray, np.ndarray]] = []
     for image in ranges:
@@ -228,7 +226,7 @@ def _step(
 
     residual, weight, cost = disagreement(value, inside, sightings)
     jacobian = np.stack([without_means(slope, sightings.point, weight) for slope in slopes], axis=1)
-    prior = np.diag(EXPECTED_SHARE * max(np.count_nonzero(weight), 1) / EXPECTED**2)
+    prior = np.diag(1e-5 * max(np.count_nonzero(weight), 1) / EXPECTED**2)
     normal = (jacobian * weight[:, None]).T @ jacobian + prior
     change = np.linalg.solve(normal, (jacobian * weight[:, None]).T @ residual + prior @ found)
     return found - change, cost

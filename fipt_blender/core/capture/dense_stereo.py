@@ -29,9 +29,7 @@ from .encoded import MOST_PIXELS, is_encoded, srgb_encoded
 from .images import read_radiance, write_exr
 from .rig import DepthView, Note, Rig, RigView, damaged
 
-_BRIGHT = 0.22  # code-linear value of the median of copies of HDR photographs
 MOST_MAP_BYTES = 4 * MOST_PIXELS + 64
-_HEADER_BYTES = 64  # of a depth map: "WIDTH&HEIGHT&1&"
 
 
 def stereo_possible(rig: Rig, otherwise: bool) -> Note | None:
@@ -130,7 +128,8 @@ def _copy(path: Path) -> np.ndarray:
     radiance = read_radiance(path)
     if not is_encoded(path):
         middle = float(np.median(radiance[radiance > 0.0])) if (radiance > 0.0).any() else 1.0
-        radiance = 1.0 - np.exp(-np.maximum(radiance, 0.0) * (_BRIGHT / middle))
+        # The median gets a code-linear value of 0.22.
+        radiance = 1.0 - np.exp(-np.maximum(radiance, 0.0) * (0.22 / middle))
     return np.asarray(np.round(255.0 * np.clip(srgb_encoded(radiance), 0.0, 1.0)), np.uint8)
 
 
@@ -154,7 +153,7 @@ def read_depth_map(path: Path) -> np.ndarray:
         OSError: where it can't be read.
     """
     data = read_limited(path, MOST_MAP_BYTES)
-    words = data[:_HEADER_BYTES].split(b"&", 3)
+    words = data[:64].split(b"&", 3)  # "WIDTH&HEIGHT&1&"
     if len(words) != 4 or not all(word.isdigit() for word in words[:3]):
         raise ValueError(f"{path.name} is no depth map")
     width, height, channels = (int(word) for word in words[:3])

@@ -18,7 +18,7 @@ from ..depth.cleaning import with_closed_holes, without_specks
 from ..depth.extraction import FusedMesh, extract
 from ..depth.ply import write_ply
 from ..depth.range_image import RangeImage
-from ..depth.simplification import LEAST_TRIANGLES, simplified
+from ..depth.simplification import simplified
 from ..depth.volume import BlockVolume
 from ..run.documents import read_json
 from ..run.errors import FiptError
@@ -26,51 +26,14 @@ from ..run.runfolder import PRODUCT_VERSION, RunFolder, write_json
 from . import checks
 from .encoded import DAMAGE, is_encoded, srgb_encoded
 from .images import read_radiance, read_size
+from .options import FusionOptions
 from .rig import DepthView, Pinhole, RigView
 
-DEFAULT_VOXEL = 0.02
-SMALLEST_VOXEL, LARGEST_VOXEL = 0.002, 1.0
-NO_DEPTH = 65535  # of 16-bit images, besides 0
 # Beyond this, depth cameras of phones and consoles measure little but noise.
 FARTHEST = 8.0
 # Medians outside of this are no distances in a room: the unit of the depth images is another one.
 PLAUSIBLE_MEDIAN = (0.1, 20.0)
 SPECK_VOXELS = 10.0  # pieces of less area than a square of this side are dropped
-LEAST_MEASUREMENTS = 2.0
-
-
-@dataclass(frozen=True)
-class FusionOptions:
-    """How depth images are fused.
-
-    Attributes:
-        voxel: metres.
-        close_holes: metres; holes that are not wider are closed, none with 0.
-        triangles: a mesh with more is simplified to this number; 0 for none.
-    """
-
-    voxel: float = DEFAULT_VOXEL
-    close_holes: float = 0.0
-    triangles: int = 0
-
-    def check(self) -> None:
-        """Refuse impossible values.
-
-        Raises:
-            FiptError: ``setting-invalid``.
-        """
-        if not SMALLEST_VOXEL <= self.voxel <= LARGEST_VOXEL or not 0.0 <= self.close_holes <= 100.0:
-            raise FiptError(
-                "setting-invalid",
-                f"Voxels of {self.voxel:g} m or closed holes of {self.close_holes:g} m are impossible.",
-                f"Set voxels from {SMALLEST_VOXEL:g} to {LARGEST_VOXEL:g} meters.",
-            )
-        if self.triangles != 0 and self.triangles < LEAST_TRIANGLES:
-            raise FiptError(
-                "setting-invalid",
-                f"A room can't have {self.triangles} triangles.",
-                f"Set at least {LEAST_TRIANGLES} triangles, or 0 to keep all.",
-            )
 
 
 def checked_depths(views: Sequence[DepthView]) -> tuple[DepthView, ...]:
@@ -128,7 +91,7 @@ def _read_png(path: Path) -> np.ndarray:
             f"{path} is not a 16-bit grayscale PNG, so that it holds no depth.",
             "Export depth images as 16-bit PNG.",
         )
-    return np.where(values == NO_DEPTH, 0, values).astype(np.float32)
+    return np.where(values == 65535, 0, values).astype(np.float32)  # both stand for no depth
 
 
 def _read_exr(path: Path) -> np.ndarray:
@@ -205,7 +168,7 @@ def fuse(
     for index, view in enumerate(views):
         volume.integrate(read_depth(view, scale))
         progress((index + 1) / (len(views) + 1))
-    mesh = extract(volume, min(LEAST_MEASUREMENTS, len(views)))
+    mesh = extract(volume, min(2.0, len(views)))
     mesh = without_specks(mesh, (SPECK_VOXELS * options.voxel) ** 2)
     if options.close_holes > 0.0:
         mesh = with_closed_holes(mesh, options.close_holes)

@@ -15,10 +15,7 @@ from .depth_images import check_unit, read_depth
 from .formats import FORMATS, read_points
 from .rig import DepthView, Rig
 
-MOST_IMAGES = 60  # evenly spread; more do not make an alignment better
-POINTS_PER_IMAGE = 200
 _STEEP = 0.05  # relative difference between neighbouring depths above which a pixel lies at an edge
-_SEED = 0
 
 
 def alignment_points(capture: Path, rig: Rig) -> np.ndarray:
@@ -28,7 +25,7 @@ def alignment_points(capture: Path, rig: Rig) -> np.ndarray:
         FiptError: ``alignment-points`` where the capture has neither, or one of the readers'.
     """
     if rig.depths and not hasattr(FORMATS[rig.source], "points"):
-        return depth_points(rig.depths, np.random.default_rng(_SEED))
+        return depth_points(rig.depths, np.random.default_rng(0))
     return read_points(capture, rig.source, sure=True)
 
 
@@ -40,14 +37,14 @@ def depth_points(views: Sequence[DepthView], rng: np.random.Generator) -> np.nda
     Raises:
         FiptError: those of `read_depth` and `check_unit`; ``depth-empty`` where no pixel is left.
     """
-    count = min(MOST_IMAGES, len(views))
+    count = min(60, len(views))  # evenly spread; more do not make an alignment better
     chosen = [replace(views[index * len(views) // count], photograph=None) for index in range(count)]
     images = [read_depth(view, 1.0) for view in chosen]
     check_unit(images[:: max(1, count // 8)])
     points = []
     for image in images:
         positions = replace(image, depth=np.where(_inside(image.depth), image.depth, 0.0)).points()[0]
-        points.append(positions[rng.permutation(len(positions))[:POINTS_PER_IMAGE]])
+        points.append(positions[rng.permutation(len(positions))[:200]])
     found = np.concatenate(points)
     if not len(found):
         raise FiptError(

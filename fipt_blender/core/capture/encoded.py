@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import ExifTags, Image, UnidentifiedImageError
 
 from ..run.errors import FiptError
 from ..run.shapes import MOST_SIDE
@@ -40,7 +40,6 @@ _OTHER_ORDER = {
     for channels in ("RGB", "RGBA", "RGBX")
     for order, other in _ORDERS.items()
 }
-_EXIF, _SHUTTER, _APERTURE, _ISO = 0x8769, 0x829A, 0x829D, 0x8827
 
 
 def is_encoded(path: Path) -> bool:
@@ -106,8 +105,9 @@ def file_exposure(path: Path) -> float | None:
         return None
     try:
         with Image.open(path, formats=[PILLOW_FORMATS[path.suffix.lower()]]) as image:
-            tags = image.getexif().get_ifd(_EXIF)
-            shutter, aperture, iso = (exif_number(tags.get(tag)) for tag in (_SHUTTER, _APERTURE, _ISO))
+            tags = image.getexif().get_ifd(ExifTags.IFD.Exif)
+            names = (ExifTags.Base.ExposureTime, ExifTags.Base.FNumber, ExifTags.Base.ISOSpeedRatings)
+            shutter, aperture, iso = (exif_number(tags.get(name)) for name in names)
     except (*DAMAGE, KeyError, TypeError):
         return None
     return relative_exposure(shutter, aperture, iso)

@@ -14,13 +14,12 @@ import numpy as np
 
 from ..run.errors import FiptError
 from .images import read_size
-from .rig import Lens, ReadOptions, Rig, RigView, WellFormed, damaged, find_mesh
+from .options import CaptureOptions
+from .rig import Lens, Rig, RigView, WellFormed, damaged, find_mesh
 from .rig_files import read_text_rig
 
 NAME = "fipt-real"
 LOOKS_FOR = "cam.txt and K_list.txt"
-# Cosine; cam.txt has few digits, so that the up vector is only nearly perpendicular to the viewing direction.
-PERPENDICULAR_TOLERANCE = 1e-2
 
 
 def find(path: Path) -> Path | None:
@@ -28,7 +27,7 @@ def find(path: Path) -> Path | None:
     return path if (path / "cam.txt").is_file() and (path / "K_list.txt").is_file() else None
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(path: Path, options: CaptureOptions) -> Rig:
     """Read all views; the layout defines neither splits nor an up axis.
 
     Raises:
@@ -81,7 +80,8 @@ def _look_at(path: Path, index: int, rows: np.ndarray) -> np.ndarray:
         raise damaged(path, f"view {index} has no viewing direction")
     forward = (target - origin) / lengths[0]
     up = up / lengths[1]
-    if abs(forward @ up) > PERPENDICULAR_TOLERANCE:
+    # cam.txt has few digits.
+    if abs(forward @ up) > 1e-2:
         raise FiptError(
             "pose-not-rotation",
             f"View {index} in {path} has an up vector that is not perpendicular to its viewing direction.",

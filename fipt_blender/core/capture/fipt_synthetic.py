@@ -12,17 +12,8 @@ from ..conventions import fipt_to_opencv_camera
 from ..run.documents import Fields, Items, Maybe, Number
 from ..run.shapes import MOST_SIDE
 from .images import read_size
-from .rig import (
-    PHOTO_SUFFIXES,
-    Lens,
-    ReadOptions,
-    Rig,
-    RigView,
-    WellFormed,
-    find_mesh,
-    read_json_rig,
-    read_pose,
-)
+from .options import CaptureOptions
+from .rig import PHOTO_SUFFIXES, Lens, Rig, RigView, WellFormed, find_mesh, read_json_rig, read_pose
 from .rig_files import refuse_outside
 
 NAME = "fipt-synthetic"
@@ -48,7 +39,7 @@ def find(path: Path) -> Path | None:
     return root if (train / "transforms.json").is_file() and (train / "Image").is_dir() else None
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(path: Path, options: CaptureOptions) -> Rig:
     """Read the splits train and, where present, val (held back).
 
     Camera axes are X left, Y up, Z forward; the views of a split share one horizontal field of view, and the
@@ -95,7 +86,7 @@ def _view(json_path: Path, split: str, image: Path, frame: dict[str, Any], data:
     )
 
 
-def _image(json_path: Path, index: int, frame: dict[str, Any], options: ReadOptions) -> Path:
+def _image(json_path: Path, index: int, frame: dict[str, Any], options: CaptureOptions) -> Path:
     """The frame's file_path where it names an image, else the authors' name by position in the list."""
     file_path = frame.get("file_path")
     if isinstance(file_path, str) and file_path.lower().endswith(PHOTO_SUFFIXES):

@@ -34,10 +34,9 @@ from . import (
     scannetpp,
     transforms,
 )
-from .rig import ReadOptions, Rig, damaged
+from .options import CaptureOptions
+from .rig import Rig, damaged
 from .suffixes import SUFFIXES
-
-MOST_FILES = 10_000  # that are looked at for photographs
 
 # The first match is used: nerfstudio, for example, keeps a COLMAP model beside its transforms.json.
 FORMATS: dict[str, ModuleType] = {
@@ -90,10 +89,10 @@ def detect_format(path: Path) -> str:
 def _has_photographs(folder: Path) -> bool:
     """Whether a folder, or one directly in it, holds photographs."""
     files = (file for pattern in ("*", "*/*") for file in folder.glob(pattern))
-    return any(file.suffix.lower() in SUFFIXES for file in islice(files, MOST_FILES))
+    return any(file.suffix.lower() in SUFFIXES for file in islice(files, 10_000))
 
 
-def read_rig(path: Path, name: str, options: ReadOptions) -> Rig:
+def read_rig(path: Path, name: str, options: CaptureOptions) -> Rig:
     """Read a capture; `name` is one of `FORMATS` or "auto".
 
     Raises:
@@ -142,7 +141,7 @@ def read_points(path: Path, name: str, sure: bool = False) -> np.ndarray:
     return points[(np.abs(points) <= FARTHEST_UNITS).all(axis=1)]
 
 
-def _read_rig(path: Path, name: str, options: ReadOptions) -> Rig:
+def _read_rig(path: Path, name: str, options: CaptureOptions) -> Rig:
     detected = detect_format(path) if name == "auto" else name
     module = FORMATS[detected]
     if not path.exists():

@@ -24,15 +24,11 @@ from .encoded import check_pixels, is_encoded, missing, pillow_size, read_encode
 
 EXR_SUFFIX = ".exr"
 MASK_SUFFIXES = (".exr", ".png")
-HALF_MAX = 65504.0
-# Most pixels of photographs that are decoded at a time; one of 12 megapixels takes up to 0.5 GB.
-DECODED_PIXELS = 50_000_000
-JPEG_QUALITY = 95
+HALF_MAX = float(np.finfo(np.float16).max)
+JPEG_QUALITY = 95  # an error of about one of 255 steps
 REC709 = np.array([0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290])
 BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
-# A display window above the first size must hold data in this share of its pixels.
-_LARGE_PIXELS, _LEAST_DATA = 16_000_000, 1.0 / 16.0
-MAX_PNG_ID = 2**16 - 1
+MAX_PNG_ID = 2**16 - 1  # 16 bits
 MAX_ID = 2**24 - 1  # highest id of a colour mask; 32-bit floats represent all of them exactly
 
 
@@ -175,7 +171,8 @@ def write_jpeg(path: Path, values: np.ndarray) -> None:
 
 def threads_for(pixels: Iterable[int]) -> int:
     """How many threads may hold a decoded photograph each, of views with these numbers of pixels."""
-    return max(1, DECODED_PIXELS // max(pixels, default=1))
+    # One of 12 megapixels takes up to 0.5 GB.
+    return max(1, 50_000_000 // max(pixels, default=1))
 
 
 def write_ids(path: Path, ids: np.ndarray) -> None:
@@ -206,7 +203,7 @@ def _check_header(path: Path, header: dict[str, Any]) -> None:
     check_pixels(path, width, height)
     data_width, data_height = _window_size(header["dataWindow"])
     check_pixels(path, data_width, data_height)
-    if width * height > _LARGE_PIXELS and data_width * data_height < _LEAST_DATA * width * height:
+    if width * height > 16_000_000 and data_width * data_height < width * height / 16:
         raise unreadable(path, f"{width} x {height} pixels, of which {data_width} x {data_height} are stored")
 
 

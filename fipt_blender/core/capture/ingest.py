@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from .. import conventions
+from ..run.documents import head
 from ..run.errors import FiptError
 from ..run.light_size import refuse_full_disk
 from ..run.messages import Reporter
@@ -44,12 +45,10 @@ from .images import (
     write_ids,
     write_jpeg,
 )
-from .ingest_options import IngestOptions, check_options, options_of
-from .ingest_options import add_arguments as add_arguments  # of the command
+from .options import CaptureOptions, add_options, options_of
 from .photograph_poses import with_photograph_poses
 from .rig import Pinhole, RigView
 from .source import mesh_fusion, read_source, write_mesh
-from .views import CAPTURE_FORMAT, CAPTURE_VERSION
 
 # Photographs with more pixels than these are rewritten with 8 bits (JPEG) or 16 (HDR) instead of 32: of 12
 # megapixels 144 MB would be written. Smaller ones keep all bits.
@@ -59,16 +58,22 @@ LEAST_HALF, DARKER = 2.0**-14, 100.0
 # Longer side of the copies that Blender's windows show of larger photographs, and their usual size: what a
 # screen can show, and what the pictures beside them are rendered at.
 PREVIEW_SIDE = 1920
-PREVIEW_BYTES = 2_000_000
 ID_IMAGES = ("parts", "semantics", "mask")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("capture", type=Path, help="folder of the capture, or its camera file")
+    parser.add_argument("run", type=Path, help="run folder; created with default settings if missing")
+    add_options(parser)
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     """Run `ingest` with the command's arguments."""
-    ingest(arguments.capture, RunFolder(arguments.run), options_of(arguments), reporter)
+    ingest(arguments.capture, RunFolder(arguments.run), CaptureOptions(**options_of(arguments)), reporter)
 
 
-def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporter: Reporter) -> None:
+def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, reporter: Reporter) -> None:
     """Read a capture, check all of it, then write capture.json and the images that must be converted.
 
     Raises:
@@ -78,7 +83,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
         run_folder.read()
     reporter.plan([0.1, 0.85, 0.05])
     reporter.stage("cameras", "Reading cameras")
-    check_options(options)
+    options.check()
     source = read_source(capture.absolute(), options, reporter)
     rig = source.rig
     views = distinct_views(rig.views)
@@ -88,7 +93,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
             f"{len(views)} photographs have {len(rig.views)} cameras; the first camera of each is used.",
             "Remove the other ones from the camera file.",
         )
-    views = _assign_splits(_chosen(views, options.most_views), options.hold_back)
+    views = _assign_splits(_chosen(views, options.views), options.hold_back)
     _check_files(views)
     if rig.one_camera:
         views, note = with_photograph_poses(rig, views, options.scale)
@@ -138,8 +143,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: IngestOptions, reporte
         for one in zip(views, pinholes, exposures, files, strict=True)
     ]
     data = {
-        "format": CAPTURE_FORMAT,
-        "version": CAPTURE_VERSION,
+        **head("capture"),
         "source": rig.source,
         "world_from_source": world_from_source.tolist(),
         "mesh": None if mesh is None else str(mesh),
@@ -232,9 +236,7 @@ def _assign_splits(views: list[RigView], hold_back: int) -> list[RigView]:
     views = [replace(view, split=view.split or "train") for view in views]
     if not any(view.split == "train" for view in views):
         raise FiptError(
-            "no-views",
-            "The capture has no training photograph with a pose.",
-            "Check the camera file.",
+            "no-views", "The capture has no training photograph with a pose.", "Check the camera file."
         )
     return views
 
@@ -400,7 +402,7 @@ def _moved(files: dict[str, Path], folder: Path, target: Path) -> dict[str, Path
 def _rewritten_bytes(view: RigView) -> int:
     """Expected size of a view's rewritten photograph, 0 where distortion is none, and of its copy."""
     pixels = view.width * view.height
-    preview = PREVIEW_BYTES if max(view.width, view.height) > PREVIEW_SIDE else 0
+    preview = 2_000_000 if max(view.width, view.height) > PREVIEW_SIDE else 0
     if not is_distorted(view.lens, view.width, view.height):
         return preview
     if pixels <= EXACT_PIXELS:

@@ -25,8 +25,6 @@ from .images import threads_for, write_exr
 from .rig import CLASS_NAMES
 from .views import View
 
-# Part of the names of the files; to be raised when the averaging changes.
-_VERSION = 1
 # From this share of clipped pixels on, the mean of codes is only a bound, and clipped, too.
 CLIPPED_SHARE = 0.02
 
@@ -120,7 +118,8 @@ def _file(run: RunFolder, view: View, kind: str, source: Path, size: tuple[int, 
         status = source.stat()
     except OSError:
         raise missing(source) from None
-    facts = (_VERSION, kind, view.encoded, status.st_size, status.st_mtime_ns, *size)
+    # The first is to be raised when the averaging changes.
+    facts = (1, kind, view.encoded, status.st_size, status.st_mtime_ns, *size)
     digest = hashlib.sha256(repr(facts).encode()).hexdigest()[:12]
     return run.light / kind / f"{view.name}-{digest}.exr"
 

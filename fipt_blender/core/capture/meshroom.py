@@ -15,8 +15,9 @@ import numpy as np
 
 from ..run.documents import Fields, Items
 from ..run.errors import FiptError
+from .options import CaptureOptions
 from .radial import distorting_lens
-from .rig import Lens, ReadOptions, Rig, RigView, WellFormed, read_json_rig
+from .rig import Lens, Rig, RigView, WellFormed, read_json_rig
 from .rig_files import Places, camera_file, number, numbers, pixel_size
 
 NAME = "meshroom"
@@ -44,7 +45,7 @@ def find(path: Path) -> Path | None:
     return camera_file(path, (".sfm", ".json"), lambda text: all(key in text for key in keys))
 
 
-def read(file: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: CaptureOptions) -> Rig:
     """Read all views with a pose, those of rigs included. The world is Y up, as in Meshroom's viewer.
 
     Raises:

@@ -16,8 +16,9 @@ import numpy as np
 
 from ..conventions import transform_poses
 from ..run.errors import FiptError
+from .options import CaptureOptions
 from .radial import distorting_lens
-from .rig import Lens, Note, ReadOptions, Rig, RigView, WellFormed
+from .rig import Lens, Note, Rig, RigView, WellFormed
 from .rig_files import (
     Places,
     camera_file,
@@ -50,7 +51,7 @@ def find(path: Path) -> Path | None:
     return camera_file(path, (".xml",), lambda text: "<chunk" in text and "<sensor" in text)
 
 
-def read(file: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: CaptureOptions) -> Rig:
     """Read the aligned cameras of the largest chunk or component; those of a rig follow its master.
 
     Metashape does not define an up axis.

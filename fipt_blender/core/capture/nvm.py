@@ -16,8 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
+from .options import CaptureOptions
 from .radial import undistorting_lens
-from .rig import ReadOptions, Rig, RigView, WellFormed
+from .rig import Rig, RigView, WellFormed
 from .rig_files import (
     Places,
     camera_file,
@@ -39,7 +40,7 @@ def find(path: Path) -> Path | None:
     return camera_file(path, (".nvm",), lambda text: text.startswith("NVM_V3"))
 
 
-def read(file: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: CaptureOptions) -> Rig:
     """Read all cameras of the largest model.
 
     Sizes are those of the photographs, since the file has none. The principal point is their centre unless

@@ -14,8 +14,9 @@ import numpy as np
 
 from ..run.documents import Fields, Items, Number, Numbers
 from ..run.errors import FiptError
+from .options import CaptureOptions
 from .radial import distorting_lens
-from .rig import Lens, ReadOptions, Rig, WellFormed, read_json_rig
+from .rig import Lens, Rig, WellFormed, read_json_rig
 from .rig_files import Places, camera_file, camera_pose, numbers, pixel_size
 
 NAME = "openmvg"
@@ -40,7 +41,7 @@ def find(path: Path) -> Path | None:
     return camera_file(path, (".json",), lambda text: '"sfm_data_version"' in text, FOLDERS)
 
 
-def read(file: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: CaptureOptions) -> Rig:
     """Read all views with a pose. OpenMVG does not define an up axis.
 
     Raises:

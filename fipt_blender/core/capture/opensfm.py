@@ -15,16 +15,10 @@ from scipy.spatial.transform import Rotation
 
 from ..run.documents import Entries, Fields, Items, Maybe, Number, Numbers
 from ..run.errors import FiptError
+from .options import CaptureOptions
 from .radial import distorting_lens
-from .rig import Lens, ReadOptions, Rig, RigView, WellFormed, damaged, read_json_rig
-from .rig_files import (
-    Places,
-    camera_file,
-    camera_pose,
-    largest_model,
-    numbers,
-    pixel_size,
-)
+from .rig import Lens, Rig, RigView, WellFormed, damaged, read_json_rig
+from .rig_files import Places, camera_file, camera_pose, largest_model, numbers, pixel_size
 
 NAME = "opensfm"
 LOOKS_FOR = "reconstruction.json with cameras and shots"
@@ -45,7 +39,7 @@ def find(path: Path) -> Path | None:
     return camera_file(path, (".json",), _is_reconstruction, FOLDERS)
 
 
-def read(file: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: CaptureOptions) -> Rig:
     """Read all shots of the largest reconstruction. The world is Z up, as OpenSfM aligns it.
 
     Raises:

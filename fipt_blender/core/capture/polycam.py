@@ -15,7 +15,8 @@ import numpy as np
 from ..conventions import opengl_to_opencv_camera, transform_poses
 from ..run.documents import Fields, Maybe, Number, Numbers
 from .depth_images import registered_depths
-from .rig import Lens, ReadOptions, Rig, RigView, WellFormed, read_json_rig, read_pose
+from .options import CaptureOptions
+from .rig import Lens, Rig, RigView, WellFormed, read_json_rig, read_pose
 from .rig_files import Places, pixel_size, similarity
 
 NAME = "polycam"
@@ -42,7 +43,7 @@ def find(path: Path) -> tuple[Path, str] | None:
     return None
 
 
-def read(found: tuple[Path, str], options: ReadOptions) -> Rig:
+def read(found: tuple[Path, str], options: CaptureOptions) -> Rig:
     """Read all cameras, and the depth images of the folder depth. The world is Y up, as in the mesh.
 
     Raises:

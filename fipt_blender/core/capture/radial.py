@@ -15,8 +15,7 @@ from ..run.errors import FiptError
 from .rig import Lens
 
 MOST_ERROR = 0.01  # pixels; far below what calibrations are accurate to
-_SAMPLES = 400
-_WIDEST = 10.0  # undistorted radius over focal length that is searched: half a field of view of 84 degrees
+_SAMPLES = 400  # radii to which a lens is fitted
 
 
 def distorting_lens(
@@ -46,7 +45,8 @@ def distorting_lens(
         if any((k[0], k[1], *tangential)):
             return Lens("OPENCV", (*intrinsics, k[0], k[1], *tangential))
         return Lens("PINHOLE", intrinsics)
-    radii = np.linspace(0.0, _WIDEST, 200 * _SAMPLES)[1:]
+    # Up to half a field of view of 84 degrees.
+    radii = np.linspace(0.0, 10.0, 200 * _SAMPLES)[1:]
     with np.errstate(all="ignore"):
         distorted = radii * _polynomial(radii, coefficients)
     # Up to the image's corner, or to where the polynomial folds back before it.

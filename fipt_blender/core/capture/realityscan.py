@@ -18,8 +18,9 @@ import numpy as np
 
 from ..conventions import opengl_to_opencv_camera
 from ..run.errors import FiptError
+from .options import CaptureOptions
 from .radial import distorting_lens
-from .rig import Lens, Note, ReadOptions, Rig, RigView, WellFormed
+from .rig import Lens, Note, Rig, RigView, WellFormed
 from .rig_files import (
     IMAGE_FOLDERS,
     Places,
@@ -38,7 +39,6 @@ LOOKS_FOR = (
     "XMP files with xcr:Position beside the photographs, or a CSV file with the columns x, y, alt, heading, f"
 )
 FOLDERS = (".", "images", "input")
-FILM_WIDTH = 36.0  # mm
 _XCR = "{http://www.capturingreality.com/ns/xcr/1.1#}"
 _COLUMNS = ("x", "y", "alt", "heading", "pitch", "roll", "f", "px", "py", "k1", "k2", "k3", "k4", "t1", "t2")
 _XMP_IMAGES = tuple(dict.fromkeys((*IMAGE_FOLDERS, *FOLDERS)))
@@ -50,7 +50,7 @@ def find(path: Path) -> Path | None:
     return camera_file(path, (".csv",), _is_camera_table) or next(posed, None)
 
 
-def read(file: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: CaptureOptions) -> Rig:
     """Read all cameras of a CSV file, or of the XMP files in the folder of one. The world is Z up.
 
     Sizes are those of the photographs, since the files have none.
@@ -172,6 +172,6 @@ def _lens(size: tuple[int, int], film: tuple[float, ...], coefficients: tuple[fl
         coefficients: k1 to k4, t1, t2.
     """
     side = float(max(size))
-    focal = film[0] * side / FILM_WIDTH
+    focal = film[0] * side / 36.0  # mm, of 35 mm film
     intrinsics = (focal, focal, 0.5 * size[0] + film[1] * side, 0.5 * size[1] + film[2] * side)
     return distorting_lens(intrinsics, size, coefficients[:4], (coefficients[5], coefficients[4]))

@@ -14,7 +14,8 @@ import numpy as np
 from ..conventions import opengl_to_opencv_camera
 from ..run.documents import Fields, Items, Maybe, Number, Numbers, read_limited
 from .depth_images import registered_depths
-from .rig import Lens, ReadOptions, Rig, WellFormed, damaged, read_json_rig
+from .options import CaptureOptions
+from .rig import Lens, Rig, WellFormed, damaged, read_json_rig
 from .rig_files import IMAGE_FOLDERS, MOST_TEXT_BYTES, Places, pixel_size, stored_rotation
 
 NAME = "record3d"
@@ -40,7 +41,7 @@ def find(path: Path) -> Path | None:
     return None
 
 
-def read(file: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: CaptureOptions) -> Rig:
     """Read all frames, with the intrinsics of each where the file has them, and depth images in EXR.
 
     The world is Y up.

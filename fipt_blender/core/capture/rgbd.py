@@ -17,7 +17,8 @@ import numpy as np
 from ..run.errors import FiptError
 from .depth_images import depth_size
 from .images import read_size
-from .rig import DepthView, Lens, Note, ReadOptions, Rig, RigView, WellFormed, find_image, find_mesh
+from .options import CaptureOptions
+from .rig import DepthView, Lens, Note, Rig, RigView, WellFormed, find_image, find_mesh
 from .rig_files import MESH_STEMS, numbers, read_text_rig
 
 NAME = "rgbd"
@@ -25,7 +26,7 @@ LOOKS_FOR = (
     "frame-*.depth.png and frame-*.pose.txt beside camera-intrinsics.txt, or folders depth, pose, color"
 )
 INTRINSICS = "camera-intrinsics.txt"
-MOST_POSE_BYTES = 10_000
+MOST_POSE_BYTES = 10_000  # of a file of one frame
 PHOTOGRAPHS = (".jpg", ".png", ".jpeg")  # `find_image` prefers an EXR of the same name
 
 
@@ -51,7 +52,7 @@ def find(path: Path) -> Path | None:
     return None
 
 
-def read(root: Path, options: ReadOptions) -> Rig:
+def read(root: Path, options: CaptureOptions) -> Rig:
     """Read all frames. Those without a photograph are used for their depth alone; lost poses are left out.
 
     Raises:
@@ -146,7 +147,7 @@ def _pose(path: Path) -> np.ndarray | None:
     return values if np.isfinite(values).all() else None
 
 
-def _photograph(frame: _Frame, options: ReadOptions) -> Path | None:
+def _photograph(frame: _Frame, options: CaptureOptions) -> Path | None:
     for path in frame.photographs:
         folders = [folder for folder in (options.images, path.parent) if folder is not None]
         found = find_image(folders, path.name)

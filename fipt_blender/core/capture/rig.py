@@ -27,7 +27,6 @@ PARTS_FOLDER = "parts"
 SEMANTICS_FOLDER = "semantics"
 CLASS_NAMES = "classes.json"  # names of semantic classes by id, beside their masks
 MOST_PART_BYTES = 120  # of one part of a view's name; file systems take 255 with suffix and number
-MOST_NAME_PARTS = 8
 _MALFORMED = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, ParseError, csv.Error)
 
 
@@ -136,30 +135,10 @@ class Rig:
     one_camera: bool = False
 
 
-@dataclass(frozen=True)
-class ReadOptions:
-    """Options of the readers.
-
-    Attributes:
-        images: folder in which photographs are searched first.
-        undo_applied_transform: transforms.json only: convert the poses to the coordinates from before
-            nerfstudio's ``applied_transform`` and ``applied_scale``.
-        depth_unit: metres per unit of 16-bit depth images.
-        own_paths: transforms.json only: its paths may lead anywhere. For files that we wrote ourselves.
-    """
-
-    images: Path | None = None
-    undo_applied_transform: bool = False
-    depth_unit: float = 0.001
-    own_paths: bool = False
-
-
 def damaged(path: Path, reason: object) -> FiptError:
     """The error for a rig file that does not conform to its format."""
     return FiptError(
-        "rig-damaged",
-        f"{path} does not conform to its format ({reason}).",
-        "Export the capture again.",
+        "rig-damaged", f"{path} does not conform to its format ({reason}).", "Export the capture again."
     )
 
 
@@ -247,7 +226,7 @@ def view_name(path: str) -> str:
     if pure.suffix.lower() in PHOTO_SUFFIXES:
         pure = pure.with_suffix("")
     parts = [part for part in pure.parts if part not in ("..", ".") and not part.endswith((":", "/"))]
-    return "/".join(_shortened(part) for part in parts[-MOST_NAME_PARTS:]) or "view"
+    return "/".join(_shortened(part) for part in parts[-8:]) or "view"
 
 
 def _shortened(part: str) -> str:

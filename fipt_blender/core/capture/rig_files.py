@@ -24,12 +24,12 @@ from ..run.errors import FiptError
 from ..run.paths import leads_outside
 from ..run.shapes import MOST_SIDE
 from .images import read_size
+from .options import CaptureOptions
 from .rig import (
     PARTS_FOLDER,
     SEMANTICS_FOLDER,
     Lens,
     Note,
-    ReadOptions,
     RigView,
     WellFormed,
     damaged,
@@ -41,9 +41,7 @@ from .rig import (
 
 IMAGE_FOLDERS = ("hdr", "exr", "images", "input", "Image", ".")
 MESH_STEMS = ("scene", "mesh", "model", "texturedMesh", "scene_dense_mesh")
-HEAD_BYTES = 1 << 16
-MOST_TEXT_BYTES = 256_000_000
-MOST_XML_BYTES = 64_000_000  # a parsed document takes about ten times its size
+MOST_TEXT_BYTES = 256_000_000  # of a camera file
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,7 @@ class Places:
 
     @classmethod
     def around(
-        cls, path: Path, options: ReadOptions, image_folders: tuple[str, ...] = IMAGE_FOLDERS
+        cls, path: Path, options: CaptureOptions, image_folders: tuple[str, ...] = IMAGE_FOLDERS
     ) -> Places:
         """The places around a camera file: its folder and the one above."""
         return cls((path.parent, path.absolute().parent.parent), options.images, image_folders)
@@ -128,7 +126,7 @@ class Places:
         return find_mesh([root / folder for root in self.roots for folder in folders], stems)
 
 
-def photograph(file: Path, name: str, options: ReadOptions) -> Path:
+def photograph(file: Path, name: str, options: CaptureOptions) -> Path:
     """The photograph that a camera file names by its path, below the file's folder or the user's folder.
 
     Raises:
@@ -144,7 +142,7 @@ def photograph(file: Path, name: str, options: ReadOptions) -> Path:
     return image
 
 
-def refuse_outside(file: Path, name: str, options: ReadOptions) -> None:
+def refuse_outside(file: Path, name: str, options: CaptureOptions) -> None:
     """Refuse a path in a camera file that leads out of the file's folder.
 
     Raises:
@@ -159,7 +157,7 @@ def refuse_outside(file: Path, name: str, options: ReadOptions) -> None:
         )
 
 
-def _follows(file: Path, name: str, options: ReadOptions) -> bool:
+def _follows(file: Path, name: str, options: CaptureOptions) -> bool:
     return options.own_paths or not leads_outside(file.parent, name)
 
 
@@ -180,7 +178,7 @@ def head(path: Path) -> str:
     """The beginning of a file as text, for recognizing its format; empty where it can't be read."""
     try:
         with path.open("rb") as file:
-            return file.read(HEAD_BYTES).decode("utf-8", errors="replace")
+            return file.read(1 << 16).decode("utf-8", errors="replace")
     except OSError:
         return ""
 
@@ -227,7 +225,7 @@ def read_xml_rig(path: Path) -> ElementTree.Element:
     Raises:
         FiptError: ``rig-damaged``.
     """
-    text = read_text_rig(path, MOST_XML_BYTES)
+    text = read_text_rig(path, 64_000_000)  # a parsed document takes about ten times its size
     if "<!DOCTYPE" in text:
         raise damaged(path, "it declares a document type")
     with WellFormed(path):

@@ -16,7 +16,8 @@ import numpy as np
 
 from ..conventions import transform_poses
 from ..run.documents import Fields, Items
-from .rig import ReadOptions, Rig, RigView, read_json_rig
+from .options import CaptureOptions
+from .rig import Rig, RigView, read_json_rig
 from .rig_files import Places
 from .transforms import FRAME, RIG, frame_view
 
@@ -37,7 +38,7 @@ def find(path: Path) -> Path | None:
     )
 
 
-def read(file: Path, options: ReadOptions) -> Rig:
+def read(file: Path, options: CaptureOptions) -> Rig:
     """Read all frames except those marked as bad; test frames are held back.
 
     The mesh is the laser scan's. ScanNet++ does not define an up axis.

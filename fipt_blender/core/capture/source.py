@@ -8,21 +8,23 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
+from ..alignment.mesh_file import read_mesh
 from ..depth.extraction import FusedMesh
-from ..depth.plane_room import PlaneRoom
+from ..depth.plane_room import PlaneRoom, plane_room
 from ..depth.ply import write_ply
+from ..depth.simplification import collapsed
 from ..run.errors import FiptError
 from ..run.messages import Reporter
-from ..run.runfolder import RunFolder
+from ..run.runfolder import RunFolder, atomic_path
 from .align_mesh import aligned_to_mesh
 from .color_camera import with_color_camera
 from .dense_stereo import StereoFusion, stereo_possible
 from .depth_images import Fusion, checked_depths
-from .formats import read_rig
-from .ingest_options import IngestOptions
-from .points_room import room_note, room_of_points, write_room
-from .rig import Rig
-from .simplified_mesh import simplified_mesh
+from .formats import read_points, read_rig
+from .options import CaptureOptions
+from .rig import Note, Rig
 
 
 @dataclass(frozen=True)
@@ -44,13 +46,13 @@ class Source:
     stereo: bool
 
 
-def read_source(capture: Path, options: IngestOptions, reporter: Reporter) -> Source:
+def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> Source:
     """Read cameras and mesh, and warn of what the user should know of them.
 
     Raises:
         FiptError: those of the readers, ``mesh-missing``; those of aligning, of planes and of stereo.
     """
-    rig = read_rig(capture, options.format, options.read)
+    rig = read_rig(capture, options.format, options)
     mesh = _mesh(rig, options)
     rig = replace(rig, depths=checked_depths(rig.depths))
     if rig.one_camera:
@@ -66,7 +68,7 @@ def read_source(capture: Path, options: IngestOptions, reporter: Reporter) -> So
     if options.plane_room and mesh is None and not stereo:
         planes = room_of_points(capture, rig)
         notes.append(room_note(planes))
-    simplified, budget = None, options.fusion.triangles
+    simplified, budget = None, options.triangles
     if budget and mesh is not None and (fewer := simplified_mesh(mesh, budget)) is not None:
         simplified = fewer[0]
         notes.append(fewer[1])
@@ -75,7 +77,7 @@ def read_source(capture: Path, options: IngestOptions, reporter: Reporter) -> So
     return Source(rig, mesh, simplified, planes, stereo)
 
 
-def mesh_fusion(run: RunFolder, capture: Path, source: Source, options: IngestOptions) -> Fusion | None:
+def mesh_fusion(run: RunFolder, capture: Path, source: Source, options: CaptureOptions) -> Fusion | None:
     """What makes the mesh of depths; None where there is another one, or no depths."""
     if source.stereo:
         return StereoFusion(run, (), options.fusion, options.scale, capture, source.rig.views)
@@ -101,9 +103,71 @@ def write_mesh(run: RunFolder, source: Source, fusion: Fusion | None, fused: Fus
     return source.mesh
 
 
-def _mesh(rig: Rig, options: IngestOptions) -> Path | None:
+def _mesh(rig: Rig, options: CaptureOptions) -> Path | None:
     if options.mesh is None:
         return None if rig.mesh is None else rig.mesh.absolute()
     if not options.mesh.is_file():
         raise FiptError("mesh-missing", f"The mesh {options.mesh} does not exist.", "Correct the path.")
     return options.mesh.absolute()
+
+
+def simplified_mesh(path: Path, triangles: int) -> tuple[FusedMesh, Note] | None:
+    """The mesh of a file with at most about `triangles` triangles; None where it has no more.
+
+    Raises:
+        FiptError: one of `read_mesh`.
+    """
+    vertices, faces = read_mesh(path)
+    if len(faces) <= triangles:
+        return None
+    # Formats with a vertex for each face corner would fall apart into single triangles.
+    welded, index = np.unique(vertices, axis=0, return_inverse=True)
+    faces = index.reshape(-1)[faces]
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    fewer = faces.astype(np.int32)
+    if len(fewer) > triangles:
+        welded, fewer = collapsed(welded, fewer, triangles)
+    text = f"The mesh {path} was simplified from {len(faces):,} to {len(fewer):,} triangles."
+    remedy = "Its material slots, colors and UVs are not kept. Set the triangles to 0 to use the mesh itself."
+    return FusedMesh(welded.astype(np.float32), fewer), Note("mesh-simplified", text, remedy)
+
+
+def room_of_points(capture: Path, rig: Rig) -> PlaneRoom:
+    """The room, in the coordinates of the rig.
+
+    Raises:
+        FiptError: ``alignment-points`` where the format has no points, ``room-points`` where they are too
+            few, or one of the reader's.
+    """
+    poses = np.array([view.camera_to_world for view in rig.views])
+    return plane_room(read_points(capture, rig.source), poses[:, :3, 3], -poses[:, :3, 1].mean(axis=0))
+
+
+def write_room(path: Path, room: PlaneRoom) -> None:
+    """Write an OBJ file with one object for each piece, completely or not at all.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    lines, first = [], 1
+    for piece in room.pieces:
+        lines.append(f"o {piece.name}")
+        lines += ["v {:.9g} {:.9g} {:.9g}".format(*vertex) for vertex in piece.vertices]
+        lines += ["f " + " ".join(str(first + index) for index in face) for face in piece.faces]
+        first += len(piece.vertices)
+    with atomic_path(path) as temporary:
+        temporary.write_text("\n".join([*lines, ""]), encoding="utf-8")
+
+
+def room_note(room: PlaneRoom) -> Note:
+    """What the room is, and which of its parts no points support."""
+    names = [piece.name for piece in room.pieces]
+    walls, boxes = (sum(name.startswith(kind) for name in names) for kind in ("Wall", "Box"))
+    guessed = f" No points support {', '.join(room.guessed)}." if room.guessed else ""
+    return Note(
+        "plane-room",
+        f"The room is a stand-in of {walls} walls, floor, ceiling and {boxes} boxes, fitted to the points of"
+        f" the camera solve.{guessed}",
+        "Look through some views and correct the objects in Edit Mode; what a photograph shows off them gets"
+        " wrong materials. A scan or a model gives better results.",
+    )

@@ -16,11 +16,11 @@ from ..run.documents import Fields, Items, Maybe, Number
 from ..run.errors import FiptError
 from ..run.shapes import MOST_SIDE
 from .images import read_size
+from .options import CaptureOptions
 from .rig import (
     PARTS_FOLDER,
     SEMANTICS_FOLDER,
     Lens,
-    ReadOptions,
     Rig,
     RigView,
     WellFormed,
@@ -74,7 +74,7 @@ def find(path: Path) -> Path | None:
     return path if any((path / name).is_file() for name in names) else None
 
 
-def read(path: Path, options: ReadOptions) -> Rig:
+def read(path: Path, options: CaptureOptions) -> Rig:
     """Read the frames of transforms.json, or of transforms_train|val|test.json.
 
     Cameras have OpenGL axes. The world is that of the poses as stored (Z up unless the file has another

@@ -14,16 +14,13 @@ from typing import Any
 import numpy as np
 
 from .. import conventions
-from ..run.documents import check_shape, read_json
+from ..run.documents import check_shape, head, read_json
 from ..run.errors import FiptError
 from ..run.runfolder import RunFolder
 from ..run.shapes import CAPTURE
 from .checks import check_view
 from .images import read_ids, read_radiance
 from .rig import Pinhole
-
-CAPTURE_FORMAT = "fipt-capture"
-CAPTURE_VERSION = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,11 +163,9 @@ def load_capture(run: RunFolder) -> Capture:
     """
     path = run.capture_json
     data = read_json(path)
-    if data.get("format") != CAPTURE_FORMAT or data.get("version") != CAPTURE_VERSION:
+    if not head("capture").items() <= data.items():
         raise FiptError(
-            "capture-version",
-            f"{path} is not a capture of version {CAPTURE_VERSION}.",
-            "Start a new run in another folder.",
+            "capture-version", f"{path} is not a capture of version 1.", "Start a new run in another folder."
         )
     try:
         check_shape(data, CAPTURE)

@@ -19,7 +19,6 @@ from .plane_search import LEAST_POINTS, level_axes, levels, wall_lines
 
 _BOX_STEP = 4.0  # widths: cells of the floor plan in which furniture is gathered
 _BOX_POINTS = 15  # fewer, or a smaller share than below, are no piece of furniture
-_BOX_SHARE = 0.005
 _BOX_SPREAD = (3.0, 97.0)  # percentiles of the points that a box holds
 _STANDS = 0.3  # of the room's height: boxes that begin lower reach down to the floor
 
@@ -108,11 +107,7 @@ def _wall(name: str, ends: np.ndarray, floor: float, ceiling: float) -> Piece:
 
 
 def _boxes(
-    points: np.ndarray,
-    eyes: np.ndarray,
-    plan: Plan,
-    heights: tuple[float, float],
-    width: float,
+    points: np.ndarray, eyes: np.ndarray, plan: Plan, heights: tuple[float, float], width: float
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Lowest and highest corners of upright boxes around clusters of points that lie on no plane."""
     from scipy.ndimage import label
@@ -135,7 +130,7 @@ def _boxes(
     found = []
     for group in range(1, groups.max() + 1):
         some = points[groups == group]
-        if len(some) < max(_BOX_POINTS, _BOX_SHARE * len(points)):
+        if len(some) < max(_BOX_POINTS, 0.005 * len(points)):
             continue
         low, high = np.percentile(some, _BOX_SPREAD, axis=0)
         if low[2] < floor + _STANDS * (ceiling - floor):

@@ -14,15 +14,13 @@ import numpy as np
 from ..alignment.turns import rotation_between
 from .floor_plan import Line
 
-LEAST_POINTS = 100
-_MOST_POINTS = 3000  # for the search of directions
+LEAST_POINTS = 100  # of a solve, for a room
 _TILTS = ((20.0, 4.0), (4.0, 1.0), (1.0, 0.25))  # degrees: reach and step of the search for the level
 _LEVEL_SHARE = 0.015  # of the points, at least, that lie on a floor or ceiling
 _BEYOND = 0.05  # of the points, at most, are below the floor: mirrored and wrong ones
 _WALL_SHARE = 0.02  # of the points between floor and ceiling, at least, that lie on a wall
-_WALL_POINTS = 12
+_WALL_POINTS = 12  # at least, that lie on a wall
 _FREE = 0.7  # a wall that is not at right angles to the others needs so many more points: over this
-_MOST_WALLS = 14
 
 
 @dataclass(frozen=True)
@@ -47,7 +45,7 @@ def level_axes(points: np.ndarray, up: np.ndarray) -> np.ndarray:
         points: (N, 3).
         up: (3,) approximate up direction.
     """
-    some = points[:: max(len(points) // _MOST_POINTS, 1)]
+    some = points[:: max(len(points) // 3000, 1)]
     low, high = np.percentile(some, [1.0, 99.0], axis=0)
     width = 0.005 * float(np.linalg.norm(high - low))
 
@@ -109,7 +107,7 @@ def wall_lines(points: np.ndarray, eyes: np.ndarray, width: float) -> list[Line]
     lines: list[Line] = []
     left = points
     angles = np.radians(np.arange(0.0, 180.0, 3.0))
-    while len(lines) < _MOST_WALLS and len(left):
+    while len(lines) < 14 and len(left):
         best, most, support = None, 0.0, 0
         for angle in angles:
             normal = np.array([np.cos(angle), np.sin(angle)])

@@ -14,7 +14,6 @@ from scipy.spatial import cKDTree
 from .extraction import FusedMesh
 
 LEAST_TRIANGLES = 100  # of a budget; fewer are no room
-_AROUND = 3  # old vertices whose mean color a new vertex gets
 
 
 def simplified(mesh: FusedMesh, triangles: int) -> FusedMesh:
@@ -27,7 +26,8 @@ def simplified(mesh: FusedMesh, triangles: int) -> FusedMesh:
     kept, faces = collapsed(mesh.vertices, mesh.triangles, triangles)
     colors = None
     if mesh.colors is not None:
-        near = cKDTree(mesh.vertices).query(kept, min(_AROUND, len(mesh.vertices)))[1]
+        # The mean color of three old vertices.
+        near = cKDTree(mesh.vertices).query(kept, min(3, len(mesh.vertices)))[1]
         colors = mesh.colors[near.reshape(len(kept), -1)].mean(axis=1).astype(np.float32)
     return FusedMesh(kept.astype(np.float32), faces, colors)
 

@@ -23,7 +23,6 @@ PACKAGES = (
     *("mitsuba", "drjit", "torch", "numpy", "OpenEXR"),
     *("pycolmap", "pyoidn", "pillow", "jinja2", "psutil", "scipy"),
 )
-LOW_MEMORY_GB = 4.0  # less free memory gives a warning
 _SET_UP_AGAIN = "Set up the engine again in the add-on's preferences."
 
 
@@ -63,11 +62,9 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
             f"{_SET_UP_AGAIN} Or switch off the setting 'denoise'.",
         )
     total, free = memory_gb()
-    if free is not None and free < LOW_MEMORY_GB:
+    if free is not None and free < 4.0:
         reporter.warning(
-            "memory-low",
-            f"Only {free:.1f} GB of memory is free.",
-            "Close other programs or use fewer views.",
+            "memory-low", f"Only {free:.1f} GB of memory is free.", "Close other programs or use fewer views."
         )
     device = "cuda" if cuda else "llvm" if llvm and arguments.device != "cuda" else None
     reporter.done(

@@ -32,15 +32,11 @@ from .variant import VARIANTS, set_variant
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-CONNECT_SECONDS = 5.0
-# Added to the transport's own limit, so that its error comes first: it says more than ours.
-_GRACE_SECONDS = 1.0
+CONNECT_SECONDS = 5.0  # for the scheduler's first answer
 # A run ends after this time without any worker; a worker that is restarted is back by then.
 WORKERS_SECONDS = 60.0
 POLL_SECONDS = 2.0
 _THIS_MACHINE = ("localhost", "127.0.0.1", "::1")
-# Views submitted for each worker, so that none waits for its next view.
-_AHEAD = 2
 # Packages whose versions affect the last bits of results.
 _PACKAGES = ("mitsuba", "drjit", "pyoidn")
 # Dr.Jit has one state per process, therefore a worker with several threads does one view at a time.
@@ -155,7 +151,8 @@ def _why_no_answer(address: str) -> str | None:
     # Looking up a host name can't be interrupted and may take minutes, hence a daemon thread.
     thread = threading.Thread(target=run, name="fipt-scheduler", daemon=True)
     thread.start()
-    thread.join(CONNECT_SECONDS + _GRACE_SECONDS)
+    # The transport's own error comes first: it says more than ours.
+    thread.join(CONNECT_SECONDS + 1.0)
     return reasons[0]
 
 
@@ -190,7 +187,8 @@ class ClusterWorkers:
         pending: dict[Future, int] = {}
         try:
             while True:
-                for index, item in _take(remaining, _AHEAD * max(1, self._count()) - len(pending)):
+                # Two views for each worker, so that none waits for its next one.
+                for index, item in _take(remaining, 2 * max(1, self._count()) - len(pending)):
                     arguments = (self._needs, stage_key, stage, serialize_bytes(item))
                     pending[self._client.submit(_work_on, *arguments, key=f"{name}-{index}")] = index
                 if not pending:

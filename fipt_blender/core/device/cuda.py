@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 # Environment variable that limits the GPUs visible to a process; its value is a `Gpu.uuid`.
 VISIBLE_VARIABLE = "CUDA_VISIBLE_DEVICES"
-_CAPABILITY_MAJOR, _CAPABILITY_MINOR = 75, 76  # CUdevice_attribute
 
 
 @dataclass(frozen=True)
@@ -69,8 +68,8 @@ def _describe(driver: ctypes.CDLL, index: int) -> Gpu | None:
         or driver.cuDeviceGetName(name, len(name), device)
         or driver.cuDeviceGetUuid(identifier, device)
         or driver.cuDeviceTotalMem_v2(ctypes.byref(memory), device)
-        or driver.cuDeviceGetAttribute(ctypes.byref(major), _CAPABILITY_MAJOR, device)
-        or driver.cuDeviceGetAttribute(ctypes.byref(minor), _CAPABILITY_MINOR, device)
+        or driver.cuDeviceGetAttribute(ctypes.byref(major), 75, device)  # CUdevice_attribute: major
+        or driver.cuDeviceGetAttribute(ctypes.byref(minor), 76, device)  # minor
     )
     if failed:
         return None

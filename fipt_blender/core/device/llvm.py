@@ -29,7 +29,7 @@ from ..run.runfolder import write_json
 from . import probe
 
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
-PROBE_SECONDS = 180.0
+PROBE_SECONDS = 180.0  # for compiling a kernel
 GOOD_VERSIONS = range(17, 24)  # older ones abort on common CPUs, newer ones are untested: last resorts
 
 

@@ -19,13 +19,12 @@ from .probe import preload
 VARIANTS = {"llvm": "llvm_ad_rgb", "cuda": "cuda_ad_rgb"}
 
 
-def set_variant(device: str = "auto", cache: Path | None = None) -> str:
+def set_variant(device: str = "auto") -> str:
     """Set Mitsuba's variant for this process; further calls change nothing.
 
     Args:
         device: ``"cuda"``, ``"llvm"`` (CPU), or ``"auto"``: the variant that is set already, or else CUDA if
             it works, or else LLVM.
-        cache: folder of the cached verdicts on devices; None: the user's cache folder.
 
     Returns:
         The variant's name, ``"cuda_ad_rgb"`` or ``"llvm_ad_rgb"``.
@@ -40,15 +39,15 @@ def set_variant(device: str = "auto", cache: Path | None = None) -> str:
         return current
     python = Path(sys.executable)
     if device == "auto":
-        device = "cuda" if cuda_verdict(python, cache).works else "llvm"
-    elif device == "cuda" and not (verdict := cuda_verdict(python, cache)).works:
+        device = "cuda" if cuda_verdict(python).works else "llvm"
+    elif device == "cuda" and not (verdict := cuda_verdict(python)).works:
         raise FiptError(
             "cuda-missing",
             f"CUDA was chosen but does not work on this machine: {verdict.reason}.",
             "Install NVIDIA's driver (with OptiX), or choose the device 'auto' or 'llvm'.",
         )
     if device == "llvm":
-        library = find_llvm(python, cache)
+        library = find_llvm(python)
         if "mitsuba" in sys.modules and os.environ.get(LLVM_VARIABLE) != str(library):
             raise RuntimeError("Mitsuba was imported before set_variant, so that Dr.Jit uses another LLVM")
         os.environ[LLVM_VARIABLE] = str(library)

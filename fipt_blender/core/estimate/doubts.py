@@ -16,10 +16,10 @@ from ..material.closed_form import CellEstimate, TrainingData
 from ..material.pixel_samples import rows_with_donor
 from ..report.comparison import to_display
 from ..report.pictures import write_png
+from ..run.documents import head
 from ..run.runfolder import RunFolder, write_json
-from ..run.shapes import DOUBTS_FORMAT, DOUBTS_VERSION
 
-MOST_DOUBTS = 20
+MOST_DOUBTS = 20  # of a run
 # Standard deviation of roughness or metallic, or of whether a part emits, from which a part is doubtful.
 LEAST_DOUBT = 0.1
 # Parts with a smaller share of all pixels are not worth a question.
@@ -143,7 +143,7 @@ def write_doubts(
                 "picture": path.name,
             }
         )
-    write_json(folder.doubts_json, {"format": DOUBTS_FORMAT, "version": DOUBTS_VERSION, "doubts": entries})
+    write_json(folder.doubts_json, {**head("doubts"), "doubts": entries})
 
 
 def _counts(

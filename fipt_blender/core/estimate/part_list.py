@@ -18,10 +18,9 @@ import numpy as np
 from ..capture.rig import CLASS_NAMES
 from ..capture.views import View
 from ..material.fields import RoomFields
-from ..run.documents import Entries, read_json
+from ..run.documents import Entries, head, read_json
 from ..run.parts import readable, unique_names
 from ..run.runfolder import RunFolder, write_json
-from ..run.shapes import PARTS_FORMAT, PARTS_VERSION
 from ..scene.grouped import grouped_sums
 from ..scene.labels import Parts, choose_source, fuse_masks, mesh_borders
 from ..scene.pixels import PixelStore
@@ -92,7 +91,7 @@ def write_part_list(
         }
         for index in range(count)
     ]
-    document = {"format": PARTS_FORMAT, "version": PARTS_VERSION, "source": source, "parts": entries}
+    document = {**head("parts"), "source": source, "parts": entries}
     write_json(run.parts_json, document)
     return names
 

@@ -24,8 +24,8 @@ MAX_SIZE = 256  # pixels along an edge
 _SAMPLED_PIXELS = 4000
 _LAMP_RADIANCE = 20.0  # in units of the capture's median
 _LAMP_SHARE = 0.002  # of the sampled pixels
-_LAMP_BONUS = 1.5
-_LABEL_PIXELS = 10
+_LAMP_BONUS = 1.5  # of a view that shows a lamp
+_LABEL_PIXELS = 10  # of a label that counts
 
 
 class Preview:

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array
 
-NONE = -1
+NONE = -1  # in place of a triangle
 # Vertices closer than this share of the mesh's extent are one.
 _WELD = 1e-6
 _BITS = 21  # of each coordinate in a packed position

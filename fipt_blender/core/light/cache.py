@@ -20,7 +20,7 @@ from ..run.threads import in_threads
 from ..scene.pixels import PixelStore
 from ..scene.room import Room
 
-SIDES = 6
+SIDES = 6  # of an entry: the directions of the axes
 # Points per chunk: temporary arrays of all pixels of a large capture would take gigabytes.
 CHUNK = 1 << 18
 # Points are offset along their normal by this share of a voxel, so that a wall on a voxel border is in one.

@@ -22,10 +22,10 @@ from .cache import VoxelGrid
 
 RAYS = 128  # over the hemisphere of each point; their noise would make the contrast too high
 LAMP_SAMPLES = 32  # points on each lamp
-MOST_POINTS = 3000
-MOST_LAMPS = 24
+MOST_POINTS = 3000  # that are compared; more only cost time
+MOST_LAMPS = 24  # the largest ones
 ON_LAMP, OUTSIDE = -1, -2  # in place of cache entries
-_ITERATIONS = 25
+_ITERATIONS = 25  # of Gauss-Newton; it ends earlier
 _LONGEST_STEP = 0.7  # of any logarithm
 # Standard deviation of the logarithm of a point's radiance by texture and gloss.
 _TEXTURE = 0.15

@@ -19,7 +19,7 @@ from ..optics.factorised import DIELECTRIC_REFLECTANCE
 from ..robust import LEAST_VIEWS, deviation
 from .emitters import Fixture
 
-LEAST_PIXELS = 50
+LEAST_PIXELS = 50  # of a lamp
 # Standard errors by which a slope must exceed zero.
 SURE = 4.0
 # Least coefficient of determination (R squared): a shade that is bright in the middle does not fit a line.

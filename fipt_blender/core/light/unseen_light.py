@@ -41,7 +41,7 @@ LEAST_POINTS, LEAST_GROUP = 200, 8
 # Radiance of what photographs show outside below which it gives no light, in units of the capture's median.
 DARK_OUTSIDE = 0.01
 LEAST_WEIGHT = 0.5  # of pixels that are used
-_ITERATIONS, _LONGEST_STEP = 40, 0.5
+_ITERATIONS, _LONGEST_STEP = 40, 0.5  # of Gauss-Newton; it ends earlier
 _DARKEST = 1e-4  # radiance, in units of the capture's median
 
 

@@ -15,12 +15,12 @@ import numpy as np
 from ..scene.grouped import grouped_weighted_median, numbered
 from ..scene.labels import Parts
 
-NO_GROUP = -1
+NO_GROUP = -1  # in place of a group
 # Added to base colours before they are compared, because their errors are about as large on dark surfaces as
 # on bright ones.
 COLOR_LIFT = 0.05
 BRIGHTNESS_STEP = 1.0  # stops
-CHROMA_STEP = 0.1
+CHROMA_STEP = 0.1  # width of the classes of chroma
 # Largest number of groups, so that arrays over pairs of groups do not grow with the capture: one has at least
 # this share of all pixels.
 MOST_GROUPS = 2000

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 
 _PRIMES = (1, 2654435761, 805459861)
-_UNIT_PRIME = 3674653429
+_UNIT_PRIME = 3674653429  # by which a unit's number enters the hash
 # Of each level: cells along an axis, entries, and the first of these in the table.
 Levels = tuple[tuple[int, int, int], ...]
 # Positions stay below 1.0, which lies outside the last cell.

@@ -19,7 +19,7 @@ from ..run.hints import DIELECTRIC, METAL, UNKNOWN, Hint
 from ..scene.grouped import numbered
 from ..scene.labels import NO_PART, Parts
 
-NO_HINT = -1
+NO_HINT = -1  # in place of a hint
 # A point of an area lies on the triangle whose center is nearest if that is closer than this share of the
 # distance from the center to the corners; else all triangles are searched.
 ON_TRIANGLE = 0.5

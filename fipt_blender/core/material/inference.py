@@ -10,7 +10,7 @@ import torch
 from .networks import BrdfNetwork
 from .seen import Box
 
-CHUNK = 1 << 17
+CHUNK = 1 << 17  # points in one evaluation of the networks
 
 
 class Fields:

@@ -19,7 +19,7 @@ from ..scene.grouped import first_by_key, grouped_median
 from ..scene.pixels import PixelStore
 from .groups import Units
 
-RESOLUTION = 128
+RESOLUTION = 128  # cells along the room's longest side
 # Cells along an axis with one more at each end, so that neighbours of the outermost cells have keys too.
 SIDE = RESOLUTION + 2
 # Number of seen points kept for the nearest-neighbour search.

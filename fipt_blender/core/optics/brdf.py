@@ -19,8 +19,8 @@ import mitsuba as mi
 
 from .factorised import diffuse_reflectance, specular_reflectance
 
-MIN_COSINE = 1e-4
-MIN_ROUGHNESS = 0.02
+MIN_COSINE = 1e-4  # below it, a direction counts as edge-on
+MIN_ROUGHNESS = 0.02  # of the paper's range of roughness
 MASKINGS = ("schlick", "smith")
 
 _masking = MASKINGS[0]

@@ -10,13 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .frames import CLIPPED_CODE, Frame, Stored, block_mean, linear_frame
-from .merging import measure_noise
+from .merging import SAMPLE_SIDE, measure_noise
 from .motion import FINEST_SIDE, STILL_PIXELS, Motion, after, grey, measure, warped
 from .preparation import Photograph
 from .response import Response, recover_response, split_samples, srgb_curve
 
-SAMPLE_SIDE = 384  # the longer side of the grid on which exposures are compared
-MOST_SAMPLES = 400_000
+MOST_SAMPLES = 400_000  # of all pairs of exposures
 SMOOTH_CODES = 4.0  # places with a larger spread of codes lie on edges
 LEAST_SIMILARITY = 0.5  # of exposures that show the same
 _LOW, _HIGH = 0.02, 0.8  # linear values at which exposures are compared

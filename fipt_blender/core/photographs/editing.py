@@ -45,9 +45,7 @@ def merge_groups(groups: Sequence[Group], index: int) -> list[Group]:
         )
     first, second = groups[index], groups[index + 1]
     merged = replace(
-        first,
-        photographs=(*first.photographs, *second.photographs),
-        used=first.used or second.used,
+        first, photographs=(*first.photographs, *second.photographs), used=first.used or second.used
     )
     return [*groups[:index], merged, *groups[index + 2 :]]
 

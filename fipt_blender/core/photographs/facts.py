@@ -14,7 +14,6 @@ from .preparation import PreparationFolder
 
 _SHARE = Maybe(Number(0.0, 1.0))
 _SIZE = Maybe(Number(low=0.0))
-_LONG_SECONDS = 0.4
 _EVERY_STEP = {
     "seconds": Number(low=0.0),
     "messages": Items(Fields(dict.fromkeys(("code", "text", "remedy"), str))),
@@ -64,4 +63,4 @@ def shutter_text(seconds: float | None) -> str:
     if not seconds:
         return "?"
     # Cameras write shorter times as fractions.
-    return f"{seconds:.3g} s" if seconds >= _LONG_SECONDS else f"1/{1.0 / seconds:.0f} s"
+    return f"{seconds:.3g} s" if seconds >= 0.4 else f"1/{1.0 / seconds:.0f} s"

@@ -21,7 +21,7 @@ from .exif import DAMAGE, unreadable
 from .extras import optional
 from .preparation import Photograph
 
-BAND_ROWS = 128
+BAND_ROWS = 128  # rows of a photograph at a time; bounds the memory
 # A sensor's own ceiling below the nominal one: this share of its pixels holds the highest value.
 _CEILING_SHARE = 1e-4
 CEILING_WIDTH = 0.002

@@ -138,12 +138,7 @@ def _modifier(photograph: Exif, width: int, height: int, flags: int) -> Any:
     modifier = lensfunpy.Modifier(lens, camera.crop_factor, width, height)
     aperture = photograph.aperture or lens.min_aperture or 8.0
     modifier.initialize(
-        photograph.focal_length,
-        aperture,
-        ROOM_DISTANCE,
-        scale=1.0,
-        pixel_format=np.float32,
-        flags=flags,
+        photograph.focal_length, aperture, ROOM_DISTANCE, scale=1.0, pixel_format=np.float32, flags=flags
     )
     return modifier
 

@@ -20,7 +20,7 @@ from ..run.errors import FiptError
 from .brackets import stops_between
 from .exif import DAMAGE, kind_of
 from .frames import CLIPPED_CODE, linear_frame, load
-from .motion import grey, log_values, measure, warped
+from .motion import LEAST_OVERLAP, grey, log_values, measure, warped
 from .preparation import Photograph
 from .response import srgb_curve
 
@@ -31,8 +31,6 @@ LEAST_LIKENESS = 0.9
 # Measured over nominal stops: cameras' curves are steeper than sRGB's (up to 1.5). A camera that exposes
 # automatically makes different views equally bright instead.
 LEAST_GAIN, MOST_GAIN = 0.5, 2.0
-_LEAST_SHARE = 0.05  # of the pixels must be well exposed in both
-_MOST_KEPT = 32  # small pictures in memory: a bracket's
 
 
 class Likeness:
@@ -62,7 +60,7 @@ class Likeness:
                 self._pictures[photograph.path] = small_picture(self._source / photograph.path, photograph)
             except (FiptError, *DAMAGE):
                 self._pictures[photograph.path] = None  # the merge reports what is wrong with it
-            while len(self._pictures) > _MOST_KEPT:
+            while len(self._pictures) > 32:  # small pictures in memory: a bracket's
                 self._pictures.popitem(last=False)
         return self._pictures[photograph.path]
 
@@ -82,7 +80,7 @@ def same_view(first: np.ndarray, second: np.ndarray, stops: float) -> bool | Non
     motion = measure(first, second)
     logs = log_values(first), log_values(warped(second[..., None], motion, 0, len(second))[..., 0])
     both = np.isfinite(logs[0]) & np.isfinite(logs[1])
-    if motion.similarity == -1.0 or both.mean() < _LEAST_SHARE:
+    if motion.similarity == -1.0 or both.mean() < LEAST_OVERLAP:
         return None
     gain = float(np.median((logs[1] - logs[0])[both])) / (math.log(2.0) * stops)
     return motion.similarity >= LEAST_LIKENESS and LEAST_GAIN <= gain <= MOST_GAIN

@@ -42,7 +42,6 @@ _REMEDY = (
 # Of a configuration: of what repeats layers, by words in its name, and of all other whole numbers (words of a
 # vocabulary, sides of images, widths).
 _REPEATING, _WIDTHS = ("layer", "depth", "block", "stage"), ("dim", "size", "width")
-_MOST_REPEATS, _MOST_NUMBER, _MOST_ITEMS = 256, 1_000_000, 4096
 
 
 class ModelFolder:
@@ -165,10 +164,7 @@ class ModelFolder:
 
 
 def normalized(
-    picture: np.ndarray,
-    size: tuple[int, int],
-    mean: np.ndarray = MEAN,
-    deviation: np.ndarray = STD,
+    picture: np.ndarray, size: tuple[int, int], mean: np.ndarray = MEAN, deviation: np.ndarray = STD
 ) -> torch.Tensor:
     """(1, 3, *size) of a picture (height, width, 3) uint8, sRGB; see `ModelFolder.pixels`."""
     values = (picture.astype(np.float32) / 255.0 - mean) / deviation
@@ -204,12 +200,12 @@ def _read(path: Path, shape: Fields) -> dict[str, Any]:
 def _config_fault(value: Any, name: str = "", nested: int = 0) -> str:
     """What no model has in a configuration, whose numbers decide on time and memory; "" where nothing is."""
     if isinstance(value, (dict, list)):
-        if nested > 8 or len(value) > _MOST_ITEMS:
+        if nested > 8 or len(value) > 4096:
             return f"{name or 'it'} has too many parts"
         items = value.items() if isinstance(value, dict) else [(name, item) for item in value]
         return next(filter(None, (_config_fault(item, key, nested + 1) for key, item in items)), "")
     is_width = any(word in name for word in _WIDTHS)
-    most = _MOST_REPEATS if any(word in name for word in _REPEATING) and not is_width else _MOST_NUMBER
+    most = 256 if any(word in name for word in _REPEATING) and not is_width else 1_000_000
     if isinstance(value, int) and abs(value) > most:
         return f"{name} is {value}; at most {most} is possible"
     return ""

@@ -20,16 +20,14 @@ from ..radiometry.adjustment import CODE_NOISE
 from .frames import BAND_ROWS, Frame, block_mean
 from .motion import Motion, warped
 
-PASSES = 2  # of the weights' expectation
 # The hat: full weight up to here, none from the ceiling on.
 HAT_FROM, HAT_TO = 0.7, 0.97
+SAMPLE_SIDE = 384  # the longer side of the grid on which exposures are compared, and moved regions found
 _LEAST_WEIGHT = 1e-9
 MOVED_LOG = 0.15  # regions whose exposures differ by more than this in the logarithm have moved
-_MOVED_SIGMAS = 5.0
 # Exposures that a fraction of a pixel moved out of the image still count in the last rows and columns, which
 # would otherwise be left to the noise of darker ones.
 BORDER = 1.0
-GHOST_SIDE = 384  # the longer side of the grid on which moved regions are found
 _DARK, _BRIGHT = 0.01, 0.85  # linear values that are compared to find them
 
 
@@ -137,7 +135,7 @@ def merge_exposures(
         lost = ~np.any(only, axis=0)
         usable = [np.where(lost, u, o) for u, o in zip(usable, only, strict=True)]
     radiance = _weighted(values, usable, exposures, noise, None)
-    for _ in range(PASSES):
+    for _ in range(2):  # the second with the weights of the first
         radiance = _weighted(values, usable, exposures, noise, radiance)
     none = ~np.any(usable, axis=0)
     if none.any():
@@ -168,7 +166,7 @@ def moved_regions(values: Sequence[np.ndarray], sigmas: Sequence[np.ndarray]) ->
             if both.any():
                 ratio[both] -= np.median(ratio[both])
             noise = np.hypot(np.nan_to_num(sigmas[j]), np.nan_to_num(sigmas[k]))
-            moved |= both & (np.abs(ratio) > np.maximum(MOVED_LOG, _MOVED_SIGMAS * noise))
+            moved |= both & (np.abs(ratio) > np.maximum(MOVED_LOG, 5.0 * noise))
     # Edges that are a fraction of a pixel apart leave lines; what has moved has a width.
     moved = ndimage.binary_opening(moved, np.ones((2, 2), bool))
     moved = ndimage.binary_dilation(moved, np.ones((3, 3), bool))
@@ -273,7 +271,7 @@ def _ghosts(
 ) -> np.ndarray:
     """The choice of `moved_regions` on a coarse grid."""
     height, width = frames[0].values.shape[:2]
-    factor = max(1, max(height, width) // GHOST_SIDE)
+    factor = max(1, max(height, width) // SAMPLE_SIDE)
     rows, columns = height // factor, width // factor
     radiances, sigmas = [], []
     for frame, motion, exposure in zip(frames, motions, exposures, strict=True):

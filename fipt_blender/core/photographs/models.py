@@ -18,7 +18,6 @@ from ..capture.rig import Rig
 from ..run.errors import FiptError
 from ..run.runfolder import explained_write_errors
 
-_SAME_SHAPE = 0.01  # relative difference of two aspect ratios that rounding to whole pixels explains
 _SOLVE_AGAIN = "Solve the cameras again (step solve)."
 
 
@@ -135,7 +134,8 @@ def model_from_rig(rig: Rig, wanted: list[WantedView]) -> pycolmap.Reconstructio
             params=found.lens.parameters,
         )
         ratio = (view.width / found.width) / (view.height / found.height)
-        if abs(ratio - 1.0) > _SAME_SHAPE:
+        # Rounding to whole pixels explains less.
+        if abs(ratio - 1.0) > 0.01:
             raise FiptError(
                 "solve-size",
                 f"The existing solve has {found.width} x {found.height} pixels for {found.name}, but the "

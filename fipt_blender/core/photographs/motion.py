@@ -16,14 +16,11 @@ from scipy import ndimage
 from ..robust import deviation
 
 FINEST_SIDE = 1024  # pixels of the longer side at which motion is measured
-COARSEST_SIDE = 48
-STEPS = 20
-MOST_POINTS = 40_000  # at which residuals are measured
 STILL_PIXELS = 0.15  # smaller motion of any corner, in pixels of the working size, is measurement noise
 MOST_SHARE = 0.15  # of the longer side; larger motion is taken for a failure
 # Standard deviation of the logarithm at the coarsest size, where noise is averaged out.
 LEAST_CONTRAST = 0.02
-_LEAST_OVERLAP = 0.05  # share of pixels that must be usable in both
+LEAST_OVERLAP = 0.05  # share of pixels that must be usable in both
 # Log values below that of about 1 % of the ceiling are mostly noise.
 DARKEST, BRIGHTEST = 0.01, 0.95
 _OUTLIER = 2.5  # residuals beyond this many (robust) standard deviations do not count
@@ -133,7 +130,7 @@ def log_values(image: np.ndarray) -> np.ndarray:
 def _pyramid(image: np.ndarray) -> list[np.ndarray]:
     """The image at growing sizes; a pixel of a smaller one is usable if half of its four are."""
     levels = [image]
-    while max(levels[0].shape) >= 2 * COARSEST_SIDE and min(levels[0].shape) >= 16:
+    while max(levels[0].shape) >= 96 and min(levels[0].shape) >= 16:
         last = levels[0]
         height, width = (size // 2 * 2 for size in last.shape)
         blocks = last[:height, :width].reshape(height // 2, 2, width // 2, 2)
@@ -157,7 +154,7 @@ def _searched(reference: np.ndarray, exposure: np.ndarray) -> Motion:
                 exposure[other_rows, slice(columns.start + dx, columns.stop + dx)],
             )
             both = np.isfinite(a) & np.isfinite(b)
-            if both.sum() < 2 * _LEAST_OVERLAP * reference.size:
+            if both.sum() < 2 * LEAST_OVERLAP * reference.size:
                 continue
             value = _correlation(a[both], b[both])
             if value > best:
@@ -170,16 +167,16 @@ def _refined(reference: np.ndarray, exposure: np.ndarray, motion: Motion) -> Mot
     height, width = reference.shape
     side = max(height, width)
     known = np.flatnonzero(np.isfinite(reference))
-    if len(known) < _LEAST_OVERLAP * reference.size:
+    if len(known) < LEAST_OVERLAP * reference.size:
         return Motion(motion.x, motion.y, motion.angle, -1.0)
-    known = known[:: max(1, len(known) // MOST_POINTS)]
+    known = known[:: max(1, len(known) // 40_000)]
     points = np.stack([known % width, known // width], -1) + 0.5
     target = reference.ravel()[known].astype(np.float64)
-    for _ in range(STEPS):
+    for _ in range(20):
         places = motion.apply(points, width, height)
         values, slopes = _sampled(exposure, places)
         valid = np.isfinite(values)
-        if valid.sum() < _LEAST_OVERLAP * len(points):
+        if valid.sum() < LEAST_OVERLAP * len(points):
             return Motion(motion.x, motion.y, motion.angle, -1.0)
         a, b, slopes = target[valid], values[valid], slopes[valid]
         # How a pixel's place changes with the angle: perpendicular to its way from the centre.

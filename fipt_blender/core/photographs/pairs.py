@@ -10,8 +10,6 @@ from __future__ import annotations
 from itertools import combinations
 
 MOST_EXHAUSTIVE = 100  # photographs: 4,950 pairs, half an hour on one core
-NEIGHBOURS = 10  # photographs after each one that it is compared with
-STRIDE = 8  # every eighth photograph is compared with all others of that net, which closes loops
 
 
 def image_pairs(count: int) -> list[tuple[int, int]]:
@@ -29,7 +27,8 @@ def image_pairs(count: int) -> list[tuple[int, int]]:
     """
     if count <= MOST_EXHAUSTIVE:
         return list(combinations(range(count), 2))
-    steps = set(range(1, NEIGHBOURS + 1))
+    steps = set(range(1, 11))  # each is compared with the next ten
     steps |= {2**power for power in range(count.bit_length()) if 2**power < count // 2}
     near = {(first, first + step) for step in steps for first in range(count - step)}
-    return sorted(near | set(combinations(range(0, count, STRIDE), 2)))
+    # Every eighth is compared with all others of that net, which closes loops.
+    return sorted(near | set(combinations(range(0, count, 8), 2)))

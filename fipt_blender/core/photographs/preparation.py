@@ -13,17 +13,17 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..run.documents import read_json
+from ..run.documents import head, read_json
 from ..run.errors import FiptError
 from ..run.paths import is_network, leads_outside
 from ..run.runfolder import write_json
-from ..run.shapes import MOST_SIDE, PREPARE, PREPARE_FORMAT, PREPARE_VERSION
+from ..run.settings import converted
+from ..run.shapes import MOST_SIDE, PREPARE
 
 GROUPINGS = ("auto", "folders", "single")
 RESPONSES = ("auto", "srgb", "linear")
 VIGNETTINGS = ("auto", "none")
 SCALES = ("none", "points", "marker", "mesh")
-_MOST_TEXT = 4096  # characters of a setting
 WHITE_BALANCES = ("camera", "daylight")
 _REMEDY = "Correct the file, or delete it and find the brackets again."
 
@@ -210,22 +210,8 @@ def make_prepare_settings(changes: Mapping[str, Any]) -> PrepareSettings:
     Raises:
         FiptError: ``setting-unknown`` or ``setting-invalid``.
     """
-    known = {item.name: item for item in dataclasses.fields(PrepareSettings)}
-    values = {}
-    for name, value in changes.items():
-        if name not in known:
-            raise FiptError(
-                "setting-unknown", f"There is no setting '{name}'.", f"Use one of: {', '.join(known)}."
-            )
-        try:
-            values[name] = _converted(value, known[name].default, known[name].metadata)
-        except ValueError as error:
-            raise FiptError(
-                "setting-invalid",
-                f"'{value}' is not a valid value of the setting '{name}'.",
-                f"Give {error}.",
-            ) from None
-    return PrepareSettings(**values)
+    limits = {item.name: item.metadata for item in dataclasses.fields(PrepareSettings)}
+    return PrepareSettings(**converted(PrepareSettings, changes, limits))
 
 
 def write_preparation(folder: PreparationFolder, preparation: Preparation) -> None:
@@ -235,8 +221,7 @@ def write_preparation(folder: PreparationFolder, preparation: Preparation) -> No
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
     data = {
-        "format": PREPARE_FORMAT,
-        "version": PREPARE_VERSION,
+        **head("prepare"),
         "source": str(preparation.source),
         "settings": asdict(preparation.settings),
         "photographs": [asdict(photograph) for photograph in preparation.photographs],
@@ -293,36 +278,6 @@ def _fault(source: Path, photographs: tuple[Photograph, ...], groups: tuple[Grou
                 return f"'{path}' is in two groups"
             taken.add(path)
     return ""
-
-
-def _converted(value: Any, default: Any, limits: Mapping[str, Any]) -> Any:
-    """A setting's value in the type of its default.
-
-    Raises:
-        ValueError: what the setting takes.
-    """
-    if isinstance(default, str):
-        text = str(value)
-        choices = limits.get("choices", ())
-        if choices and text not in choices:
-            raise ValueError(f"one of: {', '.join(choices)}")
-        if len(text) > _MOST_TEXT or not text.isprintable():
-            raise ValueError(f"a text of at most {_MOST_TEXT} letters")
-        return text
-    if isinstance(default, bool):
-        truths: dict[str, bool] = {"true": True, "1": True, "false": False, "0": False}
-        if str(value).lower() not in truths:
-            raise ValueError("true or false")
-        return truths[str(value).lower()]
-    low, high = limits["low"], limits["high"]
-    try:
-        number = type(default)(str(value))
-    except ValueError:
-        number = float("nan")
-    if not (low <= number <= high or (number == 0 and limits.get("zero"))):
-        kind = "a whole number" if isinstance(default, int) else "a number"
-        raise ValueError(f"{'0, or ' if limits.get('zero') else ''}{kind} from {low} to {high}")
-    return number
 
 
 def refuse_foreign(folder: PreparationFolder, photographs: Path) -> None:

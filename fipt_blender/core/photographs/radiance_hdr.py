@@ -15,8 +15,7 @@ import numpy as np
 from ..run.documents import read_limited
 from ..run.shapes import MOST_SIDE
 
-MOST_BYTES = 1_000_000_000  # 160 megapixels without compression have 640 MB
-_HEADER_BYTES = 65_536
+_HEADER_BYTES = 65_536  # at most
 
 
 def read_size(path: Path) -> tuple[int, int]:
@@ -38,7 +37,7 @@ def read(path: Path) -> np.ndarray:
         ValueError: it is damaged.
         OSError: the system's.
     """
-    data = read_limited(path, MOST_BYTES)
+    data = read_limited(path, 1_000_000_000)  # 160 megapixels without compression have 640 MB
     width, height, start, exposure = _header(data)
     encoded = np.frombuffer(data, np.uint8, offset=start)
     if encoded[:3].tolist() == [2, 2, width >> 8] and 8 <= width < 32768:

@@ -17,9 +17,6 @@ from .exif import describe, kind_of
 from .likeness import Likeness
 from .preparation import Group, Photograph, Preparation, PreparationFolder, write_preparation
 
-MOST_PHOTOGRAPHS = 20_000
-_HEADERS_SHARE = 0.7  # of the time; the rest compares photographs
-
 
 def key(folder: PreparationFolder, preparation: Preparation) -> Any:
     """The files with their sizes and times, and the way of grouping."""
@@ -50,7 +47,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
             skipped.append({"path": name, "reason": error.text})
             if error.code == "package-optional":
                 skipped[-1]["reason"] += f" {error.remedy}"
-        reporter.progress(_HEADERS_SHARE * (index + 1) / len(names))
+        reporter.progress(0.7 * (index + 1) / len(names))  # of the time; the rest compares photographs
     photographs, doubles = without_doubles(in_order(photographs))
     skipped += [
         {"path": item.path, "reason": "the RAW photograph of the same name is used"} for item in doubles
@@ -80,10 +77,10 @@ def list_photographs(source: Path) -> list[str]:
         for name in sorted(files):
             if not name.startswith(".") and kind_of(Path(name)) is not None:
                 names.append(Path(top, name).relative_to(source).as_posix())
-        if len(names) > MOST_PHOTOGRAPHS:
+        if len(names) > 20_000:
             raise FiptError(
                 "too-many-photographs",
-                f"{source} holds more than {MOST_PHOTOGRAPHS} photographs.",
+                f"{source} holds more than 20000 photographs.",
                 "Choose the folder of one room.",
             )
     if not names:

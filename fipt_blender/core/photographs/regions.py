@@ -28,8 +28,7 @@ GRIDS = (6, 12, 24)  # points along the longer side of a photograph, one grid af
 SURE, SURE_CELLS = 0.93, 16.0
 # The paper's choices, but for the stability: of 0.95, walls were left without a mask.
 LEAST_CONFIDENCE = 0.88  # IoU with the true mask that the model predicts
-LEAST_STABILITY = 0.9
-STABILITY_OFFSET = 1.0  # of logits
+LEAST_STABILITY = 0.9  # IoU of a mask at two thresholds
 MOST_COVER = 0.95  # share of a photograph, from which a mask shows no region
 MOST_OVERLAP = 0.7  # IoU of two masks of different regions
 # Pixels of a region's pieces as a share of the photograph's; the paper's 100 pixels at about 1 megapixel.
@@ -198,7 +197,7 @@ def grid_points(count: int, size: tuple[int, int]) -> torch.Tensor:
     return torch.stack([x.flatten() * (size[1] / columns), y.flatten() * (size[0] / rows)], dim=1)
 
 
-def stability(logits: torch.Tensor, offset: float = STABILITY_OFFSET) -> torch.Tensor:
+def stability(logits: torch.Tensor, offset: float = 1.0) -> torch.Tensor:
     """How little masks depend on the threshold: the IoU of those at thresholds of +offset and -offset.
 
     Args:
@@ -214,7 +213,7 @@ def stability(logits: torch.Tensor, offset: float = STABILITY_OFFSET) -> torch.T
     return inner / outer.clamp(min=1)
 
 
-def distinct_masks(masks: torch.Tensor, confidence: torch.Tensor, most: float = MOST_OVERLAP) -> torch.Tensor:
+def distinct_masks(masks: torch.Tensor, confidence: torch.Tensor) -> torch.Tensor:
     """Greedy non-maximum suppression by the IoU of masks.
 
     The authors' code compares boxes, of which a picture and its frame have the same.
@@ -222,7 +221,6 @@ def distinct_masks(masks: torch.Tensor, confidence: torch.Tensor, most: float = 
     Args:
         masks: (N, P) bool, pixels of N masks.
         confidence: (N,), the highest is kept; of equal ones the first.
-        most: IoU with a kept mask, above which a mask is left out.
 
     Returns:
         Indices of the kept masks, by falling confidence.
@@ -231,7 +229,7 @@ def distinct_masks(masks: torch.Tensor, confidence: torch.Tensor, most: float = 
     cover = masks[order].float()
     area = cover.sum(dim=1)
     shared = cover @ cover.T
-    similar = shared > most * (area[:, None] + area[None] - shared)
+    similar = shared > MOST_OVERLAP * (area[:, None] + area[None] - shared)
     kept: list[int] = []
     left = torch.ones(len(order), dtype=torch.bool)
     for index in range(len(order)):

@@ -18,7 +18,8 @@ from PIL import Image
 from ..capture import colmap
 from ..capture.averaging import narrowed
 from ..capture.images import read_radiance
-from ..capture.rig import ReadOptions, Rig
+from ..capture.options import CaptureOptions
+from ..capture.rig import Rig
 from ..report.comparison import to_display
 from ..report.html import write_page
 from ..report.pictures import write_jpeg
@@ -35,14 +36,10 @@ _SOURCES = {
     "none": "nothing to correct: measured where views overlap",
     "unknown": "not corrected: neither the files nor the views tell it",
 }
-PICTURE_WIDTH = 400
+PICTURE_WIDTH = 400  # pixels, of the pictures on the page
 CLIPPED_COLOR = (1.0, 0.0, 1.0)
-MIDDLE_GRAY = 0.18  # of the median pixel in the pictures: the scale of radiance is arbitrary
-_PLAN_SIZE = 420.0  # pixels of the longer side of the cameras' plan
-_PLAN_MARGIN = 24.0
-_ARROW = 14.0  # pixels
-_CURVE_SIZE = 200.0
-_EXPOSURE_IMAGES = 5
+_PLAN_MARGIN = 24.0  # pixels around the cameras' plan
+_CURVE_SIZE = 200.0  # pixels along an edge of the picture of a response
 
 
 @dataclass(frozen=True)
@@ -160,10 +157,11 @@ def _left_out(facts: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, str]]:
 def _exposure(images: Sequence[Path]) -> float:
     """One exposure for all pictures, from a few of the images."""
     existing = [path for path in images if path.is_file()]
-    step = max(1, len(existing) // _EXPOSURE_IMAGES)
+    step = max(1, len(existing) // 5)
     medians = [float(np.median(small(path))) for path in existing[::step]]
     median = float(np.median(medians)) if medians else 0.0
-    return MIDDLE_GRAY / median if median > 0.0 else 1.0
+    # The scale of radiance is arbitrary: the median becomes middle gray.
+    return 0.18 / median if median > 0.0 else 1.0
 
 
 def small(path: Path, width: int = PICTURE_WIDTH) -> np.ndarray:
@@ -230,7 +228,7 @@ def _named(entries: Sequence[Mapping[str, Any]], name: str) -> Mapping[str, Any]
 def _plan(capture: Path) -> Plan | None:
     """The solved cameras from above, or None without a model."""
     found = colmap.find(capture)
-    return None if found is None else make_plan(colmap.read(found, ReadOptions()))
+    return None if found is None else make_plan(colmap.read(found, CaptureOptions()))
 
 
 def make_plan(rig: Rig) -> Plan | None:
@@ -240,12 +238,12 @@ def make_plan(rig: Rig) -> Plan | None:
     poses = np.stack([view.camera_to_world for view in rig.views])
     places, forward = poses[:, :2, 3], poses[:, :2, 2]
     low, extent = places.min(axis=0), np.ptp(places, axis=0)
-    scale = (_PLAN_SIZE - 2.0 * _PLAN_MARGIN) / max(float(extent.max()), 1e-9)
+    scale = (420.0 - 2.0 * _PLAN_MARGIN) / max(float(extent.max()), 1e-9)
     size = extent * scale + 2.0 * _PLAN_MARGIN
     pixels = (places - low) * scale + _PLAN_MARGIN
     arrows = []
     for view, (x, y), direction in zip(rig.views, pixels, forward, strict=True):
-        tip = np.array([x, y]) + _ARROW * direction
+        tip = np.array([x, y]) + 14.0 * direction
         arrows.append(Arrow(view.name, float(x), float(size[1] - y), float(tip[0]), float(size[1] - tip[1])))
     length = 10.0 ** np.floor(np.log10(max(float(extent.max()), 1e-9)))
     return Plan(float(size[0]), float(size[1]), tuple(arrows), float(length * scale), float(length))

@@ -24,7 +24,6 @@ from .sam_decoder import DecoderSizes, SamDecoder, fast_type
 from .tiny_vit import TinyVit, TinyVitSizes
 
 SUFFIXES = (".pt", ".pth", ".safetensors")
-MOST_BYTES = 8 << 30  # of a checkpoint; SAM's largest model has 2.6 GB
 ENCODER, MOBILE = "image_encoder.", "image_encoder.patch_embed.seq.0.c.weight"
 # A weight by which the checkpoints of other networks are known.
 _OTHERS = {
@@ -33,7 +32,7 @@ _OTHERS = {
 }
 # What training leaves behind: counters, TinyViT's classifier, and the encoding of masks as prompts.
 _UNUSED = ("image_encoder.norm_head.", "image_encoder.head.", "prompt_encoder.mask_downscaling.")
-_MOST_WIDTH, _MOST_DEPTH, _MOST_WINDOW = 4096, 64, 32
+_MOST_WIDTH = 4096
 _REMEDY = (
     "Choose a checkpoint of MobileSAM (.pt, .pth or .safetensors) as its authors publish it; SAM and SAM 2 as"
     " the folder of a model for transformers."
@@ -58,7 +57,7 @@ def read_weights(path: Path) -> Weights:
     """
     try:
         size = path.stat().st_size
-        if not 0 < size <= MOST_BYTES:
+        if not 0 < size <= 8 << 30:  # SAM's largest model has 2.6 GB
             raise unusable(path, f"it has {size} bytes")
         data = _read_safetensors(path) if path.suffix.lower() == ".safetensors" else _read_torch(path)
     except (pickle.UnpicklingError, zipfile.BadZipFile, *_DAMAGE) as error:
@@ -187,11 +186,11 @@ def _mobile_sizes(weights: Weights) -> tuple[TinyVitSizes, DecoderSizes]:
         len({name[len(stage) :].partition(".")[0] for name in weights if name.startswith(stage)})
         for stage in stages
     ]
-    if max(blocks) > _MOST_DEPTH:
+    if max(blocks) > 64:
         raise ValueError(f"{max(blocks)} blocks")
     biases = [f"{stage}0.attn.attention_biases" for stage in stages[1:]]
     heads = [shape(name, 0) for name in biases]
-    windows = [math.isqrt(shape(name, 1, _MOST_WINDOW**2)) for name in biases]
+    windows = [math.isqrt(shape(name, 1, 32**2)) for name in biases]
     output = shape(f"{ENCODER}neck.0.weight", 0)
     inner = shape("mask_decoder.transformer.layers.0.mlp.lin1.weight", 0, 4 * _MOST_WIDTH)
     decoder = DecoderSizes(width=output, inner=inner)

@@ -22,7 +22,6 @@ from torch.nn import functional
 from .tiny_vit import LayerNorm2d
 
 MASKS = 3  # for each point: a part of a thing, the thing, and what it belongs to
-LAYERS = 2
 
 
 def fast_type() -> torch.dtype:
@@ -205,7 +204,7 @@ class _Transformer(nn.Module):
 
     def __init__(self, sizes: DecoderSizes) -> None:
         super().__init__()
-        self.layers = nn.ModuleList([_Layer(sizes) for _ in range(LAYERS)])
+        self.layers = nn.ModuleList([_Layer(sizes) for _ in range(2)])
         self.final_attn_token_to_image = _CrossAttention(sizes)
         self.norm_final_attn = nn.LayerNorm(sizes.width)
 

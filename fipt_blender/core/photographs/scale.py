@@ -17,14 +17,9 @@ from .. import conventions
 from ..run.errors import FiptError
 
 FLOOR_PERCENTILE = 2.0  # of the heights of points; below the floor are only wrong points
-# How much the cameras' mean up direction counts against their horizontal axes: it decides only where
-# these leave it open, because all cameras look along one line.
-_MEAN_UP_WEIGHT = 1e-3
 _LEAST_ANGLE = np.radians(1.0)  # between rays; below, a position along them is not determined
-_MOST_TRIED = 24  # rays whose pairs are tried: 276 of them
 _DROP = 3.0  # times the median distance from the rays: such rays are of something else
 _PICK_SHARE = 0.08  # of the image's diagonal within which a solved point gives the depth of a picked pixel
-_PICK_POINTS = 5  # nearest solved points whose median depth is used
 _PICK_FORM = "Write them as VIEW X Y, separated by commas in one point and by a semicolon between the points."
 
 
@@ -55,7 +50,8 @@ def up_direction(poses: np.ndarray) -> np.ndarray:
         level = np.abs(axes @ up).argmin(axis=1)
         horizontal = axes[np.arange(len(axes)), level]
         spread = horizontal.T @ horizontal / len(horizontal)
-        spread += _MEAN_UP_WEIGHT * (np.eye(3) - np.outer(mean, mean))
+        # Decides only where all cameras look along one line.
+        spread += 1e-3 * (np.eye(3) - np.outer(mean, mean))
         up = np.linalg.eigh(spread)[1][:, 0]
         up = up if up @ mean >= 0.0 else -up
     return np.asarray(up)
@@ -100,7 +96,7 @@ def nearest_to_rays(origins: np.ndarray, directions: np.ndarray) -> np.ndarray |
     Returns:
         None where all rays are nearly parallel, or there is only one.
     """
-    tried = combinations(range(min(len(origins), _MOST_TRIED)), 2)
+    tried = combinations(range(min(len(origins), 24)), 2)  # 276 pairs of rays
     crossings = [_crossing(origins[list(pair)], directions[list(pair)]) for pair in tried]
     known = [point for point in crossings if point is not None]
     if not known:
@@ -141,7 +137,7 @@ def depth_of_pick(pixel: np.ndarray, positions: np.ndarray, depths: np.ndarray, 
         ValueError: where no solved point is near.
     """
     distances = np.linalg.norm(positions - pixel, axis=1)
-    near = np.argsort(distances)[:_PICK_POINTS]
+    near = np.argsort(distances)[:5]
     near = near[distances[near] <= _PICK_SHARE * diagonal]
     if not near.size:
         raise ValueError("no solved point is near it")

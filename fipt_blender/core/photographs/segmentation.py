@@ -22,7 +22,6 @@ CLASSES = {
     "eomt": "EomtForUniversalSegmentation",
 }
 _TASK = "the task is semantic"  # what OneFormer is asked for
-_TASK_WORDS = 77  # to which its tokens are filled up, where its configuration does not say
 _SHORT_SIDE = 800  # pixels, where the folder does not say how large images were in training
 _MULTIPLE = 32  # of the sides that the backbones of all but EoMT need
 _CLASSES_AT_ONCE = 16  # whose scores are enlarged together; all would take gigabytes
@@ -57,7 +56,7 @@ class Segmenter:
         changes = {"is_training": False} if folder.kind == "oneformer" else {}
         self._model = folder.load(CLASSES[folder.kind], **changes)
         if folder.kind == "oneformer":
-            words = int(config.get("task_seq_len", _TASK_WORDS))
+            words = int(config.get("task_seq_len", 77))
             self._more = {"task_inputs": folder.tokens(_TASK, words)}
         self.classes = {int(key): name for key, name in config["id2label"].items() if key.isdecimal()}
 

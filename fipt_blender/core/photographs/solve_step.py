@@ -17,7 +17,7 @@ from PIL import Image
 
 from ..capture.formats import read_rig
 from ..capture.images import JPEG_QUALITY, read_radiance, read_size
-from ..capture.rig import ReadOptions
+from ..capture.options import CaptureOptions
 from ..run.errors import FiptError
 from ..run.messages import Reporter
 from ..run.runfolder import atomic_path, explained_write_errors
@@ -31,7 +31,7 @@ _COPIES_SHARE = 0.1  # of the step's time
 POOR_ERROR = 1.5  # pixels of mean reprojection error; a good solve has less than one
 SMALL_SIDE = 1000  # pixels; in smaller images, most photographs of a room have too few features
 FEW_VIEWS = 3  # of one camera; with less, its focal length is hardly determined
-_NAMES_IN_TEXT = 5
+_NAMES_IN_TEXT = 5  # of a warning
 
 
 def solve_folder(folder: PreparationFolder) -> Path:
@@ -155,7 +155,7 @@ def _write_copies(folder: PreparationFolder, groups: list[Group], reporter: Repo
 
 def _existing(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> Solve:
     """The cameras of an existing solve, in any format that the capture readers know."""
-    rig = read_rig(Path(preparation.settings.cameras).absolute(), "auto", ReadOptions())
+    rig = read_rig(Path(preparation.settings.cameras).absolute(), "auto", CaptureOptions())
     for note in rig.notes:
         reporter.warning(note.code, note.text, note.remedy)
     wanted = []

@@ -22,16 +22,9 @@ from .pairs import image_pairs
 
 Progress = Callable[[float], None]
 
-MOST_SIDE = 2400  # pixels of a copy's longer side in which features are searched
-MOST_FEATURES = 8192  # of one photograph
-# Of the default 0.0067: walls and ceilings of rooms have little contrast.
-PEAK_THRESHOLD = 0.004
 FEW_FEATURES = 150  # below, a photograph shows too little to be placed
 LEAST_MODEL = 3  # photographs; smaller models say nothing
-# A second coefficient of the lens is fitted only where this many photographs share a camera.
-VIEWS_FOR_TWO_COEFFICIENTS = 8
-DEFAULT_FOCAL = 1.0  # of the longer side, where EXIF does not tell it: between a phone's and a wide lens's
-_PAIRS_PER_CALL = 64
+_PAIRS_PER_CALL = 64  # between two messages of progress
 _SHARES = (0.2, 0.6, 0.2)  # of the time: features, matches, mapping
 
 
@@ -94,9 +87,10 @@ def camera_groups(views: Sequence[SolveView]) -> list[list[int]]:
 def start_camera(view: SolveView, views: int) -> pycolmap.Camera:
     """The camera from which the solve starts, for a number of views that share it."""
     known = view.focal is not None
-    focal = view.focal if view.focal is not None else DEFAULT_FOCAL * max(view.width, view.height)
+    # Without EXIF, the longer side: between a phone's and a wide lens's.
+    focal = view.focal if view.focal is not None else float(max(view.width, view.height))
     center = [0.5 * view.width, 0.5 * view.height]
-    two = views >= VIEWS_FOR_TWO_COEFFICIENTS
+    two = views >= 8  # fewer do not tell a second coefficient of the lens
     return pycolmap.Camera(
         model="RADIAL" if two else "SIMPLE_RADIAL",
         width=view.width,
@@ -133,11 +127,7 @@ def solve(folder: Path, views: Sequence[SolveView], seed: int, progress: Progres
         _extract(database, folder / "copies", views, lambda share: progress(features * share))
         _match(database, views, seed, lambda share: progress(features + matches * share))
         models = _map(
-            database,
-            folder,
-            len(views),
-            seed,
-            lambda share: progress(features + matches + mapping * share),
+            database, folder, len(views), seed, lambda share: progress(features + matches + mapping * share)
         )
     except RuntimeError as error:
         raise _explained(database, error) from error
@@ -253,10 +243,10 @@ def _extract(database: Path, copies: Path, views: Sequence[SolveView], progress:
     for indices in groups:
         identifier = _camera_id(database, views[indices[0]], len(indices))
         options = pycolmap.FeatureExtractionOptions()
-        options.max_image_size = MOST_SIDE
+        options.max_image_size = 2400
         options.use_gpu = False
-        options.sift.max_num_features = MOST_FEATURES
-        options.sift.peak_threshold = PEAK_THRESHOLD
+        options.sift.max_num_features = 8192
+        options.sift.peak_threshold = 0.004  # of 0.0067: walls and ceilings have little contrast
         reader = pycolmap.ImageReaderOptions(existing_camera_id=identifier)
         step = max(1, os.cpu_count() or 1)  # one call works on the images of a batch in parallel
         for start in range(0, len(indices), step):

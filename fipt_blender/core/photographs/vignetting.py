@@ -19,10 +19,7 @@ TERMS = 3  # r², r⁴, r⁶ of the logarithm of the share of light
 LEAST_OBSERVATIONS = 300  # of points that at least two views see
 LEAST_SIGNIFICANCE = 4.0  # standard errors by which the corner must be darker
 LEAST_FALLOFF = 0.02  # of the light in the corner; less is not worth a correction
-_ITERATIONS = 12
 _OUTLIER = 4.685  # times the noise, beyond which Tukey's weights are zero (95 % efficient for normal noise)
-# Weak pull of the coefficients towards zero, in observations: it decides only where radii are not covered.
-_RIDGE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,10 +82,11 @@ def fit_falloff(observations: Observations) -> Falloff | None:
     columns[np.arange(len(point)), TERMS + view] = 1.0
     values = observations.log_radiance[shared]
     weights, residual = np.ones(len(point)), np.zeros(len(point))
-    for _ in range(_ITERATIONS):
+    for _ in range(12):
         centered = without_means(columns, point, weights)
         target = without_means(values, point, weights)
-        normal = centered.T @ (weights[:, None] * centered) + _RIDGE * np.eye(columns.shape[1])
+        # A weak pull towards zero decides only where radii are not covered.
+        normal = centered.T @ (weights[:, None] * centered) + 1e-3 * np.eye(columns.shape[1])
         solution = np.linalg.solve(normal, centered.T @ (weights * target))
         residual = target - centered @ solution
         sigma = deviation(residual, 1e-6)

@@ -28,7 +28,6 @@ from .vignetting import TERMS, Falloff, Observations, fit_falloff, light_share
 _PATCH = 2  # pixels on each side of a point over which radiance is averaged
 # Share of an image's pixels, the brightest ones, that tell nothing: lamps may be clipped.
 _BRIGHTEST = 0.02
-_CORNER_SIDE = 256  # pixels of the image whose corner is told
 _CORRECTED = Entries(Items(Fields({"digest": str, "coefficients": Numbers(TERMS)})))
 
 
@@ -104,7 +103,7 @@ def _database_facts(preparation: Preparation) -> list[dict[str, Any]]:
     facts = []
     for name, groups in _lenses(preparation, by_database=True).items():
         photograph = preparation.of(groups[0])[0]
-        reduction = max(1, max(photograph.width, photograph.height) // _CORNER_SIDE)
+        reduction = max(1, max(photograph.width, photograph.height) // 256)
         gain = lens.vignetting(photograph, photograph.width // reduction, photograph.height // reduction)
         corner = 1.0 if gain is None else 1.0 / float(gain[0, 0])
         facts.append(

@@ -24,7 +24,6 @@ FALLOFF_TERMS = 2  # r² and r⁴ of the logarithm of the share of light
 _GAIN_DEVIATION, _FALLOFF_DEVIATION = 3.0, 0.1
 # Standard deviation of a code of a small calm area: rounding, JPEG, noise.
 CODE_NOISE = 1.0
-_ITERATIONS = 10
 _FIRST_NOISE, _LEAST_NOISE = 0.02, 2e-3  # of the logarithm of radiance, in contrasts
 # Neighbouring points share the errors of the model (gloss, mesh): about so many rows count as one.
 ROWS_PER_SAMPLE = 10.0
@@ -89,7 +88,7 @@ def adjust(samples: Samples, views: int, basis: Basis) -> Adjustment:
     shape, predicted = basis.shape(np.zeros(COMPONENTS)), rows.code
     noise = _FIRST_NOISE
     error, spread = np.zeros(len(rows.code)), np.ones(len(rows.code))
-    for iteration in range(_ITERATIONS):
+    for iteration in range(10):
         system = _System.of(rows, views, basis, shape, predicted)
         # A relative error of radiance, in codes by the typical slope: the found one would favor flat shapes.
         spread = np.sqrt(CODE_NOISE**2 + (noise / interpolated(typical, predicted)) ** 2)

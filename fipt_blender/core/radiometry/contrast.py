@@ -16,8 +16,6 @@ from .response import Basis
 # Standard deviation of exposures as files tell them, rounded to a third of a stop and true to a tenth or so,
 # before they are compared with the gains: it counts as much as one view.
 EXIF_DEVIATION = 0.12 * np.log(2.0)
-_LEAST_EXPOSURES = 4
-_ITERATIONS = 15
 
 
 @dataclass(frozen=True)
@@ -52,12 +50,12 @@ def exif_contrast(log_gains: np.ndarray, exposures: np.ndarray) -> Source | None
         None with too few exposures, or with equal ones.
     """
     known = np.isfinite(exposures) & (exposures > 0.0)
-    if known.sum() < _LEAST_EXPOSURES:
+    if known.sum() < 4:
         return None
     found, told = log_gains[known], np.log(exposures[known])
     weight = np.ones(len(found))
     value, deviation = 0.0, EXIF_DEVIATION
-    for _ in range(_ITERATIONS):
+    for _ in range(15):
         centered = found - np.average(found, weights=weight)
         target = told - np.average(told, weights=weight)
         information = float((weight * centered**2).sum())

@@ -15,17 +15,15 @@ from functools import cache
 
 import numpy as np
 
-LEVELS = 256
-COMPONENTS = 4
+LEVELS = 256  # codes of a channel
+COMPONENTS = 4  # of the basis of responses
 # Codes between which a curve's contrast is measured, as shares of the highest.
 LOW_ANCHOR, HIGH_ANCHOR = 51, 204
 # Codes below this are mostly noise; curves are steep there.
 LOWEST_CODE = 4.0
-# Curves that the basis is made of, and the seed of their parameters.
-DRAWN, SEED = 800, 7
+# Curves that the basis is made of.
+DRAWN = 800
 _GAMMAS = (1.6, 2.8)
-# Steepest shape: curves rise by at least this from one code to the next, so that they have an inverse.
-_LEAST_STEP = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +45,8 @@ class Basis:
     def shape(self, weights: np.ndarray) -> np.ndarray:
         """(256,) increasing shape of contrast 1 with these weights (COMPONENTS,)."""
         curve = self.mean + weights @ self.components
-        steps = np.maximum(np.diff(curve), _LEAST_STEP)
+        # Curves rise from each code to the next, so that they have an inverse.
+        steps = np.maximum(np.diff(curve), 1e-4)
         curve = np.concatenate([[0.0], np.cumsum(steps)])
         curve -= curve[-1]
         return curve / (curve[HIGH_ANCHOR] - curve[LOW_ANCHOR])
@@ -56,7 +55,7 @@ class Basis:
 @cache
 def response_basis() -> Basis:
     """The basis of the shapes, the same in every process."""
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(7)
     curves = np.stack([_drawn_curve(rng) for _ in range(DRAWN)])
     contrast = curves[:, HIGH_ANCHOR] - curves[:, LOW_ANCHOR]
     shapes = curves / contrast[:, None]

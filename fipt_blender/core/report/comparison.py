@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-GAMMA = 1.0 / 2.2
+GAMMA = 1.0 / 2.2  # of display values, roughly sRGB's
 ERROR_FULL = 0.25  # difference of display values that has the brightest colour
 # Stops of a perceptually uniform colour map from black through purple and orange to pale yellow.
 ERROR_STOPS = np.array(

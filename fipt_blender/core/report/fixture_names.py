@@ -29,12 +29,8 @@ _BARE = frozenset(
 )
 # What a room's whole shell is called, and how one place of it is.
 _SHELL = {"wall": "wall", "walls": "wall", "ceiling": "ceiling", "ceilings": "ceiling", "floor": "floor"}
-_WHOLE = 0.9  # of the room's diagonal: an object that holds the whole room names no place
 _OWN_SHARE = 0.5  # of an object's area: from there on the object is the lamp
 _NEAR = 0.3  # metres between a bulb and the lamp that holds it
-_EDGE_SHARE, _EDGE = 0.05, 0.15  # of the room's height, and metres: at the ceiling, the floor or a wall
-_TABLE_SHARE = 0.55  # of the room's height: lamps above hang
-_STRIP, _FLAT, _BULB = 4.0, 0.15, 0.3  # length by width; thickness by width; metres
 
 
 class NamedMesh(Protocol):
@@ -132,7 +128,8 @@ def _names_place(room: NamedMesh, index: int, own: Sequence[str]) -> bool:
         return False
     corners = room.vertices[np.unique(room.triangles[room.triangle_object == index])]
     diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
-    return own[-1] in _SHELL or diagonal < _WHOLE * float(np.linalg.norm(np.ptp(room.vertices, axis=0)))
+    # An object that holds the whole room names no place.
+    return own[-1] in _SHELL or diagonal < 0.9 * float(np.linalg.norm(np.ptp(room.vertices, axis=0)))
 
 
 def _main(owner: np.ndarray, triangles: np.ndarray, areas: np.ndarray) -> tuple[int, float]:
@@ -165,7 +162,7 @@ def _place(room: NamedMesh, points: np.ndarray, normal: np.ndarray) -> list[str]
         np.asarray(each, np.float64) for each in (room.vertices.min(axis=0), room.vertices.max(axis=0))
     )
     height = max(float(high[2] - low[2]), 1e-6)
-    edge = max(_EDGE_SHARE * height, min(_EDGE, 0.2 * height))
+    edge = max(0.05 * height, min(0.15, 0.2 * height))
     if high[2] - points[:, 2].max() < edge:
         return ["ceiling"]
     if abs(normal[2]) < 0.5:
@@ -174,7 +171,7 @@ def _place(room: NamedMesh, points: np.ndarray, normal: np.ndarray) -> list[str]
             return ["wall"]
     if points[:, 2].min() - low[2] < edge:
         return ["floor"]
-    return ["table"] if points[:, 2].mean() - low[2] < _TABLE_SHARE * height else ["hanging"]
+    return ["table"] if points[:, 2].mean() - low[2] < 0.55 * height else ["hanging"]
 
 
 def _shape(points: np.ndarray) -> str:
@@ -183,11 +180,11 @@ def _shape(points: np.ndarray) -> str:
     axes = np.linalg.svd(centered, full_matrices=False)[2]
     along = np.sort(np.ptp(centered @ axes.T, axis=0))[::-1]
     length, width, depth = (*along, 0.0, 0.0)[:3]
-    if length > _STRIP * width:
+    if length > 4.0 * width:
         return "strip"
-    if depth < _FLAT * width:
+    if depth < 0.15 * width:
         return "panel"
-    return "bulb" if length < _BULB else "lamp"
+    return "bulb" if length < 0.3 else "lamp"  # metres
 
 
 def _mean_normal(room: NamedMesh, triangles: np.ndarray) -> np.ndarray:

@@ -31,7 +31,6 @@ from .html import write_page
 from .pictures import write_png
 
 MAPS = ("base_color", "roughness", "metallic", "emission")
-MAX_PHOTOS = 8
 PICTURE_WIDTH = 1280  # of photographs and renders on the page, at most; larger ones are averaged
 _TITLES = {
     "rerender": "Re-rendered view",
@@ -214,8 +213,8 @@ def _shot(
 def _photos(
     capture: Capture, album: _Album, exposure: float, photographs: _Photographs
 ) -> list[dict[str, str]]:
-    """Name and picture of up to `MAX_PHOTOS` training views."""
-    stride = max(1, math.ceil(len(capture.train) / MAX_PHOTOS))
+    """Name and picture of up to eight training views."""
+    stride = max(1, math.ceil(len(capture.train) / 8))
     return [
         {"name": view.name, "image": album.add("photo", to_display(photographs.of(view), exposure))}
         for view in capture.train[::stride]

@@ -21,8 +21,6 @@ from .shapes import Layout
 
 # Unpacked bytes of an archive: more than any room needs, and compressed at most this much.
 MOST_BYTES = 32_000_000_000
-_MOST_RATIO = 2000
-_PLAIN_BYTES = 64_000_000  # below this a high ratio does no harm
 # What numpy and zipfile raise for damaged files.
 DAMAGE = (
     *(OSError, ValueError, KeyError, EOFError, IndexError, TypeError, SyntaxError, NotImplementedError),
@@ -92,5 +90,6 @@ def _check_sizes(path: Path) -> None:
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
     total, packed = sum(member.file_size for member in members), path.stat().st_size
-    if total > MOST_BYTES or (total > _PLAIN_BYTES and total > _MOST_RATIO * packed):
+    # A high ratio of a small archive does no harm.
+    if total > MOST_BYTES or (total > 64_000_000 and total > 2000 * packed):
         raise ValueError(f"it unpacks to {total / 1e9:.1f} GB")

@@ -22,10 +22,12 @@ from typing import Any
 
 from .errors import FiptError
 
-MOST_BYTES = 256_000_000
-# Every id, size and count that we read fits into 64 bits.
-_MOST_INTEGER = 2**63 - 1
-_MOST_NAME_BYTES = 200  # file systems allow 255, with suffixes
+MOST_BYTES = 256_000_000  # of a JSON document
+
+
+def head(name: str) -> dict[str, Any]:
+    """How a document of ours begins: with its format and the format's version."""
+    return {"format": f"fipt-{name}", "version": 1}
 
 
 class ShapeError(ValueError):
@@ -278,7 +280,8 @@ def _is_file_name(value: Any) -> bool:
     """Whether a value names a file in a folder: no path, nothing that a system reserves, and not too long."""
     if not isinstance(value, str) or not value.isprintable() or value.strip(" .") != value or not value:
         return False
-    return len(value.encode()) <= _MOST_NAME_BYTES and not set(value) & set('/\\:*?"<>|')
+    # File systems allow 255, with suffixes.
+    return len(value.encode()) <= 200 and not set(value) & set('/\\:*?"<>|')
 
 
 def _numbers_text(shape: Numbers) -> str:
@@ -327,7 +330,7 @@ def _refuse_constant(text: str) -> float:
 
 def _whole(text: str) -> int:
     # The length first: converting a million digits would take minutes.
-    if len(text) > 20 or abs(int(text)) > _MOST_INTEGER:
+    if len(text) > 20 or abs(int(text)) > 2**63 - 1:  # every id, size and count that we read fits
         raise ValueError(f"the number {text[:20]}{'...' if len(text) > 20 else ''} is too large")
     return int(text)
 

@@ -14,22 +14,20 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from .documents import Choice, Fields, Items, Maybe, Numbers, read_json
+from .documents import Choice, Fields, Items, Maybe, Numbers, head, read_json
 from .errors import FiptError
 from .runfolder import write_json
 
-FORMAT, VERSION = "fipt-hints", 1
-MOST_HINTS = 1000
+MOST_HINTS = 1000  # of a document
 MOST_POINTS = 500_000  # of all hints together
-MOST_NAME = 200
+MOST_NAME = 200  # characters
 UNKNOWN, DIELECTRIC, METAL = MATERIALS = ("unknown", "dielectric", "metal")
 
 Point = tuple[float, float, float]
 
 HINTS = Fields(
     {
-        "format": Choice(FORMAT),
-        "version": Choice(VERSION),
+        **{key: Choice(value) for key, value in head("hints").items()},
         "hints": Items(
             Fields(
                 {"points": Numbers(None, 3)},
@@ -139,7 +137,7 @@ def write_hints(path: Path, hints: Sequence[Hint], light: bool = False) -> None:
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
-    document = {"format": FORMAT, "version": VERSION, "hints": [asdict(hint) for hint in hints]}
+    document = {**head("hints"), "hints": [asdict(hint) for hint in hints]}
     write_json(path, {**document, "light": True} if light else document)
 
 

@@ -23,19 +23,6 @@ if TYPE_CHECKING:
 # With fewer pixels a view, fewer views are taken: the example room has these (192 x 108), and with a third of
 # them lost 5 dB of base colour and the metals.
 LEAST_PIXELS = 20_000
-# Processor seconds of an estimation, measured by benchmarks/real_cost.py on two cores: for everything that
-# does not grow, for a million pixels of photographs, of light, of rays, and of training samples.
-FIXED_SECONDS, PHOTOGRAPH_SECONDS, LIGHT_SECONDS = 30.0, 0.05, 30.0
-RAY_SECONDS, SAMPLE_SECONDS = 0.4, 10.0
-# Share of the cores that the stages keep busy.
-BUSY = 0.7
-# Bytes of the run folder: what estimates know of the radiance cache's entries, networks and results (of the
-# example room); for each pixel of light what is seen and photographed, and shadings of each level.
-FIXED_BYTES, PIXEL_BYTES, LEVEL_BYTES = 270_000_000, 92, 12
-# Bytes of memory: packages, networks and Mitsuba; of a pixel of light that is worked on; of a photograph's
-# pixel while it is decoded. Measured by benchmarks/scaling.py and benchmarks/real_cost.py on the CPU. What is
-# mapped from the run folder counts, too.
-FIXED_MEMORY, LIGHT_MEMORY, DECODE_MEMORY = 1_700_000_000, 36, 45
 # Bytes that are left free on a disk.
 SPARE_BYTES = 200_000_000
 
@@ -145,15 +132,18 @@ def light_plan(sizes: Sequence[tuple[int, int]], settings: Settings) -> LightPla
     rays = settings.diffuse_spp + settings.light_spp + settings.specular_spp * levels
     refined = settings.refine_diffuse_spp + settings.refine_light_spp + settings.refine_specular_spp * levels
     samples = settings.training_steps * settings.batch_size / 1e6
+    # Processor seconds, measured by benchmarks/real_cost.py on two cores; stages keep 70 % of the cores busy.
     seconds = (
-        FIXED_SECONDS
-        + PHOTOGRAPH_SECONDS * megapixels
-        + light * (LIGHT_SECONDS + RAY_SECONDS * (rays + settings.rounds * refined))
-        + SAMPLE_SECONDS * samples
+        30.0 + 0.05 * megapixels + light * (30.0 + 0.4 * (rays + settings.rounds * refined)) + 10.0 * samples
     )
-    disk = FIXED_BYTES + int(light * 1e6 * (PIXEL_BYTES + LEVEL_BYTES * levels))
+    cores = max(1.0, 0.7 * (os.cpu_count() or 1))
+    # The run folder: the radiance cache, networks and results (of the example room); for each pixel of light
+    # what is seen and photographed, and shadings of each level.
+    disk = 270_000_000 + int(light * 1e6 * (92 + 12 * levels))
+    # Packages, networks and Mitsuba; what is mapped from the run folder; a pixel of light that is worked on;
+    # a photograph's pixel while it is decoded (benchmarks/scaling.py, benchmarks/real_cost.py).
     largest = max(width * height for width, height in sizes)
-    cores = max(1.0, BUSY * (os.cpu_count() or 1))
+    memory = 1_700_000_000 + disk + int(36 * light * 1e6) + 45 * largest
     return LightPlan(
         photographs=len(sizes),
         used=used,
@@ -161,7 +151,7 @@ def light_plan(sizes: Sequence[tuple[int, int]], settings: Settings) -> LightPla
         light_megapixels=light / used,
         seconds=seconds / cores,
         bytes=disk,
-        memory=FIXED_MEMORY + disk + int(LIGHT_MEMORY * light * 1e6) + DECODE_MEMORY * largest,
+        memory=memory,
     )
 
 

@@ -25,9 +25,6 @@ from .errors import FiptError
 from .process_identity import host_name, process_start
 from .runfolder import RunFolder, explained_write_errors
 
-_PATIENCE_SECONDS = 1.0  # `holder` itself takes the lock for a moment
-_MOST_BYTES = 65_536  # of a lock's content
-
 _CONTENT = Fields({"pid": Number(1, 2**31, whole=True), "command": Items(str)}, {"host": str, "started": str})
 
 # Flags with which a link is not followed, and opening a pipe does not wait for its other end.
@@ -111,7 +108,7 @@ def briefly_locked(path: Path) -> Iterator[None]:
 
 def _wait_for(file: IO[bytes]) -> bool:
     """Lock an open file, if need be after others; False if they hold the lock for long."""
-    deadline = time.monotonic() + _PATIENCE_SECONDS
+    deadline = time.monotonic() + 1.0  # `holder` itself takes the lock for a moment
     while not try_lock(file):
         if time.monotonic() > deadline:
             return False
@@ -129,7 +126,7 @@ def holder(run: RunFolder) -> Holder | None:
         if _lock(file, shared=True):
             return None  # closing the file releases the lock
         try:
-            data = parse_document(file.read(_MOST_BYTES).decode("utf-8"))
+            data = parse_document(file.read(65_536).decode("utf-8"))
             check_shape(data, _CONTENT)
         except (OSError, ValueError):  # the file is just being written
             return None

@@ -35,16 +35,11 @@ def leads_outside(folder: Path, path: str) -> bool:
     return full != root and not full.startswith(root.rstrip(os.sep) + os.sep)
 
 
-def foreign_fault(path: str, suffixes: tuple[str, ...] = (*IMAGE_SUFFIXES, *MESH_SUFFIXES)) -> str:
-    """Why an absolute path in a document of a run is not followed; "" where it may be.
-
-    Args:
-        path: as it is written.
-        suffixes: of the files that the document may name, in lower case.
-    """
+def foreign_fault(path: str) -> str:
+    """Why an absolute path in a document of a run, as it is written, is not followed; "" where it may be."""
     if is_network(path):
         return "is on another computer or a device"
-    if not path.lower().endswith(suffixes):
+    if not path.lower().endswith((*IMAGE_SUFFIXES, *MESH_SUFFIXES)):
         return "is neither an image nor a mesh"
     return "is no file, but a device or a pipe" if is_special(path) else ""
 

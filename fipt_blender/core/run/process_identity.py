@@ -1,18 +1,20 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The identity of a process: its machine, its number and its time of start, since numbers recur.
+"""The identity of a process: its machine, its number and its time of start, since numbers recur; its end with
+its parent.
 
 Standard library only.
 """
 
 from __future__ import annotations
 
+import os
 import platform
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
-
-_PS_SECONDS = 5.0
 
 
 def host_name() -> str:
@@ -34,7 +36,7 @@ def process_start(pid: int) -> str:
             return ""
     try:
         command = ["ps", "-o", "lstart=", "-p", str(pid)]
-        result = subprocess.run(command, capture_output=True, text=True, timeout=_PS_SECONDS, check=False)
+        result = subprocess.run(command, capture_output=True, text=True, timeout=5.0, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return ""
     return result.stdout.strip()
@@ -60,3 +62,24 @@ else:
 
     def _windows_start(pid: int) -> str:
         raise NotImplementedError
+
+
+PARENT_VARIABLE = "FIPT_PARENT"  # process id of the parent, if the engine is to end with it
+
+
+def end_with_parent() -> None:
+    """Start a thread that ends this process within a second of the end of its parent.
+
+    Nothing is done unless the environment names the parent (`PARENT_VARIABLE`), or on Windows, where a
+    process can't see that its parent has ended.
+    """
+    parent = os.environ.get(PARENT_VARIABLE, "")
+    if not parent.isdecimal() or sys.platform == "win32":
+        return
+
+    def watch() -> None:
+        while os.getppid() == int(parent):
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .documents import read_json
+from .documents import head, read_json
 from .errors import FiptError
 from .paths import foreign_fault, is_network, leads_outside
 from .shapes import RUN
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 PRODUCT_VERSION = "0.1.0"
 RESULTS = "results"
-RUN_FORMAT = "fipt-run"
-RUN_VERSION = 1
 
 
 class RunFolder:
@@ -168,13 +166,7 @@ class RunFolder:
             for folder in (self.root, self.stage, self.results):
                 folder.mkdir(parents=True, exist_ok=True)
         write_json(
-            self.run_json,
-            {
-                "format": RUN_FORMAT,
-                "version": RUN_VERSION,
-                "product_version": PRODUCT_VERSION,
-                "settings": asdict(settings),
-            },
+            self.run_json, {**head("run"), "product_version": PRODUCT_VERSION, "settings": asdict(settings)}
         )
 
     def read(self) -> Settings:
@@ -191,15 +183,15 @@ class RunFolder:
             data = read_json(self.run_json, RUN)
         except FiptError as error:
             raise FiptError("run-damaged", error.text, "Choose another folder, or start a new run.") from None
-        if data["format"] != RUN_FORMAT:
+        if data["format"] != head("run")["format"]:
             raise FiptError(
                 "run-damaged", f"{self.run_json} does not describe a run.", "Choose another folder."
             )
-        if data.get("version") != RUN_VERSION:
+        if data.get("version") != head("run")["version"]:
             raise FiptError(
                 "run-version",
                 f"The run folder {self.root} has the format version {data.get('version')}; "
-                f"this version of the add-on reads {RUN_VERSION}.",
+                f"this version of the add-on reads {head('run')['version']}.",
                 "Start a new run in another folder, or open this one with the version that made it.",
             )
         from .settings import make_settings

@@ -10,6 +10,7 @@ paper it follows where the two differ. Standard library only: both processes imp
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -24,14 +25,7 @@ REFINEMENT, TRAINING = "refinement-1", "training"
 Value = str | int | float | bool
 
 # The settings of Apply Results; no stage of an estimation reads them.
-TEXTURE_SETTINGS = (
-    "texel_density",
-    "texture_size",
-    "atlas_images",
-    "atlas_mode",
-    "write_back",
-    "clean_mesh",
-)
+TEXTURE_SETTINGS = ("texel_density", "texture_size", "atlas_images", "atlas_mode", "write_back", "clean_mesh")
 
 
 def _setting(default: Any, text: str, stage: str | None) -> Any:
@@ -279,11 +273,7 @@ class Settings:
 
 
 PRESETS: dict[str, dict[str, Value]] = {
-    "draft": {
-        "light_pixels": 2.0,
-        "training_steps": 250,
-        "batch_size": 4096,
-    },
+    "draft": {"light_pixels": 2.0, "training_steps": 250, "batch_size": 4096},
     "medium": {},
     "high": {
         "rounds": 2,
@@ -317,94 +307,92 @@ def make_settings(preset: str = "medium", changes: Mapping[str, Value] | None = 
             "setting-unknown", f"There is no preset '{preset}'.", f"Use one of: {', '.join(PRESETS)}."
         )
     values: dict[str, Any] = {"preset": preset, **PRESETS[preset]}
-    fields = {item.name: item for item in dataclasses.fields(Settings)}
-    for name, value in (changes or {}).items():
-        if name not in fields:
+    return Settings(**values | converted(Settings, changes or {}, _LIMITS))
+
+
+def converted(
+    kind: Any, changes: Mapping[str, Any], limits: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Changed values of settings, in the types of the defaults.
+
+    Args:
+        kind: a dataclass of settings.
+        changes: field name to value; texts are converted.
+        limits: of fields: `choices` of a text; `low` and `high` of a number, which otherwise is above zero;
+            `zero` if 0 is allowed, too.
+
+    Raises:
+        FiptError: ``setting-unknown`` or ``setting-invalid``.
+    """
+    known = {item.name: item for item in dataclasses.fields(kind)}
+    values = {}
+    for name, value in changes.items():
+        if name not in known:
             raise FiptError(
-                "setting-unknown", f"There is no setting '{name}'.", f"Use one of: {', '.join(fields)}."
+                "setting-unknown", f"There is no setting '{name}'.", f"Use one of: {', '.join(known)}."
             )
-        values[name] = _convert(name, value, type(fields[name].default))
-    settings = Settings(**values)
-    _check(settings)
-    return settings
+        try:
+            values[name] = _converted(value, known[name].default, limits.get(name, {}))
+        except ValueError as error:
+            raise FiptError(
+                "setting-invalid",
+                f"'{str(value)[:80]}' is not a valid value of the setting '{name}'.",
+                f"Give {error}.",
+            ) from None
+    return values
 
 
-_KIND_NAMES = {str: "a text", int: "a whole number", float: "a number", bool: "true or false"}
+def _converted(value: Any, default: Any, limits: Mapping[str, Any]) -> Any:
+    """A setting's value in the type of its default.
 
-
-def _convert(name: str, value: Value, kind: type) -> Value:
+    Raises:
+        ValueError: what the setting takes.
+    """
+    if isinstance(default, str):
+        choices = limits.get("choices", (value,))
+        if not isinstance(value, str) or value not in choices:
+            raise ValueError(f"one of: {', '.join(map(str, choices))}")
+        if len(value) > 4096 or not value.isprintable():
+            raise ValueError("a text of at most 4096 letters")
+        return value
+    if isinstance(default, bool):
+        truths = {"true": True, "1": True, "false": False, "0": False}
+        if str(value).lower() not in truths:
+            raise ValueError("true or false")
+        return truths[str(value).lower()]
+    low, high = limits.get("low"), limits.get("high", _MOST)
+    whole = isinstance(default, int) and isinstance(value, float) and value.is_integer()
     try:
-        if kind is bool:
-            return {"true": True, "1": True, "false": False, "0": False}[str(value).lower()]
-        if isinstance(value, bool) or (kind is str and not isinstance(value, str)):
-            raise ValueError
-        if kind is int and isinstance(value, float) and value != int(value):
-            raise ValueError
-        return kind(value)
-    except (KeyError, TypeError, ValueError, OverflowError):
-        raise FiptError(
-            "setting-invalid",
-            f"'{value}' is not a valid value of the setting '{name}'.",
-            f"Give {_KIND_NAMES[kind]}.",
-        ) from None
-
-
-def _check(settings: Settings) -> None:
-    choices = {
-        "device": ("auto", "cuda", "llvm"),
-        "atlas_images": ("room", "object", "part"),
-        "atlas_mode": ("uv", "color_attribute"),
-        "write_back": ("cycles", "paper"),
-        "masking": ("schlick", "smith"),
-        "emission": ("mask", "joint"),
-    }
-    for name, allowed in choices.items():
-        if getattr(settings, name) not in allowed:
-            raise FiptError(
-                "setting-invalid",
-                f"'{getattr(settings, name)}' is not a valid value of the setting '{name}'.",
-                f"Use one of: {', '.join(allowed)}.",
-            )
-    for item in dataclasses.fields(Settings):
-        value = getattr(settings, item.name)
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        # NaN is not above zero either.
-        if number and not (value > 0 or (value == 0 and item.name in _MAY_BE_ZERO)):
-            raise FiptError(
-                "setting-invalid", f"The setting '{item.name}' is {value}.", "Give a number above zero."
-            )
-        most = 1 if item.name in _SHARES else _AT_MOST.get(item.name, _MOST)
-        if number and value > most:
-            raise FiptError(
-                "setting-invalid",
-                f"The setting '{item.name}' is {value}.",
-                f"Give a number of at most {most}.",
-            )
-        if number and value < _LEAST.get(item.name, value):
-            raise FiptError(
-                "setting-invalid",
-                f"The setting '{item.name}' is {value}.",
-                f"Give a number of at least {_LEAST[item.name]}.",
-            )
+        number = type(default)(str(int(value) if whole else value))
+    except ValueError:
+        number = math.nan
+    if not ((number > 0 if low is None else number >= low) and number <= high):  # NaN is neither
+        if number != 0 or not limits.get("zero"):
+            kind = "a whole number" if isinstance(default, int) else "a number"
+            least = "above zero" if low is None else f"of at least {low}"
+            raise ValueError(f"{'0, or ' if limits.get('zero') else ''}{kind} {least}, at most {high}")
+    return number
 
 
 # Largest value of any setting: counts and seeds must fit into the integers of all libraries.
 _MOST = 2**31 - 1
-# With smaller values there is nothing to interpolate between, or no room inside the grid's empty border.
-_LEAST = {"roughness_levels": 3, "voxel_resolution": 8, "environment_width": 4}
-# The time to close a hole grows with the cube of its edges.
-_AT_MOST = {"close_holes_edges": 1000}
-_SHARES = {"view_share", "view_outliers", "group_outliers"}
-_MAY_BE_ZERO = {
-    "seed",
-    "kept_versions",
-    "close_holes_edges",
-    "rounds",
-    "lambda_joint",
-    "lambda_diffuse",
-    "lambda_emission",
-    "lambda_part",
-    "lambda_semantic",
-    "joint_threshold",
-    "brdf_depth",
+_ZERO = (
+    *("seed", "kept_versions", "rounds", "lambda_joint", "lambda_diffuse", "lambda_emission", "lambda_part"),
+    *("lambda_semantic", "joint_threshold", "brdf_depth"),
+)
+_LIMITS: dict[str, dict[str, Any]] = {
+    **{key: {"zero": True} for key in _ZERO},
+    **{key: {"high": 1} for key in ("view_share", "view_outliers", "group_outliers")},
+    # The time to close a hole grows with the cube of its edges.
+    "close_holes_edges": {"zero": True, "high": 1000},
+    # With smaller values there is nothing to interpolate between, or no room inside the grid's empty border.
+    "roughness_levels": {"low": 3},
+    "voxel_resolution": {"low": 8},
+    "environment_width": {"low": 4},
+    "device": {"choices": ("auto", "cuda", "llvm")},
+    "atlas_images": {"choices": ("room", "object", "part")},
+    "atlas_mode": {"choices": ("uv", "color_attribute")},
+    "write_back": {"choices": ("cycles", "paper")},
+    "masking": {"choices": ("schlick", "smith")},
+    "emission": {"choices": ("mask", "joint")},
 }

@@ -8,7 +8,7 @@ only. docs/architecture.md describes what the values mean.
 
 from __future__ import annotations
 
-from .documents import Choice, Entries, Fields, FileName, Items, Maybe, Number, Numbers
+from .documents import Choice, Entries, Fields, FileName, Items, Maybe, Number, Numbers, head
 
 MOST_SIDE = 65_536  # pixels along an edge of an image
 SCALES = (1e-6, 1e6)  # meters per unit of a capture: from micrometers to a thousand kilometers
@@ -17,6 +17,11 @@ SCALES = (1e-6, 1e6)  # meters per unit of a capture: from micrometers to a thou
 FARTHEST = 1e8
 FARTHEST_UNITS = FARTHEST / SCALES[0]  # the same in a capture's own units
 _NOT_NEGATIVE = Number(low=0.0)
+
+
+def _head(name: str) -> dict[str, Choice]:
+    return {key: Choice(value) for key, value in head(name).items()}
+
 
 RUN = Fields({"format": str}, {"version": Number(), "product_version": str, "settings": dict})
 
@@ -74,19 +79,12 @@ STAGES = Fields(
     }
 )
 
-VERSION_FORMAT = "fipt-version"
-VERSION_VERSION = 1
-VERSION = Fields(
-    {"format": Choice(VERSION_FORMAT), "version": Choice(VERSION_VERSION), "name": str, "time": _NOT_NEGATIVE}
-)
+VERSION = Fields({**_head("version"), "name": str, "time": _NOT_NEGATIVE})
 
-PREPARE_FORMAT = "fipt-prepare"
-PREPARE_VERSION = 1
 _EXIF_NUMBER = Maybe(Number(low=1e-12, high=1e12))
 PREPARE = Fields(
     {
-        "format": Choice(PREPARE_FORMAT),
-        "version": Choice(PREPARE_VERSION),
+        **_head("prepare"),
         "source": str,
         "settings": dict,
         "photographs": Items(
@@ -130,17 +128,12 @@ EMITTERS = Fields(
             Fields({"image": Choice("environment.exr")}, {"observed_share": Number(0.0, 1.0)})
         ),
     },
-    {
-        "missing": Items(Fields({"position": Numbers(3), "radius": _NOT_NEGATIVE, "radiance": Numbers(3)})),
-    },
+    {"missing": Items(Fields({"position": Numbers(3), "radius": _NOT_NEGATIVE, "radiance": Numbers(3)}))},
 )
-PARTS_FORMAT = "fipt-parts"
-PARTS_VERSION = 1
 _SHARE = Number(0.0, 1.0)
 PARTS = Fields(
     {
-        "format": Choice(PARTS_FORMAT),
-        "version": Choice(PARTS_VERSION),
+        **_head("parts"),
         "source": str,
         "parts": Items(
             Fields(
@@ -157,12 +150,9 @@ PARTS = Fields(
         ),
     }
 )
-DOUBTS_FORMAT = "fipt-doubts"
-DOUBTS_VERSION = 1
 DOUBTS = Fields(
     {
-        "format": Choice(DOUBTS_FORMAT),
-        "version": Choice(DOUBTS_VERSION),
+        **_head("doubts"),
         "doubts": Items(
             Fields(
                 {
@@ -229,8 +219,7 @@ CHECK = Fields(
         "exposure": Number(),
         "views": Items(
             Fields(
-                dict.fromkeys(("view", "split", "render", "error"), str),
-                {"spp": Number(), "denoised": bool},
+                dict.fromkeys(("view", "split", "render", "error"), str), {"spp": Number(), "denoised": bool}
             )
         ),
     }

@@ -20,22 +20,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from .documents import load_document
+from .documents import head, load_document
 from .errors import FiptError
 from .replacing import atomic_folder, link_folder, link_or_copy
 from .runfolder import RunFolder, beside, explained_write_errors, write_json
 from .settings import TEXTURE_SETTINGS, make_settings
-from .shapes import (
-    RUN,
-    STAGES,
-    STATISTICS,
-    VERSION,
-    VERSION_FORMAT,
-    VERSION_VERSION,
-)
+from .shapes import RUN, STAGES, STATISTICS, VERSION
 
 HINTED = "hinted-"  # how the names of the stages of Re-estimate with Hints begin
-MOST_NAME = 60  # characters of a version's name
 _NOT_SHOWN = {*TEXTURE_SETTINGS, "preset", "device", "detail", "kept_versions"}
 
 
@@ -99,13 +91,13 @@ def new_results(run: RunFolder) -> Iterator[RunFolder]:
         yield RunFolder(run.root, results=new.name)
 
 
-def note_version(results: Path, name: str = "") -> None:
+def note_version(results: Path) -> None:
     """Write into results when they were finished, now.
 
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
-    _write(results, name, time.time())
+    _write(results, "", time.time())
 
 
 def prune(run: RunFolder, most: int) -> None:
@@ -177,7 +169,7 @@ def rename_version(run: RunFolder, version: str, name: str) -> None:
         FiptError: ``version-missing``, ``disk-full`` or ``run-unwritable``.
     """
     results = version_folder(run, version).results
-    _write(results, " ".join(name.split())[:MOST_NAME], _time(results))
+    _write(results, " ".join(name.split())[:60], _time(results))
 
 
 def delete_version(run: RunFolder, version: str) -> None:
@@ -399,8 +391,7 @@ def _read(folder: Path) -> dict[str, Any]:
 
 
 def _write(results: Path, name: str, finished: float) -> None:
-    head = {"format": VERSION_FORMAT, "version": VERSION_VERSION}
-    write_json(results / "version.json", {**head, "name": name, "time": finished})
+    write_json(results / "version.json", {**head("version"), "name": name, "time": finished})
 
 
 def _time(folder: Path) -> float:

@@ -26,21 +26,20 @@ from ..capture.depth_points import alignment_points
 from ..capture.formats import FORMATS, read_rig
 from ..capture.images import read_radiance, threads_for
 from ..capture.ingest import distinct_views
-from ..capture.rig import ReadOptions
+from ..capture.options import CaptureOptions
 from ..capture.views import View, load_capture
 from ..conventions import transform_points
 from ..device.variant import set_variant
+from ..run.documents import head
 from ..run.errors import FiptError
 from ..run.messages import Reporter
 from ..run.run_files import read_room_files
 from ..run.runfolder import RunFolder, write_json
 from ..run.threads import in_threads
 
-ALIGN_FORMAT = "fipt-align"
-ALIGN_VERSION = 1
 HOW = ("points", "near", "edges")
 _ROUNDS = 3  # of tracing the edges again after the cameras have moved
-_SEED = 0
+_SEED = 0  # of the points that are drawn
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,7 +69,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         points = solve_points(arguments.capture, arguments.format, views)
         found = _by_points(folder, views, points, arguments.how == "near", reporter)
     path = folder.root / "align.json"
-    write_json(path, {"format": ALIGN_FORMAT, "version": ALIGN_VERSION, **found})
+    write_json(path, {**head("align"), **found})
     reporter.done([str(path)])
 
 
@@ -80,7 +79,7 @@ def solve_points(capture: Path, name: str, views: list[View]) -> np.ndarray:
     Raises:
         FiptError: ``alignment-points`` or an error of the readers.
     """
-    rig = read_rig(capture, name, ReadOptions())
+    rig = read_rig(capture, name, CaptureOptions())
     if rig.one_camera:
         rig = with_color_camera(rig, 1.0)
     poses = {view.name: view.camera_to_world for view in distinct_views(rig.views)}

@@ -15,7 +15,7 @@ from .room import Room
 
 TRACED = 960  # pixels along the longer side that are traced at least, and at most twice as many
 COMPARED = 1280  # pixels along the longer side of the photograph that is compared, at most
-_SEED = 0
+_SEED = 0  # of the edges that are drawn
 
 
 def view_misfit(room: Room, view: View, pixels: np.ndarray) -> tuple[EdgeFit, int] | None:

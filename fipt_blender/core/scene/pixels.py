@@ -25,7 +25,7 @@ from ..run.per_view import LocalWorkers, Workers
 from .camera_rays import trace_pixels
 from .room import Room
 
-NO_TRIANGLE = -1
+NO_TRIANGLE = -1  # in place of a triangle: the pixel looks outside
 LEFT_OUT = -2  # masked in the photograph: neither the room nor the outside
 # Edge of a surface cell in median widths of a pixel on the room.
 CELL_PIXELS = 1.5

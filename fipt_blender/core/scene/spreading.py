@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-NO_PART = -1
+NO_PART = -1  # in place of a part
 
 
 def spread_labels(labels: np.ndarray, triangles: np.ndarray) -> np.ndarray:

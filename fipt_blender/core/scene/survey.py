@@ -21,6 +21,7 @@ from ..capture.views import View, load_capture
 from ..device.variant import set_variant
 from ..radiometry.inversion import MUCH_CLIPPED as MUCH_CLIPPED_ENCODED
 from ..radiometry.inversion import is_clipped
+from ..run.documents import head
 from ..run.errors import FiptError
 from ..run.messages import Reporter
 from ..run.runfolder import RunFolder, atomic_path, write_json
@@ -29,8 +30,6 @@ from ..run.threads import in_threads
 if TYPE_CHECKING:
     from .room import Room
 
-SURVEY_FORMAT = "fipt-survey"
-SURVEY_VERSION = 1
 LITTLE_SEEN = 0.5  # share of a photograph's pixels that see the room
 MUCH_CLIPPED = 0.002  # share of a photograph's pixels
 MUCH_OFF = 2.0  # pixels between the edges of mesh and photograph; chance gives up to 1.5 in a poor view
@@ -96,8 +95,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     write_json(
         folder.root / "survey.json",
         {
-            "format": SURVEY_FORMAT,
-            "version": SURVEY_VERSION,
+            **head("survey"),
             "views": entries,
             "parts": {
                 "auto": automatic_source(room, usable),

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from .detail import DetailInput
 
 QUERY_POINTS = 1 << 18  # points per query
-PAD_TEXELS = 8  # by which islands are grown
 MAPS = ("base_color", "roughness", "metallic", "confidence")
 # A part whose texels differ by less has one value: half a step of 8-bit textures.
 ONE_VALUE = 0.002
@@ -345,8 +344,8 @@ def _write_image(folder: Path, entry: dict, texel: np.ndarray, samples: Samples)
     image[texel] = np.column_stack(
         [samples.base_color, samples.roughness, samples.metallic, samples.confidence]
     )
-    # Row 0 is v = 0 here, but the top row in image files.
-    padded = pad(image.reshape(height, width, 8), filled.reshape(height, width), PAD_TEXELS)[::-1]
+    # Row 0 is v = 0 here, but the top row in image files. Islands grow by 8 texels.
+    padded = pad(image.reshape(height, width, 8), filled.reshape(height, width), 8)[::-1]
     planes = padded[..., :3], padded[..., 3], padded[..., 4], padded[..., 5:]
     listed = {"name": str(entry["name"])}
     for name, plane in zip(MAPS, planes, strict=True):

@@ -15,7 +15,6 @@ import numpy as np
 
 _CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 _STRIDE = 1 << 16  # more than the nodes along an axis
-_PARTS = 1 << 14  # parts wrap around beyond: at worst two that touch share nodes
 _BLOCK = 1 << 20  # points at a time
 
 
@@ -105,5 +104,6 @@ class SurfaceCells:
 
 def _key(place: np.ndarray, part: np.ndarray) -> np.ndarray:
     """(n,) int64 key of cells (n, 3) of parts (n,)."""
-    number = (part.astype(np.int64) + 1) % _PARTS
+    # Parts wrap around: at worst two that touch share nodes.
+    number = (part.astype(np.int64) + 1) % (1 << 14)
     return ((number * _STRIDE + place[:, 0]) * _STRIDE + place[:, 1]) * _STRIDE + place[:, 2]

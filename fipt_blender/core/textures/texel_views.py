@@ -16,11 +16,11 @@ import mitsuba as mi
 import numpy as np
 
 from ..capture.views import View
+from ..light.emitters import CHUNK
 from ..optics.factorised import color_line, level_share
 from ..scene.camera_rays import opaque_vector
 from ..scene.room import Room
 
-CHUNK = 1 << 20  # texels in one kernel launch
 LEAST_COSINE = 0.17  # of the angle between normal and view, below which texels are stretched too much
 MARGIN = 1.0  # pixels around a texel in which its surface must be seen: blur mixes neighbours
 PLANE = 0.4  # distance from a texel's plane that still is its surface, in widths of a pixel of light
@@ -31,8 +31,6 @@ LEAST_MATCH = 0.3  # least share of the weight of the 3 x 3 pixels of light that
 SLOPE_ERROR = 0.4
 VIEW_ERROR = 0.05  # relative error of L_d with which a view has half the weight of one without
 GLOSS = 0.5  # share of gloss in a photograph's radiance from which it does not count for base colour
-DENSITY_POWER = 2.0  # weight of a view by the pixels per area with which it sees a texel
-PYRAMID = 5  # levels of the photograph, each half the size of the one before
 
 
 @dataclass(frozen=True)
@@ -197,7 +195,7 @@ class _Shared:
 def _pyramid(radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """All levels of a photograph behind each other, where each begins, and (L, 2) widths and heights."""
     levels = [np.asarray(radiance, np.float32)]
-    while len(levels) < PYRAMID and min(levels[-1].shape[:2]) >= 4:
+    while len(levels) < 5 and min(levels[-1].shape[:2]) >= 4:
         last = levels[-1]
         height, width = last.shape[0] // 2, last.shape[1] // 2
         levels.append(last[: 2 * height, : 2 * width].reshape(height, 2, width, 2, 3).mean(axis=(1, 3)))
@@ -304,7 +302,7 @@ def _see(
     gloss = dr.mean(offset + color * points.metallic * s0 * scale) / bright
     seen &= (gloss < GLOSS) & (dr.mean(slope) > 1e-4)
     density = fx * fy * cosine / (depth * depth)
-    weight = dr.power(density * 1e-4, DENSITY_POWER) * (1.0 - gloss / GLOSS)
+    weight = dr.power(density * 1e-4, 2.0) * (1.0 - gloss / GLOSS)
     weight /= 1.0 + (error / VIEW_ERROR) ** 2
     color = dr.clip(color, -0.5, 2.0)
     return color, weight, error, seen

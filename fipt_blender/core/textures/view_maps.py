@@ -23,12 +23,9 @@ from ..run.runfolder import RunFolder, write_json
 from ..scene.camera_rays import trace_pixels
 from ..scene.room import Room, load_room
 
-MAX_VIEWS = 3
-MAX_WIDTH = 640
-
 
 def write_view_maps(run: RunFolder, fields: RoomFields, views: Sequence[View]) -> list[Path]:
-    """Write the maps of up to `MAX_VIEWS` views, preferably held-back ones, and maps.json; returns the files.
+    """Write the maps of up to three views, preferably held-back ones, and maps.json; returns the files.
 
     Raises:
         FiptError: the run's room or emitters can't be read; ``disk-full`` or ``run-unwritable``.
@@ -38,10 +35,10 @@ def write_view_maps(run: RunFolder, fields: RoomFields, views: Sequence[View]) -
     lights = AreaLights(room.vertices, room.triangles, table)
     folder = run.results / "maps"
     listed, files = [], []
-    chosen = sorted(views, key=lambda view: view.split != "held_back")[:MAX_VIEWS]
+    chosen = sorted(views, key=lambda view: view.split != "held_back")[:3]
     for index, view in enumerate(chosen):
         entry = {"view": view.name}
-        for name, values in view_maps(room, lights, fields, shrunk(view, MAX_WIDTH)).items():
+        for name, values in view_maps(room, lights, fields, shrunk(view, 640)).items():
             path = folder / f"{index:03d}_{name}.exr"
             write_exr(path, values, half=True)
             entry[name] = path.relative_to(run.root).as_posix()

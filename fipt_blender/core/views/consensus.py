@@ -25,9 +25,8 @@ from .agreement import FLOOR, cells_of, hits_of, on_lattice
 
 WIDTH = 96  # about, of the photographs that are compared, pixels
 LEAST_CELLS = 30  # that a pair of views must share
-LEAST_SPREAD = (
-    0.1  # standard deviation of log radiance in the shared cells, below which a pair is not compared
-)
+# Standard deviation of log radiance in the shared cells, below which a pair is not compared.
+LEAST_SPREAD = 0.1
 # Correlation of neighbouring pixels of a photograph below which it is mostly noise and is not compared. Rooms
 # have 0.83 and more, photographs traced with few samples 0.4 to 0.8.
 CLEAR = 0.75
@@ -35,7 +34,7 @@ JUDGED_VIEWS = 4  # that must be judged before anything is said of poses or mesh
 # Correlation of a pair of which one pose may be wrong. Right ones reach 0.9, wrong ones 0.15 in the median.
 AGREE = 0.5
 SOFTNESS = 0.1  # of a view's mean correlation, within which it is neither credible nor not
-ROUNDS = 20
+ROUNDS = 20  # at most, of weighing views by each other
 # The mesh is tried otherwise where the median correlation is less than the first or a view is contradicted.
 # This is said where it becomes better than the first and its lack (1 - correlation) at most this share. From
 # `WELL` on no other placement is tried.
