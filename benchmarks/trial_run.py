@@ -95,7 +95,7 @@ def estimate(root: Path, store: Path | None) -> dict[str, Any]:
 
 
 def score(root: Path, capture: Path) -> dict[str, Any]:
-    """The `figures` of benchmarks/accuracy.py of a finished run, without Cycles, and its counts of `lamps`."""
+    """The `figures` of benchmarks/accuracy.py of a finished run, without Cycles, and counts of `lamps`."""
     from benchmarks import accuracy, lamps, picture_page
     from fipt_blender.core.run.runfolder import RunFolder
 
