@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -84,7 +85,9 @@ def lamps_of_run(run: RunFolder, capture: Path) -> LampCounts:
         raise FiptError("truth-missing", f"{capture} has no emitters.json.", "Use a rendered capture.")
     vertices, triangles = read_mesh(capture / "scene.obj")
     corners = transform_points(load_capture(run).world_from_source, vertices)[triangles]
-    true = [corners[slice(*lamp["triangles"])] for lamp in read_json(capture / "emitters.json")]
+    true = [
+        corners[slice(*lamp["triangles"])] for lamp in json.loads((capture / "emitters.json").read_text())
+    ]
     room = load_room(run)
     fixtures = read_json(run.emitters_json)["fixtures"]
     found = [room.vertices[room.triangles[fixture["triangles"]]].astype(float) for fixture in fixtures]

@@ -15,7 +15,7 @@ from benchmarks import constants, lamps, trial, trial_captures, trial_changes, t
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import Settings, make_settings
-from samples.small_captures import panel_capture, write_run
+from samples.small_captures import PANEL_TRIANGLES, panel_capture, write_run
 
 SOURCE = """
 # Of a wall.
@@ -169,6 +169,13 @@ def test_a_run_that_begins_with_stored_stages_finds_the_same(tmp_path: Path) -> 
     few = {"diffuse_spp": 4, "specular_spp": 1, "light_spp": 4, "emitter_samples": 10, "batch_size": 64}
     first = write_run(tmp_path / "first", panel_capture(), rounds=0, training_steps=1, **few)
     found = trial_run.estimate(first.root, tmp_path / "store")
+    vertices, triangles = panel_capture().room.vertices, panel_capture().room.triangles
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist()]
+    (tmp_path / "scene.obj").write_text("\n".join(lines))
+    span = [int(PANEL_TRIANGLES[0]), int(PANEL_TRIANGLES[-1]) + 1]
+    (tmp_path / "emitters.json").write_text(json.dumps([{"triangles": span}]))
+    assert lamps.lamps_of_run(first, tmp_path) == lamps.LampCounts(1, 0, 0.0, 0)
     assert found["fixtures"] == 1 and set(found["seconds"]) > {"pixels", "shadings", "training"}
     again = RunFolder(tmp_path / "again")
     trial.prepared.copy_input(
