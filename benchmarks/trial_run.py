@@ -13,6 +13,7 @@ import json
 import shutil
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -94,13 +95,16 @@ def estimate(root: Path, store: Path | None) -> dict[str, Any]:
 
 
 def score(root: Path, capture: Path) -> dict[str, Any]:
-    """The figures of benchmarks/accuracy.py of a finished run, without Cycles."""
-    from benchmarks import accuracy, picture_page
+    """The `figures` of benchmarks/accuracy.py of a finished run, without Cycles, and counts of `lamps`."""
+    from benchmarks import accuracy, lamps, picture_page
     from fipt_blender.core.run.runfolder import RunFolder
 
     page = picture_page.PicturePage(root / "accuracy")
     scope = accuracy.Scope(capture, spp=SPP, train_views=TRAINING_VIEWS, train_renders=0)
-    return accuracy.score(RunFolder(root), scope, page).figures
+    run = RunFolder(root)
+    figures = accuracy.score(run, scope, page).figures
+    known = (capture / "emitters.json").is_file()
+    return {"figures": figures, "lamps": asdict(lamps.lamps_of_run(run, capture)) if known else None}
 
 
 def main(argv: list[str]) -> int:
@@ -113,7 +117,7 @@ def main(argv: list[str]) -> int:
     arguments = parser.parse_args(argv)
     constants.use(json.loads(arguments.constants))
     found = estimate(arguments.run, arguments.store)
-    found["figures"] = score(arguments.run, arguments.capture)
+    found |= score(arguments.run, arguments.capture)
     from fipt_blender.core.run.method import method_digest
     from fipt_blender.core.run.runfolder import write_json
 

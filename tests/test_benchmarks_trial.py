@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import constants, trial, trial_run
+from benchmarks import constants, lamps, trial, trial_captures, trial_changes, trial_run, trial_table
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import Settings, make_settings
-from samples.small_captures import panel_capture, write_run
+from samples.small_captures import PANEL_TRIANGLES, panel_capture, write_run
 
 SOURCE = """
 # Of a wall.
@@ -69,34 +69,35 @@ def test_every_switch_is_on_and_is_tried() -> None:
         for item in dataclasses.fields(Settings)
         if item.default is True and item.metadata["help"].endswith("(not in the paper)")
     }
-    tried = {name for mechanism in trial.MECHANISMS.values() for name in mechanism.off}
+    tried = {name for mechanism in trial_changes.MECHANISMS.values() for name in mechanism.off}
     assert switches - {"detail"} <= tried  # of the textures, which have figures of their own
-    for name, mechanism in trial.MECHANISMS.items():
+    for name, mechanism in trial_changes.MECHANISMS.items():
         make_settings("draft", dict(mechanism.off))
-        assert trial.lines_of(name) >= 0 and trial.without(name).settings == mechanism.off
+        assert trial_changes.lines_of(name) >= 0 and trial_changes.without(name).settings == mechanism.off
     with pytest.raises(FiptError, match="no mechanism"):
-        trial.without("no_such")
+        trial_changes.without("no_such")
 
 
 def test_words_of_a_jury() -> None:
-    found = trial.cases("a:2cm:hdr:parts,none b:exact:jpeg:linked")
+    found = trial_captures.cases("a:2cm:hdr:parts,none b:exact:jpeg:linked")
     assert [case.name for case in found] == ["a:2cm:hdr:parts", "a:2cm:hdr:none", "b:exact:jpeg:linked"]
     assert found[0].voxel == 0.02 and found[2].voxel is None
     assert found[0].has(("scan", "masks", "parts")) and not found[1].has(("masks",))
     assert found[2].has(("jpeg", "masks")) and not found[2].has(("scan",))
     for wrong in ("a:2cm:hdr", "a:cm:hdr:none", "a:2cm:raw:none", "a:2cm:hdr:some"):
         with pytest.raises(FiptError, match="no capture"):
-            trial.cases(wrong)
+            trial_captures.cases(wrong)
 
 
 def row(capture: str, change: str, seconds: dict[str, float], **figures: float) -> dict:
     classes = [{"share": 0.5, "expected": 0.2, "made": 0.1}]
-    every = dict.fromkeys(trial.COLUMNS, 20.0) | {"confidence": classes} | figures
+    every = dict.fromkeys(trial_table.COLUMNS, 20.0) | {"confidence": classes} | figures
     return {
         "capture": capture,
         "change": change,
         "seconds": seconds,
-        "figures": dict.fromkeys(trial.SPLITS, every),
+        "figures": dict.fromkeys(trial_table.SPLITS, every),
+        "lamps": {"true": 2, "false": 0, "lost": 0},
     }
 
 
@@ -107,25 +108,40 @@ def test_a_mechanism_pays_where_it_gains_more_than_it_loses() -> None:
         row("b", "panes", {"pixels": 4.0}, kd_psnr=20.0),  # nothing there has a hole
         row("a", "outlines", {}, sigma_psnr=19.5, relight_psnr=20.6),
         row("a", "unmix", {}, kd_psnr=19.8),
-        row("a", "lit_specks", {}, emission_iou=20.05),
+        row("a", "lit_specks", {}, emission_iou=20.05) | {"lamps": {"false": 3, "lost": 0}},
         {"capture": "b", "change": "unmix", "error": ["failed"]},
     ]  # fmt: skip
-    found = trial.effects(rows)
+    found = trial_table.effects(rows)
     assert (found["panes"].acted, found["panes"].tried, found["panes"].seconds) == (1, 2, 4.0)
-    assert found["panes"].mean == pytest.approx([1.0, 0, 0, 0, 0, 0, -0.1, 0])
+    assert found["panes"].mean == pytest.approx([1.0, 0, 0, 0, 0, 0, -0.1, 0, 0, 0])
     verdicts = {name: effect.verdict() for name, effect in found.items()}
     assert verdicts == {
-        "panes": "pays", "outlines": "loses as much", "unmix": "does not pay", "lit_specks": "harms",
+        "panes": "pays", "outlines": "loses as much", "unmix": "does not pay", "lit_specks": "pays",
     }  # fmt: skip
-    lines = trial.format_table(rows).splitlines()
+    lines = trial_table.format_table(rows).splitlines()
     assert lines[2].startswith("| `panes` | 1 of 2 | +1.00 |") and lines[2].endswith("| pays |")
     assert "| relit −0.10 | 4 |" in lines[2] and "| IoU −0.050 |" in lines[5]
+
+
+def test_lamps_are_compared_by_where_they_are() -> None:
+    square = np.array(
+        [[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]]
+    )
+    away, behind, small = square + (3.0, 0.0, 0.0), square + (0.0, 0.0, 0.03), 0.4 * square
+    counts = lamps.count_lamps([behind, 0.5 * away + 5.0], [square, away])
+    assert counts == lamps.LampCounts(true=1, false=1, false_area=pytest.approx(0.25), lost=1)
+    # A fixture that is a piece of a lamp is right, but the lamp is lost with it.
+    assert lamps.count_lamps([small], [square]) == lamps.LampCounts(1, 0, 0.0, 1)
+    assert lamps.count_lamps([], [square]) == lamps.LampCounts(0, 0, 0.0, 1)
+    assert lamps.count_lamps([square], []).false == 1
+    spread = lamps.points_on(square, 4000, np.random.default_rng(0))
+    assert np.abs(spread.mean(axis=0) - (0.5, 0.5, 0.0)).max() < 0.02
 
 
 def test_runs_are_resumed_after_the_method_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     done: list[tuple[str, str]] = []
 
-    def do(self: trial.Trial, case: trial.Case, change: trial.Change) -> None:
+    def do(self: trial.Trial, case: trial_captures.Case, change: trial_changes.Change) -> None:
         done.append((case.name, change.name))
         line = {
             "capture": case.name,
@@ -158,6 +174,13 @@ def test_a_run_that_begins_with_stored_stages_finds_the_same(tmp_path: Path) -> 
     few = {"diffuse_spp": 4, "specular_spp": 1, "light_spp": 4, "emitter_samples": 10, "batch_size": 64}
     first = write_run(tmp_path / "first", panel_capture(), rounds=0, training_steps=1, **few)
     found = trial_run.estimate(first.root, tmp_path / "store")
+    vertices, triangles = panel_capture().room.vertices, panel_capture().room.triangles
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist()]
+    (tmp_path / "scene.obj").write_text("\n".join(lines))
+    span = [int(PANEL_TRIANGLES[0]), int(PANEL_TRIANGLES[-1]) + 1]
+    (tmp_path / "emitters.json").write_text(json.dumps([{"triangles": span}]))
+    assert lamps.lamps_of_run(first, tmp_path) == lamps.LampCounts(1, 0, 0.0, 0)
     assert found["fixtures"] == 1 and set(found["seconds"]) > {"pixels", "shadings", "training"}
     again = RunFolder(tmp_path / "again")
     trial.prepared.copy_input(

@@ -1,0 +1,134 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The table of benchmarks/trial.py: what each change does to the figures of a jury's captures."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from benchmarks import metrics
+from benchmarks.trial_changes import BASE, MECHANISMS, lines_of
+
+# Figures of the table, and the gain from which on one counts (dB, IoU, lamps).
+COLUMNS = {
+    "kd_psnr": 0.3, "a_prime_psnr": 0.3, "sigma_psnr": 0.3, "metallic_psnr": 0.3, "emission_iou": 0.02,
+    "view_synthesis_psnr": 0.3, "relight_psnr": 0.3, "confidence": 1.0, "false": 1.0, "lost": 0.5,
+}  # fmt: skip
+TITLES = (
+    "kd", "a′", "σ", "metallic", "IoU", "re-rendered", "relit", "confidence", "false lamps", "lost lamps",
+)  # fmt: skip
+LAMPS = ("false", "lost")  # counts, of which fewer are better
+SPLITS = ("training", "held_back")
+
+
+def figures_of(row: Mapping[str, Any]) -> dict[str, float | None]:
+    """The figures of COLUMNS of a run, the paper's protocol.
+
+    Those of maps are means of training and held-back views, as few small views are held back, and the truth
+    of neither is used. Renders are of those held back. `confidence` compares expected and made errors of base
+    colour: dB of the mean squared difference over its classes.
+    """
+    found: dict[str, float | None] = {}
+    for name in COLUMNS:
+        values = [row["figures"][split].get(name) for split in SPLITS]
+        known = [float(value) for value in values if isinstance(value, int | float)]
+        found[name] = float(np.mean(known)) if known else None
+    classes = row["figures"]["held_back"].get("confidence") or []
+    # Runs of captures that do not tell their lamps have none.
+    found |= {name: -float(row["lamps"][name]) for name in LAMPS if row.get("lamps")}
+    squared = sum(each["share"] * (each["expected"] - each["made"]) ** 2 for each in classes)
+    found["confidence"] = metrics.psnr(squared / sum(each["share"] for each in classes)) if classes else None
+    return found
+
+
+@dataclass(frozen=True)
+class Effect:
+    """What a change does, over the captures where it does anything.
+
+    Attributes:
+        captures: how many it was tried on, and how many have other figures for it.
+        gains: (captures, columns) figures of the method as it is minus those with the change; NaN for none.
+        seconds: mean processor time that the method as it is takes more, of the steps that both did.
+    """
+
+    tried: int
+    acted: int
+    gains: np.ndarray
+    seconds: float
+
+    @property
+    def mean(self) -> np.ndarray:
+        """(columns,) mean gain; 0 without any capture."""
+        return self.gains.mean(axis=0) if self.acted else np.zeros(len(COLUMNS))
+
+    def verdict(self) -> str:
+        """By the rule: a gain that counts in some column, and not as much lost in another."""
+        if not self.acted:
+            return "did nothing"
+        shares = self.mean / np.array(list(COLUMNS.values()))
+        if shares.max() >= 1.0:
+            return "pays" if -shares.min() < shares.max() else "loses as much"
+        return "harms" if shares.min() <= -1.0 else "does not pay"
+
+
+def effects(rows: Sequence[Mapping[str, Any]]) -> dict[str, Effect]:
+    """The effect of each change among finished runs, by its name."""
+    good = [row for row in rows if "figures" in row]
+    base = {row["capture"]: row for row in good if row["change"] == BASE}
+    gains: dict[str, list[np.ndarray]] = defaultdict(list)
+    seconds: dict[str, list[float]] = defaultdict(list)
+    for row in good:
+        if row["change"] == BASE or row["capture"] not in base:
+            continue
+        first = base[row["capture"]]
+        one, other = figures_of(first), figures_of(row)
+        pairs = [(one[name], other[name]) for name in COLUMNS]
+        gains[row["change"]].append(
+            np.array([np.nan if None in pair else pair[0] - pair[1] for pair in pairs])
+        )
+        both = first["seconds"].keys() & row["seconds"].keys()
+        seconds[row["change"]].append(sum(first["seconds"][step] - row["seconds"][step] for step in both))
+    found = {}
+    for name, each in gains.items():
+        table = np.nan_to_num(np.array(each))
+        acted = np.abs(table).max(axis=1) > 0.0
+        found[name] = Effect(len(each), int(acted.sum()), table[acted], float(np.mean(seconds[name])))
+    return found
+
+
+def format_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Markdown: a row for each mechanism, with its mean gains, its worst loss, its price and the verdict."""
+    head = ["off", "captures", *TITLES, "worst", "seconds", "lines", "verdict"]
+    lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
+    found = effects(rows)
+    order = [name for name in MECHANISMS if name in found] + [
+        name for name in found if name not in MECHANISMS
+    ]
+    for name in order:
+        effect = found[name]
+        cells = [f"`{name}`", f"{effect.acted} of {effect.tried}"]
+        cells += [_number(value, least) for value, least in zip(effect.mean, COLUMNS.values(), strict=True)]
+        cells += [worst(effect), f"{effect.seconds:.0f}", str(lines_of(name) or "-")]
+        cells.append(effect.verdict() if name in MECHANISMS else "")
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def worst(effect: Effect) -> str:
+    """The largest loss of one capture, in terms of what counts, and its column."""
+    if not effect.acted:
+        return "-"
+    least = np.array(list(COLUMNS.values()))
+    shares = effect.gains / least
+    row, column = np.unravel_index(int(shares.argmin()), shares.shape)
+    value = float(effect.gains[row, column])
+    return f"{TITLES[column]} {_number(value, least[column])}" if value < 0.0 else "-"
+
+
+def _number(value: float, least: float) -> str:
+    return f"{value:+.3f}".replace("-", "−") if least < 0.1 else f"{value:+.2f}".replace("-", "−")
