@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import shutil
 import sys
 import time
@@ -115,6 +116,8 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--store", type=Path, metavar="DIR", help="keep stages there for other runs")
     parser.add_argument("--constants", default="{}", metavar="JSON", help='{"module.NAME": value}')
     arguments = parser.parse_args(argv)
+    # As the engine's own command: torch's threads otherwise spin while they wait for busy cores.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     constants.use(json.loads(arguments.constants))
     found = estimate(arguments.run, arguments.store)
     found |= score(arguments.run, arguments.capture)
