@@ -32,6 +32,7 @@ from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
 from samples import metashape_writers, rig_writers
 from samples.camera_poses import random_rotation
+from samples.refusals import error_of
 
 
 def drawn_similarity(rng: np.random.Generator, scale: float) -> np.ndarray:
@@ -236,9 +237,7 @@ def test_a_rough_alignment_is_refined() -> None:
 def test_too_few_points_are_refused() -> None:
     rng = np.random.default_rng(10)
     surface = sample_surface(*furnished_room(), rng, 1000)
-    with pytest.raises(FiptError) as caught:
-        register(np.zeros((20, 3)), surface, rng)
-    assert caught.value.code == "alignment-points"
+    assert error_of(register, np.zeros((20, 3)), surface, rng).code == "alignment-points"
 
 
 # -------------------------------------------------------------------------------------------------- captures
@@ -287,16 +286,13 @@ def test_cameras_of_another_room_are_not_aligned(tmp_path: Path) -> None:
     (tmp_path / "scan.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     rig = read_rig(tmp_path, "auto", CaptureOptions())
     points = read_points(tmp_path, rig.source)
-    with pytest.raises(FiptError) as caught:
-        align_rig(rig, points, tmp_path / "scan.obj")
-    assert caught.value.code == "alignment-failed" and "FIPT Alignment" in caught.value.remedy
+    caught = error_of(align_rig, rig, points, tmp_path / "scan.obj")
+    assert caught.code == "alignment-failed" and "FIPT Alignment" in caught.remedy
 
 
 def test_formats_without_points_cannot_be_aligned(tmp_path: Path) -> None:
     rig_writers.write_record3d(tmp_path, rig_writers.make_shots(count=1), each_frame=True)
-    with pytest.raises(FiptError) as caught:
-        read_points(tmp_path, "record3d")
-    assert caught.value.code == "alignment-points"
+    assert error_of(read_points, tmp_path, "record3d").code == "alignment-points"
 
 
 def test_points_of_each_format(tmp_path: Path) -> None:
@@ -317,9 +313,7 @@ def test_points_of_each_format(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["bundler", "nvm", "colmap", "opensfm", "openmvg", "meshroom"])
 def test_points_of_a_folder_without_the_format(tmp_path: Path, name: str) -> None:
-    with pytest.raises(FiptError) as caught:
-        read_points(tmp_path, name)
-    assert caught.value.code == "rig-damaged"
+    assert error_of(read_points, tmp_path, name).code == "rig-damaged"
 
 
 def edit_json(path: Path, key: str, value: object) -> None:

@@ -15,6 +15,7 @@ from mathutils import Euler, Matrix
 
 from fipt_blender.core.alignment.mesh_file import read_mesh
 from fipt_blender.core.run.errors import FiptError
+from samples.refusals import error_of
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
 
@@ -106,9 +107,7 @@ def test_files_of_blender(tmp_path: Path) -> None:
 def test_damaged_files_are_refused(tmp_path: Path, damage: dict) -> None:
     path = tmp_path / "scan.glb"
     path.write_bytes(glb(little(**damage), binary()))
-    with pytest.raises(FiptError) as caught:
-        read_mesh(path)
-    assert caught.value.code == "mesh-unreadable"
+    assert error_of(read_mesh, path).code == "mesh-unreadable"
 
 
 def test_any_byte_cut_off_is_refused(tmp_path: Path) -> None:

@@ -10,10 +10,10 @@ from fipt_blender.blend.room import charts, exporting, islands, packing
 from fipt_blender.blend.room.atlas import make_atlas
 from fipt_blender.blend.slices import run_through
 from fipt_blender.core.run.documents import read_json
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures.raster import cover_count
+from samples.refusals import error_of
 
 
 @pytest.fixture
@@ -179,9 +179,7 @@ def test_colour_attribute_mode_and_changed_rooms(run):
     assert read_json(run.atlas_json) == {"mode": "color_attribute", "images": []}
     item.modifiers.new("Bevel", "BEVEL")
     bpy.context.view_layer.update()
-    with pytest.raises(FiptError) as error:
-        make_atlas([item], run, make_settings())
-    assert error.value.code == "room-changed"
+    assert error_of(make_atlas, [item], run, make_settings()).code == "room-changed"
 
 
 def grid(rows, columns, closed=False):

@@ -13,10 +13,10 @@ from mathutils import Euler, Matrix, Vector
 
 from fipt_blender.blend.capture import cameras, scene_cameras
 from fipt_blender.core import conventions
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from samples.camera_views import random_views
+from samples.refusals import error_of
 
 
 @pytest.fixture
@@ -85,9 +85,7 @@ def test_cameras_show_photographs_and_are_not_duplicated(run):
 
 
 def test_unknown_view(run):
-    with pytest.raises(FiptError) as error:
-        cameras.find_camera("train/none", bpy.context.scene)
-    assert error.value.code == "view-missing"
+    assert error_of(cameras.find_camera, "train/none", bpy.context.scene).code == "view-missing"
 
 
 pytestmark = pytest.mark.usefixtures("registered")

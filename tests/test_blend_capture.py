@@ -20,6 +20,7 @@ from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from samples.camera_views import points_before, projections, random_views
+from samples.refusals import error_of
 
 ALIGNED = Matrix.LocRotScale((1.5, -2.0, 0.3), Euler((0.2, -0.1, 1.1)), (0.4,) * 3)
 
@@ -115,9 +116,7 @@ def test_a_camera_moved_by_hand_is_exported(run, scene):
 def test_an_uneven_alignment_is_refused(run, scene, scale):
     bring_in(run)
     scene.fipt.capture.alignment.scale = scale
-    with pytest.raises(FiptError) as error:
-        export_capture(scene, run)
-    assert error.value.code == "alignment-uneven"
+    assert error_of(export_capture, scene, run).code == "alignment-uneven"
     assert not run.capture_json.exists()
 
 
@@ -140,9 +139,8 @@ def test_ticks_splits_and_deleted_cameras(run, scene):
     assert export_capture(scene, run) == 4
     settings.views["train/plain"].enabled = settings.views["train/off-centre"].enabled = False
     before = run.capture_json.read_bytes()
-    with pytest.raises(FiptError) as error:
-        export_capture(scene, run)
-    assert error.value.code == "views-few" and run.capture_json.read_bytes() == before
+    error = error_of(export_capture, scene, run)
+    assert error.code == "views-few" and run.capture_json.read_bytes() == before
 
 
 def test_renamed_cameras_are_found(run, scene):
@@ -227,9 +225,8 @@ def test_masks_of_a_folder(run, scene, tmp_path):
     parts.source = "folder"
     for problem in ("", str(folder)):
         parts.folder = problem
-        with pytest.raises(FiptError) as error:
-            export_capture(scene, run)
-        assert error.value.code == "parts-folder"
+        error = error_of(export_capture, scene, run)
+        assert error.code == "parts-folder"
     (folder / "train").mkdir(parents=True)
     with pytest.raises(FiptError) as error:
         export_capture(scene, run)
@@ -257,9 +254,7 @@ def test_runs_of_the_command_line_keep_all_views(run, scene):
     assert export_capture(scene, run) == 5
     run.ingest_json.unlink()
     run.capture_json.unlink()
-    with pytest.raises(FiptError) as error:
-        export_capture(scene, run)
-    assert error.value.code == "capture-missing"
+    assert error_of(export_capture, scene, run).code == "capture-missing"
 
 
 def iter_views(run, scene):

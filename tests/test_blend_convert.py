@@ -17,6 +17,7 @@ from fipt_blender.blend.lights import convert, fixtures, ies, light_state
 from fipt_blender.blend.lights.fixture_nodes import emission_material
 from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
 from fipt_blender.core.run.errors import FiptError
+from samples.refusals import error_of
 from samples.rendered_rooms import diffuse_floor
 from samples.small_rooms import agree
 
@@ -249,9 +250,7 @@ def test_mean_intensity(tmp_path):
 def test_other_files_are_refused(tmp_path, text):
     path = tmp_path / "lamp.ies"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(FiptError) as error:
-        ies.read_profile(path)
-    assert error.value.code == "ies-unreadable"
+    assert error_of(ies.read_profile, path).code == "ies-unreadable"
 
 
 def test_missing_and_large_files_are_refused(tmp_path):

@@ -17,8 +17,8 @@ from fipt_blender import cli
 from fipt_blender.blend.export.exporting import export_room
 from fipt_blender.blend.export.lamps import GAP
 from fipt_blender.blend.export.textures import texel_parts
-from fipt_blender.core.run.errors import FiptError
 from samples.applied_rooms import RADIANCE, ConstantFields, fingerprint, make_applied_scene
+from samples.refusals import error_of
 
 ops = bpy.ops.fipt
 
@@ -194,24 +194,20 @@ def test_texels_belong_to_the_nearest_part():
 
 def test_what_can_not_be_exported_is_refused_and_changes_nothing(scene, tmp_path):
     before = fingerprint(scene)
-    with pytest.raises(FiptError) as error:
-        export_room(scene, tmp_path / "room.obj")
-    assert error.value.code == "export-format"
+    error = error_of(export_room, scene, tmp_path / "room.obj")
+    assert error.code == "export-format"
     ops.show_map(shown="ORIGINAL")
-    with pytest.raises(FiptError) as error:
-        export_room(scene, tmp_path / "room.glb")
-    assert error.value.code == "export-nothing" and not ops.export_room.poll()
+    error = error_of(export_room, scene, tmp_path / "room.glb")
+    assert error.code == "export-nothing" and not ops.export_room.poll()
     ops.show_map(shown="ESTIMATED")
     (tmp_path / "file").write_text("no folder")
-    with pytest.raises(FiptError) as error:
-        export_room(scene, tmp_path / "file" / "room.glb")
-    assert error.value.code == "run-unwritable"
+    error = error_of(export_room, scene, tmp_path / "file" / "room.glb")
+    assert error.code == "run-unwritable"
     assert fingerprint(scene) == before
     scene.fipt.materials.atlas_mode = "color_attribute"
     ops.apply_results()
-    with pytest.raises(FiptError) as error:
-        export_room(scene, tmp_path / "room.glb")
-    assert error.value.code == "export-attributes" and not (tmp_path / "room.glb").exists()
+    error = error_of(export_room, scene, tmp_path / "room.glb")
+    assert error.code == "export-attributes" and not (tmp_path / "room.glb").exists()
 
 
 def test_the_operator_adds_the_suffix(scene, tmp_path):

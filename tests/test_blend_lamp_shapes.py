@@ -15,10 +15,10 @@ from mathutils import Matrix
 from fipt_blender.blend.lights.lamp_shapes import LampShape, fit_lamp_shape, shape_mesh
 from fipt_blender.blend.marks import BASE, FIXTURE, fixtures_of
 from fipt_blender.blend.room.mesh_arrays import corner_vertices, triangle_loops, vertex_positions
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from samples.applied_rooms import RADIANCE
 from samples.operator_calls import refused
+from samples.refusals import error_of
 
 TURN = np.array(Matrix.Rotation(0.7, 3, (1.0, 2.0, 0.5)))
 PLACE = np.array([1.0, -2.0, 1.5])
@@ -94,12 +94,9 @@ def test_few_large_triangles_are_enough() -> None:
 def test_no_shape_fits_two_lamps_apart_or_nothing() -> None:
     vertices, triangles = grid(square)
     both = np.concatenate([vertices, vertices + TURN @ [3.0, 0.0, 0.0]])
-    with pytest.raises(FiptError) as error:
-        fit_lamp_shape(both, np.concatenate([triangles, triangles + len(vertices)]))
-    assert error.value.code == "shape-unclear"
-    with pytest.raises(FiptError) as error:
-        fit_lamp_shape(np.zeros((3, 3)), np.array([[0, 1, 2]]))
-    assert error.value.code == "fixture-empty"
+    error = error_of(fit_lamp_shape, both, np.concatenate([triangles, triangles + len(vertices)]))
+    assert error.code == "shape-unclear"
+    assert error_of(fit_lamp_shape, np.zeros((3, 3)), np.array([[0, 1, 2]])).code == "fixture-empty"
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,8 @@ from mathutils import Matrix, Vector
 
 from fipt_blender.blend.lights import light_drivers, light_states
 from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
-from fipt_blender.core.run.errors import FiptError
 from samples.applied_rooms import RADIANCE, make_applied_scene
+from samples.refusals import error_of
 
 ops = bpy.ops.fipt
 
@@ -80,9 +80,7 @@ def test_a_blend_lies_between_in_radiance(scene, factor):
     "text", ["", "[]", '{"lights": {}}', '{"lights": {"a": {"rgb": [1, 2]}}, "world": null}']
 )
 def test_a_damaged_state_is_refused(text):
-    with pytest.raises(FiptError) as error:
-        light_states.read(text)
-    assert error.value.code == "state-damaged"
+    assert error_of(light_states.read, text).code == "state-damaged"
 
 
 def test_other_settings_in_a_state_are_ignored(scene):

@@ -18,6 +18,7 @@ import pytest
 from fipt_blender.blend.capture.mesh_files import check_mesh_file
 from fipt_blender.core.run.errors import FiptError
 from samples.child_processes import posix
+from samples.refusals import error_of
 
 POINTS = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)]
 TRIANGLES = [(0, 1, 2), (1, 2, 3), (2, 3, 4)]
@@ -78,10 +79,9 @@ GOOD = {
 def problem(tmp_path: Path, name: str, content: bytes) -> str:
     path = tmp_path / name
     path.write_bytes(content)
-    with pytest.raises(FiptError) as error:
-        check_mesh_file(path)
-    assert error.value.code == "mesh-unreadable" and name in error.value.text and error.value.remedy
-    return error.value.text
+    error = error_of(check_mesh_file, path)
+    assert error.code == "mesh-unreadable" and name in error.text and error.remedy
+    return error.text
 
 
 def damage(content: bytes, rng: np.random.Generator) -> bytes:

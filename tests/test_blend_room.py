@@ -13,9 +13,9 @@ from mathutils import Euler, Matrix
 from fipt_blender.blend.capture import mesh_import
 from fipt_blender.blend.room import arrays, exporting
 from fipt_blender.core import conventions
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
+from samples.refusals import error_of
 
 # A tetrahedron-like shape without symmetry, so that any rotation or mirroring shows.
 POINTS = np.array([(0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3)], np.float64)
@@ -114,16 +114,13 @@ def test_mirroring_transform_keeps_faces_outwards(tmp_path, run):
 
 
 def test_import_errors(tmp_path):
-    with pytest.raises(FiptError) as error:
-        mesh_import.import_room(tmp_path / "nothing.obj", np.eye(4))
-    assert error.value.code == "mesh-missing"
+    error = error_of(mesh_import.import_room, tmp_path / "nothing.obj", np.eye(4))
+    assert error.code == "mesh-missing"
     (tmp_path / "a.xyz").write_text("")
-    with pytest.raises(FiptError) as error:
-        mesh_import.import_room(tmp_path / "a.xyz", np.eye(4))
-    assert error.value.code == "mesh-format"
-    with pytest.raises(FiptError) as error:
-        mesh_import.import_room(write_obj(tmp_path / "b.obj", faces=[]), np.eye(4))
-    assert error.value.code == "mesh-empty"
+    error = error_of(mesh_import.import_room, tmp_path / "a.xyz", np.eye(4))
+    assert error.code == "mesh-format"
+    refusal = error_of(mesh_import.import_room, write_obj(tmp_path / "b.obj", faces=[]), np.eye(4))
+    assert refusal.code == "mesh-empty"
     assert not bpy.data.objects
 
 
@@ -177,9 +174,7 @@ def test_custom_normals_reach_the_export(run):
 
 def test_export_without_faces_is_an_error(run):
     item = bpy.data.objects.new("m", bpy.data.meshes.new("m"))
-    with pytest.raises(FiptError) as error:
-        exporting.export_room([item], run)
-    assert error.value.code == "mesh-empty"
+    assert error_of(exporting.export_room, [item], run).code == "mesh-empty"
     assert not run.room_npz.exists()
 
 

@@ -16,6 +16,7 @@ import pytest
 from fipt_blender.blend import save
 from fipt_blender.blend.pictures import cycles, image_files
 from fipt_blender.core.run.errors import FiptError
+from samples.refusals import error_of
 
 
 def saving_fails(path: Path) -> FiptError:
@@ -97,9 +98,7 @@ def test_a_picture_that_was_cut_off_is_no_picture(tmp_path, monkeypatch):
         path.write_bytes(b"\x89PNG and a part of the pixels")
 
     monkeypatch.setattr(save, "reserve", fail(errno.ENOSPC))
-    with pytest.raises(FiptError) as error:
-        image_files.write_image(path, path, write)
-    assert error.value.code == "disk-full"
+    assert error_of(image_files.write_image, path, path, write).code == "disk-full"
 
 
 def test_a_render_that_was_cut_off_is_no_render(tmp_path, monkeypatch):
@@ -110,7 +109,5 @@ def test_a_render_that_was_cut_off_is_no_render(tmp_path, monkeypatch):
     scene.render.resolution_x = scene.render.resolution_y = 8
     cycles.render_exr(scene, tmp_path / "a.exr", cycles.RenderOptions(1))
     monkeypatch.setattr(save, "reserve", fail(errno.ENOSPC))
-    with pytest.raises(FiptError) as error:
-        cycles.render_exr(scene, tmp_path / "b.exr", cycles.RenderOptions(1))
-    assert error.value.code == "disk-full"
+    assert error_of(cycles.render_exr, scene, tmp_path / "b.exr", cycles.RenderOptions(1)).code == "disk-full"
     assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]

@@ -22,6 +22,7 @@ from fipt_blender.bridge.pip import PipProgress, pip_error
 from fipt_blender.bridge.plan import Plan
 from fipt_blender.bridge.torch_build import Size
 from fipt_blender.core.run.errors import FiptError
+from samples.refusals import error_of
 from samples.wheels import make_wheel
 
 HERE = sys.version_info[:2]
@@ -234,9 +235,8 @@ def test_locked_packages_are_installed_only_with_the_hashes_of_the_lock(
     tiny = make_wheel(tmp_path / "wheels", "fipttiny", "1.0")
     other = make_wheel(tmp_path / "wheels", "fiptother", "2.0")
     lock = (locked(tiny), locked(other, "0" * 64))
-    with pytest.raises(FiptError) as caught:
-        environment.set_up(make_plan(tmp_path, lock=lock), Listener())
-    assert caught.value.code == "package-hash" and "fiptother" in caught.value.text
+    caught = error_of(environment.set_up, make_plan(tmp_path, lock=lock), Listener())
+    assert caught.code == "package-hash" and "fiptother" in caught.text
     listener = Listener()
     environment.set_up(make_plan(tmp_path, lock=(locked(tiny), locked(other))), listener)
     packages = places.site_packages(tmp_path / "env")
@@ -251,9 +251,7 @@ def test_pip_is_replaced_only_by_a_file_with_the_hash_of_the_lock(
     """A pip of another's making would vouch for whatever it installs."""
     tiny, other = make_wheel(tmp_path / "wheels", "fipttiny", "1.0"), make_pip(tmp_path, "99.0")
     plan = make_plan(tmp_path, lock=(locked(tiny),), pip=(locked(other, "0" * 64 if forged else ""),))
-    with pytest.raises(FiptError) as caught:
-        environment.set_up(plan, Listener())
-    assert (caught.value.code == "package-hash") == forged
+    assert (error_of(environment.set_up, plan, Listener()).code == "package-hash") == forged
     assert (tmp_path / "ran").exists() != forged, "only with its hash in the lock its code runs"
 
 
@@ -273,9 +271,8 @@ def test_llvm_is_unpacked_only_with_the_hash_of_the_lock(
     monkeypatch.setattr(native, "check_engine", lambda python: (found if library.exists() else {}, missing))
     wheel = make_wheel(tmp_path / "wheels", "fiptllvm", "1.0", "\x7fELF", "lib/libLLVM.so.19")
     for pin, code in ((locked(wheel, "0" * 64), "package-hash"), ("fiptllvm==1.0", "llvm-missing")):
-        with pytest.raises(FiptError) as caught:
-            native.provide_llvm(make_plan(tmp_path, llvm=(pin,)), Listener())
-        assert caught.value.code == code and caught.value.remedy and not library.exists()
+        caught = error_of(native.provide_llvm, make_plan(tmp_path, llvm=(pin,)), Listener())
+        assert caught.code == code and caught.remedy and not library.exists()
     assert native.provide_llvm(make_plan(tmp_path, llvm=(locked(wheel),)), Listener()) == str(library)
 
 
@@ -286,9 +283,8 @@ def test_a_source_archive_is_never_built(tmp_path: Path, made: None) -> None:
         info = tarfile.TarInfo("fipttiny-1.0/setup.py")
         info.size = len(code)
         archive.addfile(info, io.BytesIO(code))
-    with pytest.raises(FiptError) as caught:
-        environment.set_up(make_plan(tmp_path), Listener())
-    assert caught.value.code == "wheels-missing" and not (tmp_path / "ran").exists()
+    caught = error_of(environment.set_up, make_plan(tmp_path), Listener())
+    assert caught.code == "wheels-missing" and not (tmp_path / "ran").exists()
 
 
 def test_a_large_build_is_asked_for_before_it_is_downloaded(
@@ -303,9 +299,8 @@ def test_a_large_build_is_asked_for_before_it_is_downloaded(
     values = {"requirements": ["fipttiny==1.0", "torch==1.0"], "lock": (locked(tiny),), "wheels": None}
     plan = make_plan(tmp_path, torch="cpu", **values)
     listener = Listener()
-    with pytest.raises(FiptError) as caught:
-        environment.set_up(plan, listener)
-    assert caught.value.code == "torch-large" and "3.0 GB" in caught.value.text
+    caught = error_of(environment.set_up, plan, listener)
+    assert caught.code == "torch-large" and "3.0 GB" in caught.text
     assert listener.warnings == ["torch-index"]
     packages = places.site_packages(tmp_path / "env")
     assert not (packages / torch.name.split("-")[0]).exists() and not (packages / "torch.py").exists()
@@ -338,12 +333,9 @@ def test_little_space_is_seen_beforehand(tmp_path: Path, monkeypatch: pytest.Mon
         assert make_wheel(wheels, "fipttiny", version, code).stat().st_size > megabytes * 1_000_000
     (wheels / "broken-1.0-py3-none-any.whl").write_bytes(b"0" * 500_000)
     assert check(2_502_000, wheels, "").warnings == []
-    with pytest.raises(FiptError) as caught:
-        check(2_500_000, wheels, "")
-    assert caught.value.code == "disk-full"
+    assert error_of(check, 2_500_000, wheels, "").code == "disk-full"
 
 
 def test_a_base_that_is_no_python_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FiptError) as caught:
-        environment.make_environment(make_plan(tmp_path, base=tmp_path / "gone"))
-    assert caught.value.code == "python-unfit"
+    refusal = error_of(environment.make_environment, make_plan(tmp_path, base=tmp_path / "gone"))
+    assert refusal.code == "python-unfit"

@@ -17,6 +17,7 @@ from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import parse_message
 from samples.child_processes import is_alive, posix, wait_for
+from samples.refusals import error_of
 
 
 def child(tmp_path: Path, script: str) -> EngineProcess:
@@ -218,9 +219,7 @@ def test_a_second_start_on_the_same_messages_is_refused_and_harms_no_first(tmp_p
     first = EngineProcess(command, log, messages=messages)
     wait_for(lambda: messages.read_bytes())
     for _ in range(2):
-        with pytest.raises(FiptError) as caught:
-            EngineProcess(command, log, messages=messages)
-        assert caught.value.code == "run-busy"
+        assert error_of(EngineProcess, command, log, messages=messages).code == "run-busy"
     (tmp_path / "go").touch()
     assert [message["type"] for message in collect(first)] == ["progress", "done"]
     assert [message["type"] for message in collect(EngineProcess(command, log, messages=messages))]

@@ -21,6 +21,7 @@ from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.lock import hold
 from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.runfolder import RunFolder
+from samples.refusals import error_of
 from samples.wheels import make_wheel
 
 HERE = sys.version_info[:2]
@@ -36,9 +37,8 @@ def test_plans_prefer_what_stands_and_name_a_python_that_is_missing(
     assert plans[0].requirements == pins.read_pins()["engine"]
     wheels = tmp_path / "wheels"
     wheels.mkdir()
-    with pytest.raises(FiptError) as caught:
-        setup.make_plans(tmp_path, "auto", wheels)
-    assert caught.value.code == "wheels-missing"
+    caught = error_of(setup.make_plans, tmp_path, "auto", wheels)
+    assert caught.code == "wheels-missing"
     version = next(pin for pin in pins.read_pins()["engine"] if pin.startswith("mitsuba")).partition("==")[2]
     other = next(each for each in pins.ENGINE_PYTHONS if each != HERE)
     (wheels / f"mitsuba-{version}-cp{other[0]}{other[1]}-cp{other[0]}{other[1]}-any.whl").touch()
@@ -117,17 +117,14 @@ def test_run_folders_are_fresh_and_safely_named(tmp_path: Path, monkeypatch: pyt
     assert first.name.startswith("Living-room-2-") and not list(first.iterdir())
     assert places.new_run_folder(tmp_path, "").name.startswith("run-")
     (tmp_path / "file").touch()
-    with pytest.raises(FiptError) as caught:
-        places.new_run_folder(tmp_path / "file", "room")
-    assert caught.value.code == "run-unwritable"
+    caught = error_of(places.new_run_folder, tmp_path / "file", "room")
+    assert caught.code == "run-unwritable"
 
     def full(*arguments: object, **options: object) -> None:
         raise OSError(errno.ENOSPC, "no space")
 
     monkeypatch.setattr(Path, "mkdir", full)
-    with pytest.raises(FiptError) as caught:
-        places.new_run_folder(tmp_path, "room")
-    assert caught.value.code == "disk-full"
+    assert error_of(places.new_run_folder, tmp_path, "room").code == "disk-full"
 
 
 def test_pins_are_those_of_the_checkout_or_of_the_zip(tmp_path: Path) -> None:

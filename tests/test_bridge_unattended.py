@@ -26,6 +26,7 @@ from fipt_blender.core.run.process_identity import PARENT_VARIABLE, host_name, p
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import run_job
 from samples.child_processes import is_alive, posix, wait_for
+from samples.refusals import error_of
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -66,9 +67,7 @@ def test_the_lock_keeps_others_out_and_names_its_holder(run_folder, engine):
     with pytest.raises(FiptError) as caught, hold(run_folder, ["report"]):
         pass
     assert caught.value.code == "run-busy" and time.monotonic() - started < 5.0
-    with pytest.raises(FiptError) as caught:
-        run_job.open_job(run_folder, [])
-    assert caught.value.code == "run-busy"
+    assert error_of(run_job.open_job, run_folder, []).code == "run-busy"
 
 
 @posix
@@ -156,9 +155,8 @@ def test_a_process_is_left_alone_where_the_engine_runs_on_another_machine(run_fo
     record = StepRecord(run_folder.root / "steps.json")
     job = Job([step], record, lambda arguments: attached, run_folder.log, lambda: ([], {}), resume=False)
     wait_for(lambda: job.advance() is None or job.waits)
-    with pytest.raises(FiptError) as caught:
-        job.request_cancel()
-    assert caught.value.code == "engine-elsewhere" and str(engine.pid) in caught.value.text
+    caught = error_of(job.request_cancel)
+    assert caught.code == "engine-elsewhere" and str(engine.pid) in caught.text
     assert not job.cancelled
     with pytest.raises(FiptError, match=other_content.get("host") or str(engine.pid)):
         run_job.refuse_busy(run_folder)

@@ -27,7 +27,7 @@ from fipt_blender.core.run import documents
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
-from samples.rig_checks import error_of
+from samples.refusals import error_of
 
 HUGE = "9" * 400
 

@@ -23,7 +23,7 @@ from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.rig import RigView, view_name
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.run.runfolder import RunFolder
-from samples.rig_checks import error_of
+from samples.refusals import error_of
 
 COLMAP_FILES = ("cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin")
 

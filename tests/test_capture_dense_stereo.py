@@ -21,6 +21,7 @@ from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
 from samples.capture_files import Sample, write_colmap
+from samples.refusals import error_of
 from samples.rgbd_frames import BOX_ROOM, box_room_depth, box_room_pose
 
 SIZE, FOCAL, FRAMES = (96, 72), 60.0, 16
@@ -84,9 +85,8 @@ def test_failures_of_stereo_are_said(tmp_path: Path, monkeypatch: pytest.MonkeyP
     run = RunFolder(tmp_path / "run")
     monkeypatch.setattr(pycolmap, "has_cuda", True)
     monkeypatch.setattr(pycolmap, "patch_match_stereo", lambda path: None)  # writes no depth maps
-    with pytest.raises(FiptError) as caught:
-        ingest(tmp_path / "solve", run, options(), Reporter(io.StringIO()))
-    assert caught.value.code == "stereo-failed" and not run.capture_json.exists()
+    caught = error_of(ingest, tmp_path / "solve", run, options(), Reporter(io.StringIO()))
+    assert caught.code == "stereo-failed" and not run.capture_json.exists()
 
 
 def test_without_cuda_it_is_refused_or_a_room_of_planes_is_made(

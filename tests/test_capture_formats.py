@@ -14,7 +14,6 @@ from fipt_blender.core.capture.formats import FORMATS, detect_format, read_rig
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.rig import Lens, find_image, view_name
-from fipt_blender.core.run.errors import FiptError
 from samples.capture_files import (
     level_pose,
     make_samples,
@@ -24,6 +23,7 @@ from samples.capture_files import (
     write_mesh,
     write_transforms,
 )
+from samples.refusals import error_of
 
 
 def read(path, **options):
@@ -106,9 +106,7 @@ def test_the_only_mesh_needs_no_certain_name(tmp_path):
 def test_damaged_colmap(tmp_path):
     write_colmap(tmp_path, make_samples(2), text=False)
     (tmp_path / "sparse" / "0" / "images.bin").write_bytes(b"\x05\0\0")
-    with pytest.raises(FiptError) as caught:
-        read(tmp_path)
-    assert caught.value.code == "rig-damaged"
+    assert error_of(read, tmp_path).code == "rig-damaged"
 
 
 @pytest.mark.parametrize("model", ["PINHOLE", "OPENCV"])
@@ -188,9 +186,7 @@ def test_transforms_distortion(tmp_path, extra, lens):
 )
 def test_transforms_with_lenses_that_have_no_pinhole(tmp_path, extra):
     write_transforms(tmp_path, make_samples(1), **extra)
-    with pytest.raises(FiptError) as caught:
-        read(tmp_path)
-    assert caught.value.code == "camera-model"
+    assert error_of(read, tmp_path).code == "camera-model"
 
 
 def test_transforms_before_the_applied_transform(tmp_path):
@@ -257,17 +253,13 @@ def test_transforms_one_file_a_split(tmp_path):
 )
 def test_damaged_transforms(tmp_path, text, code):
     (tmp_path / "transforms.json").write_text(text)
-    with pytest.raises(FiptError) as caught:
-        read(tmp_path)
-    assert caught.value.code == code
+    assert error_of(read, tmp_path).code == code
 
 
 def test_transforms_without_focal_length(tmp_path):
     write_transforms(tmp_path, make_samples(1))
     edit_json(tmp_path / "transforms.json", lambda data: [data["frames"][0].pop(k) for k in ("fl_x", "fl_y")])
-    with pytest.raises(FiptError) as caught:
-        read(tmp_path)
-    assert caught.value.code == "intrinsics-missing"
+    assert error_of(read, tmp_path).code == "intrinsics-missing"
 
 
 @pytest.mark.parametrize("named", [True, False])
@@ -313,30 +305,23 @@ def test_damaged_fipt_real(tmp_path, file, change, code):
     write_fipt_real(tmp_path, make_samples(2))
     lines = (tmp_path / file).read_text().splitlines()
     (tmp_path / file).write_text("\n".join(change(lines)))
-    with pytest.raises(FiptError) as caught:
-        read(tmp_path)
-    assert caught.value.code == code
+    assert error_of(read, tmp_path).code == code
 
 
 def test_unknown_format_lists_what_was_sought(tmp_path):
-    with pytest.raises(FiptError) as caught:
-        detect_format(tmp_path)
-    assert caught.value.code == "format-unknown"
-    assert all(name in caught.value.text for name in FORMATS)
+    caught = error_of(detect_format, tmp_path)
+    assert caught.code == "format-unknown"
+    assert all(name in caught.text for name in FORMATS)
     (tmp_path / "day").mkdir()
     (tmp_path / "day" / "IMG_1.JPG").touch()
     for path in (tmp_path, tmp_path / "day", tmp_path / "day" / "IMG_1.JPG"):
-        with pytest.raises(FiptError) as caught:
-            detect_format(path)
-        assert caught.value.code == "cameras-missing" and len(caught.value.remedy.splitlines()) == 1
+        caught = error_of(detect_format, path)
+        assert caught.code == "cameras-missing" and len(caught.remedy.splitlines()) == 1
     (tmp_path / "day" / "IMG_1.JPG").unlink()
-    with pytest.raises(FiptError) as caught:
-        detect_format(tmp_path / "nowhere")
-    assert caught.value.code == "capture-missing"
+    caught = error_of(detect_format, tmp_path / "nowhere")
+    assert caught.code == "capture-missing"
     write_transforms(tmp_path, make_samples(1))
-    with pytest.raises(FiptError) as caught:
-        read_rig(tmp_path, "colmap", CaptureOptions())
-    assert caught.value.code == "format-unknown"
+    assert error_of(read_rig, tmp_path, "colmap", CaptureOptions()).code == "format-unknown"
 
 
 def test_nerfstudio_folder_is_read_as_transforms_unless_told(tmp_path):

@@ -21,7 +21,6 @@ from fipt_blender.core.capture.distortion import Undistortion, undistorted_pinho
 from fipt_blender.core.capture.encoded import srgb_encoded
 from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
 from fipt_blender.core.capture.views import load_capture
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.run_files import read_capture
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
@@ -36,6 +35,7 @@ from samples.capture_files import (
     write_transforms,
 )
 from samples.ingesting import put, run_ingest, set_pixels, warnings
+from samples.refusals import error_of
 
 
 @pytest.fixture
@@ -52,9 +52,8 @@ def test_masks_of_pixels_to_leave_out(tmp_path, run, model):
     data = json.loads(path.read_text())
     data["frames"][0]["mask_path"] = "masks/a.png"
     path.write_text(json.dumps(data))
-    with pytest.raises(FiptError) as error:
-        run_ingest(tmp_path / "in", run)
-    assert error.value.code == "image-missing" and "masks" in error.value.text and not run.root.exists()
+    error = error_of(run_ingest, tmp_path / "in", run)
+    assert error.code == "image-missing" and "masks" in error.text and not run.root.exists()
     (tmp_path / "in" / "masks").mkdir()
     mask = np.full((samples[0].height, samples[0].width), 255, np.uint8)
     mask[:, :10] = 0
@@ -174,9 +173,8 @@ def test_large_photographs_are_rewritten_with_the_bits_that_they_have(tmp_path, 
 def test_photographs_without_distortion_that_the_disk_lacks_are_refused(tmp_path, run, monkeypatch):
     write_transforms(tmp_path / "in", make_samples(2, model="OPENCV"))
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))
-    with pytest.raises(FiptError) as error:
-        run_ingest(tmp_path / "in", run)
-    assert error.value.code == "disk-space" and not run.root.exists()
+    error = error_of(run_ingest, tmp_path / "in", run)
+    assert error.code == "disk-space" and not run.root.exists()
 
 
 def waves(sample):

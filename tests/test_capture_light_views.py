@@ -20,7 +20,6 @@ from fipt_blender.core.capture.images import write_exr, write_ids
 from fipt_blender.core.capture.light_views import chosen_views, light_radiance, light_views
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.run import light_size as light_size_module
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.light_size import (
     LEAST_PIXELS,
     SPARE_BYTES,
@@ -31,6 +30,7 @@ from fipt_blender.core.run.light_size import (
 )
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
+from samples.refusals import error_of
 
 SIZES = [(5, 3), (7, 4), (10, 6), (31, 17)]
 
@@ -181,9 +181,8 @@ def test_light_pixels_with_clipped_ones_are_clipped(tmp_path: Path) -> None:
 def test_a_missing_photograph_is_named(tmp_path: Path) -> None:
     view = make_view(tmp_path)
     view.image.unlink()
-    with pytest.raises(FiptError) as error:
-        light_views(RunFolder(tmp_path / "run"), [view], 1e-3)
-    assert error.value.code == "image-missing" and str(view.image) in error.value.text
+    error = error_of(light_views, RunFolder(tmp_path / "run"), [view], 1e-3)
+    assert error.code == "image-missing" and str(view.image) in error.text
 
 
 def test_a_plan_names_resolution_time_and_disk() -> None:
@@ -206,10 +205,9 @@ def test_a_disk_that_is_too_small_is_refused(tmp_path: Path, monkeypatch: pytest
     free = SPARE_BYTES + 1000
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=free))
     refuse_full_disk(folder, 1000, "lower the setting")
-    with pytest.raises(FiptError) as error:
-        refuse_full_disk(folder, 2_000_000_000, "lower the setting")
-    assert error.value.code == "disk-space" and "2.0 GB" in error.value.text
-    assert "lower the setting" in error.value.remedy
+    error = error_of(refuse_full_disk, folder, 2_000_000_000, "lower the setting")
+    assert error.code == "disk-space" and "2.0 GB" in error.text
+    assert "lower the setting" in error.remedy
     folder.mkdir(parents=True)
     (folder / "before.npy").write_bytes(bytes(2000))  # a resumed run writes it over
     refuse_full_disk(folder, 3000, "lower the setting")

@@ -20,10 +20,10 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.run.documents import read_json
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
 from samples import metashape_writers, rig_writers
+from samples.refusals import error_of
 
 SIZE = np.array([5.0, 4.0, 2.5])
 
@@ -72,9 +72,10 @@ def test_a_capture_without_a_mesh_gets_a_room(tmp_path: Path) -> None:
 def test_a_room_of_too_few_points_is_refused_and_nothing_written(tmp_path: Path) -> None:
     write_solve(tmp_path / "solve", box_points(30))
     run = RunFolder(tmp_path / "run")
-    with pytest.raises(FiptError) as caught:
-        ingest(tmp_path / "solve", run, CaptureOptions(plane_room=True), Reporter(io.StringIO()))
-    assert caught.value.code == "room-points"
+    refusal = error_of(
+        ingest, tmp_path / "solve", run, CaptureOptions(plane_room=True), Reporter(io.StringIO())
+    )
+    assert refusal.code == "room-points"
     assert not run.planes_obj.exists() and not run.capture_json.exists()
 
 

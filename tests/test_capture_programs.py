@@ -27,7 +27,8 @@ from samples.metashape_writers import (
     write_realityscan_csv,
     write_realityscan_xmp,
 )
-from samples.rig_checks import CENTRED, assert_same, error_of, read, room_points
+from samples.refusals import error_of
+from samples.rig_checks import CENTRED, assert_same, read, room_points
 
 BROWN3 = write.Style((-0.12, 0.03, -0.006), (0.002, -0.001))
 

@@ -24,6 +24,7 @@ from fipt_blender.core.run.settings import make_settings
 from samples.capture_files import make_samples, write_transforms
 from samples.child_processes import posix
 from samples.ingesting import put, run_ingest, set_pixels
+from samples.refusals import error_of
 
 
 @pytest.fixture
@@ -92,10 +93,9 @@ def test_bad_captures_leave_nothing_behind(tmp_path, run, case):
     samples[0] = make_samples(1, model="OPENCV")[0]
     write_transforms(tmp_path / "in", samples)
     spoil(tmp_path)
-    with pytest.raises(FiptError) as caught:
-        run_ingest(tmp_path / "in", run)
-    assert caught.value.code == code
-    assert caught.value.text and caught.value.remedy
+    caught = error_of(run_ingest, tmp_path / "in", run)
+    assert caught.code == code
+    assert caught.text and caught.remedy
     assert not run.root.exists()
     run.create(make_settings())
     before = sorted(run.root.rglob("*"))
@@ -116,16 +116,14 @@ def test_bad_captures_leave_nothing_behind(tmp_path, run, case):
 )
 def test_bad_options(tmp_path, run, options, code):
     write_transforms(tmp_path / "in", make_samples(2))
-    with pytest.raises(FiptError) as caught:
-        run_ingest(tmp_path / "in", run, **options)
-    assert caught.value.code == code and not run.root.exists()
+    caught = error_of(run_ingest, tmp_path / "in", run, **options)
+    assert caught.code == code and not run.root.exists()
 
 
 def test_missing_mesh(tmp_path, run):
     write_transforms(tmp_path / "in", make_samples(2))
-    with pytest.raises(FiptError) as caught:
-        run_ingest(tmp_path / "in", run, mesh=tmp_path / "no.obj")
-    assert caught.value.code == "mesh-missing" and not run.root.exists()
+    caught = error_of(run_ingest, tmp_path / "in", run, mesh=tmp_path / "no.obj")
+    assert caught.code == "mesh-missing" and not run.root.exists()
 
 
 def test_run_of_another_version_is_left_alone(tmp_path, run):
@@ -133,9 +131,8 @@ def test_run_of_another_version_is_left_alone(tmp_path, run):
     run.create(make_settings())
     data = json.loads(run.run_json.read_text())
     run.run_json.write_text(json.dumps({**data, "version": 99}))
-    with pytest.raises(FiptError) as caught:
-        run_ingest(tmp_path / "in", run)
-    assert caught.value.code == "run-version" and not run.capture_json.exists()
+    caught = error_of(run_ingest, tmp_path / "in", run)
+    assert caught.code == "run-version" and not run.capture_json.exists()
 
 
 def test_full_disk_while_writing(tmp_path, run, monkeypatch):
@@ -150,9 +147,7 @@ def test_full_disk_while_writing(tmp_path, run, monkeypatch):
         write_exr(path, array, half)
 
     monkeypatch.setattr("fipt_blender.core.capture.ingest.write_exr", full)
-    with pytest.raises(FiptError) as caught:
-        run_ingest(tmp_path / "in", run)
-    assert caught.value.code == "disk-full"
+    assert error_of(run_ingest, tmp_path / "in", run).code == "disk-full"
     assert not run.capture_json.exists() and not list(run.images.rglob("*.exr"))
 
 
@@ -171,9 +166,7 @@ def test_changed_capture_json_is_refused(tmp_path, run, change, code):
     data = json.loads(run.capture_json.read_text())
     change(data)
     run.capture_json.write_text(json.dumps(data))
-    with pytest.raises(FiptError) as caught:
-        load_capture(run)
-    assert caught.value.code == code
+    assert error_of(load_capture, run).code == code
 
 
 def with_path(root: Path, key: str, value: str) -> None:
@@ -237,9 +230,7 @@ NETWORK = (
 @pytest.mark.parametrize("path", NETWORK)
 def test_no_path_leads_to_another_computer_or_a_device(tmp_path: Path, path: str) -> None:
     assert is_network(path) and leads_outside(tmp_path, path) and foreign_fault(path)
-    with pytest.raises(FiptError) as caught:
-        RunFolder(tmp_path).resolve(path)
-    assert caught.value.code == "path-outside"
+    assert error_of(RunFolder(tmp_path).resolve, path).code == "path-outside"
 
 
 def test_paths_of_the_synthetic_layout_stay_inside(tmp_path: Path) -> None:
@@ -250,9 +241,7 @@ def test_paths_of_the_synthetic_layout_stay_inside(tmp_path: Path) -> None:
     for path in (str(tmp_path / "secret.exr"), "../../secret.exr", *NETWORK[:2]):
         data["frames"][0]["file_path"] = path
         file.write_text(json.dumps(data))
-        with pytest.raises(FiptError) as caught:
-            read_rig(tmp_path / "capture", "auto", CaptureOptions())
-        assert caught.value.code == "path-outside"
+        assert error_of(read_rig, tmp_path / "capture", "auto", CaptureOptions()).code == "path-outside"
     data["frames"][0]["file_path"] = "./Image/001_0001.exr"
     file.write_text(json.dumps(data))
     rig = read_rig(tmp_path / "capture", "auto", CaptureOptions())
@@ -275,9 +264,8 @@ def test_a_capture_json_names_images_and_meshes_of_this_computer_only(tmp_path: 
         for path in ("/etc/passwd", str(tmp_path / "pipe.exr"), "../a.exr", "/proc/self/environ"):
             holder[key] = path
             file.write_text(json.dumps(data))
-            with pytest.raises(FiptError) as caught:
-                load_capture(RunFolder(tmp_path / "run"))
-            assert caught.value.code == "path-outside" and path in caught.value.text
+            caught = error_of(load_capture, RunFolder(tmp_path / "run"))
+            assert caught.code == "path-outside" and path in caught.text
         holder[key] = kept
 
 
@@ -295,6 +283,4 @@ def test_a_prepare_json_names_photographs_of_its_folder_only(tmp_path: Path) -> 
     for key in ("cameras", "masks"):
         changed = {**data, "settings": {**data["settings"], key: "//server/share"}}
         folder.prepare_json.write_text(json.dumps(changed))
-        with pytest.raises(FiptError) as caught:
-            read_preparation(folder)
-        assert caught.value.code == "path-network"
+        assert error_of(read_preparation, folder).code == "path-network"

@@ -21,6 +21,7 @@ from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
 from samples import rgbd_frames
+from samples.refusals import error_of
 from samples.rgbd_frames import WALL, frame_pose
 
 WIDTH, HEIGHT, FOCAL = 64, 48, 48.0
@@ -216,9 +217,8 @@ def words_for_a_pose(folder: Path) -> None:
 def test_faults_are_said_and_nothing_is_written(tmp_path: Path, damage, code: str) -> None:
     capture = write_frames(tmp_path / "room")
     damage(capture)
-    with pytest.raises(FiptError) as caught:
-        run_ingest(capture, tmp_path / "run")
-    assert caught.value.code == code and caught.value.remedy
+    caught = error_of(run_ingest, capture, tmp_path / "run")
+    assert caught.code == code and caught.remedy
     assert not (tmp_path / "run").exists()
 
 

@@ -21,6 +21,7 @@ from fipt_blender.bridge.step import Step, StepRecord
 from fipt_blender.cli.arguments import make_options, make_parser
 from fipt_blender.cli.output import format_seconds, format_size
 from fipt_blender.core.run.errors import FiptError
+from samples.refusals import error_of
 
 PACKAGE = Path(cli.__file__).parent.parent
 GOOD = (
@@ -252,9 +253,8 @@ def test_sizes_for_people(size, text):
 
 def test_the_mask_model_of_the_set_up_is_used_where_it_is_asked_for(tmp_path, monkeypatch):
     monkeypatch.setenv("FIPT_DATA", str(tmp_path))
-    with pytest.raises(FiptError) as caught:
-        make_options(make_parser().parse_args(["estimate", "c", "--find-masks"]))
-    assert caught.value.code == "model-unusable" and "--get-mask-model" in caught.value.remedy
+    caught = error_of(make_options, make_parser().parse_args(["estimate", "c", "--find-masks"]))
+    assert caught.code == "model-unusable" and "--get-mask-model" in caught.remedy
     path = tmp_path / "models" / "mobile_sam" / "mobile_sam.pt"
     path.parent.mkdir(parents=True)
     path.touch()

@@ -19,6 +19,7 @@ from fipt_blender.bridge import interpreter, places
 from fipt_blender.core.device import check, llvm, probe, variant
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter, parse_message
+from samples.refusals import error_of
 
 ROOT = Path(__file__).resolve().parent.parent
 PYTHON = Path(sys.executable)
@@ -108,11 +109,10 @@ def test_no_working_library_names_the_remedy(tmp_path: Path, monkeypatch: pytest
     monkeypatch.delenv(llvm.LLVM_VARIABLE, raising=False)
     monkeypatch.setattr(llvm, "system_patterns", lambda: iter([]))
     monkeypatch.setattr(llvm.platform, "freedesktop_os_release", lambda: {"ID": "debian"})
-    with pytest.raises(FiptError) as caught:
-        llvm.find_llvm(python, tmp_path / "cache")
-    assert caught.value.code == "llvm-missing"
-    assert str(bad) in caught.value.text and "signal 6" in caught.value.text
-    assert "apt-get install libllvm19" in caught.value.remedy
+    caught = error_of(llvm.find_llvm, python, tmp_path / "cache")
+    assert caught.code == "llvm-missing"
+    assert str(bad) in caught.text and "signal 6" in caught.text
+    assert "apt-get install libllvm19" in caught.remedy
 
 
 @linux
@@ -128,9 +128,7 @@ def test_kills_and_missing_packages_are_no_verdict_on_the_library(
             llvm.find_llvm(python, tmp_path / "cache")
     assert len(starts(python)) == 2
     python = fake_python(tmp_path / "bin", 'echo "ModuleNotFoundError: No module named mitsuba"; exit 1')
-    with pytest.raises(FiptError) as caught:
-        llvm.find_llvm(python, tmp_path / "cache")
-    assert caught.value.code == "package-missing"
+    assert error_of(llvm.find_llvm, python, tmp_path / "cache").code == "package-missing"
 
 
 def test_unusable_cache_costs_nothing_but_time(tmp_path: Path) -> None:
@@ -154,16 +152,13 @@ def test_variant_is_set_once_and_bad_devices_are_refused() -> None:
     assert current == "llvm_ad_rgb"
     assert variant.set_variant("auto") == variant.set_variant("llvm") == current
     assert variant.torch_device() == "cpu"
-    with pytest.raises(FiptError) as caught:
-        variant.set_variant("tpu")
-    assert caught.value.code == "setting-invalid"
+    assert error_of(variant.set_variant, "tpu").code == "setting-invalid"
 
 
 def test_cuda_without_a_driver_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(variant, "cuda_driver_version", lambda: None)
-    with pytest.raises(FiptError) as caught:
-        variant.set_variant("cuda")
-    assert caught.value.code == "cuda-missing" and "driver" in caught.value.text
+    caught = error_of(variant.set_variant, "cuda")
+    assert caught.code == "cuda-missing" and "driver" in caught.text
 
 
 def test_check_reports_devices_and_packages() -> None:
@@ -192,9 +187,8 @@ def test_engine_python_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert interpreter.find_engine_python(str(PYTHON)) == PYTHON
     assert interpreter.find_engine_python(managed=[PYTHON.parent.parent]) == PYTHON
     monkeypatch.setenv(interpreter.PYTHON_VARIABLE, str(tmp_path / "gone"))
-    with pytest.raises(FiptError) as caught:
-        interpreter.find_engine_python()
-    assert caught.value.code == "engine-missing" and interpreter.PYTHON_VARIABLE in caught.value.text
+    caught = error_of(interpreter.find_engine_python)
+    assert caught.code == "engine-missing" and interpreter.PYTHON_VARIABLE in caught.text
     assert interpreter.find_engine_python(str(PYTHON)) == PYTHON, "an argument comes first"
 
 
@@ -207,9 +201,8 @@ def test_engine_python_without_packages_is_refused(tmp_path: Path, monkeypatch: 
         interpreter.find_engine_python(str(bare))
     monkeypatch.setattr(interpreter, "PACKAGE_FOLDER", tmp_path / "no" / "checkout")
     monkeypatch.setattr(interpreter.sys, "executable", str(bare))
-    with pytest.raises(FiptError) as caught:
-        interpreter.find_engine_python()
-    assert caught.value.code == "engine-missing" and interpreter.PYTHON_VARIABLE in caught.value.remedy
+    caught = error_of(interpreter.find_engine_python)
+    assert caught.code == "engine-missing" and interpreter.PYTHON_VARIABLE in caught.remedy
 
 
 def test_engine_environment_is_clean(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -26,6 +26,7 @@ from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import job_scene, run_job, running, runstate, session
 from fipt_blender.operators.estimate import FIPT_OT_cancel
 from fipt_blender.operators.job_operator import JobOperator
+from samples.refusals import error_of
 from samples.stand_in_jobs import at_work, finish, make_job, start, tick_until
 
 
@@ -63,9 +64,8 @@ def test_what_the_panel_shows_follows_the_engine(run):
 
 def test_only_one_job_runs(run):
     info = start(make_job(run), run)
-    with pytest.raises(FiptError) as caught:
-        start(make_job(run), run)
-    assert caught.value.code == "job-running" and "Test" in caught.value.text
+    caught = error_of(start, make_job(run), run)
+    assert caught.code == "job-running" and "Test" in caught.text
     assert running.current() is info and not bpy.ops.fipt.estimate.poll()
     running.cancel()
     tick_until(lambda: info.state == "cancelled")
@@ -230,9 +230,7 @@ def test_disabling_can_leave_the_engine_and_later_attach_to_it(run, monkeypatch)
     fipt_blender.register()
     bpy.context.scene.fipt.run_folder = str(run.root)
     assert runstate.known(str(run.root)).engine == "estimate"
-    with pytest.raises(FiptError) as caught:
-        run_job.open_job(run, [])
-    assert caught.value.code == "run-busy"
+    assert error_of(run_job.open_job, run, []).code == "run-busy"
     earlier = time.time() - 7200.0
     os.utime(run.engine_lock, (earlier, earlier))
     assert session.attach(bpy.context.scene)

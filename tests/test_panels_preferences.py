@@ -21,7 +21,6 @@ from fipt_blender import machine
 from fipt_blender.bridge import pins, places, storage
 from fipt_blender.bridge.interpreter import PYTHON_VARIABLE
 from fipt_blender.core.device.cuda import VISIBLE_VARIABLE
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.lock import hold
 from fipt_blender.core.run.runfolder import PRODUCT_VERSION, RunFolder
 from fipt_blender.core.run.settings import make_settings
@@ -29,6 +28,7 @@ from fipt_blender.jobs import data_job, running
 from fipt_blender.operators import environment as operators
 from fipt_blender.panels import preferences as panel
 from samples.layouts import Layout
+from samples.refusals import error_of
 
 OLD = time.time() - 86400
 GPUS = [{"name": f"Card {n}", "uuid": f"GPU-{n}", "memory_gb": 8.0} for n in (1, 2)]
@@ -107,9 +107,7 @@ def test_values_and_a_data_folder_of_the_users_own(values: Any, data: Path, tmp_
     values.data_folder, values.device = str(tmp_path / "own"), "llvm"
     assert machine.data_folder() == tmp_path / "own" and machine.device_setting() == "llvm"
     values.engine_python = str(tmp_path / "gone")
-    with pytest.raises(FiptError) as caught:
-        machine.engine_python()
-    assert caught.value.code == "engine-missing"
+    assert error_of(machine.engine_python).code == "engine-missing"
 
 
 def test_gpu_is_chosen_by_its_identity(values: Any) -> None:
@@ -269,9 +267,7 @@ def test_clearing_never_takes_what_is_named_but_not_ours(values: Any, data: Path
     assert (data / "runs" / "kept").exists(), "it changed just now"
     assert outside.fields_npz.exists() and link.exists()
     item = storage.Item(storage.RUN, outside.root, OLD)
-    with pytest.raises(FiptError) as caught:
-        list(storage.delete(item, data, []))
-    assert caught.value.code == "run-foreign"
+    assert error_of(list, storage.delete(item, data, [])).code == "run-foreign"
 
 
 def test_images_of_the_open_file_keep_their_run(values: Any, data: Path) -> None:

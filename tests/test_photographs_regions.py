@@ -12,7 +12,7 @@ import torch
 
 from fipt_blender.core.photographs import regions
 from fipt_blender.core.photographs.masks_model import open_masks_model
-from fipt_blender.core.run.errors import FiptError
+from samples.refusals import error_of
 
 transformers = pytest.importorskip("transformers")
 from samples import mask_models  # noqa: E402
@@ -106,9 +106,8 @@ def test_regions_do_not_depend_on_the_size_of_the_photograph(
 
 def test_incomplete_models_are_refused(model: Path, tmp_path: Path) -> None:
     broken = mask_models.write_without_weight(tmp_path / "model", model, "iou_prediction_head")
-    with pytest.raises(FiptError) as caught:
-        open_masks_model(broken)
-    assert caught.value.code == "model-unusable" and "missing" in caught.value.text
+    caught = error_of(open_masks_model, broken)
+    assert caught.code == "model-unusable" and "missing" in caught.text
 
 
 def test_points_are_at_the_centers_of_square_cells() -> None:

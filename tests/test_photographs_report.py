@@ -31,6 +31,7 @@ from samples import textured_room
 from samples.camera_poses import look_at
 from samples.photographs import exif, write_jpeg
 from samples.prepared_captures import make_preparation, write_prepared
+from samples.refusals import error_of
 from samples.textured_room import FOCAL, HEIGHT, WIDTH
 
 NASTY = "it's & é #1"
@@ -105,9 +106,7 @@ def test_the_page_is_written_although_a_step_fails(folder, tmp_path, monkeypatch
     preparation = make_preparation(tmp_path / "card")
     write_prepared(folder, preparation)
     write_json(folder.facts("report"), {"key": "of an earlier run", "messages": []})
-    with pytest.raises(FiptError) as caught:
-        run_steps(folder, ["solve", "report"], Reporter())
-    assert caught.value.code == "solve-few"
+    assert error_of(run_steps, folder, ["solve", "report"], Reporter()).code == "solve-few"
     page = Page(folder.report / "index.html")
     assert "Two views are too few." in page.text and "Take more photographs." in page.text
     assert len(page.pictures) == 2 and not folder.facts("report").exists()
@@ -120,13 +119,11 @@ def test_damaged_facts_and_masks_are_refused_and_leave_no_page(folder, tmp_path)
     write_prepared(folder, preparation)
     mask = folder.clipped_mask(preparation.groups[0])
     mask.write_bytes(b"no png")
-    with pytest.raises(FiptError) as caught:
-        write_report(folder, preparation)
-    assert caught.value.code == "file-damaged" and str(mask) in caught.value.text
+    caught = error_of(write_report, folder, preparation)
+    assert caught.code == "file-damaged" and str(mask) in caught.text
     folder.facts("solve").write_text('{"registered": [{"name": 3}]}')
-    with pytest.raises(FiptError) as caught:
-        write_report(folder, preparation)
-    assert caught.value.code == "file-damaged" and "registered[0].name" in caught.value.text
+    caught = error_of(write_report, folder, preparation)
+    assert caught.code == "file-damaged" and "registered[0].name" in caught.text
     assert not (folder.report / "index.html").exists()
 
 

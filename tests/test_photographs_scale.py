@@ -27,9 +27,9 @@ from fipt_blender.core.photographs.scale_step import MarkerDetector
 from fipt_blender.core.photographs.solve_step import copy_file, model_folder
 from fipt_blender.core.photographs.steps import run_steps
 from fipt_blender.core.photographs.tonemap import tone_mapped
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from samples.camera_poses import look_at, random_rotation
+from samples.refusals import error_of
 from samples.textured_room import FOCAL, HEIGHT, WIDTH, photograph
 
 
@@ -117,9 +117,7 @@ def test_picks_from_a_text() -> None:
     "text", ["", "a 1 2", "a 1 2; b 3", "a 1 x; b 3 4", "a 1 2; b nan 4", "a 1 2;;", "1 2; 3 4"]
 )
 def test_picks_that_are_no_two_points_are_refused(text: str) -> None:
-    with pytest.raises(FiptError) as caught:
-        scale.parse_picks(text)
-    assert caught.value.code == "scale-picks"
+    assert error_of(scale.parse_picks, text).code == "scale-picks"
 
 
 @pytest.mark.parametrize(
@@ -134,9 +132,7 @@ def test_picks_that_are_no_two_points_are_refused(text: str) -> None:
     ],
 )
 def test_a_matrix_that_is_no_similarity_is_refused(text: str) -> None:
-    with pytest.raises(FiptError) as caught:
-        scale.parse_similarity(text)
-    assert caught.value.code == "scale-matrix"
+    assert error_of(scale.parse_similarity, text).code == "scale-matrix"
 
 
 def test_the_edge_of_a_marker_and_how_square_it_is() -> None:
@@ -200,7 +196,5 @@ def test_a_marker_on_a_wall_gives_meters(tmp_path: Path) -> None:
     places = poses(read_model(folder.sparse))[:, :3, 3]
     expected = np.linalg.norm(where[0][:3, 3] - where[2][:3, 3])
     assert np.linalg.norm(places[0] - places[2]) == pytest.approx(expected, rel=0.02)
-    with pytest.raises(FiptError) as caught:
-        run(marker_dictionary="5X5_50")
-    assert caught.value.code == "marker-missing"
+    assert error_of(run, marker_dictionary="5X5_50").code == "marker-missing"
     assert np.array_equal(poses(read_model(folder.sparse))[:, :3, 3], places)

@@ -41,10 +41,10 @@ from fipt_blender.core.photographs.solving import (
 )
 from fipt_blender.core.photographs.steps import run_steps
 from fipt_blender.core.photographs.tonemap import tone_mapped
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from samples import textured_room
 from samples.camera_poses import look_at
+from samples.refusals import error_of
 from samples.textured_room import FOCAL, HEIGHT, WIDTH
 
 FOCAL_35MM = FOCAL * FULL_FRAME_DIAGONAL / float(np.hypot(WIDTH, HEIGHT))
@@ -211,9 +211,8 @@ def test_a_wrong_scale_is_refused_and_the_cameras_stay(
 ) -> None:
     folder, preparation, _ = solved
     before = centers(folder)
-    with pytest.raises(FiptError) as caught:
-        run(folder, preparation, **settings)
-    assert caught.value.code == code and caught.value.remedy
+    caught = error_of(run, folder, preparation, **settings)
+    assert caught.code == code and caught.remedy
     after = centers(folder)
     assert all(np.array_equal(after[name], before[name]) for name in before)
     assert not [path for path in (folder.root / "sparse").iterdir() if path.name != "0"]
@@ -262,9 +261,7 @@ def test_a_model_that_was_cut_off_replaces_no_other(tmp_path: Path) -> None:
     folder = tmp_path / "sparse" / "0"
     write_model(folder, model)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    with pytest.raises(FiptError) as caught:
-        write_model(folder, CutOff(model))
-    assert caught.value.code == "disk-full"
+    assert error_of(write_model, folder, CutOff(model)).code == "disk-full"
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     assert list(folder.parent.iterdir()) == [folder]
     assert read_model(folder).num_reg_images() == 1
@@ -279,9 +276,7 @@ def rig_of(width: int, height: int, name: str) -> Rig:
     ("rig", "code"), [(rig_of(300, 200, "b"), "solve-foreign"), (rig_of(200, 300, "a"), "solve-size")]
 )
 def test_a_solve_of_other_photographs_is_refused(rig: Rig, code: str) -> None:
-    with pytest.raises(FiptError) as caught:
-        model_from_rig(rig, [WantedView("a", 300, 200, ("a",))])
-    assert caught.value.code == code
+    assert error_of(model_from_rig, rig, [WantedView("a", 300, 200, ("a",))]).code == code
 
 
 def write_copies(folder: Path, images: dict[str, np.ndarray]) -> list[SolveView]:
@@ -324,9 +319,8 @@ def test_a_damaged_database_is_named(tmp_path: Path) -> None:
         tmp_path, {f"v{i}": textured_room.photograph(pose, room) for i, pose in enumerate(poses(2))}
     )
     (tmp_path / "database.db").write_bytes(b"not a database" * 100)
-    with pytest.raises(FiptError) as caught:
-        solve(tmp_path, views, 0, lambda share: None)
-    assert caught.value.code == "solve-database" and "database.db" in caught.value.text
+    caught = error_of(solve, tmp_path, views, 0, lambda share: None)
+    assert caught.code == "solve-database" and "database.db" in caught.text
 
 
 def test_without_overlap_the_solve_says_so(tmp_path: Path) -> None:
@@ -337,22 +331,19 @@ def test_without_overlap_the_solve_says_so(tmp_path: Path) -> None:
         for seed in (3, 4)
     }
     preparation = write_capture(folder, images)
-    with pytest.raises(FiptError) as caught:
-        run(folder, preparation)
-    assert caught.value.code == "solve-failed" and "2 match no other one" in caught.value.text
+    caught = error_of(run, folder, preparation)
+    assert caught.code == "solve-failed" and "2 match no other one" in caught.text
     assert not (folder.root / "sparse").exists() and not folder.facts("solve").exists()
-    with pytest.raises(FiptError) as caught:
-        solve(tmp_path, [SolveView("wall 3", WIDTH, HEIGHT)], 0, lambda share: None)
-    assert caught.value.code == "solve-few"
+    refusal = error_of(solve, tmp_path, [SolveView("wall 3", WIDTH, HEIGHT)], 0, lambda share: None)
+    assert refusal.code == "solve-few"
 
 
 def test_solving_needs_merged_images(tmp_path: Path) -> None:
     folder = PreparationFolder(tmp_path / "capture")
     preparation = write_capture(folder, {"a": np.ones((HEIGHT, WIDTH, 3), np.float32)})
     (folder.images / "a.exr").unlink()
-    with pytest.raises(FiptError) as caught:
-        run(folder, preparation)
-    assert caught.value.code == "image-missing" and "merge" in caught.value.remedy
+    caught = error_of(run, folder, preparation)
+    assert caught.code == "image-missing" and "merge" in caught.remedy
 
 
 def test_few_photographs_are_all_compared() -> None:

@@ -27,10 +27,10 @@ from fipt_blender.core.report.comparison import (
 from fipt_blender.core.report.fixture_names import fixture_names, words
 from fipt_blender.core.report.html import format_duration
 from fipt_blender.core.report.page import MAPS, swatch, write_report
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.parts import RoomPart, RoomParts, free_name
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
+from samples.refusals import error_of
 
 NASTY = "<script>alert('x')</script> & \"é\""
 SIZE = (24, 12)
@@ -165,25 +165,20 @@ def test_an_empty_run_still_gives_a_page(tmp_path):
 def test_a_path_that_leads_out_of_the_run_is_refused(run, path):
     write_exr(run.root.parent / "secret.exr", image(1))
     write_json(run.renders_json, {"renders": [{"kind": "relight", "view": "x", "image": path}]})
-    with pytest.raises(FiptError) as caught:
-        write_report(run)
-    assert caught.value.code == "path-outside" and not (run.report / "index.html").exists()
+    caught = error_of(write_report, run)
+    assert caught.code == "path-outside" and not (run.report / "index.html").exists()
 
 
 def test_a_photograph_path_that_leads_out_is_refused_too(run):
     data = json.loads(run.capture_json.read_text())
     data["views"][0]["image"] = "../../etc/passwd.exr"
     write_json(run.capture_json, data)
-    with pytest.raises(FiptError) as caught:
-        write_report(run)
-    assert caught.value.code == "path-outside"
+    assert error_of(write_report, run).code == "path-outside"
 
 
 def test_a_run_of_another_version_is_refused(run):
     write_json(run.run_json, {"format": "fipt-run", "version": 99})
-    with pytest.raises(FiptError) as caught:
-        write_report(run)
-    assert caught.value.code == "run-version"
+    assert error_of(write_report, run).code == "run-version"
 
 
 def test_psnr_of_a_known_error():

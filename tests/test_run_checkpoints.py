@@ -23,6 +23,7 @@ from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, explained_write_errors, write_json
 from fipt_blender.core.run.settings import Settings
 from fipt_blender.core.scene.pixels import open_array
+from samples.refusals import error_of
 
 SMALL = Settings(rounds=2, hash_levels=2, hash_log2_size=6, brdf_width=8)
 
@@ -224,9 +225,8 @@ def test_damaged_weights_are_an_error_of_ours_and_run_no_code(tmp_path: Path) ->
             return (open, (str(tmp_path / "touched"), "w"))
 
     (tmp_path / "stage" / "bad.pt").write_bytes(pickle.dumps(Touch()))
-    with pytest.raises(FiptError) as caught:
-        checkpoints.load_tensors("bad", torch.device("cpu"))
-    assert caught.value.code == "file-damaged" and not (tmp_path / "touched").exists()
+    caught = error_of(checkpoints.load_tensors, "bad", torch.device("cpu"))
+    assert caught.code == "file-damaged" and not (tmp_path / "touched").exists()
 
 
 def to_full_disk(path: Path) -> None:
@@ -276,9 +276,8 @@ def test_mapped_arrays_reserve_their_blocks(tmp_path: Path, monkeypatch: pytest.
     assert (tmp_path / "a.npy").stat().st_blocks * 512 >= array.nbytes
     del array
     assert open_array(tmp_path / "a.npy", (1000, 700), np.float32, create=False).shape == (1000, 700)
-    with pytest.raises(FiptError) as caught:
-        open_array(tmp_path / "a.npy", (1000, 701), np.float32, create=False)
-    assert caught.value.code == "file-damaged"
+    caught = error_of(open_array, tmp_path / "a.npy", (1000, 701), np.float32, create=False)
+    assert caught.code == "file-damaged"
 
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -286,4 +285,4 @@ def test_mapped_arrays_reserve_their_blocks(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(os, "posix_fallocate", full)
     with pytest.raises(FiptError) as caught, explained_write_errors(tmp_path):
         open_array(tmp_path / "b.npy", (10, 3), np.float32, create=True)
-    assert caught.value.code == "disk-full"
+    assert caught.code == "disk-full"

@@ -25,6 +25,7 @@ from fipt_blender.core.run.documents import (
     read_json,
 )
 from fipt_blender.core.run.errors import FiptError
+from samples.refusals import error_of
 
 VIEW = Fields(
     {"name": str, "width": Number(1, 65536, whole=True), "pose": Numbers(4, 4)}, {"mask": Maybe(str)}
@@ -96,13 +97,11 @@ def test_ordinary_numbers_are_read_exactly() -> None:
 
 def test_errors_of_files_name_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.json"
-    with pytest.raises(FiptError) as error:
-        read_json(path)
-    assert error.value.code == "file-missing"
+    error = error_of(read_json, path)
+    assert error.code == "file-missing"
     path.write_bytes(b"\xff\xfe{}")
-    with pytest.raises(FiptError) as error:
-        read_json(path, remedy="Export it again.")
-    assert (error.value.code, error.value.remedy) == ("file-damaged", "Export it again.")
+    error = error_of(read_json, path, remedy="Export it again.")
+    assert (error.code, error.remedy) == ("file-damaged", "Export it again.")
     path.write_text(json.dumps(capture()))
     assert read_json(path, CAPTURE) == capture()
     monkeypatch.setattr(documents, "MOST_BYTES", 10)

@@ -15,6 +15,7 @@ from fipt_blender.core.run.arrays import read_arrays
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.run_files import read_atlas, read_emitters, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder, write_json
+from samples.refusals import error_of
 
 ROOM = {
     "vertices": np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32),
@@ -47,10 +48,9 @@ def read_all(run: RunFolder) -> None:
 
 
 def refused(run: RunFolder) -> str:
-    with pytest.raises(FiptError) as caught:
-        read_all(run)
-    assert caught.value.code == "file-damaged" and caught.value.remedy
-    return caught.value.text
+    caught = error_of(read_all, run)
+    assert caught.code == "file-damaged" and caught.remedy
+    return caught.text
 
 
 def test_whole_files_are_read(run: RunFolder) -> None:

@@ -17,6 +17,7 @@ from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import run_job
 from samples.child_processes import posix
+from samples.refusals import error_of
 
 pytestmark = posix  # elsewhere links need rights
 
@@ -47,9 +48,8 @@ def test_links_that_lead_outside_are_refused(run_folder: RunFolder, outside: Pat
         lambda: run_job.open_job(run_folder, []),
         lambda: hold(run_folder, ["estimate"]).__enter__(),
     ):
-        with pytest.raises(FiptError) as caught:
-            use()
-        assert caught.value.code == "run-linked" and str(path) in caught.value.text
+        caught = error_of(use)
+        assert caught.code == "run-linked" and str(path) in caught.text
     assert [entry.name for entry in outside.iterdir()] == ["precious"]
     assert (outside / "precious").read_text() == "precious"
 
@@ -74,9 +74,7 @@ def test_a_pipe_in_place_of_a_file_stops_nothing(run_folder: RunFolder) -> None:
 def test_a_lock_is_no_link_and_no_other_special_file(tmp_path: Path, outside: Path) -> None:
     (tmp_path / "lock").symlink_to(outside / "precious")
     for path in (tmp_path / "lock", Path("/dev/null"), outside):
-        with pytest.raises(FiptError) as caught:
-            open_lockable(path)
-        assert caught.value.code == "run-unwritable"
+        assert error_of(open_lockable, path).code == "run-unwritable"
     assert (outside / "precious").read_text() == "precious"
 
 
@@ -94,10 +92,9 @@ def test_a_lock_is_no_link_and_no_other_special_file(tmp_path: Path, outside: Pa
 )
 def test_a_damaged_run_json_is_refused(run_folder: RunFolder, content: str) -> None:
     run_folder.run_json.write_text(content)
-    with pytest.raises(FiptError) as caught:
-        run_folder.read()
-    assert caught.value.code in ("run-damaged", "setting-unknown", "setting-invalid")
-    assert caught.value.remedy
+    caught = error_of(run_folder.read)
+    assert caught.code in ("run-damaged", "setting-unknown", "setting-invalid")
+    assert caught.remedy
 
 
 def names(folder: Path) -> list[str]:

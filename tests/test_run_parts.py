@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.run import parts
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
+from samples.refusals import error_of
 
 OBJECTS = ["Side_table", "floor"]
 OF_OBJECT = np.array([0, 0, 0, 1, 1], np.int32)
@@ -71,14 +71,10 @@ def test_a_run_without_description_has_its_objects_as_parts(run):
 )
 def test_damaged_descriptions_are_refused(run, change):
     write(run, [0, 0, -1, 1, -1], [entry(0, "Top"), entry(1, "Floor")], **change)
-    with pytest.raises(FiptError) as error:
-        parts.read_parts(run, OF_OBJECT, OBJECTS)
-    assert error.value.code == "file-damaged"
+    assert error_of(parts.read_parts, run, OF_OBJECT, OBJECTS).code == "file-damaged"
 
 
 def test_units_of_another_room_are_refused(run):
     for units in ([0, 0, 1], [0, 0, 2, 1, 1]):
         write(run, units, [entry(0, "Top"), entry(1, "Floor")])
-        with pytest.raises(FiptError) as error:
-            parts.read_parts(run, OF_OBJECT, OBJECTS)
-        assert error.value.code == "file-damaged"
+        assert error_of(parts.read_parts, run, OF_OBJECT, OBJECTS).code == "file-damaged"

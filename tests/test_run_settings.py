@@ -9,6 +9,7 @@ import pytest
 
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.settings import PRESETS, Settings, make_settings
+from samples.refusals import error_of
 
 
 def test_presets_and_changes() -> None:
@@ -51,9 +52,8 @@ def test_presets_and_changes() -> None:
     ],
 )
 def test_values_that_make_no_sense(changes: dict, code: str) -> None:
-    with pytest.raises(FiptError) as caught:
-        make_settings("medium", changes)
-    assert caught.value.code == code and next(iter(changes)) in caught.value.text
+    caught = error_of(make_settings, "medium", changes)
+    assert caught.code == code and next(iter(changes)) in caught.text
 
 
 def test_every_setting_explains_itself() -> None:

@@ -18,6 +18,7 @@ from fipt_blender.core.run.replacing import keep_inputs
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.run.version_figures import changed_parts, figures
+from samples.refusals import error_of
 
 
 def stages(run: RunFolder, **keys: str) -> None:
@@ -125,9 +126,7 @@ def test_versions_are_deleted_but_never_the_present_one(run_folder: RunFolder) -
         versions.delete_version(run_folder, second)
     for wrong in ("other", "", "..", "../results", str(run_folder.results)):
         for work in (versions.delete_version, versions.use_version):
-            with pytest.raises(FiptError) as caught:
-                work(run_folder, wrong)
-            assert caught.value.code == "version-missing"
+            assert error_of(work, run_folder, wrong).code == "version-missing"
     versions.delete_version(run_folder, first)
     assert list(contents(run_folder)) == [second]
 

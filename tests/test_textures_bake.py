@@ -14,6 +14,7 @@ from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures import bake, padding, raster
+from samples.refusals import error_of
 
 TEXELS = 40  # a metre
 
@@ -156,9 +157,7 @@ def test_colour_attributes_hold_the_field_at_corners(run):
 
 def test_missing_atlas_is_explained(run):
     run.atlas_npz.unlink()
-    with pytest.raises(FiptError) as error:
-        bake.bake(run, AnalyticFields())
-    assert error.value.code == "file-missing"
+    assert error_of(bake.bake, run, AnalyticFields()).code == "file-missing"
 
 
 def test_command_is_listed_and_fails_with_a_message(run, capfd):

@@ -165,19 +165,22 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
             )
     capture = arguments.capture
     folder = capture.parent if capture.is_file() else capture
+    same = (
+        "parts",
+        "render_view",
+        "render_spp",
+        "resume",
+        "engine_python",
+        "cluster",
+        "hints",
+        "hints_again",
+    )
     return MainJobOptions(
+        **options_of(arguments),
+        **{name: getattr(arguments, name) for name in same},
         capture=capture,
         output=arguments.output or Path.cwd() / f"{folder.absolute().name}-fipt",
         settings=make_settings(arguments.preset, changes),
-        **options_of(arguments),
-        parts=arguments.parts,
         masks_model=masks_model,
         renders=() if arguments.no_renders else RENDER_KINDS,
-        render_view=arguments.render_view,
-        render_spp=arguments.render_spp,
-        resume=arguments.resume,
-        engine_python=arguments.engine_python,
-        cluster=arguments.cluster,
-        hints=arguments.hints,
-        hints_again=arguments.hints_again,
     )

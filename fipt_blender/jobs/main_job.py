@@ -183,15 +183,10 @@ def _capture_step(options: MainJobOptions, run: RunFolder) -> Step:
             "images": None if images is None else folder_fingerprint(images, exclude=run.root),
             "arguments": arguments,
             # Another model begins with the capture as it was read, without the masks of the one before.
-            "masks": None if model is None else _model_fingerprint(model),
+            "masks": model and (folder_fingerprint if model.is_dir() else mesh_fingerprint)(model),
         },
         outputs=[run.capture_json],
     )
-
-
-def _model_fingerprint(model: Path) -> str:
-    """Of a folder all files, of a checkpoint the file alone."""
-    return folder_fingerprint(model) if model.is_dir() else mesh_fingerprint(model)
 
 
 def _result_steps(options: MainJobOptions, run: RunFolder, room: Callable[[], RoomSteps]) -> list[Step]:

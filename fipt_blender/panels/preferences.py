@@ -47,15 +47,12 @@ def _engine_changed(preferences: machine.Preferences, context: bpy.types.Context
 def _list_gpus(
     preferences: machine.Preferences, context: bpy.types.Context | None
 ) -> list[tuple[str, str, str]]:
-    gpus = [(gpu["uuid"], gpu["name"], f"{gpu['memory_gb']:.0f} GB") for gpu in _known_gpus()]
+    known = (machine.status().get("engine") or {}).get("gpus") or []
+    gpus = [(gpu["uuid"], gpu["name"], f"{gpu['memory_gb']:.0f} GB") for gpu in known]
     if preferences.gpu_uuid and preferences.gpu_uuid not in [uuid for uuid, _, _ in gpus]:
         gpus.append((preferences.gpu_uuid, "Missing GPU", "This GPU is not in the machine"))
     _gpu_items[:] = [("AUTO", "Automatic", "Use the first GPU that works"), *gpus]
     return _gpu_items
-
-
-def _known_gpus() -> list[dict[str, Any]]:
-    return (machine.status().get("engine") or {}).get("gpus") or []
 
 
 def _get_gpu(preferences: machine.Preferences) -> int:

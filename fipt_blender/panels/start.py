@@ -27,7 +27,8 @@ class FIPT_PT_start(Section, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()
-        if not machine.has_engine() or _is_setting_up():
+        job = running.current()
+        if not machine.has_engine() or (job is not None and job.kind == running.DATA_KIND):
             engine.draw_set_up(layout, context)
             return
         if draw_job(layout, context, "estimate"):  # the example, before its views are there
@@ -75,8 +76,3 @@ def _draw_unsaved(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
     row = layout.row(align=True)
     row.operator("fipt.recover_run").folder = str(found.folder)
     row.operator("fipt.clear_data", text="", icon="TRASH").names = found.folder.name
-
-
-def _is_setting_up() -> bool:
-    job = running.current()
-    return job is not None and job.kind == running.DATA_KIND

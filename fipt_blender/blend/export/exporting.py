@@ -135,7 +135,9 @@ class _Copies:
             if not len(item.data.polygons):  # all of it is a lamp
                 continue
             copy = self._copy(item)
-            _keep_atlas_uvs(copy.data)
+            layers = copy.data.uv_layers  # of several, USD's and other readers take the first
+            for name in [layer.name for layer in layers if layer.name != UV_LAYER]:
+                layers.remove(layers[name])
             # Other programs have no tiles: a part is a material for each atlas image on which it lies.
             for slot, image in zip(copy.material_slots, split_tiles(copy.data), strict=True):
                 material = slot.material
@@ -216,12 +218,6 @@ class _Copies:
         made = bpy.data.objects.new(name, mesh)
         made.matrix_world = Matrix(item.matrix_world)
         self.scene.collection.objects.link(made)
-
-
-def _keep_atlas_uvs(mesh: bpy.types.Mesh) -> None:
-    """Remove all UV maps but the atlas's: USD's and other readers take the first."""
-    for name in [layer.name for layer in mesh.uv_layers if layer.name != UV_LAYER]:
-        mesh.uv_layers.remove(mesh.uv_layers[name])
 
 
 @contextmanager

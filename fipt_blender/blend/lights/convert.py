@@ -85,7 +85,7 @@ def fixture_to_lights(scene: bpy.types.Scene, item: bpy.types.Object) -> tuple[l
     """
     lights_to_fixture(scene, item)
     vertices, triangles = world_triangles(item)
-    slot = _triangle_slots(item)
+    slot = polygon_slots(item.data)[triangle_loops(item.data, mirrored=False)[1]]
     emitted = [
         (shape, sides)
         for chosen, sides in _emission(item, slot)
@@ -106,12 +106,6 @@ def fixture_to_lights(scene: bpy.types.Scene, item: bpy.types.Object) -> tuple[l
         setattr(item, name, False)
     light_state.refresh(scene)
     return lights, all(shape.exact for shape, _ in emitted)
-
-
-def _triangle_slots(item: bpy.types.Object) -> np.ndarray:
-    """(T,) material slot of each triangle of a fixture."""
-    _, polygon = triangle_loops(item.data, mirrored=False)
-    return polygon_slots(item.data)[polygon]
 
 
 def _emission(

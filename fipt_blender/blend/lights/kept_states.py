@@ -68,7 +68,8 @@ def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
             settings,
             AS_CONVERTED in item,
             action_of(item),
-            _chosen_name(item),
+            # Files of earlier versions used the name of emitters.json.
+            "" if item.name == item.get(NAMED, item[FIXTURE]) else item.name,
             lights,
             tuple(members_of(item)),
         )
@@ -118,11 +119,6 @@ def _merged_again(
             lamp = merge([present.pop(name) for name in state.merged])
             present[lamp[FIXTURE]] = lamp
     return list(present.values())
-
-
-def _chosen_name(item: bpy.types.Object) -> str:
-    """A fixture's name if the artist has renamed it; files of earlier versions used that of emitters.json."""
-    return "" if item.name == item.get(NAMED, item[FIXTURE]) else item.name
 
 
 def _copied(light: bpy.types.Object) -> _KeptLight:

@@ -86,7 +86,9 @@ def remove_unused(materials: Iterable[bpy.types.Material]) -> None:
         node.node_tree
         for material in unused
         for node in material.node_tree.nodes
-        if node.bl_idname == "ShaderNodeGroup" and node.node_tree is not None and _is_ours(node.node_tree)
+        if node.bl_idname == "ShaderNodeGroup"
+        and node.node_tree is not None
+        and (TABLE in node.node_tree or adjust.is_adjustment(node.node_tree))
     }
     bpy.data.batch_remove(unused)
     remove_unused_images(images)
@@ -95,10 +97,6 @@ def remove_unused(materials: Iterable[bpy.types.Material]) -> None:
             tables = _images(group)
             bpy.data.node_groups.remove(group)
             remove_unused_images(tables)
-
-
-def _is_ours(group: bpy.types.NodeTree) -> bool:
-    return TABLE in group or adjust.is_adjustment(group)
 
 
 def images_of(materials: Iterable[bpy.types.Material]) -> set[bpy.types.Image]:

@@ -54,7 +54,8 @@ def _face_counts(scene: bpy.types.Scene) -> dict[str, int]:
     """How many faces each part has, by its key."""
     counts: dict[str, int] = {}
     for mesh in result_meshes(room_with_results(scene)):
-        for key, count in zip(_slot_parts(mesh), _slot_counts(mesh), strict=True):
+        seen = np.bincount(polygon_slots(mesh), minlength=len(mesh.materials))[: len(mesh.materials)]
+        for key, count in zip(_slot_parts(mesh), seen, strict=True):
             if key and count:
                 counts[key] = counts.get(key, 0) + int(count)
     return counts
@@ -63,10 +64,6 @@ def _face_counts(scene: bpy.types.Scene) -> dict[str, int]:
 def _slot_parts(mesh: bpy.types.Mesh) -> list[str]:
     """The key of the part of each slot, "" for the artist's materials that were kept."""
     return ["" if material is None else str(material.get(PART, "")) for material in slot_estimates(mesh)]
-
-
-def _slot_counts(mesh: bpy.types.Mesh) -> np.ndarray:
-    return np.bincount(polygon_slots(mesh), minlength=len(mesh.materials))[: len(mesh.materials)]
 
 
 def part_materials(scene: bpy.types.Scene, key: str) -> list[bpy.types.Material]:

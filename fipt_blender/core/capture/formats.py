@@ -73,7 +73,8 @@ def detect_format(path: Path) -> str:
         if module.find(path) is not None:
             return name
     folder = path if path.is_dir() else path.parent
-    if _has_photographs(folder):
+    files = (file for pattern in ("*", "*/*") for file in folder.glob(pattern))
+    if any(file.suffix.lower() in SUFFIXES for file in islice(files, 10_000)):
         raise FiptError(
             "cameras-missing",
             f"{folder} holds photographs without cameras.",
@@ -84,12 +85,6 @@ def detect_format(path: Path) -> str:
         f"{path} holds neither photographs nor cameras in a known format ({', '.join(FORMATS)}).",
         "Choose the folder that contains the camera file and the photographs.",
     )
-
-
-def _has_photographs(folder: Path) -> bool:
-    """Whether a folder, or one directly in it, holds photographs."""
-    files = (file for pattern in ("*", "*/*") for file in folder.glob(pattern))
-    return any(file.suffix.lower() in SUFFIXES for file in islice(files, 10_000))
 
 
 def read_rig(path: Path, name: str, options: CaptureOptions) -> Rig:

@@ -137,7 +137,9 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         raise
     with suppress(OSError):
         run_folder.images.rmdir()  # if nothing had to be converted
-    files = [_moved(one, images, run_folder.images) for one in written]
+    files = [
+        {kind: run_folder.images / path.relative_to(images) for kind, path in one.items()} for one in written
+    ]
     entries = [
         _entry(run_folder, *one, world_from_source)
         for one in zip(views, pinholes, exposures, files, strict=True)
@@ -392,11 +394,6 @@ def _write_preview(view: RigView, target: Callable[[str, str], Path], pixels: np
         write_jpeg(target("preview", ".jpg"), srgb_encoded(smaller))
     else:
         write_exr(target("preview", EXR_SUFFIX), smaller, half=True, lossy=True)
-
-
-def _moved(files: dict[str, Path], folder: Path, target: Path) -> dict[str, Path]:
-    """Paths below a folder as they are below another one."""
-    return {kind: target / path.relative_to(folder) for kind, path in files.items()}
 
 
 def _rewritten_bytes(view: RigView) -> int:

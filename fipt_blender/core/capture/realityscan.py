@@ -12,7 +12,6 @@ from __future__ import annotations
 import csv
 import math
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -130,7 +129,7 @@ def _xmp_values(file: Path) -> dict[str, str]:
     for element in read_xml_rig(file).iter():
         values.update({key: value for key, value in element.attrib.items() if key.startswith(_XCR)})
         if element.tag.startswith(_XCR):
-            values[element.tag] = _text(element)
+            values[element.tag] = (element.text or "").strip()
     return values
 
 
@@ -157,10 +156,6 @@ def _xmp_view(file: Path, values: dict[str, str], places: Places) -> RigView:
     size = places.size(file.stem)
     lens = _lens(size, film, tuple(float(value) for value in coefficients))
     return places.view(file.stem, size, lens, camera_pose(rotation, centre))
-
-
-def _text(element: ElementTree.Element) -> str:
-    return (element.text or "").strip()
 
 
 def _lens(size: tuple[int, int], film: tuple[float, ...], coefficients: tuple[float, ...]) -> Lens:

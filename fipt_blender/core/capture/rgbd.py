@@ -69,7 +69,8 @@ def read(root: Path, options: CaptureOptions) -> Rig:
             continue
         photograph, view = _photograph(frame, options), None
         if photograph is not None:
-            matrix = _scaled(depth_matrix, size, read_size(photograph))
+            width, height = read_size(photograph)  # with the same field of view
+            matrix = np.diag([width / size[0], height / size[1], 1.0]) @ depth_matrix
             matrix = color_matrix if color_matrix is not None else matrix
             view = _view(frame.name, photograph, matrix, pose)
             views.append(view)
@@ -154,11 +155,6 @@ def _photograph(frame: _Frame, options: CaptureOptions) -> Path | None:
         if found.is_file():
             return found
     return None
-
-
-def _scaled(matrix: np.ndarray, size: tuple[int, int], other: tuple[int, int]) -> np.ndarray:
-    """A camera matrix for images of another size with the same field of view."""
-    return np.diag([other[0] / size[0], other[1] / size[1], 1.0]) @ matrix
 
 
 def _view(name: str, photograph: Path, matrix: np.ndarray, pose: np.ndarray) -> RigView:

@@ -13,6 +13,7 @@ import asyncio
 import hashlib
 import importlib
 import importlib.metadata
+import platform
 import sys
 import threading
 import time
@@ -348,7 +349,7 @@ def _check(needs: Needs) -> None:
     if reason:
         raise FiptError(
             "cluster-worker-unfit",
-            f"The worker on {_host()} can't take part: {reason}.",
+            f"The worker on {platform.node()} can't take part: {reason}.",
             "Start the worker with the run's version of the engine and its packages, or stop the worker.",
         )
 
@@ -356,9 +357,3 @@ def _check(needs: Needs) -> None:
 def _text(needs: Needs) -> str:
     product = f"fipt_blender {needs.product} (source {needs.method})"
     return ", ".join([product, *(f"{name} {version}" for name, version in needs.packages.items())])
-
-
-def _host() -> str:
-    import platform
-
-    return platform.node()

@@ -53,7 +53,10 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     reporter.stage("model", "Loading the masks model")
     views = load_capture(folder).views
     path = arguments.model.absolute()
-    model, digest = open_masks_model(path), _model_digest(path)
+    model = open_masks_model(path)
+    # Identifies the model and the version of this code, without reading all weights.
+    files = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
+    digest = _digest([code_digest(), *(_state(file) for file in files)])
     reporter.stage("masks", "Finding masks")
     missing = [view for view in views if not _is_own(folder, getattr(view, model.kind))]
     found = _find(folder, model, digest, missing, reporter)
@@ -123,12 +126,6 @@ def _mask(folder: RunFolder, kind: str, view: str) -> Path:
 def _is_own(folder: RunFolder, path: Path | None) -> bool:
     """Whether a mask belongs to the capture, and was not found by this command."""
     return path is not None and not path.is_relative_to(folder.masks)
-
-
-def _model_digest(path: Path) -> str:
-    """Identifies the model and the version of this code, without reading all weights."""
-    files = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
-    return _digest([code_digest(), *(_state(file) for file in files)])
 
 
 def _key(digest: str, image: Path) -> str:

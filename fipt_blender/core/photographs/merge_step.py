@@ -226,7 +226,9 @@ def merged_group(
     items = [photographs[index] for index in kept]
     exposures = [(item.exposure or 1.0) / calibration.scale for item in items]
     curve = calibration.curve if items[0].kind == "ldr" else None
-    factor = _factor(items[0], preparation.settings.working_width)
+    # How many pixels become one before merging; the rest of the reduction follows after it.
+    side = preparation.settings.working_width
+    factor = max(1, max(items[0].width, items[0].height) // side) if side else 1
     frames = [_frame(preparation, item, calibration.ceiling, curve, factor) for item in items]
     motions = [survey.motions[index] for index in kept]
     radiance, clipped, moved = merge_group(frames, exposures, motions, calibration.noise[items[0].kind])
@@ -262,11 +264,6 @@ def _frame(
     """One exposure at the size at which it is merged; what is stored of it is not kept."""
     stored = load(preparation.file(item), item)
     return linear_frame(replace(stored, ceiling=ceiling) if item.kind == "raw" else stored, curve, factor)
-
-
-def _factor(photograph: Photograph, side: int) -> int:
-    """How many pixels become one before merging; the rest of the reduction follows after it."""
-    return max(1, max(photograph.width, photograph.height) // side) if side else 1
 
 
 def _finished(

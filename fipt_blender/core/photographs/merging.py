@@ -23,7 +23,7 @@ from .motion import Motion, warped
 # The hat: full weight up to here, none from the ceiling on.
 HAT_FROM, HAT_TO = 0.7, 0.97
 SAMPLE_SIDE = 384  # the longer side of the grid on which exposures are compared, and moved regions found
-_LEAST_WEIGHT = 1e-9
+_LEAST_WEIGHT = 1e-9  # so that no sum of weights is zero
 MOVED_LOG = 0.15  # regions whose exposures differ by more than this in the logarithm have moved
 # Exposures that a fraction of a pixel moved out of the image still count in the last rows and columns, which
 # would otherwise be left to the noise of darker ones.

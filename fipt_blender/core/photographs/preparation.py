@@ -17,7 +17,6 @@ from ..run.documents import head, read_json
 from ..run.errors import FiptError
 from ..run.paths import is_network, leads_outside
 from ..run.runfolder import write_json
-from ..run.settings import converted
 from ..run.shapes import MOST_SIDE, PREPARE
 
 GROUPINGS = ("auto", "folders", "single")
@@ -210,6 +209,8 @@ def make_prepare_settings(changes: Mapping[str, Any]) -> PrepareSettings:
     Raises:
         FiptError: ``setting-unknown`` or ``setting-invalid``.
     """
+    from ..run.settings import converted  # Blender imports this module while starting
+
     limits = {item.name: item.metadata for item in dataclasses.fields(PrepareSettings)}
     return PrepareSettings(**converted(PrepareSettings, changes, limits))
 

@@ -92,7 +92,8 @@ def _systems(codes: np.ndarray, exposures: np.ndarray) -> list[tuple[np.ndarray,
         code = codes[..., channel].astype(np.float64)
         usable = (code >= LOWEST) & (code <= HIGHEST)  # NaN is neither
         code = np.where(usable, code, LOWEST)
-        weight = np.where(usable, _hat(code), 0.0)
+        hat = np.clip(1.0 - np.abs(code - 127.5) / 127.5, 0.02, 1.0)  # of Debevec and Malik
+        weight = np.where(usable, hat, 0.0)
         weight[usable.sum(axis=1) < 2] = 0.0
         low = np.minimum(code.astype(int), LEVELS - 2)
         share = code - low
@@ -139,8 +140,3 @@ def _solve(parts: Sequence[tuple[np.ndarray, np.ndarray, float]]) -> np.ndarray:
     curve[1:] = isotonic_regression(curve[1:]).x
     # Equal neighbours would have no inverse.
     return np.maximum.accumulate(curve + 1e-9 * np.arange(LEVELS))
-
-
-def _hat(code: np.ndarray) -> np.ndarray:
-    """Debevec and Malik's weight: 1 in the middle, small at the ends."""
-    return np.clip(1.0 - np.abs(code - 127.5) / 127.5, 0.02, 1.0)

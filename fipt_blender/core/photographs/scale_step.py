@@ -133,7 +133,9 @@ def _marker_length(
     names = sorted(model.images[index].name for index in model.reg_image_ids())
     for index, name in enumerate(names):
         image = model.find_image_with_name(name)
-        for number, corners in detector.find(_picture(folder, name.removesuffix(".exr"))).items():
+        copy = copy_file(folder, name.removesuffix(".exr"))
+        picture = np.asarray(Image.open(copy, formats=["JPEG"]).convert("L"))
+        for number, corners in detector.find(picture).items():
             seen.setdefault(number, []).append(rays(image, corners))
         reporter.progress((index + 1) / len(names))
     edges, differences = [], []
@@ -169,11 +171,6 @@ def _corners(found: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray | None:
         for corner in range(4)
     ]
     return None if any(place is None for place in places) else np.array(places)
-
-
-def _picture(folder: PreparationFolder, view: str) -> np.ndarray:
-    """The eight-bit copy (height, width) uint8 of a view."""
-    return np.asarray(Image.open(copy_file(folder, view), formats=["JPEG"]).convert("L"))
 
 
 DICTIONARIES = tuple(f"{bits}X{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)) + (

@@ -123,7 +123,9 @@ def step_key(name: str, folder: PreparationFolder, value: Any) -> str:
 
     `read` alone is kept by an update of the code, because the user may have corrected its groups.
     """
-    before = [finished_key(folder.facts(other)) for other in STEPS if _is_before(other, name)]
+    # Groups and exposures, which the user may change after reading, are part of the other steps' own keys.
+    earlier = [other for other in list(STEPS)[: list(STEPS).index(name)] if other != "read"]
+    before = [finished_key(folder.facts(other)) for other in earlier]
     text = json.dumps([name, value, before, "" if name == "read" else code_digest()], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 
@@ -143,12 +145,6 @@ def finished_key(path: Path) -> str:
         return str(load_document(path, _FACTS)["key"])
     except (OSError, ValueError):
         return ""
-
-
-def _is_before(other: str, name: str) -> bool:
-    order = list(STEPS)
-    # Groups and exposures, which the user may change after reading, are part of the other steps' own keys.
-    return other != "read" and order.index(other) < order.index(name)
 
 
 def code_digest() -> str:

@@ -76,7 +76,7 @@ def fixture_names(
         parts: the room's parts, whose semantic classes tell where objects do not.
     """
     names: list[str] = []
-    areas = _triangle_areas(room)
+    areas = np.linalg.norm(_vector_areas(room, slice(None)), axis=1)
     for entry in entries:
         triangles = np.array(entry["triangles"], np.int64)
         name = _belonging(room, triangles, areas, parts) if len(triangles) else ""
@@ -197,11 +197,6 @@ def _mean_normal(room: NamedMesh, triangles: np.ndarray) -> np.ndarray:
 def _vector_areas(room: NamedMesh, triangles: np.ndarray | slice) -> np.ndarray:
     corners = room.vertices.astype(np.float64)[room.triangles[triangles]]
     return 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-
-
-def _triangle_areas(room: NamedMesh) -> np.ndarray:
-    areas: np.ndarray = np.linalg.norm(_vector_areas(room, slice(None)), axis=1)
-    return areas
 
 
 def _sentence(found: Sequence[str]) -> str:

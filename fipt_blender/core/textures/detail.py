@@ -179,7 +179,8 @@ def add_detail(
     normals = triangle_normals(room.vertices, room.triangles).astype(np.float32)
     width = CELL * median_footprint(given.pixels)
     cells = SurfaceCells.around(texels.position, part, texels.triangle, width)
-    low, high = _block_bounds(texels.position)
+    starts = np.arange(0, len(texels.position), BLOCK)
+    low, high = (reduce.reduceat(texels.position, starts) for reduce in (np.minimum, np.maximum))
     total = Totals.of(count)
     larger = given.larger()
     for done, index in enumerate(larger, 1):
@@ -318,12 +319,6 @@ def _noise_of_parts(variance: np.ndarray, known: np.ndarray, part: np.ndarray) -
     sums = np.bincount(part[known], variance[known], count)
     everywhere = sums.sum() / max(number.sum(), 1) if number.sum() else np.inf
     return np.where(number >= FEW_TEXELS, sums / np.maximum(number, 1), everywhere)
-
-
-def _block_bounds(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest corners (B, 3) of blocks of consecutive texels."""
-    starts = np.arange(0, len(position), BLOCK)
-    return np.minimum.reduceat(position, starts), np.maximum.reduceat(position, starts)
 
 
 def _candidates(view: View, low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
