@@ -17,6 +17,7 @@ from fipt_blender.core.run.settings import Settings, make_settings
 FACTORS = (0.5, 2.0)
 SETTINGS = "settings"
 BASE = ""  # the method as it is
+SEED = "seed"  # and a number: another one
 # Rooms whose numbers have an effect after the shadings alone, and those of which only the mesh's are before.
 AFTER_SHADINGS, AFTER_MESH = ("material", "estimate"), ("light", "radiometry", "optics")
 
@@ -124,8 +125,8 @@ def without(name: str) -> Change:
     Raises:
         FiptError: ``trial-unknown``.
     """
-    if name.startswith("seed"):
-        return Change(name, {"seed": int(name.removeprefix("seed") or 1)}, begins=COMPLETED)
+    if name.startswith(SEED):
+        return Change(name, {"seed": int(name.removeprefix(SEED) or 1)}, begins=COMPLETED)
     if name in ABLATIONS:
         return Change(name, ABLATIONS[name], begins="" if "view_share" in ABLATIONS[name] else BAKED)
     if name not in MECHANISMS:

@@ -44,8 +44,7 @@ MEND, LACK, WELL = 0.75, 0.6, 0.9
 MANY, MEND_LEFT = 0.1, 0.85
 UNITS = (0.001, 0.01, 0.0254, 0.3048, 1.0, 1.0 / 0.3048, 1.0 / 0.0254, 100.0, 1000.0)
 TRIED_VIEWS = 24  # views with which other placements of the mesh are tried
-LITTLE_SEEN = 0.02  # share of a view's pixels that see the mesh, below which it sees nothing
-LEAST_SEEN = 0.1  # of all pixels
+LEAST_SEEN = 0.05  # share of the pixels that see the mesh, of a view or of all, below which they see nothing
 SAME = 0.02  # standard deviation of log radiance in all photographs, below which they show nothing
 _FORCE = " To estimate nevertheless, set Force in the section Estimate > Advanced (--force)."
 _AXES = "XYZ"
@@ -207,7 +206,7 @@ def check_input(room: Room, views: Sequence[View], settings: Settings) -> dict[i
         _check_photographs(small)
     credible, judged = found.credible()
     few = judged.sum() < JUDGED_VIEWS
-    blind = int((found.seen < LITTLE_SEEN).sum())
+    blind = int((found.seen < LEAST_SEEN).sum())
     elsewhere = 2 * blind >= len(views) or found.seen.mean() < LEAST_SEEN
     doubtful = found.median < MEND or not credible.all()
     if not settings.force and (elsewhere or not few) and doubtful:
