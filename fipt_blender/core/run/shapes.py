@@ -43,7 +43,7 @@ CAPTURE = Fields(
         "views": Items(_VIEW),
     }
 )
-ROOM = Fields({"objects": Items(str), "materials": Items(str)}, {"object_ids": Items(str), "parts": str})
+ROOM = Fields({"objects": Items(str), "materials": Items(str)}, {"object_ids": Items(str), "parts": str, "completed": bool})
 MASKS = Fields({"keys": Entries(str)})
 MATRICES = Entries(Numbers(4, 4))
 
@@ -272,6 +272,8 @@ ROOM_ARRAYS: dict[str, Layout] = {
     "triangle_material": ("i", ("T",)),
     "triangle_polygon": ("i", ("T",)),
 }
+# In room.npz where the artist has drawn surfaces of a scan.
+EXACT_ARRAYS: dict[str, Layout] = {**ROOM_ARRAYS, "triangle_exact": ("b", ("T",))}
 GEOMETRY_ARRAYS: dict[str, Layout] = {
     "vertices": ("f", ("V", 3)),
     "corner_normals": ("f", ("T", 3, 3)),

@@ -31,6 +31,8 @@ DISAGREE = 0.35
 FLOOR = 0.05
 # Pixels that are compared; those of larger captures are joined.
 MOST_PIXELS = 4_000_000
+# Edge of a mesh, metres, beyond which it says nothing of the size of cells: a modelled room has few triangles.
+MOST_EDGE = 0.05
 # Rounds in which the views' exposures are found.
 _ROUNDS = 3
 _CHUNK = 20_000
@@ -143,6 +145,43 @@ def compared_pixels(room: Room, views: Sequence[View], edge: float) -> ComparedP
     first = np.concatenate([[0], np.cumsum(sizes)])
     arrays = (color.astype(np.float32), distance.astype(np.float32), cell, doubt)
     return ComparedPixels(size, list(smaller), first, number, direction, *arrays)
+
+
+def surface_disagreement(room: Room, views: Sequence[View]) -> np.ndarray:
+    """(T,) float32, 0 where the photographs of a triangle agree, 1 where they disagree; NaN where too few see it.
+
+    A triangle that is smaller than a cell has the mean of the cell at its middle. Mitsuba's variant must be
+    set.
+
+    Args:
+        views: training views.
+    """
+    count = len(room.triangles)
+    if len(views) < LEAST_VIEWS:
+        return np.full(count, np.nan, np.float32)
+    corners = room.vertices[room.triangles]
+    edge = float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)))
+    pixels = compared_pixels(room, views, min(edge, MOST_EDGE))
+    known = np.flatnonzero(np.isfinite(pixels.doubt))
+    if not len(known):
+        return np.full(count, np.nan, np.float32)
+    view, direction, doubt = pixels.view[known], pixels.direction[known], pixels.doubt[known]
+    triangle, distance = hits_of(room, pixels.views, view, direction)
+    points = pixels.places[view] + direction * distance[:, None]
+    side, size = side_index(room.normals), CELL_PIXELS * pixels.size
+    places = np.concatenate([points, corners.mean(axis=1)])
+    sides = np.concatenate([side[triangle], side])
+    cell = numbered([*np.floor(places / size).astype(np.int64).T, sides])
+    of_cell = _mean_of(cell[: len(known)], doubt, int(cell.max(initial=-1)) + 1)[cell[len(known) :]]
+    own = _mean_of(triangle, doubt, count)
+    use_own = np.isnan(of_cell) | ((room.areas > size**2) & np.isfinite(own))
+    return np.where(use_own, own, of_cell).astype(np.float32)
+
+
+def _mean_of(group: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
+    """(count,) mean of the values (n,) of each group, NaN without any."""
+    total, number = np.bincount(group, value, count), np.bincount(group, minlength=count)
+    return np.where(number > 0, total / np.maximum(number, 1), np.nan)
 
 
 def on_lattice(view: View, step: int) -> tuple[View, np.ndarray, np.ndarray]:
