@@ -12,6 +12,7 @@ from __future__ import annotations
 import bpy
 
 from . import (
+    additions,
     aim,
     alignment,
     capture,
@@ -47,6 +48,7 @@ MODULES = (
     start,
     capture,
     views,
+    additions,
     alignment,
     parts,
     estimate,

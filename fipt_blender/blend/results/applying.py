@@ -262,7 +262,7 @@ def _cleaned_scan(run: RunFolder, room: Room) -> dict[str, np.ndarray] | None:
     """The cleaned copy of the run's scan, None where the mesh is no scan or the scan is to be kept."""
     if not run.read_estimated().clean_mesh:
         return None
-    return read_outlined(run.estimated(), {"vertices": room.vertices, "triangles": room.triangles})
+    return read_outlined(run.estimated(), room.mesh)
 
 
 def _read_corner_fields(path: Path, count: int) -> dict[str, np.ndarray]:

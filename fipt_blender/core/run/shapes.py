@@ -43,7 +43,10 @@ CAPTURE = Fields(
         "views": Items(_VIEW),
     }
 )
-ROOM = Fields({"objects": Items(str), "materials": Items(str)}, {"object_ids": Items(str), "parts": str, "completed": bool})
+ROOM = Fields(
+    {"objects": Items(str), "materials": Items(str)},
+    {"object_ids": Items(str), "parts": str, "completed": bool},
+)
 MASKS = Fields({"keys": Entries(str)})
 MATRICES = Entries(Numbers(4, 4))
 
@@ -309,7 +312,11 @@ CORNER_FIELDS_ARRAYS: dict[str, Layout] = {
     "metallic": ("f", ("T", 3)),
     "confidence": ("f", ("T", 3, 3)),
 }
-SURVEY_ARRAYS: dict[str, Layout] = {"seen": ("i", ("V", "B")), "areas": ("f", ("T",))}
+SURVEY_ARRAYS: dict[str, Layout] = {
+    "seen": ("i", ("V", "B")),
+    "areas": ("f", ("T",)),
+    "disagreement": ("f", ("T",)),
+}
 FIELDS_ARRAYS: dict[str, Layout] = {
     "hash_levels": ("i", ()),
     "box_low": ("f", (3,)),

@@ -1,0 +1,173 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators of the section Capture for what a scan lacks: find it, show what was found, draw a surface."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from ..core.run.runfolder import RunFolder
+from .overlay import ShowsColors
+from .polls import has_views, in_object_mode
+from .reporting import reports_errors
+from .views import SurveyJob, checked, survey_steps
+
+if TYPE_CHECKING:
+    from ..bridge.sequence import Job
+
+SHAPES = (
+    ("BOX", "Box", "A box: a cabinet, a table, a mattress", "MESH_CUBE", 0),
+    ("CYLINDER", "Cylinder", "A cylinder: a round table, a lamp's shade, a vase", "MESH_CYLINDER", 1),
+    ("PANEL", "Panel", "A flat rectangle: a window pane, a mirror, a table top, a screen", "MESH_PLANE", 2),
+)
+
+
+class FIPT_OT_find_missing_surfaces(SurveyJob, bpy.types.Operator):
+    """Look for what the photographs show and the scan lacks, as the estimation does, and add it to the room"""
+
+    bl_idname = "fipt.find_missing_surfaces"
+    bl_label = "Find Missing Surfaces"
+    bl_description = (
+        "Look now for what the photographs show and the scan lacks, as the estimation does, and add it to the"
+        " room as objects that you may edit or delete. The estimation then adds nothing else. Objects that were"
+        " found before are replaced; those that you have added stay. Takes minutes"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+    title = "Find Missing Surfaces"
+    kind = "completion"
+
+    def make_job(self, context: bpy.types.Context) -> Job:
+        from ..api import tasks
+        from ..bridge.step import Step
+        from ..jobs.run_job import open_job, refuse_busy
+
+        run = self.checked_run(context)
+        refuse_busy(run)
+        run.create(tasks.scene_settings(context.scene))
+        prepare, survey = survey_steps(run, search=True)
+        search = Step(
+            "complete", "Looking for what the scan lacks", 60.0, command=["complete", str(run.root)]
+        )
+        return open_job(run, [prepare, search, survey], record="survey/steps.json")
+
+    @staticmethod
+    def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
+        from ..blend.capture.additions import take_found
+        from ..blend.capture.survey import take_survey
+
+        take_survey(scene, run)
+        take_found(scene, run)
+
+
+class FIPT_OT_select_added(bpy.types.Operator):
+    """Select the surfaces that were added to the room"""
+
+    bl_idname = "fipt.select_added"
+    bl_label = "Select Added Surfaces"
+    bl_description = (
+        "Select the surfaces that were added to the room. Keep them, edit them, or delete them: the estimation"
+        " uses the room as it is"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        from ..blend.marks import ADDED
+
+        settings = context.scene.fipt.capture
+        if not any(ADDED in item for item in settings.room_objects(context.scene)):
+            cls.poll_message_set("No surfaces were added to the room")
+            return False
+        return in_object_mode(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.capture.additions import added_surfaces
+        from ..blend.outliner import select_only
+
+        first, *others = [item for item in added_surfaces(context.scene) if not item.hide_get()] or [None]
+        if first is None:
+            self.report({"ERROR"}, "All added surfaces are hidden. Show them with Alt H.")
+            return {"CANCELLED"}
+        select_only(context.view_layer, first)
+        for item in others:
+            item.select_set(True)
+        return {"FINISHED"}
+
+
+class FIPT_OT_add_surface(bpy.types.Operator):
+    """Add a simple solid to the room for a thing that the scan lacks"""
+
+    bl_idname = "fipt.add_surface"
+    bl_label = "Add Missing Surface"
+    bl_description = (
+        "Add a simple solid to the room for a thing that the scan lacks: where the photographs disagree most"
+        " after Check Views, otherwise at the 3D cursor. Move and scale it over the photographs. It is used"
+        " as it is, not cleaned like a scan"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    shape: bpy.props.EnumProperty(name="Shape", description="Shape of the solid", items=SHAPES)
+    place: bpy.props.EnumProperty(
+        name="Place",
+        description="Where the solid goes",
+        items=[
+            (
+                "DISAGREEMENT",
+                "Where Photographs Disagree",
+                "In front of the surface on which the photographs disagree most, if the views have been checked",
+            ),
+            ("CURSOR", "At 3D Cursor", "Standing at the 3D cursor"),
+        ],
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not context.scene.fipt.capture.room_objects(context.scene):
+            cls.poll_message_set("The room has no meshes")
+            return False
+        return in_object_mode(cls, context)
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.capture import additions
+        from ..blend.outliner import select_only
+
+        scene = context.scene
+        place = None
+        if self.place == "DISAGREEMENT" and scene.fipt.capture.unseen_share >= 0.0:
+            place = additions.place_of_disagreement(scene)
+            if place is None:
+                self.report({"INFO"}, "The photographs agree everywhere else: the 3D cursor was used")
+        place = place or additions.place_at(scene, scene.cursor.location)
+        select_only(context.view_layer, additions.draw_surface(scene, self.shape, place))
+        self.report({"INFO"}, iface_("Move and scale it until it covers the thing in the photographs"))
+        return {"FINISHED"}
+
+
+class FIPT_OT_show_disagreement(ShowsColors, bpy.types.Operator):
+    """Color the room by how much the photographs disagree on each surface. They do on shiny surfaces, and where
+    the room lacks something in front of the surface"""
+
+    bl_idname = "fipt.show_disagreement"
+    bl_label = "Show Disagreement"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return checked(cls, context)
+
+    @staticmethod
+    def color(scene: bpy.types.Scene) -> None:
+        from ..blend.capture.survey import show_disagreement
+
+        show_disagreement(scene)
+
+
+CLASSES = (
+    FIPT_OT_find_missing_surfaces,
+    FIPT_OT_select_added,
+    FIPT_OT_add_surface,
+    FIPT_OT_show_disagreement,
+)
