@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fipt_blender.blend.capture.survey import coverage_colors, part_colors
+from fipt_blender.blend.capture.survey import DISAGREEMENT, coverage_colors, level_colors, part_colors
 from fipt_blender.panels import capture as panel
 from fipt_blender.panels import swatches
 
@@ -58,12 +58,18 @@ class Layout:
 def test_the_legend_has_a_swatch_of_each_color(monkeypatch):
     monkeypatch.setattr(swatches, "icon", lambda color: color)
     drawn = []
-    panel.draw_legend(Layout(drawn))
+    panel.draw_legend(Layout(drawn), "coverage")
     levels = [(options["text"], options["icon_value"]) for options in drawn[1:]]
     assert [text for text, _ in levels] == ["0", "1", "2", "3+", "5+"]
     np.testing.assert_array_equal([color for _, color in levels], coverage_colors(np.array([0, 1, 2, 3, 5])))
     pixels = np.reshape(swatches.square_pixels(levels[0][1]), (-1, 4))
     assert (pixels[:, 3] == 1.0).all() and (pixels[:, :3] == levels[0][1]).all(axis=1).mean() > 0.7
+    other = []
+    panel.draw_legend(Layout(other), "disagreement")
+    assert [options["text"] for options in other[1:]] == ["?", "0", ".1", ".25", ".5"]
+    values = np.array([-1.0, 0.0, 0.2, 0.25, 1.0])
+    colors = [options["icon_value"] for options in other[1:]]
+    np.testing.assert_array_equal(colors, level_colors(DISAGREEMENT, values))
 
 
 def test_colours_of_coverage_and_parts():

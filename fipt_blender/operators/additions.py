@@ -11,7 +11,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.run.runfolder import RunFolder
 from .overlay import ShowsColors
-from .polls import has_views, in_object_mode
+from .polls import in_object_mode
 from .reporting import reports_errors
 from .views import SurveyJob, checked, survey_steps
 
@@ -26,14 +26,14 @@ SHAPES = (
 
 
 class FIPT_OT_find_missing_surfaces(SurveyJob, bpy.types.Operator):
-    """Look for what the photographs show and the scan lacks, as the estimation does, and add it to the room"""
+    """Look for what the photographs show and the scan lacks, and add it to the room"""
 
     bl_idname = "fipt.find_missing_surfaces"
     bl_label = "Find Missing Surfaces"
     bl_description = (
         "Look now for what the photographs show and the scan lacks, as the estimation does, and add it to the"
-        " room as objects that you may edit or delete. The estimation then adds nothing else. Objects that were"
-        " found before are replaced; those that you have added stay. Takes minutes"
+        " room as objects that you may edit or delete. The estimation then adds nothing else. What was found"
+        " before is replaced; what you have added stays. Takes minutes"
     )
     bl_options = {"REGISTER", "UNDO"}
     title = "Find Missing Surfaces"
@@ -68,8 +68,8 @@ class FIPT_OT_select_added(bpy.types.Operator):
     bl_idname = "fipt.select_added"
     bl_label = "Select Added Surfaces"
     bl_description = (
-        "Select the surfaces that were added to the room. Keep them, edit them, or delete them: the estimation"
-        " uses the room as it is"
+        "Select the surfaces that were added to the room. Keep, edit or delete them: the estimation uses the"
+        " room as it is"
     )
     bl_options = {"REGISTER", "UNDO"}
 
@@ -103,7 +103,7 @@ class FIPT_OT_add_surface(bpy.types.Operator):
     bl_idname = "fipt.add_surface"
     bl_label = "Add Missing Surface"
     bl_description = (
-        "Add a simple solid to the room for a thing that the scan lacks: where the photographs disagree most"
+        "Add a simple solid to the room for a thing that the scan lacks: where the photographs show most"
         " after Check Views, otherwise at the 3D cursor. Move and scale it over the photographs. It is used"
         " as it is, not cleaned like a scan"
     )
@@ -117,7 +117,7 @@ class FIPT_OT_add_surface(bpy.types.Operator):
             (
                 "DISAGREEMENT",
                 "Where Photographs Disagree",
-                "In front of the surface on which the photographs disagree most, if the views have been checked",
+                "Where the photographs show most that the room lacks, if the views have been checked",
             ),
             ("CURSOR", "At 3D Cursor", "Standing at the 3D cursor"),
         ],
@@ -140,7 +140,7 @@ class FIPT_OT_add_surface(bpy.types.Operator):
         if self.place == "DISAGREEMENT" and scene.fipt.capture.unseen_share >= 0.0:
             place = additions.place_of_disagreement(scene)
             if place is None:
-                self.report({"INFO"}, "The photographs agree everywhere else: the 3D cursor was used")
+                self.report({"INFO"}, "The photographs show nothing else: the 3D cursor is used")
         place = place or additions.place_at(scene, scene.cursor.location)
         select_only(context.view_layer, additions.draw_surface(scene, self.shape, place))
         self.report({"INFO"}, iface_("Move and scale it until it covers the thing in the photographs"))
@@ -148,8 +148,8 @@ class FIPT_OT_add_surface(bpy.types.Operator):
 
 
 class FIPT_OT_show_disagreement(ShowsColors, bpy.types.Operator):
-    """Color the room by how much the photographs disagree on each surface. They do on shiny surfaces, and where
-    the room lacks something in front of the surface"""
+    """Color the room by how much the photographs disagree on each surface: where it is shiny, and where the room
+    lacks something in front of it"""
 
     bl_idname = "fipt.show_disagreement"
     bl_label = "Show Disagreement"

@@ -264,8 +264,8 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
 
     completed: bpy.props.BoolProperty(
         name="Only These Surfaces",
-        description="Estimate with the surfaces that the room has now, also with those that you have deleted or"
-        " changed. Otherwise the estimation looks for what a scan lacks, and adds it",
+        description="Estimate with the surfaces that the room has now: what you have deleted stays away."
+        " Otherwise the estimation looks for what a scan lacks, and adds it",
     )
 
     def photograph_switch(self) -> str:

@@ -16,21 +16,16 @@ from mathutils import Matrix, Vector
 from ...core.run.documents import read_json
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
-from ...core.run.shapes import MATRICES
+from ...core.run.shapes import MATRICES, SURVEY
 from ..marks import ADDED, DRAWN, all_view_cameras, was_found
 from ..outliner import remove_object
-from ..room.arrays import Room, read_room
+from ..room.arrays import read_room
 from ..room.mesh_arrays import world_bounds
 from ..room.panes import add_apart, link_beside
-from .survey import Survey, survey_of
 
-# Where photographs disagree is looked for in cells of this share of the room's diagonal; what is drawn there
-# has at least this share of it, and where nothing is known.
-CELL_SHARE, LEAST_SHARE, USUAL_SHARE = 0.08, 0.03, 0.08
-# Disagreement below which a surface does not count.
-DISAGREES = 0.25
+# Extent of what is drawn where nothing is known, as a share of the room's diagonal.
+USUAL_SHARE = 0.08
 SEGMENTS = 32  # of a cylinder
-GAP_SHARE = 0.002  # by which a panel stands off the surface behind it, as a share of the diagonal
 
 
 @dataclass(frozen=True)
@@ -40,7 +35,7 @@ class Place:
     Attributes:
         base: (3,) middle of its lower side, world.
         size: (3,) its extents, metres.
-        facing: (3,) unit vector from the surface behind it to the cameras.
+        facing: (3,) unit vector along its least extent, to the cameras.
     """
 
     base: np.ndarray
@@ -54,7 +49,7 @@ def added_surfaces(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def take_found(scene: bpy.types.Scene, run: RunFolder) -> list[str]:
-    """Make objects of what the engine has added to the room in RUN/survey, instead of those of an earlier search.
+    """Make objects of what the engine has added to the room in RUN/survey, instead of those found before.
 
     From then on the scene's room counts as complete.
 
@@ -113,20 +108,18 @@ def draw_surface(scene: bpy.types.Scene, shape: str, place: Place) -> bpy.types.
     item = bpy.data.objects.new(mesh.name, mesh)
     item[ADDED] = DRAWN
     link_beside(item, room[0])
-    item.matrix_world = _matrix(shape, place, _diagonal(room))
+    item.matrix_world = _matrix(shape, place)
     return item
 
 
-def _matrix(shape: str, place: Place, diagonal: float) -> Matrix:
+def _matrix(shape: str, place: Place) -> Matrix:
     size = Vector(place.size)
     if shape != "PANEL":
         return Matrix.LocRotScale(Vector(place.base), None, size)
-    normal = Vector(place.facing)
-    rotation = normal.to_track_quat("Z", "Y")
-    extent = sorted(abs(value) for value in rotation.inverted() @ size)
+    rotation = Vector(place.facing).to_track_quat("Z", "Y")
+    across = rotation.to_matrix().transposed() @ size
     middle = Vector(place.base) + Vector((0.0, 0.0, 0.5 * size.z))
-    behind = middle - normal * (0.5 * abs(normal.dot(size)) - GAP_SHARE * diagonal)
-    return Matrix.LocRotScale(behind, rotation, Vector((extent[-1], extent[-2], 1.0)))
+    return Matrix.LocRotScale(middle, rotation, Vector((abs(across.x), abs(across.y), 1.0)))
 
 
 def place_at(scene: bpy.types.Scene, location: Vector) -> Place:
@@ -136,63 +129,27 @@ def place_at(scene: bpy.types.Scene, location: Vector) -> Place:
 
 
 def place_of_disagreement(scene: bpy.types.Scene) -> Place | None:
-    """The place where photographs disagree most, on the side of the cameras; None without such a place.
-
-    Where the artist has drawn a surface already does not count.
+    """Where the photographs show most that the room lacks and the artist has not drawn; None without any.
 
     Raises:
-        FiptError: ``survey-missing``.
+        FiptError: ``file-missing`` or ``file-damaged``.
     """
-    run, survey = survey_of(scene)
-    room = read_room(RunFolder(run.survey))
-    drawn = [item for item in added_surfaces(scene) if item[ADDED] == DRAWN]
-    cameras = [item.matrix_world.translation for item in all_view_cameras(scene)]
-    middle = np.mean([list(place) for place in cameras], axis=0) if cameras else np.zeros(3)
-    boxes = [bounds for item in drawn if (bounds := world_bounds([item])) is not None]
-    objects = scene.fipt.capture.room_objects(scene)
-    return strongest_place(room, survey, middle, boxes, _diagonal(objects))
+    run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
+    boxes = read_json(run.survey_json, SURVEY, "Check the views again.")["missing"]
+    drawn = [world_bounds([item]) for item in added_surfaces(scene) if item[ADDED] == DRAWN]
+    cameras = np.mean([list(item.matrix_world.translation) for item in all_view_cameras(scene)], axis=0)
+    for box in boxes:
+        low, high = np.array(box["low"]), np.array(box["high"])
+        middle, size = 0.5 * (low + high), high - low
+        if any(bounds is not None and _within(middle, *bounds) for bounds in drawn):
+            continue
+        facing = np.where(np.arange(3) == size.argmin(), np.sign(cameras - middle), 0.0)
+        return Place(middle - [0.0, 0.0, 0.5 * size[2]], size, facing)
+    return None
 
 
-def strongest_place(
-    room: Room,
-    survey: Survey,
-    cameras: np.ndarray,
-    boxes: list[tuple[np.ndarray, np.ndarray]],
-    diagonal: float,
-) -> Place | None:
-    """The place where photographs disagree on most of the surface.
-
-    Args:
-        cameras: (3,) mean place of the cameras. boxes: lowest and highest corners of what does not count.
-        diagonal: of the room, metres.
-    """
-    corners = room.vertices.astype(np.float64)[room.triangles]
-    middle = corners.mean(axis=1)
-    doubt = np.nan_to_num(survey.disagreement)
-    weight = np.where(doubt >= DISAGREES, doubt * survey.areas, 0.0)
-    cell = CELL_SHARE * diagonal
-    for low, high in boxes:
-        weight[((middle > low - cell) & (middle < high + cell)).all(axis=1)] = 0.0
-    if not weight.any():
-        return None
-    numbers = np.unique(np.floor(middle / cell).astype(np.int64), axis=0, return_inverse=True)[1].ravel()
-    strongest = int(np.bincount(numbers, weight).argmax())
-    centre = np.average(middle[numbers == strongest], axis=0, weights=weight[numbers == strongest])
-    near = np.flatnonzero((np.linalg.norm(middle - centre, axis=1) < 2.0 * cell) & (weight > 0.0))
-    centre = np.average(middle[near], axis=0, weights=weight[near])
-    spread = np.sqrt(np.average((middle[near] - centre) ** 2, axis=0, weights=weight[near]))
-    # The extents of a surface that is evenly covered.
-    size = np.maximum(np.sqrt(12.0) * spread, LEAST_SHARE * diagonal)
-    cross = np.cross(corners[near, 1] - corners[near, 0], corners[near, 2] - corners[near, 0])
-    toward = np.sign(np.einsum("nc,nc->n", cross, cameras - middle[near]))
-    facing = (cross * (toward * doubt[near])[:, None]).sum(axis=0)
-    length = float(np.linalg.norm(facing))
-    facing = facing / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
-    if abs(facing[2]) > np.sqrt(0.5):  # it stands on what is behind it, or hangs below
-        base = centre if facing[2] > 0.0 else centre - [0.0, 0.0, size[2]]
-    else:
-        base = centre + facing * [0.5, 0.5, 0.0] * size - [0.0, 0.0, 0.5 * size[2]]
-    return Place(base, size, facing)
+def _within(point: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
+    return bool(((point > low) & (point < high)).all())
 
 
 def _diagonal(objects: list[bpy.types.Object]) -> float:

@@ -19,8 +19,8 @@ from ...core.run.documents import read_json
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder, write_json
 from ...core.run.shapes import MATRICES, SURVEY, SURVEY_ARRAYS
-from ..room.arrays import read_room
 from ..marks import was_found
+from ..room.arrays import read_room
 from ..room.exporting import export_slices
 from . import overlay
 from .exporting import read_source, view_entries, world_matrix

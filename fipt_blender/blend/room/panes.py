@@ -36,7 +36,7 @@ def add_surfaces(room: Room, objects: Sequence[bpy.types.Object]) -> list[bpy.ty
 
 
 def add_apart(room: Room, index: int, beside: bpy.types.Object) -> list[bpy.types.Object]:
-    """Add an object of a room that the engine has completed, one for each surface, so that each can be edited.
+    """Add an object that the engine has added to a room, one for each surface, so that each can be edited.
 
     Args:
         index: of the object. beside: as the room's first object of `add_surfaces`.

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Engine command `complete`: what an estimation would add to a scan, before it, for the artist to decide.
 
-It works on the room and the views that Blender wrote for a survey, and leaves closing.npz and panes.npz there.
+It works on the room and the views that Blender wrote for a survey, and leaves closing.npz and panes.npz
+there.
 """
 
 from __future__ import annotations

@@ -251,6 +251,7 @@ SURVEY = Fields(
             )
         ),
         "parts": Fields({"auto": str, "counts": Entries(Number(low=0, whole=True))}),
+        "missing": Items(Fields({"low": Numbers(3), "high": Numbers(3)})),
     }
 )
 

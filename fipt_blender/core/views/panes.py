@@ -56,7 +56,7 @@ def close_holes(
 ) -> bool:
     """Write panes.npz, and extend geometry.npz, where photographs show surfaces that a scan lacks.
 
-    Nothing changes where the mesh is no scan, where the room has panes already or was completed by the artist,
+    Nothing changes where the mesh is no scan, where the room has panes already or the artist has completed it,
     or where these masks were searched before. Mitsuba's variant must be set.
 
     Args:

@@ -7,6 +7,7 @@ and where photographs disagree. A quick check for the artist before an estimatio
 from __future__ import annotations
 
 import argparse
+import itertools
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -35,6 +36,9 @@ SURVEY_FORMAT = "fipt-survey"
 SURVEY_VERSION = 1
 LITTLE_SEEN = 0.5  # share of a photograph's pixels that see the room
 MUCH_CLIPPED = 0.002  # share of a photograph's pixels
+# Boxes in the air in which photographs show something: points that are looked at, the least share of all
+# disagreement that one explains, and most boxes.
+AIR_POINTS, LEAST_MISSING, MOST_MISSING = 200_000, 0.002, 8
 MUCH_OFF = 2.0  # pixels between the edges of mesh and photograph; chance gives up to 1.5 in a poor view
 
 
@@ -58,7 +62,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     from ..scene.labels import automatic_source, label_parts, usable_sources
     from ..scene.linked_masks import link_masks
     from ..scene.room import load_room
-    from .agreement import surface_disagreement
+    from .agreement import surface_disagreement, survey_pixels
 
     folder = RunFolder(arguments.folder)
     capture, room = load_capture(folder), load_room(folder)
@@ -87,7 +91,16 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         images, triangles = fuse_inputs(room, train, source)
         labels[source] = label_parts(room, source, images, triangles).triangle_part
         reporter.progress((index + 1) / (len(sources) + 1))
-    disagreement = surface_disagreement(room, [view for view in train if view.image.is_file()])
+    pixels = survey_pixels(room, [view for view in train if view.image.is_file()])
+    disagreement = np.full(len(room.triangles), np.nan, np.float32)
+    missing: list[dict[str, Any]] = []
+    if pixels is not None:
+        disagreement = surface_disagreement(room, pixels)
+        boxes = pixels.boxes(room.bounds, AIR_POINTS)
+        shown = itertools.takewhile(
+            lambda found: found[2] >= LEAST_MISSING, itertools.islice(boxes, MOST_MISSING)
+        )
+        missing = [{"low": low.tolist(), "high": high.tolist()} for (low, high), _, _ in shown]
 
     with atomic_path(folder.root / "survey.npz") as temporary:
         np.savez_compressed(
@@ -104,6 +117,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
             "format": SURVEY_FORMAT,
             "version": SURVEY_VERSION,
             "views": entries,
+            "missing": missing,
             "parts": {
                 "auto": automatic_source(room, usable),
                 "counts": {source: len(np.unique(part[part >= 0])) for source, part in labels.items()},
