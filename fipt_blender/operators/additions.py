@@ -148,8 +148,8 @@ class FIPT_OT_add_surface(bpy.types.Operator):
 
 
 class FIPT_OT_show_disagreement(ShowsColors, bpy.types.Operator):
-    """Color the room by how much the photographs disagree on each surface: where it is shiny, and where the room
-    lacks something in front of it"""
+    """Color the room by how much photographs disagree on each surface: where it is shiny, and where something
+    in front of it is missing"""
 
     bl_idname = "fipt.show_disagreement"
     bl_label = "Show Disagreement"

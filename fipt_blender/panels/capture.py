@@ -289,7 +289,7 @@ def draw_import(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 
 def shown_colors(scene: bpy.types.Scene) -> str:
-    """The kind of what is drawn over the room, see `overlay.show`, or "". Does not import the drawing module."""
+    """The kind of what is drawn over the room, see `overlay.show`, or "". Does not import that module."""
     overlay = sys.modules.get(__package__.rpartition(".")[0] + ".blend.capture.overlay")
     return overlay.shown(scene) if overlay is not None else ""
 

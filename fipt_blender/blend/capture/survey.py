@@ -49,15 +49,15 @@ COVERAGE = (
     Level(3, "3+", (0.15, 0.70, 0.58)),
     Level(5, "5+", (0.99, 0.91, 0.15)),
 )
-# How much photographs disagree on a surface; where too few see one, it has the colour of no views.
+# How much photographs disagree on a surface; grey where too few see it.
 DISAGREEMENT = (
-    Level(-1.0, "?", COVERAGE[0].color),
+    Level(-1.0, "?", (0.25, 0.25, 0.25)),
     Level(0.0, "0", COVERAGE[1].color),
     Level(0.1, ".1", COVERAGE[2].color),
     Level(0.25, ".25", COVERAGE[3].color),
     Level(0.5, ".5", COVERAGE[4].color),
 )
-_NO_PART = np.array([0.25, 0.25, 0.25])
+_NO_PART = np.array(DISAGREEMENT[0].color)
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,8 @@ FLOOR = 0.05
 MOST_PIXELS = 4_000_000
 # Edge of a mesh, metres, beyond which it tells nothing of cells: modelled rooms have few triangles.
 MOST_EDGE = 0.05
+# Edge of the cells whose mean is shown to the artist, in cells by which pixels are compared.
+SHOWN_CELLS = 2
 # A point of a lost thing takes at least this much disagreement away, mean over the views.
 LEAST_GAIN = 0.1
 # Spacing of the points in the air, in pixels on the scan, and most of them.
@@ -199,10 +201,9 @@ def surface_disagreement(room: Room, pixels: ComparedPixels) -> np.ndarray:
     view, direction, doubt = pixels.view[known], pixels.direction[known], pixels.doubt[known]
     triangle, distance = hits_of(room, pixels.views, view, direction)
     points = pixels.places[view] + direction * distance[:, None]
-    side, size = side_index(room.normals), CELL_PIXELS * pixels.size
+    size = SHOWN_CELLS * CELL_PIXELS * pixels.size
     places = np.concatenate([points, corners.mean(axis=1)])
-    sides = np.concatenate([side[triangle], side])
-    cell = numbered([*np.floor(places / size).astype(np.int64).T, sides])
+    cell = numbered([*np.floor(places / size).astype(np.int64).T])
     of_cell = _mean_of(cell[: len(known)], doubt, int(cell.max(initial=-1)) + 1)[cell[len(known) :]]
     own = _mean_of(triangle, doubt, count)
     use_own = np.isnan(of_cell) | ((room.areas > size**2) & np.isfinite(own))

@@ -56,8 +56,8 @@ def close_holes(
 ) -> bool:
     """Write panes.npz, and extend geometry.npz, where photographs show surfaces that a scan lacks.
 
-    Nothing changes where the mesh is no scan, where the room has panes already or the artist has completed it,
-    or where these masks were searched before. Mitsuba's variant must be set.
+    Nothing changes where the mesh is no scan, where it has panes already or the artist has completed it, or
+    where these masks were searched before. Mitsuba's variant must be set.
 
     Args:
         views: training views.
