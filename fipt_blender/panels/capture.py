@@ -161,7 +161,7 @@ def _draw_additions(
     count = sum(ADDED in item for item in settings.room_objects(context.scene))
     if count:
         row = layout.row(align=True)
-        row.label(text=iface_("{} surfaces added").format(count), icon="INFO", translate=False)
+        row.label(text=iface_("{} added").format(count), icon="INFO", translate=False)
         row.operator("fipt.select_added", text="Select", icon="RESTRICT_SELECT_OFF")
     if count or settings.completed:
         layout.prop(settings, "completed")
