@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
-from fipt_blender.blend.capture.survey import coverage_colors, part_colors
+from fipt_blender.blend.capture.survey import DISAGREEMENT, coverage_colors, level_colors, part_colors
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.jobs import running
 from fipt_blender.panels import capture, parts, swatches
@@ -119,12 +119,18 @@ def test_everyone_can_tell_the_colors_of_the_coverage_apart(blindness):
 def test_the_legend_has_a_swatch_of_each_color(monkeypatch):
     monkeypatch.setattr(swatches, "icon", lambda color: color)
     layout = Layout()
-    panel.draw_legend(layout)
+    panel.draw_legend(layout, "coverage")
     levels = [(options["text"], options["icon_value"]) for options in layout.labels[1:]]
     assert [text for text, _ in levels] == ["0", "1", "2", "3+", "5+"]
     np.testing.assert_array_equal([color for _, color in levels], coverage_colors(np.array([0, 1, 2, 3, 5])))
     pixels = np.reshape(swatches.square_pixels(levels[0][1]), (-1, 4))
     assert (pixels[:, 3] == 1.0).all() and (pixels[:, :3] == levels[0][1]).all(axis=1).mean() > 0.7
+    other = Layout()
+    panel.draw_legend(other, "disagreement")
+    assert [options["text"] for options in other.labels[1:]] == ["?", "0", ".1", ".25", ".5"]
+    values = np.array([-1.0, 0.0, 0.2, 0.25, 1.0])
+    colors = [options["icon_value"] for options in other.labels[1:]]
+    np.testing.assert_array_equal(colors, level_colors(DISAGREEMENT, values))
 
 
 def test_colours_of_coverage_and_parts():

@@ -14,8 +14,8 @@ from fipt_blender.core.alignment.edges import corrected_pose, edge_flow
 from fipt_blender.core.alignment.turns import turn_by
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.device.variant import set_variant
-from fipt_blender.core.scene import survey
 from fipt_blender.core.scene.room import Room
+from fipt_blender.core.views import survey
 from samples.camera_poses import look_at
 from samples.small_rooms import BOX, make_room
 

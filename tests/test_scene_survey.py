@@ -16,9 +16,9 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.geometry.adjacency import weld
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter, parse_message
-from fipt_blender.core.scene import survey
 from fipt_blender.core.scene.labels import loose_pieces
 from fipt_blender.core.scene.room import Room
+from fipt_blender.core.views import survey
 from samples.camera_poses import look_at
 from samples.small_rooms import BOX, bulb, make_room, mesh_room, write_room
 

@@ -341,9 +341,13 @@ def _apply_job(scene: bpy.types.Scene, run: RunFolder, settings: Settings) -> Jo
 
 
 def _applied(scene: bpy.types.Scene, run: RunFolder) -> None:
+    from ..blend.marks import was_found
     from ..blend.results.scene_state import finish
 
     finish(scene, run)
+    settings = scene.fipt.capture
+    # What the artist deletes of it stays away in the next estimation.
+    settings.completed |= any(map(was_found, settings.room_objects(scene)))
 
 
 def chosen_settings(scene: bpy.types.Scene, run: RunFolder) -> Settings:

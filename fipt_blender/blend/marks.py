@@ -29,6 +29,8 @@ IMPORTED = "fipt_imported"  # on a mesh that we imported: its file and the matri
 ORIGINAL_MESH = "fipt_original_mesh"
 ORIGINAL_STATE = "fipt_original_state"  # modifiers and slots (JSON)
 OBJECT_SLOT = "fipt_original_slot_{}"  # material of a slot that is linked to the object
+ADDED = "fipt_added"  # on a mesh that the scan lacks: `FOUND`, `CLOSED` or `DRAWN`
+FOUND, CLOSED, DRAWN = "found", "closed", "drawn"  # by the engine; what closes small holes; by the artist
 RESULT_MESH = "fipt_own_mesh"  # the result mesh, while the original is shown
 CATCHER = "fipt_catcher"  # we made the object a shadow catcher
 
@@ -115,6 +117,16 @@ def view_cameras(scene: bpy.types.Scene) -> dict[str, bpy.types.Object]:
 def is_imported(item: bpy.types.Object) -> bool:
     """Whether an object is a mesh that we imported."""
     return IMPORTED in item
+
+
+def is_exact(item: bpy.types.Object) -> bool:
+    """Whether an object of the room is no scan, whatever the others are. What closes small holes is one."""
+    return item.get(ADDED) in (FOUND, DRAWN)
+
+
+def was_found(item: bpy.types.Object) -> bool:
+    """Whether the engine has added an object to the room."""
+    return item.get(ADDED) in (FOUND, CLOSED)
 
 
 def has_results(item: bpy.types.Object) -> bool:

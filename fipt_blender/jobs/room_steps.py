@@ -228,7 +228,7 @@ def export_scene_room(run: RunFolder) -> Slices[list[Message]]:
             "Import the room's mesh or select its collection in the section Capture.",
         )
     warnings = not_in_room(scene.fipt.capture.room_members(scene))
-    yield from export_slices(objects, run, scene.fipt.parts.engine_source)
+    yield from export_slices(objects, run, scene.fipt.parts.engine_source, scene.fipt.capture.completed)
     return warnings
 
 

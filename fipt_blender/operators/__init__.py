@@ -13,6 +13,7 @@ import bpy
 
 from ..properties import classes_of
 from . import (
+    additions,
     aim,
     alignment,
     capture,
@@ -49,6 +50,7 @@ MODULES = (
     start,
     capture,
     views,
+    additions,
     alignment,
     parts,
     estimate,

@@ -12,13 +12,13 @@ from .. import machine
 from ..core.run.runfolder import RunFolder
 from .job_operator import JobOperator
 from .overlay import ShowsColors
-from .polls import all_of, has_views, needs, no_job
+from .polls import all_of, has_views, no_job, views_checked
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
     from ..bridge.sequence import Job
-    from ..bridge.step import Slices
+    from ..bridge.step import Slices, Step
 
 
 class FIPT_OT_look_through(bpy.types.Operator):
@@ -102,7 +102,52 @@ class FIPT_OT_tick_views(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FIPT_OT_check_views(JobOperator, bpy.types.Operator):
+def survey_steps(run: RunFolder, search: bool = False) -> tuple[Step, Step]:
+    """The steps that write the input of the engine's survey and that do it.
+
+    Args:
+        search: the input is for a search of what the room lacks.
+    """
+    from ..bridge.step import Step
+
+    def write_input() -> Slices[list[Message]]:
+        from ..blend.capture.survey import write_survey_input
+
+        return write_survey_input(run, search)
+
+    return (
+        Step("survey-input", "Preparing the room", 3.0, function=write_input, repeat=True),
+        Step(
+            "survey",
+            "Finding what each camera sees",
+            10.0,
+            command=["survey", str(run.survey), f"--device={machine.device_setting()}"],
+            outputs=[run.survey_json, run.survey_npz],
+        ),
+    )
+
+
+class SurveyJob(JobOperator):
+    """Base of the operators that examine the scene's room and views."""
+
+    poll = all_of(has_views, no_job)
+
+    @staticmethod
+    def checked_run(context: bpy.types.Context) -> RunFolder:
+        """The scene's run folder.
+
+        Raises:
+            FiptError: ``room-missing``.
+        """
+        from ..blend.capture.importing import room_missing
+
+        scene = context.scene
+        if not scene.fipt.capture.room_objects(scene):
+            raise room_missing()
+        return RunFolder(bpy.path.abspath(scene.fipt.run_folder))
+
+
+class FIPT_OT_check_views(SurveyJob, bpy.types.Operator):
     """Check what each view sees of the room and whether its photograph is usable, and find the parts"""
 
     bl_idname = "fipt.check_views"
@@ -111,34 +156,11 @@ class FIPT_OT_check_views(JobOperator, bpy.types.Operator):
     title = "Check Views"
     kind = "survey"
 
-    poll = all_of(has_views, no_job)
-
     def make_job(self, context: bpy.types.Context) -> Job:
-        from ..blend.capture.importing import room_missing
-        from ..bridge.step import Step
         from ..jobs.run_job import open_job
 
-        scene = context.scene
-        if not scene.fipt.capture.room_objects(scene):
-            raise room_missing()
-        run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
-
-        def write_input() -> Slices[list[Message]]:
-            from ..blend.capture.survey import write_survey_input
-
-            return write_survey_input(run)
-
-        steps = [
-            Step("survey-input", "Preparing the room", 3.0, function=write_input, repeat=True),
-            Step(
-                "survey",
-                "Finding what each camera sees",
-                10.0,
-                command=["survey", str(run.survey), f"--device={machine.device_setting()}"],
-                outputs=[run.survey_json, run.survey_npz],
-            ),
-        ]
-        return open_job(run, steps, record="survey/steps.json")
+        run = self.checked_run(context)
+        return open_job(run, list(survey_steps(run)), record="survey/steps.json")
 
     @staticmethod
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
@@ -153,9 +175,7 @@ class FIPT_OT_show_coverage(ShowsColors, bpy.types.Operator):
     bl_idname = "fipt.show_coverage"
     bl_label = "Show Coverage"
 
-    poll = all_of(
-        needs(lambda context: context.scene.fipt.capture.unseen_share >= 0.0, "Use Check Views first")
-    )
+    poll = all_of(views_checked)
 
     @staticmethod
     def color(scene: bpy.types.Scene) -> None:

@@ -10,6 +10,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
 
+from ..blend.marks import ADDED
 from ..jobs import running
 from . import swatches
 from .job import draw_error, draw_job, draw_warnings, job_warnings
@@ -139,6 +140,26 @@ class FIPT_PT_capture_room(SubSection, bpy.types.Panel):
         if settings.views and not settings.room_objects(context.scene):
             text = "The room has no mesh. Import one, or select the objects that form the room."
             draw_text(layout, context, iface_(text), icon="ERROR")
+        elif settings.views:
+            _draw_additions(layout, context, settings)
+
+
+def _draw_additions(
+    layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup
+) -> None:
+    """What was added to a scan, and the buttons that add more."""
+    column = layout.column(align=True)
+    column.operator("fipt.find_missing_surfaces", icon="VIEWZOOM")
+    column.operator_menu_enum("fipt.add_surface", "shape", icon="ADD")
+    draw_job(layout, context, "completion")
+    draw_warnings(layout, context, "completion", job_warnings(context, "completion"))
+    count = sum(ADDED in item for item in settings.room_objects(context.scene))
+    if count:
+        row = layout.row(align=True)
+        row.label(text=iface_("{} added").format(count), icon="INFO", translate=False)
+        row.operator("fipt.select_added", text="Select", icon="RESTRICT_SELECT_OFF")
+    if count or settings.completed:
+        layout.prop(settings, "completed")
 
 
 class FIPT_PT_capture_views(SubSection, bpy.types.Panel):
@@ -224,29 +245,31 @@ def _draw_survey(
     if settings.misfit >= 0.0:
         text = iface_("The mesh is {:.1f} pixels off in the median view").format(settings.misfit)
         draw_text(layout, context, text, icon="INFO")
-    shown = shown_colors(context.scene) == "coverage"
+    shown = shown_colors(context.scene)
     text = iface_("{:.0f}% of the room's surface is not seen by any ticked view").format(
         100.0 * settings.unseen_share
     )
     draw_text(layout, context, text, icon="INFO")
-    layout.operator(
-        "fipt.show_coverage",
-        text="Hide Coverage" if shown else "Show Coverage",
-        icon="OVERLAY",
-        depress=shown,
-    ).show = not shown
-    if shown:
-        draw_legend(layout)
+    column = layout.column(align=True)
+    for kind, name in (("coverage", "Coverage"), ("disagreement", "Disagreement")):
+        hides = shown == kind
+        text = iface_("Hide {}" if hides else "Show {}").format(iface_(name))
+        button = column.operator(
+            f"fipt.show_{kind}", text=text, icon="OVERLAY", depress=hides, translate=False
+        )
+        button.show = not hides
+    if shown in ("coverage", "disagreement"):
+        draw_legend(layout, shown)
 
 
-def draw_legend(layout: bpy.types.UILayout) -> None:
-    """The colours of the coverage; to be drawn where they are shown, so that their module is loaded."""
-    from ..blend.capture.survey import COVERAGE
+def draw_legend(layout: bpy.types.UILayout, kind: str) -> None:
+    """The colours of an overlay; to be drawn where they are shown, so that their module is loaded."""
+    from ..blend.capture.survey import COVERAGE, DISAGREEMENT
 
     column = layout.column(align=True)
-    column.label(text="Number of Views")
+    column.label(text="Number of Views" if kind == "coverage" else "Disagreement of the Photographs")
     row = column.row(align=True)
-    for level in COVERAGE:
+    for level in COVERAGE if kind == "coverage" else DISAGREEMENT:
         row.label(text=level.label, icon_value=swatches.icon(level.color), translate=False)
 
 
@@ -261,6 +284,6 @@ def draw_import(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 
 def shown_colors(scene: bpy.types.Scene) -> str:
-    """What is drawn over the room: "coverage", "parts" or "". Does not import the drawing module."""
+    """The kind of what is drawn over the room, see `overlay.show`, or "". Does not import that module."""
     overlay = sys.modules.get(__package__.rpartition(".")[0] + ".blend.capture.overlay")
     return overlay.shown(scene) if overlay is not None else ""

@@ -259,6 +259,12 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         default=-1.0,
     )
 
+    completed: bpy.props.BoolProperty(
+        name="Only These Surfaces",
+        description="Estimate with the surfaces that the room has now: what you have deleted stays away."
+        " Otherwise the estimation looks for what a scan lacks, and adds it",
+    )
+
     def photograph_switch(self) -> str:
         """Name of the property that says whether photographs are shown: as long as the room has no results
         they help to align it, afterwards they would be in the way of what the artist wants to see.

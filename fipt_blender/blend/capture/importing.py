@@ -22,7 +22,7 @@ from ...core import conventions
 from ...core.run.errors import FiptError
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder
-from ..marks import IMPORTED, VIEW, is_imported, is_view, view_cameras
+from ..marks import IMPORTED, VIEW, is_imported, is_view, view_cameras, was_found
 from ..outliner import CAMERAS, EARLIER_ROOMS, ROOM, collection, move_to, remove_object
 from ..room.result_meshes import list_names
 from . import cameras, mesh_import
@@ -126,7 +126,8 @@ def import_mesh(scene: bpy.types.Scene, path: Path, matrix: np.ndarray) -> list[
     Raises:
         FiptError: those of `mesh_import.import_room`; nothing has changed then.
     """
-    earlier = [item for item in scene.fipt.capture.room_objects(scene) if is_imported(item)]
+    present = scene.fipt.capture.room_objects(scene)
+    earlier = [item for item in present if is_imported(item) or was_found(item)]
     names = mesh_import.import_room(path, matrix, scene)
     if earlier:
         hidden = collection(scene, EARLIER_ROOMS)
@@ -140,6 +141,7 @@ def import_mesh(scene: bpy.types.Scene, path: Path, matrix: np.ndarray) -> list[
         item.matrix_basis = Matrix.Identity(4)
         item[IMPORTED] = _origin(path, matrix)
     scene.fipt.capture.room = None  # the default, FIPT Room, where the import put it
+    scene.fipt.capture.completed = False
     return names
 
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ from ...core.run.documents import read_json
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder, write_json
 from ...core.run.shapes import MATRICES, SURVEY, SURVEY_ARRAYS
+from ..marks import was_found
 from ..room.arrays import read_room
 from ..room.exporting import export_slices
 from . import overlay
@@ -25,29 +27,37 @@ from .exporting import read_source, view_entries, world_matrix
 from .importing import not_in_room, room_missing
 
 
-class CoverageLevel(NamedTuple):
-    """A colour of the coverage.
+class Level(NamedTuple):
+    """A colour of a scale.
 
     Attributes:
-        least: the least number of views that see a triangle of this colour.
-        label: the number of views as text, of two characters at most: the panel is narrow.
+        least: the least value of a triangle of this colour: number of views that see it, or disagreement.
+        label: the value as text, of two characters at most: the panel is narrow.
         color: display RGB, 0 to 1.
     """
 
-    least: int
+    least: float
     label: str
     color: tuple[float, float, float]
 
 
 # From dark blue to yellow by rising lightness, and magenta: colour-blind people can tell all of them apart.
 COVERAGE = (
-    CoverageLevel(0, "0", (1.0, 0.0, 0.8)),
-    CoverageLevel(1, "1", (0.16, 0.14, 0.42)),
-    CoverageLevel(2, "2", (0.13, 0.42, 0.60)),
-    CoverageLevel(3, "3+", (0.15, 0.70, 0.58)),
-    CoverageLevel(5, "5+", (0.99, 0.91, 0.15)),
+    Level(0, "0", (1.0, 0.0, 0.8)),
+    Level(1, "1", (0.16, 0.14, 0.42)),
+    Level(2, "2", (0.13, 0.42, 0.60)),
+    Level(3, "3+", (0.15, 0.70, 0.58)),
+    Level(5, "5+", (0.99, 0.91, 0.15)),
 )
-_NO_PART = np.array([0.25, 0.25, 0.25])
+# How much photographs disagree on a surface; grey where too few see it.
+DISAGREEMENT = (
+    Level(-1.0, "?", (0.25, 0.25, 0.25)),
+    Level(0.0, "0", COVERAGE[1].color),
+    Level(0.1, ".1", COVERAGE[2].color),
+    Level(0.25, ".25", COVERAGE[3].color),
+    Level(0.5, ".5", COVERAGE[4].color),
+)
+_NO_PART = np.array(DISAGREEMENT[0].color)
 
 
 @dataclass(frozen=True)
@@ -59,12 +69,14 @@ class Survey:
         seen: (V, ceil(T / 8)) u8, one bit per triangle: whether the view sees it.
         areas: (T,) f32 square metres, 0 for triangles hidden from everywhere the cameras stood.
         labels: by source, the part of each triangle (T,) i32, -1 without a part.
+        disagreement: (T,) f32 of the photographs, 0 to 1, NaN where too few see a triangle.
     """
 
     views: list[str]
     seen: np.ndarray
     areas: np.ndarray
     labels: dict[str, np.ndarray]
+    disagreement: np.ndarray
 
     def counts(self, names: set[str]) -> np.ndarray:
         """How many of the named views see each triangle, (T,) u16."""
@@ -78,8 +90,11 @@ class Survey:
 _cached: tuple[str, float, Survey] | None = None  # path and modification time of its file
 
 
-def write_survey_input(run: RunFolder) -> Slices[list[Message]]:
+def write_survey_input(run: RunFolder, search: bool = False) -> Slices[list[Message]]:
     """Write all views and the room of the context's scene to RUN/survey.
+
+    Args:
+        search: write the room without what the engine has added to it, which is to be looked for again.
 
     Returns:
         Warnings about objects in the room's collection that are not meshes.
@@ -89,18 +104,19 @@ def write_survey_input(run: RunFolder) -> Slices[list[Message]]:
     """
     for stale in (run.survey_json, run.survey_npz):  # of a room that may have changed
         stale.unlink(missing_ok=True)
-    warnings = yield from write_views_and_room(run, RunFolder(run.survey))
+    warnings = yield from write_views_and_room(run, RunFolder(run.survey), search)
     parts = bpy.context.scene.fipt.parts
     parts.surveyed_folder = parts.folder if parts.source == "folder" else ""
     return warnings
 
 
-def write_views_and_room(run: RunFolder, target: RunFolder) -> Slices[list[Message]]:
+def write_views_and_room(run: RunFolder, target: RunFolder, search: bool = False) -> Slices[list[Message]]:
     """Write all views, the room of the context's scene, and matrices.json to a folder.
 
     Args:
         run: the run folder.
         target: where to; paths of photographs become absolute.
+        search: see `write_survey_input`.
 
     Returns:
         Warnings about objects in the room's collection that are not meshes.
@@ -110,6 +126,7 @@ def write_views_and_room(run: RunFolder, target: RunFolder) -> Slices[list[Messa
     """
     scene = bpy.context.scene
     objects = scene.fipt.capture.room_objects(scene)
+    objects = [item for item in objects if not (search and was_found(item))]
     if not objects:
         raise room_missing()
     source = read_source(run)
@@ -122,7 +139,8 @@ def write_views_and_room(run: RunFolder, target: RunFolder) -> Slices[list[Messa
     write_json(target.capture_json, {**source, "mesh": mesh, "views": entries})
     warnings = not_in_room(scene.fipt.capture.room_members(scene))
     matrices = {item.name: world_matrix(item).tolist() for item in objects}
-    yield from export_slices(objects, target, scene.fipt.parts.engine_source)
+    completed = scene.fipt.capture.completed and not search
+    yield from export_slices(objects, target, scene.fipt.parts.engine_source, completed)
     write_json(target.root / "matrices.json", matrices)
     return warnings
 
@@ -182,9 +200,20 @@ def show_coverage(scene: bpy.types.Scene) -> None:
     Raises:
         FiptError: ``survey-missing``.
     """
-    run, survey = _survey_of(scene)
+    run, survey = survey_of(scene)
     counts = survey.counts(used_views(scene))
     _show(scene, run, "coverage", coverage_colors(counts))
+
+
+def show_disagreement(scene: bpy.types.Scene) -> None:
+    """Colour the room by how much the photographs disagree on each triangle.
+
+    Raises:
+        FiptError: ``survey-missing``.
+    """
+    run, survey = survey_of(scene)
+    colors = level_colors(DISAGREEMENT, np.nan_to_num(survey.disagreement, nan=-1.0))
+    _show(scene, run, "disagreement", colors)
 
 
 def show_parts(scene: bpy.types.Scene) -> None:
@@ -193,7 +222,7 @@ def show_parts(scene: bpy.types.Scene) -> None:
     Raises:
         FiptError: ``survey-missing``, ``parts-missing``.
     """
-    run, survey = _survey_of(scene)
+    run, survey = survey_of(scene)
     source = resolved_source(scene)
     if source == "none":
         _show(scene, run, "parts", np.tile(_NO_PART, (len(survey.areas), 1)))
@@ -231,9 +260,13 @@ def surveyed_folder_fits(scene: bpy.types.Scene) -> bool:
 
 def coverage_colors(counts: np.ndarray) -> np.ndarray:
     """(T, 3) rgb of `COVERAGE`."""
-    steps = [level.least for level in COVERAGE]
-    colors = np.array([level.color for level in COVERAGE])
-    return colors[np.searchsorted(steps, counts, side="right") - 1]
+    return level_colors(COVERAGE, counts)
+
+
+def level_colors(levels: Sequence[Level], values: np.ndarray) -> np.ndarray:
+    """(T, 3) rgb of values (T,) on a scale, none below its first level."""
+    colors = np.array([level.color for level in levels])
+    return colors[np.searchsorted([level.least for level in levels], values, side="right") - 1]
 
 
 def part_colors(labels: np.ndarray) -> np.ndarray:
@@ -259,13 +292,18 @@ def read_survey(run: RunFolder) -> Survey | None:
             names = [view["name"] for view in read_json(run.survey_json, SURVEY)["views"]]
             if seen.dtype != np.uint8 or seen.shape != (len(names), -(-len(areas) // 8)):
                 raise ValueError(f"{run.survey_npz} does not fit {run.survey_json}")
-            _cached = str(run.survey_npz), time, Survey(names, seen, areas, labels)
+            _cached = str(run.survey_npz), time, Survey(names, seen, areas, labels, arrays["disagreement"])
     except (OSError, ValueError, FiptError):
         return None
     return _cached[2]
 
 
-def _survey_of(scene: bpy.types.Scene) -> tuple[RunFolder, Survey]:
+def survey_of(scene: bpy.types.Scene) -> tuple[RunFolder, Survey]:
+    """A scene's run and its survey.
+
+    Raises:
+        FiptError: ``survey-missing``.
+    """
     run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
     survey = read_survey(run)
     if survey is None:

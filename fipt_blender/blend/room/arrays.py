@@ -30,6 +30,7 @@ class Room:
         triangle_polygon: (T,) i32 index of the polygon in its object's evaluated mesh.
         objects, materials: names.
         object_ids: by which the objects are found when they have other names; empty for none.
+        triangle_exact: (T,) bool, those that are no scan, whatever the others are; None without any.
     """
 
     vertices: np.ndarray
@@ -41,15 +42,23 @@ class Room:
     objects: list[str]
     materials: list[str]
     object_ids: list[str] = field(default_factory=list)
+    triangle_exact: np.ndarray | None = None
+
+    @property
+    def mesh(self) -> dict[str, np.ndarray]:
+        """What the cleaned copy of a scan is made of, for `run_files.mesh_digest`."""
+        exact = {} if self.triangle_exact is None else {"triangle_exact": self.triangle_exact}
+        return {"vertices": self.vertices, "triangles": self.triangles, **exact}
 
 
-def write_room(room: Room, run: RunFolder, parts: str) -> None:
+def write_room(room: Room, run: RunFolder, parts: str, completed: bool = False) -> None:
     """Write room.npz and room.json.
 
     Args:
         room: with at least one triangle.
         run: the run folder.
         parts: source of the part labels, one of `jobs.options.PARTS`.
+        completed: the engine adds nothing to a scan.
 
     Raises:
         FiptError: ``mesh-empty`` for a room without triangles; the run folder's write errors.
@@ -59,9 +68,9 @@ def write_room(room: Room, run: RunFolder, parts: str) -> None:
             "mesh-empty", "The chosen objects have no faces.", "Choose the mesh objects that form the room."
         )
     with atomic_path(run.room_npz) as temporary:
-        np.savez(temporary, **{name: getattr(room, name) for name in ROOM_ARRAYS})
+        np.savez(temporary, **{name: getattr(room, name) for name in ROOM_ARRAYS} | room.mesh)
     names = {"objects": room.objects, "object_ids": room.object_ids, "materials": room.materials}
-    write_json(run.room_json, {**names, "parts": parts})
+    write_json(run.room_json, {**names, "parts": parts, **({"completed": True} if completed else {})})
 
 
 def read_room(run: RunFolder) -> Room:
@@ -76,4 +85,5 @@ def read_room(run: RunFolder) -> Room:
         objects=names["objects"],
         materials=names["materials"],
         object_ids=names.get("object_ids", []),
+        triangle_exact=arrays.get("triangle_exact"),
     )

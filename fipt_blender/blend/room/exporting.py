@@ -14,7 +14,7 @@ import numpy as np
 from ...bridge.step import Slices
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
-from ..marks import OBJECT_ID, object_id
+from ..marks import OBJECT_ID, is_exact, object_id
 from ..slices import find_object, run_through
 from .arrays import ROOM_ARRAYS, Room, write_room
 from .mesh_arrays import (
@@ -46,7 +46,9 @@ def export_room(objects: Iterable[bpy.types.Object], run: RunFolder, parts: str 
     return run_through(export_slices(objects, run, parts))
 
 
-def export_slices(objects: Iterable[bpy.types.Object], run: RunFolder, parts: str = "auto") -> Slices[Room]:
+def export_slices(
+    objects: Iterable[bpy.types.Object], run: RunFolder, parts: str = "auto", completed: bool = False
+) -> Slices[Room]:
     """`export_room` in slices.
 
     Raises:
@@ -54,7 +56,7 @@ def export_slices(objects: Iterable[bpy.types.Object], run: RunFolder, parts: st
     """
     room = yield from collect_slices(objects)
     room.object_ids = give_ids(room.objects)
-    write_room(room, run, parts)
+    write_room(room, run, parts, completed)
     return room
 
 
@@ -93,7 +95,9 @@ def collect_slices(objects: Iterable[bpy.types.Object]) -> Slices[Room]:
         key: np.concatenate([empty.get(key, np.zeros(0, np.int32)), *object_arrays[key]])
         for key in ROOM_ARRAYS
     }
-    return Room(**joined, objects=names, materials=list(material_ids))
+    exact = np.array([is_exact(find_object(name)) for name in names], bool)
+    marked = exact[joined["triangle_object"]] if exact.any() else None
+    return Room(**joined, objects=names, materials=list(material_ids), triangle_exact=marked)
 
 
 def give_ids(names: Iterable[str]) -> list[str]:

@@ -78,17 +78,7 @@ def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> 
     reporter.note(f"{plan.resolution}; {plan.cost}")
     if not settings.force:
         refuse_full_disk(folder.stage, plan.bytes, "choose a lower preset, or fewer light_pixels")
-    prepare_geometry(folder, settings.clean_scan, settings.close_holes_edges)
-    holes = read_scan_holes(folder)
-    begin = partial(reporter.stage, "light", "Averaging the photographs to the resolution of light")
-    views = light_views(folder, photographs, settings.light_pixels, begin, reporter.progress)
-    room = load_room(folder, outlined=False)
-    far_off = check_input(room, views, settings)
-    if folder.geometry_npz.exists():
-        text = "Looking for what the scan lacks"  # takes minutes
-        reporter.stage("scan", text if holes is None else f"{holes.text} {text}")
-    if close_holes(folder, views, settings, room):
-        room = load_room(folder, outlined=False)
+    views, room, far_off, holes = completed_room(folder, settings, photographs, reporter)
     # Outlines depend on the linked masks, not the reverse, so that a resumed run keeps both.
     views = link_masks(folder, room, views)
     if outline_parts(folder, views if settings.outlines else [], room):
@@ -102,6 +92,32 @@ def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> 
     return EstimationInput(
         folder, settings, plan, views, far_off, room, holes, told, told_again, light_again, checkpoints
     )
+
+
+def completed_room(
+    folder: RunFolder, settings: Settings, photographs: Sequence[View], reporter: Reporter
+) -> tuple[list[View], Room, dict[int, float], ScanHoles | None]:
+    """The views at the resolution of light, the room with what its scan lacks, without outlines, views that
+    are far off and the holes; the last two as of `EstimationInput`.
+
+    Args:
+        photographs: training views at full size.
+
+    Raises:
+        FiptError: where the capture or the room can't be read, and those of `check_input`.
+    """
+    prepare_geometry(folder, settings.clean_scan, settings.close_holes_edges)
+    holes = read_scan_holes(folder)
+    begin = partial(reporter.stage, "light", "Averaging the photographs to the resolution of light")
+    views = light_views(folder, photographs, settings.light_pixels, begin, reporter.progress)
+    room = load_room(folder, outlined=False)
+    far_off = check_input(room, views, settings)
+    if folder.geometry_npz.exists():
+        text = "Looking for what the scan lacks"  # takes minutes
+        reporter.stage("scan", text if holes is None else f"{holes.text} {text}")
+    if close_holes(folder, views, settings, room):
+        room = load_room(folder, outlined=False)
+    return views, room, far_off, holes
 
 
 def training_views(folder: RunFolder, settings: Settings) -> list[View]:

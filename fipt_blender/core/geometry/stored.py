@@ -3,10 +3,14 @@
 """geometry.npz: the cleaned copy of a run's scan, beside the mesh of which it was made, and closing.npz: what
 closes its small holes.
 
-A run whose mesh is no scan has no such files.
+A run whose mesh is no scan has no such files. Surfaces that the artist has drawn are no scan: they do not
+count for whether the mesh is one, and stay as they are.
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +23,7 @@ from ..run.run_files import (
     read_scan_holes,
 )
 from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
-from .adjacency import face_vectors, make_mesh
+from .adjacency import NONE, face_vectors, make_mesh, without_unused
 from .clean import CleanMesh, clean_mesh, noise_level
 from .closing import close_small_holes
 
@@ -31,12 +35,13 @@ def prepare_geometry(run: RunFolder, clean: bool = True, most_edges: int = 0) ->
 
     Args:
         clean: false treats every mesh as exact.
-        most_edges: of holes that are closed, none with 0.
+        most_edges: of holes that are closed, none with 0, nor in a room that the artist has completed.
 
     Raises:
         FiptError: ``file-missing``, ``file-damaged``, ``disk-full`` or ``run-unwritable``.
     """
-    arrays, _ = read_room_files(run, "mesh-damaged")
+    arrays, names = read_room_files(run, "mesh-damaged")
+    most_edges = 0 if completed(names) else most_edges
     holes = read_scan_holes(run)
     if clean and (holes.most_edges if holes else 0) == most_edges and read_geometry(run, arrays) is not None:
         return
@@ -45,16 +50,42 @@ def prepare_geometry(run: RunFolder, clean: bool = True, most_edges: int = 0) ->
             run.closing_npz.unlink(missing_ok=True)
             run.panes_npz.unlink(missing_ok=True)  # made for the mesh with the closing
             arrays, names = read_room_files(run, "mesh-damaged")
-        usable = clean and len(arrays["triangles"]) and np.isfinite(arrays["vertices"]).all()
+        usable = clean and len(scanned(arrays)) and np.isfinite(arrays["vertices"]).all()
         if usable and most_edges:
             closed_before = CLOSING in (names.get("object_ids") or names["objects"])
             usable = _store_closing(run, arrays, most_edges, closed_before)
             arrays, _ = read_room_files(run, "mesh-damaged")
-        cleaned = clean_mesh(arrays["vertices"], arrays["triangles"]) if usable else None
+        cleaned = _cleaned(arrays) if usable else None
         if cleaned is None:
             run.geometry_npz.unlink(missing_ok=True)
             return
         store_geometry(run, arrays, cleaned)
+
+
+def scanned(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    """(n,) int64 triangles of room.npz that are not exact."""
+    exact = arrays.get("triangle_exact")
+    return np.arange(len(arrays["triangles"])) if exact is None else np.flatnonzero(~exact)
+
+
+def completed(names: Mapping[str, Any]) -> bool:
+    """Whether room.json says that the artist has decided what is added to the scan."""
+    return bool(names.get("completed"))
+
+
+def _cleaned(arrays: Mapping[str, np.ndarray]) -> CleanMesh | None:
+    """The cleaned copy of the scan, with exact surfaces as they are; None for a mesh that is no scan."""
+    rows = scanned(arrays)
+    if len(rows) == len(arrays["triangles"]):
+        return clean_mesh(arrays["vertices"], arrays["triangles"])
+    used, triangles = without_unused(arrays["triangles"][rows])
+    cleaned = clean_mesh(arrays["vertices"][used], triangles)
+    if cleaned is None:
+        return None
+    vertices, normals = (arrays[name].astype(np.float32) for name in ("vertices", "corner_normals"))
+    plane = np.full(len(normals), NONE, np.int32)
+    vertices[used], normals[rows], plane[rows] = cleaned.vertices, cleaned.corner_normals, cleaned.plane
+    return CleanMesh(vertices, normals, plane, cleaned.noise)
 
 
 def _store_closing(run: RunFolder, arrays: dict[str, np.ndarray], most_edges: int, counted: bool) -> bool:
@@ -64,7 +95,8 @@ def _store_closing(run: RunFolder, arrays: dict[str, np.ndarray], most_edges: in
         arrays: the room's vertices and triangles.
         counted: holes are counted, not closed.
     """
-    mesh, _ = make_mesh(arrays["vertices"], arrays["triangles"])
+    rows = scanned(arrays)
+    mesh, _ = make_mesh(arrays["vertices"], arrays["triangles"][rows])
     normals, areas = face_vectors(mesh.vertices, mesh.triangles)
     if noise_level(mesh, normals, areas)[0] <= 0.0:
         return False
@@ -76,7 +108,7 @@ def _store_closing(run: RunFolder, arrays: dict[str, np.ndarray], most_edges: in
             vertices=found.vertices.astype(np.float32),
             triangles=found.triangles,
             corner_normals=np.repeat(facing[:, None], 3, axis=1).astype(np.float32),
-            beside=found.beside,
+            beside=rows[found.beside],
             most_edges=np.int32(most_edges),
             count=np.array([found.closed, found.left], np.int32),
             area=np.array([found.closed_area, found.open_area], np.float32),

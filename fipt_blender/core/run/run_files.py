@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from .arrays import read_arrays
+from .arrays import check_layouts, read_arrays
 from .documents import read_json
 from .errors import FiptError
 from .runfolder import RunFolder
@@ -25,6 +25,7 @@ from .shapes import (
     CAPTURE,
     CLOSING_ARRAYS,
     EMITTERS,
+    EXACT_ARRAYS,
     GEOMETRY_ARRAYS,
     LEFT_ALONE_ARRAYS,
     OUTLINES_ARRAYS,
@@ -58,7 +59,9 @@ def read_room_files(
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """The arrays of room.npz, and room.json; indices are within their ranges.
 
-    What the engine has added to a scan, `CLOSING` and `PANES`, are more objects, the last ones.
+    What the engine has added to a scan, `CLOSING` and `PANES`, are more objects, the last ones; a room that
+    the artist has completed gets none. Surfaces that are no scan are those of `triangle_exact`, (T,) bool, if
+    there are any.
 
     Args:
         run: the run folder.
@@ -70,7 +73,7 @@ def read_room_files(
     names = read_json(run.room_json, ROOM, _EXPORT_AGAIN)
     if len(names.get("object_ids") or names["objects"]) != len(names["objects"]):
         raise FiptError("file-damaged", f"{run.room_json} has not one id per object.", _EXPORT_AGAIN)
-    arrays = read_arrays(run.room_npz, ROOM_ARRAYS, code, _EXPORT_AGAIN)
+    arrays = _read_mesh(run, code)
     ranges = (
         ("triangles", 0, len(arrays["vertices"]), "vertices"),
         ("triangle_object", 0, len(names["objects"]), "objects"),
@@ -81,6 +84,8 @@ def read_room_files(
         if not _within(arrays[name], low, end):
             text = f"The room's mesh in {run.room_npz} refers to missing {what}."
             raise FiptError(code, text, _EXPORT_AGAIN)
+    if names.get("completed"):
+        return arrays, names
     for name, path, layout in (
         (CLOSING, run.closing_npz, CLOSING_ARRAYS),
         (PANES, run.panes_npz, PANES_ARRAYS),
@@ -89,6 +94,21 @@ def read_room_files(
         if added is not None and len(added["triangles"]):
             arrays, names = _with_object(arrays, names, name, added)
     return arrays, names
+
+
+def _read_mesh(run: RunFolder, code: str) -> dict[str, np.ndarray]:
+    """The arrays of room.npz.
+
+    Raises:
+        FiptError: ``file-missing`` or `code`.
+    """
+    arrays = read_arrays(run.room_npz, ROOM_ARRAYS, code, _EXPORT_AGAIN)
+    if "triangle_exact" in arrays:
+        try:
+            check_layouts(arrays, EXACT_ARRAYS)
+        except ValueError as error:
+            raise FiptError(code, f"{run.room_npz} can't be read ({error}).", _EXPORT_AGAIN) from None
+    return arrays
 
 
 def _with_object(
@@ -104,6 +124,7 @@ def _with_object(
         "triangle_object": np.full(count, len(names["objects"])),
         "triangle_material": np.full(count, -1) if beside is None else arrays["triangle_material"][beside],
         "triangle_polygon": np.arange(count),
+        **({"triangle_exact": np.zeros(count)} if "triangle_exact" in arrays else {}),
     }
     joined = {
         key: np.concatenate([arrays[key], values.astype(arrays[key].dtype)]) for key, values in added.items()
@@ -155,7 +176,7 @@ class ScanHoles:
 
 def read_scan_holes(run: RunFolder) -> ScanHoles | None:
     """What closing.npz says of a scan's holes; None where there is none for the run's mesh."""
-    arrays = read_arrays(run.room_npz, ROOM_ARRAYS, "mesh-damaged", _EXPORT_AGAIN)
+    arrays = _read_mesh(run, "mesh-damaged")
     found = _read_added(run.closing_npz, CLOSING_ARRAYS, arrays)
     if found is None:
         return None
@@ -307,8 +328,9 @@ def array_digest(*arrays: np.ndarray) -> np.ndarray:
 
 
 def mesh_digest(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-    """(32,) uint8 digest of a mesh's vertices and triangles."""
-    return array_digest(arrays["vertices"].astype(np.float32), arrays["triangles"].astype(np.int32))
+    """(32,) uint8 digest of a mesh's vertices and triangles, and of which are exact."""
+    exact = [arrays["triangle_exact"]] if "triangle_exact" in arrays else []
+    return array_digest(arrays["vertices"].astype(np.float32), arrays["triangles"].astype(np.int32), *exact)
 
 
 def _within(values: np.ndarray, low: int, end: int) -> bool:

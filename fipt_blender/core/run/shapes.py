@@ -48,7 +48,10 @@ CAPTURE = Fields(
         "views": Items(_VIEW),
     }
 )
-ROOM = Fields({"objects": Items(str), "materials": Items(str)}, {"object_ids": Items(str), "parts": str})
+ROOM = Fields(
+    {"objects": Items(str), "materials": Items(str)},
+    {"object_ids": Items(str), "parts": str, "completed": bool},
+)
 MASKS = Fields({"keys": Entries(str)})
 MATRICES = Entries(Numbers(4, 4))
 
@@ -237,6 +240,7 @@ SURVEY = Fields(
             )
         ),
         "parts": Fields({"auto": str, "counts": Entries(Number(low=0, whole=True))}),
+        "missing": Items(Fields({"low": Numbers(3), "high": Numbers(3)})),
     }
 )
 
@@ -261,6 +265,8 @@ ROOM_ARRAYS: dict[str, Layout] = {
     "triangle_material": ("i", ("T",)),
     "triangle_polygon": ("i", ("T",)),
 }
+# In room.npz where the artist has drawn surfaces of a scan.
+EXACT_ARRAYS: dict[str, Layout] = {**ROOM_ARRAYS, "triangle_exact": ("b", ("T",))}
 GEOMETRY_ARRAYS: dict[str, Layout] = {
     "vertices": ("f", ("V", 3)),
     "corner_normals": ("f", ("T", 3, 3)),
@@ -296,7 +302,11 @@ CORNER_FIELDS_ARRAYS: dict[str, Layout] = {
     "metallic": ("f", ("T", 3)),
     "confidence": ("f", ("T", 3, 3)),
 }
-SURVEY_ARRAYS: dict[str, Layout] = {"seen": ("i", ("V", "B")), "areas": ("f", ("T",))}
+SURVEY_ARRAYS: dict[str, Layout] = {
+    "seen": ("i", ("V", "B")),
+    "areas": ("f", ("T",)),
+    "disagreement": ("f", ("T",)),
+}
 FIELDS_ARRAYS: dict[str, Layout] = {
     "hash_levels": ("i", ()),
     "box_low": ("f", (3,)),

@@ -73,16 +73,25 @@ class Scan:
         return float(np.median(self.adjacency.length))
 
 
-def find_scan(vertices: np.ndarray, triangles: np.ndarray, cleaned: bool) -> Scan | None:
+def find_scan(
+    vertices: np.ndarray, triangles: np.ndarray, cleaned: bool, exact: np.ndarray | None = None
+) -> Scan | None:
     """The surface of a mesh that is a scan, None for a modelled mesh.
 
     Args:
         vertices: (V, 3) metres. triangles: (T, 3) int.
         cleaned: the mesh is a scan that is no longer rough.
+        exact: (T,) bool, triangles that do not count for whether it is a scan; None: all do.
     """
     mesh, _ = make_mesh(vertices, triangles)
     normals, areas = face_vectors(mesh.vertices, mesh.triangles)
-    if not cleaned and noise_level(mesh, normals, areas)[0] <= 0.0:
+    if not cleaned and not _is_rough(mesh, normals, areas, exact):
         return None
     centers = mesh.vertices[mesh.triangles].mean(axis=1)
     return Scan(find_adjacency(mesh), centers, normals * areas[:, None])
+
+
+def _is_rough(mesh: Mesh, normals: np.ndarray, areas: np.ndarray, exact: np.ndarray | None) -> bool:
+    if exact is not None:
+        mesh, normals, areas = Mesh(mesh.vertices, mesh.triangles[~exact]), normals[~exact], areas[~exact]
+    return noise_level(mesh, normals, areas)[0] > 0.0

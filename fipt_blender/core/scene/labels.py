@@ -146,13 +146,19 @@ def _fused_labels(
 
 
 def room_pieces(room: Room) -> np.ndarray:
-    """(T,) int32 connected piece of each triangle of a room, of a scan its segments.
+    """(T,) int32 connected piece of each triangle of a room, of a scan its segments beside what is exact.
 
     Takes seconds for millions of triangles.
     """
-    if (scan := room.scan) is not None:
-        return scan_segments(scan.adjacency, scan.cross, room.plane).astype(np.int32)
-    return loose_pieces(weld(room.vertices)[room.triangles], room.triangle_object)
+    scan, exact = room.scan, room.exact
+    if scan is not None:
+        segments = scan_segments(scan.adjacency, scan.cross, room.plane).astype(np.int32)
+        if exact is None:
+            return segments
+    loose = loose_pieces(weld(room.vertices)[room.triangles], room.triangle_object)
+    if scan is None or exact is None:
+        return loose
+    return numbered([np.where(exact, loose, segments), exact]).astype(np.int32)
 
 
 def loose_pieces(triangles: np.ndarray, objects: np.ndarray) -> np.ndarray:

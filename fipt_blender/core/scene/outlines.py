@@ -105,6 +105,8 @@ def outlined_vertices(room: Room, views: Sequence[View], parts: Parts) -> np.nda
         if not len(misses.vertex):
             break
         moves = _solved(mesh, misses, moves, stiffness, edge)
+    if room.exact is not None:
+        moves[mesh.triangles[room.exact]] = 0.0
     return (mesh.vertices + without_folds(mesh, moves))[welded].astype(np.float32)
 
 

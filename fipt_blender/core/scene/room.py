@@ -75,6 +75,7 @@ class Room:
         parts: source of part ids: auto, masks, semantics, materials, objects, loose or none.
         noise: standard deviation of a scan's distance from its smooth fit, metres; 0 for an exact mesh.
         plane: (T,) int32 plane of each triangle of a scan, -1 without one; None for an exact mesh.
+        exact: (T,) bool, triangles beside a scan that are none: the artist has drawn them; None without any.
     """
 
     vertices: np.ndarray
@@ -87,6 +88,7 @@ class Room:
     parts: str = "masks"
     noise: float = 0.0
     plane: np.ndarray | None = None
+    exact: np.ndarray | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """Without the cached Mitsuba objects, which belong to one process."""
@@ -128,7 +130,7 @@ class Room:
     @cached_property
     def scan(self) -> Scan | None:
         """The surface of a scanned mesh, None for a modelled one; takes seconds for a million triangles."""
-        return find_scan(self.vertices, self.triangles, cleaned=self.noise > 0.0)
+        return find_scan(self.vertices, self.triangles, self.noise > 0.0, self.exact)
 
     @cached_property
     def scene(self) -> mi.Scene:
@@ -219,6 +221,7 @@ def load_room(run: RunFolder, outlined: bool = True) -> Room:
         objects=tuple(names["objects"]),
         materials=tuple(names["materials"]),
         parts=names.get("parts", "masks"),
+        exact=arrays.get("triangle_exact"),
     )
     check_room(room)
     return room

@@ -9,10 +9,11 @@ of what lies behind, and they disagree there.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import label as connected
 
 from ..capture.views import View
 from ..light.cache import side_index
@@ -31,6 +32,14 @@ DISAGREE = 0.35
 FLOOR = 0.05
 # Pixels that are compared; those of larger captures are joined.
 MOST_PIXELS = 4_000_000
+# Edge of a mesh, metres, beyond which it tells nothing of cells: modelled rooms have few triangles.
+MOST_EDGE = 0.05
+# Edge of the cells whose mean is shown to the artist, in cells by which pixels are compared.
+SHOWN_CELLS = 2
+# A point of a lost thing takes at least this much disagreement away, mean over the views.
+LEAST_GAIN = 0.1
+# Spacing of the points in the air, in pixels on the scan, and most of them.
+COARSE, MOST_POINTS = 3, 1_000_000
 # Rounds in which the views' exposures are found.
 _ROUNDS = 3
 _CHUNK = 20_000
@@ -103,6 +112,28 @@ class ComparedPixels:
             gain[rows], count[rows] = self._gains(points[rows])
         return gain.reshape(tuple(shape)), count.reshape(tuple(shape))
 
+    def boxes(self, bounds: Box, most_points: int = MOST_POINTS) -> Iterator[tuple[Box, float, float]]:
+        """Boxes in which the photographs show more than the room has, the one that shows most first.
+
+        With the spacing of the points, and the share of all disagreement that it explains.
+
+        Args:
+            bounds: of the room. most_points: that are looked at.
+        """
+        low, high = bounds
+        step = max(COARSE * self.size, float((np.prod(high - low) / most_points) ** (1.0 / 3.0)))
+        shape = np.maximum(np.ceil((high - low) / step).astype(int), 1)
+        gain, views = self.swept(low, step, shape)
+        shows = (gain > LEAST_GAIN) & (gain * views > LEAST_VIEWS)
+        pieces, count = connected(shows, np.ones((3, 3, 3)))
+        # About so many pixels of a view look at one cell.
+        seen = gain * views * (step / self.size) ** 2
+        total = np.bincount(pieces.reshape(-1), seen.reshape(-1), count + 1)[1:]
+        for piece in np.argsort(-total):
+            cells = np.argwhere(pieces == piece + 1)
+            box = low + cells.min(axis=0) * step, low + (cells.max(axis=0) + 1) * step
+            yield box, step, float(total[piece] / max(self.disagreement, 1e-30))
+
     def _gains(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As :meth:`swept`, of points (P, 3); 0 where fewer than `LEAST_VIEWS` views see one."""
         color = np.full((len(self.views), len(points), 3), np.nan, np.float32)
@@ -143,6 +174,46 @@ def compared_pixels(room: Room, views: Sequence[View], edge: float) -> ComparedP
     first = np.concatenate([[0], np.cumsum(sizes)])
     arrays = (color.astype(np.float32), distance.astype(np.float32), cell, doubt)
     return ComparedPixels(size, list(smaller), first, number, direction, *arrays)
+
+
+def survey_pixels(room: Room, views: Sequence[View]) -> ComparedPixels | None:
+    """The pixels of a survey, None where too few views can be compared; Mitsuba's variant must be set.
+
+    Args:
+        views: training views.
+    """
+    if len(views) < LEAST_VIEWS:
+        return None
+    corners = room.vertices[room.triangles]
+    edge = float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)))
+    return compared_pixels(room, views, min(edge, MOST_EDGE))
+
+
+def surface_disagreement(room: Room, pixels: ComparedPixels) -> np.ndarray:
+    """(T,) float32, 0 where photographs of a triangle agree, 1 where they disagree; NaN where too few see it.
+
+    A triangle that is smaller than a cell has the mean of the cell at its middle.
+    """
+    count, corners = len(room.triangles), room.vertices[room.triangles]
+    known = np.flatnonzero(np.isfinite(pixels.doubt))
+    if not len(known):
+        return np.full(count, np.nan, np.float32)
+    view, direction, doubt = pixels.view[known], pixels.direction[known], pixels.doubt[known]
+    triangle, distance = hits_of(room, pixels.views, view, direction)
+    points = pixels.places[view] + direction * distance[:, None]
+    size = SHOWN_CELLS * CELL_PIXELS * pixels.size
+    places = np.concatenate([points, corners.mean(axis=1)])
+    cell = numbered([*np.floor(places / size).astype(np.int64).T])
+    of_cell = _mean_of(cell[: len(known)], doubt, int(cell.max(initial=-1)) + 1)[cell[len(known) :]]
+    own = _mean_of(triangle, doubt, count)
+    use_own = np.isnan(of_cell) | ((room.areas > size**2) & np.isfinite(own))
+    return np.where(use_own, own, of_cell).astype(np.float32)
+
+
+def _mean_of(group: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
+    """(count,) mean of the values (n,) of each group, NaN without any."""
+    total, number = np.bincount(group, value, count), np.bincount(group, minlength=count)
+    return np.where(number > 0, total / np.maximum(number, 1), np.nan)
 
 
 def on_lattice(view: View, step: int) -> tuple[View, np.ndarray, np.ndarray]:

@@ -10,26 +10,21 @@ upright prism is fitted, as to the masks of a part (:mod:`.lost_parts`).
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from scipy.ndimage import binary_erosion, binary_fill_holes, binary_opening
-from scipy.ndimage import label as connected
 
 from ..capture.views import View
 from ..geometry.adjacency import NONE
 from ..geometry.prism import prism
 from ..robust import LEAST_VIEWS
 from ..scene.room import Room
-from .agreement import Box, ComparedPixels, cells_of, compared_pixels, doubts, hits_of
+from .agreement import LEAST_GAIN, Box, ComparedPixels, cells_of, compared_pixels, doubts, hits_of
 from .lost_parts import Surface, largest_piece, unlikely
 
-# A point of a lost thing takes at least this much disagreement away, mean over the views.
-LEAST_GAIN = 0.1
-# Spacing of the first sweep, in cells of the second, and most points of it.
-COARSE, MOST_POINTS = 3, 1_000_000
 # Share of all disagreement that a thing must take away: smaller things matter less than a wrong prism.
 LEAST_SHARE = 0.01
 # Share of the cells inside a prism in which the scan has a surface: scanners look into shades, not tables.
@@ -56,30 +51,14 @@ def lost_surfaces(room: Room, views: Sequence[View], edge: float) -> list[Surfac
     pixels = compared_pixels(room, views, edge)
     middles = room.vertices.astype(np.float64)[room.triangles].mean(axis=1)
     found: list[Surface] = []
-    for box in _boxes(pixels, room.bounds):
-        fitted = _fitted(pixels, box, middles)
+    for (low, high), step, share in pixels.boxes(room.bounds):
+        if share < LEAST_SHARE:
+            break
+        fitted = _fitted(pixels, (low - step, high + step), middles)
         if fitted is not None:
             thing, pixels = fitted
             found.append((*thing.mesh, np.full(len(thing.mesh[1]), NONE)))
     return found
-
-
-def _boxes(pixels: ComparedPixels, bounds: Box) -> Iterator[Box]:
-    """Boxes in which the photographs show more than the scan has, the one that shows most first."""
-    low, high = bounds
-    step = max(COARSE * pixels.size, float((np.prod(high - low) / MOST_POINTS) ** (1.0 / 3.0)))
-    shape = np.maximum(np.ceil((high - low) / step).astype(int), 1)
-    gain, views = pixels.swept(low, step, shape)
-    shows = (gain > LEAST_GAIN) & (gain * views > LEAST_VIEWS)
-    pieces, count = connected(shows, np.ones((3, 3, 3)))
-    # About so many pixels of a view look at one cell.
-    seen = gain * views * (step / pixels.size) ** 2
-    total = np.bincount(pieces.reshape(-1), seen.reshape(-1), count + 1)[1:]
-    for piece in np.argsort(-total):
-        if total[piece] < LEAST_SHARE * pixels.disagreement:
-            break
-        cells = np.argwhere(pieces == piece + 1)
-        yield low + (cells.min(axis=0) - 1) * step, low + (cells.max(axis=0) + 2) * step
 
 
 @dataclass(frozen=True)

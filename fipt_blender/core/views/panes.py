@@ -20,7 +20,7 @@ from ..capture.views import View
 from ..geometry.adjacency import NONE, make_mesh
 from ..geometry.clean import CleanMesh
 from ..geometry.holes import FlatHole, flat_holes, median_edge
-from ..geometry.stored import prepare_geometry, store_geometry, stored_geometry
+from ..geometry.stored import completed, prepare_geometry, scanned, store_geometry, stored_geometry
 from ..optics.lights import LUMINANCE
 from ..run.arrays import read_arrays
 from ..run.errors import FiptError
@@ -56,8 +56,8 @@ def close_holes(
 ) -> bool:
     """Write panes.npz, and extend geometry.npz, where photographs show surfaces that a scan lacks.
 
-    Nothing changes where the mesh is no scan, where the room has panes already, or where these masks were
-    searched before. Mitsuba's variant must be set.
+    Nothing changes where the mesh is no scan, where it has panes already or the artist has completed it, or
+    where these masks were searched before. Mitsuba's variant must be set.
 
     Args:
         views: training views.
@@ -81,14 +81,14 @@ def close_holes(
         prepare_geometry(run, settings.clean_scan, settings.close_holes_edges)
         room, changed = None, True  # it may have had them
     arrays, names = read_room_files(run, "mesh-damaged")
-    if PANES in (names.get("object_ids") or names["objects"]):
+    if completed(names) or PANES in (names.get("object_ids") or names["objects"]):
         return changed
     cleaned = stored_geometry(run, arrays)
     use_masks = names.get("parts", "masks") in ("auto", "masks")
     masks = masks_digest(views, (view.part_ids() for view in views if use_masks))
     if cleaned is None or has_searched_panes(run, arrays, masks):
         return changed
-    mesh, _ = make_mesh(cleaned.vertices, arrays["triangles"])
+    mesh, _ = make_mesh(cleaned.vertices, arrays["triangles"][scanned(arrays)])
     edge = median_edge(mesh)
     holes = flat_holes(mesh, edge) if settings.panes else []
     room = room or load_room(run, outlined=False)
@@ -164,6 +164,7 @@ def _with(room: Room, surface: Surface) -> Room:
         triangle_object=np.append(room.triangle_object, np.full(count, len(room.objects), np.int32)),
         triangle_material=np.append(room.triangle_material, np.full(count, -1, np.int32)),
         plane=None if room.plane is None else np.append(room.plane, np.full(count, NONE, np.int32)),
+        exact=None if room.exact is None else np.append(room.exact, np.zeros(count, bool)),
     )
 
 

@@ -1,18 +1,21 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Engine command `survey`: what each view sees of the room, problems of its photograph, and the available
-parts. A quick check for the artist before an estimation, which does not read it.
+"""Engine command `survey`: what each view sees of the room, problems of its photograph, the available parts,
+and where photographs disagree. A quick check for the artist before an estimation, which does not read it.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..capture.averaging import means
 from ..capture.checks import pixel_sample, pixel_statistics
 from ..capture.encoded import srgb_encoded
 from ..capture.images import read_radiance, threads_for, write_exr
@@ -28,10 +31,13 @@ from ..run.runfolder import RunFolder, atomic_path, write_json
 from ..run.threads import in_threads
 
 if TYPE_CHECKING:
-    from .room import Room
+    from ..scene.room import Room
 
 LITTLE_SEEN = 0.5  # share of a photograph's pixels that see the room
 MUCH_CLIPPED = 0.002  # share of a photograph's pixels
+# Boxes in the air in which photographs show something: points that are looked at, the least share of all
+# disagreement that one explains, and most boxes.
+AIR_POINTS, LEAST_MISSING, MOST_MISSING = 200_000, 0.002, 8
 MUCH_OFF = 2.0  # pixels between the edges of mesh and photograph; chance gives up to 1.5 in a poor view
 
 
@@ -51,10 +57,11 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     reporter.stage("device", "Starting the engine")
     set_variant(arguments.device)
     # Mitsuba's types exist only after the variant is set.
-    from .coverage import fuse_inputs, view_coverage
-    from .labels import automatic_source, label_parts, usable_sources
-    from .linked_masks import link_masks
-    from .room import load_room
+    from ..scene.coverage import fuse_inputs, view_coverage
+    from ..scene.labels import automatic_source, label_parts, usable_sources
+    from ..scene.linked_masks import link_masks
+    from ..scene.room import load_room
+    from .agreement import surface_disagreement, survey_pixels
 
     folder = RunFolder(arguments.folder)
     capture, room = load_capture(folder), load_room(folder)
@@ -64,7 +71,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     in_sight = np.zeros(len(room.triangles), bool)
     # The next photographs are decoded while the mesh is compared with one.
     most = threads_for(view.width * view.height for view in capture.views)
-    photographs = in_threads(examined, capture.views, most)
+    photographs = in_threads(partial(examined, folder=folder), capture.views, most)
     for index, (view, photograph) in enumerate(zip(capture.views, photographs, strict=True)):
         coverage = view_coverage(room, view, known=in_sight)
         seen[index] = coverage.seen
@@ -74,7 +81,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         reporter.progress((index + 1) / len(capture.views))
 
     reporter.stage("parts", "Finding the parts")
-    train = [_with_coarse_ids(folder, view) for view in capture.train if view.image.is_file()]
+    train = [_coarse(folder, view) for view in capture.train if view.image.is_file()]
     train = link_masks(folder, replace(room, parts="masks"), train)  # all sources are counted
     labels = {}
     usable = usable_sources(room, train)
@@ -82,7 +89,17 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     for index, source in enumerate(sources):
         images, triangles = fuse_inputs(room, train, source)
         labels[source] = label_parts(room, source, images, triangles).triangle_part
-        reporter.progress((index + 1) / len(sources))
+        reporter.progress((index + 1) / (len(sources) + 1))
+    pixels = survey_pixels(room, [view for view in train if view.image.is_file()])
+    disagreement = np.full(len(room.triangles), np.nan, np.float32)
+    missing: list[dict[str, Any]] = []
+    if pixels is not None:
+        disagreement = surface_disagreement(room, pixels)
+        boxes = pixels.boxes(room.bounds, AIR_POINTS)
+        shown = itertools.takewhile(
+            lambda found: found[2] >= LEAST_MISSING, itertools.islice(boxes, MOST_MISSING)
+        )
+        missing = [{"low": low.tolist(), "high": high.tolist()} for (low, high), _, _ in shown]
 
     with atomic_path(folder.root / "survey.npz") as temporary:
         np.savez_compressed(
@@ -90,6 +107,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
             seen=np.packbits(seen, axis=1),
             # Surfaces hidden from all camera positions, such as the outer sides of walls, are not gaps.
             areas=np.where(in_sight, room.areas, 0.0).astype(np.float32),
+            disagreement=disagreement,
             **{f"parts_{source}": part for source, part in labels.items()},
         )
     write_json(
@@ -97,6 +115,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         {
             **head("survey"),
             "views": entries,
+            "missing": missing,
             "parts": {
                 "auto": automatic_source(room, usable),
                 "counts": {source: len(np.unique(part[part >= 0])) for source, part in labels.items()},
@@ -106,13 +125,15 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     reporter.done([str(folder.root / name) for name in ("survey.json", "survey.npz")])
 
 
-def _with_coarse_ids(folder: RunFolder, view: View) -> View:
-    """The view on the coarse grid of its coverage, with id images of that size: those are read several times.
+def _coarse(folder: RunFolder, view: View) -> View:
+    """The view on the coarse grid of its coverage, with images of that size: those are read several times.
+
+    That of the photograph is there if `examined` could use it.
 
     Raises:
         FiptError: those of reading the id images, ``disk-full`` or ``run-unwritable``.
     """
-    from .coverage import coarse_view, resampled
+    from ..scene.coverage import coarse_view, resampled
 
     coarse = coarse_view(view)
 
@@ -123,11 +144,18 @@ def _with_coarse_ids(folder: RunFolder, view: View) -> View:
         write_exr(path, resampled(ids, (coarse.height, coarse.width)))
         return path
 
+    masked = view.masked()
     return replace(
         coarse,
+        image=_coarse_image(folder, view),
         parts=written(PARTS_FOLDER, view.part_ids()),
         semantics=written(SEMANTICS_FOLDER, view.semantic_ids()),
+        mask=written("mask", None if masked is None else ~masked),
     )
+
+
+def _coarse_image(folder: RunFolder, view: View) -> Path:
+    return folder.root / "coarse" / "image" / f"{view.name}.exr"
 
 
 def photograph_facts(view: View, room: Room) -> dict[str, Any]:
@@ -144,7 +172,7 @@ def with_misfit(
     Args:
         photograph: by `examined`.
     """
-    from .misfit import image_misfit
+    from ..scene.misfit import image_misfit
 
     facts, image = photograph
     found = image_misfit(room, view, image)
@@ -154,13 +182,19 @@ def with_misfit(
     return facts | {"misfit": round(fit.misfit * factor, 2), "much_off": fit.misfit > MUCH_OFF}
 
 
-def examined(view: View) -> tuple[dict[str, Any], np.ndarray | None]:
+def examined(view: View, folder: RunFolder | None = None) -> tuple[dict[str, Any], np.ndarray | None]:
     """Whether the photograph is missing or unusable, its over-exposed share, whether it is no HDR file or
     an HDR file that looks 8-bit; and the image that is compared with the mesh, None without any.
+
+    Args:
+        folder: gets the photograph on the coarse grid, if it can be used.
     """
-    from .misfit import edge_image
+    from ..scene.coverage import coarse_view
+    from ..scene.misfit import edge_image
 
     facts: dict[str, Any] = {"image_missing": False, "image_problem": "", "clipped_share": 0.0}
+    if folder is not None:
+        _coarse_image(folder, view).unlink(missing_ok=True)  # of an earlier survey
     facts |= {"looks_ldr": False, "encoded": False, "misfit": None, "much_off": False}
     try:
         pixels = read_radiance(view.image)
@@ -171,6 +205,9 @@ def examined(view: View) -> tuple[dict[str, Any], np.ndarray | None]:
     except FiptError as error:
         missing = error.code == "image-missing"
         return facts | {"image_missing": missing, "image_problem": "" if missing else error.text}, None
+    if folder is not None:
+        coarse = coarse_view(view)
+        write_exr(_coarse_image(folder, view), means(pixels, coarse.width, coarse.height))
     clipped, looks_ldr = statistics.clipped, statistics.looks_ldr
     if view.encoded:
         codes = srgb_encoded(pixel_sample(pixels)) * 255.0

@@ -1,0 +1,157 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Surfaces that a scan lacks, as objects of the room before an estimation: found by the engine, which the
+artist may keep, edit or delete, or simple solids that the artist draws.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bmesh
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+
+from ...core.run.documents import read_json
+from ...core.run.errors import FiptError
+from ...core.run.runfolder import RunFolder
+from ...core.run.shapes import MATRICES, SURVEY
+from ..marks import ADDED, DRAWN, all_view_cameras, was_found
+from ..outliner import remove_object
+from ..room.arrays import read_room
+from ..room.mesh_arrays import world_bounds
+from ..room.panes import add_apart, link_beside
+
+# Extent of what is drawn where nothing is known, as a share of the room's diagonal.
+USUAL_SHARE = 0.08
+SEGMENTS = 32  # of a cylinder
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a missing thing may stand.
+
+    Attributes:
+        base: (3,) middle of its lower side, world.
+        size: (3,) its extents, metres.
+        facing: (3,) unit vector along its least extent, to the cameras.
+    """
+
+    base: np.ndarray
+    size: np.ndarray
+    facing: np.ndarray
+
+
+def added_surfaces(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The surfaces that were added to the scene's room."""
+    return [item for item in scene.fipt.capture.room_objects(scene) if ADDED in item]
+
+
+def take_found(scene: bpy.types.Scene, run: RunFolder) -> list[str]:
+    """Make objects of what the engine has added to the room in RUN/survey, instead of those found before.
+
+    From then on the scene's room counts as complete.
+
+    Returns:
+        Names of the new objects.
+
+    Raises:
+        FiptError: ``file-missing`` or ``file-damaged``.
+    """
+    survey = RunFolder(run.survey)
+    room = read_room(survey)
+    exported = read_json(survey.root / "matrices.json", MATRICES, "Look for missing surfaces again.")
+    settings = scene.fipt.capture
+    for item in settings.room_objects(scene):
+        if was_found(item):
+            remove_object(item)
+    beside = settings.room_objects(scene)[0]
+    added = [index for index, name in enumerate(room.objects) if name not in exported]
+    objects = [item for index in added for item in add_apart(room, index, beside)]
+    settings.completed = True
+    return [item.name for item in objects]
+
+
+def draw_surface(scene: bpy.types.Scene, shape: str, place: Place) -> bpy.types.Object:
+    """Add a simple solid to the scene's room, as the artist's exact surface.
+
+    Args:
+        shape: "BOX", "CYLINDER" or "PANEL".
+        place: where it stands; a panel faces the cameras.
+
+    Raises:
+        FiptError: ``room-missing``.
+    """
+    room = scene.fipt.capture.room_objects(scene)
+    if not room:
+        raise FiptError(
+            "room-missing", "The room has no meshes.", "Import or choose a mesh of the room first."
+        )
+    mesh = bpy.data.meshes.new(f"FIPT {shape.title()}")
+    solid = bmesh.new()
+    upright = Matrix.Translation((0.0, 0.0, 0.5))
+    if shape == "BOX":
+        bmesh.ops.create_cube(solid, size=1.0, matrix=upright)
+    elif shape == "CYLINDER":
+        bmesh.ops.create_cone(
+            solid, cap_ends=True, segments=SEGMENTS, radius1=0.5, radius2=0.5, depth=1.0, matrix=upright
+        )
+        for face in solid.faces:
+            face.smooth = len(face.verts) == 4
+            for edge in () if face.smooth else face.edges:
+                edge.smooth = False
+    else:
+        bmesh.ops.create_grid(solid, x_segments=1, y_segments=1, size=0.5)
+    solid.to_mesh(mesh)
+    solid.free()
+    item = bpy.data.objects.new(mesh.name, mesh)
+    item[ADDED] = DRAWN
+    link_beside(item, room[0])
+    item.matrix_world = _matrix(shape, place)
+    return item
+
+
+def _matrix(shape: str, place: Place) -> Matrix:
+    size = Vector(place.size)
+    if shape != "PANEL":
+        return Matrix.LocRotScale(Vector(place.base), None, size)
+    rotation = Vector(place.facing).to_track_quat("Z", "Y")
+    across = rotation.to_matrix().transposed() @ size
+    middle = Vector(place.base) + Vector((0.0, 0.0, 0.5 * size.z))
+    return Matrix.LocRotScale(middle, rotation, Vector((abs(across.x), abs(across.y), 1.0)))
+
+
+def place_at(scene: bpy.types.Scene, location: Vector) -> Place:
+    """A place with the usual size."""
+    size = np.full(3, USUAL_SHARE * _diagonal(scene.fipt.capture.room_objects(scene)))
+    return Place(np.array(location), size, np.array([0.0, 0.0, 1.0]))
+
+
+def place_of_disagreement(scene: bpy.types.Scene) -> Place | None:
+    """Where the photographs show most that the room lacks and the artist has not drawn; None without any.
+
+    Raises:
+        FiptError: ``file-missing`` or ``file-damaged``.
+    """
+    run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
+    boxes = read_json(run.survey_json, SURVEY, "Check the views again.")["missing"]
+    drawn = [world_bounds([item]) for item in added_surfaces(scene) if item[ADDED] == DRAWN]
+    cameras = np.mean([list(item.matrix_world.translation) for item in all_view_cameras(scene)], axis=0)
+    for box in boxes:
+        low, high = np.array(box["low"]), np.array(box["high"])
+        middle, size = 0.5 * (low + high), high - low
+        if any(bounds is not None and _within(middle, *bounds) for bounds in drawn):
+            continue
+        facing = np.where(np.arange(3) == size.argmin(), np.sign(cameras - middle), 0.0)
+        return Place(middle - [0.0, 0.0, 0.5 * size[2]], size, facing)
+    return None
+
+
+def _within(point: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
+    return bool(((point > low) & (point < high)).all())
+
+
+def _diagonal(objects: list[bpy.types.Object]) -> float:
+    bounds = world_bounds(objects)
+    return 1.0 if bounds is None else float(np.linalg.norm(bounds[1] - bounds[0]))
