@@ -29,7 +29,8 @@ from ..outliner import remove_object
 from ..room.arrays import Room, read_room
 from ..room.mesh_arrays import is_mirrored, triangle_loops
 from ..room.originals import remove_fixtures, restore_original, result_meshes, set_result_mesh
-from ..room.result_meshes import add_surfaces, clean_result_mesh, list_names, make_mesh, match_objects
+from ..room.panes import add_surfaces
+from ..room.result_meshes import clean_result_mesh, list_names, make_mesh, match_objects
 from ..room.tiles import tiled_uvs
 from ..room.uv_layer import write_layer
 from ..slices import Slices, find_object, run_through
