@@ -10,11 +10,16 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from fipt_blender.core.run.runfolder import RunFolder
+
+if TYPE_CHECKING:
+    from fipt_blender.blend.pictures.cycles import RenderOptions
 
 
 def apart(run: RunFolder) -> RunFolder:
@@ -24,18 +29,52 @@ def apart(run: RunFolder) -> RunFolder:
     return run
 
 
+def render_views(
+    run: RunFolder,
+    blend_file: Path,
+    views: Sequence[str],
+    options: RenderOptions,
+    relight: Mapping[str, Any] | None = None,
+) -> list[Path]:
+    """Open a result's .blend and render views as they are, or lit by a single new light.
+
+    Meant for a process of its own, since it replaces the open file.
+
+    Args:
+        run: the run folder.
+        blend_file: the file with the results.
+        views: names of the views.
+        options: how to render them.
+        relight: {"vertices": four corners in Blender's world, counter-clockwise seen from its front,
+            "radiance": rgb}; the estimated lights are then off.
+    """
+    import bpy
+
+    from fipt_blender.blend.lights.area_lights import Rectangle, add_area_light
+    from fipt_blender.blend.lights.light_state import set_estimated_lights
+    from fipt_blender.blend.pictures.renders import render_list
+
+    bpy.ops.wm.open_mainfile(filepath=str(blend_file), load_ui=False, use_scripts=False)
+    scene = bpy.context.scene
+    if relight is None:
+        return render_list(run, scene, "rerender", views, options)
+    set_estimated_lights(False)
+    rectangle = Rectangle.of_corners(relight["vertices"])
+    add_area_light("FIPT Relight", relight["radiance"], rectangle, scene)
+    return render_list(run, scene, "relight", views, options)
+
+
 def main() -> None:
     """Render the views named on stdin into the run's accuracy folder."""
     run, spp = apart(RunFolder(sys.argv[1])), int(sys.argv[2])
     from fipt_blender.blend.pictures.cycles import RenderOptions  # bpy
-    from fipt_blender.blend.pictures.renders import render_cycles_views
 
     wanted = json.load(sys.stdin)
     blend = run.root / "room.blend"
-    render_cycles_views(run, blend, wanted["rerender"], RenderOptions(spp))
+    render_views(run, blend, wanted["rerender"], RenderOptions(spp))
     if wanted["relight"]:
         views = wanted["relight"].pop("views")
-        render_cycles_views(run, blend, views, RenderOptions(spp), wanted["relight"])
+        render_views(run, blend, views, RenderOptions(spp), wanted["relight"])
 
 
 if __name__ == "__main__":

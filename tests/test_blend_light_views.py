@@ -10,7 +10,7 @@ import pytest
 from mathutils import Vector
 
 from fipt_blender.blend.lights import eevee, new_lights, outline
-from fipt_blender.blend.marks import KEPT_EEVEE, VISIBILITY, light_probe
+from fipt_blender.blend.marks import VISIBILITY, light_probe
 from fipt_blender.blend.render_engine import switch_engine
 from samples.applied_rooms import make_applied_scene
 
@@ -104,15 +104,6 @@ def test_the_room_is_set_up_for_eevee_and_reverted(scene):
     ops.revert()
     assert not bpy.data.lightprobes and not ops.bake_probe.poll() and not ops.prepare_eevee.poll()
     assert settings == {name: getattr(scene.eevee, name) for name in settings}
-
-
-def test_revert_restores_cycles_after_the_set_up_for_eevee(scene):
-    ops.revert()
-    scene.render.engine = "CYCLES"
-    ops.apply_results()
-    ops.prepare_eevee()
-    ops.revert()
-    assert scene.render.engine == "CYCLES" and KEPT_EEVEE not in scene
 
 
 @pytest.mark.parametrize("engines", [["CYCLES"], ["BLENDER_WORKBENCH"], eevee.ENGINES])

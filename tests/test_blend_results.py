@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from mathutils import Euler, Matrix, Vector
 
+from benchmarks.cycles_views import render_views
 from fipt_blender.blend import save
 from fipt_blender.blend.capture import cameras
 from fipt_blender.blend.insert import sample_objects
@@ -19,7 +20,6 @@ from fipt_blender.blend.lights.area_lights import Rectangle, add_area_light
 from fipt_blender.blend.marks import ON
 from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels, set_up_scene
 from fipt_blender.blend.pictures.image_files import read_pixels
-from fipt_blender.blend.pictures.renders import render_cycles_views
 from fipt_blender.blend.results import applying, materials
 from fipt_blender.blend.room import exporting, originals
 from fipt_blender.blend.room.arrays import Room, read_room
@@ -268,13 +268,13 @@ def test_views_are_rendered_and_relit_from_the_saved_file(room, tmp_path):
     files = [each for each in bpy.data.images if each.source == "FILE" and each.packed_file is None]
     assert files and all(image.filepath.startswith("//") for image in files)
     options = RenderOptions(4, denoise=False)
-    (path,) = render_cycles_views(run, blend, ["val/000"], options)
+    (path,) = render_views(run, blend, ["val/000"], options)
     image = read_pixels(path)
     assert image.shape == (12, 24, 3) and image.max() == pytest.approx(8.0, rel=1e-3)
     assert bpy.context.scene.render.resolution_x == resolution
     corners = [(3, 0, 1), (3, 1, 1), (4, 1, 1), (4, 0, 1)]
     relight = {"vertices": corners, "radiance": [1.0, 2.0, 3.0]}
-    (path,) = render_cycles_views(run, blend, ["val/000"], options, relight)
+    (path,) = render_views(run, blend, ["val/000"], options, relight)
     relit = read_pixels(path)
     assert relit.max() < 3.0  # the lamp is off, and the new light's black back faces the camera
     assert relit.max() > 0.0

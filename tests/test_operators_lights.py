@@ -235,13 +235,15 @@ def test_lights_that_the_artist_has_changed_survive_another_apply(scene):
     light.data.size, light.data.use_shadow = 0.3, False
     bpy.context.view_layer.update()
     name, place, datablocks = light.name, light.matrix_world.copy(), len(bpy.data.lights)
-    row.stops = 1.0
+    row.stops, row.kelvin = 1.0, 2700.0
     watts = light.data.energy
     for _ in range(2):
         assert ops.apply_results() == {"FINISHED"}
         bpy.context.view_layer.update()
-        fixture = scene.fipt.lights.lights[0].object
+        row = scene.fipt.lights.lights[0]
+        fixture = row.object
         (light,) = fixture.children
+        assert row.stops == 1.0 and row.kelvin == 2700.0
         assert light.name == name and np.allclose(light.matrix_world, place, atol=1e-6)
         assert light.data.size == pytest.approx(0.3) and not light.data.use_shadow
         assert light.data.energy == pytest.approx(watts)

@@ -171,16 +171,6 @@ def test_solid_viewports_draw_maps_and_are_restored(scene, mode):
     assert space.shading.color_type == "RANDOM"
 
 
-def test_light_settings_survive_another_apply(applied):
-    lamp = applied.fipt.lights.lights[0]
-    lamp.stops, lamp.kelvin = -1.0, 2700.0
-    ops.fixture_to_area_light(fixture="Fixture.001")
-    ops.apply_results()
-    lamp = applied.fipt.lights.lights[0]
-    assert lamp.stops == -1.0 and lamp.kelvin == 2700.0
-    assert [item.name for item in lamp.object.children] == ["Panel Light"]
-
-
 def test_what_apply_needs(scene, tmp_path):
     scene.fipt.run_folder = ""
     assert not ops.apply_results.poll()

@@ -110,13 +110,6 @@ def test_incomplete_models_are_refused(model: Path, tmp_path: Path) -> None:
     assert caught.code == "model-unusable" and "missing" in caught.text
 
 
-def test_points_are_at_the_centers_of_square_cells() -> None:
-    expected = [[25.0, 25.0], [75.0, 25.0], [25.0, 75.0], [75.0, 75.0]]
-    assert regions.grid_points(2, (100, 100)).tolist() == expected
-    assert regions.grid_points(2, (10, 100)).tolist() == [[25.0, 5.0], [75.0, 5.0]]
-    assert regions.grid_points(2, (100, 50)).tolist() == [[25.0, 25.0], [25.0, 75.0]]
-
-
 class SureNetwork:
     """Answers each point with the quarter of the photograph in which it is."""
 
@@ -161,14 +154,6 @@ def test_small_things_on_large_sure_regions_are_asked_for(monkeypatch: pytest.Mo
     network = SureNetwork(0.99)
     regions.RegionFinder(network)(np.zeros((64, 64, 3), np.uint8))
     assert len(network.asked) == 4 + 256
-
-
-def test_stability_is_the_iou_of_the_masks_at_two_thresholds() -> None:
-    logits = torch.full((3, 2, 4), -5.0)
-    logits[0] = torch.tensor([[2.0, 2.0, 1.5, 1.2], [0.9, -0.5, -1.5, -9.0]])  # 4 above 1, 6 above -1
-    logits[1, 0] = 3.0
-    assert regions.stability(logits).tolist() == pytest.approx([4.0 / 6.0, 1.0, 0.0])
-    assert regions.stability(logits[:1], 0.6).tolist() == pytest.approx([5.0 / 6.0])
 
 
 def test_of_similar_masks_the_most_confident_is_kept() -> None:

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fipt_blender.core.capture.averaging import means
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.report.comparison import (
     Agreement,
@@ -199,22 +198,6 @@ def test_error_colours_run_from_black_to_light():
     estimate = np.array([[[0.0] * 3, [1.0] * 3]], np.float32)
     colours = error_picture(estimate, truth)
     assert colours[0, 0].max() < 0.02 and colours[0, 1].min() > 0.6
-
-
-@pytest.mark.parametrize("size", [(12, 6), (7, 5), (48, 24), (5, 30)])
-def test_resizing_keeps_the_mean(size):
-    picture = image(3)
-    other = means(picture, *size)
-    assert other.shape == (size[1], size[0], 3) and other.dtype == np.float32
-    np.testing.assert_allclose(other.mean(axis=(0, 1)), picture.mean(axis=(0, 1)), rtol=1e-5)
-
-
-def test_resizing_averages_boxes():
-    picture = image(3)
-    np.testing.assert_allclose(
-        means(picture, 12, 6), picture.reshape(6, 2, 12, 2, 3).mean(axis=(1, 3)), rtol=1e-4
-    )
-    np.testing.assert_allclose(means(picture, 48, 24)[::2, 1::2], picture, rtol=1e-3, atol=1e-6)
 
 
 def test_both_psnrs_of_a_known_error():

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import bpy
 
@@ -61,8 +61,14 @@ def _change(self: FIPT_Light, values: Mapping[str, float | Sequence[float]]) -> 
         change(self.id_data, self.object, values)
 
 
-def _quantity(name: str) -> dict[str, Callable[..., object]]:
-    """Getter and setter of a quantity of `blend.lights.power` that is proportional to a light's power."""
+def _switch(key: str, name: str, text: str, default: bool) -> object:
+    """A switch of a light; keyframes are the object's, see blend/lights/light_drivers.py."""
+    shown = {"name": name, "description": text, "options": set()}
+    return bpy.props.BoolProperty(get=_get(key, default), set=_set(key), **shown)
+
+
+def _quantity(name: str, label: str, text: str, step: int, precision: int) -> object:
+    """A quantity of `blend.lights.power` that is proportional to a light's power."""
 
     def get(self: FIPT_Light) -> float:
         if self.object is None:
@@ -77,51 +83,34 @@ def _quantity(name: str) -> dict[str, Callable[..., object]]:
         stops = power.stops_for(value, get(self), float(_get(STOPS, 0.0)(self)))
         _change(self, {STOPS: min(max(stops, -_MAX_STOPS), _MAX_STOPS)})
 
+    shown = {"name": label, "description": text, "step": step, "precision": precision}
+    return bpy.props.FloatProperty(min=0.0, options=set(), get=get, set=set_value, **shown)
+
+
+def _tinted(function: str, default: Any, key: str, tint: int) -> dict[str, Callable[..., object]]:
+    """Getter and setter of what a light's color is made from, by a function of `blend.lights.tint`."""
+
+    def get(self: FIPT_Light) -> object:
+        if self.object is None:
+            return default
+        from ..blend.lights import tint as tints
+
+        return getattr(tints, function)(self.object)
+
+    def set_value(self: FIPT_Light, value: Any) -> None:
+        _change(self, {key: tuple(value) if key == COLOR else value, TINT: tint})
+
     return {"get": get, "set": set_value}
-
-
-def _get_color(self: FIPT_Light) -> tuple[float, float, float]:
-    if self.object is None:
-        return (1.0, 1.0, 1.0)
-    from ..blend.lights import tint
-
-    return tint.shown_color(self.object)
-
-
-def _set_color(self: FIPT_Light, value: Sequence[float]) -> None:
-    _change(self, {COLOR: tuple(value), TINT: 1})
-
-
-def _get_kelvin(self: FIPT_Light) -> float:
-    if self.object is None:
-        return 6504.0
-    from ..blend.lights import tint
-
-    return tint.shown_temperature(self.object)
-
-
-def _set_kelvin(self: FIPT_Light, value: float) -> None:
-    _change(self, {KELVIN: value, TINT: 2})
 
 
 class FIPT_Light(bpy.types.PropertyGroup):
     """One row of the list: a fixture or an added light."""
 
     object: bpy.props.PointerProperty(type=bpy.types.Object)
-    on: bpy.props.BoolProperty(
-        name="On",
-        description="Switch the light on or off. A fixture that is off is black and still blocks light",
-        options=set(),  # keyframes are the object's, see blend/lights/light_drivers.py
-        get=_get(ON, True),
-        set=_set(ON),
+    on: _switch(
+        ON, "On", "Switch the light on or off. A fixture that is off is black and still blocks light", True
     )
-    solo: bpy.props.BoolProperty(
-        name="Solo",
-        description="Switch off the environment and all lights that are not solo",
-        options=set(),
-        get=_get(SOLO, False),
-        set=_set(SOLO),
-    )
+    solo: _switch(SOLO, "Solo", "Switch off the environment and all lights that are not solo", False)
     stops: bpy.props.FloatProperty(
         name="Stops",
         description="Power in stops: 0 is as estimated, +1 is twice as bright, -1 is half as bright",
@@ -135,34 +124,28 @@ class FIPT_Light(bpy.types.PropertyGroup):
         get=_get(STOPS, 0.0),
         set=_set(STOPS),
     )
-    watts: bpy.props.FloatProperty(
-        name="Power (W)",
-        description="Power as in Blender's own lights, of the strongest channel. These are watts as far as"
+    watts: _quantity(
+        "watts",
+        "Power (W)",
+        "Power as in Blender's own lights, of the strongest channel. These are watts as far as"
         " the photographs are in W/(m² sr); otherwise only ratios count",
-        min=0.0,
-        step=100,
-        precision=2,
-        options=set(),
-        **_quantity("watts"),
+        100,
+        2,
     )
-    lumens: bpy.props.FloatProperty(
-        name="Flux (lm)",
-        description="Luminous flux at 683 lm/W, as glTF counts it. A 60 W bulb has about 800 lm",
-        min=0.0,
-        step=1000,
-        precision=0,
-        options=set(),
-        **_quantity("lumens"),
+    lumens: _quantity(
+        "lumens",
+        "Flux (lm)",
+        "Luminous flux at 683 lm/W, as glTF counts it. A 60 W bulb has about 800 lm",
+        1000,
+        0,
     )
-    radiance: bpy.props.FloatProperty(
-        name="Radiance",
-        description="Radiance of the lamp's surface in the unit of the photographs, W/(m² sr), of the"
+    radiance: _quantity(
+        "radiance",
+        "Radiance",
+        "Radiance of the lamp's surface in the unit of the photographs, W/(m² sr), of the"
         " strongest channel; the mean of merged lamps",
-        min=0.0,
-        step=100,
-        precision=2,
-        options=set(),
-        **_quantity("radiance"),
+        100,
+        2,
     )
     tint: bpy.props.EnumProperty(
         name="Color From",
@@ -180,8 +163,7 @@ class FIPT_Light(bpy.types.PropertyGroup):
         min=0.0,
         max=1.0,
         options=set(),
-        get=_get_color,
-        set=_set_color,
+        **_tinted("shown_color", (1.0, 1.0, 1.0), COLOR, 1),
     )
     kelvin: bpy.props.FloatProperty(
         name="Temperature (K)",
@@ -194,8 +176,7 @@ class FIPT_Light(bpy.types.PropertyGroup):
         step=5000,
         precision=0,
         options=set(),
-        get=_get_kelvin,
-        set=_set_kelvin,
+        **_tinted("shown_temperature", 6504.0, KELVIN, 2),
     )
 
     def has_power(self) -> bool:

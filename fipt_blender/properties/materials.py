@@ -4,9 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import bpy
 
 SHOWN = (
@@ -45,8 +42,8 @@ def _shown_changed(self: FIPT_MaterialsSettings, context: bpy.types.Context) -> 
     show(self.id_data, self.shown)
 
 
-def _absolute(field: str) -> dict[str, Callable[..., Any]]:
-    """Getter and setter of a part's mean value with its adjustment, which is added to the estimate."""
+def _absolute(field: str) -> object:
+    """A part's mean value with its adjustment, which is added to the estimate."""
 
     def read(self: FIPT_Part) -> float:
         return min(max(getattr(self, field) + getattr(self, f"{field}_offset"), 0.0), 1.0)
@@ -54,11 +51,13 @@ def _absolute(field: str) -> dict[str, Callable[..., Any]]:
     def write(self: FIPT_Part, value: float) -> None:
         setattr(self, f"{field}_offset", value - getattr(self, field))
 
-    return {"get": read, "set": write}
+    text = f"Mean {field} of the part: the estimate, until you change it"
+    limits = {"min": 0.0, "max": 1.0, "precision": 2}
+    return bpy.props.FloatProperty(name=field.capitalize(), description=text, get=read, set=write, **limits)
 
 
-def _adjustment(field: str) -> dict[str, Callable[..., Any]]:
-    """Getter and setter of a property that is stored in the materials of a part."""
+def _adjustment(field: str, name: str, text: str, low: float, high: float) -> object:
+    """An adjustment that is stored in the materials of a part."""
 
     def read(self: FIPT_Part) -> float:
         from ..blend.results.part_list import adjustment
@@ -70,7 +69,7 @@ def _adjustment(field: str) -> dict[str, Callable[..., Any]]:
 
         set_adjustment(self.id_data, self.key, **{field: value})
 
-    return {"get": read, "set": write}
+    return bpy.props.FloatProperty(name=name, description=text, min=low, max=high, get=read, set=write)
 
 
 class FIPT_Part(bpy.types.PropertyGroup):
@@ -90,57 +89,21 @@ class FIPT_Part(bpy.types.PropertyGroup):
     confidence: bpy.props.FloatVectorProperty(
         name="Confidence", description="Mean confidence of base color, roughness and metallic", size=3
     )
-    roughness_offset: bpy.props.FloatProperty(
-        name="Roughness ±",
-        description="Added to the estimated roughness of the part",
-        min=-1.0,
-        max=1.0,
-        **_adjustment("roughness"),
+    roughness_offset: _adjustment(
+        "roughness", "Roughness ±", "Added to the estimated roughness of the part", -1.0, 1.0
     )
-    metallic_offset: bpy.props.FloatProperty(
-        name="Metallic ±",
-        description="Added to the estimated metallic of the part",
-        min=-1.0,
-        max=1.0,
-        **_adjustment("metallic"),
+    metallic_offset: _adjustment(
+        "metallic", "Metallic ±", "Added to the estimated metallic of the part", -1.0, 1.0
     )
-    roughness_value: bpy.props.FloatProperty(
-        name="Roughness",
-        description="Mean roughness of the part: the estimate, until you change it",
-        min=0.0,
-        max=1.0,
-        precision=2,
-        **_absolute("roughness"),
+    roughness_value: _absolute("roughness")
+    metallic_value: _absolute("metallic")
+    hue: _adjustment(
+        "hue", "Hue", "Turn of the estimated base color's hue; 0.5 is the opposite color", -0.5, 0.5
     )
-    metallic_value: bpy.props.FloatProperty(
-        name="Metallic",
-        description="Mean metallic of the part: the estimate, until you change it",
-        min=0.0,
-        max=1.0,
-        precision=2,
-        **_absolute("metallic"),
+    saturation: _adjustment(
+        "saturation", "Saturation", "Factor of the estimated base color's saturation", 0.0, 2.0
     )
-    hue: bpy.props.FloatProperty(
-        name="Hue",
-        description="Turn of the estimated base color's hue; 0.5 is the opposite color",
-        min=-0.5,
-        max=0.5,
-        **_adjustment("hue"),
-    )
-    saturation: bpy.props.FloatProperty(
-        name="Saturation",
-        description="Factor of the estimated base color's saturation",
-        min=0.0,
-        max=2.0,
-        **_adjustment("saturation"),
-    )
-    value: bpy.props.FloatProperty(
-        name="Value",
-        description="Factor of the estimated base color's brightness",
-        min=0.0,
-        max=2.0,
-        **_adjustment("value"),
-    )
+    value: _adjustment("value", "Value", "Factor of the estimated base color's brightness", 0.0, 2.0)
 
 
 class FIPT_MaterialsSettings(bpy.types.PropertyGroup):

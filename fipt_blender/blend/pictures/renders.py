@@ -4,9 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import bpy
 
@@ -15,8 +14,6 @@ from ...core.run.runfolder import RunFolder, write_json
 from ...core.run.shapes import RENDERS
 from ..capture.cameras import find_camera, use_view
 from ..changed import changed
-from ..lights.area_lights import Rectangle, add_area_light
-from ..lights.light_state import set_estimated_lights
 from .cycles import RenderOptions, render_exr
 
 # Called before each render with the shares of the whole work (0 to 1) at which it starts and ends.
@@ -88,32 +85,3 @@ def render_list(
         list_render(run, kind, view, path)
         paths.append(path)
     return paths
-
-
-def render_cycles_views(
-    run: RunFolder,
-    blend_file: Path,
-    views: Sequence[str],
-    options: RenderOptions,
-    relight: Mapping[str, Any] | None = None,
-) -> list[Path]:
-    """Open a result's .blend and render views as they are, or lit by a single new light.
-
-    Meant for a process of its own, since it replaces the open file.
-
-    Args:
-        run: the run folder.
-        blend_file: the file with the results.
-        views: names of the views.
-        options: how to render them.
-        relight: {"vertices": four corners in Blender's world, counter-clockwise seen from its front,
-            "radiance": rgb}; the estimated lights are then off.
-    """
-    bpy.ops.wm.open_mainfile(filepath=str(blend_file), load_ui=False, use_scripts=False)
-    scene = bpy.context.scene
-    if relight is None:
-        return render_list(run, scene, "rerender", views, options)
-    set_estimated_lights(False)
-    rectangle = Rectangle.of_corners(relight["vertices"])
-    add_area_light("FIPT Relight", relight["radiance"], rectangle, scene)
-    return render_list(run, scene, "relight", views, options)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Result meshes: new meshes made from the room's objects as they are evaluated without results;
-the cleaned vertices of scans; objects of what the engine has added to a scan."""
+the cleaned vertices of scans."""
 
 from __future__ import annotations
 
