@@ -51,14 +51,16 @@ class Effect:
     """What a change does, over the captures where it does anything.
 
     Attributes:
-        captures: how many it was tried on, and how many have other figures for it.
-        gains: (captures, columns) figures of the method as it is minus those with the change; NaN for none.
+        tried: captures with a run of it. acted: those that have other figures for it.
+        gains: (acted, columns) figures of the method as it is minus those with the change.
+        noise: (columns,) what another seed changes there, mean; 0 in captures without one.
         seconds: mean processor time that the method as it is takes more, of the steps that both did.
     """
 
     tried: int
     acted: int
     gains: np.ndarray
+    noise: np.ndarray
     seconds: float
 
     @property
@@ -66,15 +68,11 @@ class Effect:
         """(columns,) mean gain; 0 without any capture."""
         return self.gains.mean(axis=0) if self.acted else np.zeros(len(COLUMNS))
 
-    def verdict(self, least: np.ndarray) -> str:
-        """By the rule: a gain that counts in some column, and not as much lost in another.
-
-        Args:
-            least: (columns,) the gain from which on one counts.
-        """
+    def verdict(self) -> str:
+        """By the rule: a gain that counts in some column, and not as much lost in another."""
         if not self.acted:
             return "did nothing"
-        shares = self.mean / least
+        shares = self.mean / np.maximum(list(COLUMNS.values()), self.noise)
         if shares.max() >= 1.0:
             return "pays" if -shares.min() < shares.max() else "loses as much"
         return "harms" if shares.min() <= -1.0 else "does not pay"
@@ -84,31 +82,27 @@ def effects(rows: Sequence[Mapping[str, Any]]) -> dict[str, Effect]:
     """The effect of each change among finished runs, by its name."""
     good = [row for row in rows if "figures" in row]
     base = {row["capture"]: row for row in good if row["change"] == BASE}
-    gains: dict[str, list[np.ndarray]] = defaultdict(list)
+    pairs = [(row, base[row["capture"]]) for row in good if row["change"] != BASE and row["capture"] in base]
+    gains: dict[str, dict[str, np.ndarray]] = defaultdict(dict)
     seconds: dict[str, list[float]] = defaultdict(list)
-    for row in good:
-        if row["change"] == BASE or row["capture"] not in base:
-            continue
-        first = base[row["capture"]]
+    noise: dict[str, np.ndarray] = {}
+    for row, first in pairs:
+        name, capture = row["change"], row["capture"]
         one, other = figures_of(first), figures_of(row)
-        pairs = [(one[name], other[name]) for name in COLUMNS]
-        gains[row["change"]].append(
-            np.array([np.nan if None in pair else pair[0] - pair[1] for pair in pairs])
-        )
-        both = first["seconds"].keys() & row["seconds"].keys()
-        seconds[row["change"]].append(sum(first["seconds"][step] - row["seconds"][step] for step in both))
+        both = [(one[column], other[column]) for column in COLUMNS]
+        gain = np.array([0.0 if x is None or y is None else x - y for x, y in both])
+        gains[name][capture] = gain
+        if name.startswith(SEED):
+            noise[capture] = np.maximum(noise.get(capture, 0.0), np.abs(gain))
+        steps = first["seconds"].keys() & row["seconds"].keys()
+        seconds[name].append(sum(first["seconds"][step] - row["seconds"][step] for step in steps))
     found = {}
     for name, each in gains.items():
-        table = np.nan_to_num(np.array(each))
-        acted = np.abs(table).max(axis=1) > 0.0
-        found[name] = Effect(len(each), int(acted.sum()), table[acted], float(np.mean(seconds[name])))
+        acted = [capture for capture, gain in each.items() if gain.any()]
+        table, none = np.array([each[capture] for capture in acted]), np.zeros(len(COLUMNS))
+        usual = np.mean([noise.get(capture, none) for capture in acted], axis=0) if acted else none
+        found[name] = Effect(len(each), len(acted), table, usual, float(np.mean(seconds[name])))
     return found
-
-
-def least_gains(found: Mapping[str, Effect]) -> np.ndarray:
-    """(columns,) the gain from which on one counts: that of COLUMNS, or what another seed changes."""
-    seeds = [np.abs(effect.mean) for name, effect in found.items() if name.startswith(SEED)]
-    return np.max([list(COLUMNS.values()), *seeds], axis=0)
 
 
 def format_table(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -116,7 +110,6 @@ def format_table(rows: Sequence[Mapping[str, Any]]) -> str:
     head = ["off", "captures", *TITLES, "worst", "seconds", "lines", "verdict"]
     lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
     found = effects(rows)
-    least = least_gains(found)
     order = [name for name in MECHANISMS if name in found] + [
         name for name in found if name not in MECHANISMS
     ]
@@ -125,7 +118,7 @@ def format_table(rows: Sequence[Mapping[str, Any]]) -> str:
         cells = [f"`{name}`", f"{effect.acted} of {effect.tried}"]
         cells += [_number(*each) for each in zip(effect.mean, COLUMNS.values(), strict=True)]
         cells += [worst(effect), f"{effect.seconds:.0f}", str(lines_of(name) or "-")]
-        cells.append(effect.verdict(least) if name in MECHANISMS else "")
+        cells.append(effect.verdict() if name in MECHANISMS else "")
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
