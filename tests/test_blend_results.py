@@ -3,6 +3,7 @@
 """Results on the room: materials applied and reverted, fixtures and lights with the right radiance."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -17,7 +18,7 @@ from fipt_blender.blend.insert import sample_objects
 from fipt_blender.blend.insert.surfaces import free_spot
 from fipt_blender.blend.lights import fixture_nodes, light_state, world
 from fipt_blender.blend.lights.area_lights import Rectangle, add_area_light
-from fipt_blender.blend.marks import ON
+from fipt_blender.blend.marks import ADDED, DRAWN, ON
 from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels, set_up_scene
 from fipt_blender.blend.pictures.image_files import read_pixels
 from fipt_blender.blend.results import applying, materials
@@ -25,6 +26,7 @@ from fipt_blender.blend.room import exporting, originals
 from fipt_blender.blend.room.arrays import Room, read_room
 from fipt_blender.blend.room.atlas import make_atlas
 from fipt_blender.blend.room.exporting import collect_room, export_room
+from fipt_blender.blend.room.mesh_arrays import vertex_positions
 from fipt_blender.blend.room.result_meshes import clean_result_mesh, make_mesh
 from fipt_blender.core.geometry.clean import CleanMesh
 from fipt_blender.core.geometry.stored import prepare_geometry, store_geometry
@@ -412,7 +414,7 @@ def scanned_object(run: RunFolder, matrix: Matrix) -> tuple[bpy.types.Object, Ro
 def test_result_meshes_of_a_scan_are_clean(tmp_path: Path, transform: str) -> None:
     run = RunFolder(tmp_path)
     item, room = scanned_object(run, TRANSFORMS[transform])
-    geometry = read_geometry(run, {"vertices": room.vertices, "triangles": room.triangles})
+    geometry = read_geometry(run, room.mesh)
     assert geometry is not None
     own = item.data
     before = np.array([vertex.co for vertex in own.vertices])
@@ -427,6 +429,34 @@ def test_result_meshes_of_a_scan_are_clean(tmp_path: Path, transform: str) -> No
     assert np.abs(shown.vertices - geometry["vertices"]).max() < 1e-5
     cosine = (shown.corner_normals * geometry["corner_normals"]).sum(axis=2)
     assert np.median(cosine) > 0.9999 and np.quantile(cosine, 0.01) > 0.99
+
+
+def test_a_drawn_surface_beside_a_scan_keeps_its_vertices_and_edges(tmp_path: Path) -> None:
+    run = RunFolder(tmp_path)
+    item, _ = scanned_object(run, Matrix())
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * 0.5 + [0.3, 0.2, 1.0]
+    faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    mesh = bpy.data.meshes.new("Drawn")
+    mesh.from_pydata(corners.tolist(), [], faces)
+    drawn = bpy.data.objects.new("Drawn", mesh)
+    drawn[ADDED] = DRAWN
+    bpy.context.scene.collection.objects.link(drawn)
+    before = collect_room([drawn])
+    export_room([drawn, item], run)
+    prepare_geometry(run)
+    room = read_room(run)
+    assert room.triangle_exact is not None and room.triangle_exact.sum() == 12
+    geometry = read_geometry(run, room.mesh)
+    assert geometry is not None and read_geometry(run, replace(room, triangle_exact=None).mesh) is None
+    clean = make_mesh(room, 0, drawn)
+    clean_result_mesh(clean, drawn, room, 0, geometry)
+    drawn.data = clean
+    shown = collect_room([drawn])
+    assert np.abs(shown.vertices - before.vertices).max() < 1e-6
+    assert np.abs(shown.corner_normals - before.corner_normals).max() < 1e-3
+    clean = make_mesh(room, 1, item)
+    clean_result_mesh(clean, item, room, 1, geometry)
+    assert np.abs(vertex_positions(clean) - vertex_positions(item.data)).max() > 1e-3
 
 
 def test_a_copy_of_another_mesh_is_not_used(tmp_path: Path) -> None:

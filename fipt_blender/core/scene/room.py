@@ -198,12 +198,13 @@ def triangle_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return face_vectors(np.asarray(vertices, np.float64), triangles)[0]
 
 
-def load_room(run: RunFolder, outlined: bool = True) -> Room:
+def load_room(run: RunFolder, outlined: bool = True, cleaned: bool = True) -> Room:
     """Read room.npz, room.json and, where the mesh is a scan that was cleaned, geometry.npz.
 
     Args:
         run: the run folder.
         outlined: whether a scan has the outlines that masks show, where outlines.npz has them.
+        cleaned: whether geometry.npz is read.
 
     Raises:
         FiptError: ``mesh-missing``, ``mesh-damaged``, ``mesh-empty``, ``file-missing`` or ``file-damaged``.
@@ -211,7 +212,7 @@ def load_room(run: RunFolder, outlined: bool = True) -> Room:
     if not run.room_npz.exists():
         raise FiptError("mesh-missing", f"{run.room_npz} does not exist.", "Export the room's mesh first.")
     arrays, names = read_room_files(run, "mesh-damaged")
-    scan = stored_geometry(run, arrays, outlined)
+    scan = stored_geometry(run, arrays, outlined) if cleaned else None
     if scan is not None:
         arrays |= {"vertices": scan.vertices, "corner_normals": scan.corner_normals}
     room = Room(

@@ -64,7 +64,8 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     from .agreement import surface_disagreement, survey_pixels
 
     folder = RunFolder(arguments.folder)
-    capture, room = load_capture(folder), load_room(folder)
+    capture = load_capture(folder)
+    room = load_room(folder, cleaned=False)  # the artist judges the mesh, also after `complete`
     reporter.stage("views", "Finding what each camera sees")
     entries: list[dict[str, Any]] = []
     seen = np.zeros((len(capture.views), len(room.triangles)), bool)
