@@ -13,6 +13,10 @@ from scipy.sparse import csr_array
 from ..geometry.adjacency import Mesh, face_vectors, make_mesh
 from ..geometry.clean import noise_level
 
+# The place of a scan's surfaces and borders has this standard deviation, in median edges, as finer detail is
+# lost, but not more than so many times the noise: what is smoother lies where it was measured.
+PLACE_EDGES, PLACE_NOISE = 0.5, 12.0
+
 
 @dataclass(frozen=True)
 class Adjacency:
@@ -61,28 +65,36 @@ class Scan:
         adjacency: of its triangles.
         centers: (T, 3) float64 metres.
         cross: (T, 3) float64 normals with the areas as lengths.
+        noise: standard deviation of its distance from its smooth fit, before it was cleaned, metres.
     """
 
     adjacency: Adjacency
     centers: np.ndarray
     cross: np.ndarray
+    noise: float
 
     @cached_property
     def edge(self) -> float:
         """Metres, median of the edges that two triangles share; detail finer than this is lost."""
         return float(np.median(self.adjacency.length))
 
+    @property
+    def place(self) -> float:
+        """Standard deviation of the place of surfaces and of their borders, metres."""
+        return min(PLACE_EDGES * self.edge, PLACE_NOISE * self.noise)
 
-def find_scan(vertices: np.ndarray, triangles: np.ndarray, cleaned: bool) -> Scan | None:
+
+def find_scan(vertices: np.ndarray, triangles: np.ndarray, noise: float = 0.0) -> Scan | None:
     """The surface of a mesh that is a scan, None for a modelled mesh.
 
     Args:
         vertices: (V, 3) metres. triangles: (T, 3) int.
-        cleaned: the mesh is a scan that is no longer rough.
+        noise: of the mesh before it was cleaned, metres; 0 where it was not.
     """
     mesh, _ = make_mesh(vertices, triangles)
     normals, areas = face_vectors(mesh.vertices, mesh.triangles)
-    if not cleaned and noise_level(mesh, normals, areas)[0] <= 0.0:
+    noise = noise or noise_level(mesh, normals, areas)[0]
+    if noise <= 0.0:
         return None
     centers = mesh.vertices[mesh.triangles].mean(axis=1)
-    return Scan(find_adjacency(mesh), centers, normals * areas[:, None])
+    return Scan(find_adjacency(mesh), centers, normals * areas[:, None], noise)
