@@ -12,7 +12,7 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.geometry.adjacency import Mesh
 from fipt_blender.core.run.run_files import PANES
-from fipt_blender.core.scene.adjacency import PLACE_EDGES, PLACE_NOISE, find_adjacency
+from fipt_blender.core.scene.adjacency import PLACE_NOISE, find_adjacency
 from fipt_blender.core.scene.disagreement import disagreeing
 from fipt_blender.core.scene.labels import Parts, choose_source, label_parts, room_pieces
 from fipt_blender.core.scene.segments import absorb_small
@@ -54,7 +54,7 @@ def test_places_are_doubtful_by_edges_and_by_noise() -> None:
     room = scanned_box(noise=0.002)[0]
     scan = room.scan
     assert scan is not None and room.place == scan.place > 0.0
-    assert replace(scan, noise=1.0).place == PLACE_EDGES * scan.edge
+    assert replace(scan, noise=1.0).place == scan.edge
     assert replace(scan, noise=1e-5).place == pytest.approx(PLACE_NOISE * 1e-5)
     assert make_room(BOX).place == 0.0
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How wrong the light of lamps may be: on a scan, and of lamps that photographs hardly show.
 
-The places of a scan are known to half an edge only. Close to a lamp, light falls off steeply, and
+The places of a scan are known to the width of an edge only. Close to a lamp, light falls off steeply, and
 what stands beside the lamp hides it or not by a centimetre.
 """
 
@@ -23,7 +23,7 @@ from .emitters import Fixture, pixels_on
 
 # Standard deviations that count as the error: what the lamp lights beside it (its shade, the top of a table)
 # has the same error and lights the surroundings, too. Calibrated on the example room, scanned at 2 cm.
-DEVIATIONS = 6.0
+DEVIATIONS = 3.0
 # Points on a lamp, and lamps, the brightest first.
 SAMPLES, MOST_LAMPS = 8, 6
 # Points over which a variance is averaged, those around a point among them: moves are few.

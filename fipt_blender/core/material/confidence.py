@@ -29,7 +29,7 @@ FLOOR = 0.02
 # Variance that lost detail and moved borders, which no residual shows, add to base colour, per metre of the
 # place's standard deviation: its share of the surface has another colour. Calibrated on the example room,
 # scanned at 2 cm; checked on the living room.
-LOST_VARIANCE = 0.36
+LOST_VARIANCE = 0.18
 # Pixels whose sum of weighted squared slopes (their Fisher information) is smaller determine nothing.
 LEAST_INFORMATION = 1e-9
 # Number of views to which the group's typical residual variance is equivalent, as a prior for its cells.

@@ -44,9 +44,6 @@ KRONECKER = 1.1673039782614187 ** -np.arange(1.0, 5.0)
 # metallic are estimated: a voxel holds two or three pixels of the test rooms, too few to tell gloss from base
 # colour.
 WIDE_CELL = 2
-# Standard deviation of the place of surfaces, metres, at which a share `group_outliers` of the groups tells
-# nothing: that of scans with edges of 2 cm.
-OUTLIERS_PLACE = 0.01
 # Step of the normals by which the pixels of a voxel are divided: the same light falls on those within one.
 NORMAL_STEP = 0.2
 
@@ -67,7 +64,8 @@ def training_input(
         hints: what the artist knows; the parts of the observations are divided by them.
         shadings: of all pixels at the roughness `levels` (K,).
         place: standard deviation of the place of surfaces, metres. By it, light errs alike in all views of a
-            surface, which the likelihood does not know: without parts, a share of the groups tells nothing.
+            surface, which the likelihood does not know: without parts, a share of the groups tells nothing,
+            `group_outliers` for each 2 cm.
     """
     group, color = observations.part, np.zeros((0, 3))
     groups = int(observations.parts.triangle_part.max(initial=-1)) + 1
@@ -88,7 +86,7 @@ def training_input(
         label, seen_color = observations.part[wide.rows], color[observations.entry[wide.rows]]
         alike = _similarity(wide.group, groups, label, seen_color)
     light = _light_cells(observations, wide.rows)
-    outliers = 0.0 if pieces is None else 1.0 - (1.0 - settings.group_outliers) ** (place / OUTLIERS_PLACE)
+    outliers = 0.0 if pieces is None else 1.0 - (1.0 - settings.group_outliers) ** (50.0 * place)
     materials = infer_materials(wide, groups, light, settings, alike, known, outliers)
     return TrainingData(observations, shadings, levels, group, materials, constant)
 

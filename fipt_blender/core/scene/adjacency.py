@@ -13,9 +13,9 @@ from scipy.sparse import csr_array
 from ..geometry.adjacency import Mesh, face_vectors, make_mesh
 from ..geometry.clean import noise_level
 
-# The place of a scan's surfaces and borders has this standard deviation, in median edges, as finer detail is
-# lost, but not more than so many times the noise: what is smoother lies where it was measured.
-PLACE_EDGES, PLACE_NOISE = 0.5, 12.0
+# Finer detail than an edge of a scan is lost, but what is smooth lies where it was measured: the place of
+# surfaces and borders has a standard deviation of at most so many times the noise.
+PLACE_NOISE = 24.0
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Scan:
     @property
     def place(self) -> float:
         """Standard deviation of the place of surfaces and of their borders, metres."""
-        return min(PLACE_EDGES * self.edge, PLACE_NOISE * self.noise)
+        return min(self.edge, PLACE_NOISE * self.noise)
 
 
 def find_scan(vertices: np.ndarray, triangles: np.ndarray, noise: float = 0.0) -> Scan | None:

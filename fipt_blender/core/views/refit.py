@@ -38,7 +38,7 @@ MOST_CORRECTION = 1.0
 # Points tell nothing if their correction differs from that of most by more than this over the deviation of
 # the place of surfaces in metres (by 0.15 on a scan with edges of 2 cm): where normals are rough and lamps
 # torn, the baked light is as often wrong as the model. Errors of the light raise the contrast.
-MOST_DIFFERENCE = 0.0015
+MOST_DIFFERENCE = 0.003
 MOST_LIGHT = 6.0e4  # in half floats
 # Darkest L_d, in units of the capture's median, that is compared and by which is divided.
 LEAST_LIGHT = 1e-3
