@@ -161,9 +161,10 @@ def test_many_units_stay_apart() -> None:
         assert len(np.unique(groups_of_cells(units, fields, cells))) == len(part)
 
 
-def test_base_color_is_less_certain_on_a_scan() -> None:
+def test_base_color_is_less_certain_where_places_are() -> None:
     errors = np.array([[0.02, 0.1, 0.2], [0.2, 0.1, 0.2], [UNIFORM_DEVIATION] * 3], np.float32)
-    scan = confidence.errors_on_scan(errors)
+    assert np.array_equal(confidence.errors_with_place(errors, 0.0), errors)
+    scan = confidence.errors_with_place(errors, 0.02)
     assert scan.dtype == np.float32 and np.array_equal(scan[:, 1:], errors[:, 1:])
     assert scan[0, 0] > 0.05 and scan[0, 0] < 0.1  # what was certain loses most
     assert errors[1, 0] < scan[1, 0] < 1.1 * errors[1, 0]

@@ -87,16 +87,18 @@ def test_uncertain_values_are_shrunk_towards_their_part_if_it_is_one_material(fi
             np.testing.assert_array_equal(values[0], plain[0])
 
 
-def test_what_a_scan_loses_lowers_confidence_and_blurs_nothing(fields):
+def test_a_doubtful_place_lowers_confidence_and_blurs_nothing(fields):
     points = grid_points(0.05, 0.95, 0.0)
     on = np.zeros(len(points), int)
     errors = np.full_like(fields.errors, 0.001)
-    exact, scan = (
-        RoomFields(Ramp(), units([0, 1, 2, -1], True), fields.cells, errors, scan) for scan in (False, True)
+    exact, fine, coarse = (
+        RoomFields(Ramp(), units([0, 1, 2, -1], True), fields.cells, errors, place)
+        for place in (0.0, 0.01, 0.02)
     )
-    for one, other in zip(exact.query(points, on), scan.query(points, on), strict=True):
+    for one, other in zip(exact.query(points, on), coarse.query(points, on), strict=True):
         np.testing.assert_array_equal(one, other)
-    assert (scan.confidence(points, on)[:, 0] < exact.confidence(points, on)[:, 0] - 0.1).all()
+    certain, less, least = (each.confidence(points, on)[:, 0] for each in (exact, fine, coarse))
+    assert (least < less - 0.05).all() and (less < certain - 0.1).all()
 
 
 @pytest.mark.parametrize("triangle", [2, 3])

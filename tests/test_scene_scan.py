@@ -12,7 +12,7 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.geometry.adjacency import Mesh
 from fipt_blender.core.run.run_files import PANES
-from fipt_blender.core.scene.adjacency import find_adjacency
+from fipt_blender.core.scene.adjacency import PLACE_NOISE, find_adjacency
 from fipt_blender.core.scene.disagreement import disagreeing
 from fipt_blender.core.scene.labels import Parts, choose_source, label_parts, room_pieces
 from fipt_blender.core.scene.segments import absorb_small
@@ -47,6 +47,16 @@ def test_scans_are_rough_and_modelled_rooms_are_not() -> None:
     assert scanned_box(noise=0.0)[0].scan is None  # finely divided, but flat
     assert scanned_box(cells=10)[0].scan is None  # too few triangles to be a scan
     assert make_room(BOX).scan is None
+
+
+def test_places_are_doubtful_by_edges_and_by_noise() -> None:
+    """Neither a fine nor a smooth scan is far off, and a modelled room is not at all."""
+    room = scanned_box(noise=0.002)[0]
+    scan = room.scan
+    assert scan is not None and room.place == scan.place > 0.0
+    assert replace(scan, noise=1.0).place == scan.edge
+    assert replace(scan, noise=1e-5).place == pytest.approx(PLACE_NOISE * 1e-5)
+    assert make_room(BOX).place == 0.0
 
 
 def test_parts_of_a_scan_follow_the_walk_of_the_votes() -> None:

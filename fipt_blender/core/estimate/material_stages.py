@@ -123,10 +123,8 @@ class MaterialStages(EstimationState):
         of each triangle's pixels that are brighter than white (T,)."""
         if self._input is None:
             shadings, settings = self._open_shadings(), self.settings
-            scan = self.room.scan is not None
-            data = training_input(
-                self.observations, self._pieces, shadings, self.levels, settings, self.hints, scan
-            )
+            given = self.observations, self._pieces, shadings, self.levels, settings
+            data = training_input(*given, self.hints, self.room.place)
             joint = settings.lambda_joint if settings.emission == "joint" else None
             self._input = (data, *fit_cells(data, joint))
         return self._input
@@ -292,18 +290,17 @@ class MaterialStages(EstimationState):
         if not self.settings.lamp_doubt:
             return errors
         doubted = hardly_seen(self.fixtures, self.pixels, len(self.room.triangles))
-        if not self.fixtures or (self.room.scan is None and not doubted):
+        place = self.room.place
+        if not self.fixtures or not (place or doubted):
             return errors
         lit = lit_cells(drawn, data, fields, self.cells)
         if doubted:
             self._warn_of_lamps(doubted)
             of_power = power_errors(self.room, self.fixtures, doubted, (lit.points, lit.normals), seed)
             errors = add_light_errors(errors, lit, of_power)
-        if self.room.scan is None:
+        if not place:
             return errors
-        # Detail finer than an edge is lost, and so is the place of what lights and what hides.
-        doubt = self.room.scan.edge
-        of_light = light_errors(self.room, self.fixtures, (lit.points, lit.normals), doubt, seed)
+        of_light = light_errors(self.room, self.fixtures, (lit.points, lit.normals), place, seed)
         return add_light_errors(errors, lit, of_light)
 
     def _warn_of_lamps(self, doubted: Sequence[HardlySeen]) -> None:

@@ -280,8 +280,8 @@ class EstimationState:
 
     def _room_fields(self, errors: np.ndarray | None = None) -> RoomFields:
         """The estimate on all surfaces; with `errors` (:func:`cell_errors`) shrunk towards its units."""
-        scan = errors is not None and self.room.scan is not None
-        return RoomFields(self._fields(), self.units, self.cells, errors, scan)
+        place = 0.0 if errors is None else self.room.place
+        return RoomFields(self._fields(), self.units, self.cells, errors, place)
 
     @cached_property
     def _emitter_surfaces(self) -> EmitterSurfaces:

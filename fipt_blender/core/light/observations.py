@@ -58,7 +58,6 @@ class Observations:
     environment: Environment | None
     footprint: float
     folder: Path
-    scan: bool = False
     left_alone: np.ndarray | None = None
 
     def hits(self) -> Iterator[np.ndarray]:
@@ -200,7 +199,6 @@ def observe(room: Room, pixels: PixelStore, parts: Parts, settings: Settings, fo
         ),
         footprint=median_footprint(pixels),
         folder=folder,
-        scan=room.scan is not None,
     )
 
 

@@ -26,18 +26,23 @@ COMMON = 0.5
 # Errors that nothing shows: of base colour, detail within a cell and the overall brightness of the light; of
 # roughness and metallic, what the model of the shadings' errors gets wrong.
 FLOOR = 0.02
-# The same of base colour on a scan, whose lost detail and moved borders no residual shows. Calibrated on the
-# example room, scanned at 2 cm; checked on the living room.
-SCAN_FLOOR = 0.06
+# Variance that lost detail and moved borders, which no residual shows, add to base colour, per metre of the
+# place's standard deviation: its share of the surface has another colour. Calibrated on the example room,
+# scanned at 2 cm; checked on the living room.
+LOST_VARIANCE = 0.18
 # Pixels whose sum of weighted squared slopes (their Fisher information) is smaller determine nothing.
 LEAST_INFORMATION = 1e-9
 # Number of views to which the group's typical residual variance is equivalent, as a prior for its cells.
 PRIOR_VIEWS = 4.0
 
 
-def errors_on_scan(errors: np.ndarray) -> np.ndarray:
-    """Standard errors (C, 3) of base colour, roughness and metallic, with what a scan adds to the first."""
-    color = np.sqrt(errors[:, 0] ** 2 + SCAN_FLOOR**2)
+def errors_with_place(errors: np.ndarray, place: float) -> np.ndarray:
+    """Standard errors (C, 3) of base colour, roughness and metallic; a doubtful place adds to the first.
+
+    Args:
+        place: standard deviation of the place of surfaces, metres (:attr:`.Room.place`).
+    """
+    color = np.hypot(errors[:, 0], np.sqrt(LOST_VARIANCE * place))
     return np.column_stack([np.minimum(color, UNIFORM_DEVIATION), errors[:, 1:]]).astype(np.float32)
 
 

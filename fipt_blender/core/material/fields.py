@@ -20,7 +20,7 @@ from ..run.errors import FiptError
 from ..run.runfolder import RunFolder, atomic_path
 from ..run.shapes import FIELDS_ARRAYS, PARTS_ARRAYS
 from ..scene.labels import NO_PART
-from .confidence import UNIFORM_DEVIATION, confidence, errors_on_scan
+from .confidence import UNIFORM_DEVIATION, confidence, errors_with_place
 from .groups import Units
 from .inference import Fields
 from .networks import BrdfNetwork
@@ -44,7 +44,8 @@ class RoomFields:
         cells: where the photographs saw surfaces.
         errors: (C, 3) float32 standard errors of base colour, roughness and metallic in each cell
             (:func:`.cell_errors.cell_errors`); None if they are not known.
-        scan: whether the mesh is a scan: confidence is less there (:func:`.confidence.errors_on_scan`).
+        place: standard deviation of the place of surfaces, metres; lowers confidence
+            (:func:`.confidence.errors_with_place`).
     """
 
     def __init__(
@@ -53,9 +54,9 @@ class RoomFields:
         units: Units,
         cells: SeenCells,
         errors: np.ndarray | None = None,
-        scan: bool = False,
+        place: float = 0.0,
     ) -> None:
-        self.fields, self.units, self.cells, self.scan = fields, units, cells, scan
+        self.fields, self.units, self.cells, self.place = fields, units, cells, place
         unknown = np.full((len(cells.keys), 3), UNIFORM_DEVIATION, np.float32)
         self.errors = unknown if errors is None else errors
         values = fields.query(cells.points, cells.part)
@@ -107,7 +108,7 @@ class RoomFields:
         See :func:`.confidence.confidence`; arguments as in :meth:`query`.
         """
         place = self.cells.find(self.fields.box, positions, self.units.triangle[triangles])
-        errors = errors_on_scan(self.errors) if self.scan else self.errors
+        errors = errors_with_place(self.errors, self.place)
         of_cell = np.append(confidence(errors), np.zeros((1, 3), np.float32), axis=0)
         return of_cell[place]  # unseen points have -1, the last row
 
@@ -139,6 +140,7 @@ class RoomFields:
             check_layouts(parts, PARTS_ARRAYS | ({"fixed": ("f", ("U", 2))} if "fixed" in parts else {}))
             if parts["triangle_part"].max(initial=NO_PART) >= len(parts["single"]):
                 raise ValueError(f"{run.parts_npz.name} names parts that it lacks")
+            place = float(arrays.get("place", 0.0))
             typical = np.zeros((len(parts["single"]) + 1, 5))
             device = torch.device(torch_device())
             network = BrdfNetwork(settings, hash_levels, typical, torch.Generator(), device)
@@ -153,13 +155,13 @@ class RoomFields:
         box = Box(arrays["box_low"].astype(np.float64), float(arrays["box_extent"]))
         cells = SeenCells(arrays["seen_keys"], arrays["seen_points"], arrays["seen_part"])
         units = Units(parts["triangle_part"], parts["single"], parts.get("fixed"))
-        return cls(Fields(network, box), units, cells, arrays["seen_errors"], "scan" in arrays)
+        return cls(Fields(network, box), units, cells, arrays["seen_errors"], place)
 
     def save(self, run: RunFolder) -> None:
         """Write results/fields.npz and parts.npz."""
         network, box = self.fields.network, self.fields.box
         state = {f"network/{name}": value.cpu().numpy() for name, value in network.state_dict().items()}
-        scan = {"scan": np.bool_(True)} if self.scan else {}
+        place = {"place": np.float32(self.place)} if self.place else {}
         with atomic_path(run.fields_npz) as temporary:
             np.savez(
                 temporary,
@@ -170,7 +172,7 @@ class RoomFields:
                 seen_points=self.cells.points,
                 seen_part=self.cells.part,
                 seen_errors=self.errors,
-                **scan,
+                **place,
                 **state,
             )
         with atomic_path(run.parts_npz) as temporary:

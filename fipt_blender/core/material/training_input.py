@@ -55,7 +55,7 @@ def training_input(
     levels: np.ndarray,
     settings: Settings,
     hints: SurfaceHints | None = None,
-    scan: bool = False,
+    place: float = 0.0,
 ) -> TrainingData:
     """The pixels with their shadings, groups and the materials of these.
 
@@ -63,8 +63,9 @@ def training_input(
         pieces: (T,) int connected piece of each triangle; None where parts are known.
         hints: what the artist knows; the parts of the observations are divided by them.
         shadings: of all pixels at the roughness `levels` (K,).
-        scan: whether the mesh is a scan. Its light errs alike in all views of a surface, which the likelihood
-            does not know: without parts, a share `group_outliers` of the groups tells nothing.
+        place: standard deviation of the place of surfaces, metres. By it, light errs alike in all views of a
+            surface, which the likelihood does not know: without parts, a share of the groups tells nothing,
+            `group_outliers` for each 2 cm.
     """
     group, color = observations.part, np.zeros((0, 3))
     groups = int(observations.parts.triangle_part.max(initial=-1)) + 1
@@ -85,7 +86,7 @@ def training_input(
         label, seen_color = observations.part[wide.rows], color[observations.entry[wide.rows]]
         alike = _similarity(wide.group, groups, label, seen_color)
     light = _light_cells(observations, wide.rows)
-    outliers = settings.group_outliers if scan and pieces is not None else 0.0
+    outliers = 0.0 if pieces is None else 1.0 - (1.0 - settings.group_outliers) ** (50.0 * place)
     materials = infer_materials(wide, groups, light, settings, alike, known, outliers)
     return TrainingData(observations, shadings, levels, group, materials, constant)
 

@@ -191,7 +191,7 @@ class Settings:
     )
     group_outliers: float = _setting(
         0.2,
-        "closed form: share of a scan's surfaces without part masks whose pixels are no evidence of gloss",
+        "closed form: share of surfaces without masks that give no evidence of gloss, for 2 cm of doubt",
         ESTIMATE,
     )
     prior_weight: float = _setting(

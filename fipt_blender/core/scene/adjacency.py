@@ -13,6 +13,10 @@ from scipy.sparse import csr_array
 from ..geometry.adjacency import Mesh, face_vectors, make_mesh
 from ..geometry.clean import noise_level
 
+# Finer detail than an edge of a scan is lost, but what is smooth lies where it was measured: the place of
+# surfaces and borders has a standard deviation of at most so many times the noise.
+PLACE_NOISE = 24.0
+
 
 @dataclass(frozen=True)
 class Adjacency:
@@ -61,37 +65,44 @@ class Scan:
         adjacency: of its triangles.
         centers: (T, 3) float64 metres.
         cross: (T, 3) float64 normals with the areas as lengths.
+        noise: standard deviation of its distance from its smooth fit, before it was cleaned, metres.
     """
 
     adjacency: Adjacency
     centers: np.ndarray
     cross: np.ndarray
+    noise: float
 
     @cached_property
     def edge(self) -> float:
         """Metres, median of the edges that two triangles share; detail finer than this is lost."""
         return float(np.median(self.adjacency.length))
 
+    @property
+    def place(self) -> float:
+        """Standard deviation of the place of surfaces and of their borders, metres."""
+        return min(self.edge, PLACE_NOISE * self.noise)
 
 def find_scan(
-    vertices: np.ndarray, triangles: np.ndarray, cleaned: bool, exact: np.ndarray | None = None
+    vertices: np.ndarray, triangles: np.ndarray, noise: float = 0.0, exact: np.ndarray | None = None
 ) -> Scan | None:
     """The surface of a mesh that is a scan, None for a modelled mesh.
 
     Args:
         vertices: (V, 3) metres. triangles: (T, 3) int.
-        cleaned: the mesh is a scan that is no longer rough.
+        noise: of the mesh before it was cleaned, metres; 0 where it was not.
         exact: (T,) bool, triangles that do not count for whether it is a scan; None: all do.
     """
     mesh, _ = make_mesh(vertices, triangles)
     normals, areas = face_vectors(mesh.vertices, mesh.triangles)
-    if not cleaned and not _is_rough(mesh, normals, areas, exact):
+    noise = noise or _noise(mesh, normals, areas, exact)
+    if noise <= 0.0:
         return None
     centers = mesh.vertices[mesh.triangles].mean(axis=1)
-    return Scan(find_adjacency(mesh), centers, normals * areas[:, None])
+    return Scan(find_adjacency(mesh), centers, normals * areas[:, None], noise)
 
 
-def _is_rough(mesh: Mesh, normals: np.ndarray, areas: np.ndarray, exact: np.ndarray | None) -> bool:
+def _noise(mesh: Mesh, normals: np.ndarray, areas: np.ndarray, exact: np.ndarray | None) -> float:
     if exact is not None:
         mesh, normals, areas = Mesh(mesh.vertices, mesh.triangles[~exact]), normals[~exact], areas[~exact]
-    return noise_level(mesh, normals, areas)[0] > 0.0
+    return noise_level(mesh, normals, areas)[0]

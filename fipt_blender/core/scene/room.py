@@ -130,7 +130,12 @@ class Room:
     @cached_property
     def scan(self) -> Scan | None:
         """The surface of a scanned mesh, None for a modelled one; takes seconds for a million triangles."""
-        return find_scan(self.vertices, self.triangles, self.noise > 0.0, self.exact)
+        return find_scan(self.vertices, self.triangles, self.noise, self.exact)
+
+    @property
+    def place(self) -> float:
+        """Standard deviation of the place of surfaces and of their borders, metres; 0 of a modelled mesh."""
+        return 0.0 if self.scan is None else self.scan.place
 
     @cached_property
     def scene(self) -> mi.Scene:

@@ -35,10 +35,10 @@ POINT_SAMPLES, PIXEL_SAMPLES = SampleCounts(1024, 0, 256), SampleCounts(64, 0, 3
 REFIT_DEVIATION = 0.03
 # Largest correction of the logarithm of light: beyond it, the model or the shading is wrong.
 MOST_CORRECTION = 1.0
-# Points of a scan tell nothing if their correction differs by more from that of most: normals are rough and
-# lamps torn, so that the baked light is as often wrong there as the model. Errors of the light raise the
-# contrast.
-MOST_DIFFERENCE_SCAN = 0.15
+# Points tell nothing if their correction differs from that of most by more than this over the deviation of
+# the place of surfaces in metres (by 0.15 on a scan with edges of 2 cm): where normals are rough and lamps
+# torn, the baked light is as often wrong as the model. Errors of the light raise the contrast.
+MOST_DIFFERENCE = 0.003
 MOST_LIGHT = 6.0e4  # in half floats
 # Darkest L_d, in units of the capture's median, that is compared and by which is divided.
 LEAST_LIGHT = 1e-3
@@ -84,9 +84,8 @@ def refit_photographs(
     shift = found.radiometry.adjustment.log_gains - radiometry.adjustment.log_gains
     model = lit.points.light(lit.cache, _shown(pixels, found, unit), contrast)
     correction = np.log(np.maximum(light, LEAST_LIGHT)) + unit - np.log(np.maximum(model, 1e-12))
-    if room.scan is not None:
-        usual = np.median(correction[valid], axis=0)
-        valid &= (np.abs(correction - usual) < MOST_DIFFERENCE_SCAN).all(axis=1)
+    usual = np.median(correction[valid], axis=0)
+    valid &= (room.place * np.abs(correction - usual) < MOST_DIFFERENCE).all(axis=1)
     points = replace(
         lit.points,
         value=np.where(valid[:, None], lit.points.value + shift[lit.place], np.nan),
