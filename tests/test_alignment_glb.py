@@ -121,5 +121,4 @@ def test_any_byte_cut_off_is_refused(tmp_path: Path) -> None:
 def test_compressed_files_are_named(tmp_path: Path) -> None:
     primitive = {"attributes": {"POSITION": 0}, "extensions": {"KHR_draco_mesh_compression": {}}}
     (tmp_path / "scan.glb").write_bytes(glb(little(meshes=[{"primitives": [primitive]}]), binary()))
-    with pytest.raises(FiptError, match="compressed"):
-        read_mesh(tmp_path / "scan.glb")
+    assert "compressed" in str(error_of(read_mesh, tmp_path / "scan.glb"))

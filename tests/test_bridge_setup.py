@@ -131,8 +131,7 @@ def test_pins_are_those_of_the_checkout_or_of_the_zip(tmp_path: Path) -> None:
     assert any(pin.startswith("mitsuba==") for pin in pins.read_pins()["engine"])
     (tmp_path / pins.PINS_NAME).write_text(json.dumps({"engine": ["a==1"], "llvm": [], "pip": []}))
     assert pins.read_pins(tmp_path)["engine"] == ["a==1"]
-    with pytest.raises(FiptError, match="engine's packages"):
-        pins.read_pins(tmp_path / "nowhere")
+    assert "engine's packages" in str(error_of(pins.read_pins, tmp_path / "nowhere"))
 
 
 def test_environments_belong_to_pins_and_a_python(tmp_path: Path) -> None:

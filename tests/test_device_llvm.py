@@ -17,7 +17,6 @@ import pytest
 
 from fipt_blender.bridge import interpreter, places
 from fipt_blender.core.device import check, llvm, probe, variant
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter, parse_message
 from samples.refusals import error_of
 
@@ -124,8 +123,7 @@ def test_kills_and_missing_packages_are_no_verdict_on_the_library(
     monkeypatch.setattr(llvm, "system_patterns", lambda: iter([]))
     python = fake_python(tmp_path / "bin", f"echo {probe.IMPORTED}; kill -KILL $$")
     for _ in range(2):
-        with pytest.raises(FiptError, match="signal 9"):
-            llvm.find_llvm(python, tmp_path / "cache")
+        assert "signal 9" in str(error_of(llvm.find_llvm, python, tmp_path / "cache"))
     assert len(starts(python)) == 2
     python = fake_python(tmp_path / "bin", 'echo "ModuleNotFoundError: No module named mitsuba"; exit 1')
     assert error_of(llvm.find_llvm, python, tmp_path / "cache").code == "package-missing"
@@ -197,8 +195,7 @@ def test_engine_python_without_packages_is_refused(tmp_path: Path, monkeypatch: 
     monkeypatch.delenv(interpreter.PYTHON_VARIABLE, raising=False)
     bare = fake_python(tmp_path / "bin", 'echo "3.11.0 lacks mitsuba"; exit 1')
     monkeypatch.setenv(places.DATA_VARIABLE, str(tmp_path / "data"))
-    with pytest.raises(FiptError, match="lacks mitsuba"):
-        interpreter.find_engine_python(str(bare))
+    assert "lacks mitsuba" in str(error_of(interpreter.find_engine_python, str(bare)))
     monkeypatch.setattr(interpreter, "PACKAGE_FOLDER", tmp_path / "no" / "checkout")
     monkeypatch.setattr(interpreter.sys, "executable", str(bare))
     caught = error_of(interpreter.find_engine_python)

@@ -29,6 +29,7 @@ from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import run_job, running, runstate
 from fipt_blender.operators.estimate import smaller_preset
 from fipt_blender.properties.estimate import CHOICES
+from samples.operator_calls import refused
 from samples.small_captures import PANEL, QUICK, SmallCapture, panel_capture, write_run
 from samples.small_rooms import BOX
 
@@ -216,8 +217,7 @@ def test_no_engine_is_said_before_anything_is_made(scene, tmp_path, monkeypatch)
     scene.fipt.run_folder = ""
     scene.fipt.capture.views.add().name = "train/000"
     monkeypatch.setenv(interpreter.PYTHON_VARIABLE, str(tmp_path / "nowhere"))
-    with pytest.raises(RuntimeError, match="no such file"):
-        ops.estimate()
+    assert "no such file" in refused(ops.estimate)
     assert scene.fipt.run_folder == "" and not (tmp_path / "data").exists()
 
 
@@ -237,8 +237,7 @@ def test_an_interpreter_that_breaks_at_work(scene, run, tmp_path, monkeypatch, s
     assert running.last("estimate").error["code"] == code
 
     broken.chmod(0o644)
-    with pytest.raises(RuntimeError, match="can't be started"):
-        ops.estimate()
+    assert "can't be started" in refused(ops.estimate)
     assert running.last("estimate").error["code"] == "engine-missing"
 
 
@@ -246,8 +245,7 @@ def test_an_interpreter_that_breaks_at_work(scene, run, tmp_path, monkeypatch, s
 def test_an_interpreter_without_the_packages_is_refused(scene, tmp_path, monkeypatch):
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(tmp_path / "bare")], check=True)
     monkeypatch.setenv(interpreter.PYTHON_VARIABLE, str(tmp_path / "bare"))
-    with pytest.raises(RuntimeError, match="lacks"):
-        ops.estimate()
+    assert "lacks" in refused(ops.estimate)
 
 
 @pytest.fixture
@@ -369,6 +367,5 @@ def test_without_a_room_or_a_capture_it_says_what_is_missing(scene, run):
     with pytest.raises(RuntimeError, match=r"no room.*section Capture"):
         ops.estimate()
     run.capture_json.unlink()
-    with pytest.raises(RuntimeError, match="capture"):
-        ops.estimate()
+    assert "capture" in refused(ops.estimate)
     assert not find_engine(run)

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.run.arrays import read_arrays
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.run_files import read_atlas, read_emitters, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from samples.refusals import error_of
@@ -93,8 +92,7 @@ def test_a_room_that_does_not_fit_itself_is_refused(run: RunFolder, change: dict
 
 
 def test_an_array_that_is_missing_is_named(run: RunFolder) -> None:
-    with pytest.raises(FiptError, match="lacks the array 'x'"):
-        read_arrays(run.room_npz, {"x": ("f", (3,))})
+    assert "lacks the array 'x'" in str(error_of(read_arrays, run.room_npz, {"x": ("f", (3,))}))
 
 
 @pytest.mark.parametrize(
