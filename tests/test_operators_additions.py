@@ -15,7 +15,7 @@ from fipt_blender import machine
 from fipt_blender.api import tasks
 from fipt_blender.blend.capture import overlay
 from fipt_blender.blend.capture.additions import added_surfaces
-from fipt_blender.blend.marks import ADDED, FOUND
+from fipt_blender.blend.marks import ADDED, CLOSED, FOUND
 from fipt_blender.blend.room.mesh_arrays import world_bounds
 from fipt_blender.core import conventions
 from fipt_blender.core.device.variant import set_variant
@@ -185,6 +185,9 @@ def test_what_an_estimation_has_added_is_the_artists_from_then_on(imported, monk
     assert ops.add_surface(shape="BOX") == {"FINISHED"}
     task.finished(imported, RunFolder(imported.fipt.run_folder))
     assert not imported.fipt.capture.completed
+    added_surfaces(imported)[0][ADDED] = CLOSED
+    task.finished(imported, RunFolder(imported.fipt.run_folder))
+    assert not imported.fipt.capture.completed  # with other masks the search may find more
     added_surfaces(imported)[0][ADDED] = FOUND
     task.finished(imported, RunFolder(imported.fipt.run_folder))
     assert imported.fipt.capture.completed

@@ -341,13 +341,14 @@ def _apply_job(scene: bpy.types.Scene, run: RunFolder, settings: Settings) -> Jo
 
 
 def _applied(scene: bpy.types.Scene, run: RunFolder) -> None:
-    from ..blend.marks import was_found
+    from ..blend.marks import ADDED, FOUND
     from ..blend.results.scene_state import finish
 
     finish(scene, run)
     settings = scene.fipt.capture
-    # What the artist deletes of it stays away in the next estimation.
-    settings.completed |= any(map(was_found, settings.room_objects(scene)))
+    # What the artist deletes of it stays away in the next estimation. Closed holes alone say nothing of the
+    # search, which may find more with other masks.
+    settings.completed |= any(item.get(ADDED) == FOUND for item in settings.room_objects(scene))
 
 
 def chosen_settings(scene: bpy.types.Scene, run: RunFolder) -> Settings:
