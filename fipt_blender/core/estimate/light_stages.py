@@ -29,7 +29,7 @@ from ..scene.pixels import fill_pixels, open_pixels
 from ..scene.unmixing import keep_pure, unmix_pixels
 from ..views.check import check_views
 from ..views.photometry import Photometry, adjust_photographs, warn_of_photographs
-from ..views.refit import MOST_REFITS, SETTLED, refit_photographs
+from ..views.refit import refit_photographs
 from .state import EstimationState, Facts
 
 
@@ -82,21 +82,13 @@ class LightStages(EstimationState):
         return adjust_photographs(self.pixels, self.room, part, self.scale, self.settings, folder)
 
     def _readjust_photographs(self, found: Photometry) -> None:
-        """Find their response and the clipped lamps again, with the light of shadings of stage 1.
-
-        Lamps and contrast change that light, therefore it is repeated until the contrast settles.
-        """
-        part = self._surface_labels()
-        for number in range(MOST_REFITS if self.settings.refit_photographs else 0):
+        """Find their response and the clipped lamps again, with the light of shadings of stage 1."""
+        if self.settings.refit_photographs:
             self._prepare()
             baking = self._baking(*self._first_light(), None, 0)
-            before = found.found.radiometry.contrast.value
-            light_of = partial(baked_light, baking, self.pixels)
+            part, light_of = self._surface_labels(), partial(baked_light, baking, self.pixels)
             found = refit_photographs(found, self.pixels, self.room, part, light_of)
-            begin = 0.85 + 0.15 * number / MOST_REFITS
-            self._unmix(found, self._progress_within(begin, begin + 0.15 / MOST_REFITS))
-            if abs(found.found.radiometry.contrast.value - before) < SETTLED:
-                break
+            self._unmix(found, self._progress_within(0.85, 1.0))
         self.scale, self.photometry = found.scale, found.facts
         warn_of_photographs(found.facts, self.reporter)
 

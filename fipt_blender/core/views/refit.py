@@ -25,9 +25,6 @@ from .clipped_surfaces import VAGUE, ClippedSurfaces
 from .photometry import Found, Photometry, solve_light, write_radiance
 
 LightOf = Callable[[np.ndarray, SampleCounts], np.ndarray]
-# The refit is repeated until the logarithm of the contrast changes by less than this, so many times at most.
-SETTLED = 0.01
-MOST_REFITS = 3
 # Samples of the light over the hemisphere and towards lamps: at points that tell the contrast, which noise of
 # the light would raise, and at other pixels.
 POINT_SAMPLES, PIXEL_SAMPLES = SampleCounts(1024, 0, 256), SampleCounts(64, 0, 32)
