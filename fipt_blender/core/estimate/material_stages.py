@@ -131,7 +131,7 @@ class MaterialStages(EstimationState):
         return self._input
 
     def _told_emission(self) -> np.ndarray:
-        """(T,) int8, 1 on triangles that hints say emit, -1 on those that do not or are left alone, else 0."""
+        """(T,) int8, 1 on triangles that emit by hints, -1 on those that do not or are left alone, else 0."""
         hints = self.hints
         if hints is None:
             return np.zeros(len(self.room.triangles), np.int8)

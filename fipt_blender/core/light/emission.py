@@ -1,12 +1,11 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The probability that a surface emits: after the paper's Sec. 4.4 "Emitter extraction" and its emission mask.
+"""The probability that a surface emits (after the paper's Sec. 4.4 "Emitter extraction").
 
-Two hypotheses for each unit (:mod:`.emitter_surfaces`). It reflects: then its radiance is at most what any
-material reflects there, in error by a Student-t distribution, and any share of it as base colour is uniform.
-Or it emits: then its radiance is constant on the lamp, of any order of magnitude above what a white surface
-would have, and rarely below. Neighbouring units that look like lamps are one lamp or none, and lamps are few.
-docs/method.md states the model.
+Two hypotheses for each unit (:mod:`.emitter_surfaces`). It reflects: then its radiance is a share of what a
+white surface of its gloss reflects there, in error by a Student-t distribution; all shares are as likely.
+Or it emits: then its radiance is of any order of magnitude above that, and rarely below. Lamps are few, and
+of one piece and one radiance. docs/method.md states the model.
 """
 
 from __future__ import annotations
@@ -97,7 +96,7 @@ def emission_probability(
 def log_evidence(low: np.ndarray, high: np.ndarray, error: np.ndarray) -> np.ndarray:
     """(N,) logarithm of the likelihood of emission over that of reflection.
 
-    Both are the probability of the interval in which a pixel's radiance is: of one that tells nothing it is 1.
+    Both are the probability of the interval in which a pixel's radiance is; it is 1 of all intervals.
 
     Args:
         low, high: (N,) logarithms of radiance over the most that could be reflected (:func:`log_ratio`).
@@ -190,9 +189,10 @@ class _Lamps:
         low, high = (log_ratio(own * factor[rows, None], reflected) for factor in (seen.low, seen.high))
         evidence = log_evidence(low, high, np.sqrt(error))
         unit, _, pair = pairs_of(unit, seen.view[rows])
-        count = np.bincount(pair)
+        weight = seen.weight[rows]
+        count = np.bincount(pair, weight)
         samples = count / (1.0 + count)
-        mean = np.bincount(pair, evidence) / count
+        mean = np.bincount(pair, evidence * weight) / count
         return _Sums(np.bincount(unit, mean * samples, self.units), np.bincount(unit, samples, self.units))
 
     def _constancy(self, group_of_unit: np.ndarray, groups: int) -> np.ndarray:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What single pixels tell of emission: how much light their surface sends at least and at most, and how much
-any material could reflect there. :mod:`.emission` weighs it.
+it could reflect. :mod:`.emission` weighs it.
 
 Light that may come from another surface is no evidence: what spills over from neighbouring pixels, and what
 the unmixed radiance of a mixed pixel may owe to its errors.
@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from ..optics.factorised import DIELECTRIC_REFLECTANCE
 from ..optics.lights import LUMINANCE
 from ..scene.pixels import PixelStore
 from ..scene.unmixing import NOISE, standard_error
@@ -34,15 +33,17 @@ class Testimony:
 
     Attributes:
         unit: (N,) int surface that each sees. view: (N,) int. pure: (N,) bool.
+        weight: (N,) float32 information of `own`, 1 for pure pixels.
         own: (N, 3) float32 radiance of the surface, in units of the capture's median.
         low, high: (N,) float32 factors within which `own` may be wrong.
-        reflected: (N, 3) float32 most that any material reflects there.
+        reflected: (N, 3) float32 most that the surface reflects.
         diffuse: (N,) float32 luminance of L_d.
     """
 
     unit: np.ndarray
     view: np.ndarray
     pure: np.ndarray
+    weight: np.ndarray
     own: np.ndarray
     low: np.ndarray
     high: np.ndarray
@@ -82,6 +83,7 @@ def read_testimony(
         hit = np.flatnonzero((triangle >= 0) & (weight > 0.0))
         columns = (
             np.asarray(pixels.pure[rows]),
+            weight,
             own,
             low,
             high,
@@ -99,26 +101,14 @@ def read_testimony(
 def log_ratio(radiance: np.ndarray, reflected: np.ndarray) -> np.ndarray:
     """(N,) logarithm of the luminance of radiances (N, 3) over what reflection explains of it (N, 3).
 
-    Where a channel is brighter than reflection, the others count as explained: a red lamp under white light may
-    be as dark as a wall.
+    Where a channel is brighter than reflection, the others count as explained: a red lamp under white light
+    may be as dark as a wall.
     """
     luminance = radiance @ LUMINANCE
     explained = np.where(
         (radiance > reflected).any(axis=1), np.minimum(radiance, reflected) @ LUMINANCE, reflected @ LUMINANCE
     )
     return np.asarray(np.log(np.maximum(luminance, 1e-6) / np.maximum(explained, 1e-6)))
-
-
-def most_reflected(diffuse: np.ndarray, specular: np.ndarray) -> np.ndarray:
-    """(N, 3) upper bound of L_r over all base colours, roughness levels and metallic values (paper Eq. 5).
-
-    Eq. 5 is linear in a and in m, so its maximum is at a = 1 and m = 0 or 1.
-
-    Args:
-        diffuse: (N, 3) L_d. specular: (N, K, 2, 3) L_s0 and L_s1.
-    """
-    s0, s1 = specular[:, :, 0], specular[:, :, 1]
-    return (np.maximum(diffuse[:, None] + DIELECTRIC_REFLECTANCE * s0, s0) + s1).max(axis=1)
 
 
 def most_nearby(reflected: np.ndarray, hit: np.ndarray, size: tuple[int, int], reach: int) -> np.ndarray:

@@ -182,7 +182,7 @@ def followed_by_paths(cells: CellEstimate, errors: np.ndarray, limit: float) -> 
 
 
 def white_rows(data: TrainingData, rows: np.ndarray) -> np.ndarray:
-    """(R, 3) float32 most that surfaces with the roughness and metallic of their group reflect in pixels (R,)."""
+    """(R, 3) float32 most that a surface reflects with the gloss of its group, in the pixels `rows` (R,)."""
     slope, offset = color_lines(data.shadings, data.levels, rows, data.materials.of_pixels[data.group[rows]])
     diffuse = np.asarray(data.shadings.diffuse[rows], np.float32)
     return np.asarray(np.maximum(diffuse, slope) + offset, np.float32)
