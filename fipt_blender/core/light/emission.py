@@ -34,8 +34,8 @@ PRIOR = 0.003
 # Relative errors: of the shadings of a modelled room and of a scan, of unmixed radiance beside its standard
 # error, and of the radiance of photographs that are not HDR.
 SHADING_ERROR, SCAN_ERROR, MIXED_ERROR, PHOTOGRAPH_ERROR = 0.15, 0.2, 0.3, 0.2
-# Lamps are up to so many times (a logarithm) as bright as white surfaces, evenly on a logarithmic scale; the
-# density falls with this power of the radiance below.
+# Lamps are brighter than white surfaces by orders of magnitude, evenly on a logarithmic scale, most of them
+# up to this logarithm; the density falls with this power of the radiance below.
 BRIGHTEST, DIM_POWER = 7.0, 2.0
 # Number of independent samples that the pixels of a lamp are worth at most: shadings have an error in common.
 MOST_SAMPLES, MOST_SAMPLES_SCAN = 50.0, 10.0
@@ -110,7 +110,7 @@ def log_evidence(low: np.ndarray, high: np.ndarray, error: np.ndarray) -> np.nda
 
     def emitting(x: np.ndarray) -> np.ndarray:
         below = np.exp(DIM_POWER * np.minimum(x, 0.0)) / DIM_POWER
-        return np.asarray((below + np.clip(x, 0.0, BRIGHTEST)) / (BRIGHTEST + 1.0 / DIM_POWER))
+        return np.asarray((below + np.maximum(x, 0.0)) / (BRIGHTEST + 1.0 / DIM_POWER))
 
     ratio = (emitting(high) - emitting(low) + 1e-9) / (reflecting(high) - reflecting(low) + 1e-9)
     return np.asarray(np.log(ratio))
