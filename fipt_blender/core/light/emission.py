@@ -33,7 +33,7 @@ from .evidence import Testimony, log_ratio, read_testimony
 PRIOR = 0.003
 # Relative errors: of the shadings of a modelled room and of a scan, of unmixed radiance beside its standard
 # error, and of the radiance of photographs that are not HDR.
-SHADING_ERROR, SCAN_ERROR, MIXED_ERROR, PHOTOGRAPH_ERROR = 0.15, 0.2, 0.3, 0.2
+SHADING_ERROR, SCAN_ERROR, MIXED_ERROR, PHOTOGRAPH_ERROR = 0.15, 0.2, 0.3, 0.3
 # Lamps are brighter than white surfaces by orders of magnitude, evenly on a logarithmic scale, most of them
 # up to this logarithm; the density falls with this power of the radiance below.
 BRIGHTEST, DIM_POWER = 7.0, 2.0
