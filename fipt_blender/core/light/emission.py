@@ -116,17 +116,20 @@ def log_evidence(low: np.ndarray, high: np.ndarray, error: np.ndarray) -> np.nda
     return np.asarray(np.log(ratio))
 
 
-def constancy(radiance: np.ndarray, diffuse: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:
+def constancy(
+    radiance: np.ndarray, diffuse: np.ndarray, group: np.ndarray, groups: int, least: float = ALIKE_SPREAD
+) -> np.ndarray:
     """(groups,) evidence by radiance that is constant where the light varies, or that follows the light.
 
     Args:
         radiance, diffuse: (N,) logarithms. group: (N,) int from 0, negative for none.
+        least: deviation of radiance over light that errors of the light make.
     """
     result = np.zeros(groups)
     for index, rows in enumerate(rows_of_groups(group, groups)):
         if len(rows):
             emits, reflects = (
-                deviation(values - np.median(values), ALIKE_SPREAD)
+                deviation(values - np.median(values), least)
                 for values in (radiance[rows], radiance[rows] - diffuse[rows])
             )
             samples = len(rows) / ALIKE_PIXELS
@@ -201,7 +204,8 @@ class _Lamps:
             return np.zeros(groups)
         group = np.where(self.seen.pure, group_of_unit[self.seen.unit], -1)
         radiance, diffuse = (np.log(np.maximum(a, 1e-6)) for a in (self.luminance, self.seen.diffuse))
-        return constancy(radiance, diffuse, group, groups)
+        least = ALIKE_SPREAD if self.scan is None else SCAN_ERROR
+        return constancy(radiance, diffuse, group, groups, least)
 
     def _constant_parts(self) -> np.ndarray | None:
         """(U,) evidence by the constant radiance of known parts; None without parts."""
