@@ -24,7 +24,7 @@ from fipt_blender.core.light.emitters import EmitterPixels, Fixture, emitter_tab
 from fipt_blender.core.light.radiance import CachedRadiance, RadianceSource, TracedRadiance
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, Shadings, bake
 from fipt_blender.core.material import losses
-from fipt_blender.core.material.emission_mask import EmissionNetwork, emission_mask, mask_at, masked_triangles
+from fipt_blender.core.material.emission_mask import EmissionNetwork, emission_mask, mask_at
 from fipt_blender.core.material.groups import part_units
 from fipt_blender.core.material.networks import BrdfNetwork, Prediction
 from fipt_blender.core.material.training import Networks
@@ -32,9 +32,11 @@ from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.run.settings import Settings, make_settings
 from fipt_blender.core.scene.pixels import fill_pixels, open_pixels
-from fipt_blender.core.scene.room import triangle_normals
+from fipt_blender.core.scene.room import Room, triangle_normals
 from fipt_blender.core.views.check import ViewCheck
 
+# A triangle is an emitter if its mean mask at so many points is above the threshold (paper, Sec. 4.4).
+EMITTER_THRESHOLD, EMITTER_SAMPLES = 0.01, 100
 # The authors' code: 6 linear levels; 256 cosine rays and 64 + 5 x 128 visible-normal ones, then 128 and
 # 6 x 64; three trainings, each anew. Two of their epochs would be too few steps on small captures, so the
 # steps are those that they take on their own ones.
@@ -159,6 +161,29 @@ def batch_means(values: torch.Tensor, weight: torch.Tensor, part: torch.Tensor) 
     return (sums / total[:, None])[group]
 
 
+def masked_triangles(
+    room: Room,
+    mask: Callable[[np.ndarray], np.ndarray],
+    threshold: float,
+    samples: int,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """(T,) bool, triangles whose mean emission mask over random points exceeds the threshold.
+
+    Args:
+        mask: (N, 3) world positions to (N,) alpha.
+        samples: points per triangle.
+    """
+    marked = np.zeros(len(room.triangles), bool)
+    asked = np.arange(len(marked))
+    for start in range(0, len(asked), 4096):
+        chunk = asked[start : start + 4096]
+        u, v = rng.random((2, len(chunk), samples), dtype=np.float32)
+        alpha = mask(room.points_on(chunk[:, None], u, v).reshape(-1, 3))
+        marked[chunk] = alpha.reshape(-1, samples).mean(axis=1) > threshold
+    return marked
+
+
 def reference_loss(
     brdf: PaperNetwork,
     emission: EmissionNetwork,
@@ -213,7 +238,6 @@ class ReferenceEstimation(Estimation):
     def _prepare(self) -> None:
         super()._prepare()
         self.hit = np.flatnonzero(np.asarray(self.pixels.triangle) >= 0)
-        self.emitting = np.zeros(len(self.room.triangles), bool)
         # Nothing is shrunk towards its part: only the product does that.
         units = part_units(self.parts)
         self._find_cells(replace(units, single=np.zeros_like(units.single)))
@@ -294,13 +318,12 @@ class ReferenceEstimation(Estimation):
         self._new_networks(index)
         self._optimise(index, self.settings.training_steps, self.reporter.progress)
         if index == 0:  # the paper's emitters are found once
-            self.emitting = self._masked_triangles()
-            self._group_fixtures(self.emitting)
+            self._group_fixtures(self._masked_triangles())
         return {"steps": self.settings.training_steps, "hash_levels": self.settings.hash_levels}
 
     def _train(self) -> dict[str, Any]:
         """Nothing is left to do after the last round."""
-        self._save_networks("training", Networks(self.brdf, self.mask), self.emitting)
+        self._save_networks("training", Networks(self.brdf, self.mask))
         return {}
 
     def _optimise(self, index: int, steps: int, progress: Callable[[float], None]) -> None:
@@ -339,8 +362,8 @@ class ReferenceEstimation(Estimation):
         return masked_triangles(
             self.room,
             lambda positions: mask_at(self.mask, self.box, positions),
-            self.settings.emitter_threshold,
-            self.settings.emitter_samples,
+            EMITTER_THRESHOLD,
+            EMITTER_SAMPLES,
             np.random.default_rng([self.settings.seed, 3, 0]),
         )
 

@@ -76,10 +76,7 @@ _TABLE = (
     ("refit_photographs", "codes again with baked light", ["views/refit"], {}, (JPEG,)),
     ("unseen_light", "light from unseen directions", ["light/unseen_light"], {}, ()),
     ("presumed_lamps", "presumed lamps in stage 1", ["light/presumed"], {}, ()),
-    ("lit_specks", "what brighter lamps light is no lamp", ["light/scan_fixtures"], {}, (SCAN,)),
     ("denoise_specular", "denoised specular shadings", [], {}, ()),
-    ("constant_parts", "parts of constant radiance are lamps", [], {}, (MASKS,)),
-    ("lamp_outlines", "outlines of lamps", ["light/lamp_outline"], {}, (SCAN,)),
     ("reflecting_lamps", "lamps reflect", ["light/reflecting"], {}, ()),
     ("lamp_doubt", "the place of lamps in the confidence", ["light/lamp_doubt"], {}, (SCAN,)),
 )

@@ -11,14 +11,13 @@ import pytest
 import torch
 
 from benchmarks import curves, resampled, scaling, shading_error, speed, speed_table
-from benchmarks.reference import AUTHORS, bake_apart, batch_means, reference_settings
+from benchmarks.reference import AUTHORS, bake_apart, batch_means, masked_triangles, reference_settings
 from benchmarks.speed_engine import kept_path
 from benchmarks.turns import merged, take_turns
 from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
 from fipt_blender.core.light.cache import SurfaceLookup, pool
 from fipt_blender.core.light.radiance import CachedRadiance
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
-from fipt_blender.core.material.emission_mask import masked_triangles
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.run.checkpoints import stage_names
 from fipt_blender.core.run.documents import read_json

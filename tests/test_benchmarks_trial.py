@@ -108,7 +108,7 @@ def test_a_mechanism_pays_where_it_gains_more_than_it_loses() -> None:
         row("b", "panes", {"pixels": 4.0}, kd_psnr=20.0),  # nothing there has a hole
         row("a", "outlines", {}, sigma_psnr=19.5, relight_psnr=20.6),
         row("a", "unmix", {}, kd_psnr=19.8),
-        row("a", "lit_specks", {}, emission_iou=20.05) | {"lamps": {"false": 3, "lost": 0}},
+        row("a", "presumed_lamps", {}, emission_iou=20.05) | {"lamps": {"false": 3, "lost": 0}},
         {"capture": "b", "change": "unmix", "error": ["failed"]},
     ]  # fmt: skip
     found = trial_table.effects(rows)
@@ -116,7 +116,7 @@ def test_a_mechanism_pays_where_it_gains_more_than_it_loses() -> None:
     assert found["panes"].mean == pytest.approx([1.0, 0, 0, 0, 0, 0, -0.1, 0, 0, 0])
     verdicts = {name: effect.verdict() for name, effect in found.items()}
     assert verdicts == {
-        "panes": "pays", "outlines": "loses as much", "unmix": "does not pay", "lit_specks": "pays",
+        "panes": "pays", "outlines": "loses as much", "unmix": "does not pay", "presumed_lamps": "pays",
     }  # fmt: skip
     lines = trial_table.format_table(rows).splitlines()
     assert lines[2].startswith("| `panes` | 1 of 2 | +1.00 |") and lines[2].endswith("| pays |")
@@ -181,7 +181,7 @@ def test_runs_are_resumed_after_the_method_as_it_is(tmp_path: Path, monkeypatch:
 
 @pytest.mark.usefixtures("one_thread")
 def test_a_run_that_begins_with_stored_stages_finds_the_same(tmp_path: Path) -> None:
-    few = {"diffuse_spp": 4, "specular_spp": 1, "light_spp": 4, "emitter_samples": 10, "batch_size": 64}
+    few = {"diffuse_spp": 4, "specular_spp": 1, "light_spp": 4, "batch_size": 64}
     first = write_run(tmp_path / "first", panel_capture(), rounds=0, training_steps=1, **few)
     found = trial_run.estimate(first.root, tmp_path / "store")
     vertices, triangles = panel_capture().room.vertices, panel_capture().room.triangles

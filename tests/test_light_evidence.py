@@ -1,28 +1,23 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What single pixels testify about emission, and where their light may be another surface's."""
+"""What pixels testify about emission, and the probability that follows from it."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.light.baking import ShadingStore
-from fipt_blender.core.light.emitter_surfaces import LEAST_RESIDUAL, LEAST_RESIDUAL_SCAN, emitter_surfaces
+from fipt_blender.core.light.emission import constancy, emission_probability, log_evidence
+from fipt_blender.core.light.emitter_surfaces import EmitterSurfaces, emitter_surfaces
 from fipt_blender.core.light.evidence import (
-    extend_to_components,
-    find_emission,
+    log_ratio,
     most_nearby,
-    most_reflected,
     neighbourhood_maximum,
-    relative_residual,
     spill_free_fraction,
 )
-from fipt_blender.core.material.losses import factorised_rendering
-from fipt_blender.core.material.networks import Prediction
 from fipt_blender.core.scene.labels import Parts
 from fipt_blender.core.scene.pixels import NO_TRIANGLE, PixelStore, open_pixels
 from samples.small_rooms import make_room
@@ -53,135 +48,133 @@ def store(
     return pixels
 
 
-def emission(
+def probability(
     pixels: PixelStore,
-    marked: tuple[int, ...] = (),
-    constant: tuple[int, ...] = (),
-    estimate: float = 0.5,
-    gloss: float = 0.0,
+    told: tuple[int, ...] = (),
     diffuse: np.ndarray | float = 1.0,
-    reach: int = 0,
-    least: float = LEAST_RESIDUAL,
-) -> list[int]:
-    """Triangles that emit where L_d is 1, or as given for each pixel, and L_s0 is `gloss` everywhere."""
-    count, ids = len(pixels), np.arange(len(ROOM.triangles))
-    surfaces = emitter_surfaces(ROOM, Parts(ids, "none"), 0.01)
-    specular = np.zeros((count, 2, 2, 3), np.float16)
-    specular[:, 0, 0] = gloss
-    light = np.broadcast_to(np.reshape(diffuse, (-1, 1)), (count, 3)).astype(np.float16)
-    shadings = ShadingStore(light, specular)
-    found = find_emission(
-        ROOM,
-        pixels,
-        shadings,
-        np.isin(ids, marked),
-        np.isin(ids, constant).astype(np.int8),
-        lambda rows: np.full((len(rows), 3), estimate),
-        replace(surfaces, reach=reach, least_residual=least),
+    hdr: bool = True,
+    **changes: object,
+) -> np.ndarray:
+    """(T,) probability to emit where L_d is 1, or as given for each pixel, and surfaces are diffuse."""
+    ids = np.arange(len(ROOM.triangles))
+    surfaces: EmitterSurfaces = replace(emitter_surfaces(ROOM, Parts(ids, "none"), 0.01), **changes)
+    light = np.broadcast_to(np.reshape(diffuse, (-1, 1)), (len(pixels), 3)).astype(np.float16)
+    shadings = ShadingStore(light, np.zeros((len(pixels), 2, 2, 3), np.float16))
+    none, hints = np.zeros(len(ids), bool), np.isin(ids, told).astype(np.int8)
+    return emission_probability(
+        ROOM, pixels, shadings, lambda rows: light[rows].astype(np.float32), surfaces, hints, none, hdr
     )
-    return np.flatnonzero(found).tolist()
 
 
-def test_no_material_reflects_more_than_the_bound() -> None:
-    rng = np.random.default_rng(0)
-    shadings = rng.random((50, 3)), rng.random((50, 4, 2, 3))
-    bound = most_reflected(*shadings)
-    levels = np.linspace(0.02, 1.0, 4)
-    diffuse, specular = (torch.from_numpy(each) for each in shadings)
-    highest = np.zeros((50, 3))
-    for color in (0.0, 0.5, 1.0):
-        for metallic in (0.0, 0.5, 1.0):
-            for roughness in (*levels, 0.4):
-                size = torch.ones(50, dtype=torch.float64)
-                material = Prediction(color * size[:, None].expand(50, 3), roughness * size, metallic * size)
-                made = factorised_rendering(material, diffuse, specular, torch.from_numpy(levels)).numpy()
-                highest = np.maximum(highest, made)
-    assert (highest <= bound + 1e-9).all()
-    assert highest == pytest.approx(bound, abs=1e-9)  # and some material reaches it
+def emission(pixels: PixelStore, **options: object) -> list[int]:
+    """Triangles that emit; options of :func:`probability`."""
+    return np.flatnonzero(probability(pixels, **options) > 0.5).tolist()  # type: ignore[arg-type]
+
+
+def test_brighter_than_white_is_evidence_and_what_white_explains_is_none() -> None:
+    ratio = np.log([0.02, 0.3, 1.0, 1.2, 2.0, 4.0, 40.0])
+    found = log_evidence(ratio - 0.02, ratio + 0.02, np.full(7, 0.15))
+    assert (found[:4] < 0.0).all() and (found[4:] > 0.0).all() and (np.diff(found) > 0.0).all()
+    rough = log_evidence(ratio - 0.02, ratio + 0.02, np.full(7, 0.6))
+    assert (rough[4:] < found[4:]).all()  # light that is known less well explains more
+    # An interval that may be anything tells nothing, one that is cut off below by white a little.
+    assert log_evidence(np.array([-14.0]), np.array([7.0]), np.array([0.15]))[0] == pytest.approx(
+        0.0, abs=0.01
+    )
 
 
 def test_light_is_unexplained_channel_by_channel() -> None:
     """A red lamp under white light is as bright as a grey wall."""
     lamp, wall = np.array([[3.0, 0.1, 0.1]]), np.full((1, 3), 0.8)
-    assert relative_residual(lamp, np.ones((1, 3)))[0] > 0.5
-    assert relative_residual(wall, np.ones((1, 3)))[0] == 0.0
-    assert relative_residual(np.zeros((1, 3)), np.zeros((1, 3)))[0] == 0.0
+    assert log_ratio(lamp, np.ones((1, 3)))[0] > np.log(2.0)
+    assert log_ratio(wall, np.ones((1, 3)))[0] == pytest.approx(np.log(0.8))
+    assert log_ratio(2.0 * wall, np.ones((1, 3)))[0] == pytest.approx(np.log(1.6))
 
 
-def test_a_dim_lamp_emits_though_the_mask_misses_it(tmp_path: Path) -> None:
-    """Twice what a white surface reflects; a wall may have 1.3 times that before it counts."""
-    view = (["..BBLL"], [[0.8, 0.8, 1.3, 1.3, 2.0, 2.0]])
-    assert emission(store(tmp_path, [view] * 2)) == [LAMP, LAMP + 1]
-    # Gloss may explain it, where the mask says nothing; and in one view it may be a highlight.
-    assert emission(store(tmp_path, [view] * 2), gloss=1.8) == []
-    assert emission(store(tmp_path, [view] * 2), gloss=1.8, marked=(LAMP,)) == [LAMP, LAMP + 1]
-    assert emission(store(tmp_path, [view])) == []
-    assert emission(store(tmp_path, [view]), marked=(LAMP,)) == [LAMP, LAMP + 1]
+def test_constant_radiance_in_varying_light_is_emitted(rng: np.random.Generator) -> None:
+    """A panel against a wall, a textured wall and a surface in even light; few pixels say little."""
+    count = 400
+    light, noise = np.log(rng.uniform(1.0, 3.0, count)), 0.02 * rng.normal(size=count)
+    texture = np.log(rng.uniform(0.2, 0.8, count))
+    even = np.full(count, 0.7)
+    radiance = np.concatenate([noise, light + noise, light + texture, even + noise])
+    found = constancy(
+        radiance, np.concatenate([light, light, light, even]), np.repeat([0, 1, 2, 3], count), 5
+    )
+    assert found[0] > 20.0 and found[1] < -20.0 and abs(found[2]) < 8.0 and abs(found[3]) < 0.5
+    assert found[4] == 0.0
+    few = constancy(noise[:20], light[:20], np.zeros(20, np.int64), 1)
+    assert 0.0 < few[0] < 0.3 * found[0]
 
 
-def test_mixed_pixels_alone_show_bright_lamps_only(tmp_path: Path) -> None:
-    """At a bevel the unmixed radiance may be four times that of white; a strip of light is brighter."""
-    assert emission(store(tmp_path / "bevel", [(["..bb"], [[0.8, 0.8, 4.0, 4.0]])] * 2, weight=0.9)) == []
-    strip = store(tmp_path / "strip", [(["..bb"], [[0.8, 0.8, 40.0, 40.0]])] * 2, weight=0.9)
-    assert emission(strip) == [BAR, BAR + 1]
-    # A pure pixel needs no such radiance.
-    assert emission(store(tmp_path / "pure", [(["..BB"], [[0.8, 0.8, 4.0, 4.0]])] * 2)) == [BAR, BAR + 1]
+def test_a_lamp_much_brighter_than_white_emits(tmp_path: Path) -> None:
+    view = (["..BBLL"], [[0.8, 0.8, 1.3, 1.3, 5.0, 5.0]])
+    found = probability(store(tmp_path, [view] * 4))
+    assert (found[[LAMP, LAMP + 1]] > 0.9).all() and (found[[WALL, BAR]] < 0.05).all()
+    assert found[LAMP + 1] == found[LAMP]  # no pixel judged the other triangle of the quad
+    # Fewer views and a dimmer lamp are less certain, and no step lies between.
+    less = probability(store(tmp_path / "two", [view] * 2))[LAMP]
+    dim = (["..BBLL"], [[0.8, 0.8, 1.3, 1.3, 3.0, 3.0]])
+    assert 0.02 < less < found[LAMP] and probability(store(tmp_path / "dim", [dim] * 4))[LAMP] < found[LAMP]
 
 
-def test_shadings_of_a_scan_may_be_wrong_by_a_factor_of_two(tmp_path: Path) -> None:
-    """A panel of 2.6 times a white surface emits; what 1.9 times as much light would explain does not."""
-    view = (["BBBLLL"], [[1.9, 1.9, 1.9, 2.6, 2.6, 2.6]])
-    pixels = store(tmp_path, [view] * 2)
-    assert emission(pixels, least=LEAST_RESIDUAL_SCAN) == [LAMP, LAMP + 1]
-    assert emission(pixels) == [LAMP, LAMP + 1, BAR, BAR + 1]
+def test_light_that_may_be_brighter_explains_more(tmp_path: Path) -> None:
+    pixels = store(tmp_path, [(["..LL"], [[0.8, 0.8, 5.0, 5.0]])] * 4)
+    found = [probability(pixels, **options)[LAMP] for options in ({}, {"unseen_light": 4.0}, {"hdr": False})]
+    assert found[0] > 0.9 and found[0] > found[1] and found[0] > found[2]
+    assert emission(pixels, told=(WALL, WALL + 1)) == [WALL, WALL + 1, LAMP, LAMP + 1]
 
 
-def test_what_the_mask_marks_emits_where_the_estimate_falls_short(tmp_path: Path) -> None:
-    pixels = store(tmp_path, [(["..LL"], [[0.8, 0.8, 0.9, 0.9]])])
-    assert emission(pixels, marked=(WALL, LAMP), estimate=0.5) == [0, 1, 2, 3]
-    assert emission(pixels, marked=(WALL, LAMP), estimate=0.6) == [LAMP, LAMP + 1]
-    assert emission(pixels, marked=(WALL, LAMP), estimate=0.7) == []
-    assert emission(pixels, constant=(LAMP, LAMP + 1)) == [LAMP, LAMP + 1]
+def test_a_dim_lamp_emits_as_a_part_of_constant_radiance(tmp_path: Path) -> None:
+    """As bright as the wall beside it, in light that varies by a factor of four."""
+    light = np.linspace(1.0, 4.0, 60)
+    dim, wall = np.full(60, 0.9), 0.5 * light
+    pixels = store(tmp_path, [(["L" * 60, "." * 60], [dim, wall])] * 3)  # type: ignore[list-item]
+    part = np.arange(len(ROOM.triangles)) // 2
+    assert emission(pixels, diffuse=np.tile(light, 6), part=part) == [LAMP, LAMP + 1]
+    # Clipped photographs are constant, too.
+    assert emission(pixels, diffuse=np.tile(light, 6), part=part, hdr=False) == []
 
 
 def test_stray_pixels_do_not_decide(tmp_path: Path) -> None:
     """A highlight on the wall in one view, a dark pixel on the lamp in another."""
-    views = [(["...LLL"], [[9.0, 0.8, 0.8, 5.0, 5.0, 0.1]]), (["...LLL"], [[0.8, 0.8, 0.8, 5.0, 5.0, 5.0]])]
+    bright = (["...LLL"], [[0.8, 0.8, 0.8, 9.0, 9.0, 9.0]])
+    views = [(["...LLL"], [[9.0, 0.8, 0.8, 9.0, 9.0, 0.1]]), *[bright] * 5]
     assert emission(store(tmp_path, views)) == [LAMP, LAMP + 1]
 
 
 def test_a_bar_before_a_lamp_is_no_lamp_in_however_many_views(tmp_path: Path) -> None:
     """No pixel sees it alone. What is left when the lamp is subtracted is uncertain, however bright it is."""
     rows, grey = ["LLbLL"] * 3, [[20.0, 20.0, 19.0, 20.0, 20.0]] * 3
-    assert emission(store(tmp_path, [(rows, grey)] * 4, weight=0.08)) == [LAMP, LAMP + 1]
-    # Where it crosses a narrower lamp it may even be the brightest around; or the sky is behind it.
-    for row in ("LLbLL", "  b  "):
-        rows, grey = [row] * 3, [[15.0, 15.0, 19.0, 15.0, 15.0]] * 3
-        lamp = [LAMP, LAMP + 1] if "L" in row else []
-        assert emission(store(tmp_path, [(rows, grey)] * 4, weight=0.08), marked=(BAR,)) == lamp
+    assert emission(store(tmp_path, [(rows, grey)] * 6, weight=0.08)) == [LAMP, LAMP + 1]
     # Light that a lens spreads from the lamp is none of its own, even where the remainder is certain.
     rows, grey = ["LLbLL"] * 3, [[20.0, 20.0, 9.0, 20.0, 20.0]] * 3
-    assert emission(store(tmp_path, [(rows, grey)] * 4, weight=0.9)) == [LAMP, LAMP + 1]
+    assert emission(store(tmp_path / "lens", [(rows, grey)] * 6, weight=0.9)) == [LAMP, LAMP + 1]
 
 
 def test_light_that_spills_into_a_pure_pixel_is_no_emission(tmp_path: Path) -> None:
     """The bar is as bright as half the lamp beside it, in one column of pixels; two columns are proof."""
-    near = store(tmp_path, [(["LB.."] * 2, [[20.0, 9.0, 0.8, 0.8]] * 2)] * 2)
-    assert emission(near, marked=(BAR,)) == [LAMP, LAMP + 1]
-    wide = store(tmp_path, [(["LBBB"] * 2, [[20.0, 9.0, 9.0, 9.0]] * 2)] * 2)
+    near = store(tmp_path, [(["LB.."] * 2, [[20.0, 9.0, 0.8, 0.8]] * 2)] * 6)
+    assert emission(near) == [LAMP, LAMP + 1]
+    wide = store(tmp_path / "wide", [(["LBBB"] * 2, [[20.0, 9.0, 9.0, 9.0]] * 2)] * 6)
     assert emission(wide) == [LAMP, LAMP + 1, BAR, BAR + 1]
 
 
-def test_a_bulb_that_no_pixel_sees_alone_is_found(tmp_path: Path) -> None:
-    """The wall beside it, of which other pixels know more, is none."""
-    rows = ["....", ".b..", "...."]
-    grey = [[0.8, 0.8, 0.8, 0.8], [3.0, 40.0, 12.0, 0.8], [0.8, 5.0, 0.8, 0.8]]
-    assert emission(store(tmp_path, [(rows, grey)] * 2)) == [BAR, BAR + 1]
-    # In one view it may be a highlight, whatever the mask says.
-    assert emission(store(tmp_path, [(rows, grey)]), marked=(BAR,)) == []
-    # Where a pixel of the wall is brighter, the bulb's own says nothing.
-    grey[1][2] = 60.0
-    assert emission(store(tmp_path, [(rows, grey)] * 2)) == []
+def test_unjudged_triangles_are_lamps_as_their_piece_is(tmp_path: Path) -> None:
+    pixels = store(tmp_path, [(["LL"], [[9.0, 9.0]])] * 6)
+    one = np.zeros(len(ROOM.triangles), np.int64)  # all quads are one piece
+    found = probability(pixels, component=one)
+    assert found == pytest.approx(found[LAMP])
+    apart = probability(pixels)
+    assert apart[LAMP + 1] == apart[LAMP] and not apart[[WALL, BAR]].any()
+
+
+def test_a_rim_that_faces_sideways_on_a_scan_may_show_the_paper_beside_it(tmp_path: Path) -> None:
+    """A rim, on which the scan lets little light fall, is as bright as the lit paper beside it."""
+    light = np.array([1.0, 1.0, 0.2, 0.2, 1.0, 1.0])
+    rim = store(tmp_path, [(["..LL.."], [[0.8, 0.8, 0.9, 0.9, 0.8, 0.8]])] * 6)
+    assert emission(rim, diffuse=np.tile(light, 6)) == [LAMP, LAMP + 1]
+    assert emission(rim, diffuse=np.tile(light, 6), reach=1) == []
 
 
 def test_the_share_that_is_a_pixels_own() -> None:
@@ -196,26 +189,6 @@ def test_the_brightest_of_nine() -> None:
     for row, column in ((0, 0), (3, 4), (6, 8), (0, 5)):
         around = light[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
         assert found[row, column] == around.max()
-
-
-def test_unjudged_triangles_join_a_piece_that_mostly_emits() -> None:
-    areas, piece = np.array([1.0, 1.0, 2.0, 1.0, 1.0]), np.array([0, 0, 0, 1, 1])
-    emits, judged = np.array([[1, 0, 0, 0, 0], [1, 1, 0, 1, 0]], bool)
-    assert extend_to_components(areas, piece, emits, judged).tolist() == [True, False, False, False, False]
-    judged[1] = False
-    assert extend_to_components(areas, piece, emits, judged).tolist() == [True, True, True, False, False]
-    judged[2] = True  # a dark side of twice the area
-    assert extend_to_components(areas, piece, emits, judged).tolist() == [True, False, False, False, False]
-
-
-def test_a_rim_that_faces_sideways_on_a_scan_may_show_the_paper_beside_it(tmp_path: Path) -> None:
-    """A rim, on which the scan lets little light fall, is as bright as the lit paper beside it."""
-    light = np.array([1.0, 1.0, 0.2, 0.2, 1.0, 1.0])
-    rim = store(tmp_path, [(["..LL.."], [[0.8, 0.8, 0.9, 0.9, 0.8, 0.8]])] * 2)
-    assert emission(rim, diffuse=np.tile(light, 2)) == [LAMP, LAMP + 1]
-    assert emission(rim, diffuse=np.tile(light, 2), reach=1) == []
-    lamp = store(tmp_path, [(["..LL.."], [[0.8, 0.8, 4.0, 4.0, 0.8, 0.8]])] * 2)
-    assert emission(lamp, diffuse=np.tile(light, 2), reach=1) == [LAMP, LAMP + 1]
 
 
 def test_light_beside_is_that_of_the_mesh_in_each_channel() -> None:

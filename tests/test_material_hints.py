@@ -212,10 +212,10 @@ def test_doubts_are_ordered_by_what_a_hint_is_worth() -> None:
     """Large and unclear parts first; clear, small and bright ones not at all."""
     errors = np.array([[0.3, 0.0], [0.3, 0.0], [0.02, 0.0], [0.3, 0.4], [0.0, 0.0]])
     pixels = np.array([1000, 5000, 90_000, 10_000, 10_000])
-    bright = np.array([0.0, 0.0, 0.0, 1.0, 0.5])
-    doubts = group_doubts(errors, pixels, bright, np.zeros(5, bool))
+    emits, doubt = np.array([[0.0, 0.0, 0.0, 1.0, 0.5], [0.0, 0.0, 0.0, 0.0, 0.25]])
+    doubts = group_doubts(errors, pixels, emits, doubt)
     assert np.argsort(-doubts.score)[:3].tolist() == [4, 1, 0] and doubts.score[2] == doubts.score[3] == 0.0
-    answered = group_doubts(errors, pixels, bright, np.ones(5, bool))
+    answered = group_doubts(errors, pixels, emits, np.zeros(5))
     assert answered.score[4] == 0.0
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from fipt_blender.core.light.baking import ShadingStore
 from fipt_blender.core.material.pixel_samples import window_means
-from fipt_blender.core.material.projection import color_lines, constant_parts, fit_colors
+from fipt_blender.core.material.projection import color_lines, fit_colors
 from samples.material_pixels import LEVELS, materials_of, synthetic
 
 
@@ -38,34 +38,6 @@ def test_an_empty_part_id_does_no_harm(rng: np.random.Generator) -> None:
     assert metallic[2] == pytest.approx(1.0, abs=1e-3)
     none = materials_of(replace(samples, group=np.full_like(samples.group, -1)))
     assert all(len(values) == 0 for values in none)
-
-
-@pytest.mark.parametrize(("spread", "lamp"), [(0.05, True), (0.01, False)])
-def test_noise_of_the_irradiance_alone_makes_no_lamp(
-    rng: np.random.Generator, spread: float, lamp: bool
-) -> None:
-    """A wide panel far from other lamps receives nearly even light; 0.01 is what noise does."""
-    light = rng.uniform(1.0 - 0.6 * spread, 1.0 + 0.6 * spread, 2000)
-    assert constant_parts(np.ones(2000), light, np.zeros(2000, int), 1).tolist() == [lamp]
-
-
-def test_parts_of_constant_radiance_under_uneven_light_are_lamps(rng: np.random.Generator) -> None:
-    """A dim panel of constant radiance against a wall, a texture and a surface under even light."""
-    count = 400
-    light = rng.uniform(1.0, 3.0, count)
-    noise = 1.0 + 0.02 * rng.normal(size=count)
-    panel, wall = np.full(count, 0.9) * noise, 0.6 * light * noise
-    texture = rng.uniform(0.2, 0.8, count) * light
-    even = np.full(count, 2.0)
-    radiance = np.concatenate([panel, wall, texture, 0.5 * even])
-    irradiance = np.concatenate([light, light, light, even])
-    part = np.repeat([0, 1, 2, 3], count)
-    order = rng.permutation(len(part))
-    constant = constant_parts(radiance[order], irradiance[order], part[order], 5)
-    assert constant.tolist() == [True, False, False, False, False]
-    # A few pixels prove nothing, and pixels without a part belong to none.
-    assert not constant_parts(panel[:20], light[:20], np.zeros(20, int), 1).any()
-    assert not constant_parts(panel, light, np.full(count, -1), 1).any()
 
 
 def test_roughness_between_levels_is_found(rng: np.random.Generator) -> None:

@@ -42,6 +42,7 @@ FIXTURE_LIGHT = "fipt_fixture_light"  # on a Blender light that stands for a fix
 NEW_LIGHT = "fipt_light"  # on a light that the artist added
 MISSING_LAMP = "fipt_missing_lamp"  # on a light for a lamp that the mesh lacks: the lamp's position
 BASE = "fipt_base"  # rgb as estimated or added: radiance of a fixture's front, watts of a light
+PROBABILITY = "fipt_probability"  # that a fixture emits, as estimated
 BACK = "fipt_back"  # rgb radiance of a fixture's back; both are on the materials of merged lamps, too
 MERGED = "fipt_merged"  # on a merged lamp: names of its fixtures in emitters.json, the first its own (JSON)
 ON, SOLO, STOPS = "fipt_on", "fipt_solo", "fipt_stops"

@@ -8,8 +8,10 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
 
-from ..blend.marks import ANIMATED, FIXTURE, MERGED, NAMED, VISIBILITY
+from ..blend.marks import ANIMATED, FIXTURE, MERGED, NAMED, PROBABILITY, VISIBILITY
 from .sidebar import Rows, Section, SubSection, draw_text
+
+CERTAIN = 0.98  # probability from which a fixture is not called in question
 
 
 class FIPT_UL_lights(Rows, bpy.types.UIList):
@@ -96,6 +98,9 @@ def _draw_light(layout: bpy.types.UILayout, light: bpy.types.PropertyGroup | Non
         return
     if name := report_name(light.object):
         layout.label(text=iface_("In the report: {}").format(name), translate=False)
+    sure = float(light.object.get(PROBABILITY, 1.0))
+    if sure < CERTAIN:
+        layout.label(text=iface_("A lamp? {:.0f} % sure").format(100.0 * sure), icon="QUESTION")
     column = layout.column(align=True)
     column.prop(light, "stops")
     if light.has_power():

@@ -20,7 +20,7 @@ from mathutils import Matrix, Vector
 
 from ...core.report.fixture_names import fixture_names
 from ...core.run.parts import RoomParts, free_name
-from ..marks import BACK, BASE, FIXTURE, FIXTURE_SOURCES, NAMED, object_id
+from ..marks import BACK, BASE, FIXTURE, FIXTURE_SOURCES, NAMED, PROBABILITY, object_id
 from ..outliner import FIXTURES, collection
 from ..room.arrays import Room
 from ..room.mesh_arrays import is_mirrored
@@ -104,6 +104,7 @@ def place(scene: bpy.types.Scene, fixtures: Sequence[NewFixture]) -> list[bpy.ty
         item[FIXTURE], item[NAMED] = entry["name"], name
         item[FIXTURE_SOURCES] = json.dumps(fixture.sources)
         item[BASE] = [float(value) for value in entry["radiance"]]
+        item[PROBABILITY] = float(entry.get("probability", 1.0))
         item[BACK] = [float(value) for value in entry["back_radiance"]]
         target.objects.link(item)
         items.append(item)

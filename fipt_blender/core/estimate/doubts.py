@@ -24,8 +24,6 @@ MOST_DOUBTS = 20  # of a run
 LEAST_DOUBT = 0.1
 # Parts with a smaller share of all pixels are not worth a question.
 LEAST_SHARE = 2e-4
-# Share of a part's pixels that are brighter than a white surface from which it may be a lamp.
-MAYBE_LAMP = 0.1
 DARK = 0.2  # base color of dark surfaces
 # A picture shows the part's box and so much around it, as a share of the box; at least so many pixels.
 MARGIN, LEAST_PIXELS = 0.5, 24
@@ -55,22 +53,18 @@ class GroupDoubts:
         return np.where((spread >= LEAST_DOUBT) & (self.share >= LEAST_SHARE), spread * self.share, 0.0)
 
 
-def group_doubts(
-    errors: np.ndarray, pixels: np.ndarray, bright: np.ndarray, decided: np.ndarray
-) -> GroupDoubts:
+def group_doubts(errors: np.ndarray, pixels: np.ndarray, emits: np.ndarray, doubt: np.ndarray) -> GroupDoubts:
     """The doubts of G groups.
 
     Args:
         errors: (G, 2) standard deviation of roughness and metallic.
         pixels: (G,) number of pixels.
-        bright: (G,) share of them that are brighter than white surfaces.
-        decided: (G,) bool, whether hints say if it emits; else bright groups may be lamps.
+        emits: (G,) probability that they emit, and doubt: (G,) its variance, both means of the pixels.
     """
-    maybe = np.where((bright > MAYBE_LAMP) & (bright < 1.0 - MAYBE_LAMP) & ~decided, bright, 0.0)
     material = np.sqrt((errors**2).sum(axis=1))
     # Of a lamp roughness and metallic do not matter.
-    material = np.where(bright >= 0.5, 0.0, material)
-    return GroupDoubts(material, np.sqrt(maybe * (1.0 - maybe)), pixels / max(pixels.sum(), 1))
+    material = np.where(emits >= 0.5, 0.0, material)
+    return GroupDoubts(material, np.sqrt(doubt), pixels / max(pixels.sum(), 1))
 
 
 def question(metallic: float, errors: np.ndarray, color: float, lamp: bool) -> tuple[str, str]:
@@ -91,7 +85,7 @@ def write_doubts(
     folder: RunFolder,
     data: TrainingData,
     cells: CellEstimate,
-    bright: np.ndarray,
+    probability: np.ndarray,
     decided: np.ndarray,
     names: np.ndarray,
 ) -> None:
@@ -101,7 +95,7 @@ def write_doubts(
 
     Args:
         data, cells: the last closed-form estimate.
-        bright: (T,) share of each triangle's pixels that are brighter than a white surface.
+        probability: (T,) of each triangle to emit.
         decided: (T, 3) bool, triangles of which hints say how rough they are, whether they are metal, and
             whether they emit.
         names: (T,) name of each triangle's part, "" without one.
@@ -110,10 +104,10 @@ def write_doubts(
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
     pixels, materials = data.observations.pixels, data.materials
-    counts, bright_of, decided_of = _counts(data, bright, decided)
+    counts, emits, doubt, decided_of = _counts(data, probability, decided)
     total = counts.sum(axis=0)
     open_errors = np.where(decided_of[:, :2], 0.0, materials.error)
-    doubts = group_doubts(open_errors, total, bright_of, decided_of[:, 2])
+    doubts = group_doubts(open_errors, total, emits, np.where(decided_of[:, 2], 0.0, doubt))
     order = np.argsort(-doubts.score, kind="stable")[:MOST_DOUBTS]
     entries = []
     for number, group in enumerate(order[doubts.score[order] > 0.0].tolist(), start=1):
@@ -147,13 +141,14 @@ def write_doubts(
 
 
 def _counts(
-    data: TrainingData, bright: np.ndarray, decided: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(V, G) pixels of each view and group; (G,) share that is bright; (G, 3) bool, most are decided."""
+    data: TrainingData, probability: np.ndarray, decided: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(V, G) pixels of each view and group; (G,) means of their probability to emit and of its variance;
+    (G, 3) bool, most are decided."""
     pixels, groups = data.observations.pixels, len(data.materials.mean)
     views = len(pixels.views)
     counts = np.zeros((views, groups), np.int64)
-    values = np.column_stack([bright, decided])  # (T, 4)
+    values = np.column_stack([probability, probability * (1.0 - probability), decided])  # (T, 5)
     sums = np.zeros((values.shape[1], groups))
     for view in range(views):
         rows = _rows(data, view)
@@ -162,7 +157,7 @@ def _counts(
         for total, of_triangle in zip(sums, values.T, strict=True):
             total += np.bincount(group, of_triangle[triangle], minlength=groups)
     share = sums / np.maximum(counts.sum(axis=0), 1)
-    return counts, share[0], share[1:].T > 0.5
+    return counts, share[0], share[1], share[2:].T > 0.5
 
 
 def _rows(data: TrainingData, view: int) -> np.ndarray:

@@ -9,21 +9,21 @@ from functools import partial
 
 import numpy as np
 
-from ..light.evidence import brighter_than_white, find_emission
+from ..light.emission import emission_probability
+from ..light.emitters import EmitterPixels, bright_triangles
+from ..light.evidence import brighter_than_white
 from ..light.lamp_doubt import HardlySeen, hardly_seen, light_errors, power_errors
-from ..light.lamp_outline import outlined
+from ..light.presumed import presume_lamps
 from ..light.reflecting import separate
 from ..material.cell_errors import add_light_errors, cell_errors, draw_pixels, lit_cells
 from ..material.closed_form import (
-    MARKED_SHARE,
     CellEstimate,
     TrainingData,
     fit_cells,
     followed_by_paths,
-    render_rows,
     triangle_emission,
+    white_rows,
 )
-from ..material.emission_mask import EmissionNetwork, mask_at, masked_triangles
 from ..material.hints import SurfaceHints
 from ..material.networks import typical_values, useful_hash_levels
 from ..material.pixel_samples import lamp_pixels
@@ -66,18 +66,18 @@ class MaterialStages(EstimationState):
     def _estimate(self, name: str, refined: bool) -> Facts:
         """The estimate of this name; `refined`: whether shadings are refined with it afterwards."""
         self._input = None  # that of the round before
-        data, cells, bright = self._closed_form()
+        data, cells = self._closed_form()
         if name == "estimate-0":
             self._warn_of_missing_light()
-        joint = self.settings.emission == "joint"
         self._find_cells(self._material_units(data))
-        known = self._known_emission(data)
-        if joint:
-            emitting = known > 0
+        told = self._told_emission()
+        if self.settings.emission == "joint":
+            self.probability = (told > 0).astype(np.float32)
             self.emission = triangle_emission(cells, data)
-            self.emission[known < 0] = 0.0
+            self.emission[told < 0] = 0.0
         else:
-            emitting = self._find_emitters(data, cells, bright > MARKED_SHARE, known)
+            self.probability = self._emission_probability(data, told)
+        emitting = self.probability > 0.5
         if self.hints is not None:
             self._warn_of_hints(name, self.hints, emitting)
         self._group_fixtures(emitting)
@@ -87,7 +87,7 @@ class MaterialStages(EstimationState):
             self.diffuse = self.observations.means(data.shadings.diffuse).astype(np.float16)
             limit = self.settings.cache_roughness
             self.materials = self._entry_values(followed_by_paths(cells, data.materials.error[:, 0], limit))
-        self._save_estimate(name, emitting)
+        self._save_estimate(name)
         return {"cells": len(cells.keys)}
 
     def _warn_of_missing_light(self) -> None:
@@ -118,64 +118,54 @@ class MaterialStages(EstimationState):
                 "Tick Light Changes Too and estimate again with hints, or use Estimate.",
             )
 
-    def _closed_form(self) -> tuple[TrainingData, CellEstimate, np.ndarray]:
-        """The data to train on with the last shadings, the closed-form estimate of all cells, and the share
-        of each triangle's pixels that are brighter than white (T,)."""
+    def _closed_form(self) -> tuple[TrainingData, CellEstimate]:
+        """The data to train on with the last shadings, and the closed-form estimate of all cells."""
         if self._input is None:
             shadings, settings = self._open_shadings(), self.settings
             given = self.observations, self._pieces, shadings, self.levels, settings
             data = training_input(*given, self.hints, self.room.place)
             joint = settings.lambda_joint if settings.emission == "joint" else None
-            self._input = (data, *fit_cells(data, joint))
+            self._input = (data, fit_cells(data, joint))
         return self._input
 
-    def _known_emission(self, data: TrainingData) -> np.ndarray:
-        """(T,) int8, 1 on triangles that emit in any case, -1 on those that do not, 0 elsewhere.
+    def _told_emission(self) -> np.ndarray:
+        """(T,) int8, 1 on triangles that emit by hints, -1 on those that do not or are left alone, else 0."""
+        hints = self.hints
+        if hints is None:
+            return np.zeros(len(self.room.triangles), np.int8)
+        told = hints.emits - (hints.left_alone & (hints.emits == 0))
+        return np.asarray(hints.of_triangles(told), np.int8)
 
-        Parts emit whose radiance is constant although the light on them varies. Photographs that are not HDR
-        show a constant radiance wherever they are clipped, on reflectors, too. Hints go before.
-        """
-        part = self.observations.parts.triangle_part
-        known = np.zeros(len(part), np.int8)
-        if self.settings.constant_parts and not self.photometry:
-            # Semantic classes, and parts that no pixel saw, have no estimate.
-            has_part = (part >= 0) & (part < len(data.constant))
-            known[has_part] = data.constant[part[has_part]]
-        if self.hints is not None:
-            told = self.hints.of_triangles(
-                self.hints.emits - (self.hints.left_alone & (self.hints.emits == 0))
-            )
-            known = np.where(told != 0, told, known).astype(np.int8)
-        return known
-
-    def _find_emitters(
-        self, data: TrainingData, cells: CellEstimate, marked: np.ndarray, known: np.ndarray
-    ) -> np.ndarray:
-        """(T,) bool, triangles that emit; `known`: :meth:`_known_emission`."""
-        estimate = partial(render_rows, cells, data)
+    def _emission_probability(self, data: TrainingData, told: np.ndarray) -> np.ndarray:
+        """(T,) probability that each triangle emits; `told`: :meth:`_told_emission`."""
+        room, pixels = self.room, self.pixels
+        if self.fixtures or not self.settings.presumed_lamps:
+            baked = self._emitters()[1]
+        else:
+            bright = bright_triangles(room, pixels.triangle, pixels.front, pixels.radiance)
+            baked = presume_lamps(room, EmitterPixels.of(pixels), bright)[1]
         shadings, surfaces = self._open_shadings(), self._emitter_surfaces
-        found = find_emission(self.room, self.pixels, shadings, marked, known, estimate, surfaces)
-        if self.room.scan is None or not self.settings.lamp_outlines:
-            return found
-        return outlined(self.room.scan, self.pixels, found, surfaces.footprint) & (known >= 0)
+        white, hdr = partial(white_rows, data), not self.photometry
+        return emission_probability(room, pixels, shadings, white, surfaces, told, baked, hdr)
 
     def _closed_form_colors(self, rows: np.ndarray) -> np.ndarray:
         """(R, 3) base colour of the last closed-form estimate in the pixels `rows` (R,)."""
         if len(self.materials):
             return self.materials[self.observations.entry[rows], :3]
-        data, cells, _ = self._closed_form()
+        data, cells = self._closed_form()
         place = cells.of_pixels(data, rows)
         return np.where(place[:, None] >= 0, cells.color[place], np.float32(0.5))
 
     def _resume_estimate(self, name: str) -> None:
         # Emitters are read, not found anew: the shadings they were found with may have been refined since.
-        self._group_fixtures(self._load_estimate(name))
+        self._load_estimate(name)
+        self._group_fixtures(self.probability > 0.5)
 
     # ---- Stage 2: BRDF and emission mask (Sec. 4.5, Eq. 12, 14 to 20); emitters (Sec. 4.4, Eq. 13) ---------
 
     def _train(self) -> Facts:
         """Fit the networks to the closed-form estimate, then to the photographs; find the emitters."""
-        data, cells, _ = self._closed_form()
+        data, cells = self._closed_form()
         surfaces = self._surfaces()
         networks = self._new_networks(cells)
         checkpoint = self.folder.stage / f"{UNFINISHED}.pt"
@@ -202,7 +192,7 @@ class MaterialStages(EstimationState):
         The networks add detail to the typical values of the units, those of the new closed form. The
         training's last steps are repeated.
         """
-        data, cells, _ = self._closed_form()
+        data, cells = self._closed_form()
         networks = self._new_networks(cells)
         try:
             state = self.checkpoints.load_tensors("training", self.device)
@@ -230,31 +220,9 @@ class MaterialStages(EstimationState):
         return Networks(self.brdf, None if len(self.emission) else self._new_mask())
 
     def _keep_training(self, name: str, networks: Networks, steps: int) -> Facts:
-        """Find the emitters by trained networks, and keep both."""
-        _, emitting = self._emitters()
-        if networks.emission is not None:
-            emitting = self._masked_emitters(networks.emission)
-            self._group_fixtures(emitting)
-        self._save_networks(name, networks, emitting)
+        """Keep trained networks."""
+        self._save_networks(name, networks)
         return {"steps": steps, "hash_levels": len(networks.brdf.grid.resolutions)}
-
-    def _masked_emitters(self, mask: EmissionNetwork) -> np.ndarray:
-        """(T,) bool, triangles that emit, after the emission mask has been trained.
-
-        Triangles emit that the mask or the closed form marks, and whose radiance reflection can't explain.
-        """
-        settings = self.settings
-        data, cells, bright = self._closed_form()
-        marked = masked_triangles(
-            self.room,
-            partial(mask_at, mask, self.box),
-            settings.emitter_threshold,
-            settings.emitter_samples,
-            np.random.default_rng([settings.seed, 3]),
-            candidates=bright > 0.0,
-        )
-        marked |= bright > MARKED_SHARE
-        return self._find_emitters(data, cells, marked, self._known_emission(data))
 
     # ---- Results -------------------------------------------------------------------------------------------
 
@@ -316,8 +284,8 @@ class MaterialStages(EstimationState):
         )
 
     def _write_doubts(self, folder: RunFolder, names: np.ndarray) -> None:
-        data, cells, bright = self._closed_form()
-        decided = np.zeros((len(bright), 3), bool)
+        data, cells = self._closed_form()
+        decided = np.zeros((len(self.probability), 3), bool)
         if self.hints is not None:
             decided = self.hints.of_triangles(self.hints.decides)
-        write_doubts(folder, data, cells, bright, decided, names)
+        write_doubts(folder, data, cells, self.probability, decided, names)

@@ -89,5 +89,6 @@ def _describe(fixture: Fixture, name: str, scale: float) -> dict[str, Any]:
         "area": fixture.area,
         "centroid": fixture.centroid.tolist(),
         "power": (np.pi * fixture.area * (front + back)).tolist(),
+        "probability": round(fixture.probability, 3),
     }
     return entry | {"beside": True} if fixture.reflective else entry

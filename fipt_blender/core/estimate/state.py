@@ -51,7 +51,7 @@ Facts = dict[str, Any]  # what stages.json keeps of a stage; JSON-serialisable
 
 # What the checkpoint of a closed-form estimate holds; see `EstimationState._save_estimate`.
 _ESTIMATE_ARRAYS: dict[str, Layout] = {
-    "emitting": ("b", ("T",)),
+    "probability": ("f", ("T",)),
     "emission": ("f", ("E", 3)),
     "diffuse": ("f", ("M", 3)),
     "materials": ("f", ("M", 5)),
@@ -80,6 +80,7 @@ class EstimationState:
         brdf: the BRDF network of stage 2.
         units, cells: surfaces of one material, and where pixels saw them.
         fixtures: the emitters found so far.
+        probability: (T,) float32 of each triangle to emit.
         emission: (T, 3) float32 L_e of each triangle if it is fitted jointly, else (0, 3).
         diffuse: (M * 6, 3) float16 mean L_d of each cache entry in the last closed-form estimate.
         materials: (M * 6, 5) float32 base colour, roughness and metallic of each entry in that estimate. Both
@@ -113,11 +114,12 @@ class EstimationState:
         self.cells: SeenCells
         self.fixtures: list[Fixture] = []
         self.emission = np.zeros((0, 3), np.float32)
+        self.probability = np.zeros(len(self.room.triangles), np.float32)
         self.diffuse: np.ndarray
         self.materials: np.ndarray
         self._shadings = SHADINGS
         self._units_before: Units | None = None
-        self._input: tuple[TrainingData, CellEstimate, np.ndarray] | None = None
+        self._input: tuple[TrainingData, CellEstimate] | None = None
 
     # Pixels and shadings
 
@@ -186,11 +188,11 @@ class EstimationState:
 
     # Closed form and network
 
-    def _save_estimate(self, name: str, emitting: np.ndarray) -> None:
-        """Keep what the closed-form estimate of this name has found; `emitting` (T,) bool."""
+    def _save_estimate(self, name: str) -> None:
+        """Keep what the closed-form estimate of this name has found."""
         fixed = self.units.fixed
         arrays = {
-            "emitting": emitting,
+            "probability": self.probability,
             "emission": self.emission,
             "diffuse": self.diffuse,
             "materials": self.materials,
@@ -201,8 +203,8 @@ class EstimationState:
         tensors = {key: torch.from_numpy(array) for key, array in arrays.items()}
         self.checkpoints.save_tensors(name, tensors)
 
-    def _load_estimate(self, name: str) -> np.ndarray:
-        """Read back the closed-form estimate of this name; returns the triangles that emit, (T,) bool.
+    def _load_estimate(self, name: str) -> None:
+        """Read back the closed-form estimate of this name.
 
         Raises:
             FiptError: ``file-damaged``.
@@ -216,10 +218,9 @@ class EstimationState:
         except (KeyError, AttributeError, TypeError, ValueError) as error:
             raise _unreadable(name, error) from None
         self.emission, self.diffuse = arrays["emission"], arrays["diffuse"]
-        self.materials = arrays["materials"]
+        self.materials, self.probability = arrays["materials"], arrays["probability"]
         fixed = arrays["fixed"] if len(arrays["fixed"]) else None
         self._find_cells(Units(arrays["unit"], arrays["single"], fixed))
-        return arrays["emitting"]
 
     def _new_network(self, hash_levels: int, typical: np.ndarray) -> BrdfNetwork:
         return BrdfNetwork(self.settings, hash_levels, typical, network_generator(self.settings), self.device)
@@ -227,13 +228,12 @@ class EstimationState:
     def _new_mask(self) -> EmissionNetwork:
         return EmissionNetwork(network_generator(self.settings), self.device)
 
-    def _save_networks(self, name: str, networks: Networks, emitting: np.ndarray) -> None:
-        """Keep what the training of this name has found; `emitting` (T,) bool."""
-        tensors = {**networks.state(), "emitting": torch.from_numpy(emitting)}
-        self.checkpoints.save_tensors(name, tensors)
+    def _save_networks(self, name: str, networks: Networks) -> None:
+        """Keep what the training of this name has found."""
+        self.checkpoints.save_tensors(name, networks.state())
 
     def _load_networks(self, name: str) -> None:
-        """Read back the materials and the emitters that the training of this name has found.
+        """Read back the materials that the training of this name has found.
 
         Raises:
             FiptError: ``file-damaged``.
@@ -243,11 +243,8 @@ class EstimationState:
             levels = state["brdf"]["mlp.0.weight"].shape[1] // self.settings.hash_features
             self.brdf = self._new_network(levels, np.zeros((len(self.units.single) + 1, 5)))
             self.brdf.load_state_dict(state["brdf"])
-            emitting = state["emitting"].cpu().numpy()
-            check_layouts({"emitting": emitting}, {"emitting": ("b", (len(self.room.triangles),))})
         except (KeyError, AttributeError, IndexError, TypeError, ValueError, RuntimeError) as error:
             raise _unreadable(name, error) from None
-        self._group_fixtures(emitting)
 
     def _find_cells(self, units: Units) -> None:
         """Take the units of the last estimate, and find where pixels saw them; known parts never change."""
@@ -264,9 +261,8 @@ class EstimationState:
         else:
             parts = self.observations.parts
             surface = parts.triangle_part if parts.kind == "part" else None
-            self.fixtures = group_fixtures(
-                self.room, emitting, EmitterPixels.of(self.pixels), surface, self.settings.lit_specks
-            )
+            pixels = EmitterPixels.of(self.pixels)
+            self.fixtures = group_fixtures(self.room, emitting, pixels, surface, self.probability)
 
     def _emitters(self) -> tuple[EmitterTable, np.ndarray]:
         """The fixtures as a table of triangles, and the triangles that emit, (T,) bool."""

@@ -8,18 +8,17 @@ of paper Eq. 13). Connected triangles of similar radiance form a fixture.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..geometry.adjacency import weld
 from ..optics.lights import LUMINANCE, EmitterTable
-from ..scene.adjacency import Scan
 from ..scene.components import graph_components
 from ..scene.grouped import grouped_weighted_median
 from ..scene.pixels import PixelStore
 from ..scene.room import Room
-from .scan_fixtures import scan_groups, seen_sides, shining_sides
+from .scan_fixtures import scan_groups, seen_sides
 
 # A side of a fixture emits if its luminance is at least this share of the brighter side's.
 DIM_SIDE = 0.1
@@ -45,6 +44,7 @@ class Fixture:
         area: square metres.
         centroid: (3,) area-weighted, metres.
         reflective: whether the surface also reflects, with the room's material.
+        probability: that it emits.
     """
 
     triangles: np.ndarray
@@ -53,6 +53,7 @@ class Fixture:
     area: float
     centroid: np.ndarray
     reflective: bool = False
+    probability: float = 1.0
 
 
 def pixels_on(triangle: np.ndarray, marked: np.ndarray) -> np.ndarray:
@@ -120,13 +121,13 @@ def group_fixtures(
     emitting: np.ndarray,
     pixels: EmitterPixels,
     surface: np.ndarray | None = None,
-    lit_specks: bool = True,
+    probability: np.ndarray | None = None,
 ) -> list[Fixture]:
     """Fixtures of the emitting triangles ((T,) bool), in descending order of power.
 
     Args:
         surface: (T,) int, on a scan a fixture belongs to one of these surfaces; None: all are one.
-        lit_specks: whether fixtures of a scan that brighter ones may light are dropped.
+        probability: (T,) of the triangles to emit; None: they do.
     """
     corners = weld(room.vertices)[room.triangles]
     ids = np.flatnonzero(emitting)
@@ -164,24 +165,9 @@ def group_fixtures(
             continue
         middle = room.vertices[room.triangles[members]].mean(axis=1)
         centroid = (middle * area[:, None]).sum(axis=0) / area.sum()
-        fixtures.append(Fixture(members, sides[0], sides[1], float(area.sum()), centroid))
-    if room.scan is not None and lit_specks:
-        fixtures = _shining(room.scan, fixtures)
+        likely = 1.0 if probability is None else float(np.average(probability[members], weights=area))
+        fixtures.append(Fixture(members, sides[0], sides[1], float(area.sum()), centroid, probability=likely))
     return sorted(fixtures, key=lambda f: -f.area * float((f.radiance + f.back_radiance) @ LUMINANCE))
-
-
-def _shining(scan: Scan, fixtures: list[Fixture]) -> list[Fixture]:
-    """The fixtures of a scan whose light is not that of brighter ones close by; of others dark sides."""
-    lights = [
-        (each.triangles, float(each.radiance @ LUMINANCE), float(each.back_radiance @ LUMINANCE))
-        for each in fixtures
-    ]
-    shines = shining_sides(scan, lights)
-    return [
-        replace(each, radiance=each.radiance * front, back_radiance=each.back_radiance * back)
-        for each, (front, back) in zip(fixtures, shines, strict=True)
-        if front or back
-    ]
 
 
 def emitter_components(corners: np.ndarray, luminance: np.ndarray, measured: np.ndarray) -> np.ndarray:

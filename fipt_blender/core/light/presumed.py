@@ -15,11 +15,12 @@ from ..scene.grouped import grouped_weighted_median
 from ..scene.labels import room_pieces
 from ..scene.room import Room
 from .emitters import CHUNK, EmitterPixels, emitter_table, group_fixtures, pixels_on
-from .evidence import extend_to_components
 
 # Largest median deviation of the radiance of a lamp, relative to its median: lamps of the test rooms are
 # below 0.03, shades that a bulb lights above 0.15.
 CONSTANT_DEVIATION = 0.08
+# Triangles that no pixel shows are bright if more than this share of their component's seen area is.
+MAJORITY = 0.5
 # Least weight of the pixels that show a lamp: the radiance of single ones is constant in any case.
 LEAST_PIXELS = 5.0
 
@@ -39,7 +40,10 @@ def presume_lamps(room: Room, pixels: EmitterPixels, bright: EmitterTable) -> tu
         return bright, lamps
     marked = lamps.copy()
     marked[bright.triangles] = True
-    marked = extend_to_components(room.areas, room_pieces(room), marked, _seen(pixels, len(lamps)))
+    seen, piece = _seen(pixels, len(lamps)), room_pieces(room)
+    area = np.bincount(piece, room.areas * seen)
+    mostly = np.bincount(piece, room.areas * (seen & marked)) > MAJORITY * np.maximum(area, 1e-30)
+    marked |= ~seen & mostly[piece]
     fixtures = group_fixtures(room, marked, pixels)
     fixture = np.full(len(lamps), -1, np.int64)
     for index, each in enumerate(fixtures):

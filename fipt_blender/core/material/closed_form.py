@@ -22,12 +22,6 @@ from .mixture import GroupMaterials
 from .pixel_samples import residual_weight, rows_with_donor
 from .projection import color_lines
 
-# Photographed radiance above this multiple of what a white surface would reflect is emission.
-CLEAR_EMISSION = 1.5
-# Share of a triangle's pixels that must be brighter than any reflection for the triangle to be marked.
-MARKED_SHARE = 0.5
-# Emission is not looked for in pixels darker than the capture's median.
-LEAST_EMISSION = 1.0
 # Roughness of groups that paths follow although they may be rough, in units of the limit; tables are rounded.
 BELOW_LIMIT = 0.99
 
@@ -41,8 +35,6 @@ class TrainingData:
         shadings: of all pixels at the roughness `levels` (K,).
         group: (N,) int part of each pixel, or the group in its place (:mod:`.groups`), negative for none.
         materials: closed-form estimate of the groups, sigma' and m' of l_p.
-        constant: (parts,) bool, parts whose radiance does not follow irradiance (:func:`.constant_parts`).
-            Empty where groups take the place of parts: one may hold pixels of a lamp and of a wall.
     """
 
     observations: Observations
@@ -50,7 +42,6 @@ class TrainingData:
     levels: np.ndarray
     group: np.ndarray
     materials: GroupMaterials
-    constant: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -109,26 +100,20 @@ class CellEstimate:
         return entries, sums.astype(np.float32) / count[:, None], self.triangle[order][first]
 
 
-def fit_cells(data: TrainingData, joint: float | None = None) -> tuple[CellEstimate, np.ndarray]:
-    """The base colours of all cells, and how much each triangle looks like an emitter.
+def fit_cells(data: TrainingData, joint: float | None = None) -> CellEstimate:
+    """The base colours of all cells.
 
     Args:
         data: pixels, their shadings, and the roughness and metallic of their groups.
         joint: fit an emission of each cell too, with this weight of its L1 norm (ablation).
-
-    Returns:
-        The estimate, and (T,) the share of each triangle's pixels that are brighter than a white surface.
     """
     views = range(len(data.observations.pixels.views))
-    triangles = len(data.observations.parts.triangle_part)
     keys, triangle = first_by_key(in_threads(partial(_cells_of_view, data), views))
-    counts, sums = np.zeros((2, triangles)), np.zeros((len(keys), 16))
-    for view_keys, view_sums, *view_counts in in_threads(partial(_moments_of_view, data), views):
+    sums = np.zeros((len(keys), 16))
+    for view_keys, view_sums in in_threads(partial(_moments_of_view, data), views):
         sums[np.searchsorted(keys, view_keys)] += view_sums
-        counts += view_counts
     color, emission = (values.astype(np.float32) for values in _solve(sums, joint))
-    cells = CellEstimate(keys, color, emission, sums[:, 15], triangle, data.materials.of_pixels)
-    return cells, counts[1] / np.maximum(counts[0], 1e-6)
+    return CellEstimate(keys, color, emission, sums[:, 15], triangle, data.materials.of_pixels)
 
 
 def _keys(data: TrainingData, rows: np.ndarray) -> np.ndarray:
@@ -144,29 +129,22 @@ def _cells_of_view(data: TrainingData, view: int) -> tuple[np.ndarray, np.ndarra
     return keys, np.asarray(data.observations.pixels.triangle[rows[first]], np.int64)
 
 
-def _moments_of_view(data: TrainingData, view: int) -> tuple[np.ndarray, ...]:
-    """What a view adds to the C cells that it sees and to the T triangles.
+def _moments_of_view(data: TrainingData, view: int) -> tuple[np.ndarray, np.ndarray]:
+    """What a view adds to the C cells that it sees.
 
     Returns:
-        (C,) int64 keys, ascending; (C, 16) weighted moments of :func:`_solve`, and the sum of the weights;
-        (T,) weight of the pixels on each triangle, and (T,) of those that are brighter than white surfaces.
+        (C,) int64 keys, ascending; (C, 16) weighted moments of :func:`_solve`, and the sum of the weights.
     """
     observations, pixels = data.observations, data.observations.pixels
     rows = rows_with_donor(observations, view)
     donor = observations.donor[rows]
-    radiance, diffuse = (
-        np.asarray(array[donor], np.float64) for array in (pixels.own, data.shadings.diffuse)
-    )
+    radiance = np.asarray(pixels.own[donor], np.float64)
     slope, offset = color_lines(data.shadings, data.levels, donor, data.materials.of_pixels[data.group[rows]])
     share = np.asarray(pixels.weight[donor], np.float64)
-    white = CLEAR_EMISSION * (np.maximum(diffuse, slope) + offset)
-    emits = (radiance > white).all(axis=1) & (radiance.mean(axis=1) > LEAST_EMISSION)
     weight, rest = share[:, None] * residual_weight(radiance), radiance - offset
     moments = (weight * slope * rest, weight * slope**2, weight * slope, weight * rest, weight)
     keys, place = np.unique(_keys(data, rows), return_inverse=True)
-    sums = grouped_sums(np.column_stack([*moments, share]), place)
-    triangle, triangles = pixels.triangle[rows], len(observations.parts.triangle_part)
-    return keys, sums, *(np.bincount(triangle, each, triangles) for each in (share, share * emits))
+    return keys, grouped_sums(np.column_stack([*moments, share]), place)
 
 
 def _solve(sums: np.ndarray, joint: float | None) -> tuple[np.ndarray, np.ndarray]:
@@ -203,15 +181,11 @@ def followed_by_paths(cells: CellEstimate, errors: np.ndarray, limit: float) -> 
     return replace(cells, materials=np.column_stack([followed, cells.materials[:, 1]]))
 
 
-def render_rows(cells: CellEstimate, data: TrainingData, rows: np.ndarray) -> np.ndarray:
-    """(R, 3) float32 reflected radiance (paper Eq. 5) of the pixels `rows` (R,) with their own shadings.
-
-    Pixels in cells without an estimate get that of a white surface.
-    """
-    place = cells.of_pixels(data, rows)
-    color = np.where(place[:, None] >= 0, cells.color[place], 1.0)
-    slope, offset = color_lines(data.shadings, data.levels, rows, cells.materials[data.group[rows]])
-    return (slope * color + offset).astype(np.float32)
+def white_rows(data: TrainingData, rows: np.ndarray) -> np.ndarray:
+    """(R, 3) float32 most that a surface reflects with the gloss of its group, in the pixels `rows` (R,)."""
+    slope, offset = color_lines(data.shadings, data.levels, rows, data.materials.of_pixels[data.group[rows]])
+    diffuse = np.asarray(data.shadings.diffuse[rows], np.float32)
+    return np.asarray(np.maximum(diffuse, slope) + offset, np.float32)
 
 
 def triangle_emission(cells: CellEstimate, data: TrainingData) -> np.ndarray:

@@ -1,15 +1,12 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The emission mask of stage 2 (paper Eq. 12 to 14), and the triangles that it marks (Sec. 4.4)."""
+"""The emission mask of stage 2 (paper Eq. 12 to 14)."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 import torch
 
-from ..scene.room import Room
 from .inference import CHUNK
 from .networks import linear
 from .seen import Box
@@ -68,28 +65,3 @@ def mask_at(network: EmissionNetwork, box: Box, positions: np.ndarray) -> np.nda
         inputs = torch.from_numpy(box.normalise(positions[start : start + CHUNK])).to(device)
         values.append(emission_mask(network(inputs)).cpu().numpy())
     return np.concatenate(values)
-
-
-def masked_triangles(
-    room: Room,
-    mask: Callable[[np.ndarray], np.ndarray],
-    threshold: float,
-    samples: int,
-    rng: np.random.Generator,
-    candidates: np.ndarray | None = None,
-) -> np.ndarray:
-    """(T,) bool, triangles whose mean emission mask over random points exceeds the threshold.
-
-    Args:
-        mask: (N, 3) world positions to (N,) alpha.
-        samples: points per triangle.
-        candidates: (T,) bool, triangles that are asked; all without.
-    """
-    marked = np.zeros(len(room.triangles), bool)
-    asked = np.arange(len(marked)) if candidates is None else np.flatnonzero(candidates)
-    for start in range(0, len(asked), 4096):
-        chunk = asked[start : start + 4096]
-        u, v = rng.random((2, len(chunk), samples), dtype=np.float32)
-        alpha = mask(room.points_on(chunk[:, None], u, v).reshape(-1, 3))
-        marked[chunk] = alpha.reshape(-1, samples).mean(axis=1) > threshold
-    return marked

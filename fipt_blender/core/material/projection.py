@@ -1,9 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the closed forms share: the rendering is linear in base colour, which least squares determine.
-
-Parts of constant radiance, which no base colour explains, are recognised here, too.
-"""
+"""What the closed forms share: the rendering is linear in base colour, which least squares determine."""
 
 from __future__ import annotations
 
@@ -11,17 +8,6 @@ import numpy as np
 
 from ..light.baking import ShadingStore
 from ..optics.factorised import color_line, level_share
-from ..scene.grouped import rows_of_groups
-
-# A part emits if the relative spread of its radiance is less than this share of that of its irradiance. In
-# the example rooms surfaces stay above 0.5 and lamps below 0.01.
-CONSTANT_RATIO = 0.15
-# Least relative spread of irradiance for that test: noise of shadings of very few samples reaches 0.040, and
-# a wide panel far from all other lamps receives 0.052. Largest relative spread of radiance (noisy shadings
-# spread without limit), and least number of pixels.
-CONSTANT_IRRADIANCE = 0.042
-CONSTANT_SPREAD = 0.3
-CONSTANT_PIXELS = 30
 
 
 def color_lines(
@@ -40,31 +26,6 @@ def color_lines(
     below, above = (np.asarray(shadings.specular[rows, level], np.float32) for level in (upper - 1, upper))
     s0, s1 = np.moveaxis(below + share * (above - below), 1, 0)
     return color_line(np.asarray(shadings.diffuse[rows], np.float32), s0, s1, metallic)
-
-
-def constant_parts(radiance: np.ndarray, irradiance: np.ndarray, part: np.ndarray, parts: int) -> np.ndarray:
-    """(parts,) bool, parts whose radiance is constant although the light that falls on them varies.
-
-    No reflection does that, so even a dim lamp is recognised. The relative spread is the distance between the
-    10th and the 90th percentile divided by the median, which excludes edges and noise.
-
-    Args:
-        radiance, irradiance: (N,) mean over the channels.
-        part: (N,) int, negative for none.
-    """
-    result = np.zeros(parts, bool)
-    for index, rows in enumerate(rows_of_groups(part, parts)):
-        if len(rows) < CONSTANT_PIXELS:
-            continue
-        emitted, received = (_relative_spread(values[rows]) for values in (radiance, irradiance))
-        varies = received > CONSTANT_IRRADIANCE
-        result[index] = varies and emitted < min(CONSTANT_RATIO * received, CONSTANT_SPREAD)
-    return result
-
-
-def _relative_spread(values: np.ndarray) -> float:
-    low, median, high = np.quantile(values, [0.1, 0.5, 0.9])
-    return float((high - low) / median) if median > 0.0 else 0.0
 
 
 def fit_colors(

@@ -29,7 +29,6 @@ from .groups import (
 from .hints import NO_HINT, SurfaceHints, values_of_hints
 from .mixture import GroupMaterials, infer_materials
 from .pixel_samples import PixelSamples, rows_with_donor, window_means
-from .projection import constant_parts
 
 # Pixels from which roughness and metallic are estimated; more change only the time.
 PROJECTION_PIXELS = 600_000
@@ -78,17 +77,14 @@ def training_input(
     start = np.random.default_rng([settings.seed, 5]).random()
     wide_rows, wide_cell = _wide_rows(observations, group, groups, start)
     wide = _wide_samples(observations, shadings, levels, group, wide_rows, wide_cell)
-    alike, constant = None, np.zeros(0, bool)
-    if pieces is None:
-        radiance, irradiance = wide.radiance.mean(axis=1), wide.diffuse.mean(axis=1)
-        constant = constant_parts(radiance, irradiance, wide.group, groups)
-    else:
+    alike = None
+    if pieces is not None:
         label, seen_color = observations.part[wide.rows], color[observations.entry[wide.rows]]
         alike = _similarity(wide.group, groups, label, seen_color)
     light = _light_cells(observations, wide.rows)
     outliers = 0.0 if pieces is None else 1.0 - (1.0 - settings.group_outliers) ** (50.0 * place)
     materials = infer_materials(wide, groups, light, settings, alike, known, outliers)
-    return TrainingData(observations, shadings, levels, group, materials, constant)
+    return TrainingData(observations, shadings, levels, group, materials)
 
 
 def groups_of_hints(hints: SurfaceHints, parts: Parts, groups: int) -> np.ndarray:
@@ -143,8 +139,8 @@ def _diffuse_colors(observations: Observations, shadings: ShadingStore, levels: 
     """(M * 6, 3) base colour of each cache entry from all its pixels, taken as diffuse; 0 without any."""
     none = np.zeros((0, 2), np.float32)
     group = np.broadcast_to(np.int32(NO_GROUP), len(observations.pixels))
-    data = TrainingData(observations, shadings, levels, group, GroupMaterials(none, none), np.zeros(0, bool))
-    cells, _ = fit_cells(data)
+    data = TrainingData(observations, shadings, levels, group, GroupMaterials(none, none))
+    cells = fit_cells(data)
     color = np.zeros((len(observations.grid.voxels) * SIDES, 3), np.float32)
     color[cells.entry] = cells.color
     return color

@@ -100,7 +100,6 @@ class Settings:
     presumed_lamps: bool = _switch(
         "stage 1: give bright surfaces of constant radiance that of their fixture, not of the cache", PIXELS
     )
-    lit_specks: bool = _switch("drop fixtures of a scan that brighter ones close by may light", PIXELS)
 
     masking: str = _setting(
         "schlick", "G of the BRDF: schlick as in the authors' code, smith as in Cycles", SHADINGS
@@ -224,11 +223,10 @@ class Settings:
 
     emission: str = _setting(
         "mask",
-        "mask: find emitters by an emission mask; joint: fit emission together with base colour (ablation)",
+        "mask: find emitters by what reflection can't explain; joint: fit emission together with base colour"
+        " (ablation)",
         ESTIMATE,
     )
-    constant_parts: bool = _switch("call parts lamps whose radiance is constant in varying light", ESTIMATE)
-    lamp_outlines: bool = _switch("give a scan's lamps the outlines that photographs show", ESTIMATE)
     reflecting_lamps: bool = _switch("give lamps a base colour where their radiance follows the light", None)
     lamp_doubt: bool = _switch("count errors of the place of a scan's lamps in the confidence", None)
     lambda_joint: float = _setting(
@@ -238,12 +236,6 @@ class Settings:
     )
     joint_threshold: float = _setting(
         0.01, "joint emission: triangles of which it is less do not emit, in the same units", ESTIMATE
-    )
-    emitter_threshold: float = _setting(
-        0.01, "a triangle whose mean emission mask is above this may be an emitter", TRAINING
-    )
-    emitter_samples: int = _setting(
-        100, "positions per triangle at which the emission mask is sampled", TRAINING
     )
     environment_width: int = _setting(256, "width of the estimated environment map in pixels", SHADINGS)
 

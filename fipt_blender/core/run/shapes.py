@@ -123,6 +123,7 @@ EMITTERS = Fields(
                 {
                     **dict.fromkeys(("base_color", "centroid", "power"), Numbers(3)),
                     "area": _NOT_NEGATIVE,
+                    "probability": _NOT_NEGATIVE,
                     "beside": bool,
                 },
             )

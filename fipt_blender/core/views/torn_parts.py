@@ -20,7 +20,6 @@ from scipy.ndimage import label as connected
 from ..geometry.adjacency import NONE, face_vectors
 from ..geometry.revolution import Revolution, fit_revolutions
 from ..geometry.sheet import Sheet, fit_sheets
-from ..light.lamp_outline import LEAST_COSINE
 from ..robust import LEAST_VIEWS
 from ..run.threads import in_threads
 from ..scene.camera_rays import first_hits, rays_along, trace_pixels
@@ -34,6 +33,8 @@ APART, LEAST_TRIANGLES = 2.0, 100
 LEAST_KNOWN = 0.5
 # Sheets complete parts of which this share of the pixels meets others.
 TORN = 0.05
+# A view tells of a surface that it sees at this cosine at least.
+LEAST_COSINE = 0.2
 # The scan has a cell if it has a surface within so many edges in front of and behind it, seen at places so
 # far from its middle, in cells, along both axes.
 WITHIN, _BESIDE = 0.75, (-0.25, 0.25)

@@ -1,0 +1,300 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The probability that a surface emits (after the paper's Sec. 4.4 "Emitter extraction").
+
+Two hypotheses for each unit (:mod:`.emitter_surfaces`). It reflects: then its radiance is a share of what a
+white surface of its gloss reflects there, in error by a Student-t distribution; all shares are as likely.
+Or it emits: then its radiance is of any order of magnitude above that, and rarely below. Lamps are few, and
+of one piece and one radiance. docs/method.md states the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.special import expit, logit, stdtr
+from scipy.stats import t as student
+
+from ..geometry.adjacency import weld
+from ..optics.lights import LUMINANCE
+from ..robust import DEGREES, deviation
+from ..scene.components import graph_components
+from ..scene.grouped import grouped_sums, pairs_of, rows_of_groups
+from ..scene.pixels import PixelStore
+from ..scene.room import Room
+from .baking import ShadingStore
+from .emitter_surfaces import EmitterSurfaces
+from .evidence import Testimony, log_ratio, read_testimony
+
+# Probability that what is brighter than a white surface is a lamp, before it is known by how much.
+PRIOR = 0.003
+# Relative errors: of the shadings of a modelled room and of a scan, of unmixed radiance beside its standard
+# error, and of the radiance of photographs that are not HDR.
+SHADING_ERROR, SCAN_ERROR, MIXED_ERROR, PHOTOGRAPH_ERROR = 0.15, 0.2, 0.3, 0.3
+# Lamps are brighter than white surfaces by orders of magnitude, evenly on a logarithmic scale, most of them
+# up to this logarithm; the density falls with this power of the radiance below.
+BRIGHTEST, DIM_POWER = 7.0, 2.0
+# Number of independent samples that the pixels of a lamp are worth at most: shadings have an error in common.
+MOST_SAMPLES, MOST_SAMPLES_SCAN = 50.0, 10.0
+# Constant radiance in varying light: pixels for a sample, samples at most, spread that noise alone makes, and
+# relative deviation of the radiance of one lamp.
+ALIKE_PIXELS, ALIKE_SAMPLES, ALIKE_SPREAD, ALIKE = 10.0, 30.0, 0.03, 0.05
+# A scan places a lamp and what it lights to the width of an edge: their light errs by so many edges over the
+# distance, and is at most doubled. Lamps light what is less bright by this factor.
+PLACE_ERROR, LIT = 3.0, 2.0
+ROUNDS = 4  # of lamps and what they light; more change nothing
+POSSIBLE = 0.05  # least probability of lamps that extend over what is as bright, and that light others
+CHUNK = 256  # lit units at a time
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Evidence of U units: logarithms of likelihood ratios, and the number of samples that they are."""
+
+    evidence: np.ndarray
+    samples: np.ndarray
+
+    @property
+    def mean(self) -> np.ndarray:
+        """(U,) evidence of a sample; minus infinity without any."""
+        return np.where(self.samples > 0.0, self.evidence / np.maximum(self.samples, 1e-9), -np.inf)
+
+
+def emission_probability(
+    room: Room,
+    pixels: PixelStore,
+    shadings: ShadingStore,
+    white: Callable[[np.ndarray], np.ndarray],
+    surfaces: EmitterSurfaces,
+    told: np.ndarray,
+    baked: np.ndarray,
+    hdr: bool,
+) -> np.ndarray:
+    """(T,) float32 probability that each triangle emits.
+
+    Args:
+        shadings: of all pixels.
+        white: (R,) pixels to the (R, 3) most that a surface of the gloss of theirs reflects.
+        told: (T,) int8, 1 on triangles that emit in any case, -1 on those that do not, 0 elsewhere.
+        baked: (T,) bool, lamps whose own radiance lights the shadings, not that of voxels.
+        hdr: whether the radiance of all photographs is measured; clipped lamps are constant in any case.
+    """
+    seen = read_testimony(pixels, shadings, white, surfaces.unit, surfaces.reach, surfaces.unseen_light)
+    lamps = _Lamps(room, surfaces, seen, hdr)
+    probability = lamps.probability(baked)
+    judged = (lamps.samples > 0.0)[surfaces.unit] | (told != 0)
+    result = np.where(told == 0, probability[surfaces.unit], (told > 0).astype(np.float64))
+    area = room.areas * judged
+    total = np.bincount(surfaces.component, area)
+    share = np.bincount(surfaces.component, area * result) / np.maximum(total, 1e-30)
+    return np.where(judged, result, share[surfaces.component]).astype(np.float32)
+
+
+def log_evidence(low: np.ndarray, high: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """(N,) logarithm of the likelihood of emission over that of reflection.
+
+    Both are the probability of the interval in which a pixel's radiance is; it is 1 of all intervals.
+
+    Args:
+        low, high: (N,) logarithms of radiance over the most that could be reflected (:func:`log_ratio`).
+        error: (N,) relative standard error of what could be reflected.
+    """
+    mode = float(student.pdf(0.0, DEGREES))
+
+    def reflecting(x: np.ndarray) -> np.ndarray:
+        above = (stdtr(DEGREES, np.maximum(x, 0.0) / error) - 0.5) * error / mode
+        return np.asarray((np.exp(np.minimum(x, 0.0)) + above) / (1.0 + 0.5 * error / mode))
+
+    def emitting(x: np.ndarray) -> np.ndarray:
+        below = np.exp(DIM_POWER * np.minimum(x, 0.0)) / DIM_POWER
+        return np.asarray((below + np.maximum(x, 0.0)) / (BRIGHTEST + 1.0 / DIM_POWER))
+
+    ratio = (emitting(high) - emitting(low) + 1e-9) / (reflecting(high) - reflecting(low) + 1e-9)
+    return np.asarray(np.log(ratio))
+
+
+def constancy(
+    radiance: np.ndarray, diffuse: np.ndarray, group: np.ndarray, groups: int, least: float = ALIKE_SPREAD
+) -> np.ndarray:
+    """(groups,) evidence by radiance that is constant where the light varies, or that follows the light.
+
+    Args:
+        radiance, diffuse: (N,) logarithms. group: (N,) int from 0, negative for none.
+        least: deviation of radiance over light that errors of the light make.
+    """
+    result = np.zeros(groups)
+    for index, rows in enumerate(rows_of_groups(group, groups)):
+        if len(rows):
+            emits, reflects = (
+                deviation(values - np.median(values), least)
+                for values in (radiance[rows], radiance[rows] - diffuse[rows])
+            )
+            samples = len(rows) / ALIKE_PIXELS
+            result[index] = np.log(reflects / emits) * samples / (1.0 + samples / ALIKE_SAMPLES)
+    return result
+
+
+class _Lamps:
+    """The evidence of a room's units, and the lamps that they make; arguments as above."""
+
+    def __init__(self, room: Room, surfaces: EmitterSurfaces, seen: Testimony, hdr: bool) -> None:
+        self.surfaces, self.seen, self.hdr, self.scan = surfaces, seen, hdr, room.scan
+        self.units = int(surfaces.unit.max(initial=-1)) + 1
+        self.component = np.zeros(self.units, np.int64)
+        self.component[surfaces.unit] = surfaces.component
+        self.area = np.bincount(surfaces.unit, room.areas, self.units)
+        weight = np.maximum(self.area, 1e-12)[:, None]
+        centers = room.vertices[room.triangles].mean(axis=1) * room.areas[:, None]
+        self.centers = grouped_sums(centers, surfaces.unit, self.units) / weight
+        normals = grouped_sums(room.normals * room.areas[:, None], surfaces.unit, self.units)
+        self.normals = normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-12)[:, None]
+        self.luminance = seen.own @ LUMINANCE
+        count = np.maximum(np.bincount(seen.unit, minlength=self.units), 1)
+        self.radiance = np.bincount(seen.unit, self.luminance, self.units) / count
+        self.corners = None if self.scan is not None else weld(room.vertices)[room.triangles]
+        self.most = MOST_SAMPLES if self.scan is None else MOST_SAMPLES_SCAN
+        self.sums = self._sums(np.arange(len(seen.unit)), np.zeros(self.units))
+
+    @property
+    def samples(self) -> np.ndarray:
+        """(U,) number of samples that the pixels of each unit are."""
+        return self.sums.samples
+
+    def probability(self, baked: np.ndarray) -> np.ndarray:
+        """(U,) of each unit; `baked`: as of :func:`emission_probability`."""
+        of_part = self._constant_parts()
+        lamp, of_lamp = self._lamps(of_part)
+        if self.scan is not None:
+            lit_by_bake = np.bincount(self.surfaces.unit, baked * 1.0, self.units) > 0.0
+            for _ in range(ROUNDS - 1):
+                added = self._added_light(np.append(of_lamp, 0.0)[lamp], lit_by_bake)
+                changed = self._sums(np.flatnonzero(added[self.seen.unit] > 0.0), added)
+                lit = added > 0.0
+                self.sums = _Sums(
+                    np.where(lit, changed.evidence, self.sums.evidence),
+                    np.where(lit, changed.samples, self.sums.samples),
+                )
+                lamp, of_lamp = self._lamps(of_part)
+        return self._extended(lamp, of_lamp)
+
+    def _sums(self, rows: np.ndarray, added: np.ndarray) -> _Sums:
+        """Evidence of the pixels `rows` (R,) if light of (U,) luminance is added to their units.
+
+        However many pixels of one view show a unit, they are one sample at most.
+        """
+        seen, unit = self.seen, self.seen.unit[rows]
+        error = np.full(len(rows), (SHADING_ERROR if self.scan is None else SCAN_ERROR) ** 2)
+        error += np.where(seen.pure[rows], 0.0, MIXED_ERROR**2) + (0.0 if self.hdr else PHOTOGRAPH_ERROR**2)
+        own, reflected = seen.own[rows], seen.reflected[rows] + added[unit, None]
+        low, high = (log_ratio(own * factor[rows, None], reflected) for factor in (seen.low, seen.high))
+        evidence = log_evidence(low, high, np.sqrt(error))
+        unit, _, pair = pairs_of(unit, seen.view[rows])
+        weight = seen.weight[rows]
+        count = np.bincount(pair, weight)
+        samples = count / (1.0 + count)
+        mean = np.bincount(pair, evidence * weight) / count
+        return _Sums(np.bincount(unit, mean * samples, self.units), np.bincount(unit, samples, self.units))
+
+    def _constancy(self, group_of_unit: np.ndarray, groups: int) -> np.ndarray:
+        """(groups,) :func:`constancy` of the pure pixels of groups of units ((U,) int, negative for none)."""
+        if not self.hdr:
+            return np.zeros(groups)
+        group = np.where(self.seen.pure, group_of_unit[self.seen.unit], -1)
+        radiance, diffuse = (np.log(np.maximum(a, 1e-6)) for a in (self.luminance, self.seen.diffuse))
+        least = ALIKE_SPREAD if self.scan is None else SCAN_ERROR
+        return constancy(radiance, diffuse, group, groups, least)
+
+    def _constant_parts(self) -> np.ndarray | None:
+        """(U,) evidence by the constant radiance of known parts; None without parts."""
+        part = self.surfaces.part
+        if part is None:
+            return None
+        of_unit = np.full(self.units, -1, np.int64)
+        of_unit[self.surfaces.unit] = part
+        found = np.maximum(self._constancy(of_unit, int(part.max(initial=-1)) + 1), 0.0)
+        return np.append(found, 0.0)[of_unit]
+
+    def _lamps(self, of_part: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """(U,) lamp that each unit belongs to if it emits, -1 without, and the probability of each lamp."""
+        constant = np.zeros(self.units) if of_part is None else of_part
+        units = np.flatnonzero(self.sums.mean + constant > 0.0)
+        lamp = np.full(self.units, -1, np.int64)
+        lamp[units] = self._connected(units)
+        count = int(lamp.max(initial=-1)) + 1
+        samples, evidence = (
+            np.bincount(lamp[units], each[units], count) for each in (self.samples, self.sums.evidence)
+        )
+        total = evidence / (1.0 + samples / self.most)
+        if of_part is None:
+            total += self._constancy(lamp, count)
+        else:
+            of_lamp = np.zeros(count)
+            of_lamp[lamp[units]] = of_part[units]
+            total += of_lamp
+        return lamp, expit(total + logit(PRIOR))
+
+    def _connected(self, units: np.ndarray) -> np.ndarray:
+        """(n,) int64 from 0: which of the units (n,) are one surface.
+
+        Patches of a scan may have gaps, triangles of a modelled room others between them that no pixel shows.
+        """
+        count = len(units)
+        if self.corners is None:
+            tree = cKDTree(self.centers[units])
+            pairs = tree.query_pairs(self.surfaces.gap, output_type="ndarray")
+        else:
+            units = np.append(units, np.flatnonzero(self.samples == 0.0))
+            corners = self.corners[units]  # a unit is a triangle
+            order = np.argsort(corners.reshape(-1), kind="stable")
+            same = np.flatnonzero(np.diff(corners.reshape(-1)[order]) == 0)
+            pairs = np.stack([order[same], order[same + 1]], axis=1) // 3
+        component = self.component[units]
+        pairs = pairs[component[pairs[:, 0]] == component[pairs[:, 1]]]
+        return np.unique(graph_components(pairs, len(units))[:count], return_inverse=True)[1]
+
+    def _extended(self, lamp: np.ndarray, of_lamp: np.ndarray) -> np.ndarray:
+        """(U,) probability, where lamps extend over what touches them and is as bright as they are."""
+        result = np.append(of_lamp, 0.0)[lamp]
+        for index in np.flatnonzero(of_lamp > POSSIBLE) if self.hdr else ():
+            core = lamp == index
+            radiance = np.median(self.radiance[core])
+            off = np.log(np.maximum(self.radiance, 1e-12) / radiance) / ALIKE
+            alike = np.exp(-0.5 * off**2) / (ALIKE * np.sqrt(2.0 * np.pi))
+            known = self.sums.mean + np.log(0.5 + 0.5 * alike * (BRIGHTEST + 1.0 / DIM_POWER))
+            of_surface = self.component == self.component[np.argmax(core)]
+            units = np.flatnonzero(core | ((known > 0.0) & (alike > 0.0) & of_surface & (np.abs(off) < 3.0)))
+            surface = self._connected(units)
+            touching = units[np.isin(surface, surface[core[units]])]
+            result[touching] = np.maximum(result[touching], of_lamp[index])
+        return result
+
+    def _added_light(self, probability: np.ndarray, baked: np.ndarray) -> np.ndarray:
+        """(U,) luminance that brighter lamps of a scan may add to what the shadings hold.
+
+        Of lamps whose radiance was baked, it is the error by their place; the light of others is missing.
+        """
+        assert self.scan is not None
+        edge, added = self.scan.edge, np.zeros(self.units)
+        units = np.flatnonzero(probability > POSSIBLE)
+        power = (probability * self.area * self.radiance)[units]
+        for start in range(0, len(units), CHUNK):
+            lit = units[start : start + CHUNK]
+            toward = self.centers[units][None] - self.centers[lit][:, None]
+            squared = np.maximum((toward**2).sum(axis=2), edge**2)
+            distance = np.sqrt(squared)
+            least = np.minimum(edge / distance, 1.0)
+            arriving, leaving = (
+                np.maximum(np.einsum("ijk,ijk->ij", toward, normals) / distance, least)
+                for normals in (
+                    np.broadcast_to(self.normals[lit][:, None], toward.shape),
+                    np.broadcast_to(-self.normals[units][None], toward.shape),
+                )
+            )
+            doubt = leaving * np.minimum(PLACE_ERROR * edge / distance, 1.0)
+            share = np.where(baked[units], doubt, 1.0)
+            brighter = self.radiance[units] > LIT * self.radiance[lit, None]
+            added[lit] = (brighter * share * arriving / squared) @ power / np.pi
+        return added
