@@ -27,7 +27,7 @@ from ..scene.pixels import PixelStore
 from ..scene.room import Room
 from .baking import ShadingStore
 from .emitter_surfaces import EmitterSurfaces
-from .evidence import Testimony, log_ratio, read_testimony
+from .evidence import PixelEvidence, log_ratio, read_evidence
 
 # Probability that what is brighter than a white surface is a lamp, before it is known by how much.
 PRIOR = 0.003
@@ -69,7 +69,7 @@ def emission_probability(
     shadings: ShadingStore,
     white: Callable[[np.ndarray], np.ndarray],
     surfaces: EmitterSurfaces,
-    told: np.ndarray,
+    hinted: np.ndarray,
     baked: np.ndarray,
     hdr: bool,
 ) -> np.ndarray:
@@ -78,15 +78,15 @@ def emission_probability(
     Args:
         shadings: of all pixels.
         white: (R,) pixels to the (R, 3) most that a surface of the gloss of theirs reflects.
-        told: (T,) int8, 1 on triangles that emit in any case, -1 on those that do not, 0 elsewhere.
+        hinted: (T,) int8, 1 on triangles that emit in any case, -1 on those that do not, 0 elsewhere.
         baked: (T,) bool, lamps whose own radiance lights the shadings, not that of voxels.
         hdr: whether the radiance of all photographs is measured; clipped lamps are constant in any case.
     """
-    seen = read_testimony(pixels, shadings, white, surfaces.unit, surfaces.reach, surfaces.unseen_light)
+    seen = read_evidence(pixels, shadings, white, surfaces.unit, surfaces.reach, surfaces.unseen_light)
     lamps = _Lamps(room, surfaces, seen, hdr)
     probability = lamps.probability(baked)
-    judged = (lamps.samples > 0.0)[surfaces.unit] | (told != 0)
-    result = np.where(told == 0, probability[surfaces.unit], (told > 0).astype(np.float64))
+    judged = (lamps.samples > 0.0)[surfaces.unit] | (hinted != 0)
+    result = np.where(hinted == 0, probability[surfaces.unit], (hinted > 0).astype(np.float64))
     area = room.areas * judged
     total = np.bincount(surfaces.component, area)
     share = np.bincount(surfaces.component, area * result) / np.maximum(total, 1e-30)
@@ -140,7 +140,7 @@ def constancy(
 class _Lamps:
     """The evidence of a room's units, and the lamps that they make; arguments as above."""
 
-    def __init__(self, room: Room, surfaces: EmitterSurfaces, seen: Testimony, hdr: bool) -> None:
+    def __init__(self, room: Room, surfaces: EmitterSurfaces, seen: PixelEvidence, hdr: bool) -> None:
         self.surfaces, self.seen, self.hdr, self.scan = surfaces, seen, hdr, room.scan
         self.units = int(surfaces.unit.max(initial=-1)) + 1
         self.component = np.zeros(self.units, np.int64)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What single pixels tell of emission: how much light their surface sends at least and at most, and how much
+"""The evidence of single pixels: how much light their surface sends at least and at most, and how much
 it could reflect. :mod:`.emission` weighs it.
 
 Light that may come from another surface is no evidence: what spills over from neighbouring pixels, and what
@@ -28,7 +28,7 @@ BRIGHTER, MOST_COMPARED = 1.1, 200_000
 
 
 @dataclass(frozen=True)
-class Testimony:
+class PixelEvidence:
     """N pixels that see the mesh, view by view.
 
     Attributes:
@@ -51,14 +51,14 @@ class Testimony:
     diffuse: np.ndarray
 
 
-def read_testimony(
+def read_evidence(
     pixels: PixelStore,
     shadings: ShadingStore,
     white: Callable[[np.ndarray], np.ndarray],
     unit: np.ndarray,
     reach: int,
     unseen_light: float,
-) -> Testimony:
+) -> PixelEvidence:
     """All pixels with a known radiance.
 
     Args:
@@ -95,7 +95,7 @@ def read_testimony(
             for column in columns
         ]
         found.append((unit[triangle[hit]], np.full(len(hit), index), *of_view))
-    return Testimony(*(np.concatenate(column) for column in zip(*found, strict=True)))
+    return PixelEvidence(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
 def log_ratio(radiance: np.ndarray, reflected: np.ndarray) -> np.ndarray:

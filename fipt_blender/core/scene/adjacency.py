@@ -83,6 +83,7 @@ class Scan:
         """Standard deviation of the place of surfaces and of their borders, metres."""
         return min(self.edge, PLACE_NOISE * self.noise)
 
+
 def find_scan(
     vertices: np.ndarray, triangles: np.ndarray, noise: float = 0.0, exact: np.ndarray | None = None
 ) -> Scan | None:
