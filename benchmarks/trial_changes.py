@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from benchmarks.constants import CORE, Constant, all_constants
-from benchmarks.trial_captures import JPEG, MASKS, SCAN, SHARED
+from benchmarks.trial_captures import JPEG, MASKS, SCAN
 from benchmarks.trial_run import BAKED, CLEANED, COMPLETED
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.settings import Settings, make_settings
@@ -51,8 +51,13 @@ _TABLE = (
     ),
     ("closing", "small holes are closed", ["geometry/closing"], {"close_holes_edges": 0}, (SCAN,)),
     ("panes", "panes in flat holes", ["geometry/holes"], {}, (SCAN,)),
-    ("lost_parts", "prisms for lost parts", ["views/lost_parts", "geometry/prism"], {}, (SCAN, SHARED)),
-    ("lost_surfaces", "lost things by colors", ["views/lost_surfaces", "views/agreement"], {}, (SCAN,)),
+    (
+        "lost_surfaces",
+        "lost things by colors",
+        ["views/lost_surfaces", "views/agreement", "geometry/prism"],
+        {},
+        (SCAN,),
+    ),
     (
         "torn_parts",
         "torn parts are completed",
@@ -113,7 +118,7 @@ class Change:
 
 
 _MESH_SETTINGS = ("clean_scan", "close_holes_edges")
-_COMPLETION_SETTINGS = ("panes", "lost_parts", "lost_surfaces", "torn_parts", "outlines")
+_COMPLETION_SETTINGS = ("panes", "lost_surfaces", "torn_parts", "outlines")
 
 
 def without(name: str) -> Change:

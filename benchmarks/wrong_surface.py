@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from fipt_blender.core.scene.room import Room
 
 # The settings that say what photographs complete.
-KINDS = ("panes", "lost_parts", "lost_surfaces", "torn_parts")
+KINDS = ("panes", "lost_surfaces", "torn_parts")
 LAMP_RAYS = 200_000
 START = 1e-4  # metres before a lamp at which its rays start
 

@@ -165,10 +165,10 @@ def test_runs_are_resumed_after_the_method_as_it_is(tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(trial.Trial, "do", do)
     words = [str(tmp_path), "--room", "a=x", "--room", "b=y", "--captures", "a,b:2cm:hdr:none"]
-    words += ["--off", "panes,lost_parts", "--numbers", "settings.view_err"]
+    words += ["--off", "panes,torn_parts", "--numbers", "settings.view_err"]
     assert trial.main([*words, "--most", "1"]) == 0 and done == [("a:2cm:hdr:none", "")]
     assert trial.main(words) == 1
-    # Lost parts need masks, and a capture that fails as it is is left alone.
+    # Torn parts need masks, and a capture that fails as it is is left alone.
     changes = [name for capture, name in done if capture.startswith("a")]
     assert changes == ["", "panes", "settings.view_error*0.5", "settings.view_error*2"]
     assert [name for capture, name in done if capture.startswith("b")] == [""]

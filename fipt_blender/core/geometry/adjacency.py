@@ -17,6 +17,9 @@ NONE = -1  # in place of a triangle
 _WELD = 1e-6
 _BITS = 21  # of each coordinate in a packed position
 
+# Vertices (V, 3), triangles (T, 3), corner normals (T, 3, 3), and plane (T,) or NONE of each triangle.
+Surface = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
 
 @dataclass(frozen=True)
 class Mesh:

@@ -121,6 +121,8 @@ def constancy(
 ) -> np.ndarray:
     """(groups,) evidence by radiance that is constant where the light varies, or that follows the light.
 
+    Radiance that varies by more than that of one lamp is no evidence for emission, however the light varies.
+
     Args:
         radiance, diffuse: (N,) logarithms. group: (N,) int from 0, negative for none.
         least: deviation of radiance over light that errors of the light make.
@@ -129,11 +131,14 @@ def constancy(
     for index, rows in enumerate(rows_of_groups(group, groups)):
         if len(rows):
             emits, reflects = (
-                deviation(values - np.median(values), least)
+                deviation(values - np.median(values), ALIKE_SPREAD)
                 for values in (radiance[rows], radiance[rows] - diffuse[rows])
             )
+            evidence = np.log(max(reflects, least) / max(emits, least))
+            if evidence > 0.0:
+                evidence = max(evidence - 0.5 * max((emits / ALIKE) ** 2 - 1.0, 0.0), 0.0)
             samples = len(rows) / ALIKE_PIXELS
-            result[index] = np.log(reflects / emits) * samples / (1.0 + samples / ALIKE_SAMPLES)
+            result[index] = evidence * samples / (1.0 + samples / ALIKE_SAMPLES)
     return result
 
 

@@ -80,10 +80,7 @@ class Settings:
         PIXELS,
     )
     panes: bool = _switch("close flat holes of a scan in which photographs show a surface", PIXELS)
-    lost_parts: bool = _switch("add parts that masks show and a scan lacks, as prisms", PIXELS)
-    lost_surfaces: bool = _switch(
-        "add things that photographs show and a scan lacks, without shared part masks", PIXELS
-    )
+    lost_surfaces: bool = _switch("add things that photographs show and a scan lacks, as prisms", PIXELS)
     torn_parts: bool = _switch("complete parts that a scan tore", PIXELS)
     outlines: bool = _switch("move the outlines of a scan's parts to those of the masks", PIXELS)
     doubt_pixels: bool = _switch("give little weight to pixels whose mask and scan disagree", PIXELS)

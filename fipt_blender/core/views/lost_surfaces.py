@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Things that a scanner lost, from photographs without masks.
+"""Things that a scanner lost: a glossy or dark table, a cabinet, a slab.
 
 Photographs of a lost thing disagree on what the scan has behind it, and agree at the thing's own surface
 (:mod:`.agreement`). Points are swept through the room's air. Where photographs agree better than behind, an
-upright prism is fitted, as to the masks of a part (:mod:`.lost_parts`).
+upright prism is fitted.
 """
 
 from __future__ import annotations
@@ -15,20 +15,22 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.ndimage import binary_erosion, binary_fill_holes, binary_opening
+from scipy.ndimage import binary_erosion, binary_fill_holes, binary_opening, label
+from scipy.special import bdtrc  # scipy.stats takes half a second to import
 
 from ..capture.views import View
-from ..geometry.adjacency import NONE
+from ..geometry.adjacency import NONE, Surface
 from ..geometry.prism import prism
 from ..robust import LEAST_VIEWS
 from ..scene.room import Room
 from .agreement import LEAST_GAIN, Box, ComparedPixels, cells_of, compared_pixels, doubts, hits_of
-from .lost_parts import Surface, largest_piece, unlikely
 
 # Share of all disagreement that a thing must take away: smaller things matter less than a wrong prism.
 LEAST_SHARE = 0.01
 # Share of the cells inside a prism in which the scan has a surface: scanners look into shades, not tables.
 MOST_INSIDE = 0.01
+# A thing is likely if it explains more of the views than chance does (sign test).
+LEVEL = 0.05
 # Cells by which a side of a prism moves at a time.
 STEPS = (3, 1)
 
@@ -100,7 +102,7 @@ class _Prism:
     def is_likely(self) -> bool:
         """Whether more of the views get better by it than chance explains."""
         better, changed = int((self.by_view > 0.0).sum()), int((self.by_view != 0.0).sum())
-        return unlikely(better, changed)
+        return _unlikely(better, changed)
 
     def inside(self, points: np.ndarray, size: float) -> float:
         """Share of the cells well inside it, with edges of `size` metres, that hold points (N, 3)."""
@@ -244,5 +246,18 @@ def _moved(mask: np.ndarray, along: int, by: int) -> np.ndarray:
 
 def _footprint(shows: np.ndarray) -> np.ndarray | None:
     """The largest piece of a layer (X, Y) that shows a thing, without holes; None without any."""
-    largest = largest_piece(binary_opening(shows))
+    largest = _largest_piece(binary_opening(shows))
     return None if largest is None else np.asarray(binary_fill_holes(largest))
+
+
+def _largest_piece(mask: np.ndarray) -> np.ndarray | None:
+    """The largest connected piece, None of nothing."""
+    pieces, count = label(mask)
+    if not count:
+        return None
+    return np.asarray(pieces == 1 + np.argmax(np.bincount(pieces.reshape(-1))[1:]))
+
+
+def _unlikely(count: int, views: int) -> bool:
+    """Whether so many of the views or more are more than chance explains."""
+    return bool(bdtrc(count - 1, views, 0.5) < LEVEL)

@@ -11,7 +11,6 @@ import numpy as np
 
 from ..capture.views import View
 from ..conventions import project
-from ..optics.lights import LUMINANCE
 from ..scene.camera_rays import first_hits, trace_pixels
 from ..scene.grouped import pairs_of
 from ..scene.labels import NO_PART, at_border, choose_parts
@@ -21,8 +20,6 @@ from ..scene.room import Room
 MISSES = 0.1
 # A plane of the scan is of the parts that have this share of its area.
 LEAST_OWN = 0.5
-# What is brighter than so many times the median pixel of the photographs lies outside.
-OUTSIDE = 2.0
 
 
 @dataclass(frozen=True)
@@ -36,7 +33,6 @@ class MaskedView:
         same: (H, W) bool, whether the scan shows the mask's part.
         found: (N,) int, for each id, interior pixels that meet a triangle of the part.
         pixels: (N,) int, for each id, interior pixels.
-        bright: (N,) int, for each id, interior pixels that meet nothing and are bright.
     """
 
     view: View
@@ -45,7 +41,6 @@ class MaskedView:
     same: np.ndarray
     found: np.ndarray
     pixels: np.ndarray
-    bright: np.ndarray
 
     @property
     def place(self) -> np.ndarray:
@@ -107,24 +102,14 @@ def masked_views(room: Room, views: Sequence[View]) -> tuple[list[MaskedView], n
     own = np.append(label, NO_PART)
     masks = [view.part_ids() for view in views]
     count = 1 + max(int(mask.max()) for mask in masks if mask is not None)
-    medians, missing = [], []
-    for view, (_, reached) in zip(views, surfaces, strict=True):
-        luminance = view.radiance() @ LUMINANCE
-        medians.append(np.median(luminance))
-        missing.append(luminance[np.isinf(reached).reshape(luminance.shape)])
-    outside = OUTSIDE * float(np.median(medians))
     masked = []
-    for view, image, luminance, (triangle, reached) in zip(views, masks, missing, surfaces, strict=True):
+    for view, image, (triangle, reached) in zip(views, masks, surfaces, strict=True):
         if image is None:
             continue
         mask, inner = np.maximum(image, 0), ~at_border(image)
         distance = reached.reshape(mask.shape).astype(np.float32)
         found = ids[triangle].reshape(mask.shape) == mask
-        bright = np.isinf(distance)
-        bright[bright] = luminance > outside
-        counts = (
-            np.bincount(mask[chosen], minlength=count) for chosen in (inner & found, inner, inner & bright)
-        )
+        counts = (np.bincount(mask[chosen], minlength=count) for chosen in (inner & found, inner))
         same = own[triangle].reshape(mask.shape) == mask
         masked.append(MaskedView(view, mask, distance, same, *counts))
     return masked, label

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..capture.views import View
-from ..geometry.adjacency import NONE, make_mesh
+from ..geometry.adjacency import NONE, Surface, make_mesh
 from ..geometry.clean import CleanMesh
 from ..geometry.holes import FlatHole, flat_holes, median_edge
 from ..geometry.stored import completed, prepare_geometry, scanned, store_geometry, stored_geometry
@@ -32,15 +32,16 @@ from ..scene.camera_rays import first_hits, trace_pixels
 from ..scene.labels import choose_source, masks_digest
 from ..scene.linked_masks import link_masks
 from ..scene.room import Room, load_room
-from .lost_parts import Surface, lost_parts
 from .lost_surfaces import lost_surfaces
-from .masked_views import OUTSIDE, masked_views
+from .masked_views import masked_views
 from .torn_parts import torn_parts
 
 # A hole counts if so many pixels look into it, and this share of them meets no surface behind it.
 LEAST_PIXELS, LEAST_MISSED = 100, 0.5
+# What is brighter than so many times the median pixel of the photographs lies outside.
+OUTSIDE = 2.0
 # The settings that say what is looked for.
-KINDS = ("panes", "lost_parts", "lost_surfaces", "torn_parts")
+KINDS = ("panes", "lost_surfaces", "torn_parts")
 
 
 @dataclass
@@ -135,21 +136,17 @@ def _searched_kinds(run: RunFolder) -> list[bool]:
 def _things(
     run: RunFolder, room: Room, views: Sequence[View], edge: float, settings: Settings
 ) -> list[Surface]:
-    """What photographs show and the scan lacks: by part masks, which tell more, where there are any.
+    """What photographs show and the scan lacks: things that colors show, then torn parts by masks.
 
-    Masks that are linked on the mesh take a lost thing for what is behind it. They tell of torn parts alone.
+    A lost thing comes first, as masks that are linked on the mesh take it for what is behind it.
     """
+    found = lost_surfaces(room, views, edge) if settings.lost_surfaces else []
     if choose_source(room, views) != "masks":
-        return lost_surfaces(room, views, edge) if settings.lost_surfaces else []
-    linked = link_masks(run, room, views)
-    shared = linked == list(views)
-    found = lost_surfaces(room, views, edge) if settings.lost_surfaces and not shared else []
+        return found
     for surface in found:
         room = _with(room, surface)
-    masked, label = masked_views(room, link_masks(run, room, views) if found else linked)
-    lost = lost_parts(masked, room.bounds, edge) if settings.lost_parts and shared else []
-    torn = torn_parts(room, label, masked, lost, edge) if settings.torn_parts else []
-    return found + lost + torn
+    masked, label = masked_views(room, link_masks(run, room, views))
+    return found + (torn_parts(room, label, masked, edge) if settings.torn_parts else [])
 
 
 def _with(room: Room, surface: Surface) -> Room:

@@ -17,14 +17,13 @@ import numpy as np
 from scipy.ndimage import binary_dilation, binary_opening, binary_propagation
 from scipy.ndimage import label as connected
 
-from ..geometry.adjacency import NONE, face_vectors
+from ..geometry.adjacency import NONE, Surface, face_vectors
 from ..geometry.revolution import Revolution, fit_revolutions
 from ..geometry.sheet import Sheet, fit_sheets
 from ..robust import LEAST_VIEWS
 from ..run.threads import in_threads
 from ..scene.camera_rays import first_hits, rays_along, trace_pixels
 from ..scene.room import Room
-from .lost_parts import Surface
 from .masked_views import MISSES, MaskedView
 
 # Triangles of a part within so many edges are of one thing; fewer triangles do not tell a shape.
@@ -43,9 +42,7 @@ WITHIN, _BESIDE = 0.75, (-0.25, 0.25)
 Shape = Revolution | Sheet
 
 
-def torn_parts(
-    room: Room, label: np.ndarray, masked: Sequence[MaskedView], lost: Sequence[Surface], edge: float
-) -> list[Surface]:
+def torn_parts(room: Room, label: np.ndarray, masked: Sequence[MaskedView], edge: float) -> list[Surface]:
     """Surfaces that complete the torn parts of a scan.
 
     Mitsuba's variant must be set.
@@ -54,7 +51,6 @@ def torn_parts(
         room: the scan.
         label: (T,) id of the part of each triangle, 0 or less for none.
         masked: what the training views show.
-        lost: what is added for other reasons.
         edge: median edge of the scan, metres.
 
     Returns:
@@ -65,8 +61,6 @@ def torn_parts(
     pixels, found = (sum(getattr(one, name) for one in masked) for name in ("pixels", "found"))
     parts = np.unique(label[label > 0])
     completion = _Completion(room, masked, edge)
-    for surface in lost:
-        completion.put(surface)
     completion.look()
     flat = np.ones(len(label), bool)
     for part in parts:
@@ -83,7 +77,7 @@ def torn_parts(
         for sheet in sorted(sheets, key=lambda sheet: completion.distance(sheet, part)):
             completion.add(sheet, part, _missing_flat)
             completion.look()
-    return completion.added[len(lost) :]
+    return completion.added
 
 
 class _Completion:
