@@ -285,4 +285,4 @@ def test_mapped_arrays_reserve_their_blocks(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(os, "posix_fallocate", full)
     with pytest.raises(FiptError) as caught, explained_write_errors(tmp_path):
         open_array(tmp_path / "b.npy", (10, 3), np.float32, create=True)
-    assert caught.code == "disk-full"
+    assert caught.value.code == "disk-full"
