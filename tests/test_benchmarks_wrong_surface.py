@@ -40,6 +40,6 @@ def test_rays_leave_through_a_missing_side() -> None:
 def test_rows_name_what_is_on() -> None:
     rows = wrong_surface.changes(["none", "panes+torn_parts", "all"])
     on = [[getattr(each, kind) for kind in wrong_surface.KINDS] for each in rows.values()]
-    assert on == [[False] * 4, [True, False, False, True], [True] * 4]
+    assert on == [[False] * 3, [True, False, True], [True] * 3]
     with pytest.raises(AttributeError):
         rows["none"].no_such_kind  # noqa: B018
