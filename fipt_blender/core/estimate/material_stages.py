@@ -13,6 +13,7 @@ from ..light.emission import emission_probability
 from ..light.emitters import EmitterPixels, bright_triangles
 from ..light.evidence import brighter_than_white
 from ..light.lamp_doubt import HardlySeen, hardly_seen, light_errors, power_errors
+from ..light.lamp_outline import outlined
 from ..light.presumed import presume_lamps
 from ..light.reflecting import separate
 from ..material.cell_errors import add_light_errors, cell_errors, draw_pixels, lit_cells
@@ -146,7 +147,10 @@ class MaterialStages(EstimationState):
             baked = presume_lamps(room, EmitterPixels.of(pixels), bright)[1]
         shadings, surfaces = self._open_shadings(), self._emitter_surfaces
         white, hdr = partial(white_rows, data), not self.photometry
-        return emission_probability(room, pixels, shadings, white, surfaces, told, baked, hdr)
+        found = emission_probability(room, pixels, shadings, white, surfaces, told, baked, hdr)
+        if room.scan is None or not self.settings.lamp_outlines:
+            return found
+        return np.where(told == 0, outlined(room.scan, pixels, found, self.observations.footprint), found)
 
     def _closed_form_colors(self, rows: np.ndarray) -> np.ndarray:
         """(R, 3) base colour of the last closed-form estimate in the pixels `rows` (R,)."""
