@@ -82,7 +82,7 @@ _TABLE = (
     ("unseen_light", "light from unseen directions", ["light/unseen_light"], {}, ()),
     ("presumed_lamps", "presumed lamps in stage 1", ["light/presumed"], {}, ()),
     ("denoise_specular", "denoised specular shadings", [], {}, ()),
-    ("lamp_outlines", "outlines of lamps", ["light/lamp_outline"], {}, (SCAN,)),
+    ("lamp_outlines", "outlines of lamps", ["light/lamp_outline"], {}, (SCAN, MASKS)),
     ("reflecting_lamps", "lamps reflect", ["light/reflecting"], {}, ()),
     ("lamp_doubt", "the place of lamps in the confidence", ["light/lamp_doubt"], {}, (SCAN,)),
 )

@@ -148,7 +148,8 @@ class MaterialStages(EstimationState):
         shadings, surfaces = self._open_shadings(), self._emitter_surfaces
         white, hdr = partial(white_rows, data), not self.photometry
         found = emission_probability(room, pixels, shadings, white, surfaces, told, baked, hdr)
-        if room.scan is None or not self.settings.lamp_outlines:
+        # Patches have the evidence of their own pixels; parts end where masks do, a pixel off.
+        if room.scan is None or self.parts.kind != "part" or not self.settings.lamp_outlines:
             return found
         return np.where(told == 0, outlined(room.scan, pixels, found, self.observations.footprint), found)
 
