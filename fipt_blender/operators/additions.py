@@ -11,7 +11,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.run.runfolder import RunFolder
 from .overlay import ShowsColors
-from .polls import all_of, in_object_mode, needs, views_checked
+from .polls import all_of, has_meshes, in_object_mode, needs, views_checked
 from .reporting import reports_errors
 from .views import SurveyJob, survey_steps
 
@@ -25,14 +25,10 @@ SHAPES = (
 )
 
 
-def _room_of(context: bpy.types.Context) -> list[bpy.types.Object]:
-    return context.scene.fipt.capture.room_objects(context.scene)
-
-
 def _has_added(context: bpy.types.Context) -> bool:
     from ..blend.marks import ADDED
 
-    return any(ADDED in item for item in _room_of(context))
+    return any(ADDED in item for item in context.scene.fipt.capture.room_objects(context.scene))
 
 
 class FIPT_OT_find_missing_surfaces(SurveyJob, bpy.types.Operator):
@@ -125,12 +121,7 @@ class FIPT_OT_add_surface(bpy.types.Operator):
         ],
     )
 
-    poll = all_of(
-        needs(
-            lambda context: context.scene.fipt.capture.room_objects(context.scene), "The room has no meshes"
-        ),
-        in_object_mode,
-    )
+    poll = all_of(has_meshes, in_object_mode)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:

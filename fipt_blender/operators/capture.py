@@ -16,7 +16,7 @@ from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
 from ..jobs import running
 from .job_operator import JobOperator
-from .polls import all_of, in_object_mode, needs, no_job
+from .polls import all_of, has_meshes, in_object_mode, needs, no_job
 from .reporting import report_warnings, reports_errors
 
 if TYPE_CHECKING:
@@ -185,12 +185,7 @@ class FIPT_OT_simplify_room(bpy.types.Operator):
     bl_label = "Simplify Room"
     bl_options = {"REGISTER", "UNDO"}
 
-    poll = all_of(
-        needs(
-            lambda context: context.scene.fipt.capture.room_objects(context.scene), "The room has no meshes"
-        ),
-        in_object_mode,
-    )
+    poll = all_of(has_meshes, in_object_mode)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:

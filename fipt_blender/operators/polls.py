@@ -47,6 +47,9 @@ in_object_mode = needs(lambda context: context.mode == "OBJECT", "Switch to Obje
 # The contents of the run folder are checked when the operator runs.
 has_run = needs(lambda context: context.scene.fipt.run_folder, "Import a capture and run Estimate first")
 has_views = needs(lambda context: context.scene.fipt.capture.views, "Import a capture first")
+has_meshes = needs(
+    lambda context: context.scene.fipt.capture.room_objects(context.scene), "The room has no meshes"
+)
 views_checked = needs(lambda context: context.scene.fipt.capture.unseen_share >= 0.0, "Use Check Views first")
 has_results = needs(lambda context: context.scene.fipt.materials.object_count, "Use Apply Results first")
 # A room comes into a scene of its own.

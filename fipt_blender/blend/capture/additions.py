@@ -14,7 +14,6 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from ...core.run.documents import read_json
-from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import MATRICES, SURVEY
 from ..marks import ADDED, DRAWN, all_view_cameras, was_found
@@ -22,6 +21,7 @@ from ..outliner import remove_object
 from ..room.arrays import read_room
 from ..room.mesh_arrays import world_bounds
 from ..room.panes import add_apart, link_beside
+from .importing import room_missing
 
 # Extent of what is drawn where nothing is known, as a share of the room's diagonal.
 USUAL_SHARE = 0.08
@@ -85,9 +85,7 @@ def draw_surface(scene: bpy.types.Scene, shape: str, place: Place) -> bpy.types.
     """
     room = scene.fipt.capture.room_objects(scene)
     if not room:
-        raise FiptError(
-            "room-missing", "The room has no meshes.", "Import or choose a mesh of the room first."
-        )
+        raise room_missing()
     mesh = bpy.data.meshes.new(f"FIPT {shape.title()}")
     solid = bmesh.new()
     upright = Matrix.Translation((0.0, 0.0, 0.5))

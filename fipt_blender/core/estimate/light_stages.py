@@ -11,10 +11,8 @@ from functools import partial
 import numpy as np
 
 from ..light.baking import Baking, ShadingStore, TracedLight, bake_views, baked_light
-from ..light.emitters import EmitterPixels, bright_triangles
 from ..light.environment import Environment
 from ..light.observations import observe
-from ..light.presumed import presume_lamps
 from ..light.shadings import SampleCounts
 from ..light.unseen_light import with_unseen_light
 from ..optics.lights import EmitterTable
@@ -136,11 +134,8 @@ class LightStages(EstimationState):
 
     def _first_light(self) -> tuple[np.ndarray, EmitterTable, SampleCounts]:
         """Cache, presumed lamps and numbers of samples of stage 1."""
-        settings, pixels = self.settings, self.pixels
-        bright = bright_triangles(self.room, pixels.triangle, pixels.front, pixels.radiance)
-        table, lamps = replace(bright, reflective=np.ones(len(bright.triangles), bool)), None
-        if settings.presumed_lamps:
-            table, lamps = presume_lamps(self.room, EmitterPixels.of(pixels), bright)
+        settings = self.settings
+        table, lamps = self._presumed_lamps()
         counts = SampleCounts(settings.diffuse_spp, settings.specular_spp, settings.light_spp)
         return self.observations.cache(without=lamps), table, counts
 

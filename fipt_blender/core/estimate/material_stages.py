@@ -10,11 +10,9 @@ from functools import partial
 import numpy as np
 
 from ..light.emission import emission_probability
-from ..light.emitters import EmitterPixels, bright_triangles
 from ..light.evidence import brighter_than_white
 from ..light.lamp_doubt import HardlySeen, hardly_seen, light_errors, power_errors
 from ..light.lamp_outline import outlined
-from ..light.presumed import presume_lamps
 from ..light.reflecting import separate
 from ..material.cell_errors import add_light_errors, cell_errors, draw_pixels, lit_cells
 from ..material.closed_form import (
@@ -78,10 +76,9 @@ class MaterialStages(EstimationState):
             self.emission[told < 0] = 0.0
         else:
             self.probability = self._emission_probability(data, told)
-        emitting = self.probability > 0.5
         if self.hints is not None:
-            self._warn_of_hints(name, self.hints, emitting)
-        self._group_fixtures(emitting)
+            self._warn_of_hints(name, self.hints, self.probability > 0.5)
+        self._group_fixtures()
         self.diffuse, self.materials = np.zeros((0, 3), np.float16), np.zeros((0, 5), np.float32)
         if refined:
             # Kept for stage 3, which writes over the shadings from which these are made.
@@ -140,11 +137,7 @@ class MaterialStages(EstimationState):
     def _emission_probability(self, data: TrainingData, told: np.ndarray) -> np.ndarray:
         """(T,) probability that each triangle emits; `told`: :meth:`_told_emission`."""
         room, pixels = self.room, self.pixels
-        if self.fixtures or not self.settings.presumed_lamps:
-            baked = self._emitters()[1]
-        else:
-            bright = bright_triangles(room, pixels.triangle, pixels.front, pixels.radiance)
-            baked = presume_lamps(room, EmitterPixels.of(pixels), bright)[1]
+        baked = (self._emitters() if self.fixtures else self._presumed_lamps())[1]
         shadings, surfaces = self._open_shadings(), self._emitter_surfaces
         white, hdr = partial(white_rows, data), not self.photometry
         found = emission_probability(room, pixels, shadings, white, surfaces, told, baked, hdr)
@@ -164,7 +157,7 @@ class MaterialStages(EstimationState):
     def _resume_estimate(self, name: str) -> None:
         # Emitters are read, not found anew: the shadings they were found with may have been refined since.
         self._load_estimate(name)
-        self._group_fixtures(self.probability > 0.5)
+        self._group_fixtures()
 
     # ---- Stage 2: BRDF and emission mask (Sec. 4.5, Eq. 12, 14 to 20); emitters (Sec. 4.4, Eq. 13) ---------
 

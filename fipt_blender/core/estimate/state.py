@@ -18,9 +18,10 @@ from ..device.variant import torch_device
 from ..light.baking import ShadingStore, open_shadings
 from ..light.cache import pool
 from ..light.emitter_surfaces import EmitterSurfaces, emitter_surfaces
-from ..light.emitters import EmitterPixels, Fixture, emitter_table, group_fixtures
+from ..light.emitters import EmitterPixels, Fixture, bright_triangles, emitter_table, group_fixtures
 from ..light.joint import joint_fixtures
 from ..light.observations import Observations
+from ..light.presumed import presume_lamps
 from ..light.shadings import roughness_levels
 from ..material.closed_form import CellEstimate, TrainingData
 from ..material.emission_mask import EmissionNetwork
@@ -254,15 +255,26 @@ class EstimationState:
 
     # The estimate
 
-    def _group_fixtures(self, emitting: np.ndarray) -> None:
-        """Fixtures of the emitting triangles ((T,) bool), or of the jointly fitted emission."""
+    def _presumed_lamps(self) -> tuple[EmitterTable, np.ndarray]:
+        """What stage 1 aims at, and (T,) bool, the lamps that it presumes; see :mod:`..light.presumed`."""
+        pixels = self.pixels
+        bright = bright_triangles(self.room, pixels.triangle, pixels.front, pixels.radiance)
+        if self.settings.presumed_lamps:
+            return presume_lamps(self.room, EmitterPixels.of(pixels), bright)
+        in_cache = np.ones(len(bright.triangles), bool)
+        return replace(bright, reflective=in_cache), np.zeros(len(self.room.triangles), bool)
+
+    def _group_fixtures(self) -> None:
+        """Fixtures of the triangles that probably emit, or of the jointly fitted emission."""
         if len(self.emission):
             self.fixtures = joint_fixtures(self.room, self.emission, self.settings.joint_threshold)
         else:
             parts = self.observations.parts
             surface = parts.triangle_part if parts.kind == "part" else None
             pixels = EmitterPixels.of(self.pixels)
-            self.fixtures = group_fixtures(self.room, emitting, pixels, surface, self.probability)
+            self.fixtures = group_fixtures(
+                self.room, self.probability > 0.5, pixels, surface, self.probability
+            )
 
     def _emitters(self) -> tuple[EmitterTable, np.ndarray]:
         """The fixtures as a table of triangles, and the triangles that emit, (T,) bool."""

@@ -15,13 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.special import expit, logit, stdtr
-from scipy.stats import t as student
+from scipy.special import expit, gamma, logit, stdtr  # scipy.stats takes half a second to import
 
 from ..geometry.adjacency import weld
 from ..optics.lights import LUMINANCE
 from ..robust import DEGREES, deviation
-from ..scene.components import graph_components
+from ..scene.components import component_means, graph_components
 from ..scene.grouped import grouped_sums, pairs_of, rows_of_groups
 from ..scene.pixels import PixelStore
 from ..scene.room import Room
@@ -40,8 +39,8 @@ BRIGHTEST, DIM_POWER = 7.0, 2.0
 # Number of independent samples that the pixels of a lamp are worth at most: shadings have an error in common.
 MOST_SAMPLES, MOST_SAMPLES_SCAN = 50.0, 10.0
 # Constant radiance in varying light: pixels for a sample, samples at most, spread that noise alone makes, and
-# relative deviation of the radiance of one lamp.
-ALIKE_PIXELS, ALIKE_SAMPLES, ALIKE_SPREAD, ALIKE = 10.0, 30.0, 0.03, 0.05
+# relative deviation of the radiance of one lamp. What is so many of these off it is no part of a lamp.
+ALIKE_PIXELS, ALIKE_SAMPLES, ALIKE_SPREAD, ALIKE, MOST_OFF = 10.0, 30.0, 0.03, 0.05, 3.0
 # A scan places a lamp and what it lights to the width of an edge: their light errs by so many edges over the
 # distance, and is at most doubled. Lamps light what is less bright by this factor.
 PLACE_ERROR, LIT = 3.0, 2.0
@@ -87,10 +86,8 @@ def emission_probability(
     probability = lamps.probability(baked)
     judged = (lamps.samples > 0.0)[surfaces.unit] | (hinted != 0)
     result = np.where(hinted == 0, probability[surfaces.unit], (hinted > 0).astype(np.float64))
-    area = room.areas * judged
-    total = np.bincount(surfaces.component, area)
-    share = np.bincount(surfaces.component, area * result) / np.maximum(total, 1e-30)
-    return np.where(judged, result, share[surfaces.component]).astype(np.float32)
+    around = component_means(room.areas, surfaces.component, result, judged)
+    return np.where(judged, result, around).astype(np.float32)
 
 
 def log_evidence(low: np.ndarray, high: np.ndarray, error: np.ndarray) -> np.ndarray:
@@ -102,7 +99,8 @@ def log_evidence(low: np.ndarray, high: np.ndarray, error: np.ndarray) -> np.nda
         low, high: (N,) logarithms of radiance over the most that could be reflected (:func:`log_ratio`).
         error: (N,) relative standard error of what could be reflected.
     """
-    mode = float(student.pdf(0.0, DEGREES))
+    # Student's density at 0.
+    mode = gamma(0.5 * (DEGREES + 1.0)) / (np.sqrt(DEGREES * np.pi) * gamma(0.5 * DEGREES))
 
     def reflecting(x: np.ndarray) -> np.ndarray:
         above = (stdtr(DEGREES, np.maximum(x, 0.0) / error) - 0.5) * error / mode
@@ -270,7 +268,7 @@ class _Lamps:
             alike = np.exp(-0.5 * off**2) / (ALIKE * np.sqrt(2.0 * np.pi))
             known = self.sums.mean + np.log(0.5 + 0.5 * alike * (BRIGHTEST + 1.0 / DIM_POWER))
             of_surface = self.component == self.component[np.argmax(core)]
-            units = np.flatnonzero(core | ((known > 0.0) & (alike > 0.0) & of_surface & (np.abs(off) < 3.0)))
+            units = np.flatnonzero(core | ((known > 0.0) & of_surface & (np.abs(off) < MOST_OFF)))
             surface = self._connected(units)
             touching = units[np.isin(surface, surface[core[units]])]
             result[touching] = np.maximum(result[touching], of_lamp[index])

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..optics.lights import LUMINANCE, EmitterTable
+from ..scene.components import component_means
 from ..scene.grouped import grouped_weighted_median
 from ..scene.labels import room_pieces
 from ..scene.room import Room
@@ -40,10 +41,8 @@ def presume_lamps(room: Room, pixels: EmitterPixels, bright: EmitterTable) -> tu
         return bright, lamps
     marked = lamps.copy()
     marked[bright.triangles] = True
-    seen, piece = _seen(pixels, len(lamps)), room_pieces(room)
-    area = np.bincount(piece, room.areas * seen)
-    mostly = np.bincount(piece, room.areas * (seen & marked)) > MAJORITY * np.maximum(area, 1e-30)
-    marked |= ~seen & mostly[piece]
+    seen = _seen(pixels, len(lamps))
+    marked |= ~seen & (component_means(room.areas, room_pieces(room), marked, seen) > MAJORITY)
     fixtures = group_fixtures(room, marked, pixels)
     fixture = np.full(len(lamps), -1, np.int64)
     for index, each in enumerate(fixtures):

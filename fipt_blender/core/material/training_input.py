@@ -30,6 +30,8 @@ from .hints import NO_HINT, SurfaceHints, values_of_hints
 from .mixture import GroupMaterials, infer_materials
 from .pixel_samples import PixelSamples, rows_with_donor, window_means
 
+# The setting `group_outliers` is for a place that is known to 2 cm; so many such steps are a metre.
+OUTLIERS_PER_METRE = 50.0
 # Pixels from which roughness and metallic are estimated; more change only the time.
 PROJECTION_PIXELS = 600_000
 # Groups with fewer pure pixels use their mixed ones too.
@@ -82,7 +84,9 @@ def training_input(
         label, seen_color = observations.part[wide.rows], color[observations.entry[wide.rows]]
         alike = _similarity(wide.group, groups, label, seen_color)
     light = _light_cells(observations, wide.rows)
-    outliers = 0.0 if pieces is None else 1.0 - (1.0 - settings.group_outliers) ** (50.0 * place)
+    outliers = (
+        0.0 if pieces is None else 1.0 - (1.0 - settings.group_outliers) ** (OUTLIERS_PER_METRE * place)
+    )
     materials = infer_materials(wide, groups, light, settings, alike, known, outliers)
     return TrainingData(observations, shadings, levels, group, materials)
 

@@ -26,6 +26,20 @@ def graph_components(pairs: np.ndarray, count: int) -> np.ndarray:
     return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
+def component_means(
+    areas: np.ndarray, component: np.ndarray, values: np.ndarray, known: np.ndarray
+) -> np.ndarray:
+    """(T,) mean of the known values of each triangle's component by area, 0 where none is known.
+
+    Args:
+        areas: (T,) square metres. component: (T,) int from 0.
+        values: (T,) any where they are not known. known: (T,) bool.
+    """
+    total = np.bincount(component, areas * known)
+    mean = np.bincount(component, areas * np.where(known, values, 0)) / np.maximum(total, 1e-30)
+    return np.asarray(mean[component])
+
+
 def mesh_components(corners: np.ndarray) -> np.ndarray:
     """Connected components of a triangle mesh.
 
