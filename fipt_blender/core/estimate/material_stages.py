@@ -121,7 +121,7 @@ class MaterialStages(EstimationState):
         if self._input is None:
             shadings, settings = self._open_shadings(), self.settings
             given = self.observations, self._pieces, shadings, self.levels, settings
-            data = training_input(*given, self.hints, self.room.place)
+            data = training_input(*given, self.hints)
             joint = settings.lambda_joint if settings.emission == "joint" else None
             self._input = (data, fit_cells(data, joint))
         return self._input

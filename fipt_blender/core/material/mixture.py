@@ -16,7 +16,7 @@ import numpy as np
 from ..run.settings import Settings
 from .confidence import UNIFORM_DEVIATION
 from .hints import KnownMaterials
-from .likelihood import Candidates, group_log_likelihoods, make_candidates, with_outliers
+from .likelihood import Candidates, group_log_likelihoods, make_candidates
 from .pixel_samples import PixelSamples
 
 # Standard deviation of the kernel by which the roughness of one group makes similar values likely for others:
@@ -51,7 +51,6 @@ def infer_materials(
     settings: Settings,
     similarity: np.ndarray | None = None,
     known: KnownMaterials | None = None,
-    outliers: float = 0.0,
 ) -> GroupMaterials:
     """Roughness and metallic of each group: those with which its cells look most alike in all views.
 
@@ -65,7 +64,6 @@ def infer_materials(
         similarity: (groups, groups) prior probability that two groups are of one material
             (:func:`.groups.similarity`); None where each group is known to be one material of its own.
         known: what is known of the groups; None for nothing.
-        outliers: share of the groups whose pixels tell nothing.
     """
     candidates = make_candidates(samples.levels)
     broad = broad_prior(candidates)
@@ -78,7 +76,7 @@ def infer_materials(
     alike = None if similarity is None else similarity[np.ix_(lowest, lowest)]
     allowed = known.allows(candidates.roughness, candidates.metallic)[:, lowest]
     prior = Prior(broad, settings.prior_weight, alike)
-    posterior = group_posterior(likelihood, candidates, prior, allowed, outliers)
+    posterior = group_posterior(likelihood, candidates, prior, allowed)
     values = np.stack([candidates.roughness, candidates.metallic])
     mean = (values @ posterior).T
     error = np.sqrt(np.maximum((values**2 @ posterior).T - mean**2, 0.0))
@@ -117,18 +115,17 @@ def group_posterior(
     candidates: Candidates,
     prior: Prior,
     allowed: np.ndarray | bool = True,
-    outliers: float = 0.0,
 ) -> np.ndarray:
     """(S, groups) probability of each candidate.
 
     Args:
         log_likelihood: (S, groups); all 0 in groups that no pixel shows, which do not count for the room.
         allowed: (S, groups) bool, candidates that are possible, one at least of each group; True for all.
-        outliers: share of the groups whose pixels are uninformative.
     """
     broad, weight = prior.broad, prior.weight
     shown = (log_likelihood != 0.0).any(axis=0)
-    likelihood = allowed * with_outliers(np.where(allowed, log_likelihood, -np.inf), outliers, broad)
+    log_likelihood = np.where(allowed, log_likelihood, -np.inf)
+    likelihood = np.exp(log_likelihood - log_likelihood.max(axis=0))
     kernel = _kernel(candidates)
     others = None
     if prior.similarity is not None:

@@ -30,8 +30,6 @@ from .hints import NO_HINT, SurfaceHints, values_of_hints
 from .mixture import GroupMaterials, infer_materials
 from .pixel_samples import PixelSamples, rows_with_donor, window_means
 
-# The setting `group_outliers` is for a place that is known to 2 cm; so many such steps are a metre.
-OUTLIERS_PER_METRE = 50.0
 # Pixels from which roughness and metallic are estimated; more change only the time.
 PROJECTION_PIXELS = 600_000
 # Groups with fewer pure pixels use their mixed ones too.
@@ -56,7 +54,6 @@ def training_input(
     levels: np.ndarray,
     settings: Settings,
     hints: SurfaceHints | None = None,
-    place: float = 0.0,
 ) -> TrainingData:
     """The pixels with their shadings, groups and the materials of these.
 
@@ -64,9 +61,6 @@ def training_input(
         pieces: (T,) int connected piece of each triangle; None where parts are known.
         hints: what the artist knows; the parts of the observations are divided by them.
         shadings: of all pixels at the roughness `levels` (K,).
-        place: standard deviation of the place of surfaces, metres. By it, light errs alike in all views of a
-            surface, which the likelihood does not know: without parts, a share of the groups tells nothing,
-            `group_outliers` for each 2 cm.
     """
     group, color = observations.part, np.zeros((0, 3))
     groups = int(observations.parts.triangle_part.max(initial=-1)) + 1
@@ -84,10 +78,7 @@ def training_input(
         label, seen_color = observations.part[wide.rows], color[observations.entry[wide.rows]]
         alike = _similarity(wide.group, groups, label, seen_color)
     light = _light_cells(observations, wide.rows)
-    outliers = (
-        0.0 if pieces is None else 1.0 - (1.0 - settings.group_outliers) ** (OUTLIERS_PER_METRE * place)
-    )
-    materials = infer_materials(wide, groups, light, settings, alike, known, outliers)
+    materials = infer_materials(wide, groups, light, settings, alike, known)
     return TrainingData(observations, shadings, levels, group, materials)
 
 

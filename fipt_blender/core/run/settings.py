@@ -171,7 +171,7 @@ class Settings:
     residual_degrees: float = _setting(
         3.0,
         "closed form of roughness and metallic: degrees of freedom of the residuals' t-distribution; fewer"
-        " ignore more outliers (this and the next four are not in the paper)",
+        " ignore more outliers (this and the next three are not in the paper)",
         ESTIMATE,
     )
     pixels_per_sample: float = _setting(
@@ -184,11 +184,6 @@ class Settings:
     )
     view_outliers: float = _setting(
         0.1, "closed form: share of the views whose shadings tell nothing about a part's gloss", ESTIMATE
-    )
-    group_outliers: float = _setting(
-        0.2,
-        "closed form: share of surfaces without masks that give no evidence of gloss, for 2 cm of doubt",
-        ESTIMATE,
     )
     prior_weight: float = _setting(
         1.0, "closed form: weight of a prior over materials, as a number of parts that follow it", ESTIMATE
@@ -372,7 +367,7 @@ _ZERO = (
 )
 _LIMITS: dict[str, dict[str, Any]] = {
     **{key: {"zero": True} for key in _ZERO},
-    **{key: {"high": 1} for key in ("view_share", "view_outliers", "group_outliers")},
+    **{key: {"high": 1} for key in ("view_share", "view_outliers")},
     # The time to close a hole grows with the cube of its edges.
     "close_holes_edges": {"zero": True, "high": 1000},
     # With smaller values there is nothing to interpolate between, or no room inside the grid's empty border.
