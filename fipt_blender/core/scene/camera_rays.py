@@ -56,7 +56,7 @@ def rays_along(origins: np.ndarray, directions: np.ndarray) -> mi.Ray3f:
 
 def first_hits(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
     """(N,) int64 triangle of each ray, -1 where it meets none, and (N,) metres to it, infinite there."""
-    dr.eval(surface.valid, surface.triangle, surface.distance)  # one after the other, each would be traced
+    dr.eval(surface.valid, surface.triangle, surface.distance)  # together, or each would trace the rays again
     valid = np.array(surface.valid)
     triangle = np.where(valid, np.array(surface.triangle).astype(np.int64), -1)
     return triangle, np.where(valid, np.array(surface.distance), np.inf)
