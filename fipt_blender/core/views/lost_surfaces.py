@@ -3,8 +3,8 @@
 """Things that a scanner lost: a glossy or dark table, a cabinet, a slab.
 
 Photographs of a lost thing disagree on what the scan has behind it, and agree at the thing's own surface
-(:mod:`.agreement`). Points are swept through the room's air. Where photographs agree better than behind, an
-upright prism is fitted.
+(:mod:`.agreement`). Points all over the room's air are tested. Where photographs disagree less than on the
+surface behind, an upright prism is fitted.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from .agreement import LEAST_GAIN, Box, ComparedPixels, cells_of, compared_pixel
 LEAST_SHARE = 0.01
 # Share of the cells inside a prism in which the scan has a surface: scanners look into shades, not tables.
 MOST_INSIDE = 0.01
-# A thing is likely if it explains more of the views than chance does (sign test).
+# A thing is likely if more views improve than chance explains at this level of significance (sign test).
 LEVEL = 0.05
 # Cells by which a side of a prism moves at a time.
 STEPS = (3, 1)
@@ -74,7 +74,7 @@ class _Prism:
         mesh: vertices, triangles and corner normals.
         rows, distance: (m,) int pixels that see it, and metres to it.
         cell, doubt: (n,) of the pixels that the search touches.
-        by_view: (V,) pixels of each view whose disagreement it takes away.
+        by_view: (V,) pixels of each view whose disagreement it removes.
     """
 
     low: np.ndarray
@@ -89,7 +89,7 @@ class _Prism:
 
     @property
     def score(self) -> float:
-        """Pixels of all views whose disagreement it takes away."""
+        """Pixels of all views whose disagreement it removes."""
         return float(self.by_view.sum())
 
     @property
@@ -259,5 +259,5 @@ def _largest_piece(mask: np.ndarray) -> np.ndarray | None:
 
 
 def _unlikely(count: int, views: int) -> bool:
-    """Whether so many of the views or more are more than chance explains."""
+    """Whether chance rarely improves so many of the views or more (sign test)."""
     return bool(bdtrc(count - 1, views, 0.5) < LEVEL)

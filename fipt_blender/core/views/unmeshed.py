@@ -30,8 +30,8 @@ MEET = 3.0
 IN_FRONT = 0.95
 # Quantile of the pixels around a lamp that is the radiance of what lies behind it.
 BEHIND = 0.2
-# On a scan, a pixel shows the rim of a lamp of the mesh if a pixel so many pixels away sees a surface of this
-# share of its radiance that is as bright in other views.
+# On a scan, a pixel shows the rim of a lamp of the mesh if a pixel within this distance sees a surface that
+# has at least this share of its radiance and is as bright in other views.
 RIM, RIM_SHARE = 2, 0.5
 TRIES = 2000
 # Rays that are used; more only cost time.
@@ -150,8 +150,8 @@ def unmeshed_lights(
 def most_reflected_at(cells: SurfaceCells, places: np.ndarray) -> np.ndarray:
     """(P,) highest grey radiance that a white surface at some places (P, 3) could reflect.
 
-    It faces where most light comes from, and nothing hides any of the cells' light. A lamp without mesh is
-    brighter; a table that a scanner lost may be white.
+    The surface faces where most light comes from, and nothing occludes the cells' light. A lamp without mesh
+    is brighter; a table that a scanner lost is not, even if it is white.
     """
     sums = np.zeros((cells.count, 5))
     for index in range(len(cells.pixels.views)):
@@ -188,7 +188,7 @@ def measure(pixels: PixelStore, lamp: UnmeshedLight, margin: float) -> Ball:
         rows, view = shown[view_of == index], pixels.views[index]
         radiance = np.asarray(pixels.radiance[rows], np.float64)
         grey = radiance.mean(axis=1)
-        if not grey.max() > BRIGHT:  # something hides it
+        if not grey.max() > BRIGHT:  # it is occluded
             continue
         behind = min(float(np.quantile(grey, BEHIND)), BRIGHT)
         width = np.linalg.norm(lamp.position - view.camera_to_world[:3, 3]) / min(view.fx, view.fy)
