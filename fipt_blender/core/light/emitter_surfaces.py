@@ -16,11 +16,11 @@ from ..scene.grouped import numbered
 from ..scene.labels import Parts, room_pieces
 from ..scene.room import Room
 
-# Light that is only inferred comes from infinity. A lamp that nobody saw, close to a surface, makes it
-# brighter than that by about so much.
+# Inferred light comes from infinity. A surface that is close to an unseen lamp is brighter than that by about
+# this factor.
 UNSEEN_DOUBT = 2.0
-# Edge of the patches of a scan without part masks, in pixel widths, and between the centers of patches of one
-# lamp at most, in edges.
+# Width of the patches of a scan without part masks, in pixel widths, and largest distance between the centers
+# of adjacent patches of one lamp, in widths of a patch.
 PATCH, GAP = 2.0, 2.5
 
 
@@ -30,9 +30,9 @@ class EmitterSurfaces:
 
     Attributes:
         unit: (T,) int64 surface of each triangle, from 0.
-        component: (T,) int of larger surfaces, from 0: what no pixel judged emits as what is around it does.
+        component: (T,) int larger surface, from 0; triangles that no pixel judged get the mean of theirs.
         part: (T,) int part of each triangle, negative for none; None where parts are unknown.
-        reach: number of pixels by which the surface that a pixel shows may be beside the one that it hits.
+        reach: largest distance in pixels between the surface that a pixel shows and the one that it hits.
         gap: metres between the centers of units of one lamp at most, on a scan.
         unseen_light: factor by which the light may be brighter than the inferred one.
     """

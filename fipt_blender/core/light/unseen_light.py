@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Light that enters an open mesh from directions that no photograph shows, such as an unscanned ceiling.
 
-At points of the surfaces the photographs are albedo (B + sum of e_k D_k): B is the irradiance from all that
-was seen, D_k that of a smooth part of the sky around the room of radiance 1, where it is unseen and the mesh
+At points of the surfaces the radiance is albedo (B + sum of e_k D_k): B is the irradiance from all that was
+seen, D_k that of a smooth part of the sky around the room of radiance 1, where it is unseen and the mesh
 open. The albedo of a surface of one color is constant. In logarithms it is eliminated, and the e_k are found
-by robust least squares. Their level follows from shadows, from what photographs show of the outside and, less
-surely, from what albedos are usual: none is above that of white paint.
+by robust least squares. Their level follows from shadows, from what photographs show of the outside and, with
+less weight, from usual albedos: none is above that of white paint.
 """
 
 from __future__ import annotations
@@ -202,7 +202,7 @@ def solve_sky(points: OpenPoints, observed: tuple[np.ndarray, np.ndarray]) -> np
 @dataclass(frozen=True, eq=False)
 class _Rows:
     """Residuals (R,) less the albedo of their group, their derivatives (R, K), and weights (R,); the points
-    first, then what is expected of the albedo of each group."""
+    first, then the prior of the albedo of each group."""
 
     residual: np.ndarray
     jacobian: np.ndarray
@@ -232,7 +232,7 @@ def _without_albedo(residual: np.ndarray, jacobian: np.ndarray, group: np.ndarra
 
 
 def _expected_albedo(albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What is expected of the logarithms of albedos (G,), and its precision.
+    """Prior mean of the logarithms of albedos (G,), and its precision.
 
     Robust in both directions: red paint reflects hardly any blue, and a screen is no white paint.
     """

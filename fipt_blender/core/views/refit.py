@@ -34,7 +34,7 @@ REFIT_DEVIATION = 0.03
 MOST_CORRECTION = 1.0
 # Points are not used if their correction differs from the median by more than this over the standard
 # deviation of the position of surfaces in metres (by 0.15 on a scan with edges of 2 cm): where normals are
-# rough and lamps torn, the baked light is as often wrong as the model. Errors of the light raise the contrast.
+# rough and lamps torn, the baked light is as often wrong as the model. Errors of light raise the contrast.
 MOST_DIFFERENCE = 0.003
 MOST_LIGHT = 6.0e4  # in half floats
 # Darkest L_d, in units of the capture's median, that is compared and by which is divided.
