@@ -65,7 +65,7 @@ def infer_materials(
         similarity: (groups, groups) prior probability that two groups are of one material
             (:func:`.groups.similarity`); None where each group is known to be one material of its own.
         known: what is known of the groups; None for nothing.
-        outliers: share of the groups whose pixels tell nothing.
+        outliers: share of the groups whose pixels are uninformative.
     """
     candidates = make_candidates(samples.levels)
     broad = broad_prior(candidates)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Identifies a process by machine, process id and time of start, since ids are reused; and ends a process when
-its parent ends.
+"""Identifies a process by machine, process id and time of start, since ids recur; ends a process when its
+parent ends.
 
 Standard library only.
 """
