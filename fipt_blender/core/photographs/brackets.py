@@ -212,7 +212,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _folders_speak(photographs: Sequence[Photograph]) -> bool:
-    """Whether folders alone decide on the groups: no exposures, and several folders of several photographs."""
+    """Whether folders alone decide the groups: no exposures, and several folders of several photographs."""
     if any(photograph.exposure is not None for photograph in photographs):
         return False
     counts = Counter(PurePath(photograph.path).parent for photograph in photographs)
