@@ -30,7 +30,7 @@ _LONGEST_STEP = 0.7  # of any logarithm
 # Standard deviation of the logarithm of a point's radiance, due to texture and gloss.
 _TEXTURE = 0.15
 _LEAST_SPREAD = 0.02  # of a point, however well all agree
-# Neighbouring points share textures and errors of the light: about so many count as one.
+# Neighbouring points share textures and errors of the light: about this many count as one.
 POINTS_PER_SAMPLE = 10.0
 # Standard deviation of the logarithm of a lamp's radiance before anything is known, and its expectation as a
 # multiple of the radiance at which it is clipped.

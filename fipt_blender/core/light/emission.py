@@ -36,7 +36,7 @@ SHADING_ERROR, SCAN_ERROR, MIXED_ERROR, PHOTOGRAPH_ERROR = 0.15, 0.2, 0.3, 0.3
 # Lamps are brighter than white surfaces by orders of magnitude, evenly on a logarithmic scale, most of them
 # up to this logarithm; the density falls with this power of the radiance below.
 BRIGHTEST, DIM_POWER = 7.0, 2.0
-# Number of independent samples that the pixels of a lamp are worth at most: shadings have an error in common.
+# Most independent samples that the pixels of a lamp count as: they share errors of the shadings.
 MOST_SAMPLES, MOST_SAMPLES_SCAN = 50.0, 10.0
 # Constant radiance in varying light: pixels per sample, most samples, spread due to noise alone, relative
 # deviation of the radiance of one lamp, and how many of these deviations a part of a lamp may differ from it.

@@ -61,7 +61,7 @@ def emitter_surfaces(
         # Photographs see most of a lamp shade's outside and little of its inside, which may be one piece.
         component = pieces if part is None else numbered([pieces, part])
         return EmitterSurfaces(np.arange(len(room.triangles)), component, part, unseen_light=doubt)
-    # Detail finer than an edge is lost: rims of thin things face sideways, and pixels show what is beside.
+    # Detail finer than an edge is lost: rims of thin things face sideways, but pixels show their tops.
     reach = round(room.scan.edge / max(footprint, 1e-9))
     patch, gap = surface_patches(room.scan, pieces, PATCH * footprint), GAP * PATCH * footprint
     if part is None:

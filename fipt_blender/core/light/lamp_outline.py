@@ -22,13 +22,13 @@ from ..scene.components import graph_components
 from ..scene.grouped import grouped_median
 from ..scene.pixels import PixelStore
 
-# Triangles within so many pixel widths of a lamp may belong to it.
+# Triangles within this many pixel widths of a lamp may belong to it.
 REACH = 2.0
 # A triangle belongs to the lamp if it shows more than this share of the lamp's radiance in the mean view.
 INSIDE = 0.5
 # A view counts if it sees the triangle's front at this cosine at least, ...
 LEAST_COSINE = 0.2
-# ... and its pixel there hits the mesh within so many pixel widths and median edges of the triangle.
+# ... and its pixel there hits the mesh within this many pixel widths and median edges of the triangle.
 NEAR_WIDTHS, NEAR_EDGES = 3.0, 1.0
 
 

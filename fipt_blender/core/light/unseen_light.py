@@ -256,7 +256,7 @@ def _sky_precision(parts: int) -> np.ndarray:
 def _evidence_precision(share: np.ndarray) -> np.ndarray:
     """(3 K, 3 K), as `_sky_precision`, of how bright photographs show the shares (K,) of the parts.
 
-    The directions of a part that were seen stand for its others as well as a part does for its neighbors.
-    Their color, that of a wall or of grass, says little about that of the light.
+    The seen directions of a part predict its other ones as well as a part predicts its neighbors. Their
+    color, that of a wall or of grass, is hardly evidence of that of the light.
     """
     return np.asarray(np.kron(np.full((3, 3), 1.0 / 9.0), np.diag(share / PART_LEVEL**2)))

@@ -80,7 +80,7 @@ def disagreeing(mask: np.ndarray, triangle: np.ndarray, parts: Parts) -> tuple[n
     """Two (H * W,) bool: pixels that show another part than they hit, and pixels at a border of the mask.
 
     Args:
-        mask: (H, W) int ids; 0 and negative ones say nothing.
+        mask: (H, W) int ids; 0 and negative ones are unknown.
         triangle: (H * W,) triangle of each pixel, negative where none.
     """
     ids = mask.reshape(-1).astype(np.int64)

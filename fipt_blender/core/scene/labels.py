@@ -26,7 +26,7 @@ from .segments import scan_segments
 from .smooth_parts import Votes, smooth_labels
 from .spreading import NO_PART, spread_labels
 
-# Sources that are images beside the photographs.
+# Sources that are id images, one for each photograph.
 IMAGE_SOURCES = ("masks", "semantics")
 _IDS = 1 << 32  # larger than any id
 # Weight of pixels at borders of masks: the borders of a scan or of slots may be about a pixel away from them.
@@ -84,7 +84,7 @@ def choose_source(room: Room, views: Sequence[View]) -> str:
 
 
 def automatic_source(room: Room, usable: Sequence[str]) -> str:
-    """What ``auto`` stands for, by :func:`usable_sources`.
+    """The source that ``auto`` selects among :func:`usable_sources`.
 
     Loose pieces are never chosen, because scans contain many fragments that are not parts. For a scan, only
     masks are chosen: its materials are pages of a texture, and its objects tiles, or panes that were added.

@@ -28,7 +28,7 @@ from .room import Room
 # Masks share their ids if a cell with an id in one view has the same id in other views at least this often.
 # The median over the ids counts: where ids are ordered by size, those of walls and floors agree by chance.
 SHARED = 0.2
-# A region belongs to one part if so many of its pixels see it.
+# A region belongs to one part if this share of its pixels sees that part.
 ONE_PART = 0.7
 # Most cells; where views see more, the width of a cell is doubled until they see fewer. Rooms have 100,000.
 MOST_CELLS = 400_000

@@ -41,7 +41,7 @@ RINGS = 4
 # Each round finds the outlines again.
 ROUNDS = 3
 # A triangle folds if its normal rotates beyond this cosine; the moves of its corners are then halved, at most
-# so often.
+# this many times.
 FOLD, HALVINGS = 0.3, 4
 # Of the conjugate gradients: relative residual, and most steps.
 _TOLERANCE, _MOST_STEPS = 1e-3, 100

@@ -28,7 +28,7 @@ from .pixels import LEFT_OUT, NO_TRIANGLE, PixelStore
 from .room import Room
 
 # The expected radiance of a fragment is that of pure pixels of its surface within this distance in pixels, at
-# most so many of them.
+# most this many of them.
 REACH = 4
 NEIGHBOURS = 4
 # Relative standard deviation of the radiance of a surface within that distance, besides their own spread.

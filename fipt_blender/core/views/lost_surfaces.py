@@ -169,7 +169,7 @@ class _Search:
         return _Prism(self.low, footprint, layers, mesh, rows, hits[1], cell, doubt, by_view)
 
     def accepted(self, found: _Prism) -> ComparedPixels:
-        """The pixels with a prism before the scan."""
+        """The pixels with a prism in front of the scan."""
         pixels = self.pixels
         distance, cell, doubt = pixels.distance.copy(), pixels.cell.copy(), pixels.doubt.copy()
         distance[found.rows], doubt[self.touched] = found.distance, found.doubt
@@ -214,7 +214,7 @@ Change = tuple[np.ndarray, tuple[int, int]]  # footprint and layers
 
 
 def _taller(best: _Prism, step: int, height: int, down: int, up: int) -> Change | None:
-    """The prism with its ends moved by so many steps, in a box of so many layers."""
+    """The prism with its ends moved down and up by steps, in a box of a height in layers."""
     first, last = best.layers
     layers = max(first - down * step, 0), min(last + up * step, height - 1)
     return None if layers == best.layers or layers[0] > layers[1] else (best.footprint, layers)

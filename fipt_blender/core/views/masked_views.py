@@ -24,7 +24,7 @@ LEAST_OWN = 0.5
 
 @dataclass(frozen=True)
 class MaskedView:
-    """What a view shows.
+    """A view with its mask and what it sees of the scan.
 
     Attributes:
         view: with masks.

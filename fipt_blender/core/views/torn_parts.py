@@ -50,7 +50,7 @@ def torn_parts(room: Room, label: np.ndarray, masked: Sequence[MaskedView], edge
     Args:
         room: the scan.
         label: (T,) id of the part of each triangle, 0 or less for none.
-        masked: what the training views show.
+        masked: the training views with masks.
         edge: median edge of the scan, metres.
 
     Returns:
@@ -85,7 +85,7 @@ class _Completion:
 
     Args:
         room: the scan.
-        masked: what views show of it.
+        masked: views with masks.
         edge: median edge of the scan, metres.
     """
 

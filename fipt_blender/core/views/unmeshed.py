@@ -124,7 +124,7 @@ def unmeshed_lights(
     Args:
         cells: of pixels whose radiance is already brought to one exposure.
         footprint: median width of a pixel on the surfaces, metres.
-        scan: whether the mesh is a scan, which ends beside the lamps that it has.
+        scan: whether the mesh is a scan, whose surfaces end beside the lamps that it has.
     """
     pixels = cells.pixels
     rows, steady = _standing_out(cells)
@@ -202,7 +202,7 @@ def measure(pixels: PixelStore, lamp: UnmeshedLight, margin: float) -> Ball:
 
 
 def shown_by(pixels: PixelStore, lamp: UnmeshedLight, margin: float) -> np.ndarray:
-    """(K,) int64 pixels whose rays pass a lamp before the mesh, within its radius plus a margin in metres."""
+    """(K,) int64 pixels whose rays pass within a lamp's radius plus `margin` (metres), in front of the mesh."""
     shown = []
     for index, camera in enumerate(pixels.camera_positions().astype(np.float64)):
         hit = np.flatnonzero(pixels.triangle[pixels.rows(index)] >= 0) + pixels.ranges[index]
