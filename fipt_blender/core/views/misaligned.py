@@ -31,7 +31,7 @@ LEAST_DIFFERENCE = 0.2
 # If registration finds more than this share of the views misaligned, besides those that are far off, it is
 # undecided which of them are right.
 MOST_LEFT_OUT = 1.0 / 3.0
-# Of a view that no small rotation aligns.
+# The fit of a view that no small rotation aligns.
 FAR_OFF = Fit(shift=np.inf, improvement=1.0, gain=0.0, difference=np.inf)
 
 
@@ -45,7 +45,7 @@ def misaligned_views(
 
     Args:
         gains: (views,) exposure of each view; 1 for the usual one.
-        far_off: views that are known to be misaligned (:mod:`.consensus`), of which nothing is predicted.
+        far_off: views that are known to be misaligned (:mod:`.consensus`); predictions are made without them.
         force: whether captures of which most views contradict each other are accepted.
 
     Raises:

@@ -38,7 +38,7 @@ from .clipped_surfaces import VAGUE, ClippedSurfaces, Lit, find_clipped_surfaces
 from .codes import Codes, calm_samples
 from .exposure import exposure_gains
 
-# Systematic error of the contrast inferred from light: by gloss, textures and the coarse cache.
+# Systematic error of the contrast inferred from light, due to gloss, textures and the coarse cache.
 LIGHT_DEVIATION = 0.06
 LEAST_POINTS = 200
 MOST_DEVIATIONS = 4.0  # by which the contrast by light may differ from that of the other sources

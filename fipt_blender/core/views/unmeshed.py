@@ -202,7 +202,7 @@ def measure(pixels: PixelStore, lamp: UnmeshedLight, margin: float) -> Ball:
 
 
 def shown_by(pixels: PixelStore, lamp: UnmeshedLight, margin: float) -> np.ndarray:
-    """(K,) int64 pixels whose rays pass within a lamp's radius plus `margin` (metres), in front of the mesh."""
+    """(K,) int64 pixels whose rays pass within a lamp's radius plus `margin` metres, in front of the mesh."""
     shown = []
     for index, camera in enumerate(pixels.camera_positions().astype(np.float64)):
         hit = np.flatnonzero(pixels.triangle[pixels.rows(index)] >= 0) + pixels.ranges[index]
