@@ -92,7 +92,7 @@ class Expectation:
 
 @dataclass(frozen=True, eq=False)
 class LampLight:
-    """What is inferred from the light on the points.
+    """Radiance of the lamps and contrast, as inferred from the light on the points.
 
     Attributes:
         log_radiance: (F, 3) natural logarithms.

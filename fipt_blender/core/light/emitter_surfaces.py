@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What emits as a whole in the search for emitters: a triangle of a modelled room, a part or patch of a scan.
+"""The units of the search for emitters: triangles of a modelled room, parts or patches of a scan.
 
 A triangle of a scan is smaller than a pixel, and the light that falls on it is known less well.
 """
@@ -26,7 +26,7 @@ PATCH, GAP = 2.0, 2.5
 
 @dataclass(frozen=True)
 class EmitterSurfaces:
-    """The surfaces that emit as a whole, for a mesh of T triangles.
+    """The units that emit as a whole or not at all, for a mesh of T triangles.
 
     Attributes:
         unit: (T,) int64 surface of each triangle, from 0.

@@ -173,7 +173,7 @@ def solve_sky(points: OpenPoints, observed: tuple[np.ndarray, np.ndarray]) -> np
     """(K, 3) radiance of the parts of the sky.
 
     Args:
-        observed: what photographs show of them (:func:`seen_sky`).
+        observed: radiance and share of the parts that photographs show (:func:`seen_sky`).
     """
     parts = points.unseen.shape[1]
     prior, evidence = _sky_precision(parts), _evidence_precision(observed[1])

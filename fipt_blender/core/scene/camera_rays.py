@@ -27,7 +27,7 @@ def trace_pixels(
         pixels: row-major pixel indices; all pixels of the view where None.
 
     Returns:
-        the surfaces, those of one pixel's shifts next to each other.
+        the surfaces, ordered by pixel and then by shift.
     """
     count = len(shifts)
     pixel_count = view.width * view.height if pixels is None else dr.width(pixels)

@@ -24,10 +24,10 @@ _COINCIDENT = 2e-5  # of the distance: coincident faces do not occlude each othe
 
 @dataclass(frozen=True)
 class Coverage:
-    """What a view sees.
+    """The triangles that a view sees.
 
     Attributes:
-        seen: (T,) bool, whether any of each triangle is seen.
+        seen: (T,) bool, whether some point of each triangle is seen.
         in_sight: (T,) bool, whether it is seen or, if it was not `known`, its centroid would be visible to
             the camera after a rotation towards it.
         room_share: 0..1, share of the pixels that see the mesh.

@@ -11,8 +11,8 @@ from .labels import Parts, at_border
 from .pixels import PixelStore
 from .room import Room
 
-# Weight of pixels beside those of another id: the photograph shows a mixture there, wherever the mesh has its
-# border.
+# Weight of pixels that are adjacent to another id: the photograph mixes both there, wherever the border of
+# the mesh is.
 BESIDE = 0.1
 # Pixels at borders are doubted only in parts of whose pixels at least this share lies away from borders: thin
 # parts have hardly any other pixels.

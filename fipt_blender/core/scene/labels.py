@@ -111,7 +111,7 @@ def label_parts(
         triangles: for each view the triangle that each pixel of its id image sees, negative where none.
     """
     if source == "objects":
-        # What closes a hole belongs to the object around it.
+        # Triangles that close a hole belong to the object around it.
         known = np.where(room.closing, NO_PART, room.triangle_object)
         spread = spread_labels(known, weld(room.vertices)[room.triangles]) if room.closing.any() else known
         return Parts(spread.astype(np.int32), "part")
@@ -193,7 +193,7 @@ def count_votes(
     Args:
         masks: (H, W) int ids of each view, or None; negative ids and 0 (nothing hit) do not count.
         triangles: for each view the (H * W,) triangle that each pixel sees, negative where none.
-        border_vote: weight of pixels beside those of another id.
+        border_vote: weight of pixels that are adjacent to another id.
     """
 
     def views() -> Iterator[tuple[np.ndarray, np.ndarray]]:

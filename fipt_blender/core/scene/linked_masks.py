@@ -36,7 +36,7 @@ MOST_CELLS = 400_000
 
 @dataclass(frozen=True)
 class _Seen:
-    """What a view with part masks shows on a coarse grid of pixels.
+    """The surface cells and ids that a view with part masks sees, on a coarse grid of pixels.
 
     Attributes:
         view: at its own size.
@@ -106,7 +106,7 @@ def shared_ids(views: Sequence[RegionPixels]) -> float:
 
 
 def seen_cells(room: Room, views: Sequence[View]) -> list[_Seen]:
-    """What the views with part masks show."""
+    """The surface cells and ids that the views with part masks see."""
     places, widths, ids = [], [], []
     views = [view for view in views if view.parts]
     for view in views:

@@ -163,7 +163,7 @@ def _sampled(field: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _shown(room: Room, label: np.ndarray, view: View, place: np.ndarray) -> np.ndarray:
-    """(N,) id of what the mesh shows at places (N, 2) in a view, 0 for none."""
+    """(N,) id of the triangle that the mesh shows at places (N, 2) in a view, 0 for none."""
     x, y = ((place - (view.cx, view.cy)) / (view.fx, view.fy)).T
     direction = np.stack([x, y, np.ones_like(x)], axis=1) @ np.asarray(view.camera_to_world)[:3, :3].T
     triangle = _first_hit(room, view, direction)[0]

@@ -44,8 +44,8 @@ SPREAD, SPREAD_FRAGMENTS = 0.5, 0.2
 NOISE = 0.02
 # Standard deviation of a coverage by 16 samples: 0.035 at edges of any slope, 0.048 for strips.
 COVERAGE_ERROR = 0.04
-# The radiance (in units of the capture's median) to which MODEL_ERROR, the standard error of what the model
-# explains of a pure pixel, is not relative.
+# Radiance (in units of the capture's median) that is added to a radiance before it is multiplied by
+# MODEL_ERROR, the relative error of the model at a pure pixel.
 FLOOR = 0.05
 # Pixels per chunk; each needs 16 rays.
 CHUNK = 1 << 15
@@ -154,7 +154,7 @@ def expected(
         label: (H * W,) label of what each pixel's centre sees.
 
     Returns:
-        the fragments, of which those of one pixel and label without pure pixels nearby are one, their (F, 3)
+        the fragments (those of one pixel and label without pure pixels nearby are merged), their (F, 3)
         mean and (F, 3) variance, and (F,) bool, whether there are pure pixels nearby.
     """
     usable = photograph.pure & (photograph.triangle >= NO_TRIANGLE)

@@ -150,7 +150,7 @@ class ComparedPixels:
 
 
 def compared_pixels(room: Room, views: Sequence[View], edge: float) -> ComparedPixels:
-    """What the views show of a scan with this median edge, metres."""
+    """The pixels of the views on a scan with this median edge, metres."""
     every = sum(view.width * view.height / lattice_spacing(view) ** 2 for view in views)
     coarser = int(np.ceil(np.sqrt(every / MOST_PIXELS)))
     smaller, means, used = zip(
@@ -246,7 +246,7 @@ def cells_of(
     hits: tuple[np.ndarray, np.ndarray],
     size: float,
 ) -> np.ndarray:
-    """(n,) int from 0, place on the room's surface and side of it that rays meet (triangle, distance)."""
+    """(n,) int from 0, cell and side of the room's surface that rays hit (`hits`: triangle and distance)."""
     triangle, distance = hits
     places = np.array([each.camera_to_world[:3, 3] for each in views])
     points = places[view] + direction * distance[:, None]

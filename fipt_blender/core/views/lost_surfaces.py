@@ -65,7 +65,7 @@ def lost_surfaces(room: Room, views: Sequence[View], edge: float) -> list[Surfac
 
 @dataclass(frozen=True)
 class _Prism:
-    """A prism over cells, and what it explains.
+    """A prism over cells, and the disagreement that it explains.
 
     Attributes:
         low: (3,) lowest corner of the cells, metres.
@@ -147,7 +147,7 @@ class _Search:
         return cls(pixels, box[0], entering, rows, place - int((cells[:1] < 0).sum()))
 
     def prism(self, footprint: np.ndarray, layers: tuple[int, int]) -> _Prism:
-        """A prism over cells of the box, and what it explains."""
+        """A prism over cells of the box, and the disagreement that it explains."""
         pixels, (first, last) = self.pixels, layers
         corner = self.low + [0.0, 0.0, first * pixels.size]
         mesh = prism(footprint, corner, pixels.size, last - first + 1)
@@ -164,7 +164,7 @@ class _Search:
         seen = cell >= 0
         doubt = np.full(len(cell), np.nan, np.float32)
         doubt[seen] = doubts(view[seen], cell[seen], color[seen])
-        # What too few views see is no evidence.
+        # Cells that too few views see (NaN) are no evidence.
         by_view = np.bincount(view, np.nan_to_num(before - doubt), len(pixels.views))
         return _Prism(self.low, footprint, layers, mesh, rows, hits[1], cell, doubt, by_view)
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the views with part masks show of points in front of a scan."""
+"""Views with part masks, and the part that they show at points in front of a scan."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def grid_points(low: np.ndarray, step: float, shape: np.ndarray) -> np.ndarray:
 
 
 def masked_views(room: Room, views: Sequence[View]) -> tuple[list[MaskedView], np.ndarray]:
-    """What the views with masks show of a scan, and (T,) the id of the part of each triangle, or NO_PART.
+    """The views that have masks, and (T,) the id of the part of each triangle, or NO_PART.
 
     Triangles behind a hole of a part get the label of this part. Some of them are recognised as belonging to
     the plane of another part (`LEAST_OWN`); they have no part here.

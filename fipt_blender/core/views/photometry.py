@@ -47,7 +47,7 @@ UNKNOWN_CONTRAST = 1.0  # standard deviation of its logarithm where light alone 
 
 @dataclass(frozen=True, eq=False)
 class Photometry:
-    """What was found of a capture's photographs.
+    """The result of the adjustment of a capture's photographs.
 
     Attributes:
         scale: median luminance in the units of the radiance, by which the pixels are divided.

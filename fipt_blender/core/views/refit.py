@@ -54,7 +54,7 @@ def refit_photographs(
     """Find the contrast and the clipped lamps with baked light, and write the radiance again.
 
     Args:
-        before: what was found; `pixels.radiance` is in its unit, apart from the exposures of views.
+        before: result of the first adjustment; `pixels.radiance` is in its unit, apart from views' exposures.
         part: (T,) int part of each triangle, negative without.
         light_of: L_d (M, 3) of pixels (M,) with numbers of samples, baked with the radiance of the pixels.
     """
@@ -155,7 +155,7 @@ def _reflected(
     unit: float,
     albedos: dict[int, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What clipped surfaces reflect.
+    """The radiance that clipped surfaces reflect.
 
     Args:
         unit: logarithm of the unit of the pixels' radiance.

@@ -28,7 +28,7 @@ BRIGHT = 4.0
 MEET = 3.0
 # Share of the distance to the surface within which they must meet.
 IN_FRONT = 0.95
-# Quantile of the pixels around a lamp that is the radiance of what lies behind it.
+# The radiance behind a lamp is this quantile of the pixels around it.
 BEHIND = 0.2
 # On a scan, a pixel shows the rim of a lamp of the mesh if a pixel within this distance sees a surface that
 # has at least this share of its radiance and is as bright in other views.
