@@ -65,7 +65,7 @@ def infer_materials(
         similarity: (groups, groups) prior probability that two groups are of one material
             (:func:`.groups.similarity`); None where each group is known to be one material of its own.
         known: what is known of the groups; None for nothing.
-        outliers: share of the groups whose pixels are uninformative.
+        outliers: share of the groups whose pixels tell nothing.
     """
     candidates = make_candidates(samples.levels)
     broad = broad_prior(candidates)
@@ -124,7 +124,7 @@ def group_posterior(
     Args:
         log_likelihood: (S, groups); all 0 in groups that no pixel shows, which do not count for the room.
         allowed: (S, groups) bool, candidates that are possible, one at least of each group; True for all.
-        outliers: share of the groups whose pixels are uninformative.
+        outliers: share of the groups whose pixels tell nothing.
     """
     broad, weight = prior.broad, prior.weight
     shown = (log_likelihood != 0.0).any(axis=0)
