@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a job's timer has to tell Blender's windows: redraw what shows the job, a notice, an undo step."""
+"""What a job's timer makes Blender's windows do: redraw what shows the job, a notice, an undo step."""
 
 from __future__ import annotations
 

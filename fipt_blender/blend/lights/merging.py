@@ -33,7 +33,7 @@ from .light_drivers import is_animated
 from .light_state import SETTINGS
 from .power import base_power, slot_areas, world_matrix
 
-# What a fixture's object tells of it, kept on the material while the lamp is merged.
+# The properties of a fixture's object, kept on the material while the lamp is merged.
 _OF_FIXTURE = (FIXTURE, FIXTURE_SOURCES, BASE, BACK)
 
 

@@ -3,7 +3,7 @@
 """The list of lights and the 3D viewport: the active row's light is outlined, and a light that is selected in
 the viewport becomes the active row. Imported while Blender starts: needs bpy alone.
 
-Blender's lists do not tell over which row the pointer is, therefore the active row is shown.
+Blender's lists do not report over which row the pointer is, therefore the active row is shown.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 Blender puts it into the slot of that face's object; the rest of the part may be on other objects. Imported
 while Blender starts: needs bpy alone.
 
-Blender has stored the undo step of the drop before it tells of the change, so that undo does not know what
+Blender has stored the undo step of the drop before it reports the change, so that undo does not know what
 follows here and may leave it as it is. Therefore it is taken back before undo and redo, and done again after
 them where the slot still has the material.
 """
@@ -51,7 +51,7 @@ def _follow(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
 
 @bpy.app.handlers.persistent
 def _after_step(scene: bpy.types.Scene, *_: object) -> None:
-    # Blender does not tell of all changes by undo and redo as updates.
+    # Blender does not report all changes by undo and redo as updates.
     if scene.fipt.materials.object_count:
         _adopt(scene, room_with_results(scene))
 

@@ -41,8 +41,8 @@ def _set_preview(material: bpy.types.Material, pixels: np.ndarray) -> None:
 def ball(base_color: tuple[float, ...], roughness: float, metallic: float, size: int = 128) -> np.ndarray:
     """A shaded ball (size, size, 4): display-referred RGBA, bottom row first.
 
-    Lambert and GGX (Walter et al. 2007) under one light and an even surrounding, which is enough to tell
-    colours, gloss and metals apart.
+    Lambert and GGX (Walter et al. 2007) under one light and an even surrounding, which is enough to
+    distinguish colours, gloss and metals.
     """
     axis = (np.arange(size) + 0.5) / size * 2.0 - 1.0
     x, y = np.meshgrid(axis / 0.92, axis / 0.92)

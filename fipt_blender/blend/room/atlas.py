@@ -325,7 +325,7 @@ def _write(
 
 
 def file_names(owners: list[str]) -> list[str]:
-    """Names of files for all systems, of which some do not tell capitals from small letters."""
+    """Names of files for all systems, of which some do not distinguish capitals from small letters."""
     taken: set[str] = set()
     names = []
     for owner in owners:

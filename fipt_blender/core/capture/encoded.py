@@ -100,7 +100,7 @@ def load_codes(path: Path, kind: str) -> np.ndarray:
 
 
 def file_exposure(path: Path) -> float | None:
-    """The relative exposure that a file's EXIF tells; None without."""
+    """The relative exposure by a file's EXIF; None without."""
     if not is_encoded(path):
         return None
     try:

@@ -113,7 +113,7 @@ def read_points(path: Path, name: str, sure: bool = False) -> np.ndarray:
     Args:
         path: of the capture.
         name: of its format, one of `FORMATS`.
-        sure: only the better ones, where the format tells them apart.
+        sure: only the better ones, where the format distinguishes them.
 
     Raises:
         FiptError: ``alignment-points`` where the format has none, or one of the reader's.

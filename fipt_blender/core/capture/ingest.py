@@ -212,7 +212,7 @@ def distinct_views(views: Sequence[RigView]) -> list[RigView]:
     counts: Counter[str] = Counter()
     unique = []
     for view in first.values():
-        name, stem = view.name, view.name.casefold()  # file systems may not tell upper from lower case
+        name, stem = view.name, view.name.casefold()  # file systems may ignore the case of letters
         while name.casefold() in taken:
             counts[stem] += 1
             name = f"{view.name}~{counts[stem] + 1}"
@@ -308,7 +308,7 @@ def _read_views(
 
     Args:
         folder: for the images that are written.
-        exposures: that the files tell, see `file_exposure`.
+        exposures: from the files' EXIF, see `file_exposure`.
 
     Returns:
         the images written of each view, by kind.
@@ -341,7 +341,7 @@ def _resampling(view: RigView) -> Undistortion | None:
 def _read_view(
     folder: Path, view: RigView, resampling: Undistortion | None
 ) -> tuple[checks.PixelStatistics, dict[str, Path]]:
-    """What a photograph's values tell, and the images written of the view, by kind.
+    """Statistics of a photograph's values, and the images written of the view, by kind.
 
     Bilinear weights are positive, so that no value is negative if clamping precedes the resampling. Id images
     are read, for their errors, also where they stay as they are.
@@ -429,7 +429,7 @@ def _entry(
 
     Args:
         pinhole: of its image, undistorted where necessary.
-        exposure: that its file tells.
+        exposure: from its file's EXIF.
         written: images that were written of it, by kind.
     """
     files = {"image": view.image, **{kind: getattr(view, kind) for kind in ID_IMAGES}, **written}

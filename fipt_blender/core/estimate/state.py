@@ -77,7 +77,7 @@ class EstimationState:
         photometry: what was found of photographs that are not HDR; empty without any.
         parts: of the room's triangles.
         hints: those that are honoured now, on the mesh; None without any.
-        observations: what the pixels tell before anything is estimated: cache, environment; divided by hints.
+        observations: what follows from the pixels before any estimate: cache, environment; divided by hints.
         brdf: the BRDF network of stage 2.
         units, cells: surfaces of one material, and where pixels saw them.
         fixtures: the emitters found so far.

@@ -70,7 +70,7 @@ def close_small_holes(mesh: Mesh, normals: np.ndarray, most_edges: int) -> Closi
     """Close the holes of a mesh that have at most so many edges.
 
     A flat hole of more than `holes.LEAST_AREA` squared edges may be a window or a mirror and stays open:
-    photographs tell. So do larger holes, the rims of surfaces, and loops at triangles of other winding.
+    photographs decide. So do larger holes, the rims of surfaces, and loops at triangles of other winding.
 
     Args:
         normals: (T, 3) unit normals of the triangles.

@@ -13,7 +13,7 @@ import numpy as np
 
 from .adjacency import without_unused
 
-# Triangles that face up or down by more than this sine tell little about an axis or a radius.
+# Triangles that face up or down by more than this sine hardly determine an axis or a radius.
 STEEPEST = 0.87
 # Share of the area that must lie within half a row of the surface, and most degrees between the normals
 # and the surface's (median): boxes, leaves and cushions do not reach them, fluted and noisy vases do.

@@ -337,7 +337,7 @@ def denoised(shadings: Shadings, normal: np.ndarray, size: tuple[int, int], spec
     Specular shadings change as their brightness does, the sum over both terms and all channels.
 
     The noise of both terms and of all channels is alike, because they come from the same rays. Images of
-    their own would take five times as long and tell no more of the materials.
+    their own would take five times as long and not improve the materials.
     """
     guide = np.ones((*size, 3), np.float32)
     with Denoiser(guide, normal.reshape(*size, 3), clean_guides=True, fast=True) as denoiser:

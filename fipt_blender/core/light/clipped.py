@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The radiance of lamps that are clipped in all photographs, from the light that they cast.
 
-At points of diffuse surfaces the photographs are kd (B + sum of r_f D_f): B is the irradiance from all that
-is not clipped, which the photographs show, and D_f that from lamp f of radiance 1. kd is constant on a part.
+At points of diffuse surfaces the radiance is kd (B + sum of r_f D_f): B is the irradiance from all that is
+not clipped, which the photographs show, and D_f that from lamp f of radiance 1. kd is constant on a part.
 In logarithms the parts are eliminated; the lamps' radiances r_f and, where it is not known, the contrast of
 the camera's response are found by robust least squares: with a wrong contrast, light does not fall off over
 the walls as it should.
@@ -27,10 +27,10 @@ MOST_LAMPS = 24  # the largest ones
 ON_LAMP, OUTSIDE = -1, -2  # in place of cache entries
 _ITERATIONS = 25  # of Gauss-Newton; it ends earlier
 _LONGEST_STEP = 0.7  # of any logarithm
-# Standard deviation of the logarithm of a point's radiance by texture and gloss.
+# Standard deviation of the logarithm of a point's radiance, due to texture and gloss.
 _TEXTURE = 0.15
 _LEAST_SPREAD = 0.02  # of a point, however well all agree
-# Neighbouring points share textures and errors of the light: about so many count as one.
+# Neighbouring points share textures and errors of the light: about this many count as one.
 POINTS_PER_SAMPLE = 10.0
 # Standard deviation of the logarithm of a lamp's radiance before anything is known, and its expectation as a
 # multiple of the radiance at which it is clipped.
@@ -70,7 +70,7 @@ class LitPoints:
 
 @dataclass(frozen=True, eq=False)
 class Expectation:
-    """What is known of the lamps before their light is measured.
+    """The prior of the lamps' radiance, before their light is measured.
 
     Attributes:
         log_radiance: (F, 3) natural logarithms.
@@ -82,7 +82,7 @@ class Expectation:
 
     @classmethod
     def of(cls, bound: np.ndarray, log_contrast: float) -> Expectation:
-        """Broad ones of lamps that are clipped at a radiance.
+        """The broad prior of lamps that are clipped at a radiance.
 
         Args:
             bound: (F, 3) its logarithm over the contrast.
@@ -92,7 +92,7 @@ class Expectation:
 
 @dataclass(frozen=True, eq=False)
 class LampLight:
-    """What is inferred from the light on the points.
+    """Radiance of the lamps and contrast, as inferred from the light on the points.
 
     Attributes:
         log_radiance: (F, 3) natural logarithms.

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The probability that a surface emits (after the paper's Sec. 4.4 "Emitter extraction").
 
-Two hypotheses for each unit (:mod:`.emitter_surfaces`). It reflects: then its radiance is a share of what a
-white surface of its gloss reflects there, in error by a Student-t distribution; all shares are as likely.
-Or it emits: then its radiance is of any order of magnitude above that, and rarely below. Lamps are few, and
-of one piece and one radiance. docs/method.md states the model.
+Two hypotheses are compared for each unit (:mod:`.emitter_surfaces`). If it reflects, its radiance is a share,
+uniform in [0, 1], of what a white surface of its gloss reflects there, with an error by Student's
+t-distribution. If it emits, its radiance is of any order of magnitude above that, and rarely below. Lamps are
+few, and each is connected and has one radiance. docs/method.md states the model.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from .baking import ShadingStore
 from .emitter_surfaces import EmitterSurfaces
 from .evidence import PixelEvidence, log_ratio, read_evidence
 
-# Probability that what is brighter than a white surface is a lamp, before it is known by how much.
+# Prior probability that a surface is a lamp, where pixels are brighter than a white surface.
 PRIOR = 0.003
 # Relative errors: of the shadings of a modelled room and of a scan, of unmixed radiance beside its standard
 # error, and of the radiance of photographs that are not HDR.
@@ -36,16 +36,16 @@ SHADING_ERROR, SCAN_ERROR, MIXED_ERROR, PHOTOGRAPH_ERROR = 0.15, 0.2, 0.3, 0.3
 # Lamps are brighter than white surfaces by orders of magnitude, evenly on a logarithmic scale, most of them
 # up to this logarithm; the density falls with this power of the radiance below.
 BRIGHTEST, DIM_POWER = 7.0, 2.0
-# Number of independent samples that the pixels of a lamp are worth at most: shadings have an error in common.
+# Most independent samples that the pixels of a lamp count as: they share errors of the shadings.
 MOST_SAMPLES, MOST_SAMPLES_SCAN = 50.0, 10.0
-# Constant radiance in varying light: pixels for a sample, samples at most, spread that noise alone makes, and
-# relative deviation of the radiance of one lamp. What is so many of these off it is no part of a lamp.
+# Constant radiance in varying light: pixels per sample, most samples, spread due to noise alone, relative
+# deviation of the radiance of one lamp, and how many of these deviations a part of a lamp may differ from it.
 ALIKE_PIXELS, ALIKE_SAMPLES, ALIKE_SPREAD, ALIKE, MOST_OFF = 10.0, 30.0, 0.03, 0.05, 3.0
-# A scan places a lamp and what it lights to the width of an edge: their light errs by so many edges over the
-# distance, and is at most doubled. Lamps light what is less bright by this factor.
+# Positions of a lamp and of what it lights are known to an edge of a scan: the relative error of the light is
+# so many edges over their distance, at most 1. A lamp lights what is less bright than itself by this factor.
 PLACE_ERROR, LIT = 3.0, 2.0
 ROUNDS = 4  # of lamps and what they light; more change nothing
-POSSIBLE = 0.05  # least probability of lamps that extend over what is as bright, and that light others
+POSSIBLE = 0.05  # least probability of lamps that are extended to adjacent units, and that light others
 CHUNK = 256  # lit units at a time
 
 
@@ -78,8 +78,8 @@ def emission_probability(
         shadings: of all pixels.
         white: (R,) pixels to the (R, 3) most that a surface of the gloss of theirs reflects.
         hinted: (T,) int8, 1 on triangles that emit in any case, -1 on those that do not, 0 elsewhere.
-        baked: (T,) bool, lamps whose own radiance lights the shadings, not that of voxels.
-        hdr: whether the radiance of all photographs is measured; clipped lamps are constant in any case.
+        baked: (T,) bool, lamps whose own radiance was baked into the shadings, instead of that of voxels.
+        hdr: whether all photographs are HDR; in others, clipped lamps look constant in any case.
     """
     seen = read_evidence(pixels, shadings, white, surfaces.unit, surfaces.reach, surfaces.unseen_light)
     lamps = _Lamps(room, surfaces, seen, hdr)
@@ -93,7 +93,7 @@ def emission_probability(
 def log_evidence(low: np.ndarray, high: np.ndarray, error: np.ndarray) -> np.ndarray:
     """(N,) logarithm of the likelihood of emission over that of reflection.
 
-    Both are the probability of the interval in which a pixel's radiance is; it is 1 of all intervals.
+    Both likelihoods are the probability of the interval that contains the pixel's radiance.
 
     Args:
         low, high: (N,) logarithms of radiance over the most that could be reflected (:func:`log_ratio`).
@@ -141,7 +141,7 @@ def constancy(
 
 
 class _Lamps:
-    """The evidence of a room's units, and the lamps that they make; arguments as above."""
+    """The evidence of a room's units, and the lamps that they form; arguments as above."""
 
     def __init__(self, room: Room, surfaces: EmitterSurfaces, seen: PixelEvidence, hdr: bool) -> None:
         self.surfaces, self.seen, self.hdr, self.scan = surfaces, seen, hdr, room.scan
@@ -163,7 +163,7 @@ class _Lamps:
 
     @property
     def samples(self) -> np.ndarray:
-        """(U,) number of samples that the pixels of each unit are."""
+        """(U,) number of independent samples to which the pixels of each unit are equivalent."""
         return self.sums.samples
 
     def probability(self, baked: np.ndarray) -> np.ndarray:
@@ -240,9 +240,9 @@ class _Lamps:
         return lamp, expit(total + logit(PRIOR))
 
     def _connected(self, units: np.ndarray) -> np.ndarray:
-        """(n,) int64 from 0: which of the units (n,) are one surface.
+        """(n,) int64 from 0: connected surface of each of the units (n,).
 
-        Patches of a scan may have gaps, triangles of a modelled room others between them that no pixel shows.
+        There may be gaps between patches of a scan, and unseen triangles between those of a modelled room.
         """
         count = len(units)
         if self.corners is None:
@@ -259,7 +259,7 @@ class _Lamps:
         return np.unique(graph_components(pairs, len(units))[:count], return_inverse=True)[1]
 
     def _extended(self, lamp: np.ndarray, of_lamp: np.ndarray) -> np.ndarray:
-        """(U,) probability, where lamps extend over what touches them and is as bright as they are."""
+        """(U,) probability, with lamps extended over adjacent units of the same radiance."""
         result = np.append(of_lamp, 0.0)[lamp]
         for index in np.flatnonzero(of_lamp > POSSIBLE) if self.hdr else ():
             core = lamp == index
@@ -275,9 +275,9 @@ class _Lamps:
         return result
 
     def _added_light(self, probability: np.ndarray, baked: np.ndarray) -> np.ndarray:
-        """(U,) luminance that brighter lamps of a scan may add to what the shadings hold.
+        """(U,) luminance of brighter lamps of a scan that the shadings may lack.
 
-        Of lamps whose radiance was baked, it is the error by their place; the light of others is missing.
+        For lamps whose radiance was baked it is the error due to their position, for others all their light.
         """
         assert self.scan is not None
         edge, added = self.scan.edge, np.zeros(self.units)

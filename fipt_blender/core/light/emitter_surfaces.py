@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What emits as a whole in the search for emitters: a triangle of a modelled room, a part or patch of a scan.
+"""The units of the search for emitters: triangles of a modelled room, parts or patches of a scan.
 
 A triangle of a scan is smaller than a pixel, and the light that falls on it is known less well.
 """
@@ -16,23 +16,23 @@ from ..scene.grouped import numbered
 from ..scene.labels import Parts, room_pieces
 from ..scene.room import Room
 
-# Light that is only inferred comes from infinity. A lamp that nobody saw, close to a surface, makes it
-# brighter than that by about so much.
+# Inferred light comes from infinity. A surface that is close to an unseen lamp is brighter than that by about
+# this factor.
 UNSEEN_DOUBT = 2.0
-# Edge of the patches of a scan without part masks, in pixel widths, and between the centers of patches of one
-# lamp at most, in edges.
+# Width of the patches of a scan without part masks, in pixel widths, and largest distance between the centers
+# of adjacent patches of one lamp, in widths of a patch.
 PATCH, GAP = 2.0, 2.5
 
 
 @dataclass(frozen=True)
 class EmitterSurfaces:
-    """The surfaces that emit as a whole, for a mesh of T triangles.
+    """The units that emit as a whole or not at all, for a mesh of T triangles.
 
     Attributes:
         unit: (T,) int64 surface of each triangle, from 0.
-        component: (T,) int of larger surfaces, from 0: what no pixel judged emits as what is around it does.
+        component: (T,) int larger surface, from 0; triangles that no pixel judged get the mean of theirs.
         part: (T,) int part of each triangle, negative for none; None where parts are unknown.
-        reach: number of pixels by which the surface that a pixel shows may be beside the one that it hits.
+        reach: largest distance in pixels between the surface that a pixel shows and the one that it hits.
         gap: metres between the centers of units of one lamp at most, on a scan.
         unseen_light: factor by which the light may be brighter than the inferred one.
     """
@@ -61,7 +61,7 @@ def emitter_surfaces(
         # Photographs see most of a lamp shade's outside and little of its inside, which may be one piece.
         component = pieces if part is None else numbered([pieces, part])
         return EmitterSurfaces(np.arange(len(room.triangles)), component, part, unseen_light=doubt)
-    # Detail finer than an edge is lost: rims of thin things face sideways, and pixels show what is beside.
+    # Detail finer than an edge is lost: rims of thin things face sideways, but pixels show their tops.
     reach = round(room.scan.edge / max(footprint, 1e-9))
     patch, gap = surface_patches(room.scan, pieces, PATCH * footprint), GAP * PATCH * footprint
     if part is None:

@@ -24,10 +24,10 @@ from .scan_fixtures import scan_groups, seen_sides
 DIM_SIDE = 0.1
 # Neighbouring triangles belong to one fixture if their luminance differs by less than this factor.
 ALIKE = 1.5
-# A triangle's radiance is measured if its pixels are worth at least so many pure ones; others take that of
-# their neighbours.
+# A triangle's radiance is measured if the weights of its pixels sum to at least this (a pure pixel has 1);
+# others take that of their neighbours.
 LEAST_MEASURED = 1.0
-# Triangles that are so many times as bright as the room's mean are aimed at before emitters are known.
+# Triangles that exceed the room's mean by this factor are aimed at before emitters are known.
 BRIGHT = 8.0
 # Pixels per chunk: arrays of all pixels of a large capture would take gigabytes.
 CHUNK = 1 << 20

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The evidence of single pixels: how much light their surface sends at least and at most, and how much
-it could reflect. :mod:`.emission` weighs it.
+"""The evidence of single pixels: bounds of the radiance of their surface, and the most that it could reflect.
+:mod:`.emission` weighs it.
 
-Light that may come from another surface is no evidence: what spills over from neighbouring pixels, and what
-the unmixed radiance of a mixed pixel may owe to its errors.
+The bounds exclude light that may come from another surface: what spills over from neighbouring pixels, and
+the error of the unmixed radiance of a mixed pixel.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .baking import ShadingStore
 # Share of a pure pixel's light that may spill over from its neighbours: half where coplanar surfaces meet at
 # its centre, 16 to 30 % by a camera's blur (a Gaussian of half a pixel).
 SPILL = 0.5
-# `brighter_than_white`: by how much, as white surfaces are, too, by noise; most pixels of all views.
+# `brighter_than_white`: least factor (noise makes white surfaces brighter, too), and most pixels compared.
 BRIGHTER, MOST_COMPARED = 1.1, 200_000
 
 
@@ -35,7 +35,7 @@ class PixelEvidence:
         unit: (N,) int surface that each sees. view: (N,) int. pure: (N,) bool.
         weight: (N,) float32 information of `own`, 1 for pure pixels.
         own: (N, 3) float32 radiance of the surface, in units of the capture's median.
-        low, high: (N,) float32 factors within which `own` may be wrong.
+        low, high: (N,) float32 factors of `own` between which the true radiance lies.
         reflected: (N, 3) float32 most that the surface reflects.
         diffuse: (N,) float32 luminance of L_d.
     """
@@ -64,7 +64,7 @@ def read_evidence(
     Args:
         white: (R,) pixels to the (R, 3) most that a surface of the gloss of theirs reflects.
         unit: (T,) int surface of each triangle.
-        reach: number of pixels by which the surface that a pixel shows may be beside the one that it hits.
+        reach: largest distance in pixels between the surface that a pixel shows and the one that it hits.
         unseen_light: factor by which light that is only inferred may be brighter.
     """
     found = []

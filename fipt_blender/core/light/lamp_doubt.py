@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How wrong the light of lamps may be: on a scan, and of lamps that photographs hardly show.
+"""Errors of the light of lamps: on a scan, and of lamps that photographs hardly show.
 
-The places of a scan are known to the width of an edge only. Close to a lamp, light falls off steeply, and
-what stands beside the lamp hides it or not by a centimetre.
+Positions on a scan are known to the width of an edge only. Close to a lamp, light falls off steeply, and a
+centimetre decides whether an object beside the lamp occludes it.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from ..scene.pixels import PixelStore
 from ..scene.room import Room
 from .emitters import Fixture, pixels_on
 
-# Standard deviations that count as the error: what the lamp lights beside it (its shade, the top of a table)
+# The error is this many standard deviations: what the lamp lights beside it (its shade, the top of a table)
 # has the same error and lights the surroundings, too. Calibrated on the example room, scanned at 2 cm.
 DEVIATIONS = 3.0
 # Points on a lamp, and lamps, the brightest first.
 SAMPLES, MOST_LAMPS = 8, 6
-# Points over which a variance is averaged, those around a point among them: moves are few.
+# Number of neighbouring points over which a variance is averaged, because there are few moves.
 NEIGHBOURS = 27
 # Lamps are not closer than this, metres.
 CLOSEST = 0.02
-# A lamp that fewer pixels see without its surroundings is hardly seen. The bulb of the example room has 16 at
+# A lamp with fewer pure pixels is hardly seen. The bulb of the example room has 16 at
 # 128 x 72 pixels, and its light is right; of the inside of its shade, which ten views show without the
 # bulb, there are 3.
 LEAST_PURE = 10
@@ -102,7 +102,7 @@ def light_errors(
 
     Args:
         surface: (N, 3) points, metres, and (N, 3) unit normals on the seen side.
-        doubt: standard deviation of a lamp's place along each axis, metres.
+        doubt: standard deviation of a lamp's position along each axis, metres.
     """
     points, normals = surface
     moves = doubt * np.sqrt(3.0) * np.concatenate([np.eye(3), -np.eye(3)])
@@ -126,7 +126,7 @@ def _sample(room: Room, lamp: Fixture, rng: np.random.Generator) -> np.ndarray:
 def _received(
     room: Room, lamp: Fixture, chosen: np.ndarray, move: np.ndarray, points: np.ndarray, normals: np.ndarray
 ) -> np.ndarray:
-    """(N,) L_d (irradiance over pi) by a lamp that is moved; its own triangles do not hide it.
+    """(N,) L_d (irradiance over pi) by a lamp that is moved; its own triangles do not occlude it.
 
     Args:
         chosen: (S,) of its triangles, drawn by area.

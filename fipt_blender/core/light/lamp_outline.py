@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Outlines of lamps on a scan, from the photographs.
 
-Part masks are a pixel wide of the mark at borders, and so is a lamp of small triangles: its area, and with it
-its power, would be too large by several percent. A pixel's radiance falls from the lamp's to that of its
-surroundings over the width of a pixel, and passes the middle where the outline is.
+Borders of part masks are off by about a pixel, and so is a lamp of small triangles: its area, and with it its
+power, would be too large by several percent. In the photographs, radiance falls from that of the lamp to that
+of its surroundings over the width of a pixel; the outline lies where it is halfway.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from ..scene.components import graph_components
 from ..scene.grouped import grouped_median
 from ..scene.pixels import PixelStore
 
-# Triangles within so many pixel widths of a lamp may belong to it.
+# Triangles within this many pixel widths of a lamp may belong to it.
 REACH = 2.0
 # A triangle belongs to the lamp if it shows more than this share of the lamp's radiance in the mean view.
 INSIDE = 0.5
 # A view counts if it sees the triangle's front at this cosine at least, ...
 LEAST_COSINE = 0.2
-# ... and its pixel there hits the mesh within so many pixel widths and median edges of the triangle.
+# ... and its pixel there hits the mesh within this many pixel widths and median edges of the triangle.
 NEAR_WIDTHS, NEAR_EDGES = 3.0, 1.0
 
 
@@ -52,7 +52,7 @@ class _Candidates:
 def outlined(scan: Scan, pixels: PixelStore, probability: np.ndarray, footprint: float) -> np.ndarray:
     """(T,) float32 probability that triangles emit, with the outlines of lamps that photographs show.
 
-    Inside of an outline it is that of the lamp, outside of it what is left of 1.
+    Inside an outline it is that of the lamp, outside 1 minus that.
 
     Args:
         probability: (T,) without outlines; from 1/2 on, triangles emit.
@@ -110,7 +110,7 @@ def _piece_luminance(pixels: PixelStore, piece: np.ndarray) -> np.ndarray:
 
 
 def _seen(candidates: _Candidates, view: View, hit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where a view sees the triangles, (2, K) pixels (x, y), and the weight (K,) of what it shows of them.
+    """Where a view sees the triangles, (2, K) pixels (x, y), and the weight (K,) of its observation of them.
 
     A view resolves an outline the better the smaller its pixels are on the surface.
 

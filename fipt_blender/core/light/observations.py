@@ -47,8 +47,8 @@ class Observations:
         environment: in units of the capture's median, None where no pixel looks outside.
         footprint: median width of a pixel on the surfaces, metres.
         folder: for memory-mapped arrays.
-        left_alone: (T,) bool triangles that are not estimated: nothing is found from their pixels but the
-            light that they send; None for none.
+        left_alone: (T,) bool triangles that are not estimated: their pixels are only used for the light that
+            they send; None for none.
     """
 
     pixels: PixelStore

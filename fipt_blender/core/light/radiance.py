@@ -60,7 +60,7 @@ def new_path(width: int = 1) -> Path:
 
 
 class PathStep(NamedTuple):
-    """What one surface makes of a path: the path, its next direction and whether it continues."""
+    """A path after one surface: the path, its next direction and whether it continues."""
 
     path: Path
     direction: mi.Vector3f

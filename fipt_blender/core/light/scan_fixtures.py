@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Fixtures on a scan: specks belong to the lamp beside them or to none; the sides that shine."""
+"""Fixtures on a scan: which specks belong to a lamp beside them, and which sides of a lamp shine."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 from ..scene.adjacency import Scan
 from ..scene.components import graph_components
 
-# A connected piece of emitting triangles is a fixture if it has so many of them. If its area is less than
-# this share of the largest of its surface, and a fixture is within so many median edges, it belongs to that
-# fixture.
+# A connected piece of emitting triangles is a fixture if it has at least this many of them. If its area is
+# less than this share of the largest of its surface, and a fixture is within this many median edges, it
+# belongs to that fixture.
 LEAST_TRIANGLES = 12
 FIXTURE_SHARE = 0.1
 NEAR = 5.0

@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Light that enters an open mesh from directions that no photograph shows, such as an unscanned ceiling.
 
-At points of the surfaces the photographs are albedo (B + sum of e_k D_k): B is the irradiance from all that
-was seen, D_k that of a smooth part of the sky around the room of radiance 1, where it is unseen and the mesh
+At points of the surfaces the radiance is albedo (B + sum of e_k D_k): B is the irradiance from all that was
+seen, D_k that of a smooth part of the sky around the room of radiance 1, where it is unseen and the mesh
 open. The albedo of a surface of one color is constant. In logarithms it is eliminated, and the e_k are found
-by robust least squares. Their level follows from shadows, from what photographs show of the outside and, less
-surely, from what albedos are usual: none is above that of white paint.
+by robust least squares. Their level follows from shadows, from what photographs show of the outside and, with
+less weight, from usual albedos: none is above that of white paint.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ def solve_sky(points: OpenPoints, observed: tuple[np.ndarray, np.ndarray]) -> np
     """(K, 3) radiance of the parts of the sky.
 
     Args:
-        observed: what photographs show of them (:func:`seen_sky`).
+        observed: radiance and share of the parts that photographs show (:func:`seen_sky`).
     """
     parts = points.unseen.shape[1]
     prior, evidence = _sky_precision(parts), _evidence_precision(observed[1])
@@ -202,7 +202,7 @@ def solve_sky(points: OpenPoints, observed: tuple[np.ndarray, np.ndarray]) -> np
 @dataclass(frozen=True, eq=False)
 class _Rows:
     """Residuals (R,) less the albedo of their group, their derivatives (R, K), and weights (R,); the points
-    first, then what is expected of the albedo of each group."""
+    first, then the prior of the albedo of each group."""
 
     residual: np.ndarray
     jacobian: np.ndarray
@@ -232,7 +232,7 @@ def _without_albedo(residual: np.ndarray, jacobian: np.ndarray, group: np.ndarra
 
 
 def _expected_albedo(albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What is expected of the logarithms of albedos (G,), and its precision.
+    """Prior mean of the logarithms of albedos (G,), and its precision.
 
     Robust in both directions: red paint reflects hardly any blue, and a screen is no white paint.
     """
@@ -256,7 +256,7 @@ def _sky_precision(parts: int) -> np.ndarray:
 def _evidence_precision(share: np.ndarray) -> np.ndarray:
     """(3 K, 3 K), as `_sky_precision`, of how bright photographs show the shares (K,) of the parts.
 
-    The directions of a part that were seen stand for its others as well as a part does for its neighbors.
-    Their color, that of a wall or of grass, says little about that of the light.
+    The seen directions of a part predict its other ones as well as a part predicts its neighbors. Their
+    color, that of a wall or of grass, is hardly evidence of that of the light.
     """
     return np.asarray(np.kron(np.full((3, 3), 1.0 / 9.0), np.diag(share / PART_LEVEL**2)))

@@ -65,13 +65,13 @@ def group_log_likelihoods(
 
     The pixels of a group in one view, n by their weight, count as n / (`pixels_per_sample` + n t² / s²)
     samples, where s² is the variance of their residuals: a view's shadings err by t in any direction, so many
-    pixels of one view tell no more than s² / t² samples. t is `VIEW_SHARE` of what the means of the views
+    pixels of one view count as no more than s² / t² samples. t is `VIEW_SHARE` of what the means of the views
     show (:func:`view_errors`), at least `view_error`. A share `view_outliers` of the views is uninformative.
 
     Args:
         samples: N pixels; those without a group, or alone in their cell, are left out: anything fits these.
         light_cell: (N,) int from 0, cell of one slope on which the same light falls in all views.
-        prior: (S,) probability of each of :func:`make_candidates`, for views that tell nothing.
+        prior: (S,) probability of each of :func:`make_candidates`, for views that are uninformative.
     """
     candidates = make_candidates(samples.levels)
     used, light_cell = _comparable(samples, light_cell)
@@ -98,7 +98,7 @@ def with_outliers(log_likelihood: np.ndarray, share: float, prior: np.ndarray) -
     """(S, N) likelihoods, relative to the best of each column, where a share of the columns is uninformative.
 
     Args:
-        log_likelihood: (S, N). prior: (S,) probability of each candidate, for columns that tell nothing.
+        log_likelihood: (S, N). prior: (S,) probability of each candidate, for uninformative columns.
     """
     likelihood = np.exp(log_likelihood - log_likelihood.max(axis=0))
     return np.asarray((1.0 - share) * likelihood + share * (prior @ likelihood))

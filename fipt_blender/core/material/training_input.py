@@ -40,8 +40,8 @@ GROUP_PIXELS = 50_000
 # Steps of a Kronecker sequence along three axes and the sides: powers of the root of x^5 = x + 1.
 KRONECKER = 1.1673039782614187 ** -np.arange(1.0, 5.0)
 # Width, in voxels of the radiance cache, of the cells of constant base colour from which roughness and
-# metallic are estimated: a voxel holds two or three pixels of the test rooms, too few to tell gloss from base
-# colour.
+# metallic are estimated: a voxel holds two or three pixels of the test rooms, too few to separate gloss from
+# base colour.
 WIDE_CELL = 2
 # Step of the normals by which the pixels of a voxel are divided: the same light falls on those within one.
 NORMAL_STEP = 0.2
@@ -199,7 +199,7 @@ def _similarity(group: np.ndarray, groups: int, label: np.ndarray, color: np.nda
 def _wide_rows(
     observations: Observations, group: np.ndarray, groups: int, start: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(M,) int64 pixels that tell roughness and metallic, and (M,) int64 their wide cells from 0.
+    """(M,) int64 pixels that determine roughness and metallic, and (M,) int64 their wide cells from 0.
 
     These are the pixels with a group that are their own donor, pure ones where there are enough. Of groups of
     more than about `GROUP_PIXELS`, complete cells are drawn.

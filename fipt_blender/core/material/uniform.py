@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parts of one colour: those whose values vary less than their standard errors can tell from noise.
+"""Parts of one colour: those whose values vary so little that their standard errors explain it.
 
 A painted wall is one, a carpet is not, and neither is a wall with a picture in its mask. What remains of
 blotches where light was wrong by a few percent goes with the part's median.

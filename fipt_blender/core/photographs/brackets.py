@@ -23,7 +23,7 @@ SAME_STOPS = 0.2
 _FORBIDDEN = re.compile(r'[\\/:*?"<>|\x00-\x1f]')
 
 
-# Whether two photographs show one view; None if that can't be told.
+# Whether two photographs show one view; None if that can't be decided.
 SameView = Callable[[Photograph, Photograph], bool | None]
 
 
@@ -212,7 +212,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _folders_speak(photographs: Sequence[Photograph]) -> bool:
-    """Whether folders alone can tell the groups: no exposures, and several folders of several photographs."""
+    """Whether folders alone decide the groups: no exposures, and several folders of several photographs."""
     if any(photograph.exposure is not None for photograph in photographs):
         return False
     counts = Counter(PurePath(photograph.path).parent for photograph in photographs)

@@ -147,7 +147,7 @@ def exposure_key(photograph: Photograph) -> tuple[float, ...]:
 
 
 def find_response(samples: Sequence[np.ndarray], exposures: Sequence[np.ndarray]) -> Response | None:
-    """The response from all groups' samples; None where they can't tell it.
+    """The response from all groups' samples; None where they don't determine it.
 
     Args:
         samples: see `Survey.samples`, one for each group.

@@ -49,7 +49,7 @@ class RadialStart:
 
 
 def start(photograph: Exif, width: int, height: int) -> RadialStart | None:
-    """Where a solve starts for images of a size; None where EXIF does not tell the focal length.
+    """Where a solve starts for images of a size; None where EXIF does not give the focal length.
 
     Args:
         photograph: its EXIF.

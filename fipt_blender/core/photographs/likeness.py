@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Whether two photographs are exposures of one view, by their content: small pictures, aligned and compared.
 
-For brackets that time and exposure data do not tell apart from photographs of different views.
+For brackets that time and exposure data do not distinguish from photographs of different views.
 """
 
 from __future__ import annotations

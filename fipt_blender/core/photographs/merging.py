@@ -79,7 +79,7 @@ def hat(values: np.ndarray) -> np.ndarray:
 def measure_noise(values: np.ndarray, period: int) -> tuple[float, float]:
     """Gain and read noise of a sensor from one photograph's mosaic, relative to the ceiling.
 
-    Neighbours of one channel differ by noise and texture; at each brightness the calmest tell the noise.
+    Neighbours of one channel differ by noise and texture; at each brightness the calmest show the noise.
 
     Args:
         values: (height, width) mosaic.
@@ -103,7 +103,7 @@ def measure_noise(values: np.ndarray, period: int) -> tuple[float, float]:
         return 1e-4, 1e-3
     x, y = np.array(points).T
     y = np.maximum(y, 1e-10)
-    # Relative errors: the darkest places tell the read noise.
+    # Relative errors: the darkest places determine the read noise.
     design = np.stack([np.maximum(x, 0.0), np.ones_like(x)], -1) / y[:, None]
     gain, read = _non_negative(design, np.ones_like(y))
     return max(gain, 1e-7), max(float(np.sqrt(read)), 1e-5)

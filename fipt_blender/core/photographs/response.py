@@ -74,7 +74,7 @@ def recover_response(samples: Sequence[np.ndarray], exposures: Sequence[np.ndarr
 def split_samples(
     codes: np.ndarray, exposures: np.ndarray, parts: int
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """One group's pixels in parts, so that the uncertainty of a single group can be told as well."""
+    """One group's pixels in parts, so that the uncertainty of a single group can be estimated, too."""
     return [part for part in np.array_split(codes, parts) if len(part)], [exposures] * parts
 
 

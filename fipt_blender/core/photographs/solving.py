@@ -36,7 +36,7 @@ class SolveView:
         name: of the view; see `copy_name`.
         width, height: in pixels of the merged photograph; copies have the same size.
         camera: what photographs of one camera and lens setting share.
-        focal: focal length in pixels, None where EXIF does not tell it.
+        focal: focal length in pixels, None where EXIF does not give it.
         distortion: first and second radial coefficient to start from.
     """
 
@@ -90,7 +90,7 @@ def start_camera(view: SolveView, views: int) -> pycolmap.Camera:
     # Without EXIF, the longer side: between a phone's and a wide lens's.
     focal = view.focal if view.focal is not None else float(max(view.width, view.height))
     center = [0.5 * view.width, 0.5 * view.height]
-    two = views >= 8  # fewer do not tell a second coefficient of the lens
+    two = views >= 8  # fewer do not determine a second coefficient of the lens
     return pycolmap.Camera(
         model="RADIAL" if two else "SIMPLE_RADIAL",
         width=view.width,

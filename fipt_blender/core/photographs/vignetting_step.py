@@ -26,7 +26,7 @@ from .solve_step import model_folder
 from .vignetting import TERMS, Falloff, Observations, fit_falloff, light_share
 
 _PATCH = 2  # pixels on each side of a point over which radiance is averaged
-# Share of an image's pixels, the brightest ones, that tell nothing: lamps may be clipped.
+# Share of an image's pixels, the brightest ones, that are not used: lamps may be clipped.
 _BRIGHTEST = 0.02
 _CORRECTED = Entries(Items(Fields({"digest": str, "coefficients": Numbers(TERMS)})))
 

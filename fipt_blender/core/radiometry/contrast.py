@@ -13,7 +13,7 @@ import numpy as np
 from ..robust import student_weights
 from .response import Basis
 
-# Standard deviation of exposures as files tell them, rounded to a third of a stop and true to a tenth or so,
+# Standard deviation of exposures as files state them, rounded to a third of a stop and true to a tenth or so,
 # before they are compared with the gains: it counts as much as one view.
 EXIF_DEVIATION = 0.12 * np.log(2.0)
 
@@ -39,7 +39,7 @@ def usual_contrast(basis: Basis) -> Source:
 
 
 def exif_contrast(log_gains: np.ndarray, exposures: np.ndarray) -> Source | None:
-    """The contrast by which the gains of the views fit the exposures that their files tell.
+    """The contrast by which the gains of the views fit the exposures that their files state.
 
     How well they fit shows how far the files can be trusted: exact exposures count more than rounded ones.
 

@@ -60,7 +60,7 @@ def response_basis() -> Basis:
     contrast = curves[:, HIGH_ANCHOR] - curves[:, LOW_ANCHOR]
     shapes = curves / contrast[:, None]
     mean = shapes.mean(axis=0)
-    # The darkest codes vary most and say least: they count by how well they can be told.
+    # The darkest codes vary most between curves and are known least: their weight is lower.
     weight = np.clip(np.arange(LEVELS) / 32.0, 0.1, 1.0)
     centered = (shapes - mean) * weight
     variances, directions = np.linalg.eigh(centered.T @ centered / DRAWN)

@@ -22,7 +22,7 @@ _LAMPS = frozenset(
     "lamp lamps light lights bulb bulbs lantern chandelier sconce spot spots spotlight spotlights downlight"
     " downlights neon led candle candles fluorescent torchiere screen tv television monitor".split()
 )
-# Words that tell of a lamp no more than that it is one, or of a mesh no more than that it is there.
+# Words that say of a lamp no more than that it is one, or of a mesh no more than that it is there.
 _BARE = frozenset(
     "lamp light bulb emitter emission emissive area fixture plane cube cylinder sphere circle icosphere mesh"
     " object geometry scan room model part group default material".split()
@@ -73,7 +73,7 @@ def fixture_names(
     Args:
         room: the run's room.
         entries: the fixtures of emitters.json.
-        parts: the room's parts, whose semantic classes tell where objects do not.
+        parts: the room's parts, whose semantic classes name a lamp where objects do not.
     """
     names: list[str] = []
     areas = np.linalg.norm(_vector_areas(room, slice(None)), axis=1)
@@ -91,7 +91,7 @@ def words(name: str) -> list[str]:
 
 
 def _belonging(room: NamedMesh, triangles: np.ndarray, areas: np.ndarray, parts: RoomParts | None) -> str:
-    """The name of the lamp's object, material or class where these tell of it, else its place and shape."""
+    """The name of the lamp's object, material or class where these describe it, else its place and shape."""
     index, share = _main(room.triangle_object, triangles, areas)
     own = words(room.objects[index])
     is_told = bool(_LAMPS & set(own)) or (share >= _OWN_SHARE and not set(own) <= _BARE)

@@ -21,7 +21,7 @@ MESH_SUFFIXES = (".obj", ".ply", ".stl", ".gltf", ".glb", ".fbx", ".usd", ".usda
 def is_network(path: str) -> bool:
     """Whether a path names another computer or one of Windows' devices, ``\\\\server`` or ``\\\\.\\device``.
 
-    Even looking for such a file tells another computer who the user is.
+    Even looking for such a file reveals the user's name to another computer.
     """
     return path.replace("\\", "/").startswith("//")
 

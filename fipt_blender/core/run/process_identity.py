@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The identity of a process: its machine, its number and its time of start, since numbers recur; its end with
-its parent.
+"""Identifies a process by machine, process id and time of start, since ids recur; ends a process when its
+parent ends.
 
 Standard library only.
 """

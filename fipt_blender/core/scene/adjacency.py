@@ -13,8 +13,8 @@ from scipy.sparse import csr_array
 from ..geometry.adjacency import Mesh, face_vectors, make_mesh
 from ..geometry.clean import noise_level
 
-# Finer detail than an edge of a scan is lost, but what is smooth lies where it was measured: the place of
-# surfaces and borders has a standard deviation of at most so many times the noise.
+# Detail that is finer than an edge of a scan is lost, but smooth surfaces lie where they were measured: the
+# standard deviation of the position of surfaces and borders is at most this multiple of the noise.
 PLACE_NOISE = 24.0
 
 
@@ -45,7 +45,7 @@ def find_adjacency(mesh: Mesh) -> Adjacency:
 
 
 def averaged_normals(adjacency: Adjacency, cross: np.ndarray, rings: int) -> np.ndarray:
-    """(T, 3) unit normals, averaged by area over so many rings of neighbours.
+    """(T, 3) unit normals, averaged by area over this many rings of neighbours.
 
     Args:
         cross: (T, 3) normals with the areas as lengths.
@@ -80,7 +80,7 @@ class Scan:
 
     @property
     def place(self) -> float:
-        """Standard deviation of the place of surfaces and of their borders, metres."""
+        """Standard deviation of the position of surfaces and of their borders, metres."""
         return min(self.edge, PLACE_NOISE * self.noise)
 
 

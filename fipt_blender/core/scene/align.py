@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Engine command `align`: where the cameras of a capture belong in the mesh that the scene shows.
+"""Engine command `align`: finds where the cameras of a capture belong relative to the mesh of the scene.
 
-By the sparse points of the camera solve, from anywhere or from a placement that is nearly right; or by the
-edges of mesh and photographs, a few pixels at most. Blender writes the input as for `survey`, and moves the
-cameras.
+The sparse points of the camera solve are registered with the mesh, without a first guess or from a placement
+that is nearly right; or the edges of the mesh are matched with those of the photographs, which corrects a few
+pixels. Blender writes the input as for `survey`, and moves the cameras.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def solve_points(capture: Path, name: str, views: list[View]) -> np.ndarray:
 
 
 def similarity_of_poses(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """The similarity (4, 4) that maps poses (N, 4, 4) to others: turn by the axes, then scale and shift."""
+    """The similarity (4, 4) that maps poses (N, 4, 4) to others: rotation first, then scale and shift."""
     u, _, vt = np.linalg.svd(np.einsum("nij,nkj->ik", target[:, :3, :3], source[:, :3, :3]))
     rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
     start, end = source[:, :3, 3] @ rotation.T, target[:, :3, 3]
@@ -192,7 +192,7 @@ def _by_edges(folder: RunFolder, views: list[View], device: str, reporter: Repor
 
 
 def _read(view: View, make: Callable[[View, np.ndarray], np.ndarray | None]) -> np.ndarray | None:
-    """What `make` makes of the view's photograph (H, W, 3); None where that can't be used."""
+    """The result of `make` for the view's photograph (H, W, 3); None if the photograph can't be used."""
     try:
         pixels = read_radiance(view.image)
     except FiptError:

@@ -27,7 +27,7 @@ def trace_pixels(
         pixels: row-major pixel indices; all pixels of the view where None.
 
     Returns:
-        the surfaces, those of one pixel's shifts next to each other.
+        the surfaces, ordered by pixel and then by shift.
     """
     count = len(shifts)
     pixel_count = view.width * view.height if pixels is None else dr.width(pixels)
@@ -56,7 +56,7 @@ def rays_along(origins: np.ndarray, directions: np.ndarray) -> mi.Ray3f:
 
 def first_hits(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
     """(N,) int64 triangle of each ray, -1 where it meets none, and (N,) metres to it, infinite there."""
-    dr.eval(surface.valid, surface.triangle, surface.distance)  # one after the other, each would be traced
+    dr.eval(surface.valid, surface.triangle, surface.distance)  # together, or each would trace the rays again
     valid = np.array(surface.valid)
     triangle = np.where(valid, np.array(surface.triangle).astype(np.int64), -1)
     return triangle, np.where(valid, np.array(surface.distance), np.inf)

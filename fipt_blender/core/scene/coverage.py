@@ -19,17 +19,17 @@ from .labels import IMAGE_SOURCES
 from .room import Room
 
 GRID = 256  # pixels along the longer side
-_COINCIDENT = 2e-5  # of the distance: coincident faces do not hide each other
+_COINCIDENT = 2e-5  # of the distance: coincident faces do not occlude each other
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """What a view sees.
+    """The triangles that a view sees.
 
     Attributes:
-        seen: (T,) bool, whether any of each triangle is seen.
-        in_sight: (T,) bool, whether it is seen or, of triangles that were not known, its centroid would be if
-            the camera turned to it.
+        seen: (T,) bool, whether some point of each triangle is seen.
+        in_sight: (T,) bool, whether it is seen or, if it was not `known`, its centroid would be visible to
+            the camera after a rotation towards it.
         room_share: 0..1, share of the pixels that see the mesh.
     """
 
@@ -42,8 +42,8 @@ def view_coverage(room: Room, view: View, known: np.ndarray) -> Coverage:
     """Which triangles a view sees, whatever their size.
 
     Args:
-        known: (T,) bool, triangles that are in sight of earlier views: it does not matter any more whether
-            they would be seen if this camera turned to them, so that fewer rays are traced.
+        known: (T,) bool, triangles that are in sight of earlier views. Outside the image they are not tested
+            again, which saves rays.
     """
     triangle = coarse_triangles(room, coarse_view(view))
     seen = np.zeros(len(room.triangles), bool)
@@ -60,7 +60,7 @@ def coarse_view(view: View) -> View:
 
 
 def resampled(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """(h, w) values of an image (H, W) at the centres of other numbers of pixels."""
+    """(h, w) values of an image (H, W), read at the centres of the pixels of an image of another size."""
     rows, columns = (
         ((np.arange(count) + 0.5) * of / count).astype(np.int64)
         for count, of in zip(shape, image.shape, strict=True)
@@ -99,8 +99,8 @@ def fuse_inputs(
 
 
 def _centroids_seen(room: Room, view: View, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(T,) bool each: whether each triangle's centroid is in the image and not occluded, and whether it is
-    not occluded, inside or outside the image; outside, only where it is not `known` yet.
+    """Two (T,) bool: whether each triangle's centroid is in the image and not occluded; and whether it is not
+    occluded, also outside the image. Outside, only triangles that are not `known` are tested.
     """
     corners = [mi.Int32(np.ascontiguousarray(room.triangles[:, axis], np.int32)) for axis in range(3)]
     table = mi.Float(np.ascontiguousarray(room.vertices, np.float32).reshape(-1))

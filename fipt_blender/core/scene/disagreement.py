@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pixels of a scan whose image mask and mesh disagree: what they show is not the surface that they hit."""
+"""Pixels of a scan whose mask names another part than the mesh: they show another surface than they hit."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from .labels import Parts, at_border
 from .pixels import PixelStore
 from .room import Room
 
-# Weight of pixels beside those of another id: the photograph shows a mixture there, wherever the mesh has its
-# border.
+# Weight of pixels that are adjacent to another id: the photograph mixes both there, wherever the border of
+# the mesh is.
 BESIDE = 0.1
-# Share of a part's pixels that must lie off its borders for the others to be doubted: thin parts have hardly
-# any but those at borders.
+# Pixels at borders are doubted only in parts of whose pixels at least this share lies away from borders: thin
+# parts have hardly any other pixels.
 LEAST_INNER = 0.5
 
 
@@ -49,7 +49,7 @@ def doubt_pixels(store: PixelStore, room: Room, parts: Parts) -> int:
 
 
 def _thin_parts(store: PixelStore, parts: Parts) -> np.ndarray:
-    """(P + 1,) bool, parts of which few pixels lie off the borders of their masks; the last is of no part."""
+    """(P + 1,) bool, parts with few pixels away from the borders of their masks; the last row: no part."""
     inner, every = np.zeros((2, len(parts.ids) + 1))
     for index, view in enumerate(store.views):
         mask = mask_of(view, parts.kind)
@@ -80,7 +80,7 @@ def disagreeing(mask: np.ndarray, triangle: np.ndarray, parts: Parts) -> tuple[n
     """Two (H * W,) bool: pixels that show another part than they hit, and pixels at a border of the mask.
 
     Args:
-        mask: (H, W) int ids; 0 and negative ones say nothing.
+        mask: (H, W) int ids; 0 and negative ones are unknown.
         triangle: (H * W,) triangle of each pixel, negative where none.
     """
     ids = mask.reshape(-1).astype(np.int64)

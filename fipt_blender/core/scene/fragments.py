@@ -98,7 +98,7 @@ def group_samples(
     """
     order = np.lexsort((depth, label, pixel))
     step = np.diff(depth[order], prepend=0.0) > gap[order]
-    # Numbers of the surfaces along each ray bundle; `merged` keeps those of one pixel and label apart.
+    # The number of the surface rises at each gap in depth; `merged` separates pixels and labels.
     surface = np.empty(len(order), np.int64)
     surface[order] = np.cumsum(step)
     share = np.full(len(order), 1.0 / len(SUBPIXELS))

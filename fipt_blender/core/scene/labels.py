@@ -26,10 +26,10 @@ from .segments import scan_segments
 from .smooth_parts import Votes, smooth_labels
 from .spreading import NO_PART, spread_labels
 
-# Sources that are images beside the photographs.
+# Sources that are id images, one for each photograph.
 IMAGE_SOURCES = ("masks", "semantics")
 _IDS = 1 << 32  # larger than any id
-# Weight of pixels at borders of masks, where a scan's borders, or slots, may lie elsewhere by about a pixel.
+# Weight of pixels at borders of masks: the borders of a scan or of slots may be about a pixel away from them.
 BORDER_VOTE = 0.1
 
 
@@ -40,8 +40,8 @@ class Parts:
     Attributes:
         triangle_part: (T,) int32 from 0, NO_PART without one.
         kind: ``part`` (one material each), ``semantic`` (classes, each of several materials) or ``none``.
-        ids: (P,) int64 id that each part has in the masks, if it comes from masks; else empty. Several parts
-            have one where the mesh divides what a mask shows, NO_PART those that no mask shows.
+        ids: (P,) int64 id of each part in the masks, if parts come from masks; else empty. Parts share an id
+            where the mesh divides the region of a mask; those that no mask shows have NO_PART.
     """
 
     triangle_part: np.ndarray
@@ -84,17 +84,17 @@ def choose_source(room: Room, views: Sequence[View]) -> str:
 
 
 def automatic_source(room: Room, usable: Sequence[str]) -> str:
-    """What ``auto`` stands for, by :func:`usable_sources`.
+    """The source that ``auto`` selects among :func:`usable_sources`.
 
-    Loose pieces never count, because scans contain many fragments that are not parts. Of a scan masks alone
-    count: its materials are pages of a texture, and its objects tiles, or panes that were added.
+    Loose pieces are never chosen, because scans contain many fragments that are not parts. For a scan, only
+    masks are chosen: its materials are pages of a texture, and its objects tiles, or panes that were added.
     """
     return next((name for name in usable if name in IMAGE_SOURCES or room.scan is None), "none")
 
 
 def mesh_borders(room: Room, source: str) -> np.ndarray | None:
-    """(T,) int64 the mesh's own surfaces, which parts from the source `masks` divide; None where there are
-    none, and where masks were chosen to count alone.
+    """(T,) int64 slot or object of each triangle, which the source `masks` divides further; None if the mesh
+    has none, or if the user chose `masks` as the only source.
     """
     return mesh_surfaces(room) if source == "masks" and room.parts == "auto" else None
 
@@ -111,7 +111,7 @@ def label_parts(
         triangles: for each view the triangle that each pixel of its id image sees, negative where none.
     """
     if source == "objects":
-        # What closes a hole belongs to the object around it.
+        # Triangles that close a hole belong to the object around it.
         known = np.where(room.closing, NO_PART, room.triangle_object)
         spread = spread_labels(known, weld(room.vertices)[room.triangles]) if room.closing.any() else known
         return Parts(spread.astype(np.int32), "part")
@@ -134,7 +134,7 @@ def label_parts(
 def _fused_labels(
     room: Room, images: Iterable[np.ndarray | None], triangles: Iterable[np.ndarray]
 ) -> np.ndarray:
-    """(T,) int64 id of each triangle, negative without: by its pixels; on a scan by those around it, too."""
+    """(T,) int64 id of each triangle, negative without, by its pixels; on a scan also by those around it."""
     count = len(room.triangles)
     scan = room.scan
     if scan is None:
@@ -146,7 +146,7 @@ def _fused_labels(
 
 
 def room_pieces(room: Room) -> np.ndarray:
-    """(T,) int32 connected piece of each triangle of a room, of a scan its segments beside what is exact.
+    """(T,) int32 connected piece of each triangle of a room; on a scan, segments take the place of pieces.
 
     Takes seconds for millions of triangles.
     """
@@ -193,7 +193,7 @@ def count_votes(
     Args:
         masks: (H, W) int ids of each view, or None; negative ids and 0 (nothing hit) do not count.
         triangles: for each view the (H * W,) triangle that each pixel sees, negative where none.
-        border_vote: weight of pixels beside those of another id.
+        border_vote: weight of pixels that are adjacent to another id.
     """
 
     def views() -> Iterator[tuple[np.ndarray, np.ndarray]]:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Part masks with ids of their own in each view, as networks make them that see one photograph at a time.
+"""Part masks whose ids are valid in one view only, from networks that segment one photograph at a time.
 
 Their regions are linked on the mesh, and written with ids that all views share.
 """
@@ -25,18 +25,18 @@ from .linking import RegionPixels, link_regions
 from .pixels import CELL_PIXELS
 from .room import Room
 
-# Ids are shared if a place that has one in one view has it in others so often (median over the ids: numbered
-# by size, walls and floors have the same id in many views).
+# Masks share their ids if a cell with an id in one view has the same id in other views at least this often.
+# The median over the ids counts: where ids are ordered by size, those of walls and floors agree by chance.
 SHARED = 0.2
-# A region belongs to one part if so many of its pixels see it.
+# A region belongs to one part if this share of its pixels sees that part.
 ONE_PART = 0.7
-# Most cells; where views see more, cells are twice as wide, and so on. Rooms have 100,000.
+# Most cells; where views see more, the width of a cell is doubled until they see fewer. Rooms have 100,000.
 MOST_CELLS = 400_000
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """What a view with part masks shows on a coarse grid of pixels.
+    """The surface cells and ids that a view with part masks sees, on a coarse grid of pixels.
 
     Attributes:
         view: at its own size.
@@ -106,7 +106,7 @@ def shared_ids(views: Sequence[RegionPixels]) -> float:
 
 
 def seen_cells(room: Room, views: Sequence[View]) -> list[_Seen]:
-    """What the views with part masks show."""
+    """The surface cells and ids that the views with part masks see."""
     places, widths, ids = [], [], []
     views = [view for view in views if view.parts]
     for view in views:
@@ -151,8 +151,8 @@ def numbered_cells(seen: Sequence[_Seen]) -> tuple[list[np.ndarray], np.ndarray]
 def _linked(seen: _Seen, part: np.ndarray) -> np.ndarray:
     """(H, W) int32 part of each pixel from 1, 0 for none.
 
-    In each view a part belongs to the region that has most of its pixels. Where a region has parts, those of
-    its pixels that see others look through a hole of the scan, or past its edge.
+    In each view a part belongs to the region that contains most of its pixels. The other pixels of a region
+    that has parts are taken to look through a hole of the scan, or past its edge.
 
     Args:
         part: (h, w) int64 of each pixel of the grid, -1 for none.

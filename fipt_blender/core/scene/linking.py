@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Regions of single photographs, linked to parts of the room.
 
-Networks divide each photograph for itself, and often otherwise than the next one. Surface points belong to
-one part if the views that see both show them in one region more often than not.
+Networks segment each photograph on its own, often differently from the next one. Two surface points belong to
+one part if most of the views that see both show them in one region.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from scipy.spatial import cKDTree
 
 from .components import graph_components
 
-# Places are linked whose pairs of pixels lie in one region by this share.
+# Sets of cells are joined if at least this share of their pairs of pixels lies in one region.
 LEAST_TOGETHER = 0.5
-# Places are first joined within blocks so many cells wide, so that no chain of them crosses a border.
+# Cells are first joined within blocks of this width, in cells, so that no chain of them crosses a border.
 BLOCK = 4
-# Most sets that are joined wherever they lie, those with the most pixels: all their pairs are kept at
-# once, 72 MB for so many. Rooms have hundreds; only where hardly any two views see one place are there more.
+# Most sets that are joined although they are not adjacent, those with the most pixels: all their pairs are in
+# memory at once, 72 MB for this number. Rooms have hundreds; there are more only where views hardly overlap.
 MOST_SETS = 3000
 _BESIDE = 1.8  # cells between neighbours, diagonal ones included
 
@@ -44,9 +44,9 @@ class RegionPixels:
 def link_regions(views: Sequence[RegionPixels], places: np.ndarray) -> np.ndarray:
     """The part of each surface cell, by average linkage.
 
-    How much two sets of cells belong together is the share of the pairs of pixels, one of each set and both
-    in one view, that lie in one region. Neighbouring sets are joined first, the surest pair before all
-    others, then sets that lie apart.
+    The similarity of two sets of cells is the share of the pairs of pixels, one of each set and both in one
+    view, that lie in one region. Adjacent sets are joined first, the most similar pair before all others,
+    then sets that are not adjacent.
 
     Args:
         views: of all photographs with regions.
@@ -86,7 +86,7 @@ def _tables(views: Sequence[RegionPixels], count: int) -> tuple[csr_array, csr_a
         total += len(ids)
     cell = np.concatenate(cells)
     ones = np.ones(len(cell), np.float32)
-    # The constructor adds what has the same place.
+    # The constructor sums entries of the same row and column.
     counts = csr_array((ones, (cell, np.concatenate(regions))), shape=(count, total))
     return counts, csr_array((ones, (cell, np.concatenate(of_view))), shape=(count, len(views)))
 
@@ -154,9 +154,9 @@ class _Sets:
         return joins
 
     def join_all(self, joins: np.ndarray) -> np.ndarray:
-        """(S,) int64 part of each set, after sets were joined wherever they lie.
+        """(S,) int64 part of each set, after sets were joined although they are not adjacent.
 
-        Of more than `MOST_SETS` sets the smaller ones stay parts of their own.
+        If there are more than `MOST_SETS`, the smaller ones stay parts of their own.
 
         Args:
             joins: (S,) set that each has joined.

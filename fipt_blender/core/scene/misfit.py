@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How many pixels the mesh is off in a view: its edges, traced with subpixels, against the photograph's."""
+"""By how many pixels the mesh is displaced in a view: its edges are compared with those of the photograph."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from ..capture.views import View
 from .camera_rays import opaque_vector, trace_pixels
 from .room import Room
 
-TRACED = 960  # pixels along the longer side that are traced at least, and at most twice as many
-COMPARED = 1280  # pixels along the longer side of the photograph that is compared, at most
+TRACED = 960  # least number of pixels that are traced along the longer side; at most twice as many are
+COMPARED = 1280  # most pixels along the longer side of the photograph that is compared
 _SEED = 0  # of the edges that are drawn
 
 
@@ -28,7 +28,7 @@ def view_misfit(room: Room, view: View, pixels: np.ndarray) -> tuple[EdgeFit, in
 
 
 def edge_image(view: View, pixels: np.ndarray) -> np.ndarray | None:
-    """(h, w) logarithm of a photograph (H, W, 3), made smaller by a whole factor; None where it is black."""
+    """(h, w) logarithm of a photograph (H, W, 3), reduced by an integer factor; None where it is black."""
     factor = _factor(view)
     height, width = view.height // factor, view.width // factor
     # Rows first: numpy is slow along short axes, as those of the channels and of the columns of a block are.
@@ -50,7 +50,7 @@ def image_misfit(room: Room, view: View, image: np.ndarray | None) -> tuple[Edge
         image: of its photograph, by `edge_image`.
 
     Returns:
-        The fit in pixels of the photograph made smaller by a whole factor, and this factor.
+        The fit in pixels of the photograph reduced by an integer factor, and this factor.
     """
     if image is None:
         return None
@@ -61,7 +61,7 @@ def image_misfit(room: Room, view: View, image: np.ndarray | None) -> tuple[Edge
 
 
 def _factor(view: View) -> int:
-    """By how much a view's photograph is made smaller."""
+    """The integer factor by which a view's photograph is reduced."""
     return -(-max(view.width, view.height) // COMPARED)
 
 
@@ -77,7 +77,7 @@ def view_edges(room: Room, view: View) -> MeshEdges:
     toward = surface.position - opaque_vector(mi.Point3f, pose[:3, 3])
     point = mi.Vector3f(*(dr.select(surface.valid, dr.dot(toward, axis), 0.0) for axis in axes))
     normal = mi.Vector3f(*(dr.dot(surface.normal, axis) for axis in axes))
-    dr.eval(surface.valid, point, normal)  # one after the other, each would be traced
+    dr.eval(surface.valid, point, normal)  # together, or each would trace the rays again
     valid, points, normals = np.array(surface.valid), np.array(point).T, np.array(normal).T
     shape = (height, width)
     edges = mesh_edges(

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parts of a modelled mesh with slots or objects, which are evidence of the same thing as masks.
+"""Parts of a modelled mesh from its slots or objects, and from masks.
 
-The mesh decides borders and names. Masks divide a slot further where the votes of all views agree: first by
-flat pieces, inside a flat piece only where a region is large enough to be more than a misplaced mask.
+The mesh decides borders and names. Masks divide a slot further where the votes of all views agree: into whole
+flat pieces first; inside a flat piece only where a region is too large for the error of a misplaced mask.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from .spreading import NO_PART, spread_labels
 
 # A flat piece has one part if one id has this share of its votes.
 WHOLE = 0.9
-# Share of the votes of a piece, or of a region inside one, by which they name its id.
+# A piece, or a region inside one, gets an id that has this share of its votes.
 AGREED = 0.7
-# Votes (pixels off borders) without which a piece, or a region inside one, has no id of its own, and the
-# least share of its piece that a region has.
+# Least votes (pixels away from borders) of a piece, or of a region inside one, that gets an id of its own;
+# least share of the votes of its piece that a region has.
 LEAST_VOTES, LEAST_SHARE = 20.0, 0.05
 # Angle (radians) between normals at which a flat piece ends.
 FLAT = 0.1
@@ -43,7 +43,7 @@ def mesh_surfaces(room: Room) -> np.ndarray | None:
 
 
 def divided_surfaces(room: Room, own: np.ndarray, votes: Votes) -> np.ndarray:
-    """(T,) int64 id of each triangle, so that a part is what has one id on one surface of the mesh.
+    """(T,) int64 id of each triangle; a part is the triangles of one id on one surface of the mesh.
 
     Args:
         own: (T,) int64 surfaces of `mesh_surfaces`.
@@ -83,7 +83,7 @@ def _inside(piece: np.ndarray, triangles: np.ndarray, votes: Votes) -> np.ndarra
 
 
 def corners_within(triangles: np.ndarray, surface: np.ndarray) -> np.ndarray:
-    """(T, 3) vertices, a vertex of each surface (T,) apart, so that triangles are neighbours within one."""
+    """(T, 3) vertices, different ones for each surface (T,): only triangles of one surface are neighbours."""
     keys = triangles.astype(np.int64) + surface.astype(np.int64)[:, None] * (
         int(triangles.max(initial=0)) + 1
     )

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far the outlines of parts on a scan lie off the borders of the photographs' masks, view by view."""
+"""Distances between the outlines of parts on a scan and the borders of the masks, view by view."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from ..run.threads import in_threads
 from .camera_rays import first_hits, rays_along
 from .room import Room
 
-# Outlines of mesh and mask that are farther apart, in pixels, are not the same.
+# Outlines of mesh and mask that are farther apart, in pixels, are not matched.
 REACH = 2.0
-# Pixels around, beyond that reach, in which vertices are looked for.
+# Margin beyond that reach, in pixels, in which vertices are searched.
 _MARGIN = 2.0
-# Least slope of the distance from a border, in pixels per pixel; it is less in the middle of thin parts.
+# Least gradient of the distance from a border, in pixels per pixel; it is lower in the middle of thin parts.
 _LEAST_SLOPE = 0.5
-# What is closer in front of a vertex, in edges of the mesh or pixels, does not hide it.
+# A surface that is less than this in front of a vertex, in edges of the mesh or pixels, does not occlude it.
 _BEFORE_EDGES, _BEFORE_PIXELS = 2.0, 1.0
 
 
 @dataclass(frozen=True)
 class Misses:
-    """How far outlines lie off those of the masks, N times a vertex in a view.
+    """Distances between outlines and those of the masks, for N pairs of a vertex and a view.
 
     Attributes:
         vertex: (N,) int64.
@@ -43,13 +43,13 @@ class Misses:
 
 @dataclass(frozen=True)
 class _Candidates:
-    """Vertices near the border of their part in a view, whatever the mesh shows there: N times a vertex.
+    """N vertices near the border of their part in a view; whether the mesh has an outline there is not known.
 
     Attributes:
         view: in which they are.
         vertex, part: (N,) int64.
         place: (N, 2) pixel.
-        step: (N, 2) pixels towards the inside of the part, by which the mesh is asked on both sides.
+        step: (N, 2) pixels towards the inside of the part; the mesh is traced at plus and minus this step.
         gradient, pixels: as of :class:`Misses`.
     """
 
@@ -71,7 +71,7 @@ def find_misses(
     on the other, across the nearest border of the part's mask.
 
     Args:
-        room: its coincident vertices are one.
+        room: its coincident vertices count as one.
         label: (T,) id of each triangle, 0 without one.
         masks: views with their (H, W) ids.
         edge: of the mesh, metres.
@@ -163,7 +163,7 @@ def _sampled(field: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _shown(room: Room, label: np.ndarray, view: View, place: np.ndarray) -> np.ndarray:
-    """(N,) id of what the mesh shows at places (N, 2) in a view, 0 for none."""
+    """(N,) id of the triangle that the mesh shows at places (N, 2) in a view, 0 for none."""
     x, y = ((place - (view.cx, view.cy)) / (view.fx, view.fy)).T
     direction = np.stack([x, y, np.ones_like(x)], axis=1) @ np.asarray(view.camera_to_world)[:3, :3].T
     triangle = _first_hit(room, view, direction)[0]
@@ -171,7 +171,7 @@ def _shown(room: Room, label: np.ndarray, view: View, place: np.ndarray) -> np.n
 
 
 def _visible(room: Room, view: View, places: np.ndarray, edge: float) -> np.ndarray:
-    """(N,) bool, whether nothing of the mesh is in front of places (N, 3), but for two edges or a pixel."""
+    """(N,) bool, whether places (N, 3) are not occluded by the mesh; surfaces close to them do not count."""
     direction = places - np.asarray(view.camera_to_world)[:3, 3]
     distance = np.linalg.norm(direction, axis=1)
     reached = _first_hit(room, view, direction)[1]

@@ -29,18 +29,19 @@ from .room import Room, load_room
 
 # Standard deviation in pixels of the place of a mask's border, which is known to half a pixel.
 BORDER_DEVIATION = 0.35
-# A miss of so many pixels counts half: it may be that of another outline.
+# A miss of this many pixels has half the weight, as it may belong to another outline.
 HALF_WEIGHT = 1.0
-# Standard deviations of a move and of its difference between neighbours, in edges of the mesh; off a plane
-# that the mesh has there.
+# Standard deviations, in edges of the mesh: of a move, of its difference between neighbours, and of a move
+# off a plane of the mesh.
 MOVE, DIFFERENCE, OFF_PLANE = 0.5, 0.5, 0.05
-# No vertex moves by more edges.
+# Largest move of a vertex, in edges.
 FARTHEST = 1.5
 # Rings of neighbours that move with the vertices of outlines.
 RINGS = 4
-# Each round looks anew for the outlines.
+# Each round finds the outlines again.
 ROUNDS = 3
-# A triangle whose normal turns by more than this cosine folds; its corners then move half as far, so often.
+# A triangle folds if its normal rotates beyond this cosine; the moves of its corners are then halved, at most
+# this many times.
 FOLD, HALVINGS = 0.3, 4
 # Of the conjugate gradients: relative residual, and most steps.
 _TOLERANCE, _MOST_STEPS = 1e-3, 100
@@ -153,7 +154,7 @@ def _solved(mesh: Mesh, misses: Misses, moves: np.ndarray, stiffness: np.ndarray
     number = np.full(count, -1)
     number[chosen] = np.arange(len(chosen))
     row, column = np.repeat(np.arange(len(chosen)), degree), number[ring.indices]
-    row, column = row[column >= 0], column[column >= 0]  # the others stay, which needs no term
+    row, column = row[column >= 0], column[column >= 0]  # other vertices are fixed and need no term
     ties = coo_array((np.full(len(row), tie), (row, column)), shape=(len(chosen),) * 2).tocsr()
 
     def product(vector: np.ndarray) -> np.ndarray:

@@ -189,7 +189,7 @@ class Tracing:
 
 
 def trace_view(room: Room, view: View) -> TracedView:
-    """What each pixel of a view sees at its centre."""
+    """The first surface that each pixel of a view sees at its centre."""
     surface = trace_pixels(room, view)
     valid = np.array(surface.valid)
     return TracedView(

@@ -75,7 +75,7 @@ class Room:
         parts: source of part ids: auto, masks, semantics, materials, objects, loose or none.
         noise: standard deviation of a scan's distance from its smooth fit, metres; 0 for an exact mesh.
         plane: (T,) int32 plane of each triangle of a scan, -1 without one; None for an exact mesh.
-        exact: (T,) bool, triangles beside a scan that are none: the artist has drawn them; None without any.
+        exact: (T,) bool, triangles of exact objects that the artist added to a scan; None without any.
     """
 
     vertices: np.ndarray
@@ -115,7 +115,7 @@ class Room:
         return self._faces[1]
 
     def points_on(self, triangles: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """(..., 3) points on triangles (...), evenly distributed where u and v (...) are so in [0, 1)."""
+        """(..., 3) points on triangles (...), uniformly distributed if u and v (...) are so in [0, 1)."""
         root = np.sqrt(u)
         corners = self.vertices[self.triangles[triangles]]
         weights = (1.0 - root, root * (1.0 - v), root * v)
@@ -123,7 +123,7 @@ class Room:
 
     @property
     def closing(self) -> np.ndarray:
-        """(T,) bool, triangles that the engine has put into small holes of a scan."""
+        """(T,) bool, triangles by which the engine closed small holes of a scan."""
         index = self.objects.index(CLOSING) if CLOSING in self.objects else NO_OBJECT
         return self.triangle_object == index
 
@@ -134,7 +134,7 @@ class Room:
 
     @property
     def place(self) -> float:
-        """Standard deviation of the place of surfaces and of their borders, metres; 0 of a modelled mesh."""
+        """Standard deviation of the position of surfaces and borders, metres; 0 for a modelled mesh."""
         return 0.0 if self.scan is None else self.scan.place
 
     @cached_property
@@ -208,7 +208,7 @@ def load_room(run: RunFolder, outlined: bool = True, cleaned: bool = True) -> Ro
 
     Args:
         run: the run folder.
-        outlined: whether a scan has the outlines that masks show, where outlines.npz has them.
+        outlined: whether a scan gets the outlines of the masks from outlines.npz, if that exists.
         cleaned: whether geometry.npz is read.
 
     Raises:

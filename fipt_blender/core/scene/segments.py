@@ -13,7 +13,7 @@ from .adjacency import Adjacency, averaged_normals
 from .components import graph_components
 from .grouped import pairs_of, strongest
 
-# A segment has at least so many median triangles' area.
+# Least area of a segment, in areas of the median triangle.
 LEAST_SIZE = 100.0
 # Angle (radians) between normals at which smooth pieces end, and rings over which normals are averaged.
 CREASE = 0.3

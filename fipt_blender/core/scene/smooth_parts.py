@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parts on a scan, where borders of masks and of the mesh do not meet: a random walk on the mesh decides.
+"""Parts on a scan, whose borders do not coincide with those of the masks: a random walk smooths the votes.
 
 The votes of the pixels walk from triangle to triangle, hardly over creases. Each triangle takes the label of
 which most votes arrive (Grady, "Random walks for image segmentation", with restarts at every vote).
@@ -19,24 +19,24 @@ from .grouped import pairs_of, strongest
 
 # Share of the votes that goes on to the neighbours at each step; the walk is about three triangles long.
 ONWARD = 0.9
-# Steps after which what still walks is negligible.
+# Steps after which the votes that still walk are negligible.
 STEPS = 24
 # Angle between normals (radians) at which an edge passes e^-1 of the votes, and the least share that passes.
 CREASE = 0.35
 LEAST_PASSED = 0.01
 # Rings over which the normals of a scan are averaged before creases are looked for.
 CREASE_RINGS = 2
-# Votes of less weight, in pixels, no longer walk: they decide nothing and cost memory.
+# Votes of less weight, in pixels, are dropped: they decide nothing and cost memory.
 FORGOTTEN = 1e-4
-# A component of one label is a speck if it has less than this share of the label's area and less area than so
-# many median triangles.
+# A component of one label is a speck if it has less than this share of the label's area, and less area than
+# this many median triangles.
 SPECK_SHARE = 0.1
 SPECK_TRIANGLES = 25.0
 
 
 @dataclass(frozen=True)
 class Votes:
-    """What the pixels say of the triangles, K pairs of a triangle and a label.
+    """The votes of the pixels, K pairs of a triangle and a label.
 
     Attributes:
         triangle: (K,) int64.
@@ -107,7 +107,7 @@ def without_specks(label: np.ndarray, adjacency: Adjacency, area: np.ndarray) ->
     of_label = np.bincount(np.maximum(label, 0), area * (label >= 0))
     least = np.minimum(SPECK_SHARE * of_label, SPECK_TRIANGLES * np.median(area))
     speck = (size < least[np.maximum(label, 0)][_first(component)])[component] & (label >= 0)
-    # Borders of specks with what is no speck; each speck takes the label of the longest in sum.
+    # Borders between specks and other components; a speck takes the label with the longest total border.
     border = ~inside & (speck[one] ^ speck[other])
     within = np.where(speck[one], one, other)[border]
     beyond = np.where(speck[one], other, one)[border]

@@ -27,25 +27,25 @@ from .grouped import grouped_sums
 from .pixels import LEFT_OUT, NO_TRIANGLE, PixelStore
 from .room import Room
 
-# Distance in pixels within which pure pixels of the same surface tell the radiance of a fragment, and how
-# many of them count.
+# The expected radiance of a fragment is that of pure pixels of its surface within this distance in pixels, at
+# most this many of them.
 REACH = 4
 NEIGHBOURS = 4
-# Relative standard deviation of the radiance of a surface within that distance, beside what they show.
+# Relative standard deviation of the radiance of a surface within that distance, besides their own spread.
 VARIATION = 0.1
 # Standard deviation of an unknown radiance before anything is known, as a multiple of the photographed one.
 UNKNOWN = 3.0
 # Iterations by which mean and variance of unknown radiances are found; more change little.
 ITERATIONS = 6
-# Relative standard deviation of the radiance of one surface in one view, and how many fragments that guess is
-# worth.
+# Prior of the relative standard deviation of the radiance of one surface in one view, and the number of
+# fragments to which this prior is equivalent.
 SPREAD, SPREAD_FRAGMENTS = 0.5, 0.2
 # Relative standard deviation of a photographed radiance.
 NOISE = 0.02
 # Standard deviation of a coverage by 16 samples: 0.035 at edges of any slope, 0.048 for strips.
 COVERAGE_ERROR = 0.04
-# The radiance (in units of the capture's median) to which MODEL_ERROR, the standard error of what the model
-# explains of a pure pixel, is not relative.
+# Radiance (in units of the capture's median) that is added to a radiance before it is multiplied by
+# MODEL_ERROR, the relative error of the model at a pure pixel.
 FLOOR = 0.05
 # Pixels per chunk; each needs 16 rays.
 CHUNK = 1 << 15
@@ -154,7 +154,7 @@ def expected(
         label: (H * W,) label of what each pixel's centre sees.
 
     Returns:
-        the fragments, of which those of one pixel and label without pure pixels nearby are one, their (F, 3)
+        the fragments (those of one pixel and label without pure pixels nearby are merged), their (F, 3)
         mean and (F, 3) variance, and (F,) bool, whether there are pure pixels nearby.
     """
     usable = photograph.pure & (photograph.triangle >= NO_TRIANGLE)
@@ -237,7 +237,7 @@ def posterior(
     gain = coverage * variance / (added(coverage**2 * variance) + noise)[pixel]
     result = np.maximum(mean + gain * residual[pixel], 0.0)
     # An error of the coverage shifts radiance between the fragment and the rest of its pixel. It is part of
-    # the noise only where the expectations tell the contrast between them.
+    # the noise only where the expectations determine the contrast between them.
     contrast = np.abs(result - radiance[pixel]) / np.maximum(1.0 - coverage, 1e-12)
     shifted = np.where(coverage < 1.0, (gain * COVERAGE_ERROR * contrast) ** 2, 0.0)
     return result, variance * (1.0 - gain * coverage) + shifted

@@ -47,7 +47,7 @@ _LUMINANCE = LUMINANCE.astype(np.float32)
 
 @dataclass(frozen=True)
 class DetailInput:
-    """What the views tell texels; see :func:`load_input`.
+    """What the detail of texels is made from; see :func:`load_input`.
 
     Attributes:
         photographs: the training views at full size, in the order of `pixels`.

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Where photographs agree: on the surfaces that they see, and at points in front of these.
 
-Photographs of one surface point agree, apart from gloss. Where a surface is missing, each shows another place
-of what lies behind, and they disagree there.
+Photographs of one surface point agree, apart from gloss. Where the mesh lacks a surface, each photograph sees
+it in front of another point of the surface behind (parallax), and they disagree at these points.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from ..scene.room import Room
 from .cells import lattice_spacing
 from .masked_views import grid_points, seen_before
 
-# Difference of the logarithm of radiance (root mean square over the channels) beyond which photographs
-# disagree entirely. Gloss and errors of poses make it large on one surface, too.
+# Difference of the logarithm of radiance (root mean square over the channels) from which on photographs
+# disagree completely. Gloss and errors of poses cause differences on one surface, too.
 DISAGREE = 0.35
 # Radiance in units of the capture's median, below which differences count less.
 FLOOR = 0.05
-# Pixels that are compared; those of larger captures are joined.
+# Most pixels that are compared; those of larger captures are averaged.
 MOST_PIXELS = 4_000_000
-# Edge of a mesh, metres, beyond which it tells nothing of cells: modelled rooms have few triangles.
+# Largest edge of a mesh, metres, that determines the size of cells: modelled rooms have few triangles.
 MOST_EDGE = 0.05
-# Edge of the cells whose mean is shown to the artist, in cells by which pixels are compared.
+# Width of the cells whose mean is shown to the artist, in cells of the comparison.
 SHOWN_CELLS = 2
-# A point of a lost thing takes at least this much disagreement away, mean over the views.
+# A point of a lost thing reduces the disagreement by at least this much, mean over the views.
 LEAST_GAIN = 0.1
-# Spacing of the points in the air, in pixels on the scan, and most of them.
+# Spacing of the points in the air, in widths of a pixel on the scan, and largest number of points.
 COARSE, MOST_POINTS = 3, 1_000_000
 # Rounds in which the views' exposures are found.
 _ROUNDS = 3
@@ -53,7 +53,7 @@ class ComparedPixels:
 
     Attributes:
         size: median width of a pixel on the scan, at least the scan's median edge, metres.
-        views: as wide as their lattices.
+        views: with as many pixels as their lattices.
         first: (V + 1,) int, where the pixels of each view begin.
         view: (N,) int.
         direction: (N, 3) float32 unit vector through the pixel.
@@ -85,7 +85,7 @@ class ComparedPixels:
         return float(np.nansum(self.doubt))
 
     def before(self, view: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The points (P, 3) that a view sees well before the surface: their rows, and pixels."""
+        """The points (P, 3) that a view sees clearly in front of the surface: their rows, and pixels."""
         first, end = self.first[view : view + 2]
         rows, pixel = seen_before(self.views[view], self.distance[first:end], points, self.size)
         return rows, first + pixel
@@ -98,7 +98,7 @@ class ComparedPixels:
         return np.flatnonzero((far > np.maximum(near, 0.0)) & (near < self.distance))
 
     def swept(self, low: np.ndarray, step: float, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How much better photographs agree at the cells of a grid than behind, and the number of views.
+        """How much less photographs disagree at the cells of a grid than behind, and the number of views.
 
         The first is a mean over the views, 0 where fewer than `LEAST_VIEWS` see a cell.
 
@@ -113,12 +113,12 @@ class ComparedPixels:
         return gain.reshape(tuple(shape)), count.reshape(tuple(shape))
 
     def boxes(self, bounds: Box, most_points: int = MOST_POINTS) -> Iterator[tuple[Box, float, float]]:
-        """Boxes in which the photographs show more than the room has, the one that shows most first.
+        """Boxes around what photographs show in the air of the room, the one that explains most first.
 
-        With the spacing of the points, and the share of all disagreement that it explains.
+        Each with the spacing of the points, and the share of all disagreement that it explains.
 
         Args:
-            bounds: of the room. most_points: that are looked at.
+            bounds: of the room. most_points: that are tested.
         """
         low, high = bounds
         step = max(COARSE * self.size, float((np.prod(high - low) / most_points) ** (1.0 / 3.0)))
@@ -126,7 +126,7 @@ class ComparedPixels:
         gain, views = self.swept(low, step, shape)
         shows = (gain > LEAST_GAIN) & (gain * views > LEAST_VIEWS)
         pieces, count = connected(shows, np.ones((3, 3, 3)))
-        # About so many pixels of a view look at one cell.
+        # A cell is seen by about (step / size)^2 pixels of a view.
         seen = gain * views * (step / self.size) ** 2
         total = np.bincount(pieces.reshape(-1), seen.reshape(-1), count + 1)[1:]
         for piece in np.argsort(-total):
@@ -150,7 +150,7 @@ class ComparedPixels:
 
 
 def compared_pixels(room: Room, views: Sequence[View], edge: float) -> ComparedPixels:
-    """What the views show of a scan with this median edge, metres."""
+    """The pixels of the views on a scan with this median edge, metres."""
     every = sum(view.width * view.height / lattice_spacing(view) ** 2 for view in views)
     coarser = int(np.ceil(np.sqrt(every / MOST_PIXELS)))
     smaller, means, used = zip(
@@ -246,7 +246,7 @@ def cells_of(
     hits: tuple[np.ndarray, np.ndarray],
     size: float,
 ) -> np.ndarray:
-    """(n,) int from 0, place on the room's surface and side of it that rays meet (triangle, distance)."""
+    """(n,) int from 0, cell and side of the room's surface that rays hit (`hits`: triangle and distance)."""
     triangle, distance = hits
     places = np.array([each.camera_to_world[:3, 3] for each in views])
     points = places[view] + direction * distance[:, None]

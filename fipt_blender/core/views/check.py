@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Checks the photographs against each other: misaligned views are left out, exposures are corrected, and the
-user is told.
+"""Checks the photographs against each other: misaligned views are left out and exposures are corrected, with
+warnings that name them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class ViewCheck:
     """What the check found and corrected.
 
     Attributes:
-        left_out: name of each misaligned view, and by how many pixels it is off, -1 where too far.
+        left_out: name of each misaligned view, and its displacement in pixels, -1 if too large to measure.
         exposure: name of each view of another exposure, and the factor by which it was brighter.
         lamps: lamps that the mesh lacks, each with ``position`` and ``radius`` in metres, ``radiance`` in
             units of the capture's median, and the number of ``views`` that show it.

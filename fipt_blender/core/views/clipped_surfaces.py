@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Surfaces that are clipped in photographs that are not HDR, and the light on all others, which shows how
-bright they are (:mod:`..light.clipped`)."""
+"""Surfaces that are clipped in photographs that are not HDR, and the light on all other surfaces, from which
+their radiance is inferred (:mod:`..light.clipped`)."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from .codes import Codes
 
 # A triangle is a clipped surface if more than this share of its pixels is clipped.
 MOSTLY = 0.5
-# Standard deviation of the logarithm of a lamp's radiance from which on it is said to be vague.
+# A lamp's radiance counts as undetermined from this standard deviation of its logarithm on.
 VAGUE = 0.4
 
 
 @dataclass(frozen=True, eq=False)
 class ClippedSurfaces:
-    """Surfaces that are clipped in most pixels; F with what lies outside the mesh, which is the last.
+    """F surfaces most of whose pixels are clipped; the last one is what lies outside the mesh.
 
     Attributes:
         of_triangle: (T,) int32 surface of each triangle, -1 without.
-        light: their radiance; None where too few points tell it.
-        reflecting: (F,) bool, those that the light on them can make as bright as they are.
+        light: their radiance; None where too few points determine it.
+        reflecting: (F,) bool, those whose radiance reflection alone explains.
         albedo: (F, 3) of these, in units of the pixels' radiance over that of `diffuse`.
         diffuse: (N, 3) L_d of all pixels; (0, 3) where none is known.
     """
@@ -64,8 +64,8 @@ class ClippedSurfaces:
     def radiance(self, rows: slice, surface: np.ndarray, bound: np.ndarray) -> np.ndarray:
         """(n, 3) radiance of clipped pixels.
 
-        A lamp whose light does not tell its radiance keeps the bound, as it may be a highlight or a white
-        surface. What lies outside has an expected radiance in any case.
+        A surface whose light does not determine its radiance keeps the bound, as it may be a highlight or a
+        white surface. What lies outside the mesh gets its inferred radiance in any case.
 
         Args:
             rows: of the pixels of their view. surface: (n,) of each pixel, -1 without. bound: (n, 3).
@@ -88,8 +88,8 @@ def find_clipped_surfaces(room: Room, codes: Codes, label: np.ndarray, footprint
     A surface is connected triangles most of whose pixels are clipped; the largest `MOST_LAMPS` in the views.
     Triangles of a scan are smaller than pixels, many of them seen by none, and a lamp and the wall around it
     are one mesh. There, patches of one label take the place of triangles, and a surface has one label. A
-    label most of whose pixels are clipped is one surface: bars before a lamp divide it, and the light of its
-    pieces could not be told apart.
+    label most of whose pixels are clipped is one surface: bars in front of a lamp divide it, and the light of
+    its pieces could not be separated.
 
     Args:
         label: (T,) int part or piece of each triangle.
@@ -122,14 +122,15 @@ def find_clipped_surfaces(room: Room, codes: Codes, label: np.ndarray, footprint
 
 
 def _mostly(group: np.ndarray, clipped: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """(T,) bool, triangles of groups ((T,) int from 0) of whose pixels, `count` (T,), most are `clipped`."""
+    """(T,) bool, triangles of groups (T,) most of whose pixels `count` (T,) are `clipped` (T,)."""
     return np.asarray((np.bincount(group, clipped) > MOSTLY * np.bincount(group, count))[group])
 
 
 def _pieces_of_scan(scan: Scan, members: np.ndarray, label: np.ndarray, whole: np.ndarray) -> np.ndarray:
     """(n,) int64 piece, from 0, of each of the triangles `members` (n,).
 
-    A piece is connected and has one label (T,), or is all of a label that is `whole` ((T,) bool).
+    A piece is connected triangles of one label (T,). Where `whole` (T,) is true, it is all triangles of the
+    label instead.
     """
     place = np.full(len(label), -1, np.int64)
     place[members] = np.arange(len(members))
@@ -145,7 +146,7 @@ class Lit:
     """Points of the surfaces, and the light on them; the last lamp is what lies outside the mesh.
 
     Attributes:
-        points: N of them. pixel: (N,) each one's pixel. place: (N,) number of its view among those not HDR.
+        points: N of them. pixel: (N,) pixel of each. place: (N,) index of its view among those not HDR.
         cache: (E, 3) logarithm of the radiance of the cache's entries over the contrast.
         bound: (F, 3) logarithm over the contrast of the radiance at which each lamp is clipped.
     """
@@ -182,7 +183,7 @@ def light_on_surfaces(
         np.maximum.at(bound, on[on >= 0], value[on >= 0])
         good = usable(code)
         hit = np.flatnonzero((triangle >= 0) & (on < 0))
-        # Bounds count where there is nothing else.
+        # Clipped and mixed pixels matter only in entries that have no others.
         weight = np.where(good[hit].all(axis=1) & pixels.pure[rows][hit], 1.0, 1e-3)
         pooled.add(grid.entries(*pixels.surface(room, hit + rows.start)), value[hit], weight)
         able = hit[pixels.pure[rows][hit] & good[hit].any(axis=1) & (part[triangle[hit]] >= 0)]

@@ -15,11 +15,11 @@ from ..radiometry.adjustment import Samples
 from ..scene.pixels import PixelStore, open_array
 from .cells import SurfaceCells, lattice_hits
 
-# Codes may differ by so much in the 3 x 3 pixels around one that is compared: edges would mix surfaces.
+# Largest difference of codes in the 3 x 3 pixels around one that is compared: edges would mix surfaces.
 CALM_CODES = 24.0
 # Approximate number of samples that are compared, one for each cell and view.
 MOST_SAMPLES = 40_000
-# Clusters, within which errors are alike, are cells of so many times the size.
+# Width of clusters, in cells: errors of the samples in one cluster are correlated.
 CLUSTER = 8.0
 
 

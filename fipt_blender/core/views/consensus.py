@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Whether photographs, poses and mesh belong together, before anything is estimated.
 
-Two photographs of the same surface points correlate, whatever their exposures and responses are, where both
-poses and the mesh are right. From the correlations of all pairs follow the views that most others confirm,
-with up to half of the poses wrong, and whether the mesh would fit better mirrored, turned or in another unit.
+Two photographs of the same surface points correlate, whatever their exposures and responses are, if both
+poses and the mesh are right. The correlations of all pairs determine which views most others confirm (up to
+half of the poses may be wrong), and whether the mesh would fit better mirrored, rotated or in another unit.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ LEAST_SPREAD = 0.1
 # have 0.83 and more, photographs traced with few samples 0.4 to 0.8.
 CLEAR = 0.75
 JUDGED_VIEWS = 4  # that must be judged before anything is said of poses or mesh
-# Correlation of a pair of which one pose may be wrong. Right ones reach 0.9, wrong ones 0.15 in the median.
+# Below this correlation, a pose of the pair may be wrong. Median: 0.9 of right poses, 0.15 of wrong ones.
 AGREE = 0.5
-SOFTNESS = 0.1  # of a view's mean correlation, within which it is neither credible nor not
+SOFTNESS = 0.1  # width of the transition to credible views, in mean correlation
 ROUNDS = 20  # at most, of weighing views by each other
-# The mesh is tried otherwise where the median correlation is less than the first or a view is contradicted.
-# This is said where it becomes better than the first and its lack (1 - correlation) at most this share. From
-# `WELL` on no other placement is tried.
+# Other placements of the mesh are tried if the median correlation is below `MEND` or a view is contradicted.
+# One is reported if its correlation is above `MEND` and if it reduces 1 - correlation to less than the share
+# `LACK`. Above `WELL`, no further placement is tried.
 MEND, LACK, WELL = 0.75, 0.6, 0.9
 # Where more than this share of the views is contradicted and the rest agrees less than this in the median, it
 # is the mesh that is wrong: right poses agree by 0.9.
@@ -92,7 +92,7 @@ class PairAgreement:
 
     @property
     def median(self) -> float:
-        """Of the correlations of all pairs that tell something; 0 without any."""
+        """Of the correlations of all pairs that are compared; 0 without any."""
         known = np.triu(self.weight) > 0.0
         return float(np.median(self.correlation[known])) if known.any() else 0.0
 
@@ -104,8 +104,8 @@ class PairAgreement:
     def credible(self) -> tuple[np.ndarray, np.ndarray]:
         """(V,) bool, views that the credible others confirm; (V,) bool, views that are judged at all.
 
-        Each view's mean correlation with the others counts them by their own credibility, which is repeated
-        until it settles. It starts from the views' upper quartile, so that half of the others may be wrong.
+        In a view's mean correlation, the others are weighted by their own credibility, iteratively. The first
+        value is the upper quartile of the view's correlations, so that half of the others may be wrong.
         """
         judged = (self.weight > 0.0).sum(axis=1) >= 2
         values = np.where(self.weight > 0.0, self.correlation, np.nan)
@@ -274,7 +274,7 @@ def _check_mesh(room: Room, small: SmallViews, given: PairAgreement, anything: b
     """Find out whether the photographs agree far better with the mesh mirrored, turned or in another unit.
 
     Args:
-        anything: whether units and turns are tried, too, which takes longer than mirrors.
+        anything: whether units and rotations are tried besides mirror images, which takes longer.
 
     Raises:
         FiptError: ``mesh-misplaced``.

@@ -28,7 +28,7 @@ def exposure_gains(cells: SurfaceCells, without: Collection[int] = ()) -> np.nda
     Robust least squares of log radiance = surface cell + view. The median view has a factor of 1.
 
     Args:
-        without: indices of views that are not asked, because they do not show what their poses say.
+        without: indices of views that are ignored, because their poses are wrong.
     """
     views = len(cells.pixels.views)
     # Cells are thinned out rather than pixels, so that each cell keeps all views that share it.

@@ -3,8 +3,8 @@
 """Things that a scanner lost: a glossy or dark table, a cabinet, a slab.
 
 Photographs of a lost thing disagree on what the scan has behind it, and agree at the thing's own surface
-(:mod:`.agreement`). Points are swept through the room's air. Where photographs agree better than behind, an
-upright prism is fitted.
+(:mod:`.agreement`). Points all over the room's air are tested. Where photographs disagree less than on the
+surface behind, an upright prism is fitted.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from .agreement import LEAST_GAIN, Box, ComparedPixels, cells_of, compared_pixel
 LEAST_SHARE = 0.01
 # Share of the cells inside a prism in which the scan has a surface: scanners look into shades, not tables.
 MOST_INSIDE = 0.01
-# A thing is likely if it explains more of the views than chance does (sign test).
+# A thing is likely if more views improve than chance explains at this level of significance (sign test).
 LEVEL = 0.05
 # Cells by which a side of a prism moves at a time.
 STEPS = (3, 1)
@@ -65,7 +65,7 @@ def lost_surfaces(room: Room, views: Sequence[View], edge: float) -> list[Surfac
 
 @dataclass(frozen=True)
 class _Prism:
-    """A prism over cells, and what it explains.
+    """A prism over cells, and the disagreement that it explains.
 
     Attributes:
         low: (3,) lowest corner of the cells, metres.
@@ -74,7 +74,7 @@ class _Prism:
         mesh: vertices, triangles and corner normals.
         rows, distance: (m,) int pixels that see it, and metres to it.
         cell, doubt: (n,) of the pixels that the search touches.
-        by_view: (V,) pixels of each view whose disagreement it takes away.
+        by_view: (V,) pixels of each view whose disagreement it removes.
     """
 
     low: np.ndarray
@@ -89,7 +89,7 @@ class _Prism:
 
     @property
     def score(self) -> float:
-        """Pixels of all views whose disagreement it takes away."""
+        """Pixels of all views whose disagreement it removes."""
         return float(self.by_view.sum())
 
     @property
@@ -147,7 +147,7 @@ class _Search:
         return cls(pixels, box[0], entering, rows, place - int((cells[:1] < 0).sum()))
 
     def prism(self, footprint: np.ndarray, layers: tuple[int, int]) -> _Prism:
-        """A prism over cells of the box, and what it explains."""
+        """A prism over cells of the box, and the disagreement that it explains."""
         pixels, (first, last) = self.pixels, layers
         corner = self.low + [0.0, 0.0, first * pixels.size]
         mesh = prism(footprint, corner, pixels.size, last - first + 1)
@@ -164,12 +164,12 @@ class _Search:
         seen = cell >= 0
         doubt = np.full(len(cell), np.nan, np.float32)
         doubt[seen] = doubts(view[seen], cell[seen], color[seen])
-        # What too few views see is no evidence.
+        # Cells that too few views see (NaN) are no evidence.
         by_view = np.bincount(view, np.nan_to_num(before - doubt), len(pixels.views))
         return _Prism(self.low, footprint, layers, mesh, rows, hits[1], cell, doubt, by_view)
 
     def accepted(self, found: _Prism) -> ComparedPixels:
-        """The pixels with a prism before the scan."""
+        """The pixels with a prism in front of the scan."""
         pixels = self.pixels
         distance, cell, doubt = pixels.distance.copy(), pixels.cell.copy(), pixels.doubt.copy()
         distance[found.rows], doubt[self.touched] = found.distance, found.doubt
@@ -214,7 +214,7 @@ Change = tuple[np.ndarray, tuple[int, int]]  # footprint and layers
 
 
 def _taller(best: _Prism, step: int, height: int, down: int, up: int) -> Change | None:
-    """The prism with its ends moved by so many steps, in a box of so many layers."""
+    """The prism with its ends moved down and up by steps, in a box of a height in layers."""
     first, last = best.layers
     layers = max(first - down * step, 0), min(last + up * step, height - 1)
     return None if layers == best.layers or layers[0] > layers[1] else (best.footprint, layers)
@@ -259,5 +259,5 @@ def _largest_piece(mask: np.ndarray) -> np.ndarray | None:
 
 
 def _unlikely(count: int, views: int) -> bool:
-    """Whether so many of the views or more are more than chance explains."""
+    """Whether chance rarely improves so many of the views or more (sign test)."""
     return bool(bdtrc(count - 1, views, 0.5) < LEVEL)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the views with part masks show of points in front of a scan."""
+"""Views with part masks, and the part that they show at points in front of a scan."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from ..scene.grouped import pairs_of
 from ..scene.labels import NO_PART, at_border, choose_parts
 from ..scene.room import Room
 
-# Share of the views of a point that may show another part there, for errors of masks and poses.
+# Share of the views of a point that may show another part there, because of errors of masks and poses.
 MISSES = 0.1
-# A plane of the scan is of the parts that have this share of its area.
+# A plane of the scan belongs to the parts that have at least this share of its area.
 LEAST_OWN = 0.5
 
 
 @dataclass(frozen=True)
 class MaskedView:
-    """What a view shows.
+    """A view with its mask and what it sees of the scan.
 
     Attributes:
         view: with masks.
@@ -48,13 +48,13 @@ class MaskedView:
         return np.asarray(self.view.camera_to_world[:3, 3])
 
     def shown(self, part: int) -> np.ndarray:
-        """(H, W) int8: 1 where the view shows the part, -1 where another that the scan has, else 0."""
-        known = 2 * self.found >= self.pixels  # what is lost itself may be in front of the part
+        """(H, W) int8: 1 where the view shows the part, -1 where another one that the scan has, else 0."""
+        known = 2 * self.found >= self.pixels  # a part that the scan lost may occlude this one
         known[0] = True
         return np.where(self.mask == part, 1, np.where(known[self.mask], -1, 0)).astype(np.int8)
 
     def seen(self, points: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The points (N, 3) that the view sees before the scan: their rows, and row and column of pixels.
+        """The points (N, 3) that the view sees in front of the scan: their rows; rows and columns of pixels.
 
         Args:
             tolerance: metres by which they are in front of it.
@@ -66,7 +66,7 @@ class MaskedView:
 def seen_before(
     view: View, distance: np.ndarray, points: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The points (N, 3) that a view sees before its surfaces: their rows, and the pixels (row-major).
+    """The points (N, 3) that a view sees in front of its surfaces: their rows, and the pixels (row-major).
 
     Args:
         distance: (H * W,) metres to the surfaces.
@@ -89,10 +89,10 @@ def grid_points(low: np.ndarray, step: float, shape: np.ndarray) -> np.ndarray:
 
 
 def masked_views(room: Room, views: Sequence[View]) -> tuple[list[MaskedView], np.ndarray]:
-    """What the views with masks show of a scan, and (T,) the id of the part of each triangle, or NO_PART.
+    """The views that have masks, and (T,) the id of the part of each triangle, or NO_PART.
 
-    What is behind a part that the scan lacks takes its label. Planes tell some of these triangles: they have
-    no part here.
+    Triangles behind a hole of a part get the label of this part. Some of them are recognised as belonging to
+    the plane of another part (`LEAST_OWN`); they have no part here.
     """
     surfaces = [first_hits(trace_pixels(room, view)) for view in views]
     parts = choose_parts(room, views, [triangle for triangle, _ in surfaces])

@@ -28,10 +28,10 @@ CLEARLY_BETTER = 0.5
 LEAST_GAIN = 0.06
 # A view whose log radiance differs by less than this after registration is never rejected for it.
 LEAST_DIFFERENCE = 0.2
-# If registration finds more than this share of the views misaligned, beside those that are far off, it does
-# not know which of them are right.
+# If registration finds more than this share of the views misaligned, besides those that are far off, it is
+# undecided which of them are right.
 MOST_LEFT_OUT = 1.0 / 3.0
-# Of a view that no small rotation aligns.
+# The fit of a view that no small rotation aligns.
 FAR_OFF = Fit(shift=np.inf, improvement=1.0, gain=0.0, difference=np.inf)
 
 
@@ -41,11 +41,11 @@ def misaligned_views(
     """Views whose photograph does not agree with their pose, worst first.
 
     Found in passes, since a misaligned view also spoils the prediction of others: each pass leaves out the
-    worst and repeats. Empty where too many would be left out, if that is forced to be accepted.
+    worst and repeats. Empty where too many would be left out, if `force` is set.
 
     Args:
         gains: (views,) exposure of each view; 1 for the usual one.
-        far_off: views that are known to be misaligned (:mod:`.consensus`), of which nothing is predicted.
+        far_off: views that are known to be misaligned (:mod:`.consensus`); predictions are made without them.
         force: whether captures of which most views contradict each other are accepted.
 
     Raises:

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Surfaces that a scan lacks: panes in its flat holes, prisms for the things that it lost, and what completes
-the parts that it tore.
+"""Surfaces that are added to a scan: panes in its flat holes, prisms for things that it lost, and completions
+of parts that it tore.
 
-A hole is closed if photographs show neither the room nor anything bright through it.
-Such a hole is a window at night, a mirror or a glossy black surface, which scanners do not see. It is closed
-by a pane, an object of its own, whose material is estimated like any other. A bright one shows what is
-outside, and stays open: the environment lights the room through it.
+A flat hole is closed if photographs show neither the room nor anything bright through it: it is a window at
+night, a mirror or a glossy black surface, which scanners do not see. The pane is an object of its own, whose
+material is estimated like any other. A bright hole shows the outside and stays open: the environment lights
+the room through it.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ from .lost_surfaces import lost_surfaces
 from .masked_views import masked_views
 from .torn_parts import torn_parts
 
-# A hole counts if so many pixels look into it, and this share of them meets no surface behind it.
+# At least so many of the pixels that look into a hole, and this share of them, must meet no surface behind.
 LEAST_PIXELS, LEAST_MISSED = 100, 0.5
-# What is brighter than so many times the median pixel of the photographs lies outside.
+# A hole that is brighter than this multiple of the photographs' median shows the outside.
 OUTSIDE = 2.0
-# The settings that say what is looked for.
+# The settings that switch the kinds of surfaces on.
 KINDS = ("panes", "lost_surfaces", "torn_parts")
 
 
 @dataclass
 class _Look:
-    """What the pixels that look into a hole show: their number, and the luminance of those that miss."""
+    """The pixels that look into a hole: their number, and the luminance of those that meet no surface."""
 
     count: int
     missed: list[np.ndarray]
@@ -136,9 +136,9 @@ def _searched_kinds(run: RunFolder) -> list[bool]:
 def _things(
     run: RunFolder, room: Room, views: Sequence[View], edge: float, settings: Settings
 ) -> list[Surface]:
-    """What photographs show and the scan lacks: things that colors show, then torn parts by masks.
+    """Surfaces that the scan lacks: lost things, from the photographs, then torn parts, from masks.
 
-    A lost thing comes first, as masks that are linked on the mesh take it for what is behind it.
+    Lost things come first, because linked masks would assign them to the surface behind them.
     """
     found = lost_surfaces(room, views, edge) if settings.lost_surfaces else []
     if choose_source(room, views) != "masks":

@@ -38,22 +38,22 @@ from .clipped_surfaces import VAGUE, ClippedSurfaces, Lit, find_clipped_surfaces
 from .codes import Codes, calm_samples
 from .exposure import exposure_gains
 
-# Systematic error of the contrast inferred from light: by gloss, textures and the coarse cache.
+# Systematic error of the contrast inferred from light, due to gloss, textures and the coarse cache.
 LIGHT_DEVIATION = 0.06
 LEAST_POINTS = 200
 MOST_DEVIATIONS = 4.0  # by which the contrast by light may differ from that of the other sources
-UNKNOWN_CONTRAST = 1.0  # standard deviation of its logarithm where light alone shall tell it
+UNKNOWN_CONTRAST = 1.0  # standard deviation of its logarithm where light alone shall determine it
 
 
 @dataclass(frozen=True, eq=False)
 class Photometry:
-    """What was found of a capture's photographs.
+    """The result of the adjustment of a capture's photographs.
 
     Attributes:
         scale: median luminance in the units of the radiance, by which the pixels are divided.
         weight: (N,) float32 information of each pixel's radiance; 1 for HDR photographs.
         facts: for statistics.json.
-        found: what they were found from.
+        found: what the second adjustment needs.
     """
 
     scale: float
@@ -119,17 +119,17 @@ def solve_light(
     """The contrast, with the evidence of light, and the lamps with this contrast; None with too few points.
 
     Args:
-        error: systematic one of the contrast inferred from light.
+        error: systematic standard deviation of the contrast that is inferred from light.
     """
     if np.isfinite(points.value).any(axis=1).sum() < LEAST_POINTS:
         return radiometry, None
     broad = radiometry.contrast.value, UNKNOWN_CONTRAST
     value, deviation = solve_lamps(points, cache, expected, broad).log_contrast
-    # Where the mesh is open, most of the light comes from what nothing shows.
+    # Where the mesh is open, most of the light comes from directions that no photograph shows.
     error = float(np.hypot(error, max(float(points.direct[:, -1].mean()) - OPEN, 0.0)))
     sources = [source for source in radiometry.sources if source.name != "light"]
     light, others = Source("light", value, float(np.hypot(deviation, error))), combined(sources)
-    # Farther off, the light has another explanation: what it says would spoil all radiances.
+    # A larger deviation has another cause than the contrast, and would make all radiances wrong.
     if abs(value - others.value) < MOST_DEVIATIONS * np.hypot(light.deviation, others.deviation):
         sources.append(light)
     found = Radiometry(radiometry.adjustment, combined(sources), tuple(sources))

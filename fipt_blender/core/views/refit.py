@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Photographs that are not HDR again, with the light of baked shadings.
+"""Second adjustment of photographs that are not HDR, with the light of baked shadings.
 
 The light on surfaces determines the response's contrast and the radiance of clipped lamps
-(`light.clipped`), but a few rays into the cache miss it by several percent where lamps are small and close.
-Baked shadings do not: their L_d over the light of that model corrects the model at each point.
+(`light.clipped`), but a few rays into the cache underestimate it by several percent where lamps are small and
+close. Baked shadings do not: the ratio of their L_d to the light of that model is a correction at each point.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ from .clipped_surfaces import VAGUE, ClippedSurfaces
 from .photometry import Found, Photometry, solve_light, write_radiance
 
 LightOf = Callable[[np.ndarray, SampleCounts], np.ndarray]
-# Samples of the light over the hemisphere and towards lamps: at points that tell the contrast, which noise of
-# the light would raise, and at other pixels.
+# Samples of the light over the hemisphere and towards lamps: at points that determine the contrast, which
+# noise of the light would raise, and at other pixels.
 POINT_SAMPLES, PIXEL_SAMPLES = SampleCounts(1024, 0, 256), SampleCounts(64, 0, 32)
-# Systematic error of the contrast inferred from the light of shadings, as measured (docs/method.md).
+# Systematic error of the contrast inferred from the light of shadings, as measured (docs/history.md).
 REFIT_DEVIATION = 0.03
 # Largest correction of the logarithm of light: beyond it, the model or the shading is wrong.
 MOST_CORRECTION = 1.0
-# Points tell nothing if their correction differs from that of most by more than this over the deviation of
-# the place of surfaces in metres (by 0.15 on a scan with edges of 2 cm): where normals are rough and lamps
-# torn, the baked light is as often wrong as the model. Errors of the light raise the contrast.
+# Points are not used if their correction differs from the median by more than this over the standard
+# deviation of the position of surfaces in metres (by 0.15 on a scan with edges of 2 cm): where normals are
+# rough and lamps torn, the baked light is as often wrong as the model. Errors of light raise the contrast.
 MOST_DIFFERENCE = 0.003
 MOST_LIGHT = 6.0e4  # in half floats
 # Darkest L_d, in units of the capture's median, that is compared and by which is divided.
 LEAST_LIGHT = 1e-3
-# Standard deviation of the logarithm of what a clipped surface reflects, by its albedo and its shadings.
+# Standard deviation of the logarithm of what a clipped surface reflects, due to its albedo and its shadings.
 _REFLECTED = 0.5
 # Albedo of a part of which no unclipped pixel is known, and the highest that is believed.
 _USUAL_ALBEDO, _MOST_ALBEDO = 0.5, 0.9
 _LEAST_PIXELS = 20
-# Pixels of each part that tell its albedo.
+# Most pixels of a part from which its albedo is found.
 _ALBEDO_PIXELS = 400
 
 
@@ -54,7 +54,7 @@ def refit_photographs(
     """Find the contrast and the clipped lamps with baked light, and write the radiance again.
 
     Args:
-        before: what was found; `pixels.radiance` is in its unit, apart from the exposures of views.
+        before: result of the first adjustment; `pixels.radiance` is in its unit, apart from views' exposures.
         part: (T,) int part of each triangle, negative without.
         light_of: L_d (M, 3) of pixels (M,) with numbers of samples, baked with the radiance of the pixels.
     """
@@ -110,7 +110,7 @@ def refit_photographs(
 def _shown(pixels: PixelStore, found: Found, unit: float) -> np.ndarray:
     """(F, 3) radiance of the clipped surfaces that the shadings were baked with.
 
-    Not all have the radiance that was found: of some, the pixels show the bound, or what they reflect.
+    Not all have the radiance that was found: the pixels of some hold the bound, or what they reflect.
 
     Args:
         unit: logarithm of the unit of the pixels' radiance.
@@ -155,7 +155,7 @@ def _reflected(
     unit: float,
     albedos: dict[int, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What clipped surfaces reflect.
+    """The radiance that clipped surfaces reflect.
 
     Args:
         unit: logarithm of the unit of the pixels' radiance.
@@ -167,7 +167,7 @@ def _reflected(
     """
     lamps = found.clipped.light
     assert lamps is not None, "asked only where the light was solved"
-    # The light that a surface casts may tell that it is brighter than the bound, as a bulb in a shade is.
+    # The light that a surface casts may show that it is brighter than the bound, as a bulb in a shade is.
     told = np.where(lamps.deviation.max(axis=1) < VAGUE, np.exp(lamps.log_radiance) @ LUMINANCE, 0.0)
     count = len(found.clipped.reflecting)
     reflecting, mean, albedo = np.zeros(count, bool), np.ones((count, 3)), np.ones((count, 3))

@@ -39,7 +39,7 @@ class Fit:
     difference: float
 
 
-# Of a photograph that shares too few pixels with the prediction.
+# The fit of a photograph that shares too few pixels with the prediction.
 NO_VERDICT = Fit(shift=0.0, improvement=1.0, gain=0.0, difference=0.0)
 
 

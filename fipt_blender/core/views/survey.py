@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Engine command `survey`: what each view sees of the room, problems of its photograph, the available parts,
-and where photographs disagree. A quick check for the artist before an estimation, which does not read it.
+and where photographs disagree. A quick check for the artist; the estimation does not read it.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 LITTLE_SEEN = 0.5  # share of a photograph's pixels that see the room
 MUCH_CLIPPED = 0.002  # share of a photograph's pixels
-# Boxes in the air in which photographs show something: points that are looked at, the least share of all
-# disagreement that one explains, and most boxes.
+# Boxes in the air in which photographs show something: points that are tested, least share of all
+# disagreement that a box explains, and most boxes.
 AIR_POINTS, LEAST_MISSING, MOST_MISSING = 200_000, 0.002, 8
 MUCH_OFF = 2.0  # pixels between the edges of mesh and photograph; chance gives up to 1.5 in a poor view
 
@@ -127,9 +127,9 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
 
 
 def _coarse(folder: RunFolder, view: View) -> View:
-    """The view on the coarse grid of its coverage, with images of that size: those are read several times.
+    """The view on the coarse grid of its coverage, with resized images, because they are read several times.
 
-    That of the photograph is there if `examined` could use it.
+    Its photograph exists if `examined` could use it.
 
     Raises:
         FiptError: those of reading the id images, ``disk-full`` or ``run-unwritable``.
@@ -160,15 +160,15 @@ def _coarse_image(folder: RunFolder, view: View) -> Path:
 
 
 def photograph_facts(view: View, room: Room) -> dict[str, Any]:
-    """What is told of a view's photograph, and of the mesh in it; see `examined` and `with_misfit`."""
+    """The facts of a view's photograph, and of the mesh in it; see `examined` and `with_misfit`."""
     return with_misfit(examined(view), view, room)
 
 
 def with_misfit(
     photograph: tuple[dict[str, Any], np.ndarray | None], view: View, room: Room
 ) -> dict[str, Any]:
-    """The facts of a photograph, and how many pixels the mesh's edges are off its own, None where that can't
-    be told.
+    """The facts of a photograph, with the distance in pixels of the mesh's edges from its own; None where it
+    can't be measured.
 
     Args:
         photograph: by `examined`.
@@ -184,8 +184,8 @@ def with_misfit(
 
 
 def examined(view: View, folder: RunFolder | None = None) -> tuple[dict[str, Any], np.ndarray | None]:
-    """Whether the photograph is missing or unusable, its over-exposed share, whether it is no HDR file or
-    an HDR file that looks 8-bit; and the image that is compared with the mesh, None without any.
+    """The facts of a photograph: whether it is missing or unusable, its over-exposed share, whether it is no
+    HDR file or looks 8-bit. And the image that is compared with the mesh, None without any.
 
     Args:
         folder: gets the photograph on the coarse grid, if it can be used.
@@ -212,7 +212,7 @@ def examined(view: View, folder: RunFolder | None = None) -> tuple[dict[str, Any
     clipped, looks_ldr = statistics.clipped, statistics.looks_ldr
     if view.encoded:
         codes = srgb_encoded(pixel_sample(pixels)) * 255.0
-        clipped, looks_ldr = float(is_clipped(codes).mean()), False  # the import has told of it
+        clipped, looks_ldr = float(is_clipped(codes).mean()), False  # the import has warned
     facts |= {"clipped_share": clipped, "looks_ldr": looks_ldr, "encoded": view.encoded}
     return facts, edge_image(view, pixels)
 

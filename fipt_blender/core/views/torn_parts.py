@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Surfaces that complete parts which a scan tore, from what it has of them and their masks.
+"""Surfaces that complete the parts that a scan tore, from the triangles that are left and from masks.
 
-A voxel that both sides of a thin shade or vase cross holds neither, so that scans tear them; and a scanner
-sees only patches of glossy ones. Light then passes where it should not. What is left of a part shows its
-shape, a surface of revolution or nearly plane sheets, which is continued where the masks show the part and
-the scan has nothing.
+A voxel that both sides of a thin shade or vase cross holds neither, so that scans have holes there; of glossy
+parts, a scanner sees only patches. Light then passes where it should not. A shape is fitted to the triangles
+that are left of a part: a surface of revolution, or nearly plane sheets. It is continued where the masks show
+the part and the scan has nothing.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from ..scene.camera_rays import first_hits, rays_along, trace_pixels
 from ..scene.room import Room
 from .masked_views import MISSES, MaskedView
 
-# Triangles of a part within so many edges are of one thing; fewer triangles do not tell a shape.
+# Triangles of a part within this many edges belong to one thing; fewer triangles do not determine a shape.
 APART, LEAST_TRIANGLES = 2.0, 100
 # Share of a surface of revolution that the scan must have or the masks must show.
 LEAST_KNOWN = 0.5
-# Sheets complete parts of which this share of the pixels meets others.
+# Sheets complete parts if at least this share of their pixels hits other parts.
 TORN = 0.05
-# A view tells of a surface that it sees at this cosine at least.
+# A view votes on surfaces that it sees at this cosine at least.
 LEAST_COSINE = 0.2
-# The scan has a cell if it has a surface within so many edges in front of and behind it, seen at places so
-# far from its middle, in cells, along both axes.
+# A cell of a shape exists in the scan if the scan has a surface within this many edges in front of or behind
+# it, at four points: these offsets from the centre, in cells, along both axes.
 WITHIN, _BESIDE = 0.75, (-0.25, 0.25)
 
 
@@ -50,7 +50,7 @@ def torn_parts(room: Room, label: np.ndarray, masked: Sequence[MaskedView], edge
     Args:
         room: the scan.
         label: (T,) id of the part of each triangle, 0 or less for none.
-        masked: what the training views show.
+        masked: the training views with masks.
         edge: median edge of the scan, metres.
 
     Returns:
@@ -68,12 +68,12 @@ def torn_parts(room: Room, label: np.ndarray, masked: Sequence[MaskedView], edge
             for revolution in fit_revolutions(middles[thing], normals[thing], areas[thing], edge):
                 completion.add(revolution, part, _missing_round)
                 flat[thing] = False
-    completion.look()  # not before: the inside of a shade would be hidden by its outside
+    completion.look()  # not before: the outside of a shade would occlude its inside
     rng = np.random.default_rng(0)
     for part in parts[found[parts] < (1.0 - TORN) * pixels[parts]]:
         rows = np.flatnonzero((label == part) & flat)
         sheets = fit_sheets(middles[rows], normals[rows], areas[rows], edge, LEAST_TRIANGLES, rng)
-        # What is nearer is completed first, and hides what is behind it.
+        # Nearer sheets are completed first, and occlude those behind.
         for sheet in sorted(sheets, key=lambda sheet: completion.distance(sheet, part)):
             completion.add(sheet, part, _missing_flat)
             completion.look()
@@ -85,7 +85,7 @@ class _Completion:
 
     Args:
         room: the scan.
-        masked: what views show of it.
+        masked: views with masks.
         edge: median edge of the scan, metres.
     """
 
@@ -101,7 +101,7 @@ class _Completion:
         self._rooms.append(Room(*surface[:3], none, none))
 
     def look(self) -> None:
-        """From now on, views see nothing behind what has been added."""
+        """Let the surfaces that have been added occlude what is behind them."""
         for room in self._rooms[self._seen :]:
             for number, one in enumerate(self._masked):
                 reached = first_hits(trace_pixels(room, one.view))[1].reshape(one.distance.shape)
@@ -114,7 +114,7 @@ class _Completion:
         """Add the missing cells of a shape, if there are any.
 
         Args:
-            missing: which cells (R, S) are, by those that there are already and what views show.
+            missing: returns the cells to add (R, S), given those that exist already and the votes.
         """
         has = np.logical_or.reduce([_on_scan(shape, room, self._edge) for room in self._rooms])
         chosen = missing(has, _votes(shape, self._masked, part, self._edge))
@@ -130,13 +130,13 @@ class _Completion:
 
 @dataclass(frozen=True)
 class _Votes:
-    """What views show at the fronts of cells before the scan.
+    """Votes on cells of a shape by the views that see their fronts, in front of the scan.
 
     Attributes:
-        yes: (R, S) int, views that show the part, which the scan does not have there.
-        there: (R, S) int, views that show the part, which the scan has behind the cell, off the shape.
+        yes: (R, S) int, views that show the part where the scan has something else behind the cell.
+        there: (R, S) int, views that show the part where the scan has it, behind the cell, off the shape.
         no: (R, S) int, views that show another part.
-        distance: (R, S) metres, sum of the distances of the first ones.
+        distance: (R, S) metres, sum of the distances of the `yes` views.
     """
 
     yes: np.ndarray
@@ -146,13 +146,13 @@ class _Votes:
 
     @property
     def wrong(self) -> np.ndarray:
-        """(R, S) bool, cells where the part is not."""
+        """(R, S) bool, cells that the votes reject."""
         views = self.yes + self.there + self.no
         return np.asarray((self.no > MISSES * views) | (self.there > self.yes))
 
 
 def _things(middles: np.ndarray, rows: np.ndarray, apart: float) -> list[np.ndarray]:
-    """Triangles `rows` of a part in pieces that lie apart, without those of few triangles."""
+    """The triangles `rows` of a part, divided into pieces that are apart; without pieces of few triangles."""
     cell = np.floor(middles[rows] / apart).astype(np.int64)
     cell += 1 - cell.min(axis=0)
     grid = np.zeros(cell.max(axis=0) + 2, bool)
@@ -176,7 +176,7 @@ def _on_scan(shape: Shape, room: Room, edge: float) -> np.ndarray:
 
 
 def _votes(shape: Shape, masked: Sequence[MaskedView], part: int, tolerance: float) -> _Votes:
-    """What views show of a part at the cells of a shape, which are so many metres before the scan."""
+    """Votes on a part at the cells of a shape that are `tolerance` metres or more in front of the scan."""
     centres, facing = (each.reshape(-1, 3) for each in shape.cells())
 
     def of_view(one: MaskedView) -> tuple[np.ndarray, ...]:
@@ -188,7 +188,7 @@ def _votes(shape: Shape, masked: Sequence[MaskedView], part: int, tolerance: flo
         away = np.linalg.norm(ray[rows], axis=1)
         far = one.distance[y, x]
         far = np.where(np.isfinite(far), far, 0.0)
-        # Through a hole, the other side of a round thing is seen, too.
+        # Through a hole, a view also sees the opposite side of a round thing, which is on the shape.
         behind = one.place + far[:, None] * (-ray[rows] / away[:, None])
         yes = (shown > 0) & ~same
         there = (shown > 0) & same & ~shape.near(behind, 2.0 * tolerance)
@@ -202,7 +202,7 @@ def _votes(shape: Shape, masked: Sequence[MaskedView], part: int, tolerance: flo
 
 
 def _missing_round(has: np.ndarray, votes: _Votes) -> np.ndarray:
-    """(R, S) bool, cells to be added to a surface of revolution; none where masks do not ask for them.
+    """(R, S) bool, cells to be added to a surface of revolution; none if masks show no missing ones.
 
     Cells that no view sees are added, too: the thing is round.
     """

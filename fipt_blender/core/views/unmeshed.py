@@ -28,10 +28,10 @@ BRIGHT = 4.0
 MEET = 3.0
 # Share of the distance to the surface within which they must meet.
 IN_FRONT = 0.95
-# Quantile of the pixels around a lamp that is the radiance of what lies behind it.
+# The radiance behind a lamp is this quantile of the pixels around it.
 BEHIND = 0.2
-# On a scan, a pixel shows the rim of a lamp of the mesh if a pixel so many pixels away sees a surface of this
-# share of its radiance that is as bright in other views.
+# On a scan, a pixel shows the rim of a lamp of the mesh if a pixel within this distance sees a surface that
+# has at least this share of its radiance and is as bright in other views.
 RIM, RIM_SHARE = 2, 0.5
 TRIES = 2000
 # Rays that are used; more only cost time.
@@ -124,7 +124,7 @@ def unmeshed_lights(
     Args:
         cells: of pixels whose radiance is already brought to one exposure.
         footprint: median width of a pixel on the surfaces, metres.
-        scan: whether the mesh is a scan, which ends beside the lamps that it has.
+        scan: whether the mesh is a scan, whose surfaces end beside the lamps that it has.
     """
     pixels = cells.pixels
     rows, steady = _standing_out(cells)
@@ -150,8 +150,8 @@ def unmeshed_lights(
 def most_reflected_at(cells: SurfaceCells, places: np.ndarray) -> np.ndarray:
     """(P,) highest grey radiance that a white surface at some places (P, 3) could reflect.
 
-    It faces where most light comes from, and nothing hides any of the cells' light. A lamp without mesh is
-    brighter; a table that a scanner lost may be white.
+    The surface faces where most light comes from, and nothing occludes the cells' light. A lamp without mesh
+    is brighter; a table that a scanner lost is not, even if it is white.
     """
     sums = np.zeros((cells.count, 5))
     for index in range(len(cells.pixels.views)):
@@ -188,7 +188,7 @@ def measure(pixels: PixelStore, lamp: UnmeshedLight, margin: float) -> Ball:
         rows, view = shown[view_of == index], pixels.views[index]
         radiance = np.asarray(pixels.radiance[rows], np.float64)
         grey = radiance.mean(axis=1)
-        if not grey.max() > BRIGHT:  # something hides it
+        if not grey.max() > BRIGHT:  # it is occluded
             continue
         behind = min(float(np.quantile(grey, BEHIND)), BRIGHT)
         width = np.linalg.norm(lamp.position - view.camera_to_world[:3, 3]) / min(view.fx, view.fy)
@@ -202,7 +202,7 @@ def measure(pixels: PixelStore, lamp: UnmeshedLight, margin: float) -> Ball:
 
 
 def shown_by(pixels: PixelStore, lamp: UnmeshedLight, margin: float) -> np.ndarray:
-    """(K,) int64 pixels whose rays pass a lamp before the mesh, within its radius plus a margin in metres."""
+    """(K,) int64 pixels whose rays pass within a lamp's radius plus `margin` metres, in front of the mesh."""
     shown = []
     for index, camera in enumerate(pixels.camera_positions().astype(np.float64)):
         hit = np.flatnonzero(pixels.triangle[pixels.rows(index)] >= 0) + pixels.ranges[index]
