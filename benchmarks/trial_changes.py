@@ -83,7 +83,6 @@ _TABLE = (
     ("presumed_lamps", "presumed lamps in stage 1", ["light/presumed"], {}, ()),
     ("denoise_specular", "denoised specular shadings", [], {}, ()),
     ("lamp_outlines", "outlines of lamps", ["light/lamp_outline"], {}, (SCAN, MASKS)),
-    ("reflecting_lamps", "lamps reflect", ["light/reflecting"], {}, ()),
     ("lamp_doubt", "the place of lamps in the confidence", ["light/lamp_doubt"], {}, (SCAN,)),
 )
 MECHANISMS = {

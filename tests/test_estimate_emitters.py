@@ -165,28 +165,6 @@ def test_sun_on_the_floor_through_a_window_is_no_lamp(tmp_path: Path) -> None:
     assert fixtures(tmp_path, capture) == []
 
 
-def test_a_lamp_that_reflects_is_told_from_its_emission(tmp_path: Path) -> None:
-    """A white shining plate, lit unevenly by a panel above it: base colour and emission of its own."""
-    plate = [[1.98, -1.2, 0.3], [1.98, -1.2, 2.6], [1.98, 1.2, 2.6], [1.98, 1.2, 0.3]]
-    room, colors = furnished([*BOX, plate, ceiling(0.9, -0.5, 0.6, 1.0)], [*COLORS, BLACK, BLACK])
-    lamps = EmitterTable(
-        np.arange(FIRST, FIRST + 4, dtype=np.int32),
-        np.repeat(np.array([[3.0, 2.5, 2.0], [20.0, 20.0, 20.0]], np.float32), 2, axis=0),
-        np.zeros((4, 3), np.float32),
-        np.repeat(np.array([[0.7, 0.6, 0.5], BLACK], np.float32), 2, axis=0),
-    )
-    toward = [[[-1.2, y, z], [1.98, 0.3 * y, 1.4]] for y, z in ((-1.0, 1.0), (0.0, 1.6), (1.0, 1.3))]
-    found = fixtures(
-        tmp_path, photograph_room(room, matt(colors), lamps, cameras=[*CAMERAS, *toward], scale=2, spp=128)
-    )
-    by_triangles = {tuple(fixture["triangles"]): fixture for fixture in found}
-    assert by_triangles.keys() == {(FIRST, FIRST + 1), (FIRST + 2, FIRST + 3)}
-    shining = by_triangles[FIRST, FIRST + 1]
-    assert shining["base_color"] == pytest.approx([0.7, 0.6, 0.5], abs=0.1)
-    assert shining["radiance"] == pytest.approx([3.0, 2.5, 2.0], rel=0.1)
-    assert not any(by_triangles[FIRST + 2, FIRST + 3]["base_color"])
-
-
 def cabinet(front: float) -> list[list[list[float]]]:
     """Five sides of a wall cabinet on the back wall, facing outwards, whose front is at y = `front`."""
     x0, x1, y, z0, z1 = -0.6, 0.6, 2.0, 1.1, 1.9

@@ -17,7 +17,6 @@ from fipt_blender.core.light import emitters, environment, observations
 from fipt_blender.core.light.baking import open_shadings
 from fipt_blender.core.light.emitters import EmitterPixels, bright_triangles, group_fixtures
 from fipt_blender.core.light.observations import Observations, observe
-from fipt_blender.core.material import pixel_samples
 from fipt_blender.core.material import training_input as training_input_module
 from fipt_blender.core.material.closed_form import fit_cells
 from fipt_blender.core.material.training_input import material_units, training_input
@@ -77,18 +76,10 @@ def learn_from(seen: Observations, pieces: np.ndarray | None) -> None:
     assert len(units.triangle) == len(seen.parts.triangle_part)
 
 
-def lamps_colors(pixels: PixelStore, folder: Path) -> None:
-    shadings = open_shadings(folder, len(pixels), 3, create=True)
-    found = pixel_samples.lamp_pixels(pixels, shadings, IS_PANEL, 0)
-    assert 150 < len(found.triangle) < 250 and set(found.triangle) == {12, 13}
-    assert 2 * len(np.unique(found.view)) >= len(pixels.views)  # the others do not see it
-
-
 ACTIONS = (
     "observe",
     "look up",
     "lamps",
-    "lamps' colours",
     "agree",
     "look outside",
     "learn",
@@ -104,7 +95,6 @@ def test_memory_of_the_views(action: str, tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(exposure, "GAIN_PIXELS", 5000)
     monkeypatch.setattr(environment, "MOST_PIXELS", 3)
     monkeypatch.setattr(training_input_module, "PROJECTION_PIXELS", 500)
-    monkeypatch.setattr(pixel_samples, "LAMP_PIXELS", 200)
     # How many views are in memory at the same moment is otherwise chance.
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
     peaks, sizes = [], []
@@ -117,7 +107,6 @@ def test_memory_of_the_views(action: str, tmp_path: Path, monkeypatch: pytest.Mo
         actions: dict[str, Callable[[], object]] = {
             "observe": seen,
             "lamps": lambda pixels=pixels: lamps(pixels, ROOM),
-            "lamps' colours": lambda pixels=pixels: lamps_colors(pixels, tmp_path / "shadings"),
             "agree": lambda pixels=pixels: agreement_of(pixels, ROOM),
             "look outside": seen,
         }

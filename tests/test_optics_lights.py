@@ -33,7 +33,6 @@ def test_look_ups_without_emitters_have_a_value_for_each_triangle() -> None:
     lights = AreaLights(VERTICES, TRIANGLES, EmitterTable.empty())
     triangle, cosine = mi.UInt32([0, 1, 4]), mi.Float([1.0, -1.0, 0.5])
     assert np.array(lights.radiance(triangle, cosine)).tolist() == [[0.0] * 3] * 3
-    assert np.array(lights.base_color(triangle)).tolist() == [[0.0] * 3] * 3
     assert np.array(lights.pdf_area(triangle)).tolist() == [0.0] * 3
     assert np.array(lights.is_emitter(triangle)).tolist() == [False] * 3
     assert np.array(lights.is_reflective_emitter(triangle)).tolist() == [False] * 3

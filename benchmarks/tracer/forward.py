@@ -157,13 +157,8 @@ def trace_paths(lit: LitRoom, ray: mi.Ray3f, generator: mi.PCG32, settings: Rend
         emitter = lights.is_emitter(surface.triangle, surface.valid)
         # After the last reflection a ray may still hit a light: the BRDF sample of the last MIS pair.
         active &= surface.valid & (depth < settings.depth)
-        emitter_color = lights.base_color(surface.triangle, active & emitter)
-        active &= ~emitter | (dr.max(emitter_color) > 0.0)
-        base_color, roughness, metallic = lit.materials.lookup(
-            surface.position, surface.triangle, active & ~emitter
-        )
-        base_color = dr.select(emitter, emitter_color, base_color)
-        roughness, metallic = dr.select(emitter, 1.0, roughness), dr.select(emitter, 0.0, metallic)
+        active &= ~emitter
+        base_color, roughness, metallic = lit.materials.lookup(surface.position, surface.triangle, active)
         reflectance = factorised.diffuse_reflectance(base_color, metallic) + factorised.specular_reflectance(
             base_color, metallic
         )
@@ -331,9 +326,9 @@ def add_light(
 
 
 def switched_off(table: EmitterTable) -> EmitterTable:
-    """The same emitters without emission; they reflect as before."""
+    """The same emitters without emission; the `reflective` ones reflect as before."""
     black = np.zeros_like(table.radiance), np.zeros_like(table.back_radiance)
-    return EmitterTable(table.triangles, *black, table.base_color, table.reflective)
+    return EmitterTable(table.triangles, *black, table.reflective)
 
 
 def joined(first: EmitterTable, second: EmitterTable) -> EmitterTable:
@@ -342,7 +337,6 @@ def joined(first: EmitterTable, second: EmitterTable) -> EmitterTable:
         np.concatenate([first.triangles, second.triangles]),
         np.concatenate([first.radiance, second.radiance]),
         np.concatenate([first.back_radiance, second.back_radiance]),
-        np.concatenate([first.base_colors(), second.base_colors()]),
         np.concatenate([first.reflective_mask(), second.reflective_mask()]),
     )
 

@@ -210,7 +210,7 @@ class _Copies:
         color = tuple(radiance * value for value in light.color)
         black = (0.0, 0.0, 0.0)
         for each, emitted in ((name, color), (f"{name} Back", black)):
-            self._lamps.append(glowing_material(each, emitted, black, True))
+            self._lamps.append(glowing_material(each, emitted, True))
             mesh.materials.append(self._lamps[-1])
         add_backs(mesh, {0: 1}, GAP / max(item.matrix_world.median_scale, 1e-6))
         item.name = name + _ASIDE

@@ -29,12 +29,12 @@ def plain_lamp(item: bpy.types.Object) -> list[bpy.types.Material]:
         material = slot.material
         if material is None or not is_emission_material(material):
             continue
-        front, back, base_color = side_radiance(material)
+        front, back = side_radiance(material)
         alike = np.allclose(front, back, rtol=1e-3)
-        made.append(glowing_material(material.name, front, base_color, not alike))
+        made.append(glowing_material(material.name, front, not alike))
         slot.material = made[-1]
         if not alike and not closed:
-            made.append(glowing_material(f"{material.name} Back", back, base_color, True))
+            made.append(glowing_material(f"{material.name} Back", back, True))
             item.data.materials.append(made[-1])
             behind[index] = len(item.material_slots) - 1
     if behind:

@@ -13,7 +13,7 @@ import numpy as np
 from ..marks import MAP, MATERIAL, PART, PART_NAME
 from ..node_trees import node_tree
 from ..results import adjust
-from ..results.materials import SPECULAR_LEVEL, is_uniform, uniform_values
+from ..results.materials import is_uniform, uniform_values
 from ..room.mesh_arrays import corner_uvs, polygon_slots, triangle_loops
 from ..room.tiles import image_uvs, polygon_images, tile_number
 from ..room.uv_layer import UV_LAYER
@@ -151,15 +151,12 @@ def plain_material(material: bpy.types.Material, atlas: Atlas | None) -> bpy.typ
     return made
 
 
-def glowing_material(
-    name: str, radiance: tuple[float, ...], base_color: tuple[float, ...], one_sided: bool
-) -> bpy.types.Material:
+def glowing_material(name: str, radiance: tuple[float, ...], one_sided: bool) -> bpy.types.Material:
     """A new Principled material that emits a radiance (rgb, W/(m² sr)).
 
     Args:
         name: of the material.
         radiance: rgb.
-        base_color: of the rough surface; black reflects nothing.
         one_sided: only its front is drawn, where the other program heeds that.
     """
     made = bpy.data.materials.new(name)
@@ -167,9 +164,9 @@ def glowing_material(
     strength = max(radiance)
     color = [value / strength for value in radiance] if strength > 0.0 else [0.0, 0.0, 0.0]
     for socket, value in (
-        ("Base Color", (*base_color, 1.0)),
+        ("Base Color", (0.0, 0.0, 0.0, 1.0)),
         ("Roughness", 1.0),
-        ("Specular IOR Level", SPECULAR_LEVEL if max(base_color) > 0.0 else 0.0),
+        ("Specular IOR Level", 0.0),
         ("Emission Color", (*color, 1.0)),
         ("Emission Strength", strength),
     ):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The material of an emissive surface: a radiance for each side, and optionally a diffuse reflection."""
+"""The material of an emissive surface: a radiance for each side."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..node_trees import node_tree
 from ..shown import UNCHANGED, write_surface
 from .tint import split
 
-_REFLECTION, _MIX = "FIPT Reflection", "FIPT Sides"
+_MIX = "FIPT Sides"
 _SIDES = ((FRONT, "Front: strength is radiance"), (BACKSIDE, "Back: strength is radiance"))
 _BLACK = (0.0, 0.0, 0.0)
 
@@ -51,17 +51,13 @@ def surfaces(item: bpy.types.Object) -> list[Surface]:
 
 
 def emission_material(
-    name: str,
-    radiance: Sequence[float],
-    back_radiance: Sequence[float],
-    base_color: Sequence[float] = (0.0, 0.0, 0.0),
+    name: str, radiance: Sequence[float], back_radiance: Sequence[float]
 ) -> bpy.types.Material:
     """A new material that emits.
 
     Args:
         name: name of the material.
         radiance, back_radiance: rgb emitted from the front (where normals point) and the back, W/(m² sr).
-        base_color: rgb of the rough surface; black reflects nothing.
     """
     material = bpy.data.materials.new(name)
     tree = node_tree(material)
@@ -82,23 +78,8 @@ def emission_material(
         node = nodes.new("ShaderNodeEmission")
         node.name, node.label, node.location = node_name, label, (-40, 60 - 140 * (slot - 1))
         links.new(node.outputs["Emission"], mix.inputs[slot])
-    if max(base_color) > 0.0:
-        _add_reflection(material, base_color)
     write_radiance(material, radiance, back_radiance)
     return material
-
-
-def _add_reflection(material: bpy.types.Material, base_color: Sequence[float]) -> None:
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    principled = nodes.new("ShaderNodeBsdfPrincipled")
-    principled.name, principled.location = _REFLECTION, (100, -220)
-    principled.inputs["Base Color"].default_value = (*base_color, 1.0)
-    principled.inputs["Roughness"].default_value = 1.0
-    add = nodes.new("ShaderNodeAddShader")
-    add.location = (300, 0)
-    links.new(nodes[_MIX].outputs["Shader"], add.inputs[0])
-    links.new(principled.outputs["BSDF"], add.inputs[1])
-    links.new(add.outputs["Shader"], nodes[OUTPUT].inputs["Surface"])
 
 
 def write_radiance(
@@ -136,7 +117,7 @@ def write_shown(material: bpy.types.Material, shown: str) -> None:
     """Show the surface itself, or its value in the map that the room shows.
 
     Args:
-        material: made by `emission_material`. A lamp without reflection has a black base colour.
+        material: made by `emission_material`; lamps reflect nothing.
         shown: see `shown.write_surface`.
     """
     sides = [material.node_tree.nodes.get(name) for name, _ in _SIDES]
@@ -144,9 +125,7 @@ def write_shown(material: bpy.types.Material, shown: str) -> None:
     emission = next(emitting, None)
     black, white = (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0, 1.0)
     color = black if emission is None else tuple(emission.inputs["Color"].default_value)
-    reflection = material.node_tree.nodes.get(_REFLECTION)
-    base_color = black if reflection is None else tuple(reflection.inputs["Base Color"].default_value)
-    constant = {"CONFIDENCE": white, "EMISSION": color, "BASE_COLOR": base_color}.get(shown, black)
+    constant = {"CONFIDENCE": white, "EMISSION": color}.get(shown, black)
     write_surface(material, shown, None, constant)
     material.diffuse_color = color if shown in UNCHANGED else constant
 
@@ -157,10 +136,8 @@ def is_emission_material(material: bpy.types.Material) -> bool:
     return any(name in nodes for name, _ in _SIDES)
 
 
-def side_radiance(
-    material: bpy.types.Material,
-) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
-    """Radiance of the front and the back, and base colour, rgb each, of an emission material as it is."""
+def side_radiance(material: bpy.types.Material) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Radiance of the front and the back, rgb each, of an emission material as it is."""
     nodes = material.node_tree.nodes
     sides = []
     for name, _ in _SIDES:
@@ -168,6 +145,4 @@ def side_radiance(
         strength = 0.0 if node is None else node.inputs["Strength"].default_value
         color = (0.0, 0.0, 0.0) if node is None else node.inputs["Color"].default_value[:3]
         sides.append(tuple(float(strength * value) for value in color))
-    reflection = nodes.get(_REFLECTION)
-    base = (0.0, 0.0, 0.0) if reflection is None else reflection.inputs["Base Color"].default_value[:3]
-    return sides[0], sides[1], tuple(float(value) for value in base)
+    return sides[0], sides[1]

@@ -96,9 +96,8 @@ def place(scene: bpy.types.Scene, fixtures: Sequence[NewFixture]) -> list[bpy.ty
     for fixture in fixtures:
         entry, name = fixture.entry, free_name(fixture.name, bpy.data.objects.keys())
         fixture.mesh.name = name
-        base_color = entry.get("base_color", [0.0, 0.0, 0.0])
         light = entry["radiance"], entry["back_radiance"]
-        fixture.mesh.materials.append(emission_material(name, *light, base_color))
+        fixture.mesh.materials.append(emission_material(name, *light))
         item = bpy.data.objects.new(name, fixture.mesh)
         item.matrix_world = Matrix.Translation(fixture.center)
         item[FIXTURE], item[NAMED] = entry["name"], name

@@ -13,7 +13,6 @@ from ..light.emission import emission_probability
 from ..light.evidence import brighter_than_white
 from ..light.lamp_doubt import HardlySeen, hardly_seen, light_errors, power_errors
 from ..light.lamp_outline import outlined
-from ..light.reflecting import separate
 from ..material.cell_errors import add_light_errors, cell_errors, draw_pixels, lit_cells
 from ..material.closed_form import (
     CellEstimate,
@@ -25,7 +24,6 @@ from ..material.closed_form import (
 )
 from ..material.hints import SurfaceHints
 from ..material.networks import typical_values, useful_hash_levels
-from ..material.pixel_samples import lamp_pixels
 from ..material.training import (
     PRETRAINING_STEPS,
     Networks,
@@ -226,14 +224,9 @@ class MaterialStages(EstimationState):
 
     def _write_results(self) -> None:
         _, emitting = self._emitters()
-        shadings = self._open_shadings()
         left_alone = self.observations.left_alone
         errors = self._cell_errors(emitting if left_alone is None else emitting | left_alone)
-        fixtures, colors = self.fixtures, np.zeros((len(self.fixtures), 3))
-        if self.settings.reflecting_lamps and not len(self.emission):
-            pixels = lamp_pixels(self.pixels, shadings, emitting, self.settings.seed)
-            fixtures, colors = separate(self.fixtures, pixels)
-        light = RoomLight(fixtures, colors, self.observations.environment, self.view_check.lamps)
+        light = RoomLight(self.fixtures, self.observations.environment, self.view_check.lamps)
         fields = self._room_fields(errors)
         areas = area_names(self.hints, self.units)
         with new_results(self.folder) as folder:

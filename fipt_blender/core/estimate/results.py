@@ -24,13 +24,11 @@ class RoomLight:
 
     Attributes:
         fixtures: lamps on the mesh.
-        base_colors: (F, 3) base colours of the fixtures; black reflects nothing.
         environment: light from outside the mesh, if any.
         missing: lamps that the mesh lacks (:class:`.views.check.ViewCheck`).
     """
 
     fixtures: Sequence[Fixture]
-    base_colors: np.ndarray
     environment: Environment | None
     missing: Sequence[Mapping[str, Any]] = ()
 
@@ -55,10 +53,9 @@ def write_results(
             "image": folder.environment_exr.name,
             "observed_share": environment.observed_share,
         }
-    lamps = enumerate(zip(light.fixtures, light.base_colors, strict=True), start=1)
     described = [
-        _describe(fixture, f"Fixture.{number:03d}", scale) | {"base_color": color.tolist()}
-        for number, (fixture, color) in lamps
+        _describe(fixture, f"Fixture.{number:03d}", scale)
+        for number, fixture in enumerate(light.fixtures, start=1)
     ]
     if not described and environment is None:
         reporter.warning(

@@ -12,16 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from ..light.baking import ShadingStore
-from ..light.emitters import pixels_on
 from ..light.observations import Observations
-from ..light.reflecting import LampPixels
 from ..run.threads import in_threads
-from ..scene.pixels import PixelStore
 
-# Number of pixels that sample all lamps, and the least number for each emitting triangle.
-LAMP_PIXELS = 200_000
-LEAST_LAMP_PIXELS = 100
 # Pixels whose windows are averaged at a time, so that their arrays stay in the processor's cache.
 WINDOW_BLOCK = 1 << 13
 # Residuals are relative to radiance plus this, in units of the capture's median radiance.
@@ -125,21 +118,3 @@ def rows_with_donor(observations: Observations, view: int) -> np.ndarray:
     """(n,) int64 pixels of a view that have a donor."""
     rows = observations.pixels.rows(view)
     return np.flatnonzero(observations.donor[rows] >= 0) + rows.start
-
-
-def lamp_pixels(pixels: PixelStore, shadings: ShadingStore, emitting: np.ndarray, seed: int) -> LampPixels:
-    """A random sample of the pure pixels that see emitting triangles ((T,) bool)."""
-    rows = pixels_on(pixels.triangle, emitting)
-    rows = rows[pixels.pure[rows]]
-    count = np.bincount(pixels.triangle[rows], minlength=len(emitting))
-    most = max(LAMP_PIXELS // max(int(emitting.sum()), 1), LEAST_LAMP_PIXELS)
-    drawn = np.random.default_rng([seed, 7]).random(len(rows))
-    rows = rows[drawn < (most / np.maximum(count, 1))[pixels.triangle[rows]]]
-    return LampPixels(
-        triangle=np.asarray(pixels.triangle[rows]),
-        front=np.asarray(pixels.front[rows]),
-        view=pixels.view_of(rows),
-        radiance=np.asarray(pixels.radiance[rows], np.float64),
-        diffuse=np.asarray(shadings.diffuse[rows], np.float64),
-        specular=np.asarray(shadings.specular[rows, -1], np.float64),
-    )

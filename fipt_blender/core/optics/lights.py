@@ -27,7 +27,6 @@ class EmitterTable:
         triangles: (E,) int32, indices into the room's triangles, each at most once.
         radiance: (E, 3) radiance leaving the front side, scene-linear.
         back_radiance: (E, 3) radiance leaving the back side.
-        base_color: (E, 3) of emitters that also reflect, as rough dielectrics; None if all are black.
         reflective: (E,) bool, emitters whose surface also reflects with the room's material; the others
             replace the material. None if all replace it.
     """
@@ -35,18 +34,11 @@ class EmitterTable:
     triangles: np.ndarray
     radiance: np.ndarray
     back_radiance: np.ndarray
-    base_color: np.ndarray | None = None
     reflective: np.ndarray | None = None
 
     def reflective_mask(self) -> np.ndarray:
         """(E,) bool, `reflective` of each emitter."""
         return np.zeros(len(self.triangles), bool) if self.reflective is None else self.reflective
-
-    def base_colors(self) -> np.ndarray:
-        """(E, 3) float32; black emitters reflect nothing."""
-        if self.base_color is None:
-            return np.zeros((len(self.triangles), 3), np.float32)
-        return self.base_color.astype(np.float32)
 
     @classmethod
     def empty(cls) -> EmitterTable:
@@ -59,20 +51,17 @@ class EmitterTable:
         triangles: list[int] = []
         front: list[list[float]] = []
         back: list[list[float]] = []
-        color: list[list[float]] = []
         reflective: list[bool] = []
         for fixture in data["fixtures"]:
             count = len(fixture["triangles"])
             triangles += fixture["triangles"]
             front += [fixture["radiance"]] * count
             back += [fixture["back_radiance"]] * count
-            color += [fixture.get("base_color", [0.0, 0.0, 0.0])] * count
             reflective += [fixture.get("beside", False)] * count
         return cls(
             np.array(triangles, np.int32),
             np.array(front, np.float32).reshape(-1, 3),
             np.array(back, np.float32).reshape(-1, 3),
-            np.array(color, np.float32).reshape(-1, 3),
             np.array(reflective, bool),
         )
 
@@ -145,12 +134,9 @@ class AreaLights:
         slot[ids] = np.arange(len(ids), dtype=np.int32)
         self._slot = mi.Int32(slot)
         self._front: mi.Float | None = None
-        colors = table.base_colors()
-        self._reflecting = bool(colors.any())
         self.reflective = bool(table.reflective_mask().any())
         if not len(ids):
             return
-        self._color = _columns(mi.Color3f, colors)
         self._reflective = mi.Bool(table.reflective_mask())
         normal = cross / np.maximum(length, 1e-30)[:, None]
         self._origin = _columns(mi.Point3f, corners[:, 0])
@@ -200,13 +186,6 @@ class AreaLights:
             return dr.zeros(mi.Bool, dr.width(triangle))
         slot, found = self._slots(triangle, mi.Bool(active))
         return found & dr.gather(mi.Bool, self._reflective, slot, found)
-
-    def base_color(self, triangle: mi.UInt32, active: mi.Bool = True) -> mi.Color3f:
-        """Base colour of the emitter at the room triangle; black without one."""
-        if not self._reflecting:
-            return dr.zeros(mi.Color3f, dr.width(triangle))
-        slot, found = self._slots(triangle, mi.Bool(active))
-        return dr.gather(mi.Color3f, self._color, slot, found)
 
     def pdf_area(self, triangle: mi.UInt32, active: mi.Bool = True) -> mi.Float:
         """Density per square metre with which `sample` chooses points of the triangle; 0 without emitter."""

@@ -220,7 +220,6 @@ class Settings:
         ESTIMATE,
     )
     lamp_outlines: bool = _switch("give a scan's lamps the outlines that photographs show", ESTIMATE)
-    reflecting_lamps: bool = _switch("give lamps a base colour where their radiance follows the light", None)
     lamp_doubt: bool = _switch("count errors of the place of a scan's lamps in the confidence", None)
     lambda_joint: float = _setting(
         1e-2,
