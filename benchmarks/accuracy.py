@@ -106,7 +106,7 @@ def evaluate(arguments: argparse.Namespace, folder: Path) -> int:
     page.write(result)
     result |= figures
     result["camera"] = ldr.camera_errors(run, arguments.capture)
-    result |= {"version": PRODUCT_VERSION, "settings": asdict(run.read())}
+    result |= {"version": PRODUCT_VERSION, "settings": asdict(run.read()), "spp": arguments.spp}
     print(format_table(result))
     print(f"pictures: {(arguments.page or run.root / 'accuracy') / 'index.html'}")
     if arguments.json:
@@ -350,7 +350,7 @@ def format_table(result: dict[str, Any]) -> str:
     for split in SPLITS:
         share = result[split]["edge_share"]
         cells.append([f"pixels near borders, {split}", "-" if share is None else f"{share:.3f}"])
-    cells += [[name, str(result.get(name))] for name in ("seconds", "peak_memory_gb", "version")]
+    cells += [[name, str(result.get(name))] for name in ("seconds", "peak_memory_gb", "version", "spp")]
     return "\n".join(f"{row[0]:30s}" + "".join(f"{cell:>18s}" for cell in row[1:]) for row in cells)
 
 

@@ -129,6 +129,7 @@ def test_page_and_table_show_all_figures(tmp_path: Path) -> None:
     text = (tmp_path / "index.html").read_text(encoding="utf-8")
     assert all(name in text for name in accuracy.METRICS)
     assert text.count("<img") == 18 and len(list(tmp_path.glob("*.png"))) == 18
-    table = accuracy.format_table({**result, "seconds": 12.0, "version": "1"})
+    table = accuracy.format_table({**result, "seconds": 12.0, "version": "1", "spp": 48})
     assert all(name in table for name in accuracy.METRICS)
     assert [table.count(word) for word in ("1.50", "2.25", "0.125", "held back inside")] == [20, 2, 2, 1]
+    assert table.splitlines()[-1].split() == ["spp", "48"]
