@@ -457,10 +457,3 @@ def test_a_drawn_surface_beside_a_scan_keeps_its_vertices_and_edges(tmp_path: Pa
     clean = make_mesh(room, 1, item)
     clean_result_mesh(clean, item, room, 1, geometry)
     assert np.abs(vertex_positions(clean) - vertex_positions(item.data)).max() > 1e-3
-
-
-def test_a_copy_of_another_mesh_is_not_used(tmp_path: Path) -> None:
-    run = RunFolder(tmp_path)
-    _, room = scanned_object(run, Matrix())
-    moved = {"vertices": room.vertices + np.float32(0.1), "triangles": room.triangles}
-    assert read_geometry(run, moved) is None

@@ -194,13 +194,6 @@ def test_lines_that_are_no_message(line):
     assert parse_message(line) is None
 
 
-def test_a_message_without_its_fields_is_no_message_and_the_death_is_explained(tmp_path):
-    script = """print('{"type": "error", "code": "x"}'); print('{"type": "done"}')"""
-    process = child(tmp_path, script)
-    assert [message["code"] for message in collect(process)] == ["engine-crashed"]
-    assert set(process.error) == {"type", "code", "text", "remedy"}
-
-
 @posix
 def test_sigterm_is_enough_for_a_child_that_listens(tmp_path):
     process = child(tmp_path, "import time; time.sleep(60)")

@@ -103,12 +103,6 @@ def test_the_only_mesh_needs_no_certain_name(tmp_path):
     assert read(tmp_path).mesh == tmp_path / "mesh.obj"
 
 
-def test_damaged_colmap(tmp_path):
-    write_colmap(tmp_path, make_samples(2), text=False)
-    (tmp_path / "sparse" / "0" / "images.bin").write_bytes(b"\x05\0\0")
-    assert error_of(read, tmp_path).code == "rig-damaged"
-
-
 @pytest.mark.parametrize("model", ["PINHOLE", "OPENCV"])
 def test_transforms(tmp_path, model):
     samples = make_samples(4, model=model)

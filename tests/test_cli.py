@@ -139,13 +139,6 @@ def test_a_good_run_shows_progress_and_ends_with_the_files(capture, monkeypatch,
     assert output.err == "warning: Odd. Even it.\n"
 
 
-def test_json_prints_messages_alone(capture, monkeypatch, capfd):
-    fake_job(monkeypatch, GOOD)
-    assert cli.main(["estimate", "room", "--json"]) == 0
-    messages = [json.loads(line) for line in capfd.readouterr().out.splitlines()]
-    assert messages[0]["type"] == "stage" and messages[-1]["type"] == "done"
-
-
 def test_quiet_prints_no_progress(capture, monkeypatch, capfd):
     fake_job(monkeypatch, GOOD)
     assert cli.main(["estimate", "room", "--quiet"]) == 0

@@ -267,25 +267,6 @@ def test_a_new_start_discards_earlier_results(options, engine):
     assert engine == ["ingest", "estimate", "textures", "report"] and not stale.exists()
 
 
-def test_a_run_continues_after_the_engine_died(options, engine, monkeypatch):
-    stand_in = run_job.engine_command
-
-    def command(python, *arguments):
-        if arguments[0] == "estimate":
-            return [str(python), "-c", "import os; os.abort()"]
-        return stand_in(python, *arguments)
-
-    monkeypatch.setattr(run_job, "engine_command", command)
-    messages = run_main_job(options)
-    assert messages[-1]["code"] == "engine-crashed" and "SIGABRT" in messages[-1]["text"]
-    checkpoint = RunFolder(options.output).stage / "checkpoint"
-    checkpoint.touch()
-    monkeypatch.setattr(run_job, "engine_command", stand_in)
-    engine.clear()
-    assert run_main_job(dataclasses.replace(options, resume=True))[-1]["type"] == "done"
-    assert engine == ["estimate", "textures", "report"] and checkpoint.exists()
-
-
 def test_an_engine_error_ends_the_job_with_its_text(options, engine):
     (options.capture / "1.exr").unlink()
     messages = run_main_job(options)
@@ -314,14 +295,6 @@ def test_wrong_paths_are_found_before_anything_is_written(options, engine, tmp_p
     (foreign / "photo.jpg").touch()
     assert code_of(change(options, output=foreign)) == "run-foreign"
     assert [path.name for path in foreign.iterdir()] == ["photo.jpg"]
-
-
-def test_a_run_of_another_version_is_not_changed(options, engine):
-    options.output.mkdir()
-    text = json.dumps({"format": "fipt-run", "version": 99})
-    (options.output / "run.json").write_text(text)
-    assert code_of(options) == "run-version"
-    assert (options.output / "run.json").read_text() == text
 
 
 def test_hints_of_a_file_go_to_the_run(options, engine, tmp_path):

@@ -10,7 +10,6 @@ import re
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -239,13 +238,6 @@ def test_an_interpreter_that_breaks_at_work(scene, run, tmp_path, monkeypatch, s
     broken.chmod(0o644)
     assert "can't be started" in refused(ops.estimate)
     assert running.last("estimate").error["code"] == "engine-missing"
-
-
-@posix
-def test_an_interpreter_without_the_packages_is_refused(scene, tmp_path, monkeypatch):
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(tmp_path / "bare")], check=True)
-    monkeypatch.setenv(interpreter.PYTHON_VARIABLE, str(tmp_path / "bare"))
-    assert "lacks" in refused(ops.estimate)
 
 
 @pytest.fixture

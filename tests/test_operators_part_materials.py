@@ -225,11 +225,3 @@ def test_faces_that_were_left_alone_keep_their_material(scene, mode):
     row(scene, "Box").value = 0.5
     assert ops.apply_results() == {"FINISHED"} and face_materials("cube") == own
     assert row(scene, "Box").value == pytest.approx(0.5)
-
-
-def test_revert_leaves_nothing(scene):
-    before = fingerprint(scene)
-    ops.apply_results()
-    row(scene, "Sill").hue = 0.25
-    ops.revert()
-    assert fingerprint(scene) == before

@@ -79,22 +79,6 @@ def state(scene):
     return items, render.film_transparent, render.engine, render.resolution_x, scene.camera.name
 
 
-def test_photographed_lights_are_temporary(run):
-    scene = bpy.context.scene
-    lamp = scene.objects["Fixture.001"]
-    nodes = lamp.data.materials[0].node_tree.nodes
-    light_state.change(scene, lamp, {STOPS: 1.0})
-    assert nodes["FIPT Front"].inputs["Strength"].default_value == pytest.approx(16.0)
-    from fipt_blender.blend.pictures.photographed import lights_as_photographed
-
-    with lights_as_photographed(scene):
-        node = nodes["FIPT Front"].inputs
-        assert node["Strength"].default_value * node["Color"].default_value[0] == pytest.approx(8.0)
-    assert nodes["FIPT Front"].inputs["Strength"].default_value == pytest.approx(16.0)
-    light_state.refresh(scene)
-    assert nodes["FIPT Front"].inputs["Strength"].default_value == pytest.approx(16.0)
-
-
 def test_added_objects(run):
     scene = bpy.context.scene
     ball()

@@ -175,11 +175,6 @@ def test_a_photograph_path_that_leads_out_is_refused_too(run):
     assert error_of(write_report, run).code == "path-outside"
 
 
-def test_a_run_of_another_version_is_refused(run):
-    write_json(run.run_json, {"format": "fipt-run", "version": 99})
-    assert error_of(write_report, run).code == "run-version"
-
-
 def test_psnr_of_a_known_error():
     truth = np.full((4, 4, 3), 0.5**2.2, np.float32)
     estimate = np.full((4, 4, 3), 0.6**2.2, np.float32)
