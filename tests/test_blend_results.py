@@ -19,7 +19,7 @@ from fipt_blender.blend.insert.surfaces import free_spot
 from fipt_blender.blend.lights import fixture_nodes, light_state, world
 from fipt_blender.blend.lights.area_lights import Rectangle, add_area_light
 from fipt_blender.blend.marks import ADDED, DRAWN, ON
-from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels, set_up_scene
+from fipt_blender.blend.pictures.cycles import RenderOptions, set_up_scene
 from fipt_blender.blend.pictures.image_files import read_pixels
 from fipt_blender.blend.results import applying, materials
 from fipt_blender.blend.room import exporting, originals
@@ -38,6 +38,7 @@ from fipt_blender.core.textures import bake
 from samples.applied_rooms import ConstantFields
 from samples.rendered_rooms import diffuse_floor
 from samples.scans import scanned_box
+from samples.spots import spot
 
 
 @pytest.fixture
@@ -148,27 +149,16 @@ def test_colour_attributes(room):
     values = np.empty(len(mesh.loops) * 4, np.float32)
     attribute.data.foreach_get("color", values)
     assert np.allclose(values.reshape(-1, 4), (*ConstantFields.base_color, 1.0), atol=1e-5)
-    image = look_at(Vector((0, 5, 4)), Vector((0, 5, 0)), background=1.0)
-    assert image.mean() < 0.9  # not the default white
+    white_world()
+    assert spot(Vector((0, 5, 4)), Vector((0, 5, 0))).mean() < 0.9  # not the default white
 
 
-def look_at(position, target, background=0.0, spp=16, size=9, ortho=0.1):
-    """Radiance (3,) at the middle of a small render."""
+def white_world() -> None:
     scene = bpy.context.scene
-    if background:
-        scene.world = bpy.data.worlds.new("w")
-        if scene.world.node_tree is None:
-            scene.world.use_nodes = True
-        scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (background,) * 3 + (1,)
-    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
-    scene.collection.objects.link(camera)
-    camera.data.type, camera.data.ortho_scale = "ORTHO", ortho
-    direction = target - position
-    turn = direction.to_track_quat("-Z", "Y").to_matrix().to_4x4()
-    camera.matrix_world = Matrix.Translation(position) @ turn
-    scene.camera = camera
-    scene.render.resolution_x = scene.render.resolution_y = size
-    return render_pixels(scene, RenderOptions(spp, denoise=False))
+    scene.world = bpy.data.worlds.new("white")
+    if scene.world.node_tree is None:
+        scene.world.use_nodes = True
+    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
 
 
 def test_fixture_emits_its_radiance_on_each_side(room):
@@ -182,14 +172,14 @@ def test_fixture_emits_its_radiance_on_each_side(room):
     assert (centre - Vector((2.5, 0.5, 0.0))).length < 1e-5
     # The mirrored panel's normals point up, like those of its triangles in room.npz.
     assert normal.z > 0.99
-    front = look_at(centre + 2 * normal, centre)
+    front = spot(centre + 2 * normal, centre)
     assert np.allclose(front, [8.0, 4.0, 2.0], rtol=1e-4)
-    back = look_at(centre - 2 * normal, centre)
+    back = spot(centre - 2 * normal, centre)
     assert np.allclose(back, [0.0, 1.0, 0.0], atol=1e-4)
     light_state.change(bpy.context.scene, fixture, {ON: False})
-    assert not look_at(centre + 2 * normal, centre).any()
+    assert not spot(centre + 2 * normal, centre).any()
     light_state.set_estimated_lights(True)
-    assert np.allclose(look_at(centre + 2 * normal, centre), front, rtol=1e-4)
+    assert np.allclose(spot(centre + 2 * normal, centre), front, rtol=1e-4)
 
 
 def test_a_reflecting_lamp_adds_reflected_to_emitted_light(room):
@@ -199,18 +189,15 @@ def test_a_reflecting_lamp_adds_reflected_to_emitted_light(room):
     data["fixtures"][0] |= {"base_color": [0.6, 0.3, 0.0], "radiance": [2.0, 2.0, 2.0]}
     write_json(run.emitters_json, data)
     applying.apply_results(run, objects)
-    background = bpy.data.worlds.new("white")
-    background.use_nodes = True
-    background.node_tree.nodes["Background"].inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
-    bpy.context.scene.world = background
+    white_world()
     fixture = bpy.data.objects["Panel"]
     centre = fixture.matrix_world.translation
-    seen = look_at(centre + Vector((0, 0, 2)), centre)
+    seen = spot(centre + Vector((0, 0, 2)), centre)
     assert np.allclose(seen, [2.6, 2.3, 2.03], atol=0.06)
     light_state.change(bpy.context.scene, fixture, {ON: False})
-    assert np.allclose(look_at(centre + Vector((0, 0, 2)), centre), seen - 2.0, atol=0.03)
+    assert np.allclose(spot(centre + Vector((0, 0, 2)), centre), seen - 2.0, atol=0.03)
     fixture_nodes.write_shown(fixture.data.materials[0], "BASE_COLOR")
-    assert np.allclose(look_at(centre + Vector((0, 0, 2)), centre), [0.6, 0.3, 0.0], atol=1e-3)
+    assert np.allclose(spot(centre + Vector((0, 0, 2)), centre), [0.6, 0.3, 0.0], atol=1e-3)
 
 
 def test_area_light_has_the_given_radiance():
@@ -224,7 +211,7 @@ def test_area_light_has_the_given_radiance():
     x = half / math.hypot(half, height)
     form = 4.0 / (2.0 * math.pi) * (2.0 * x * math.atan(half / math.hypot(half, height)))
     expected = 0.5 * radiance * form
-    image = look_at(Vector((0, -0.7, 0.7)), Vector((0, 0, 0)), spp=256, ortho=0.02)
+    image = spot(Vector((0, -0.7, 0.7)), Vector((0, 0, 0)), 256, ortho=0.02)
     assert np.allclose(image.mean(axis=(0, 1)), expected, rtol=0.01)
 
 
@@ -244,7 +231,7 @@ def test_environment_direction(room):
     world.apply_environment(run)
     for direction in ((1, 0.2, 0.1), (-0.3, 1, 0.4), (0.2, -0.5, -0.8)):
         unit = Vector(direction).normalized()
-        image = look_at(Vector((0, 0, 0)), unit)
+        image = spot(Vector((0, 0, 0)), unit)
         assert np.allclose(image.mean(axis=(0, 1)), np.array(unit) * 0.5 + 0.5, atol=0.03)
 
 

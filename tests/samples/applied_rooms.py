@@ -19,6 +19,7 @@ from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures import bake
 from fipt_blender.jobs import run_job
+from samples.spots import spot_camera
 
 MEDIAN = 0.36
 RADIANCE = [8.0, 4.0, 2.0]
@@ -123,6 +124,7 @@ def make_applied_scene(folder: Path, monkeypatch) -> bpy.types.Scene:
 
 def front(item: bpy.types.Object) -> np.ndarray:
     """Radiance (3,) of a fixture's front in its material."""
+    bpy.context.view_layer.update()
     node = item.data.materials[0].node_tree.nodes["FIPT Front"]
     return np.array(node.inputs["Color"].default_value)[:3] * node.inputs["Strength"].default_value
 
@@ -134,22 +136,13 @@ def world_strength() -> float:
 
 def picture(scene, position, target, size=9, ortho=0.2):
     """A spot in a small Cycles render with the view transform, 0 to 1, (3,)."""
-    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
-    scene.collection.objects.link(camera)
-    camera.data.type, camera.data.ortho_scale = "ORTHO", ortho
-    turn = (target - position).to_track_quat("-Z", "Y").to_matrix().to_4x4()
-    camera.matrix_world = Matrix.Translation(position) @ turn
-    scene.camera = camera
-    scene.render.resolution_x = scene.render.resolution_y = size
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.use_denoising = 4, False
     scene.render.image_settings.file_format, scene.render.dither_intensity = "PNG", 0.0
-    path = bpy.app.tempdir + "shown.png"
-    scene.render.filepath = path
-    bpy.ops.render.render(write_still=True, scene=scene.name)
-    pixels = read_pixels(path)
-    bpy.data.objects.remove(camera)
-    return pixels.mean(axis=(0, 1))
+    scene.render.filepath = path = bpy.app.tempdir + "shown.png"
+    with spot_camera(scene, position, target, size, ortho):
+        bpy.ops.render.render(write_still=True, scene=scene.name)
+    return read_pixels(path).mean(axis=(0, 1))
 
 
 def fingerprint(scene: bpy.types.Scene) -> dict:
