@@ -269,20 +269,6 @@ def eevee() -> str:
     return "BLENDER_EEVEE_NEXT" if (4, 2) <= bpy.app.version < (5, 0) else "BLENDER_EEVEE"
 
 
-def test_apply_switches_to_cycles_and_revert_back(scene):
-    assert scene.fipt.materials.use_cycles
-    scene.render.engine = "BLENDER_WORKBENCH"
-    ops.apply_results()
-    assert scene.render.engine == "CYCLES" and not scene.fipt.lights.needs_cycles()
-    ops.apply_results()
-    ops.revert()
-    assert scene.render.engine == "BLENDER_WORKBENCH"
-    ops.apply_results()
-    scene.render.engine = eevee()
-    ops.revert()
-    assert scene.render.engine == eevee()  # the artist's last choice
-
-
 def test_eevee_without_light_is_warned_of(scene):
     scene.fipt.materials.use_cycles = False
     scene.render.engine = eevee()
