@@ -87,15 +87,6 @@ def do_train(
     )
 
 
-@pytest.fixture
-def one_thread():
-    """Networks this small lose more time waiting for a second thread than they gain."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
-
-
 def make_networks() -> Networks:
     generator = torch.Generator().manual_seed(1)
     brdf = BrdfNetwork(SETTINGS, 4, np.full((3, 5), 0.5), generator, CPU)

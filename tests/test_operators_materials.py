@@ -12,7 +12,7 @@ from mathutils import Vector
 from fipt_blender.blend import marks
 from fipt_blender.blend.room.atlas import atlas_slices
 from fipt_blender.blend.slices import run_through
-from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.properties.materials import SHOWN
 from samples.applied_rooms import MEDIAN, ConstantFields, fingerprint, picture
@@ -255,13 +255,6 @@ def test_each_is_one_step_of_undo(scene):
     assert [row.object.name for row in scene.fipt.lights.lights] == ["Panel"]
     scene.fipt.materials.shown = "ESTIMATED"
     assert len(marks.room_with_results(scene)) == 2
-
-
-def test_damaged_results_are_explained(applied):
-    run = RunFolder(applied.fipt.run_folder)
-    write_json(run.textures_json, {"images": []})
-    run.atlas_npz.write_bytes(b"nothing")
-    assert "can't be read" in refused(ops.apply_results)
 
 
 def eevee() -> str:
