@@ -18,6 +18,7 @@ from benchmarks.scan import (
     link_capture,
     read_truth,
     smoothed,
+    turned,
 )
 from fipt_blender.core.alignment.mesh_file import read_mesh
 from fipt_blender.core.capture.views import View
@@ -74,6 +75,15 @@ def test_poses_are_wrong_by_what_the_scanner_states() -> None:
     assert poses[:, :3, 3].std(axis=0) == pytest.approx(0.002, rel=0.1)
     assert np.degrees(poses[:, 0, 1].std()) == pytest.approx(0.1, rel=0.1)
     assert np.array_equal(believed_pose(view, Scanner(), rng), np.eye(4))
+
+
+def test_a_turn_by_a_vector_keeps_the_vector() -> None:
+    vector = np.array([0.2, -0.4, 0.3])
+    rotation = turned(vector)
+    assert np.allclose(rotation @ vector, vector) and np.allclose(rotation @ rotation.T, np.eye(3))
+    assert np.degrees(np.arccos((np.trace(turned(np.array([0.0, 0.1, 0.0]))) - 1.0) / 2.0)) == pytest.approx(
+        np.degrees(0.1)
+    )
 
 
 def write_small_truth(folder: Path, first_id: int) -> None:

@@ -22,6 +22,7 @@ from fipt_blender.core.photographs.preparation import (
     PrepareSettings,
     write_preparation,
 )
+from fipt_blender.core.photographs.scale import Pick
 from fipt_blender.core.photographs.scale_step import MarkerDetector
 from fipt_blender.core.photographs.solve_step import copy_file, model_folder
 from fipt_blender.core.photographs.steps import run_steps
@@ -103,6 +104,13 @@ def test_depth_of_a_pick_is_that_of_points_near_it() -> None:
     for where in ([50.0, 50.0], [0.0, 95.0]):
         with pytest.raises(ValueError, match="no solved point"):
             scale.depth_of_pick(np.array(where), positions, depths, 100.0)
+
+
+def test_picks_from_a_text() -> None:
+    first, second = scale.parse_picks("my desk 812 440.5, door 1 2; my desk 3 4")
+    assert first == [Pick("my desk", 812.0, 440.5), Pick("door", 1.0, 2.0)] and second == [
+        Pick("my desk", 3, 4)
+    ]
 
 
 @pytest.mark.parametrize(
