@@ -111,3 +111,11 @@ def test_a_folder_is_replaced_when_the_new_one_is_complete_never_before(run_fold
         assert names(results) == ["old"]
     assert names(results) == ["new"]
     assert not {"results.new", "results.old"} & set(names(run_folder.root))
+
+
+def test_a_kill_between_the_two_renamings_loses_nothing(run_folder: RunFolder) -> None:
+    (run_folder.results / "old").touch()
+    run_folder.results.rename(run_folder.root / "results.old")
+    (run_folder.root / "results.new").mkdir()
+    run_folder.create(make_settings())
+    assert names(run_folder.results) == ["old"]
