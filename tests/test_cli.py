@@ -172,7 +172,8 @@ def test_what_blender_prints_meanwhile_goes_to_the_log(capture, monkeypatch, cap
     assert cli.main(["estimate", str(capture), "--output", "out", "--json"]) == 0
     os.write(1, b"after\n")
     *messages, after = capfd.readouterr().out.splitlines()
-    assert json.loads(messages[-1])["type"] == "done" and after == "after"
+    types = [json.loads(line)["type"] for line in messages]
+    assert (types[0], types[-1], after) == ("stage", "done", "after")
     assert "Fra:1 Mem:20M\n" in Path("out/log.txt").read_text()
 
 
