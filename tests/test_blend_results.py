@@ -35,7 +35,7 @@ from fipt_blender.core.run.run_files import CLOSING, PANES, mesh_digest, read_ge
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures import bake
-from samples.applied_rooms import ConstantFields
+from samples.applied_rooms import ConstantFields, panel_and_cube
 from samples.rendered_rooms import diffuse_floor
 from samples.scans import scanned_box
 from samples.spots import spot
@@ -43,26 +43,13 @@ from samples.spots import spot
 
 @pytest.fixture
 def room(tmp_path):
-    """A run of two objects: a panel of 3 quads, the last one a lamp, mirrored; and a cube with slots."""
-    mesh = bpy.data.meshes.new("panel")
-    points = [(x, y, 0.0) for x in range(4) for y in range(2)]
-    mesh.from_pydata(points, [], [(2 * i, 2 * i + 2, 2 * i + 3, 2 * i + 1) for i in range(3)])
-    panel = bpy.data.objects.new("panel", mesh)
-    panel.matrix_world = Matrix.Translation((5, 0, 0)) @ Matrix.Diagonal((-1, 1, 1, 1))
-    bpy.context.scene.collection.objects.link(panel)
-    bpy.ops.mesh.primitive_cube_add(location=(0, 5, 0))
-    cube = bpy.context.object
-    cube.modifiers.new("Bevel", "BEVEL")
-    for name in ("red", "green", "blue"):
-        cube.data.materials.append(bpy.data.materials.new(name))
-    cube.material_slots[1].link = "OBJECT"
-    cube.material_slots[1].material = bpy.data.materials.new("own")
-    cube.data.polygons.foreach_set("material_index", np.array([0, 1, 2, 2, 1, 0], np.int32))
+    """A run of two objects."""
+    objects = panel_and_cube()
     bpy.context.view_layer.update()
     run = RunFolder(tmp_path / "run")
     run.create(make_settings(changes={"texel_density": 16.0}))
-    prepare(run, [panel, cube])
-    return run, [panel, cube]
+    prepare(run, objects)
+    return run, objects
 
 
 def prepare(run, objects, **changes):

@@ -12,17 +12,12 @@ import pytest
 from mathutils import Matrix, Vector
 
 from fipt_blender.blend.marks import has_light_groups
-from samples.applied_rooms import make_applied_scene, world_strength
+from samples.applied_rooms import world_strength
 from samples.spots import spot
 
 ops = bpy.ops.fipt
 
-pytestmark = pytest.mark.usefixtures("registered")
-
-
-@pytest.fixture
-def scene(tmp_path, monkeypatch):
-    return make_applied_scene(tmp_path / "run", monkeypatch)
+pytestmark = pytest.mark.usefixtures("registered", "applied")
 
 
 def test_light_groups_sum_to_the_image(scene, tmp_path):

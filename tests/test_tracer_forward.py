@@ -25,10 +25,9 @@ from benchmarks.tracer.surfaces import LatticeMaterials, TriangleMaterials, make
 from fipt_blender.core.optics import brdf
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
-from fipt_blender.core.scene.room import Room
-
-from .samples.small_rooms import BOX as WALLS
-from .samples.small_rooms import make_room
+from fipt_blender.core.scene.room import Room, triangle_normals
+from samples.small_rooms import BOX as WALLS
+from samples.small_rooms import make_room, mesh_room
 
 bsdf.register()
 
@@ -297,9 +296,7 @@ def test_lattice_reproduces_linear_fields_and_resolves_steps() -> None:
     vertices = rng.uniform(-1.0, 1.0, (30, 3)).astype(np.float32)
     vertices[3:6] = [[0, 0, 0], [2.0, 0, 0], [1.0, 0.004, 0]]  # a sliver
     triangles = np.arange(30, dtype=np.int32).reshape(-1, 3)
-    normals = np.repeat(triangle_normals(vertices, triangles)[:, None], 3, axis=1).astype(np.float32)
-    zeros = np.zeros(10, np.int32)
-    room = Room(vertices, triangles, normals, zeros, zeros)
+    room = mesh_room(vertices, triangles, np.zeros(10))
 
     def linear(position: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return 0.5 + position * 0.2, 0.5 + position[:, 0] * 0.2, triangle / 10.0
