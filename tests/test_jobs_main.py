@@ -20,7 +20,6 @@ from fipt_blender.blend.lights.placement import find_light_place, room_light_pow
 from fipt_blender.bridge.interpreter import engine_environment
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run.documents import read_json
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.hints import Hint, read_hints, write_hints
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
@@ -28,6 +27,7 @@ from fipt_blender.jobs import main_job, run_job
 from fipt_blender.jobs.main_job import make_main_job
 from fipt_blender.jobs.options import MainJobOptions
 from samples.camera_poses import look_at
+from samples.refusals import error_of
 
 ROOT = Path(main_job.__file__).resolve().parent.parent
 
@@ -276,9 +276,7 @@ def test_an_engine_error_ends_the_job_with_its_text(options, engine):
 
 
 def code_of(options: MainJobOptions) -> str:
-    with pytest.raises(FiptError) as caught:
-        make_main_job(options)
-    return caught.value.code
+    return error_of(make_main_job, options).code
 
 
 def test_wrong_paths_are_found_before_anything_is_written(options, engine, tmp_path):
