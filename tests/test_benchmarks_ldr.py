@@ -134,6 +134,7 @@ def test_renders_are_compared_in_the_cameras_values(tmp_path):
     assert np.abs(image - read_encoded(view.image)).max() < 0.02
     (same,) = ldr.as_photographed([radiance], run, [replace(view, encoded=False)])
     assert same is radiance
+    assert ldr.as_photographed([radiance], RunFolder(tmp_path / "hdr"), [view])[0] is radiance
 
 
 def test_errors_of_the_camera(tmp_path):
