@@ -33,7 +33,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks.fuzz_samples import TARGETS, Target
+from benchmarks.fuzz_targets import TARGETS, Target
 from fipt_blender.core.run.errors import FiptError
 
 MOST_SECONDS = 20.0

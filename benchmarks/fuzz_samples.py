@@ -1,17 +1,13 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Small valid samples for every reader, for fuzz.py and the tests of damaged inputs."""
+"""Small valid samples for every reader, for fuzz_targets.py and the tests of damaged inputs."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
-import shutil
 import sys
 import tempfile
-from collections.abc import Callable
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,36 +16,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 from fipt_blender.core.capture.images import write_exr
-from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.rig import Lens
-from fipt_blender.core.run.documents import read_json
-from fipt_blender.core.run.errors import FiptError
-from fipt_blender.core.run.hints import Hint, read_hints, write_hints
-from fipt_blender.core.run.run_files import read_atlas, read_emitters, read_room_files
+from fipt_blender.core.run.hints import Hint, write_hints
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
-from fipt_blender.core.run.shapes import ROOM_ARRAYS, STAGES
-from samples import metashape_writers, rgbd_frames, rig_writers
+from fipt_blender.core.run.shapes import ROOM_ARRAYS
+from samples import capture_files, rig_writers
+
+PINHOLE = Lens("PINHOLE", (9.0, 9.0, 6.0, 4.0))
 
 
-@dataclass(frozen=True)
-class Target:
-    """One reader.
-
-    Attributes:
-        name: of the reader.
-        write: makes a valid sample in an empty folder.
-        read: reads it; gets the folder of the sample and an empty folder for what it writes.
-        modules: that it imports, slowly.
-    """
-
-    name: str
-    write: Callable[[Path], None]
-    read: Callable[[Path, Path], None]
-    modules: tuple[str, ...] = ("fipt_blender.core.capture.ingest",)
-
-
-def _ingest(sample: Path, out: Path, *options: str) -> None:
+def import_sample(sample: Path, out: Path, *options: str) -> None:
     """The whole import: cameras, photographs and what is written, and the result read again."""
     from fipt_blender.core.capture import ingest
     from fipt_blender.core.capture.views import load_capture
@@ -75,25 +52,6 @@ def write_options(folder: Path) -> None:
     (folder / "options.json").write_text(json.dumps(options))
 
 
-def _ingest_with_options(sample: Path, out: Path) -> None:
-    try:
-        options = json.loads((sample / "options.json").read_text())
-        given = [f"{key}={value}" for key, value in options.items()]
-    except (AttributeError, RecursionError, ValueError) as error:
-        raise FiptError("options", str(error), "Not a fault of the reader.") from None
-    os.chdir(sample)
-    try:
-        _ingest(sample / "capture", out, *given)
-    except SystemExit as error:  # argparse has told what is wrong
-        raise FiptError("options", str(error), "Correct them.") from None
-
-
-def _load_capture(sample: Path, out: Path) -> None:
-    from fipt_blender.core.capture.views import load_capture
-
-    load_capture(RunFolder(sample))
-
-
 def _poses(count: int) -> list[np.ndarray]:
     poses = []
     for index in range(count):
@@ -107,10 +65,6 @@ def _write_images(folder: Path, count: int) -> None:
     rng = np.random.default_rng(0)
     for index in range(count):
         write_exr(folder / f"{index:03d}.exr", rng.random((8, 12, 3), np.float32), half=True)
-
-
-def _write_mesh(folder: Path) -> None:
-    (folder / "scene.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
 
 
 def write_colmap(folder: Path, text: bool) -> None:
@@ -133,7 +87,7 @@ def write_colmap(folder: Path, text: bool) -> None:
     (folder / "sparse" / "0").mkdir(parents=True)
     (model.write_text if text else model.write_binary)(str(folder / "sparse" / "0"))
     _write_images(folder / "images", 3)
-    _write_mesh(folder)
+    capture_files.write_mesh(folder / "scene.obj")
 
 
 def write_transforms(folder: Path) -> None:
@@ -146,7 +100,7 @@ def write_transforms(folder: Path) -> None:
     (folder / "transforms.json").write_text(json.dumps({**data, "train_filenames": ["images/000.exr"]}))
     _write_images(folder / "images", 3)
     _write_ids(folder / "parts", 3)
-    _write_mesh(folder)
+    capture_files.write_mesh(folder / "scene.obj")
 
 
 def _write_ids(folder: Path, count: int) -> None:
@@ -159,32 +113,21 @@ def _write_ids(folder: Path, count: int) -> None:
 
 def write_fipt_real(folder: Path) -> None:
     """cam.txt and K_list.txt."""
-    cameras, matrices = ["3"], ["3"]
-    for pose in _poses(3):
-        origin, forward, up = pose[:3, 3], pose[:3, 2], -pose[:3, 1]
-        cameras += [" ".join(f"{value:.6f}" for value in row) for row in (origin, origin + forward, up)]
-        matrices += ["9 0 6", "0 9 4", "0 0 1"]
-    (folder / "cam.txt").write_text("\n".join(cameras))
-    (folder / "K_list.txt").write_text("\n".join(matrices))
-    _write_images(folder / "Image", 3)
-    for path in sorted((folder / "Image").iterdir()):
-        path.rename(path.with_stem(f"{path.stem}_0001"))
-    _write_mesh(folder)
+    names = (f"{index:03d}_0001" for index in range(3))
+    shots = [
+        capture_files.Sample(name, 12, 8, PINHOLE, pose) for name, pose in zip(names, _poses(3), strict=True)
+    ]
+    capture_files.write_fipt_real(folder, shots)
+    capture_files.write_mesh(folder / "scene.obj")
 
 
 def write_fipt_synthetic(folder: Path) -> None:
     """train and val folders."""
-    for split in ("train", "val"):
-        frames = [{"transform_matrix": pose.tolist()} for pose in _poses(2)]
-        for index in range(2):
-            write_exr(folder / split / "Image" / f"{index:03d}_0001.exr", np.ones((8, 12, 3), np.float32))
-            write_exr(folder / split / "IndexMA" / f"{index:03d}_0001.exr", np.ones((8, 12, 3), np.float32))
-            write_exr(folder / split / "segmentation" / f"{index:03d}.exr", np.ones((8, 12, 3), np.float32))
-        (folder / split / "transforms.json").write_text(json.dumps({"camera_angle_x": 1.2, "frames": frames}))
-    _write_mesh(folder)
+    capture_files.write_fipt_synthetic(folder, {"train": _poses(2), "val": _poses(2)}, named=False)
+    capture_files.write_mesh(folder / "scene.obj")
 
 
-def _shots() -> list[rig_writers.Shot]:
+def three_shots() -> list[rig_writers.Shot]:
     """Three cameras of the size of the sample's images."""
     shots = []
     for index, pose in enumerate(_poses(3)):
@@ -193,27 +136,13 @@ def _shots() -> list[rig_writers.Shot]:
     return shots
 
 
-def _program(write: Callable[[Path, list[rig_writers.Shot]], None]) -> Callable[[Path], None]:
-    """A writer of another program's cameras with images that can be ingested."""
-
-    def write_all(folder: Path) -> None:
-        write(folder, _shots())
-        for index, path in enumerate(sorted(folder.rglob("*.jpg"))):
-            path.unlink()
-            pixels = np.random.default_rng(index).random((8, 12, 3), np.float32)
-            write_exr(path.with_suffix(".exr"), pixels, half=True)
-        _write_mesh(folder)
-
-    return write_all
-
-
 def write_capture(folder: Path) -> None:
     """capture.json as `ingest` writes it, with its images."""
     with tempfile.TemporaryDirectory() as temporary:
         source = Path(temporary) / "source"
         source.mkdir()
         write_transforms(source)
-        _ingest(source, Path(temporary))
+        import_sample(source, Path(temporary))
         capture = json.loads((Path(temporary) / "run" / "capture.json").read_text())
     _write_images(folder / "images", 3)
     for index, view in enumerate(capture["views"]):
@@ -236,15 +165,6 @@ def write_run_files(folder: Path) -> None:
     write_json(run.stage / "stages.json", {"keys": {"a": "b"}, "stages": {}, "warnings": {}, "values": {}})
 
 
-def _read_run_files(sample: Path, out: Path) -> None:
-    run = RunFolder(sample)
-    room, _ = read_room_files(run)
-    read_atlas(run, len(room["triangles"]))
-    read_emitters(run, len(room["triangles"]))
-    read_json(run.stage / "stages.json", STAGES)
-    run.read()
-
-
 def write_finished_run(folder: Path) -> None:
     """A run folder with photographs, renders and hints, of which a report can be written."""
     write_run_files(folder)
@@ -261,16 +181,6 @@ def write_finished_run(folder: Path) -> None:
     write_hints(run.hints_json, [Hint(points=((0.0, 0.0, 0.0),), name="a", roughness=(0.1, 0.5))])
 
 
-def _report(sample: Path, out: Path) -> None:
-    """The run folder's documents, and the report, which is written into a copy."""
-    from fipt_blender.core.report.page import write_report
-
-    run = RunFolder(out / "run")
-    shutil.copytree(sample, run.root)
-    read_hints(run.hints_json)
-    write_report(run)
-
-
 def write_preparation(folder: Path) -> None:
     """prepare.json of two photographs."""
     from fipt_blender.core.photographs import preparation
@@ -282,16 +192,6 @@ def write_preparation(folder: Path) -> None:
     preparation.write_preparation(
         preparation.PreparationFolder(folder), preparation.Preparation(folder / "photographs", files, groups)
     )
-
-
-def _preparation(sample: Path, out: Path) -> None:
-    """What a step of `prepare` does with the file before it works on photographs."""
-    from fipt_blender.core.photographs import preparation
-
-    found = preparation.read_preparation(preparation.PreparationFolder(sample))
-    for group in found.used_groups:
-        for photograph in found.of(group):
-            assert found.file(photograph).is_relative_to(found.source)
 
 
 def write_named_meshes(folder: Path) -> None:
@@ -313,61 +213,6 @@ def write_named_meshes(folder: Path) -> None:
     (folder / "a.gltf").write_text(json.dumps(data))
 
 
-def _named_meshes(sample: Path, out: Path) -> None:
-    """The checks before Blender's importers, and what a resumed job compares."""
-    from fipt_blender.blend.capture.mesh_files import check_mesh_file
-    from fipt_blender.jobs.fingerprints import mesh_fingerprint
-
-    refused = None
-    for name in ("a.obj", "a.gltf"):
-        mesh_fingerprint(sample / name)
-        try:
-            check_mesh_file(sample / name)
-        except FiptError as error:
-            refused = error
-    if refused is not None:
-        raise refused
-
-
-def _write_model(kind: str) -> Callable[[Path], None]:
-    def write(folder: Path) -> None:
-        from samples import mask_models
-
-        if kind == "sam":
-            mask_models.write_sam(folder, mask_models.make_sam())
-        else:
-            mask_models.write_segmenter(folder, mask_models.make_eomt())
-
-    return write
-
-
-def _open_model(sample: Path, out: Path) -> None:
-    from fipt_blender.core.photographs.masks_model import open_masks_model
-
-    open_masks_model(sample)
-
-
-def _metashape(folder: Path, shots: list[rig_writers.Shot]) -> None:
-    rig_writers.write_photographs(folder, shots)
-    metashape_writers.write_metashape(
-        folder, [metashape_writers.metashape_chunk(metashape_writers.Chunk(shots), component=True)]
-    )
-
-
-def _rgbd(folder: Path) -> None:
-    rgbd_frames.write_frames(folder, 2, (12, 16), 9.0)
-
-
-def _depth_points(sample: Path, out: Path) -> None:
-    """What cameras with depth are aligned by."""
-    from fipt_blender.core.capture.depth_images import checked_depths
-    from fipt_blender.core.capture.depth_points import alignment_points
-    from fipt_blender.core.capture.formats import read_rig
-
-    rig = read_rig(sample, "rgbd", CaptureOptions())
-    alignment_points(sample, replace(rig, depths=checked_depths(rig.depths)))
-
-
 def write_meshes(folder: Path) -> None:
     """A wavy surface of 242 triangles as OBJ and PLY."""
     from fipt_blender.core.depth.extraction import FusedMesh
@@ -384,24 +229,9 @@ def write_meshes(folder: Path) -> None:
     (folder / "mesh.obj").write_text("\n".join([*lines, ""]))
 
 
-def _simplify(sample: Path, out: Path) -> None:
-    """Simplification of mesh files, and the surface to which cameras are aligned."""
-    from fipt_blender.core.alignment.mesh_file import read_mesh
-    from fipt_blender.core.alignment.surface import sample_surface
-    from fipt_blender.core.capture.source import simplified_mesh
-    from fipt_blender.core.depth.ply import write_ply
-
-    for name in ("mesh.ply", "mesh.obj"):
-        found = simplified_mesh(sample / name, 100)
-        if found is not None:
-            write_ply(out / "small.ply", found[0])
-        surface = sample_surface(*read_mesh(sample / name), np.random.default_rng(0), 500)
-        surface.nearest_triangle(surface.points[:50] + 0.1)
-
-
 def write_points(folder: Path) -> None:
     """A solve of OpenSfM with points on the walls of a box."""
-    rig_writers.write_opensfm(folder, [_shots()], "perspective")
+    rig_writers.write_opensfm(folder, [three_shots()], "perspective")
     rng = np.random.default_rng(3)
     points = rng.random((150, 3))
     points[np.arange(150), rng.integers(0, 3, 150)] = rng.integers(0, 2, 150)
@@ -411,69 +241,7 @@ def write_points(folder: Path) -> None:
     path.write_text(json.dumps(data))
 
 
-def _plane_room(sample: Path, out: Path) -> None:
-    """The room of planes of a solve's points."""
-    from fipt_blender.core.capture.formats import read_rig
-    from fipt_blender.core.capture.source import room_of_points, write_room
-
-    rig = read_rig(sample, "opensfm", CaptureOptions())
-    write_room(out / "planes.obj", room_of_points(sample, rig))
-
-
 def write_depth_map(folder: Path) -> None:
     """A depth map as dense stereo writes it."""
     depth = np.linspace(1.0, 3.0, 48, dtype="<f4")
     (folder / "a.geometric.bin").write_bytes(b"8&6&1&" + depth.tobytes())
-
-
-def _depth_map(sample: Path, out: Path) -> None:
-    from fipt_blender.core.capture.dense_stereo import read_depth_map
-
-    try:
-        read_depth_map(sample / "a.geometric.bin")
-    except ValueError as error:  # `stereo_depths` makes the error for users of it
-        raise FiptError("stereo-failed", str(error), "Check the photographs.") from None
-
-
-PROGRAMS: dict[str, Callable[[Path, list[rig_writers.Shot]], None]] = {
-    "metashape": _metashape,
-    "realityscan-csv": metashape_writers.write_realityscan_csv,
-    "realityscan-xmp": metashape_writers.write_realityscan_xmp,
-    "meshroom": lambda folder, shots: rig_writers.write_meshroom(
-        folder, [replace(shot, k=(-0.02,)) for shot in shots], (1, 2, 8)
-    ),
-    "opensfm": lambda folder, shots: rig_writers.write_opensfm(folder, [shots], "perspective"),
-    "openmvg": lambda folder, shots: rig_writers.write_openmvg(
-        folder, [replace(shot, k=(-0.02, 0.01, 0.0)) for shot in shots], "pinhole_radial_k3", "disto_k3"
-    ),
-    "bundler": rig_writers.write_bundler,
-    "nvm": lambda folder, shots: rig_writers.write_nvm(folder, [shots], 0.02),
-    "polycam": lambda folder, shots: rig_writers.write_polycam(folder, shots, np.eye(4), corrected=True),
-    "record3d": lambda folder, shots: rig_writers.write_record3d(
-        folder, [replace(shot, name=f"{index}.jpg") for index, shot in enumerate(shots)], each_frame=True
-    ),
-    "scannetpp": lambda folder, shots: rig_writers.write_scannetpp(folder, shots, held_back=2),
-}
-_TRANSFORMERS = ("transformers", "fipt_blender.core.photographs.masks_model")
-PINHOLE = Lens("PINHOLE", (9.0, 9.0, 6.0, 4.0))
-TARGETS = (
-    Target("colmap-binary", lambda folder: write_colmap(folder, text=False), _ingest),
-    Target("colmap-text", lambda folder: write_colmap(folder, text=True), _ingest),
-    Target("transforms", write_transforms, _ingest),
-    Target("fipt-real", write_fipt_real, _ingest),
-    Target("fipt-synthetic", write_fipt_synthetic, _ingest),
-    *(Target(name, _program(write), _ingest) for name, write in PROGRAMS.items()),
-    Target("rgbd", _rgbd, _ingest),
-    Target("depth-points", _rgbd, _depth_points),
-    Target("meshes", write_meshes, _simplify),
-    Target("plane-room", write_points, _plane_room),
-    Target("depth-map", write_depth_map, _depth_map),
-    Target("capture", write_capture, _load_capture),
-    Target("run-files", write_run_files, _read_run_files),
-    Target("report", write_finished_run, _report, ("fipt_blender.core.report.page",)),
-    Target("options", write_options, _ingest_with_options),
-    Target("preparation", write_preparation, _preparation, ("fipt_blender.core.photographs.preparation",)),
-    Target("named-meshes", write_named_meshes, _named_meshes, ("fipt_blender.jobs.fingerprints",)),
-    Target("model-sam", _write_model("sam"), _open_model, _TRANSFORMERS),
-    Target("model-eomt", _write_model("eomt"), _open_model, _TRANSFORMERS),
-)

@@ -26,24 +26,14 @@ from fipt_blender.core.capture.formats import read_points, read_rig
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions
+from fipt_blender.core.conventions import transform_points
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
 from samples import metashape_writers, rig_writers
-from samples.camera_poses import random_rotation
+from samples.camera_poses import drawn_similarity, random_rotation
 from samples.refusals import error_of
-
-
-def drawn_similarity(rng: np.random.Generator, scale: float) -> np.ndarray:
-    matrix = np.eye(4)
-    matrix[:3, :3] = scale * random_rotation(rng)
-    matrix[:3, 3] = 3.0 * scale * rng.normal(size=3)
-    return matrix
-
-
-def moved(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def box(low: tuple, high: tuple) -> tuple[np.ndarray, np.ndarray]:
@@ -88,7 +78,7 @@ def test_pairs_give_the_similarity(scale: float, count: int) -> None:
     rng = np.random.default_rng(count)
     matrix = drawn_similarity(rng, scale)
     source = rng.normal(size=(count, 3))
-    fit = fit_pairs(source, moved(matrix, source))
+    fit = fit_pairs(source, transform_points(matrix, source))
     np.testing.assert_allclose(fit.similarity, matrix, atol=1e-9 * scale)
     assert fit.error < 1e-9 * scale and not fit.mirrored and fit.residuals.shape == (count,)
 
@@ -202,12 +192,12 @@ def test_known_similarities_are_found_from_500_points(scale: float, known_up: bo
     rng = np.random.default_rng(int(scale) + 7)
     vertices, triangles = furnished_room()
     from_solve, to_mesh = drawn_similarity(rng, 0.7), drawn_similarity(rng, scale)
-    solve = moved(from_solve, sparse_points(rng, 500))
+    solve = transform_points(from_solve, sparse_points(rng, 500))
     up = from_solve[:3, :3] @ np.array([0.1, -0.05, 1.0]) if known_up else None
-    surface = sample_surface(moved(to_mesh, vertices), triangles, rng, 20_000)
+    surface = sample_surface(transform_points(to_mesh, vertices), triangles, rng, 20_000)
     best, *others = register(solve, surface, rng, up)
     back = np.linalg.inv(to_mesh) @ best.similarity @ from_solve  # the identity, but for errors
-    off = np.linalg.norm(moved(back, vertices) - vertices, axis=1)
+    off = np.linalg.norm(transform_points(back, vertices) - vertices, axis=1)
     rotation = back[:3, :3] / np.cbrt(np.linalg.det(back[:3, :3]))
     angle = np.degrees(np.linalg.norm(rotation - rotation.T) / np.sqrt(8.0))
     assert off.max() < 0.005 and angle < 0.1
@@ -231,7 +221,7 @@ def test_a_rough_alignment_is_refined() -> None:
     rough[:3, :3] = 1.01 * np.array([[1.0, -0.01, 0.0], [0.01, 1.0, 0.0], [0.0, 0.0, 1.0]])
     rough[:3, 3] = (0.02, -0.02, 0.01)
     refined = refine(sparse_points(rng, 500), surface, rough)
-    assert np.linalg.norm(moved(refined.similarity, vertices) - vertices, axis=1).max() < 0.005
+    assert np.linalg.norm(transform_points(refined.similarity, vertices) - vertices, axis=1).max() < 0.005
 
 
 def test_too_few_points_are_refused() -> None:
@@ -252,8 +242,10 @@ def write_solve(folder: Path, from_solve: np.ndarray, points: np.ndarray) -> lis
         level = np.array([[np.cos(angle), np.sin(angle), 0], [0, 0, -1], [-np.sin(angle), np.cos(angle), 0]])
         shots.append(replace(shot, width=24, height=16, rotation=level, centre=np.array([2.5, 2.4, 1.5])))
         turned = level @ (from_solve[:3, :3] / scale).T
-        solved.append(replace(shots[-1], rotation=turned, centre=moved(from_solve, shots[-1].centre)))
-    rig_writers.write_opensfm(folder, [solved], "perspective", moved(from_solve, points))
+        solved.append(
+            replace(shots[-1], rotation=turned, centre=transform_points(from_solve, shots[-1].centre))
+        )
+    rig_writers.write_opensfm(folder, [solved], "perspective", transform_points(from_solve, points))
     for shot in shots:
         pixels = 2.0 + np.random.default_rng(0).random((16, 24, 3), np.float32)
         write_exr((folder / "images" / shot.name).with_suffix(".exr"), pixels)

@@ -8,22 +8,11 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.alignment.sights import Sights, fit_sights
+from fipt_blender.core.conventions import transform_points
 from fipt_blender.core.run.errors import FiptError
+from samples.camera_poses import drawn_similarity
 
 CAMERAS = np.array([[1.0, 1.0, 1.2], [4.0, 1.2, 1.6], [3.5, 3.0, 1.4], [1.2, 2.8, 1.5]])
-
-
-def drawn_similarity(rng: np.random.Generator, scale: float) -> np.ndarray:
-    q, r = np.linalg.qr(rng.normal(size=(3, 3)))
-    q = q * np.sign(np.diag(r))
-    matrix = np.eye(4)
-    matrix[:3, :3] = scale * q * np.sign(np.linalg.det(q))
-    matrix[:3, 3] = rng.normal(size=3)
-    return matrix
-
-
-def moved(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def picked(
@@ -40,7 +29,7 @@ def picked(
             ray = points[index] - CAMERAS[camera]
             ray = ray / np.linalg.norm(ray) + spread * rng.normal(size=3)
             directions.append(0.0 * ray if camera < 0 else rotation @ (ray / np.linalg.norm(ray)))
-    return Sights(np.array(pairs), moved(to_solve, np.array(origins)), np.array(directions))
+    return Sights(np.array(pairs), transform_points(to_solve, np.array(origins)), np.array(directions))
 
 
 @pytest.mark.parametrize("scale", [0.0254, 1.0, 1000.0])
@@ -57,7 +46,7 @@ def test_the_similarity_is_found(scale: float, cameras: list[list[int]]) -> None
     rng = np.random.default_rng(len(cameras))
     points = rng.uniform([0, 0, 0], [5, 4, 2.6], (len(cameras), 3))
     to_solve, to_mesh = drawn_similarity(rng, 0.4), drawn_similarity(rng, scale)
-    fit = fit_sights(picked(points, cameras, to_solve), moved(to_mesh, points))
+    fit = fit_sights(picked(points, cameras, to_solve), transform_points(to_mesh, points))
     back = np.linalg.inv(to_mesh) @ fit.similarity @ to_solve
     np.testing.assert_allclose(back, np.eye(4), atol=1e-6)
     assert fit.error < 1e-6 * scale and fit.residuals.shape == (len(cameras),) and not fit.mirrored
@@ -69,7 +58,7 @@ def test_errors_of_a_pixel_cost_millimetres_and_the_wrong_pair_is_named() -> Non
     pixel = 1.0 / 600.0
     fit = fit_sights(picked(points, cameras, np.eye(4), pixel), points)
     assert 0.001 < fit.error < 0.02
-    assert np.linalg.norm(moved(fit.similarity, points) - points, axis=1).max() < 0.03
+    assert np.linalg.norm(transform_points(fit.similarity, points) - points, axis=1).max() < 0.03
     sights = picked(points, cameras, np.eye(4), pixel)
     points[4] += (0.0, 0.3, 0.0)  # of the mesh alone
     assert int(fit_sights(sights, points).residuals.argmax()) == 4

@@ -17,7 +17,8 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import Capture, View
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.run.errors import FiptError
-from fipt_blender.core.scene.room import Room, triangle_normals
+from fipt_blender.core.scene.room import triangle_normals
+from samples.small_rooms import mesh_room
 
 
 def make_view(folder: Path) -> View:
@@ -81,8 +82,7 @@ def floor_with_lamp(border: float) -> LitRoom:
     left, right = [[-3, -3, 0], [border, -3, 0], [border, 3, 0], [-3, 3, 0]], [[3, -3, 0], [3, 3, 0]]
     vertices = np.array(left + right, np.float32)
     triangles = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]], np.int32)
-    normals = np.repeat(triangle_normals(vertices, triangles)[:, None], 3, axis=1).astype(np.float32)
-    room = Room(vertices, triangles, normals, np.zeros(4, np.int32), np.zeros(4, np.int32))
+    room = mesh_room(vertices, triangles, np.zeros(4))
     materials = TriangleMaterials(np.tile([0.6, 0.4, 0.2], (4, 1)), np.full(4, 0.5), np.full(4, 0.25))
     table = EmitterTable(
         np.array([0, 1], np.int32), np.full((2, 3), 5.0, np.float32), np.zeros((2, 3), np.float32)

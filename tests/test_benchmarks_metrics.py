@@ -26,20 +26,6 @@ def make_maps() -> Maps:
     return Maps(grey, grey, grey, roughness, np.zeros(shape), emission, hit)
 
 
-def test_masks() -> None:
-    maps = make_maps()
-    assert metrics.surfaces(maps).tolist() == [[False, False, True, True], [True] * 4]
-    assert metrics.diffuse_surfaces(maps).tolist() == [[False] * 4, [True] * 4]
-
-
-def test_equal_maps_are_perfect() -> None:
-    maps = make_maps()
-    for strict in (False, True):
-        found = metrics.map_metrics([maps], [maps], strict)
-        assert found["kd_psnr"] == found["sigma_psnr"] == 100.0
-        assert found["emission_iou"] == 1.0 and found["emission_log_l2"] == 0.0
-
-
 def test_protocols_differ_in_what_counts() -> None:
     """An error of 0.2 in kd everywhere: four of eight pixels count, or are averaged with four right ones."""
     true = make_maps()

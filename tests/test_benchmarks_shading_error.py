@@ -11,23 +11,15 @@ from benchmarks.tracer.surfaces import LatticeMaterials
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.scene.room import Room
+from samples.small_rooms import BOX, make_room
 
 ALBEDO = 0.5
 
 
 def box() -> Room:
     """The unit cube seen from inside; triangles 0 and 1 are its ceiling."""
-    corners = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], np.float32)
-    quads = [(4, 6, 7, 5), (0, 1, 3, 2), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    triangles = np.array([face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))], np.int32)
-    points = corners[triangles].astype(np.float64)
-    normal = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
-    inward = np.sign((normal * (0.5 - points.mean(axis=1))).sum(axis=1))
-    triangles[inward < 0.0] = triangles[inward < 0.0][:, ::-1]
-    normal *= inward[:, None] / np.linalg.norm(normal, axis=1, keepdims=True)
-    none = np.zeros(len(triangles), np.int32)
-    normals = np.repeat(normal[:, None], 3, axis=1).astype(np.float32)
-    return Room(corners, triangles, normals, none, none)
+    quads = (np.array(BOX) + [2, 2, 0]) / [4, 4, 3]
+    return make_room(quads[[1, 0, 2, 3, 4, 5]])
 
 
 def lit_box(emitting: list[int], radiance: float) -> LitRoom:

@@ -29,7 +29,7 @@ from samples.camera_poses import look_at
 from samples.refusals import error_of
 from samples.shading_points import make_grid
 from samples.small_captures import QUICK, panel_capture, write_run
-from samples.small_rooms import BOX, agree, bulb, make_room, mesh_room, surface_points
+from samples.small_rooms import BOX, agree, make_room, room_with_bulb, surface_points
 
 LEVELS = np.array([0.1, 0.4, 1.0], np.float32)
 
@@ -103,13 +103,7 @@ def test_the_reference_has_the_authors_counts() -> None:
 
 
 def test_the_references_mask_finds_a_bulb_of_five_centimetres_and_nothing_else() -> None:
-    flat = make_room(BOX)
-    vertices, triangles = bulb([0.5, 0.3, 1.0], 0.05)
-    room = mesh_room(
-        np.concatenate([flat.vertices, vertices]),
-        np.concatenate([flat.triangles, triangles + len(flat.vertices)]),
-        np.concatenate([flat.triangle_object, np.full(8, 6)]),
-    )
+    room = room_with_bulb(0.05)
 
     def mask(positions: np.ndarray) -> np.ndarray:
         inside = np.linalg.norm(positions - [0.5, 0.3, 1.0], axis=1) < 0.06

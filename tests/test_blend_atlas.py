@@ -316,9 +316,3 @@ def test_scans_are_told_from_modelled_meshes():
     assert not charts.is_scan(areas[:5000])
     assert not charts.is_scan(np.append(areas, 100.0 * areas.sum()))  # with a wall of one triangle
     assert not charts.is_scan(np.zeros(30_000))
-
-
-def test_components_and_neighbours():
-    assert charts.components(5, np.array([3, 0]), np.array([1, 4])).tolist() == [0, 1, 2, 1, 0]
-    beside = charts.neighbours(np.array([[0, 1, 2], [2, 1, 3]]))
-    assert beside.tolist() == [[-1, 1, -1], [0, -1, -1]]

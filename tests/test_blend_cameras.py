@@ -16,7 +16,6 @@ from fipt_blender.core import conventions
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from samples.camera_views import random_views
-from samples.refusals import error_of
 
 
 @pytest.fixture
@@ -82,10 +81,6 @@ def test_cameras_show_photographs_and_are_not_duplicated(run):
     image = camera.data.background_images[0].image
     assert image.is_float and image.colorspace_settings.name == "Linear Rec.709"
     assert len(bpy.data.images) == 1
-
-
-def test_unknown_view(run):
-    assert error_of(cameras.find_camera, "train/none", bpy.context.scene).code == "view-missing"
 
 
 pytestmark = pytest.mark.usefixtures("registered")

@@ -19,22 +19,14 @@ from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
 from samples.refusals import error_of
 from samples.rendered_rooms import diffuse_floor
 from samples.small_rooms import agree
+from samples.spots import spot
 
 RADIANCE = [8.0, 4.0, 2.0]
 
 
-def irradiance(scene, point: Vector, spp: int, seed: int) -> np.ndarray:
+def irradiance(point: Vector, spp: int, seed: int) -> np.ndarray:
     """Pixels of a white diffuse spot from above: 81 estimates of its radiosity over pi, (81,3)."""
-    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
-    scene.collection.objects.link(camera)
-    camera.data.type, camera.data.ortho_scale = "ORTHO", 0.02
-    camera.data.clip_start = 1e-4
-    camera.matrix_world = Matrix.Translation(point + Vector((0, 0, 0.05)))
-    scene.camera = camera
-    scene.render.resolution_x = scene.render.resolution_y = 9
-    pixels = render_pixels(scene, RenderOptions(spp, seed=seed, denoise=False))
-    bpy.data.objects.remove(camera)
-    return pixels.reshape(-1, 3)
+    return spot(point + Vector((0, 0, 0.05)), point, spp, 9, 0.02, seed).reshape(-1, 3)
 
 
 def lamp_scene(shape: str) -> tuple[bpy.types.Scene, bpy.types.Object]:
@@ -67,10 +59,10 @@ def lamp_scene(shape: str) -> tuple[bpy.types.Scene, bpy.types.Object]:
 @pytest.mark.parametrize("shape", ["rectangle", "disk", "ball"])
 def test_blender_lights_emit_as_the_fixture_does(shape):
     scene, item = lamp_scene(shape)
-    spots = [Vector((0.0, 0.0, 0.0)), Vector((0.35, 0.3, 0.0)), Vector((-0.6, 0.1, 0.0))]
+    places = [Vector((0.0, 0.0, 0.0)), Vector((0.35, 0.3, 0.0)), Vector((-0.6, 0.1, 0.0))]
 
     def measure():
-        found = [irradiance(scene, spot, 64, seed) for seed, spot in enumerate(spots)]
+        found = [irradiance(place, 64, seed) for seed, place in enumerate(places)]
         return np.array([pixels.mean(axis=0) for pixels in found]), np.array(
             [pixels.std(axis=0, ddof=1) / math.sqrt(len(pixels)) for pixels in found]
         )
@@ -84,26 +76,12 @@ def test_blender_lights_emit_as_the_fixture_does(shape):
     # The mesh has flat facets: its area is within half a per cent of the round shape's.
     error = np.hypot(np.hypot(surface_error, light_error), 0.003 * surface)
     agree(light - surface, error)
-    camera_sees = look(scene, item)
+    camera_sees = spot(item.location - Vector((0, 0, 0.4)), item.location, ortho=0.01).mean(axis=(0, 1))
     assert np.allclose(camera_sees, RADIANCE, rtol=1e-3)  # the camera still sees the surface
     convert.lights_to_fixture(scene, item)
     assert not item.children and item.visible_diffuse and item.visible_shadow
     back, back_error = measure()
     agree(back - surface, np.hypot(surface_error, back_error) + 1e-9)
-
-
-def look(scene, item) -> np.ndarray:
-    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
-    scene.collection.objects.link(camera)
-    camera.data.type, camera.data.ortho_scale = "ORTHO", 0.01
-    camera.matrix_world = Matrix.Translation(item.location - Vector((0, 0, 0.4))) @ Matrix.Rotation(
-        math.pi, 4, "X"
-    )
-    scene.camera = camera
-    scene.render.resolution_x = scene.render.resolution_y = 3
-    pixels = render_pixels(scene, RenderOptions(4, denoise=False))
-    bpy.data.objects.remove(camera)
-    return pixels.mean(axis=(0, 1))
 
 
 def test_other_shapes_keep_their_power_and_are_not_exact():
@@ -181,26 +159,18 @@ BLACK, WARM, DIM = [0.0, 0.0, 0.0], [8.0, 4.0, 2.0], [0.5, 0.25, 0.5]
 SIDES = pytest.mark.parametrize(("front", "back"), [(WARM, BLACK), (BLACK, WARM), (WARM, DIM), (DIM, WARM)])
 
 
-def lamp(front: list[float], back: list[float]) -> bpy.types.Scene:
-    """A scene with a lamp that faces up."""
+def lamp(front: list[float], back: list[float]) -> None:
+    """A lamp that faces up."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.mesh.primitive_plane_add(size=1.0)
     bpy.context.object.data.materials.append(emission_material("lamp", front, back))
-    return bpy.context.scene
 
 
 @SIDES
 def test_cycles_renders_the_radiance_of_both_sides(front, back):
-    scene = lamp(front, back)
-    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
-    scene.collection.objects.link(camera)
-    camera.data.type, camera.data.ortho_scale = "ORTHO", 0.1
-    scene.camera = camera
-    scene.render.resolution_x = scene.render.resolution_y = 3
-    for turn, radiance in ((0.0, front), (np.pi, back)):
-        camera.matrix_world = Matrix.Rotation(turn, 4, "X") @ Matrix.Translation((0.0, 0.0, 1.0))
-        pixels = render_pixels(scene, RenderOptions(4, denoise=False))
-        assert np.allclose(pixels, radiance, atol=1e-4)
+    lamp(front, back)
+    for height, radiance in ((1.0, front), (-1.0, back)):
+        assert np.allclose(spot((0, 0, height), (0, 0, 0)), radiance, atol=1e-4)
 
 
 @SIDES
@@ -256,15 +226,9 @@ def test_missing_and_large_files_are_refused(tmp_path):
     assert "larger" in str(error_of(ies.read_profile, large))
 
 
-def lit_floor(light: bpy.types.Object, scene: bpy.types.Scene) -> float:
-    """Radiance of a floor below a light, seen from the side of it."""
-    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
-    scene.collection.objects.link(camera)
-    camera.data.type, camera.data.ortho_scale = "ORTHO", 0.05
-    camera.matrix_world = Matrix.Translation((0.0, 0.0, 0.5))
-    scene.camera = camera
-    scene.render.resolution_x = scene.render.resolution_y = 3
-    return float(render_pixels(scene, RenderOptions(64, denoise=False)).mean())
+def lit_floor() -> float:
+    """Radiance of the floor below a light."""
+    return float(spot((0, 0, 0.5), (0, 0, 0), 64, ortho=0.05).mean())
 
 
 def test_an_even_profile_changes_nothing_and_a_half_one_doubles(tmp_path):
@@ -277,12 +241,12 @@ def test_an_even_profile_changes_nothing_and_a_half_one_doubles(tmp_path):
     scene.collection.objects.link(light)
     ies.set_profile(light, ies.read_profile(profile_file(tmp_path, [3.0] * 3, [0.0, 90.0, 180.0])))
     assert light.data.type == "POINT" and len(bpy.data.texts) == 1
-    even = lit_floor(light, scene)
+    even = lit_floor()
     light.data.use_nodes = False
-    assert even == pytest.approx(lit_floor(light, scene), rel=0.01)
+    assert even == pytest.approx(lit_floor(), rel=0.01)
     below = profile_file(tmp_path, [700.0] * 10, np.linspace(0.0, 90.0, 10).tolist())
     ies.set_profile(light, ies.read_profile(below))
-    assert lit_floor(light, scene) == pytest.approx(2.0 * even, rel=0.03)
+    assert lit_floor() == pytest.approx(2.0 * even, rel=0.03)
     assert len(bpy.data.texts) == 1
     ies.remove_profile(light)
     assert light.data.type == "AREA" and not bpy.data.texts

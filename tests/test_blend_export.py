@@ -17,23 +17,18 @@ from fipt_blender import cli
 from fipt_blender.blend.export.exporting import export_room
 from fipt_blender.blend.export.lamps import GAP
 from fipt_blender.blend.export.textures import texel_parts
-from samples.applied_rooms import RADIANCE, ConstantFields, fingerprint, make_applied_scene
+from samples.applied_rooms import RADIANCE, ConstantFields, fingerprint
 from samples.refusals import error_of
 
 ops = bpy.ops.fipt
 
 
-pytestmark = pytest.mark.usefixtures("registered")
+pytestmark = pytest.mark.usefixtures("registered", "applied")
 VALIDATE = """
 const validator = require('gltf-validator');
 const bytes = new Uint8Array(require('fs').readFileSync(process.argv[1]));
 validator.validateBytes(bytes).then(report => console.log(JSON.stringify(report.issues)));
 """
-
-
-@pytest.fixture
-def scene(tmp_path, monkeypatch):
-    return make_applied_scene(tmp_path / "run", monkeypatch)
 
 
 def gltf_json(path):

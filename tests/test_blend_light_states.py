@@ -10,12 +10,12 @@ import math
 import bpy
 import numpy as np
 import pytest
-from mathutils import Matrix, Vector
+from mathutils import Vector
 
 from fipt_blender.blend.lights import light_drivers, light_states
-from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
-from samples.applied_rooms import RADIANCE, make_applied_scene
+from samples.applied_rooms import RADIANCE, front, make_applied_scene
 from samples.refusals import error_of
+from samples.spots import spot
 
 ops = bpy.ops.fipt
 
@@ -25,13 +25,6 @@ pytestmark = pytest.mark.usefixtures("registered")
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
     return make_applied_scene(tmp_path / "run", monkeypatch)
-
-
-def front(item: bpy.types.Object) -> np.ndarray:
-    """Radiance (3,) of a fixture's front in its material."""
-    bpy.context.view_layer.update()
-    node = item.data.materials[0].node_tree.nodes["FIPT Front"]
-    return np.array(node.inputs["Color"].default_value)[:3] * node.inputs["Strength"].default_value
 
 
 def test_a_state_is_recalled_exactly(scene):
@@ -151,19 +144,14 @@ def test_two_frames_are_rendered_with_their_own_light(scene, tmp_path):
     import fipt_blender
 
     item = keyframed(scene)
-    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
-    scene.collection.objects.link(camera)
-    camera.data.type, camera.data.ortho_scale = "ORTHO", 0.1
-    camera.matrix_world = Matrix.Translation(item.location + Vector((0.0, 0.0, 2.0)))
-    scene.camera, scene.view_settings.view_transform = camera, "Standard"
-    scene.render.resolution_x = scene.render.resolution_y = 3
+    scene.view_settings.view_transform = "Standard"
     scene.frame_set(1)
     seen = {}
     fipt_blender.unregister()  # the file renders without the add-on, too
     try:
         for frame in (1, 11, 21):
             scene.frame_set(frame)
-            seen[frame] = render_pixels(scene, RenderOptions(4, denoise=False)).mean(axis=(0, 1))
+            seen[frame] = spot(item.location + Vector((0.0, 0.0, 2.0)), item.location, 4, 3).mean(axis=(0, 1))
     finally:
         fipt_blender.register()
     assert np.allclose(seen[1], RADIANCE, rtol=1e-3)

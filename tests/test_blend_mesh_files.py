@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 from fipt_blender.blend.capture.mesh_files import check_mesh_file
-from fipt_blender.core.run.errors import FiptError
 from samples.child_processes import posix
 from samples.refusals import error_of
 
@@ -215,10 +214,9 @@ def test_vertices_that_are_no_numbers_and_long_paths_are_told(tmp_path):
 
     def code(path: Path, scale: float = 1.0) -> tuple[str, str]:
         before = {item.name for item in bpy.data.objects}
-        with pytest.raises(FiptError) as caught:
-            import_room(path, scale * np.eye(4))
+        caught = error_of(import_room, path, scale * np.eye(4))
         assert {item.name for item in bpy.data.objects} == before
-        return caught.value.code, caught.value.text
+        return caught.code, caught.text
 
     for vertex in (b"v nan 0 inf", b"v 0 1e300 0", b"v 0 0 -inf", b"v 0 0 x"):
         assert "1 of 3" in problem(tmp_path, "a.obj", OBJ.replace(b"v 0 0 0", vertex))

@@ -19,7 +19,7 @@ from fipt_blender.blend.insert.surfaces import free_spot
 from fipt_blender.blend.lights import light_state, world
 from fipt_blender.blend.lights.area_lights import Rectangle, add_area_light
 from fipt_blender.blend.marks import ADDED, DRAWN, ON
-from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels, set_up_scene
+from fipt_blender.blend.pictures.cycles import RenderOptions, set_up_scene
 from fipt_blender.blend.pictures.image_files import read_pixels
 from fipt_blender.blend.results import applying, materials
 from fipt_blender.blend.room import exporting, originals
@@ -35,33 +35,21 @@ from fipt_blender.core.run.run_files import CLOSING, PANES, mesh_digest, read_ge
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures import bake
-from samples.applied_rooms import ConstantFields
+from samples.applied_rooms import ConstantFields, panel_and_cube
 from samples.rendered_rooms import diffuse_floor
 from samples.scans import scanned_box
+from samples.spots import spot
 
 
 @pytest.fixture
 def room(tmp_path):
-    """A run of two objects: a panel of 3 quads, the last one a lamp, mirrored; and a cube with slots."""
-    mesh = bpy.data.meshes.new("panel")
-    points = [(x, y, 0.0) for x in range(4) for y in range(2)]
-    mesh.from_pydata(points, [], [(2 * i, 2 * i + 2, 2 * i + 3, 2 * i + 1) for i in range(3)])
-    panel = bpy.data.objects.new("panel", mesh)
-    panel.matrix_world = Matrix.Translation((5, 0, 0)) @ Matrix.Diagonal((-1, 1, 1, 1))
-    bpy.context.scene.collection.objects.link(panel)
-    bpy.ops.mesh.primitive_cube_add(location=(0, 5, 0))
-    cube = bpy.context.object
-    cube.modifiers.new("Bevel", "BEVEL")
-    for name in ("red", "green", "blue"):
-        cube.data.materials.append(bpy.data.materials.new(name))
-    cube.material_slots[1].link = "OBJECT"
-    cube.material_slots[1].material = bpy.data.materials.new("own")
-    cube.data.polygons.foreach_set("material_index", np.array([0, 1, 2, 2, 1, 0], np.int32))
+    """A run of two objects."""
+    objects = panel_and_cube()
     bpy.context.view_layer.update()
     run = RunFolder(tmp_path / "run")
     run.create(make_settings(changes={"texel_density": 16.0}))
-    prepare(run, [panel, cube])
-    return run, [panel, cube]
+    prepare(run, objects)
+    return run, objects
 
 
 def prepare(run, objects, **changes):
@@ -148,27 +136,16 @@ def test_colour_attributes(room):
     values = np.empty(len(mesh.loops) * 4, np.float32)
     attribute.data.foreach_get("color", values)
     assert np.allclose(values.reshape(-1, 4), (*ConstantFields.base_color, 1.0), atol=1e-5)
-    image = look_at(Vector((0, 5, 4)), Vector((0, 5, 0)), background=1.0)
-    assert image.mean() < 0.9  # not the default white
+    white_world()
+    assert spot(Vector((0, 5, 4)), Vector((0, 5, 0))).mean() < 0.9  # not the default white
 
 
-def look_at(position, target, background=0.0, spp=16, size=9, ortho=0.1):
-    """Radiance (3,) at the middle of a small render."""
+def white_world() -> None:
     scene = bpy.context.scene
-    if background:
-        scene.world = bpy.data.worlds.new("w")
-        if scene.world.node_tree is None:
-            scene.world.use_nodes = True
-        scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (background,) * 3 + (1,)
-    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
-    scene.collection.objects.link(camera)
-    camera.data.type, camera.data.ortho_scale = "ORTHO", ortho
-    direction = target - position
-    turn = direction.to_track_quat("-Z", "Y").to_matrix().to_4x4()
-    camera.matrix_world = Matrix.Translation(position) @ turn
-    scene.camera = camera
-    scene.render.resolution_x = scene.render.resolution_y = size
-    return render_pixels(scene, RenderOptions(spp, denoise=False))
+    scene.world = bpy.data.worlds.new("white")
+    if scene.world.node_tree is None:
+        scene.world.use_nodes = True
+    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
 
 
 def test_fixture_emits_its_radiance_on_each_side(room):
@@ -182,14 +159,14 @@ def test_fixture_emits_its_radiance_on_each_side(room):
     assert (centre - Vector((2.5, 0.5, 0.0))).length < 1e-5
     # The mirrored panel's normals point up, like those of its triangles in room.npz.
     assert normal.z > 0.99
-    front = look_at(centre + 2 * normal, centre)
+    front = spot(centre + 2 * normal, centre)
     assert np.allclose(front, [8.0, 4.0, 2.0], rtol=1e-4)
-    back = look_at(centre - 2 * normal, centre)
+    back = spot(centre - 2 * normal, centre)
     assert np.allclose(back, [0.0, 1.0, 0.0], atol=1e-4)
     light_state.change(bpy.context.scene, fixture, {ON: False})
-    assert not look_at(centre + 2 * normal, centre).any()
+    assert not spot(centre + 2 * normal, centre).any()
     light_state.set_estimated_lights(True)
-    assert np.allclose(look_at(centre + 2 * normal, centre), front, rtol=1e-4)
+    assert np.allclose(spot(centre + 2 * normal, centre), front, rtol=1e-4)
 
 
 def test_area_light_has_the_given_radiance():
@@ -203,7 +180,7 @@ def test_area_light_has_the_given_radiance():
     x = half / math.hypot(half, height)
     form = 4.0 / (2.0 * math.pi) * (2.0 * x * math.atan(half / math.hypot(half, height)))
     expected = 0.5 * radiance * form
-    image = look_at(Vector((0, -0.7, 0.7)), Vector((0, 0, 0)), spp=256, ortho=0.02)
+    image = spot(Vector((0, -0.7, 0.7)), Vector((0, 0, 0)), 256, ortho=0.02)
     assert np.allclose(image.mean(axis=(0, 1)), expected, rtol=0.01)
 
 
@@ -223,7 +200,7 @@ def test_environment_direction(room):
     world.apply_environment(run)
     for direction in ((1, 0.2, 0.1), (-0.3, 1, 0.4), (0.2, -0.5, -0.8)):
         unit = Vector(direction).normalized()
-        image = look_at(Vector((0, 0, 0)), unit)
+        image = spot(Vector((0, 0, 0)), unit)
         assert np.allclose(image.mean(axis=(0, 1)), np.array(unit) * 0.5 + 0.5, atol=0.03)
 
 
@@ -436,10 +413,3 @@ def test_a_drawn_surface_beside_a_scan_keeps_its_vertices_and_edges(tmp_path: Pa
     clean = make_mesh(room, 1, item)
     clean_result_mesh(clean, item, room, 1, geometry)
     assert np.abs(vertex_positions(clean) - vertex_positions(item.data)).max() > 1e-3
-
-
-def test_a_copy_of_another_mesh_is_not_used(tmp_path: Path) -> None:
-    run = RunFolder(tmp_path)
-    _, room = scanned_object(run, Matrix())
-    moved = {"vertices": room.vertices + np.float32(0.1), "triangles": room.triangles}
-    assert read_geometry(run, moved) is None

@@ -16,6 +16,7 @@ from fipt_blender.core import conventions
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from samples.refusals import error_of
+from samples.spots import spot
 
 # A tetrahedron-like shape without symmetry, so that any rotation or mirroring shows.
 POINTS = np.array([(0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3)], np.float64)
@@ -200,16 +201,7 @@ def test_faces_of_opposite_winding_render_alike(tmp_path):
     scene.world = bpy.data.worlds.new("white")
     scene.world.use_nodes = True
     scene.world.node_tree.nodes["Background"].inputs[0].default_value = (1.0, 1.0, 1.0, 1.0)
-    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
-    camera.data.type, camera.data.ortho_scale, camera.location = "ORTHO", 1.6, (0.0, 0.0, 2.0)
-    scene.collection.objects.link(camera)
-    scene.camera = camera
-    scene.render.engine, scene.cycles.samples = "CYCLES", 16
-    scene.render.resolution_x = scene.render.resolution_y = 16
-    scene.render.image_settings.file_format = "OPEN_EXR"
-    scene.render.filepath = str(tmp_path / "wall.exr")
-    bpy.ops.render.render(write_still=True)
-    image = np.array(bpy.data.images.load(str(tmp_path / "wall.exr")).pixels[:]).reshape(16, 16, 4)
+    image = spot((0.0, 0.0, 2.0), (0.0, 0.0, 0.0), 16, 16, 1.6)
     assert image[..., 0].min() > 0.5 * image[..., 0].max() > 0.2
 
 

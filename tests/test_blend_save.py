@@ -21,9 +21,7 @@ from samples.refusals import error_of
 
 def saving_fails(path: Path) -> FiptError:
     path.mkdir(parents=True)  # Blender can't replace a folder
-    with pytest.raises(FiptError) as error:
-        save.save_blend(path)
-    return error.value
+    return error_of(save.save_blend, path)
 
 
 def fail(number: int):

@@ -17,9 +17,9 @@ from fipt_blender.blend.capture import scene_cameras
 from fipt_blender.blend.capture.exporting import camera_pose
 from fipt_blender.blend.marks import LARGE_PHOTOGRAPH, PIXEL_ASPECT, RESOLUTION
 from fipt_blender.core import conventions
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from samples.camera_views import points_before, projections
+from samples.refusals import error_of
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -104,10 +104,7 @@ def test_unusable_cameras_are_refused(scene, tmp_path):
     run = RunFolder(tmp_path / "run")
 
     def code() -> str:
-        with pytest.raises(FiptError) as error:
-            scene_cameras.write_scene_cameras(scene, run)
-        assert error.value.remedy
-        return error.value.code
+        return error_of(scene_cameras.write_scene_cameras, scene, run).code
 
     assert code() == "cameras-none"
     bare = bpy.data.objects.new("bare", bpy.data.cameras.new("bare"))

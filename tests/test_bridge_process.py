@@ -52,17 +52,6 @@ def test_messages_arrive_and_stray_output_goes_to_the_log(tmp_path):
         assert text in log
 
 
-def test_a_message_split_over_two_writes_is_one_message(tmp_path):
-    script = (
-        "import json, os, time\n"
-        'os.write(1, b\'{"type": "progress", "fra\')\n'
-        "time.sleep(0.3)\n"
-        "os.write(1, b'ction\": 0.25}\\n')\n" + DONE
-    )
-    messages = collect(child(tmp_path, script))
-    assert messages[0] == {"type": "progress", "fraction": 0.25}
-
-
 def test_poll_never_waits_and_much_output_is_read_whole(tmp_path):
     script = (
         "import json, pathlib, sys, time\n"
@@ -192,13 +181,6 @@ def test_a_log_that_cannot_be_written_loses_no_message(tmp_path):
 )
 def test_lines_that_are_no_message(line):
     assert parse_message(line) is None
-
-
-def test_a_message_without_its_fields_is_no_message_and_the_death_is_explained(tmp_path):
-    script = """print('{"type": "error", "code": "x"}'); print('{"type": "done"}')"""
-    process = child(tmp_path, script)
-    assert [message["code"] for message in collect(process)] == ["engine-crashed"]
-    assert set(process.error) == {"type", "code", "text", "remedy"}
 
 
 @posix

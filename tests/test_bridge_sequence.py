@@ -17,7 +17,6 @@ from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.sequence import SLICE_SECONDS, Job
 from fipt_blender.bridge.step import Step, StepRecord, chain_keys
 from fipt_blender.core.run.errors import FiptError
-from samples.child_processes import is_alive, posix
 
 DONE = 'print(json.dumps({"type": "done", "files": ["a"], "data": {}}), flush=True)\n'
 
@@ -83,12 +82,6 @@ def test_steps_run_in_order_and_progress_only_grows(tmp_path):
     assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] == 1.0
     assert messages[-1] == {"type": "done", "files": ["result"], "data": {}}
     assert [m["name"] for m in messages if m["type"] == "stage"] == ["a", "scene", "b", "save", "d"]
-
-
-def test_resuming_a_finished_job_runs_nothing(tmp_path):
-    steps = Steps(tmp_path)
-    steps.run()
-    assert steps.run()[-1]["type"] == "done" and steps.ran == []
 
 
 def test_changed_inputs_invalidate_from_their_step_on(tmp_path):
@@ -245,14 +238,6 @@ def test_slices_run_in_the_jobs_context_each(tmp_path):
     assert job.error["code"] == "scene-gone" and entered == ["out", "out"]
 
 
-def test_jobs_that_share_a_record_forget_their_own_steps_alone(tmp_path):
-    record = StepRecord(tmp_path / "steps.json")
-    for name in ("a", "b"):
-        record.store(name, "key", finished=True)
-    record.forget(["b", "c"])
-    assert (record.key("a"), record.key("b")) == ("key", None)
-
-
 def test_two_records_of_one_file_keep_what_the_other_has_stored(tmp_path):
     path = tmp_path / "steps.json"
     StepRecord(path).store("old", "key", finished=True)
@@ -281,33 +266,6 @@ def test_records_that_store_at_the_same_time_lose_nothing(tmp_path):
         list(pool.map(store, names))
     read = StepRecord(tmp_path / "steps.json")
     assert [name for own in names for name in own if read.key(name) != "key"] == []
-
-
-def test_warnings_are_kept_for_the_report(tmp_path):
-    warning = {"type": "warning", "code": "c", "text": "t", "remedy": "r"}
-    step = Step("x", "X", 1.0, function=lambda: [warning])
-    record = StepRecord(tmp_path / "steps.json")
-    messages: list[dict] = []
-    Job([step], record, lambda arguments: None, tmp_path / "log.txt", lambda: ([], {})).run(messages.append)
-    assert warning in messages
-    assert json.loads((tmp_path / "steps.json").read_text())["steps"]["x"]["warnings"] == [warning]
-
-
-@posix
-def test_cancelling_a_job_ends_its_engine(tmp_path):
-    steps = Steps(tmp_path)
-    steps.engine = 'import json, os, time; print(json.dumps({"type": "stage", "name": str(os.getpid()), '
-    steps.engine += '"text": ""}), flush=True); time.sleep(60)'
-    job = steps.job()
-    pid = None
-    while pid is None:
-        for message in job.advance():
-            if message["type"] == "stage" and message["name"].startswith("a/"):
-                pid = int(message["name"][2:])
-    started = time.monotonic()
-    job.cancel()
-    assert time.monotonic() - started < 2.0 and not is_alive(pid)
-    assert job.finished and job.cancelled and job.advance() == []
 
 
 def test_keys_form_a_chain():

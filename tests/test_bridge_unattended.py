@@ -102,17 +102,6 @@ def test_an_engine_that_was_left_is_watched_to_its_end(run_folder, engine):
 
 
 @posix
-def test_an_attached_engine_is_cancelled_within_two_seconds(run_folder, engine):
-    engine.leave()
-    attached = AttachedEngine(run_folder, find_engine(run_folder))
-    started = time.monotonic()
-    attached.cancel()
-    assert time.monotonic() - started < 2.0 and not attached.running
-    wait_for(lambda: not is_alive(engine.pid), 5.0)
-    assert find_engine(run_folder) is None and attached.error is None
-
-
-@posix
 def test_the_death_of_an_attached_engine_is_explained(run_folder, engine):
     engine.leave()
     attached = AttachedEngine(run_folder, find_engine(run_folder))

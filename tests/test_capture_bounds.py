@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import fuzz_samples
+from benchmarks import fuzz_samples, fuzz_targets
 from fipt_blender.core.alignment.mesh_file import read_mesh
 from fipt_blender.core.capture.depth_images import DepthView, read_depth
 from fipt_blender.core.capture.formats import read_points, read_rig
@@ -179,7 +179,7 @@ NUMBERS = {
 
 @pytest.mark.parametrize("name", NUMBERS)
 def test_huge_numbers_in_camera_files(tmp_path: Path, name: str) -> None:
-    next(target for target in fuzz_samples.TARGETS if target.name == name).write(tmp_path)
+    next(target for target in fuzz_targets.TARGETS if target.name == name).write(tmp_path)
     file, number = NUMBERS[name]
     paths = [tmp_path / file] if file else [*tmp_path.rglob("*.json"), *tmp_path.rglob("*.sfm")]
     texts = {path: path.read_text() for path in paths if path.is_file()}
@@ -211,7 +211,7 @@ def test_files_are_read_up_to_a_limit(tmp_path: Path) -> None:
     ("name", "file"), [("record3d", "metadata.json"), ("fipt-real", "cam.txt"), ("colmap-text", "images.txt")]
 )
 def test_a_camera_file_of_terabytes_is_not_read(tmp_path: Path, name: str, file: str) -> None:
-    next(target for target in fuzz_samples.TARGETS if target.name == name).write(tmp_path)
+    next(target for target in fuzz_targets.TARGETS if target.name == name).write(tmp_path)
     path = next(tmp_path.rglob(file))
     with path.open("r+b") as opened:
         opened.truncate(1 << 40)  # of zeros that take no space
@@ -222,7 +222,7 @@ def test_a_camera_file_of_terabytes_is_not_read(tmp_path: Path, name: str, file:
 
 
 def test_a_table_of_twenty_thousand_equal_rows(tmp_path: Path) -> None:
-    next(target for target in fuzz_samples.TARGETS if target.name == "realityscan-csv").write(tmp_path)
+    next(target for target in fuzz_targets.TARGETS if target.name == "realityscan-csv").write(tmp_path)
     path = next(tmp_path.rglob("*.csv"))
     with path.open() as file:
         rows = list(csv.reader(file))
@@ -251,7 +251,7 @@ def test_a_later_depth_image_of_gigapixels(tmp_path: Path) -> None:
 
 
 def test_xmp_files_without_a_pose_are_told(tmp_path: Path) -> None:
-    next(target for target in fuzz_samples.TARGETS if target.name == "realityscan-xmp").write(tmp_path)
+    next(target for target in fuzz_targets.TARGETS if target.name == "realityscan-xmp").write(tmp_path)
     paths = sorted(tmp_path.rglob("*.xmp"))
     whole = paths[1].read_bytes()
     for damaged in (whole[: len(whole) // 2], b"", whole.replace(b"<", b"\0", 1)):

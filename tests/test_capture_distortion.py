@@ -13,7 +13,6 @@ from fipt_blender.core.capture.distortion import (
     lens_camera,
     lens_pinhole,
     undistorted_pinhole,
-    undistortion,
 )
 from fipt_blender.core.capture.rig import Lens
 from samples.refusals import error_of
@@ -92,9 +91,3 @@ def test_without_distortion_the_lens_is_a_pinhole():
 )
 def test_lenses_that_cannot_be_undone(lens):
     assert error_of(undistorted_pinhole, lens, WIDTH, HEIGHT).code == "camera-model"
-
-
-def test_resampling_is_kept_between_views():
-    assert undistortion(LENSES[0], WIDTH, HEIGHT) is undistortion(
-        Lens(*vars(LENSES[0]).values()), WIDTH, HEIGHT
-    )

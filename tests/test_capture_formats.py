@@ -55,16 +55,6 @@ def test_colmap(tmp_path, text, model):
         assert [view.parts is not None for view in rig.views] == [False, True, False, False, False]
 
 
-def test_colmap_without_registered_poses_and_with_other_models(tmp_path):
-    write_colmap(tmp_path, make_samples(2), text=True)
-    other = tmp_path / "sparse" / "1"
-    other.mkdir()
-    for name in ("cameras.txt", "images.txt"):
-        (other / name).write_text("")
-    assert [note.code for note in read(tmp_path).notes] == ["several-models"]
-    assert len(read(tmp_path).views) == 2
-
-
 @pytest.mark.parametrize("text", [True, False])
 def test_colmap_reads_the_largest_model_unless_one_is_named(tmp_path, text):
     for name, count in (("small", 2), ("large", 4)):
@@ -101,12 +91,6 @@ def test_the_only_mesh_needs_no_certain_name(tmp_path):
     assert read(tmp_path).mesh is None  # which one is the room is not known
     write_mesh(tmp_path / "mesh.obj")
     assert read(tmp_path).mesh == tmp_path / "mesh.obj"
-
-
-def test_damaged_colmap(tmp_path):
-    write_colmap(tmp_path, make_samples(2), text=False)
-    (tmp_path / "sparse" / "0" / "images.bin").write_bytes(b"\x05\0\0")
-    assert error_of(read, tmp_path).code == "rig-damaged"
 
 
 @pytest.mark.parametrize("model", ["PINHOLE", "OPENCV"])

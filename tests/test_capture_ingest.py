@@ -183,13 +183,6 @@ def waves(sample):
     return np.stack([0.5 + 0.3 * np.sin(x), 0.5 + 0.3 * np.cos(y), 0.6 + 0.0 * x], axis=-1)
 
 
-def test_run_is_moved(tmp_path, run):
-    write_transforms(tmp_path / "in", make_samples(1, model="OPENCV"))
-    run_ingest(tmp_path / "in", run, hold_back=0)
-    moved = RunFolder(run.root.rename(tmp_path / "elsewhere"))
-    assert load_capture(moved).views[0].radiance().ndim == 3
-
-
 def test_nearly_orthonormal_poses_are_made_exact(tmp_path, run):
     samples = make_samples(2)
     samples[0].pose[:3, :3] += 2e-4 * np.random.default_rng(0).normal(size=(3, 3))

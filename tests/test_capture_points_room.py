@@ -23,7 +23,6 @@ from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
 from samples import metashape_writers, rig_writers
-from samples.refusals import error_of
 
 SIZE = np.array([5.0, 4.0, 2.5])
 
@@ -67,16 +66,6 @@ def test_a_capture_without_a_mesh_gets_a_room(tmp_path: Path) -> None:
     assert names == ["Floor", "Ceiling", *(f"Wall.{number:03d}" for number in range(1, 5))]
     messages = [json.loads(line) for line in stream.getvalue().splitlines()]
     assert "plane-room" in {message.get("code") for message in messages}
-
-
-def test_a_room_of_too_few_points_is_refused_and_nothing_written(tmp_path: Path) -> None:
-    write_solve(tmp_path / "solve", box_points(30))
-    run = RunFolder(tmp_path / "run")
-    refusal = error_of(
-        ingest, tmp_path / "solve", run, CaptureOptions(plane_room=True), Reporter(io.StringIO())
-    )
-    assert refusal.code == "room-points"
-    assert not run.planes_obj.exists() and not run.capture_json.exists()
 
 
 def test_points_that_many_photographs_show_are_the_sure_ones(tmp_path: Path) -> None:

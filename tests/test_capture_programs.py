@@ -13,8 +13,7 @@ import pytest
 
 from fipt_blender.core.capture import options
 from fipt_blender.core.capture.distortion import lens_camera
-from fipt_blender.core.capture.formats import FORMATS, detect_format, read_rig
-from fipt_blender.core.capture.options import CaptureOptions
+from fipt_blender.core.capture.formats import FORMATS, detect_format
 from fipt_blender.core.capture.radial import MOST_ERROR
 from samples import rig_writers as write
 from samples.camera_poses import random_rotation
@@ -238,20 +237,15 @@ def test_command_line_and_panel_offer_all_formats() -> None:
     assert {"auto", *options.FORMATS} == {name for name, *_ in capture.FORMATS} == {"auto", *FORMATS}
 
 
-def test_each_format_is_recognized_by_its_content(tmp_path: Path) -> None:
-    for name, path in all_formats(tmp_path).items():
-        assert detect_format(path) == name
-        assert read_rig(path, name, CaptureOptions()).source == name
-
-
 def test_photographs_are_found_in_a_named_folder_and_never_outside(tmp_path: Path) -> None:
     paths = all_formats(tmp_path / "captures")
     outside, chosen = tmp_path / "IMG_0000.jpg", tmp_path / "photographs"
     write.write_photographs(chosen, write.make_shots(count=2))
     outside.write_bytes((chosen / "IMG_0000.jpg").read_bytes())
-    for path in paths.values():
-        views = read(path, images=chosen).views
-        assert [view.image for view in views] == [chosen / "IMG_0000.jpg", chosen / "IMG_0001.jpg"]
+    for name, path in paths.items():
+        rig = read(path, images=chosen)
+        assert detect_format(path) == rig.source == name
+        assert [view.image for view in rig.views] == [chosen / "IMG_0000.jpg", chosen / "IMG_0001.jpg"]
     for name, away in (("meshroom", str(outside)), ("openmvg", f"../../{outside.name}")):
         file = next(file for file in paths[name].iterdir() if file.suffix in (".sfm", ".json"))
         (paths[name] / "images" / "IMG_0000.jpg").unlink()
@@ -351,6 +345,7 @@ def test_metashape_with_geographic_coordinates_is_named(tmp_path: Path) -> None:
         ("</cx>", "x</cx>", "rig-damaged"),
         ('<?xml version="1.0" encoding="UTF-8"?>', '<!DOCTYPE a [<!ENTITY b "c">]>', "rig-damaged"),
         ("<scale>0.0254", "<scale>-1", "rig-damaged"),
+        ("calibration", "covariance", "intrinsics-missing"),
     ],
 )
 def test_metashape_that_cannot_be_used(tmp_path: Path, old: str, new: str, code: str) -> None:
@@ -359,13 +354,6 @@ def test_metashape_that_cannot_be_used(tmp_path: Path, old: str, new: str, code:
     assert old in document
     (tmp_path / "cameras.xml").write_text(document.replace(old, new))
     assert error_of(read, tmp_path).code == code
-
-
-def test_metashape_sensor_without_calibration(tmp_path: Path) -> None:
-    write_metashape(tmp_path, [metashape_chunk(Chunk(write.make_shots(count=1)))])
-    document = (tmp_path / "cameras.xml").read_text().replace("calibration", "covariance")
-    (tmp_path / "cameras.xml").write_text(document)
-    assert error_of(read, tmp_path).code == "intrinsics-missing"
 
 
 @pytest.mark.parametrize("writer", [write_realityscan_csv, write_realityscan_xmp])

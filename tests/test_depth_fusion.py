@@ -11,7 +11,7 @@ from fipt_blender.core.depth.cleaning import border_loops, with_closed_holes, wi
 from fipt_blender.core.depth.extraction import FusedMesh, extract
 from fipt_blender.core.depth.range_image import RangeImage
 from fipt_blender.core.depth.simplification import simplified
-from fipt_blender.core.depth.volume import SIDE, BlockVolume, pack, unpack
+from fipt_blender.core.depth.volume import BlockVolume, pack, unpack
 from samples.camera_poses import look_at
 
 VOXEL = 0.04
@@ -73,11 +73,6 @@ def test_a_sphere_seen_from_all_sides_is_one_closed_surface_at_its_place() -> No
     assert volume == pytest.approx(4.0 / 3.0 * np.pi * RADIUS**3, rel=0.03)  # positive: normals point outward
 
 
-def test_neighbouring_blocks_share_their_vertices_exactly() -> None:
-    mesh = fused([sphere_image(origin) for origin in around()])
-    assert len(np.unique(mesh.vertices, axis=0)) == len(mesh.vertices)
-
-
 def test_every_pattern_of_signs_gives_a_surface_without_gaps() -> None:
     volume = BlockVolume(1.0)
     volume.allocate(pack(np.array(np.meshgrid(*[np.arange(-2, 3)] * 3)).reshape(3, -1).T))
@@ -117,12 +112,6 @@ def test_nothing_measured_gives_no_surface() -> None:
     image = RangeImage(np.zeros((8, 8), np.float32), 8.0, 8.0, 4.0, 4.0, np.eye(4))
     mesh = fused([image])
     assert mesh.vertices.shape == (0, 3) and mesh.triangles.shape == (0, 3)
-
-
-def test_keys_hold_positions_of_both_signs() -> None:
-    positions = np.random.default_rng(0).integers(-(1 << 19), 1 << 19, (1000, 3))
-    assert np.array_equal(unpack(pack(positions)), positions)
-    assert SIDE**3 == BlockVolume(1.0).distance.shape[1]
 
 
 def punched(mesh: FusedMesh, radius: float) -> FusedMesh:

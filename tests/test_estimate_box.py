@@ -21,11 +21,11 @@ from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import EmitterTable
 from fipt_blender.core.run import finished_views
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.scene.pixels import trace_view
 from samples.camera_poses import look_at
+from samples.refusals import error_of
 from samples.small_captures import (
     COLORS,
     HEIGHT,
@@ -333,9 +333,7 @@ def no_views(capture: SmallCapture) -> SmallCapture:
 )
 def test_input_that_can_not_be_used(spoil, code: str, capture: SmallCapture, tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", spoil(capture))
-    with pytest.raises(FiptError) as caught:
-        run_here(run)
-    assert caught.value.code == code and caught.value.remedy
+    assert error_of(run_here, run).code == code
     assert not any(run.results.iterdir())
 
 

@@ -16,7 +16,16 @@ from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import EmitterTable
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.scene.room import Room
-from samples.small_captures import CAMERAS, COLORS, PANEL, SmallCapture, photograph_room, run_here, write_run
+from samples.small_captures import (
+    CAMERAS,
+    COLORS,
+    PANEL,
+    SmallCapture,
+    matt,
+    photograph_room,
+    run_here,
+    write_run,
+)
 from samples.small_rooms import BOX, bulb, make_room, mesh_room, surface_points, table
 
 BLACK = [0.0, 0.0, 0.0]
@@ -52,10 +61,6 @@ def furnished(
         tints.append(np.tile(color, (len(faces), 1)))
     parts = [np.concatenate(arrays) for arrays in (vertices, triangles, objects)]
     return mesh_room(*parts, parts="objects"), np.concatenate(tints)
-
-
-def matt(colors: np.ndarray) -> TriangleMaterials:
-    return TriangleMaterials(colors, np.ones(len(colors)), np.zeros(len(colors)))
 
 
 def ceiling(x: float, y: float, width: float, depth: float) -> list[list[float]]:

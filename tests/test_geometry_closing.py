@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.geometry.adjacency import Mesh, face_vectors, make_mesh
-from fipt_blender.core.geometry.closing import Closing, close_small_holes, open_loops, triangulate
+from fipt_blender.core.geometry.closing import Closing, close_small_holes, open_loops
 
 EDGE = 0.02
 
@@ -160,16 +160,6 @@ def test_junk_does_no_harm(fault: str, rng: np.random.Generator) -> None:
     assert closing.triangles.max(initial=-1) < len(closing.vertices)
     if fault in ("fin", "degenerate"):
         assert closing.closed >= 2
-
-
-def test_a_convex_polygon_is_triangulated_without_overlap() -> None:
-    angle = np.arange(12) * np.pi / 6.0
-    rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-    triangles = triangulate(np.stack([rim, 2.0 * rim]))
-    assert triangles.shape == (2, 10, 3)
-    for scale, corners in zip((1.0, 2.0), triangles, strict=True):
-        areas = face_vectors(scale * rim, corners)[1]
-        assert areas.sum() == pytest.approx(3.0 * scale**2)
 
 
 def test_tens_of_thousands_of_holes_take_seconds() -> None:

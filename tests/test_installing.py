@@ -7,7 +7,6 @@ Needs a Blender executable, named in FIPT_TEST_BLENDER; in a folder of its own, 
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import re
@@ -17,6 +16,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
+
+from samples.development import load_dev
 
 ROOT = Path(__file__).resolve().parent.parent
 BLENDER = os.environ.get("FIPT_TEST_BLENDER", "")
@@ -138,10 +139,7 @@ def home(tmp_path: Path) -> Home:
 
 @pytest.fixture(scope="module")
 def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    spec = importlib.util.spec_from_file_location("dev", ROOT / "dev.py")
-    dev = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(dev)
-    return dev.build_extension(tmp_path_factory.mktemp("dist"))
+    return load_dev().build_extension(tmp_path_factory.mktemp("dist"))
 
 
 def older(archive: Path, folder: Path) -> Path:

@@ -20,7 +20,6 @@ from fipt_blender.blend.lights.placement import find_light_place, room_light_pow
 from fipt_blender.bridge.interpreter import engine_environment
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run.documents import read_json
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.hints import Hint, read_hints, write_hints
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
@@ -28,6 +27,7 @@ from fipt_blender.jobs import main_job, run_job
 from fipt_blender.jobs.main_job import make_main_job
 from fipt_blender.jobs.options import MainJobOptions
 from samples.camera_poses import look_at
+from samples.refusals import error_of
 
 ROOT = Path(main_job.__file__).resolve().parent.parent
 
@@ -267,25 +267,6 @@ def test_a_new_start_discards_earlier_results(options, engine):
     assert engine == ["ingest", "estimate", "textures", "report"] and not stale.exists()
 
 
-def test_a_run_continues_after_the_engine_died(options, engine, monkeypatch):
-    stand_in = run_job.engine_command
-
-    def command(python, *arguments):
-        if arguments[0] == "estimate":
-            return [str(python), "-c", "import os; os.abort()"]
-        return stand_in(python, *arguments)
-
-    monkeypatch.setattr(run_job, "engine_command", command)
-    messages = run_main_job(options)
-    assert messages[-1]["code"] == "engine-crashed" and "SIGABRT" in messages[-1]["text"]
-    checkpoint = RunFolder(options.output).stage / "checkpoint"
-    checkpoint.touch()
-    monkeypatch.setattr(run_job, "engine_command", stand_in)
-    engine.clear()
-    assert run_main_job(dataclasses.replace(options, resume=True))[-1]["type"] == "done"
-    assert engine == ["estimate", "textures", "report"] and checkpoint.exists()
-
-
 def test_an_engine_error_ends_the_job_with_its_text(options, engine):
     (options.capture / "1.exr").unlink()
     messages = run_main_job(options)
@@ -295,9 +276,7 @@ def test_an_engine_error_ends_the_job_with_its_text(options, engine):
 
 
 def code_of(options: MainJobOptions) -> str:
-    with pytest.raises(FiptError) as caught:
-        make_main_job(options)
-    return caught.value.code
+    return error_of(make_main_job, options).code
 
 
 def test_wrong_paths_are_found_before_anything_is_written(options, engine, tmp_path):
@@ -314,14 +293,6 @@ def test_wrong_paths_are_found_before_anything_is_written(options, engine, tmp_p
     (foreign / "photo.jpg").touch()
     assert code_of(change(options, output=foreign)) == "run-foreign"
     assert [path.name for path in foreign.iterdir()] == ["photo.jpg"]
-
-
-def test_a_run_of_another_version_is_not_changed(options, engine):
-    options.output.mkdir()
-    text = json.dumps({"format": "fipt-run", "version": 99})
-    (options.output / "run.json").write_text(text)
-    assert code_of(options) == "run-version"
-    assert (options.output / "run.json").read_text() == text
 
 
 def test_hints_of_a_file_go_to_the_run(options, engine, tmp_path):

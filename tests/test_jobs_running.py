@@ -108,13 +108,6 @@ def test_escape_asks_before_it_ends_a_long_run(run):
     tick_until(lambda: info.state == "cancelled", 2.0)
 
 
-def test_escape_ends_a_short_run_at_once(run):
-    info = start(make_job(run), run)
-    tick_until(lambda: at_work(info))
-    assert press_escape() == ({"FINISHED"}, []) and info.stopping
-    tick_until(lambda: info.state == "cancelled", 2.0)
-
-
 def test_escape_that_stops_playback_ends_no_run(run, monkeypatch):
     info = start(make_job(run), run)
     tick_until(lambda: at_work(info))
@@ -124,26 +117,9 @@ def test_escape_that_stops_playback_ends_no_run(run, monkeypatch):
         handler(bpy.context.scene, None)
     assert press_escape() == ({"PASS_THROUGH"}, []) and not info.stopping
     monkeypatch.setattr(session.time, "monotonic", lambda now=time.monotonic: now() + 5.0)
-    assert press_escape()[0] == {"FINISHED"}
+    assert press_escape() == ({"FINISHED"}, [])  # a run of seconds is not asked for
     monkeypatch.undo()
     tick_until(lambda: info.state == "cancelled", 2.0)
-
-
-def test_cancel_closes_what_works_on_blenders_data(run):
-    log = []
-
-    def function():
-        try:
-            while True:
-                log.append("slice")
-                yield 0.5
-        finally:
-            log.append("closed")
-
-    info = start(make_job(run, function, engine=False), run)
-    tick_until(lambda: log)
-    running.cancel()
-    assert info.state == "cancelled" and log[-1] == "closed" and running.current() is None
 
 
 def test_a_function_gets_its_scene_whichever_is_shown(run):
@@ -361,15 +337,6 @@ def test_an_operator_waits_for_the_job_that_runs(run, operator):
     assert not operator.poll()
     finish(run, info)
     assert operator.poll()
-
-
-@pytest.mark.skipif(os.name == "nt", reason="signals")
-def test_an_engine_that_dies_leaves_blender_unharmed(run):
-    info = start(make_job(run, script="import os; os.abort()"), run)
-    tick_until(lambda: info.state != "running")
-    assert info.state == "failed" and info.error["code"] == "engine-crashed"
-    assert "SIGABRT" in info.error["text"] and info.error["remedy"]
-    bpy.ops.mesh.primitive_cube_add()
 
 
 def test_a_job_that_starts_at_the_end_of_another_is_advanced_by_the_same_timer(run):

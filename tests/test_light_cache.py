@@ -31,21 +31,6 @@ def test_pooling_is_the_mean_of_each_entry(rng: np.random.Generator) -> None:
         np.testing.assert_allclose(mean[entry], values[inside].mean(axis=0), rtol=1e-5, atol=1e-6)
 
 
-def test_hand_made_pixels() -> None:
-    """Two points in one voxel, one in the next: 2, and 7 kept apart."""
-    room = make_room(BOX)
-    grid, *_ = filled_grid(room, 10)
-    step = grid.size[0]
-    up = np.tile([0.0, 0.0, 1.0], (3, 1))
-    centre = grid.low + (np.floor((np.array([0.3, 0.4, 0.0]) - grid.low) / grid.size) + 0.5) * grid.size
-    centre[2] = 0.0
-    points = centre + np.array([[0.1, 0.0, 0.0], [-0.2, 0.1, 0.0], [1.0, 0.0, 0.0]]) * step
-    entries = grid.entries(points, up)
-    assert entries[0] == entries[1] != entries[2]
-    mean, count = pool(grid, entries, np.array([[1.0], [3.0], [7.0]]))
-    assert mean[entries, 0].tolist() == [2.0, 2.0, 7.0] and count[entries].tolist() == [2, 2, 1]
-
-
 def test_two_sides_of_a_thin_wall_do_not_mix() -> None:
     """A single sheet, and two sheets a millimetre apart in voxels of 13 cm: each side keeps its value."""
     sheet = [[-1, 0, 0], [1, 0, 0], [1, 0, 2], [-1, 0, 2]]

@@ -16,19 +16,7 @@ from fipt_blender.core.light.emitters import (
     group_fixtures,
     side_medians,
 )
-from fipt_blender.core.scene.room import Room
-from samples.small_rooms import BOX, bulb, make_room, mesh_room
-
-
-def room_with_bulb(radius: float = 0.05) -> Room:
-    """A box whose lamp is an octahedron: triangles 12 to 19."""
-    flat = make_room(BOX)
-    vertices, triangles = bulb([0.5, 0.3, 1.0], radius)
-    return mesh_room(
-        np.concatenate([flat.vertices, vertices]),
-        np.concatenate([flat.triangles, triangles + len(flat.vertices)]),
-        np.concatenate([flat.triangle_object, np.full(8, 6)]),
-    )
+from samples.small_rooms import BOX, make_room, room_with_bulb
 
 
 def pixels(
@@ -85,7 +73,7 @@ def test_touching_triangles_of_unlike_radiance_are_two_fixtures() -> None:
 
 
 def test_unseen_triangles_are_as_bright_as_their_lamp_and_black_ones_are_no_lamp() -> None:
-    room = room_with_bulb()
+    room = room_with_bulb(0.05)
     emitting = np.arange(20) >= 12
     rows = [(i, True, 1.0, 8.0) for i in (12, 13, 14)] + [(2, True, 1.0, 0.3)]
     fixtures = group_fixtures(room, emitting, pixels(rows))
@@ -96,7 +84,7 @@ def test_unseen_triangles_are_as_bright_as_their_lamp_and_black_ones_are_no_lamp
 
 def test_the_far_side_of_a_bulb_in_mixed_pixels_alone_is_the_bulb() -> None:
     """Pixels at its outline show mostly what is behind; the sides seen alone tell how bright it is."""
-    room = room_with_bulb()
+    room = room_with_bulb(0.05)
     emitting = np.arange(20) >= 12
     rows = [(i, True, 1.0, 8.0) for i in (12, 13, 14)] + [(2, True, 1.0, 0.3)]
     rows += [(i, True, 0.1, 0.6) for i in (15, 16, 17, 18)]

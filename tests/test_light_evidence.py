@@ -15,7 +15,6 @@ from fipt_blender.core.light.emitter_surfaces import EmitterSurfaces, emitter_su
 from fipt_blender.core.light.evidence import (
     log_ratio,
     most_nearby,
-    neighbourhood_maximum,
     spill_free_fraction,
 )
 from fipt_blender.core.scene.labels import Parts
@@ -180,15 +179,6 @@ def test_a_rim_that_faces_sideways_on_a_scan_may_show_the_paper_beside_it(tmp_pa
 def test_the_share_that_is_a_pixels_own() -> None:
     light = np.array([1.0, 1.0, 1.0, 0.0])
     assert spill_free_fraction(light, np.array([1.0, 1.5, 3.0, 2.0])).tolist() == [1.0, 0.5, 0.0, 0.0]
-
-
-def test_the_brightest_of_nine() -> None:
-    rng = np.random.default_rng(0)
-    light = rng.random((7, 9))
-    found = neighbourhood_maximum(light.reshape(-1), (7, 9)).reshape(7, 9)
-    for row, column in ((0, 0), (3, 4), (6, 8), (0, 5)):
-        around = light[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
-        assert found[row, column] == around.max()
 
 
 def test_light_beside_is_that_of_the_mesh_in_each_channel() -> None:

@@ -14,18 +14,7 @@ from fipt_blender.core.light.radiance import CachedRadiance, new_path
 from fipt_blender.core.optics.lights import AreaLights
 from fipt_blender.core.scene.room import Room
 from samples.shading_points import grid_of
-from samples.small_rooms import BOX, bulb, make_room, mesh_room
-
-
-def room_with_bulb() -> Room:
-    """A box with an octahedron of triangles 12 to 19."""
-    flat = make_room(BOX)
-    vertices, triangles = bulb([0.5, 0.3, 1.0], 0.1)
-    return mesh_room(
-        np.concatenate([flat.vertices, vertices]),
-        np.concatenate([flat.triangles, triangles + len(flat.vertices)]),
-        np.concatenate([flat.triangle_object, np.full(8, 6)]),
-    )
+from samples.small_rooms import room_with_bulb
 
 
 def pixels(radiance: dict[int, list[float]]) -> EmitterPixels:
@@ -43,7 +32,7 @@ def presumed(room: Room, seen: EmitterPixels) -> tuple:
 
 
 def test_unseen_sides_of_a_lamp_shine_too() -> None:
-    room = room_with_bulb()
+    room = room_with_bulb(0.1)
     walls = {index: [0.5, 0.6] for index in range(12)}
     _, table, lamps = presumed(room, pixels(walls | {12: [60.0, 61.0, 59.0], 13: [60.0, 60.0]}))
     assert np.flatnonzero(lamps).tolist() == list(range(12, 20))
@@ -54,7 +43,7 @@ def test_unseen_sides_of_a_lamp_shine_too() -> None:
 @pytest.mark.parametrize("varies", [True, False])
 def test_lit_surfaces_and_single_pixels_are_no_lamps(varies: bool) -> None:
     """They are aimed at, and their radiance stays in the cache."""
-    room = room_with_bulb()
+    room = room_with_bulb(0.1)
     walls = {index: [0.5, 0.6] for index in range(12)}
     on_bulb = {12: [20.0, 30.0, 40.0, 50.0, 60.0, 70.0]} if varies else {12: [60.0, 60.0]}
     bright, table, lamps = presumed(room, pixels(walls | on_bulb))
@@ -63,13 +52,13 @@ def test_lit_surfaces_and_single_pixels_are_no_lamps(varies: bool) -> None:
 
 
 def test_nothing_bright() -> None:
-    room = room_with_bulb()
+    room = room_with_bulb(0.1)
     bright, table, lamps = presumed(room, pixels({index: [0.0] for index in range(12)}))
     assert table is bright and not lamps.any()
 
 
 def test_stage_1_reads_lamps_from_the_table_and_all_else_from_the_cache() -> None:
-    room = room_with_bulb()
+    room = room_with_bulb(0.1)
     walls = {index: [0.5] * 6 for index in range(12)}
     _, table, _ = presumed(room, pixels(walls | {12: [60.0] * 6, 11: [40.0, 90.0]}))
     assert table.reflective_mask().sum() == 1  # a bright spot of a wall

@@ -27,7 +27,15 @@ from samples.shading_points import (
     mean_and_error,
     points_on,
 )
-from samples.small_rooms import BOX, agree, area_lights, bulb, make_room, mesh_room, surface_points, table
+from samples.small_rooms import (
+    BOX,
+    agree,
+    area_lights,
+    make_room,
+    room_with_bulb,
+    surface_points,
+    table,
+)
 
 BLOCK = [[-0.6, -0.1, 2.0], [0.3, -0.1, 2.0], [0.3, 0.5, 2.0], [-0.6, 0.5, 2.0]]
 
@@ -35,13 +43,7 @@ BLOCK = [[-0.6, -0.1, 2.0], [0.3, -0.1, 2.0], [0.3, 0.5, 2.0], [-0.6, 0.5, 2.0]]
 @cache
 def occluded_room() -> Room:
     """A box with a lamp behind a board, and a closed bulb whose far side its near side hides."""
-    flat = make_room([*BOX, LAMP, BLOCK])
-    vertices, triangles = bulb([1.2, -1.0, 1.2], 0.25)
-    return mesh_room(
-        np.concatenate([flat.vertices, vertices]),
-        np.concatenate([flat.triangles, triangles + len(flat.vertices)]),
-        np.concatenate([flat.triangle_object, np.full(8, 8)]),
-    )
+    return room_with_bulb(0.25, (1.2, -1.0, 1.2), [*BOX, LAMP, BLOCK])
 
 
 def reflected(

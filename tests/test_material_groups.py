@@ -19,7 +19,6 @@ from fipt_blender.core.material.groups import (
     similarity,
 )
 from fipt_blender.core.material.training_input import training_input
-from fipt_blender.core.scene.grouped import numbered
 from fipt_blender.core.scene.labels import NO_PART, Parts
 from samples.panel_pixels import ROOM, SETTINGS, make_pixels
 
@@ -74,13 +73,6 @@ def test_color_classes_separate_hue_and_brightness_and_tolerate_noise(rng):
     assert (color_class(noisy) == classes.repeat(100)).mean() > 0.95
     # A black surface has one class, whatever the chroma of its noise.
     assert len(np.unique(color_class(rng.uniform(0.0, 0.004, (100, 3))))) == 1
-
-
-def test_each_combination_of_values_has_its_own_number(rng: np.random.Generator) -> None:
-    columns = [rng.integers(-5, 5, 500), rng.integers(0, 2**40, 500) % 7 * 2**33, rng.integers(0, 3, 500)]
-    number = numbered(columns)
-    pairs = np.unique(np.column_stack([*columns, number]), axis=0)
-    assert len(pairs) == len(np.unique(number)) == len(np.unique(pairs[:, :3], axis=0))
 
 
 def test_similar_groups_are_of_one_class_and_similar_colour():

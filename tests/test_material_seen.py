@@ -17,11 +17,11 @@ from fipt_blender.core.material.seen import (
     seen_cells,
     seen_statistics,
 )
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.run.shapes import ROOM_ARRAYS
 from fipt_blender.core.textures import bake
+from samples.refusals import error_of
 from samples.shading_points import make_grid
 from samples.small_rooms import BOX, make_room
 
@@ -181,11 +181,7 @@ def test_missing_and_damaged_results_raise(tmp_path):
     run.create(make_settings())
     run.results.mkdir(exist_ok=True)
     np.savez(run.fields_npz, box_extent=1.0)
-    with pytest.raises(FiptError) as error:
-        RoomFields.load(run)
-    assert error.value.code == "results-missing"
+    assert error_of(RoomFields.load, run).code == "results-missing"
     np.savez(run.parts_npz, triangle_part=np.zeros(2, np.int32))
-    with pytest.raises(FiptError) as error:
-        RoomFields.load(run)
-    assert error.value.code == "results-damaged"
+    assert error_of(RoomFields.load, run).code == "results-damaged"
     assert room_box((np.zeros(3), np.ones(3))).extent > 1.0

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fipt_blender import machine
-from fipt_blender.api import tasks
+from fipt_blender.api import applying
 from fipt_blender.blend.capture import overlay
 from fipt_blender.blend.capture.additions import added_surfaces
 from fipt_blender.blend.marks import ADDED, CLOSED, FOUND
@@ -179,7 +179,7 @@ def test_surfaces_need_a_room_and_object_mode(imported):
 def test_what_an_estimation_has_added_is_the_artists_from_then_on(imported, monkeypatch):
     """As after Apply Results, which makes objects of what the estimation has added."""
     monkeypatch.setattr("fipt_blender.blend.results.scene_state.finish", lambda scene, run: None)
-    task = tasks.application()
+    task = applying.application()
     task.finished(imported, RunFolder(imported.fipt.run_folder))
     assert not imported.fipt.capture.completed
     assert ops.add_surface(shape="BOX") == {"FINISHED"}

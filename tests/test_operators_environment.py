@@ -12,17 +12,12 @@ import pytest
 from mathutils import Matrix, Vector
 
 from fipt_blender.blend.marks import has_light_groups
-from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
-from samples.applied_rooms import make_applied_scene, world_strength
+from samples.applied_rooms import world_strength
+from samples.spots import spot
 
 ops = bpy.ops.fipt
 
-pytestmark = pytest.mark.usefixtures("registered")
-
-
-@pytest.fixture
-def scene(tmp_path, monkeypatch):
-    return make_applied_scene(tmp_path / "run", monkeypatch)
+pytestmark = pytest.mark.usefixtures("registered", "applied")
 
 
 def test_light_groups_sum_to_the_image(scene, tmp_path):
@@ -98,13 +93,7 @@ def test_the_environment_rotates_as_entered(scene, tmp_path):
     turn = math.radians(50.0)
     scene.fipt.lights.environment_rotation = turn
     way = Vector((1.0, 0.3, 0.2)).normalized()
-    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
-    scene.collection.objects.link(camera)
-    camera.data.type, camera.data.ortho_scale = "ORTHO", 0.01
-    camera.matrix_world = way.to_track_quat("-Z", "Y").to_matrix().to_4x4()
-    scene.camera = camera
-    scene.render.resolution_x = scene.render.resolution_y = 3
-    seen = render_pixels(scene, RenderOptions(4, denoise=False)).mean(axis=(0, 1))
+    seen = spot((0.0, 0.0, 0.0), way, ortho=0.01).mean(axis=(0, 1))
     # The environment is rotated by +50° about Z: what is visible there was 50° back.
     before = Matrix.Rotation(-turn, 3, "Z") @ way
     assert np.allclose(seen, np.array(before) * 0.5 + 0.5, atol=0.03)

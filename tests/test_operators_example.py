@@ -11,7 +11,7 @@ import bpy
 import pytest
 
 from fipt_blender import machine
-from fipt_blender.api import tasks
+from fipt_blender.api import estimating
 from fipt_blender.bridge.places import PACKAGE_FOLDER
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.settings import make_settings
@@ -49,7 +49,7 @@ def test_a_data_folder_that_cannot_be_written_is_told(tmp_path):
 
 def test_one_click_estimates_the_room_in_a_scene_of_its_own(data, monkeypatch):
     changes = {**QUICK, "training_steps": 20, "texture_size": 256, "texel_density": 10.0}
-    monkeypatch.setattr(tasks, "scene_settings", lambda *_: make_settings("draft", changes))
+    monkeypatch.setattr(estimating, "scene_settings", lambda *_: make_settings("draft", changes))
     own = bpy.context.scene
     own.collection.objects.link(bpy.data.objects.new("Cube", bpy.data.meshes.new("Cube")))
     assert bpy.ops.fipt.try_example() == {"FINISHED"}

@@ -113,14 +113,6 @@ def test_hints_are_removed_one_by_one_or_all(settings) -> None:
     assert bpy.ops.fipt.remove_hint(every=True) == {"FINISHED"} and not len(settings.hints)
 
 
-def test_undo_takes_a_hint_back(settings) -> None:
-    bpy.ops.ed.undo_push(message="before")
-    add()
-    bpy.ops.ed.undo_push(message="after")
-    bpy.ops.ed.undo()
-    assert not len(bpy.context.scene.fipt.hints.hints)
-
-
 def doubts_of(run: RunFolder, *questions: str) -> None:
     entry = {"name": "Box", "text": "?", "view": "train/000", "point": [5.0, 0.0, 2.0], "pixels": 5}
     numbers = dict.fromkeys(("share", "roughness", "metallic", "roughness_error", "metallic_error"), 0.2)

@@ -254,16 +254,6 @@ def test_cancelling_a_second_placement_keeps_the_first(scene):
     assert np.allclose(cube.matrix_world, first) and marks.inserted_objects(scene) == [cube]
 
 
-def test_undo_removes_the_ball(scene):
-    bpy.ops.ed.undo_push(message="before")
-    place(kind="GREY_BALL", location=(0, 0, 0))
-    bpy.ops.ed.undo_push(message="after")
-    bpy.ops.ed.undo()
-    assert "FIPT Gray Ball" not in bpy.data.objects
-    bpy.ops.ed.redo()
-    assert "FIPT Gray Ball" in bpy.data.objects
-
-
 def test_not_in_edit_mode(scene):
     add_cube(scene)
     bpy.ops.object.mode_set(mode="EDIT")

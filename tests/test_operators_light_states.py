@@ -8,17 +8,12 @@ import bpy
 import numpy as np
 import pytest
 
-from samples.applied_rooms import RADIANCE, front, make_applied_scene
+from samples.applied_rooms import RADIANCE, front
 from samples.operator_calls import refused
 
 ops = bpy.ops.fipt
 
-pytestmark = pytest.mark.usefixtures("registered")
-
-
-@pytest.fixture
-def scene(tmp_path, monkeypatch):
-    return make_applied_scene(tmp_path / "run", monkeypatch)
+pytestmark = pytest.mark.usefixtures("registered", "applied")
 
 
 def test_states_are_saved_recalled_blended_and_removed(scene):

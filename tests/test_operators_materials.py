@@ -12,7 +12,7 @@ from mathutils import Vector
 from fipt_blender.blend import marks
 from fipt_blender.blend.room.atlas import atlas_slices
 from fipt_blender.blend.slices import run_through
-from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.properties.materials import SHOWN
 from samples.applied_rooms import MEDIAN, ConstantFields, fingerprint, picture
@@ -257,30 +257,9 @@ def test_each_is_one_step_of_undo(scene):
     assert len(marks.room_with_results(scene)) == 2
 
 
-def test_damaged_results_are_explained(applied):
-    run = RunFolder(applied.fipt.run_folder)
-    write_json(run.textures_json, {"images": []})
-    run.atlas_npz.write_bytes(b"nothing")
-    assert "can't be read" in refused(ops.apply_results)
-
-
 def eevee() -> str:
     """The identifier of EEVEE in this Blender."""
     return "BLENDER_EEVEE_NEXT" if (4, 2) <= bpy.app.version < (5, 0) else "BLENDER_EEVEE"
-
-
-def test_apply_switches_to_cycles_and_revert_back(scene):
-    assert scene.fipt.materials.use_cycles
-    scene.render.engine = "BLENDER_WORKBENCH"
-    ops.apply_results()
-    assert scene.render.engine == "CYCLES" and not scene.fipt.lights.needs_cycles()
-    ops.apply_results()
-    ops.revert()
-    assert scene.render.engine == "BLENDER_WORKBENCH"
-    ops.apply_results()
-    scene.render.engine = eevee()
-    ops.revert()
-    assert scene.render.engine == eevee()  # the artist's last choice
 
 
 def test_eevee_without_light_is_warned_of(scene):

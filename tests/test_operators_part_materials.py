@@ -9,15 +9,14 @@ from dataclasses import astuple
 import bpy
 import numpy as np
 import pytest
-from mathutils import Matrix, Vector
+from mathutils import Vector
 
 from fipt_blender.blend import marks
-from fipt_blender.blend.pictures.image_files import read_pixels
 from fipt_blender.blend.results import adjust
 from fipt_blender.blend.results.part_assets import ball
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.jobs import running
-from samples.applied_rooms import ConstantFields, fingerprint
+from samples.applied_rooms import ConstantFields, fingerprint, picture
 
 ops = bpy.ops.fipt
 
@@ -67,23 +66,6 @@ def face_materials(name):
     return [item.material_slots[polygon.material_index].material.name for polygon in item.data.polygons]
 
 
-def shown(scene, position, target):
-    """Colour of a spot by Cycles, with the view transform of the map that is shown."""
-    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
-    scene.collection.objects.link(camera)
-    camera.data.type, camera.data.ortho_scale = "ORTHO", 0.1
-    turn = (target - position).to_track_quat("-Z", "Y").to_matrix().to_4x4()
-    camera.matrix_world = Matrix.Translation(position) @ turn
-    scene.camera = camera
-    scene.render.resolution_x = scene.render.resolution_y = 3
-    scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 1, False
-    scene.render.image_settings.file_format, scene.render.dither_intensity = "PNG", 0.0
-    scene.render.filepath = path = bpy.app.tempdir + "part.png"
-    bpy.ops.render.render(write_still=True, scene=scene.name)
-    bpy.data.objects.remove(camera)
-    return read_pixels(path).mean(axis=(0, 1))
-
-
 def test_faces_have_the_materials_of_their_parts(applied):
     assert face_materials("panel") == ["Sill FIPT", "Frame FIPT"]  # the third is the lamp
     cube = face_materials("cube")
@@ -114,11 +96,13 @@ def test_an_adjustment_changes_its_part_alone(applied):
         ops.show_map(shown="BASE_COLOR")
         linear = np.array([red, green, blue])
         srgb = np.where(linear < 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-        assert np.allclose(shown(applied, place + Vector((0, 0, 2)), place), srgb, atol=0.01)
+        assert np.allclose(picture(applied, place + Vector((0, 0, 2)), place, 3, 0.1), srgb, atol=0.01)
         ops.show_map(shown="ROUGHNESS")
-        assert np.allclose(shown(applied, place + Vector((0, 0, 2)), place), roughness, atol=0.01)
+        assert np.allclose(picture(applied, place + Vector((0, 0, 2)), place, 3, 0.1), roughness, atol=0.01)
         ops.show_map(shown="METALLIC")
-        assert np.allclose(shown(applied, place + Vector((0, 0, 2)), place), min(metallic, 1.0), atol=0.01)
+        assert np.allclose(
+            picture(applied, place + Vector((0, 0, 2)), place, 3, 0.1), min(metallic, 1.0), atol=0.01
+        )
 
 
 def test_adjusted_colours_of_arrays():
@@ -225,11 +209,3 @@ def test_faces_that_were_left_alone_keep_their_material(scene, mode):
     row(scene, "Box").value = 0.5
     assert ops.apply_results() == {"FINISHED"} and face_materials("cube") == own
     assert row(scene, "Box").value == pytest.approx(0.5)
-
-
-def test_revert_leaves_nothing(scene):
-    before = fingerprint(scene)
-    ops.apply_results()
-    row(scene, "Sill").hue = 0.25
-    ops.revert()
-    assert fingerprint(scene) == before

@@ -28,6 +28,7 @@ from fipt_blender.core.run.runfolder import write_json
 from fipt_blender.jobs import running
 from fipt_blender.jobs.room_steps import RoomSteps
 from fipt_blender.properties.check import ERROR_SCALE
+from samples.applied_rooms import front
 from samples.operator_calls import refused
 from samples.rendered_rooms import SIZE, VIEW, make_scene, photograph
 
@@ -77,22 +78,6 @@ def state(scene):
     items = [(o.name, o.hide_render, o.is_holdout, o.is_shadow_catcher) for o in scene.objects]
     render = scene.render
     return items, render.film_transparent, render.engine, render.resolution_x, scene.camera.name
-
-
-def test_photographed_lights_are_temporary(run):
-    scene = bpy.context.scene
-    lamp = scene.objects["Fixture.001"]
-    nodes = lamp.data.materials[0].node_tree.nodes
-    light_state.change(scene, lamp, {STOPS: 1.0})
-    assert nodes["FIPT Front"].inputs["Strength"].default_value == pytest.approx(16.0)
-    from fipt_blender.blend.pictures.photographed import lights_as_photographed
-
-    with lights_as_photographed(scene):
-        node = nodes["FIPT Front"].inputs
-        assert node["Strength"].default_value * node["Color"].default_value[0] == pytest.approx(8.0)
-    assert nodes["FIPT Front"].inputs["Strength"].default_value == pytest.approx(16.0)
-    light_state.refresh(scene)
-    assert nodes["FIPT Front"].inputs["Strength"].default_value == pytest.approx(16.0)
 
 
 def test_added_objects(run):
@@ -217,8 +202,10 @@ def test_views_are_checked_without_inserted_objects(run):
     photo = photograph(run)
     ball(y=0.0)
     scene = bpy.context.scene
-    light_state.change(scene, scene.objects["Fixture.001"], {STOPS: -3.0})
+    lamp = scene.objects["Fixture.001"]
+    light_state.change(scene, lamp, {STOPS: -3.0})
     assert bpy.ops.fipt.render_views(samples=64) == {"FINISHED"}  # the panel's choice: held-back views
+    assert front(lamp) == pytest.approx(1.0)  # as before, not the 8 of the photograph
     (line,) = scene.fipt.check.views
     render = image_files.read_pixels(run.renders / "rerender" / "val_000.exr")
     assert line.name == VIEW and line.held_back

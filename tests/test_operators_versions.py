@@ -27,6 +27,7 @@ from fipt_blender.panels import versions as panel
 from samples.applied_rooms import ConstantFields, make_scene
 from samples.layouts import Layout
 from samples.operator_calls import refused
+from samples.refusals import error_of
 
 ops = bpy.ops.fipt
 pytestmark = pytest.mark.usefixtures("registered")
@@ -245,6 +246,4 @@ def test_a_script_relights_and_exports_by_the_api_alone(scene, tmp_path):
         lambda: api.estimate(settings={"no_such": 1}),
         lambda: api.use_version("no such"),
     ):
-        with pytest.raises(FiptError) as caught:
-            wrong()
-        assert caught.value.remedy
+        assert error_of(wrong).remedy

@@ -87,13 +87,3 @@ def test_focal_length_in_pixels() -> None:
     assert lens.focal_pixels(phone, 4000, 3000) == pytest.approx(expected)
     assert lens.focal_pixels(phone, 1500, 2000) == pytest.approx(expected / 2.0), "turned and scaled"
     assert lens.start(replace(phone, focal_35mm=None), 4000, 3000) is None, "its sensor's size is unknown"
-
-
-def test_a_radial_fit_finds_its_own_model() -> None:
-    generator = np.random.default_rng(0)
-    straight = generator.uniform(-0.6, 0.6, (500, 2))
-    squared = (straight**2).sum(axis=1)
-    bent = 1.02 * straight * (1.0 - 0.1 * squared + 0.03 * squared**2)[:, None]
-    found = lens.fit_radial(straight, bent, squared, 100.0)
-    assert found.focal == pytest.approx(102.0)
-    assert found.distortion == pytest.approx((-0.1, 0.03))

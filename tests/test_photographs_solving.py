@@ -148,16 +148,6 @@ def test_the_largest_room_is_solved_and_the_rest_is_told(
     assert sum("not connected" in reasons[f"hall {index}"] for index in range(4)) >= 3
 
 
-def test_the_capture_reader_takes_the_folder(solved: tuple[PreparationFolder, Preparation, Reporter]) -> None:
-    folder, _, _ = solved
-    rig = read_rig(folder.root, "auto", CaptureOptions())
-    assert rig.source == "colmap" and [view.name for view in rig.views] == [f"room {i}" for i in range(7)]
-    assert all(view.image == folder.images / f"{view.name}.exr" for view in rig.views)
-    assert {(view.width, view.height) for view in rig.views} == {(WIDTH, HEIGHT)}
-    focal = {view.lens.parameters[0] for view in rig.views}
-    assert len(focal) == 1 and abs(focal.pop() / FOCAL - 1.0) < 0.03
-
-
 def test_two_picked_points_give_meters(solved: tuple[PreparationFolder, Preparation, Reporter]) -> None:
     folder, preparation, _ = solved
     before = folder.facts("solve").stat().st_mtime_ns

@@ -261,9 +261,8 @@ def test_a_full_disk_is_said_so_and_keeps_what_was_there(name: str, tmp_path: Pa
     path = run.root / name
     path.write_text("what was there")
     to_full_disk(path)
-    with pytest.raises(FiptError) as caught:
-        WRITERS[name](run)
-    assert caught.value.code == "disk-full" and str(path) in caught.value.text
+    caught = error_of(WRITERS[name], run)
+    assert caught.code == "disk-full" and str(path) in caught.text
     assert path.read_text() == "what was there"
     assert [entry.name for entry in path.parent.iterdir() if entry.name.startswith(".")] == []
 

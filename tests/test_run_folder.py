@@ -11,7 +11,7 @@ import pytest
 
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.lock import hold, holder, open_lockable
-from fipt_blender.core.run.replacing import atomic_folder, keep_inputs
+from fipt_blender.core.run.replacing import atomic_folder
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import run_job
@@ -119,18 +119,3 @@ def test_a_kill_between_the_two_renamings_loses_nothing(run_folder: RunFolder) -
     (run_folder.root / "results.new").mkdir()
     run_folder.create(make_settings())
     assert names(run_folder.results) == ["old"]
-
-
-def test_results_keep_what_they_were_made_from(run_folder: RunFolder) -> None:
-    run_folder.create(make_settings("draft", {"seed": 7}))
-    run_folder.room_npz.write_bytes(b"first")
-    with atomic_folder(run_folder.results) as new:
-        keep_inputs(run_folder, new)
-    replacement = run_folder.root / "other"
-    replacement.write_bytes(b"second")
-    os.replace(replacement, run_folder.room_npz)  # as every file of a run is written
-    run_folder.create(make_settings("draft", {"seed": 8, "texture_size": 512}))
-    kept = run_folder.estimated()
-    assert kept.room_npz.read_bytes() == b"first" and kept.estimated().room_npz == kept.room_npz
-    settings = run_folder.read_estimated()
-    assert (settings.seed, settings.texture_size) == (7, 512) and run_folder.read().seed == 8

@@ -26,6 +26,7 @@ from fipt_blender.core.scene import align
 from fipt_blender.core.scene.room import Room
 from samples import rig_writers
 from samples.camera_poses import look_at
+from samples.refusals import error_of
 from samples.small_rooms import BOX, make_room, write_room
 
 
@@ -136,9 +137,8 @@ def test_a_mirrored_mesh_and_another_room_are_named(tmp_path: Path, room: Room) 
         run_align(tmp_path / "align", "points", tmp_path / "solve")
     assert caught.value.code == "mesh-mirrored" and "-1" in caught.value.remedy
     write_solve(tmp_path / "other", 3.0 * np.random.default_rng(0).normal(size=(500, 3)), true)
-    with pytest.raises(FiptError) as caught:
-        run_align(tmp_path / "align", "near", tmp_path / "other")
-    assert caught.value.code == "alignment-failed" and "pairs" in caught.value.remedy
+    caught = error_of(run_align, tmp_path / "align", "near", tmp_path / "other")
+    assert caught.code == "alignment-failed" and "pairs" in caught.remedy
     assert not (tmp_path / "align" / "align.json").exists()
 
 
@@ -146,9 +146,7 @@ def test_captures_of_other_views_and_without_points_are_refused(tmp_path: Path, 
     write_input(tmp_path / "align", room, level_poses())
     write_solve(tmp_path / "solve", points_of(room, 99), {f"x{n}": p for n, p in level_poses().items()})
     for capture in (tmp_path / "solve", None):
-        with pytest.raises(FiptError) as caught:
-            run_align(tmp_path / "align", "points", capture)
-        assert caught.value.code == "alignment-points"
+        assert error_of(run_align, tmp_path / "align", "points", capture).code == "alignment-points"
     with pytest.raises(FiptError, match="edges") as caught:
         run_align(tmp_path / "align", "edges", None)  # photographs without edges
     assert caught.value.code == "alignment-edges"

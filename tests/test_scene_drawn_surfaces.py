@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.geometry.stored import prepare_geometry
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.run_files import PANES, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.scene.labels import label_parts
@@ -24,6 +23,7 @@ from fipt_blender.core.views.agreement import surface_disagreement, survey_pixel
 from fipt_blender.core.views.panes import close_holes
 from samples.lost_things import HIGH, photographed, with_box
 from samples.part_views import looking_views, write_run
+from samples.refusals import error_of
 from samples.scans import scanned_box
 from samples.small_rooms import mesh_room
 
@@ -166,6 +166,5 @@ def test_a_damaged_mark_of_exact_triangles_is_told(tmp_path: Path) -> None:
     with np.load(run.room_npz) as archive:
         arrays = dict(archive)
     np.savez(run.room_npz, **arrays, triangle_exact=np.zeros(3, bool))
-    with pytest.raises(FiptError) as error:
-        read_room_files(run)
-    assert error.value.code == "file-damaged" and "triangle_exact" in error.value.text
+    error = error_of(read_room_files, run)
+    assert error.code == "file-damaged" and "triangle_exact" in error.text

@@ -14,6 +14,7 @@ from fipt_blender.core.run.arrays import read_arrays
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.scene.room import load_room
+from samples.refusals import error_of
 
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
@@ -36,12 +37,6 @@ def write_room(root: Path, **changes: np.ndarray) -> RunFolder:
     return run
 
 
-def fault(run: RunFolder) -> FiptError:
-    with pytest.raises(FiptError) as caught:
-        load_room(run)
-    return caught.value
-
-
 def test_a_whole_mesh_is_read(tmp_path: Path) -> None:
     room = load_room(write_room(tmp_path))
     assert np.array_equal(room.triangles, TRIANGLES) and room.areas.tolist() == [0.5, 0.5]
@@ -51,22 +46,25 @@ def test_a_whole_mesh_is_read(tmp_path: Path) -> None:
 def test_indices_of_missing_vertices_are_named_before_areas_are_computed(tmp_path: Path, index: int) -> None:
     triangles = TRIANGLES.copy()
     triangles[1, 2] = index
-    error = fault(write_room(tmp_path, triangles=triangles))
+    error = error_of(load_room, write_room(tmp_path, triangles=triangles))
     assert error.code == "mesh-damaged" and "missing vertices" in error.text
 
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])
 def test_vertices_at_infinity_are_not_called_a_mesh_without_surface(tmp_path: Path, value: float) -> None:
-    error = fault(write_room(tmp_path, vertices=np.full_like(VERTICES, value)))
+    error = error_of(load_room, write_room(tmp_path, vertices=np.full_like(VERTICES, value)))
     assert error.code == "mesh-damaged" and "infinity" in error.text
 
 
 def test_a_mesh_without_area_is_empty(tmp_path: Path) -> None:
-    assert fault(write_room(tmp_path, vertices=np.zeros_like(VERTICES))).code == "mesh-empty"
+    assert error_of(load_room, write_room(tmp_path, vertices=np.zeros_like(VERTICES))).code == "mesh-empty"
 
 
 def test_arrays_of_other_lengths_are_refused(tmp_path: Path) -> None:
-    assert fault(write_room(tmp_path, triangle_object=np.zeros(3, np.int32))).code == "mesh-damaged"
+    assert (
+        error_of(load_room, write_room(tmp_path, triangle_object=np.zeros(3, np.int32))).code
+        == "mesh-damaged"
+    )
 
 
 def test_an_archive_that_unpacks_to_far_more_than_it_holds_is_refused(tmp_path: Path) -> None:

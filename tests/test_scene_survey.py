@@ -10,16 +10,15 @@ from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.geometry.adjacency import weld
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.scene.labels import loose_pieces
 from fipt_blender.core.scene.room import Room
 from fipt_blender.core.views import survey
 from samples.camera_poses import look_at
+from samples.refusals import error_of
 from samples.small_rooms import BOX, bulb, make_room, mesh_room, write_room
 
 WIDTH, HEIGHT = 48, 32
@@ -174,9 +173,8 @@ def test_masks_of_ticked_views_become_parts(tmp_path):
         1,
     ]
     write_exr(folder / "ids.exr", ids[:4])
-    with pytest.raises(FiptError) as error:
-        run_survey(folder, len(room.triangles))
-    assert error.value.code == "mask-size" and "ids.exr" in error.value.text
+    error = error_of(run_survey, folder, len(room.triangles))
+    assert error.code == "mask-size" and "ids.exr" in error.text
 
 
 def test_loose_pieces_stay_inside_objects_and_follow_long_chains():

@@ -16,10 +16,10 @@ from fipt_blender.core.light.shadings import roughness_levels
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.scene.pixels import PixelStore
-from fipt_blender.core.scene.room import Room
 from fipt_blender.core.textures import detail
 from fipt_blender.core.textures.surface_cells import SurfaceCells
 from fipt_blender.core.textures.texel_views import Texels
+from samples.small_rooms import mesh_room
 
 SIZE, FACTOR = 256, 8  # pixels of a photograph, and in one of light, along each axis
 TEXELS = 160  # on the wall, along each axis
@@ -71,10 +71,7 @@ def make_room(shelf=False):
     if shelf:
         board = wall(0.4)[0] * np.float32([0.3, 0.3, 1.0]) + np.float32([0.7, 0.7, 0.0])
         vertices, triangles = np.concatenate([vertices, board]), np.concatenate([triangles, triangles + 4])
-    count = len(triangles)
-    normals = np.tile(np.float32([0, 0, 1]), (count, 3, 1))
-    zero = np.zeros(count, np.int32)
-    return Room(vertices, triangles, normals, zero, zero)
+    return mesh_room(vertices, triangles, np.zeros(len(triangles)))
 
 
 def photograph(view, color, light, shelf):

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
 import re
 import subprocess
@@ -19,6 +18,7 @@ import pytest
 
 from fipt_blender.bridge import pins, provision
 from fipt_blender.bridge.places import environment_python
+from samples.development import load_dev
 
 ROOT = Path(__file__).resolve().parent.parent
 # Blender's fixed list of tags for add-ons
@@ -29,10 +29,7 @@ Scene,Sculpt,Sequencer,System,Text Editor,Tracking,User Interface,UV""".replace(
 
 @pytest.fixture(scope="module")
 def dev() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("dev", ROOT / "dev.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_dev()
 
 
 def test_versions_agree(dev: ModuleType) -> None:

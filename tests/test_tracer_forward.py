@@ -26,28 +26,14 @@ from fipt_blender.core.optics import brdf
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.scene.room import Room, triangle_normals
+from samples.small_rooms import BOX as WALLS
+from samples.small_rooms import make_room, mesh_room
 
 bsdf.register()
 
-
-def make_room(quads: list[list[list[float]]]) -> Room:
-    """Quadrilaterals as two triangles each; quad i has triangles 2i and 2i + 1."""
-    vertices = np.array(quads, np.float32).reshape(-1, 3)
-    corners = np.arange(len(vertices), dtype=np.int32).reshape(-1, 4)
-    triangles = corners[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-    normals = np.repeat(triangle_normals(vertices, triangles)[:, None], 3, axis=1).astype(np.float32)
-    zeros = np.zeros(len(triangles), np.int32)
-    return Room(vertices, triangles, normals, zeros, zeros)
-
-
-FLOOR = [[-2, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]]
 LAMP = [[-0.5, -0.3, 1.5], [-0.5, 0.7, 1.5], [0.4, 0.7, 1.5], [0.4, -0.3, 1.5]]  # front faces down
 BOX = [
-    FLOOR,
-    [[-2, -2, 3], [-2, 2, 3], [2, 2, 3], [2, -2, 3]],
-    [[-2, 2, 0], [2, 2, 0], [2, 2, 3], [-2, 2, 3]],
-    [[-2, -2, 0], [-2, 2, 0], [-2, 2, 3], [-2, -2, 3]],
-    [[2, -2, 0], [2, -2, 3], [2, 2, 3], [2, 2, 0]],
+    *WALLS[:5],
     [[-0.9, 0.2, 0.8], [0.1, 0.5, 0.6], [0.0, 1.4, 0.9], [-1.0, 1.1, 1.1]],
     [[-0.6, -0.5, 2.9], [-0.6, 0.5, 2.9], [0.6, 0.5, 2.9], [0.6, -0.5, 2.9]],
 ]
@@ -81,7 +67,7 @@ def look(lit: LitRoom, toward: np.ndarray, count: int, depth: int, seed: int = 0
 @pytest.mark.parametrize("sigma, metallic", [(1.0, 0.0), (0.4, 0.2), (0.12, 1.0)])
 def test_direct_light_of_a_lamp_is_its_integral(sigma: float, metallic: float) -> None:
     """Light and BRDF samples together equal quadrature over the lamp (z-test)."""
-    room = make_room([FLOOR, LAMP])
+    room = make_room([WALLS[0], LAMP])
     lights = AreaLights(room.vertices, room.triangles, emitters([2, 3], [3.0, 2.0, 1.0], [9.0, 9.0, 9.0]))
     lit = LitRoom(room, uniform(room, 0.6, sigma, metallic), lights)
     toward = np.array([0.5, -0.6, 0.8])
@@ -106,7 +92,7 @@ def test_light_of_an_environment_is_its_integral(sigma: float) -> None:
     image = np.random.default_rng(0).uniform(0.1, 0.5, (16, 32, 3)).astype(np.float32)
     image[3, 5] = [40.0, 30.0, 20.0]
     environment = EnvironmentLight(image)
-    room = make_room([FLOOR])
+    room = make_room([WALLS[0]])
     lights = AreaLights(room.vertices, room.triangles, EmitterTable.empty())
     lit = LitRoom(room, uniform(room, 0.6, sigma, 0.0), lights, environment)
     toward = np.array([0.3, 0.4, 0.866])
@@ -222,7 +208,7 @@ def test_walls_that_emit_and_reflect_are_a_furnace() -> None:
 
     Reflective emitters add their emission to the reflection of the room's material.
     """
-    room = make_room([*BOX, [[-2, -2, 0], [-2, -2, 3], [2, -2, 3], [2, -2, 0]]])
+    room = make_room([*BOX, WALLS[5]])
     count = len(room.triangles)
     table = emitters(list(range(count)), [2.0, 1.0, 0.5], [2.0, 1.0, 0.5])
     table = replace(table, reflective=np.ones(count, bool))
@@ -305,9 +291,7 @@ def test_lattice_reproduces_linear_fields_and_resolves_steps() -> None:
     vertices = rng.uniform(-1.0, 1.0, (30, 3)).astype(np.float32)
     vertices[3:6] = [[0, 0, 0], [2.0, 0, 0], [1.0, 0.004, 0]]  # a sliver
     triangles = np.arange(30, dtype=np.int32).reshape(-1, 3)
-    normals = np.repeat(triangle_normals(vertices, triangles)[:, None], 3, axis=1).astype(np.float32)
-    zeros = np.zeros(10, np.int32)
-    room = Room(vertices, triangles, normals, zeros, zeros)
+    room = mesh_room(vertices, triangles, np.zeros(10))
 
     def linear(position: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return 0.5 + position * 0.2, 0.5 + position[:, 0] * 0.2, triangle / 10.0
@@ -335,7 +319,7 @@ def test_lattice_reproduces_linear_fields_and_resolves_steps() -> None:
 
 
 def test_lattice_keeps_to_its_budget_and_spares_slivers() -> None:
-    room = make_room([FLOOR, [[0, 0, 1], [4, 0, 1], [4, 0.001, 1], [0, 0.001, 1]]])
+    room = make_room([WALLS[0], [[0, 0, 1], [4, 0, 1], [4, 0.001, 1], [0, 0.001, 1]]])
     lattice = make_lattice(room, spacing=0.01, most_points=1_000_000)
     sizes = (lattice.columns + 1) * (lattice.rows + 1)
     assert sizes[2:].max() < 1000  # a metre-long sliver needs a row, not a square

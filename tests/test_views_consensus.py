@@ -11,9 +11,9 @@ import pytest
 from fipt_blender.core.alignment.turns import turn_by
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View, load_capture
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.views.consensus import check_input
+from samples.refusals import error_of
 from samples.small_captures import CAMERAS, SmallCapture, matt, photograph_room, window_capture, write_run
 from samples.small_rooms import BOX, make_room, table
 
@@ -62,11 +62,10 @@ def refused(code: str, capture: SmallCapture, views: list[View], vertices: np.nd
     room = capture.room
     if vertices is not None:
         room = replace(room, vertices=vertices.astype(np.float32))
-    with pytest.raises(FiptError) as error:
-        check_input(room, views, SETTINGS)
-    assert error.value.code == code and "--force" in error.value.remedy
+    error = error_of(check_input, room, views, SETTINGS)
+    assert error.code == code and "--force" in error.remedy
     check_input(room, views, make_settings("draft", {"force": True}))
-    return f"{error.value.text} {error.value.remedy}"
+    return f"{error.text} {error.remedy}"
 
 
 @pytest.mark.parametrize("count", [2, 3, 5, 12])

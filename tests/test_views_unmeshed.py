@@ -15,7 +15,7 @@ from fipt_blender.core.views.check import ViewCheck
 from samples.checked_views import run_check
 from samples.scans import scanned_box
 from samples.small_captures import CAMERAS, COLORS, PANEL, SmallCapture, photograph_room
-from samples.small_rooms import BOX, bulb, make_room, mesh_room, table
+from samples.small_rooms import BOX, make_room, room_with_bulb, table
 
 PLACE = [0.3, 0.2, 1.6]
 VIEWS = [*CAMERAS, [[1.5, 0.2, 1.8], [-1.2, -0.4, 1.4]], [[-0.3, 1.7, 1.5], [0.1, -1.5, 1.6]]]
@@ -24,14 +24,7 @@ VIEWS = [*CAMERAS, [[1.5, 0.2, 1.8], [-1.2, -0.4, 1.4]], [[-0.3, 1.7, 1.5], [0.1
 @pytest.fixture(scope="module")
 def with_bulb() -> SmallCapture:
     """A hanging bulb of 12 cm in a coloured box."""
-    flat = make_room(BOX)
-    points, faces = bulb(PLACE, 0.06)
-    room = mesh_room(
-        np.concatenate([flat.vertices, points]),
-        np.concatenate([flat.triangles, faces + len(flat.vertices)]),
-        np.concatenate([flat.triangle_object, np.full(8, 6)]),
-        parts="objects",
-    )
+    room = room_with_bulb(0.06, PLACE, parts="objects")
     colors = np.concatenate([np.repeat(np.array(COLORS), 2, axis=0), np.zeros((8, 3))])
     materials = TriangleMaterials(colors, np.ones(20), np.zeros(20))
     lamps = table(list(range(12, 20)), [80.0, 70.0, 60.0])

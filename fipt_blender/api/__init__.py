@@ -58,7 +58,7 @@ def import_capture(
     Raises:
         FiptError: ``option-unknown``, or why the capture can't be read.
     """
-    from .tasks import capture_import
+    from .importing import capture_import
 
     settings = (scene or bpy.context.scene).fipt.capture
     for name, value in (options or {}).items():
@@ -89,7 +89,7 @@ def estimate(
         FiptError: ``setting-unknown``, ``setting-invalid``, or why the estimation has failed.
     """
     from ..core.run.settings import make_settings
-    from .tasks import estimation
+    from .estimating import estimation
 
     if preset is not None:
         make_settings(preset)  # raises for another name
@@ -103,7 +103,7 @@ def reestimate(scene: bpy.types.Scene | None = None) -> Outcome:
     Raises:
         FiptError: ``version-stages`` where another estimate has replaced the stages.
     """
-    from .tasks import reestimation
+    from .estimating import reestimation
 
     return _run(reestimation(), scene)
 
@@ -114,7 +114,7 @@ def apply(scene: bpy.types.Scene | None = None) -> Outcome:
     Raises:
         FiptError: ``run-missing``, ``results-missing``, or why it has failed.
     """
-    from .tasks import application
+    from .applying import application
 
     return _run(application(), scene)
 
@@ -203,7 +203,7 @@ def versions(scene: bpy.types.Scene | None = None) -> list[Version]:
         FiptError: ``run-missing``.
     """
     from ..core.run.versions import list_versions
-    from .tasks import run_of
+    from .applying import run_of
 
     return list_versions(run_of(scene or bpy.context.scene))
 
@@ -214,7 +214,7 @@ def use_version(version: str, scene: bpy.types.Scene | None = None) -> Outcome:
     Raises:
         FiptError: ``version-missing``, ``run-busy``; those of `apply`.
     """
-    from .tasks import version_change
+    from .applying import version_change
 
     return _run(version_change(version), scene)
 
@@ -227,7 +227,7 @@ def rename_version(version: str, name: str, scene: bpy.types.Scene | None = None
     """
     from ..core.run import versions as kept
     from ..jobs import runstate
-    from .tasks import run_of
+    from .applying import run_of
 
     run = run_of(scene or bpy.context.scene)
     kept.rename_version(run, version, name)
@@ -242,7 +242,7 @@ def delete_version(version: str, scene: bpy.types.Scene | None = None) -> None:
     """
     from ..jobs import runstate
     from ..jobs.run_job import remove_version
-    from .tasks import run_of
+    from .applying import run_of
 
     run = run_of(scene or bpy.context.scene)
     remove_version(run, version)

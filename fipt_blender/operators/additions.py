@@ -46,13 +46,13 @@ class FIPT_OT_find_missing_surfaces(SurveyJob, bpy.types.Operator):
     kind = "completion"
 
     def make_job(self, context: bpy.types.Context) -> Job:
-        from ..api import tasks
+        from ..api import estimating
         from ..bridge.step import Step
         from ..jobs.run_job import open_job, refuse_busy
 
         run = self.checked_run(context)
         refuse_busy(run)
-        run.create(tasks.scene_settings(context.scene))
+        run.create(estimating.scene_settings(context.scene))
         prepare, survey = survey_steps(run, search=True)
         search = Step(
             "complete", "Looking for what the scan lacks", 60.0, command=["complete", str(run.root)]

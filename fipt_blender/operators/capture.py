@@ -11,7 +11,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import machine
-from ..api import tasks
+from ..api import importing
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
 from ..jobs import running
@@ -52,7 +52,7 @@ class FIPT_OT_import_capture(_ImportJob, bpy.types.Operator):
     def task(self, context: bpy.types.Context) -> Task:
         if self.filepath:
             context.scene.fipt.capture.path = self.filepath
-        return tasks.capture_import()
+        return importing.capture_import()
 
 
 class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
@@ -61,7 +61,7 @@ class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
     bl_idname = "fipt.use_scene_cameras"
     bl_label = "Use Scene Cameras"
     title = "Use Scene Cameras"
-    failed = staticmethod(tasks.give_back)
+    failed = staticmethod(importing.give_back)
 
     poll = all_of(
         needs(
@@ -80,11 +80,11 @@ class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
         settings = scene.fipt.capture
         machine.engine_python()
         name = bpy.path.display_name_from_filepath(bpy.data.filepath) or scene.name
-        run = tasks.open_run(scene, SCENE_SOURCE, name)
+        run = importing.open_run(scene, SCENE_SOURCE, name)
         try:
             path, skipped = write_scene_cameras(scene, run)
         except FiptError:
-            tasks.give_back(scene, run)
+            importing.give_back(scene, run)
             raise
         options = CaptureOptions(
             format="transforms",
@@ -102,7 +102,7 @@ class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
             remedy = "To use them as well, give each its photograph as background image."
             return [{"type": "warning", "code": "cameras-left-out", "text": text, "remedy": remedy}]
 
-        return tasks.import_job(run, path, options.arguments(), "Listing the cameras", adopt)
+        return importing.import_job(run, path, options.arguments(), "Listing the cameras", adopt)
 
 
 class FIPT_OT_import_mesh(bpy.types.Operator):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..api import tasks
+from ..api import estimating
 from ..core.run.runfolder import RunFolder
 from ..jobs import running, runstate
 from ..properties.estimate import PRESETS
@@ -51,7 +51,7 @@ class FIPT_OT_estimate(_Estimation, bpy.types.Operator):
     )
 
     def task(self, context: bpy.types.Context) -> Task:
-        return tasks.estimation(keep_stages=self.keep)
+        return estimating.estimation(keep_stages=self.keep)
 
 
 class FIPT_OT_resume(_Estimation, bpy.types.Operator):
@@ -76,7 +76,7 @@ class FIPT_OT_resume(_Estimation, bpy.types.Operator):
         return True
 
     def task(self, context: bpy.types.Context) -> Task:
-        again = tasks.estimation(keep_stages=True, keep_hints=True)
+        again = estimating.estimation(keep_stages=True, keep_hints=True)
 
         def make(scene: bpy.types.Scene) -> Job:
             from ..jobs.main_job import estimate_step

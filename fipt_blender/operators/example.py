@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import bpy
 
 from .. import machine
-from ..api import tasks
+from ..api import applying, estimating
 from ..core.run.runfolder import RunFolder, explained_write_errors
 from ..jobs import running
 from .job_operator import JobOperator
@@ -55,7 +55,7 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
         path = copy_example(machine.data_folder())
         scene.fipt.capture.path = str(path)
         scene.fipt.estimate.preset = "draft"
-        settings = tasks.scene_settings(scene)
+        settings = estimating.scene_settings(scene)
         run = RunFolder(machine.new_run_folder(NAME))
         run.create(settings)
         scene.fipt.run_folder = str(run.root)
@@ -68,15 +68,15 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
         steps = [
             ingest_step(run, path, CaptureOptions().arguments(), "Reading the example", 2.0),
             Step("import", "Adding cameras and mesh", 1.0, function=add_to_scene),
-            *tasks.make_steps(run, settings, resume=False),
-            *tasks.apply_steps(scene.name, run, settings),
+            *estimating.make_steps(run, settings, resume=False),
+            *applying.apply_steps(scene.name, run, settings),
         ]
         return open_job(run, steps, record="example.json", launch=self._launch)
 
     @staticmethod
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
         """Show the estimated room from inside."""
-        tasks.note_applied(scene, run)
+        applying.note_applied(scene, run)
 
 
 def copy_example(data: Path) -> Path:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..api import tasks
+from ..api import applying, estimating
 from ..jobs import runstate
 from ..properties.hints import ANSWERS
 from .job_operator import JobOperator
@@ -167,7 +167,7 @@ class FIPT_OT_read_doubts(bpy.types.Operator):
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
-        tasks.show_doubts(context.scene, tasks.run_of(context.scene))
+        applying.show_doubts(context.scene, applying.run_of(context.scene))
         open_ones = sum(not doubt.answered for doubt in context.scene.fipt.hints.doubts)
         self.report({"INFO"}, iface_("{} questions").format(open_ones))
         return {"FINISHED"}
@@ -225,4 +225,4 @@ class FIPT_OT_reestimate(JobOperator, bpy.types.Operator):
     )
 
     def task(self, context: bpy.types.Context) -> Task:
-        return tasks.reestimation()
+        return estimating.reestimation()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..api import tasks
+from ..api import applying
 from ..properties.materials import SHOWN
 from .job_operator import JobOperator
 from .polls import all_of, has_results, in_object_mode, needs, no_job
@@ -32,7 +32,7 @@ class FIPT_OT_apply_results(JobOperator, bpy.types.Operator):
     )
 
     def task(self, context: bpy.types.Context) -> Task:
-        return tasks.application()
+        return applying.application()
 
 
 class _NeedsResults:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..api import tasks
+from ..api import applying
 from ..core.run.errors import FiptError
 from ..jobs import running, runstate
 from .job_operator import JobOperator
@@ -57,7 +57,7 @@ class FIPT_OT_use_version(JobOperator, bpy.types.Operator):
     poll = all_of(no_job, has_run, in_object_mode)
 
     def task(self, context: bpy.types.Context) -> Task:
-        return tasks.version_change(self.version)
+        return applying.version_change(self.version)
 
 
 class FIPT_OT_rename_version(_NoJob, bpy.types.Operator):
@@ -156,7 +156,7 @@ class FIPT_OT_compare_versions(bpy.types.Operator):
         from ..core.run.version_figures import comparison
         from ..core.run.versions import list_versions
 
-        run = tasks.run_of(context.scene)
+        run = applying.run_of(context.scene)
         present = next(iter(list_versions(run)), None)
         rows = [] if present is None else comparison(run, self.version, present.id, _MOST_PARTS)
         if not bpy.app.background and version_views.show(context.scene, run, self.version):

@@ -19,6 +19,7 @@ from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures import bake
 from fipt_blender.jobs import run_job
+from samples.spots import spot_camera
 
 MEDIAN = 0.36
 RADIANCE = [8.0, 4.0, 2.0]
@@ -56,33 +57,38 @@ def use_fake_engine(monkeypatch) -> list[str]:
     return bakes
 
 
-def make_scene(folder: Path, environment: bool = True) -> bpy.types.Scene:
-    """A file with an artist's room, world and lights, and the run estimated from it.
-
-    The room is a mirrored panel of three quads, of which the last is a lamp, and a cube with a bevel and
-    slots on mesh and object.
-    """
-    scene = bpy.context.scene
-    room = bpy.data.collections.new("FIPT Room")
-    scene.collection.children.link(room)
+def panel_and_cube() -> list[bpy.types.Object]:
+    """A mirrored panel of three quads, of which the last is a lamp, and a cube with a bevel and slots on mesh
+    and object."""
     mesh = bpy.data.meshes.new("panel")
     points = [(x, y, 0.0) for x in range(4) for y in range(2)]
     mesh.from_pydata(points, [], [(2 * i, 2 * i + 2, 2 * i + 3, 2 * i + 1) for i in range(3)])
     panel = bpy.data.objects.new("panel", mesh)
     panel.matrix_world = Matrix.Translation((5, 0, 0)) @ Matrix.Diagonal((-1, 1, 1, 1))
-    room.objects.link(panel)
+    bpy.context.scene.collection.objects.link(panel)
     bpy.ops.mesh.primitive_cube_add(location=(0, 5, 0))
     cube = bpy.context.object
-    cube.name = "cube"
-    cube.users_collection[0].objects.unlink(cube)
-    room.objects.link(cube)
-    cube.modifiers.new("Bevel", "BEVEL").show_render = False
+    cube.modifiers.new("Bevel", "BEVEL")
     for name in ("red", "green", "blue"):
         cube.data.materials.append(bpy.data.materials.new(name))
     cube.material_slots[1].link = "OBJECT"
     cube.material_slots[1].material = bpy.data.materials.new("own")
-    cube.active_material_index = 2
     cube.data.polygons.foreach_set("material_index", np.array([0, 1, 2, 2, 1, 0], np.int32))
+    return [panel, cube]
+
+
+def make_scene(folder: Path, environment: bool = True) -> bpy.types.Scene:
+    """A file with an artist's room (`panel_and_cube`), world and lights, and the run estimated from it."""
+    scene = bpy.context.scene
+    room = bpy.data.collections.new("FIPT Room")
+    scene.collection.children.link(room)
+    panel, cube = panel_and_cube()
+    cube.name = "cube"
+    for item in (panel, cube):
+        item.users_collection[0].objects.unlink(item)
+        room.objects.link(item)
+    cube.modifiers["Bevel"].show_render = False
+    cube.active_material_index = 2
     lamp = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
     scene.collection.objects.link(lamp)
     scene.world = bpy.data.worlds.new("sky")
@@ -123,6 +129,7 @@ def make_applied_scene(folder: Path, monkeypatch) -> bpy.types.Scene:
 
 def front(item: bpy.types.Object) -> np.ndarray:
     """Radiance (3,) of a fixture's front in its material."""
+    bpy.context.view_layer.update()
     node = item.data.materials[0].node_tree.nodes["FIPT Front"]
     return np.array(node.inputs["Color"].default_value)[:3] * node.inputs["Strength"].default_value
 
@@ -134,22 +141,13 @@ def world_strength() -> float:
 
 def picture(scene, position, target, size=9, ortho=0.2):
     """A spot in a small Cycles render with the view transform, 0 to 1, (3,)."""
-    camera = bpy.data.objects.new("c", bpy.data.cameras.new("c"))
-    scene.collection.objects.link(camera)
-    camera.data.type, camera.data.ortho_scale = "ORTHO", ortho
-    turn = (target - position).to_track_quat("-Z", "Y").to_matrix().to_4x4()
-    camera.matrix_world = Matrix.Translation(position) @ turn
-    scene.camera = camera
-    scene.render.resolution_x = scene.render.resolution_y = size
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.use_denoising = 4, False
     scene.render.image_settings.file_format, scene.render.dither_intensity = "PNG", 0.0
-    path = bpy.app.tempdir + "shown.png"
-    scene.render.filepath = path
-    bpy.ops.render.render(write_still=True, scene=scene.name)
-    pixels = read_pixels(path)
-    bpy.data.objects.remove(camera)
-    return pixels.mean(axis=(0, 1))
+    scene.render.filepath = path = bpy.app.tempdir + "shown.png"
+    with spot_camera(scene, position, target, size, ortho):
+        bpy.ops.render.render(write_still=True, scene=scene.name)
+    return read_pixels(path).mean(axis=(0, 1))
 
 
 def fingerprint(scene: bpy.types.Scene) -> dict:

@@ -29,3 +29,11 @@ def random_rotation(rng: np.random.Generator) -> np.ndarray:
     orthogonal, triangular = np.linalg.qr(rng.normal(size=(3, 3)))
     orthogonal = orthogonal * np.sign(np.diag(triangular))
     return orthogonal * np.sign(np.linalg.det(orthogonal))
+
+
+def drawn_similarity(rng: np.random.Generator, scale: float) -> np.ndarray:
+    """A similarity (4, 4) of some scale: any rotation, and a shift of a few of its units."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale * random_rotation(rng)
+    matrix[:3, 3] = 3.0 * scale * rng.normal(size=3)
+    return matrix

@@ -3,6 +3,7 @@
 """Small rooms made of quadrilaterals, and a statistical test of means."""
 
 import json
+from collections.abc import Sequence
 from math import erfc, log, sqrt
 from pathlib import Path
 
@@ -56,11 +57,23 @@ def write_room(folder: Path, room: Room) -> None:
     (folder / "room.json").write_text(json.dumps(names))
 
 
-def bulb(centre: list[float], radius: float) -> tuple[np.ndarray, np.ndarray]:
+def bulb(centre: Sequence[float], radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and triangles of an octahedron, fronts outwards."""
     corners = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float32)
     faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
     return corners * radius + np.array(centre, np.float32), np.array(faces, np.int32)
+
+
+def room_with_bulb(radius: float, centre: tuple = (0.5, 0.3, 1.0), quads: list = BOX, **names) -> Room:
+    """A room with an octahedron as its last object: in the box, triangles 12 to 19."""
+    flat = make_room(quads)
+    vertices, triangles = bulb(centre, radius)
+    return mesh_room(
+        np.concatenate([flat.vertices, vertices]),
+        np.concatenate([flat.triangles, triangles + len(flat.vertices)]),
+        np.concatenate([flat.triangle_object, np.full(8, len(quads))]),
+        **names,
+    )
 
 
 def table(ids: list[int], front: list[float], back: tuple[float, ...] = (0.0, 0.0, 0.0)) -> EmitterTable:

@@ -1,0 +1,256 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What fuzz.py mutates: every reader of files of others, with a sample of fuzz_samples.py."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+
+from benchmarks import fuzz_samples
+from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.capture.options import CaptureOptions
+from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.hints import read_hints
+from fipt_blender.core.run.run_files import read_atlas, read_emitters, read_room_files
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.shapes import STAGES
+from samples import capture_files, metashape_writers, rgbd_frames, rig_writers
+
+
+@dataclass(frozen=True)
+class Target:
+    """One reader.
+
+    Attributes:
+        name: of the reader.
+        write: makes a valid sample in an empty folder.
+        read: reads it; gets the folder of the sample and an empty folder for what it writes.
+        modules: that it imports, slowly.
+    """
+
+    name: str
+    write: Callable[[Path], None]
+    read: Callable[[Path, Path], None]
+    modules: tuple[str, ...] = ("fipt_blender.core.capture.ingest",)
+
+
+def _ingest_with_options(sample: Path, out: Path) -> None:
+    try:
+        options = json.loads((sample / "options.json").read_text())
+        given = [f"{key}={value}" for key, value in options.items()]
+    except (AttributeError, RecursionError, ValueError) as error:
+        raise FiptError("options", str(error), "Not a fault of the reader.") from None
+    os.chdir(sample)
+    try:
+        fuzz_samples.import_sample(sample / "capture", out, *given)
+    except SystemExit as error:  # argparse has told what is wrong
+        raise FiptError("options", str(error), "Correct them.") from None
+
+
+def _load_capture(sample: Path, out: Path) -> None:
+    from fipt_blender.core.capture.views import load_capture
+
+    load_capture(RunFolder(sample))
+
+
+def _program(write: Callable[[Path, list[rig_writers.Shot]], None]) -> Callable[[Path], None]:
+    """A writer of another program's cameras with images that can be ingested."""
+
+    def write_all(folder: Path) -> None:
+        write(folder, fuzz_samples.three_shots())
+        for index, path in enumerate(sorted(folder.rglob("*.jpg"))):
+            path.unlink()
+            pixels = np.random.default_rng(index).random((8, 12, 3), np.float32)
+            write_exr(path.with_suffix(".exr"), pixels, half=True)
+        capture_files.write_mesh(folder / "scene.obj")
+
+    return write_all
+
+
+def _read_run_files(sample: Path, out: Path) -> None:
+    run = RunFolder(sample)
+    room, _ = read_room_files(run)
+    read_atlas(run, len(room["triangles"]))
+    read_emitters(run, len(room["triangles"]))
+    read_json(run.stage / "stages.json", STAGES)
+    run.read()
+
+
+def _report(sample: Path, out: Path) -> None:
+    """The run folder's documents, and the report, which is written into a copy."""
+    from fipt_blender.core.report.page import write_report
+
+    run = RunFolder(out / "run")
+    shutil.copytree(sample, run.root)
+    read_hints(run.hints_json)
+    write_report(run)
+
+
+def _preparation(sample: Path, out: Path) -> None:
+    """What a step of `prepare` does with the file before it works on photographs."""
+    from fipt_blender.core.photographs import preparation
+
+    found = preparation.read_preparation(preparation.PreparationFolder(sample))
+    for group in found.used_groups:
+        for photograph in found.of(group):
+            assert found.file(photograph).is_relative_to(found.source)
+
+
+def _named_meshes(sample: Path, out: Path) -> None:
+    """The checks before Blender's importers, and what a resumed job compares."""
+    from fipt_blender.blend.capture.mesh_files import check_mesh_file
+    from fipt_blender.jobs.fingerprints import mesh_fingerprint
+
+    refused = None
+    for name in ("a.obj", "a.gltf"):
+        mesh_fingerprint(sample / name)
+        try:
+            check_mesh_file(sample / name)
+        except FiptError as error:
+            refused = error
+    if refused is not None:
+        raise refused
+
+
+def _write_model(kind: str) -> Callable[[Path], None]:
+    def write(folder: Path) -> None:
+        from samples import mask_models
+
+        if kind == "sam":
+            mask_models.write_sam(folder, mask_models.make_sam())
+        else:
+            mask_models.write_segmenter(folder, mask_models.make_eomt())
+
+    return write
+
+
+def _open_model(sample: Path, out: Path) -> None:
+    from fipt_blender.core.photographs.masks_model import open_masks_model
+
+    open_masks_model(sample)
+
+
+def _metashape(folder: Path, shots: list[rig_writers.Shot]) -> None:
+    rig_writers.write_photographs(folder, shots)
+    metashape_writers.write_metashape(
+        folder, [metashape_writers.metashape_chunk(metashape_writers.Chunk(shots), component=True)]
+    )
+
+
+def _rgbd(folder: Path) -> None:
+    rgbd_frames.write_frames(folder, 2, (12, 16), 9.0)
+
+
+def _depth_points(sample: Path, out: Path) -> None:
+    """What cameras with depth are aligned by."""
+    from fipt_blender.core.capture.depth_images import checked_depths
+    from fipt_blender.core.capture.depth_points import alignment_points
+    from fipt_blender.core.capture.formats import read_rig
+
+    rig = read_rig(sample, "rgbd", CaptureOptions())
+    alignment_points(sample, replace(rig, depths=checked_depths(rig.depths)))
+
+
+def _simplify(sample: Path, out: Path) -> None:
+    """Simplification of mesh files, and the surface to which cameras are aligned."""
+    from fipt_blender.core.alignment.mesh_file import read_mesh
+    from fipt_blender.core.alignment.surface import sample_surface
+    from fipt_blender.core.capture.source import simplified_mesh
+    from fipt_blender.core.depth.ply import write_ply
+
+    for name in ("mesh.ply", "mesh.obj"):
+        found = simplified_mesh(sample / name, 100)
+        if found is not None:
+            write_ply(out / "small.ply", found[0])
+        surface = sample_surface(*read_mesh(sample / name), np.random.default_rng(0), 500)
+        surface.nearest_triangle(surface.points[:50] + 0.1)
+
+
+def _plane_room(sample: Path, out: Path) -> None:
+    """The room of planes of a solve's points."""
+    from fipt_blender.core.capture.formats import read_rig
+    from fipt_blender.core.capture.source import room_of_points, write_room
+
+    rig = read_rig(sample, "opensfm", CaptureOptions())
+    write_room(out / "planes.obj", room_of_points(sample, rig))
+
+
+def _depth_map(sample: Path, out: Path) -> None:
+    from fipt_blender.core.capture.dense_stereo import read_depth_map
+
+    try:
+        read_depth_map(sample / "a.geometric.bin")
+    except ValueError as error:  # `stereo_depths` makes the error for users of it
+        raise FiptError("stereo-failed", str(error), "Check the photographs.") from None
+
+
+PROGRAMS: dict[str, Callable[[Path, list[rig_writers.Shot]], None]] = {
+    "metashape": _metashape,
+    "realityscan-csv": metashape_writers.write_realityscan_csv,
+    "realityscan-xmp": metashape_writers.write_realityscan_xmp,
+    "meshroom": lambda folder, shots: rig_writers.write_meshroom(
+        folder, [replace(shot, k=(-0.02,)) for shot in shots], (1, 2, 8)
+    ),
+    "opensfm": lambda folder, shots: rig_writers.write_opensfm(folder, [shots], "perspective"),
+    "openmvg": lambda folder, shots: rig_writers.write_openmvg(
+        folder, [replace(shot, k=(-0.02, 0.01, 0.0)) for shot in shots], "pinhole_radial_k3", "disto_k3"
+    ),
+    "bundler": rig_writers.write_bundler,
+    "nvm": lambda folder, shots: rig_writers.write_nvm(folder, [shots], 0.02),
+    "polycam": lambda folder, shots: rig_writers.write_polycam(folder, shots, np.eye(4), corrected=True),
+    "record3d": lambda folder, shots: rig_writers.write_record3d(
+        folder, [replace(shot, name=f"{index}.jpg") for index, shot in enumerate(shots)], each_frame=True
+    ),
+    "scannetpp": lambda folder, shots: rig_writers.write_scannetpp(folder, shots, held_back=2),
+}
+
+
+_TRANSFORMERS = ("transformers", "fipt_blender.core.photographs.masks_model")
+
+
+TARGETS = (
+    Target(
+        "colmap-binary",
+        lambda folder: fuzz_samples.write_colmap(folder, text=False),
+        fuzz_samples.import_sample,
+    ),
+    Target(
+        "colmap-text", lambda folder: fuzz_samples.write_colmap(folder, text=True), fuzz_samples.import_sample
+    ),
+    Target("transforms", fuzz_samples.write_transforms, fuzz_samples.import_sample),
+    Target("fipt-real", fuzz_samples.write_fipt_real, fuzz_samples.import_sample),
+    Target("fipt-synthetic", fuzz_samples.write_fipt_synthetic, fuzz_samples.import_sample),
+    *(Target(name, _program(write), fuzz_samples.import_sample) for name, write in PROGRAMS.items()),
+    Target("rgbd", _rgbd, fuzz_samples.import_sample),
+    Target("depth-points", _rgbd, _depth_points),
+    Target("meshes", fuzz_samples.write_meshes, _simplify),
+    Target("plane-room", fuzz_samples.write_points, _plane_room),
+    Target("depth-map", fuzz_samples.write_depth_map, _depth_map),
+    Target("capture", fuzz_samples.write_capture, _load_capture),
+    Target("run-files", fuzz_samples.write_run_files, _read_run_files),
+    Target("report", fuzz_samples.write_finished_run, _report, ("fipt_blender.core.report.page",)),
+    Target("options", fuzz_samples.write_options, _ingest_with_options),
+    Target(
+        "preparation",
+        fuzz_samples.write_preparation,
+        _preparation,
+        ("fipt_blender.core.photographs.preparation",),
+    ),
+    Target(
+        "named-meshes", fuzz_samples.write_named_meshes, _named_meshes, ("fipt_blender.jobs.fingerprints",)
+    ),
+    Target("model-sam", _write_model("sam"), _open_model, _TRANSFORMERS),
+    Target("model-eomt", _write_model("eomt"), _open_model, _TRANSFORMERS),
+)

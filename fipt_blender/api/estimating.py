@@ -1,0 +1,147 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The work behind Estimate, Resume and Re-estimate: from the scene and its hints to results.
+
+Operators import it while Blender starts, so it imports heavier modules inside functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bpy
+
+from .. import machine
+from ..core.run.runfolder import RunFolder
+from ..jobs.tasks import Task
+from ..jobs.window import push_undo
+from .applying import apply_steps, chosen_settings, note_applied, run_of, show_doubts
+
+if TYPE_CHECKING:
+    from ..bridge.process import Message
+    from ..bridge.sequence import Job
+    from ..bridge.step import Slices, Step
+    from ..core.run.settings import Settings, Value
+
+
+def estimation(
+    keep_stages: bool = False, keep_hints: bool = False, changes: Mapping[str, Value] | None = None
+) -> Task:
+    """Estimate materials and lights.
+
+    Args:
+        keep_stages: keep finished stages where room, views and settings have not changed for them.
+        keep_hints: honour the hints that the run was started with, instead of the scene's.
+        changes: settings besides those of the panel, by name.
+    """
+
+    def make(scene: bpy.types.Scene) -> Job:
+        from ..jobs import run_job
+
+        launch = run_job.find_launch()
+        settings = scene_settings(scene, changes)
+        if not scene.fipt.run_folder:
+            name = Path(bpy.data.filepath).stem or scene.name
+            scene.fipt.run_folder = str(machine.new_run_folder(name))
+            push_undo("Estimate")
+        run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
+        run_job.refuse_busy(run)
+        run.create(settings)
+        if not keep_hints:
+            from ..blend.hints.exchange import write_for_run
+
+            write_for_run(scene, run)
+        return run_job.open_job(
+            run,
+            make_steps(run, settings, keep_stages),
+            resume=keep_stages,
+            result=lambda: result_files(run),
+            launch=launch,
+        )
+
+    return Task("Estimate", "estimate", make, finished=show_doubts)
+
+
+def scene_settings(scene: bpy.types.Scene, changes: Mapping[str, Value] | None = None) -> Settings:
+    """The settings in the section Estimate; the texture settings are those of the run folder, if it has any.
+
+    Args:
+        scene: with the panel.
+        changes: of other settings, by name.
+
+    Raises:
+        FiptError: ``setting-unknown`` or ``setting-invalid``; those of `RunFolder.read`.
+    """
+    from ..core.run.settings import TEXTURE_SETTINGS, make_settings
+
+    state = scene.fipt.estimate
+    device = machine.device_setting() if state.device == "preferences" else state.device
+    values = {**state.values(), "device": device}
+    run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
+    if scene.fipt.run_folder and run.run_json.exists():
+        stored = run.read()
+        values |= {name: getattr(stored, name) for name in TEXTURE_SETTINGS}
+    return make_settings(state.preset, {**values, **(changes or {})})
+
+
+def make_steps(run: RunFolder, settings: Settings, resume: bool) -> list[Step]:
+    """The steps from the current scene to the results; see `estimate_step`."""
+    from ..bridge.step import Step
+    from ..jobs.main_job import EXPORT_TEXT, estimate_step
+
+    def cameras() -> None:
+        from ..jobs.room_steps import export_scene_cameras
+
+        export_scene_cameras(run)
+
+    def room() -> Slices[list[Message]]:
+        from ..jobs.room_steps import export_scene_room
+
+        return export_scene_room(run)
+
+    # Seconds on a small capture, for the progress bar only.
+    return [
+        Step("cameras", "Reading the cameras", 1.0, function=cameras, repeat=True),
+        Step("room", EXPORT_TEXT, 2.0, function=room, repeat=True),
+        estimate_step(run, settings, resume),
+    ]
+
+
+def result_files(run: RunFolder) -> list[str]:
+    """Paths of the files that an estimation writes for the other sections."""
+    paths = [run.fields_npz, run.emitters_json, run.environment_exr, run.statistics_json]
+    return [str(path) for path in paths if path.exists()]
+
+
+def reestimation() -> Task:
+    """Estimate materials again with the scene's hints, from the stages of the results, and apply that."""
+
+    def make(scene: bpy.types.Scene) -> Job:
+        from dataclasses import replace
+
+        from ..blend.hints.exchange import write_for_again
+        from ..core.run.versions import refuse_other_stages, restore_inputs
+        from ..jobs.main_job import estimate_step
+        from ..jobs.run_job import find_launch, open_job, refuse_busy
+
+        run = run_of(scene)
+        launch = find_launch()
+        refuse_busy(run)
+        chosen = chosen_settings(scene, run)
+        refuse_other_stages(run)
+        restore_inputs(run)
+        run.create(chosen)
+        kept = scene_settings(scene).kept_versions
+        settings = replace(run.read_estimated(), kept_versions=kept)
+        run.create(settings)
+        write_for_again(scene, run)
+        steps = [estimate_step(run, settings, resume=True), *apply_steps(scene.name, run, settings)]
+        return open_job(run, steps, resume=False, launch=launch)
+
+    def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
+        note_applied(scene, run)
+        show_doubts(scene, run)
+
+    return Task("Re-estimate with Hints", "estimate", make, finished=finished, undo=True)
