@@ -19,7 +19,7 @@ from scipy import sparse
 from ..capture.views import View
 from ..run.errors import FiptError
 from ..run.settings import Settings
-from ..scene.grouped import grouped_sums, pairs_of
+from ..scene.grouped import grouped_means, pairs_of
 from ..scene.room import Room
 from .agreement import FLOOR, cells_of, hits_of, on_lattice
 
@@ -172,7 +172,7 @@ def pair_agreement(room: Room, small: SmallViews, places: np.ndarray | None = No
     size = float(np.median(distance[met] / np.array([each.fx for each in views])[view]))
     cell = cells_of(views, room, view, direction[met], hits, size)
     seen_cell, seen_by, pair = pairs_of(cell, view)
-    color = grouped_sums(np.concatenate(small.color)[met], pair) / np.bincount(pair)[:, None]
+    color = grouped_means(np.concatenate(small.color)[met], pair)
     place, shape = (seen_by, seen_cell), (count, int(cell.max()) + 1)
     shows = sparse.csr_matrix((np.ones(len(seen_by)), place), shape)
     shared = (shows @ shows.T).toarray()

@@ -9,6 +9,7 @@ convolves them with a smooth kernel about two cells wide. It needs no charts: se
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,7 @@ _BLOCK = 1 << 20  # points at a time
 
 
 @dataclass(frozen=True)
-class SurfaceCells:
+class SmoothingGrid:
     """Nodes of a grid on the surfaces where points are.
 
     Attributes:
@@ -39,7 +40,7 @@ class SurfaceCells:
     @classmethod
     def around(
         cls, position: np.ndarray, part: np.ndarray, triangle: np.ndarray, width: float
-    ) -> SurfaceCells:
+    ) -> SmoothingGrid:
         """The grid for points.
 
         Args:
@@ -49,20 +50,18 @@ class SurfaceCells:
             width: of a cell, metres.
         """
         low = position.min(axis=0).astype(np.float64) - width
-        keys, inverse = np.zeros(0, np.int64), np.empty(len(position), np.int32)
-        own: list[np.ndarray] = []
-        for first in range(0, len(position), _BLOCK):
-            rows = slice(first, first + _BLOCK)
-            place = np.floor((position[rows] - low) / width).astype(np.int64)
-            own.append(np.unique(_key(place, part[triangle[rows]])))
-        keys = np.unique(np.concatenate(own)) if own else keys
-        for first in range(0, len(position), _BLOCK):
-            rows = slice(first, first + _BLOCK)
-            place = np.floor((position[rows] - low) / width).astype(np.int64)
-            inverse[rows] = np.searchsorted(keys, _key(place, part[triangle[rows]]))
+
+        def keys_of(block: slice) -> np.ndarray:
+            place = np.floor((position[block] - low) / width).astype(np.int64)
+            return _key(place, part[triangle[block]])
+
+        keys = np.unique(np.concatenate([np.unique(keys_of(block)) for block in _blocks(len(position))]))
+        cell = np.empty(len(position), np.int32)
+        for block in _blocks(len(position)):
+            cell[block] = np.searchsorted(keys, keys_of(block))
         steps = (_CORNERS[:, 0] * _STRIDE + _CORNERS[:, 1]) * _STRIDE + _CORNERS[:, 2]
         node_keys, nodes = np.unique(keys[:, None] + steps, return_inverse=True)
-        return cls(width, low, inverse, nodes.reshape(len(keys), 8).astype(np.int32), len(node_keys))
+        return cls(width, low, cell, nodes.reshape(len(keys), 8).astype(np.int32), len(node_keys))
 
     def weights(self, position: np.ndarray) -> np.ndarray:
         """(n, 8) float32 trilinear weights of points at the nodes of their cells."""
@@ -81,8 +80,7 @@ class SurfaceCells:
             weight: (n,) at least 0; the means are 0 where no weight is near.
         """
         sums = np.zeros((self.count, values.shape[1] + 1))
-        for first in range(0, len(rows), _BLOCK):
-            block = slice(first, first + _BLOCK)
+        for block in _blocks(len(rows)):
             nodes, share = self.nodes[self.cell[rows[block]]], self.weights(position[block])
             share = share * weight[block, None]
             for corner in range(8):
@@ -92,14 +90,17 @@ class SurfaceCells:
                 sums[:, -1] += np.bincount(nodes[:, corner], share[:, corner], self.count)
         # Sums are read, then divided: a node with little weight near it counts little.
         result = np.empty(values.shape, np.float32)
-        for first in range(0, len(rows), _BLOCK):
-            block = slice(first, first + _BLOCK)
+        for block in _blocks(len(rows)):
             nodes, share = self.nodes[self.cell[rows[block]]], self.weights(position[block])
             read = np.zeros((len(share), sums.shape[1]))
             for corner in range(8):
                 read += share[:, corner, None] * sums[nodes[:, corner]]
             result[block] = read[:, :-1] / np.maximum(read[:, -1:], 1e-30)
         return result
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    return (slice(first, first + _BLOCK) for first in range(0, count, _BLOCK))
 
 
 def _key(place: np.ndarray, part: np.ndarray) -> np.ndarray:
