@@ -9,7 +9,6 @@ convolves them with a smooth kernel about two cells wide. It needs no charts: se
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,14 +49,15 @@ class SmoothingGrid:
             width: of a cell, metres.
         """
         low = position.min(axis=0).astype(np.float64) - width
+        blocks = [slice(first, first + _BLOCK) for first in range(0, len(position), _BLOCK)]
 
         def keys_of(block: slice) -> np.ndarray:
             place = np.floor((position[block] - low) / width).astype(np.int64)
             return _key(place, part[triangle[block]])
 
-        keys = np.unique(np.concatenate([np.unique(keys_of(block)) for block in _blocks(len(position))]))
+        keys = np.unique(np.concatenate([np.unique(keys_of(block)) for block in blocks]))
         cell = np.empty(len(position), np.int32)
-        for block in _blocks(len(position)):
+        for block in blocks:
             cell[block] = np.searchsorted(keys, keys_of(block))
         steps = (_CORNERS[:, 0] * _STRIDE + _CORNERS[:, 1]) * _STRIDE + _CORNERS[:, 2]
         node_keys, nodes = np.unique(keys[:, None] + steps, return_inverse=True)
@@ -80,7 +80,8 @@ class SmoothingGrid:
             weight: (n,) at least 0; the means are 0 where no weight is near.
         """
         sums = np.zeros((self.count, values.shape[1] + 1))
-        for block in _blocks(len(rows)):
+        blocks = [slice(first, first + _BLOCK) for first in range(0, len(rows), _BLOCK)]
+        for block in blocks:
             nodes, share = self.nodes[self.cell[rows[block]]], self.weights(position[block])
             share = share * weight[block, None]
             for corner in range(8):
@@ -90,17 +91,13 @@ class SmoothingGrid:
                 sums[:, -1] += np.bincount(nodes[:, corner], share[:, corner], self.count)
         # Sums are read, then divided: a node with little weight near it counts little.
         result = np.empty(values.shape, np.float32)
-        for block in _blocks(len(rows)):
+        for block in blocks:
             nodes, share = self.nodes[self.cell[rows[block]]], self.weights(position[block])
             read = np.zeros((len(share), sums.shape[1]))
             for corner in range(8):
                 read += share[:, corner, None] * sums[nodes[:, corner]]
             result[block] = read[:, :-1] / np.maximum(read[:, -1:], 1e-30)
         return result
-
-
-def _blocks(count: int) -> Iterator[slice]:
-    return (slice(first, first + _BLOCK) for first in range(0, count, _BLOCK))
 
 
 def _key(place: np.ndarray, part: np.ndarray) -> np.ndarray:

@@ -248,7 +248,7 @@ def cells_of(
     return numbered([*np.floor(points / (CELL_PIXELS * size)).astype(np.int64).T, side])
 
 
-def _means(view: np.ndarray, cell: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, ...]:
+def cell_means(view: np.ndarray, cell: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, ...]:
     """View and cell (m,) of each cell in each view, and the mean (m, 3) of its colours."""
     cell, view, pair = pairs_of(cell, view)
     return view, cell, grouped_means(color, pair)
@@ -256,7 +256,7 @@ def _means(view: np.ndarray, cell: np.ndarray, color: np.ndarray) -> tuple[np.nd
 
 def _exposures(view: np.ndarray, cell: np.ndarray, color: np.ndarray, views: int) -> np.ndarray:
     """(views, 3) logarithm of each view's exposure, by the cells (n,) that it shares with others."""
-    of, on, mean = _means(view, cell, color)
+    of, on, mean = cell_means(view, cell, color)
     count = int(cell.max(initial=-1)) + 1
     known = (np.bincount(on) >= LEAST_VIEWS)[on]
     gains = np.zeros((views, 3))
@@ -268,7 +268,7 @@ def _exposures(view: np.ndarray, cell: np.ndarray, color: np.ndarray, views: int
 
 def doubts(view: np.ndarray, cell: np.ndarray, color: np.ndarray) -> np.ndarray:
     """(n,) how much pixels disagree with other views of their cell; NaN where too few see it."""
-    _, on, mean = _means(view, cell, color)
+    _, on, mean = cell_means(view, cell, color)
     known = np.bincount(on) >= LEAST_VIEWS
     medians = grouped_median(mean, on, len(known))
     return np.where(known[cell], _doubt(color - medians[cell]), np.nan)
