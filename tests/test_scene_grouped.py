@@ -9,10 +9,12 @@ import pytest
 
 from fipt_blender.core.scene.grouped import (
     first_by_key,
+    grouped_means,
     grouped_median,
     grouped_sums,
     grouped_weighted_median,
     numbered,
+    place_of,
     summed_by_key,
 )
 
@@ -37,6 +39,15 @@ def test_sums_are_those_of_each_group_alone(rng: np.random.Generator) -> None:
     assert sums.shape == (42, 3) and not sums[40:].any()
     expected = [values[group == index].sum(axis=0) for index in range(42)]
     np.testing.assert_allclose(sums, expected)
+    assert (grouped_sums(values[:, 0], group, 42) == sums[:, 0]).all()
+    means = grouped_means(values, group, 42)
+    assert np.isnan(means[40:]).all() and np.isnan(grouped_means(values[:, 0], group, 42)[40:]).all()
+    np.testing.assert_allclose(means[:40], [values[group == index].mean(axis=0) for index in range(40)])
+
+
+def test_places_are_those_of_keys_that_are_there() -> None:
+    assert place_of(np.array([2, 5, 9]), np.array([9, 1, 5, 6, 2, 10])).tolist() == [2, -1, 1, -1, 0, -1]
+    assert place_of(np.zeros(0, np.int64), np.array([0, 3])).tolist() == [-1, -1]
 
 
 def test_keys_in_pieces_give_what_all_of_them_give_at_once(rng: np.random.Generator) -> None:

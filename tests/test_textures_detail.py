@@ -17,7 +17,7 @@ from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.scene.pixels import PixelStore
 from fipt_blender.core.textures import detail
-from fipt_blender.core.textures.surface_cells import SurfaceCells
+from fipt_blender.core.textures.smoothing import SmoothingGrid
 from fipt_blender.core.textures.texel_views import Texels
 from samples.small_rooms import mesh_room
 
@@ -271,7 +271,7 @@ def test_smoothing_keeps_constants_and_does_not_cross_parts():
     rng = np.random.default_rng(0)
     position = rng.uniform(0, 1, (5000, 3)).astype(np.float32) * np.float32([1, 1, 0])
     triangle = (position[:, 0] > 0.5).astype(np.int32)
-    cells = SurfaceCells.around(position, np.array([0, 1]), triangle, 0.2)
+    cells = SmoothingGrid.around(position, np.array([0, 1]), triangle, 0.2)
     rows, ones = np.arange(5000), np.ones(5000, np.float32)
     values = np.where(triangle, 3.0, 1.0)[:, None]
     assert np.allclose(cells.smooth(rows, position, ones, values), values, atol=1e-5)

@@ -21,7 +21,7 @@ from ..material.fields import RoomFields
 from ..run.documents import Entries, head, read_json
 from ..run.parts import readable, unique_names
 from ..run.runfolder import RunFolder, write_json
-from ..scene.grouped import grouped_sums
+from ..scene.grouped import grouped_means
 from ..scene.labels import Parts, choose_source, fuse_masks, mesh_borders
 from ..scene.pixels import PixelStore
 from ..scene.room import Room
@@ -116,9 +116,7 @@ def _mean_values(fields: RoomFields, count: int) -> np.ndarray:
     triangle = first[np.searchsorted(units, cells.part[rows])]  # any of the unit's
     points = cells.points[rows].astype(np.float64)
     values = np.column_stack([*fields.query(points, triangle), fields.confidence(points, triangle)])
-    total = grouped_sums(values, cells.part[rows], count)
-    size = np.bincount(cells.part[rows], minlength=count)[:, None]
-    return np.where(size > 0, total / np.maximum(size, 1), np.nan)
+    return grouped_means(values, cells.part[rows], count)
 
 
 def _key(source: str, room: Room, parts: Parts, unit: np.ndarray, index: int, of_mesh: bool) -> str:

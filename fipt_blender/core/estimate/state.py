@@ -42,6 +42,7 @@ from ..run.messages import Reporter, peak_memory_gb
 from ..run.per_view import LocalWorkers, Workers
 from ..run.run_files import ScanHoles
 from ..run.shapes import Layout
+from ..scene.grouped import place_of
 from ..scene.labels import NO_PART, Parts, choose_parts, room_pieces
 from ..scene.pixels import LEFT_OUT, PixelStore, open_pixels
 from ..views.check import ViewCheck
@@ -310,8 +311,8 @@ class EstimationState:
         """
         entries, points, triangles = self._places
         known, values, seen_triangle = cells.by_entry()
-        place = np.minimum(np.searchsorted(known, entries), max(len(known) - 1, 0))
-        has_cell = known[place] == entries if len(known) else np.zeros(len(entries), bool)
+        place = place_of(known, entries)
+        has_cell = place >= 0
         result = np.full((len(entries), 5), 0.5, np.float32)
         if has_cell.any():
             result[has_cell] = values[place[has_cell]]

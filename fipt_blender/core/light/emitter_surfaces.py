@@ -15,6 +15,7 @@ from ..scene.adjacency import Scan
 from ..scene.grouped import numbered
 from ..scene.labels import Parts, room_pieces
 from ..scene.room import Room
+from .cache import side_index
 
 # Inferred light comes from infinity. A surface that is close to an unseen lamp is brighter than that by about
 # this factor.
@@ -76,8 +77,5 @@ def surface_patches(scan: Scan, pieces: np.ndarray, edge: float) -> np.ndarray:
     Args:
         pieces: (T,) int. edge: of the cubes, metres.
     """
-    cross, centers = scan.cross, scan.centers
-    axis = np.abs(cross).argmax(axis=1)
-    side = 2 * axis + (cross[np.arange(len(cross)), axis] < 0.0)
-    cube = np.floor((centers - centers.min(axis=0)) / max(edge, 1e-9)).astype(np.int64)
-    return numbered([pieces, side, *cube.T])
+    cube = np.floor((scan.centers - scan.centers.min(axis=0)) / max(edge, 1e-9)).astype(np.int64)
+    return numbered([pieces, side_index(scan.cross), *cube.T])

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from ..scene.grouped import grouped_sums
+from ..scene.grouped import grouped_means
 from ..scene.pixels import PixelStore
 from .closed_form import TrainingData
 from .confidence import FLOOR, UNIFORM_DEVIATION, linearise, standard_errors
@@ -82,8 +82,7 @@ def cell_errors(
     lines = partial(color_lines, data.shadings, data.levels, rows)
     linearised = linearise(pixels.own[rows], lines, values[:, :3], values[:, 3:], of_pixel)
     errors[sampled, 0] = standard_errors(linearised, cell, group_of_cell[sampled[cell]], pixels.view_of(rows))
-    material_errors = grouped_sums(of_pixel, cell) / np.bincount(cell)[:, None]
-    errors[sampled, 1:] = np.minimum(material_errors, UNIFORM_DEVIATION)
+    errors[sampled, 1:] = np.minimum(grouped_means(of_pixel, cell), UNIFORM_DEVIATION)
     unsampled = np.ones(len(errors), bool)
     unsampled[sampled] = False
     for index in np.unique(group_of_cell[unsampled]):
@@ -116,14 +115,9 @@ class LitCells:
 def lit_cells(drawn: DrawnPixels, data: TrainingData, fields: Fields, cells: SeenCells) -> LitCells:
     """The cells with the light on them; arguments as of :func:`cell_errors`."""
     rows, seen = drawn.rows, drawn.cells
-    count = np.maximum(np.bincount(drawn.place, minlength=len(seen)), 1)[:, None]
-
-    def means(values: np.ndarray) -> np.ndarray:
-        return grouped_sums(values, drawn.place, len(seen)) / count
-
-    normals = means(np.asarray(data.observations.pixels.normal[rows], np.float64))
+    normals = grouped_means(np.asarray(data.observations.pixels.normal[rows], np.float64), drawn.place)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-6)
-    diffuse = means(np.asarray(data.shadings.diffuse[rows], np.float64)).mean(axis=1)
+    diffuse = grouped_means(np.asarray(data.shadings.diffuse[rows], np.float64), drawn.place).mean(axis=1)
     color = fields.query(cells.points[seen], cells.part[seen])[:, :3].mean(axis=1)
     return LitCells(seen, cells.points[seen].astype(np.float64), normals, color, diffuse)
 

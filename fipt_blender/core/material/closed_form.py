@@ -17,7 +17,7 @@ import numpy as np
 from ..light.baking import ShadingStore
 from ..light.observations import Observations
 from ..run.threads import in_threads
-from ..scene.grouped import first_by_key, grouped_sums
+from ..scene.grouped import first_by_key, grouped_sums, place_of
 from .mixture import GroupMaterials
 from .pixel_samples import residual_weight, rows_with_donor
 from .projection import color_lines
@@ -81,9 +81,7 @@ class CellEstimate:
 
     def of_pixels(self, data: TrainingData, rows: np.ndarray) -> np.ndarray:
         """(R,) int64 cell of the pixels `rows` (R,); -1 for those whose cell has no estimate."""
-        wanted = _keys(data, rows)
-        place = np.minimum(np.searchsorted(self.keys, wanted), len(self.keys) - 1)
-        return np.where(self.keys[place] == wanted, place, -1) if len(self.keys) else np.full(len(rows), -1)
+        return place_of(self.keys, _keys(data, rows))
 
     def by_entry(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The cells of each cache entry together.

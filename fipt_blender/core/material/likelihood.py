@@ -17,7 +17,7 @@ import numpy as np
 
 from ..optics.factorised import color_line, level_roughness
 from ..run.settings import Settings
-from ..scene.grouped import grouped_sums, numbered, pairs_of, rows_of_groups
+from ..scene.grouped import grouped_means, numbered, pairs_of, rows_of_groups
 from .pixel_samples import PixelSamples, residual_weight
 from .projection import fit_colors
 
@@ -121,8 +121,7 @@ def _shared_light(diffuse: np.ndarray, cell: np.ndarray) -> np.ndarray:
     The same light falls on a cell in all views. A pixel's own L_d has errors that its view shares; the mean
     over views blurs folds and shadows. Neither error is known to be the smaller one.
     """
-    means = grouped_sums(diffuse, cell) / np.bincount(cell)[:, None]
-    return (0.5 * (diffuse + means[cell])).astype(np.float32)
+    return (0.5 * (diffuse + grouped_means(diffuse, cell)[cell])).astype(np.float32)
 
 
 class DeviceCells:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..scene.grouped import first_by_key, grouped_median
+from ..scene.grouped import first_by_key, grouped_median, place_of
 from ..scene.pixels import PixelStore
 from .groups import Units
 
@@ -72,8 +72,6 @@ class SeenCells:
         return result
 
     def _find(self, wanted: np.ndarray) -> np.ndarray:
-        if not len(self.keys):
-            return np.full(len(wanted), -1, np.int64)
         # Many points lie in one cell, and mostly one after another: only the first of each run is sorted.
         begins = np.append(True, wanted[1:] != wanted[:-1])[: len(wanted)]
         wanted, cell = np.unique(wanted[begins], return_inverse=True)
@@ -84,11 +82,8 @@ class SeenCells:
         steps = sorted(itertools.product((0, -1, 1), repeat=3), key=lambda step: sum(map(abs, step)))
         missing = np.arange(len(wanted))
         for step in _flat(np.array(steps)):
-            keys = wanted[missing] + step
-            place = np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)
-            hit = self.keys[place] == keys
-            result[missing[hit]] = place[hit]
-            missing = missing[~hit]
+            result[missing] = place_of(self.keys, wanted[missing] + step)
+            missing = missing[result[missing] < 0]
         return result[cell]
 
 

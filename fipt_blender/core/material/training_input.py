@@ -12,7 +12,7 @@ from ..light.baking import ShadingStore
 from ..light.cache import SIDES
 from ..light.observations import Observations
 from ..run.settings import Settings
-from ..scene.grouped import grouped_sums, numbered, summed_by_key
+from ..scene.grouped import grouped_means, numbered, summed_by_key
 from ..scene.labels import Parts
 from ..scene.pixels import open_array
 from .closed_form import TrainingData, fit_cells
@@ -190,10 +190,10 @@ def _assign_groups(
 
 def _similarity(group: np.ndarray, groups: int, label: np.ndarray, color: np.ndarray) -> np.ndarray:
     """(G, G) similarity of the groups of pixels (M,) with classes (M,) and base colours (M, 3)."""
-    count = np.maximum(np.bincount(group, minlength=groups), 1)
-    label_of_group = np.zeros(len(count), np.int64)
+    means = np.nan_to_num(grouped_means(color, group, groups))
+    label_of_group = np.zeros(len(means), np.int64)
     label_of_group[group] = label
-    return similarity(label_of_group, grouped_sums(color, group, groups) / count[:, None])
+    return similarity(label_of_group, means)
 
 
 def _wide_rows(

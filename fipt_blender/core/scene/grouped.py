@@ -67,14 +67,30 @@ def strongest(
 
 
 def grouped_sums(values: np.ndarray, group: np.ndarray, count: int = 0) -> np.ndarray:
-    """(G, C) float64 sum of each group's values, column by column.
+    """(G,) or (G, C) float64 sum of each group's values, column by column.
 
     Args:
-        values: (N, C) numbers.
+        values: (N,) or (N, C) numbers.
         group: (N,) int from 0.
         count: least number of groups G.
     """
-    return np.stack([np.bincount(group, column, count) for column in values.T], axis=1)
+    sums = np.stack([np.bincount(group, column, count) for column in np.atleast_2d(values.T)], axis=1)
+    return sums.reshape(-1, *values.shape[1:])
+
+
+def grouped_means(values: np.ndarray, group: np.ndarray, count: int = 0) -> np.ndarray:
+    """As :func:`grouped_sums` the mean of each group's values, NaN for empty groups."""
+    sums, number = grouped_sums(values, group, count), np.bincount(group, minlength=count)
+    number = number.reshape(-1, *[1] * (values.ndim - 1))
+    return np.where(number > 0, sums / np.maximum(number, 1), np.nan)
+
+
+def place_of(keys: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """(N,) int64 index of each wanted key (N,) among ascending keys; -1 where it is not among them."""
+    if not len(keys):
+        return np.full(len(wanted), -1, np.int64)
+    place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+    return np.where(keys[place] == wanted, place, -1)
 
 
 def summed_by_key(pieces: Iterable[Keyed]) -> Keyed:

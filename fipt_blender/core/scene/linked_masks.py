@@ -19,7 +19,7 @@ from ..run.run_files import array_digest
 from ..run.runfolder import RunFolder, atomic_path
 from .camera_rays import first_hits, trace_pixels
 from .coverage import coarse_view, resampled
-from .grouped import strongest
+from .grouped import numbered, pairs_of, strongest
 from .labels import choose_source, masks_digest
 from .linking import RegionPixels, link_regions
 from .pixels import CELL_PIXELS
@@ -92,13 +92,12 @@ def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
 
 def shared_ids(views: Sequence[RegionPixels]) -> float:
     """0..1, how often the id of a place is the same in two views; median over the ids, 1 without any."""
-    pairs = [np.unique(np.stack([view.cell, view.region], axis=1), axis=0) for view in views]
+    pairs = [pairs_of(view.cell, view.region)[:2] for view in views]
     if not pairs:
         return 1.0
-    key, count = np.unique(np.concatenate(pairs), axis=0, return_counts=True)
-    cell, place = np.unique(key[:, 0], return_inverse=True)
-    total = np.bincount(place.reshape(-1), count, minlength=len(cell))[place.reshape(-1)]
-    number = np.unique(key[:, 1], return_inverse=True)[1].reshape(-1)
+    cell, region, pair = pairs_of(*map(np.concatenate, zip(*pairs, strict=True)))
+    count, number = np.bincount(pair), numbered([region])
+    total = np.bincount(cell, count)[cell]
     same = np.bincount(number, count * (count - 1.0))
     pairs_seen = np.bincount(number, count * (total - 1.0))
     known = pairs_seen > 0

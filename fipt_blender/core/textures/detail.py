@@ -30,7 +30,7 @@ from ..run.runfolder import RunFolder, atomic_path, write_json
 from ..scene.labels import NO_PART
 from ..scene.pixels import PixelStore, open_pixels
 from ..scene.room import Room, triangle_normals
-from .surface_cells import SurfaceCells
+from .smoothing import SmoothingGrid
 from .texel_views import LightPixels, Seen, Texels, see_texels
 
 # Width of the cells of the low-pass filter in median widths of a pixel of light: what is wider than about two
@@ -178,7 +178,7 @@ def add_detail(
     count = len(texels)
     normals = triangle_normals(room.vertices, room.triangles).astype(np.float32)
     width = CELL * median_footprint(given.pixels)
-    cells = SurfaceCells.around(texels.position, part, texels.triangle, width)
+    cells = SmoothingGrid.around(texels.position, part, texels.triangle, width)
     starts = np.arange(0, len(texels.position), BLOCK)
     low, high = (reduce.reduceat(texels.position, starts) for reduce in (np.minimum, np.maximum))
     total = Totals.of(count)
@@ -242,7 +242,7 @@ def photograph(given: DetailInput, index: int) -> np.ndarray:
     return image
 
 
-def with_low_frequencies(seen: Seen, texels: Texels, cells: SurfaceCells) -> np.ndarray:
+def with_low_frequencies(seen: Seen, texels: Texels, cells: SmoothingGrid) -> np.ndarray:
     """(n, 3) the colours of one view with the low frequencies of the estimate."""
     position = texels.position[seen.texel]
     estimate = texels.base_color[seen.texel]
@@ -286,7 +286,7 @@ class Totals:
         self.power[rows] += weight * luminance * luminance
         self.light[rows] += weight * (seen.error * (known @ _LUMINANCE)) ** 2
 
-    def result(self, texels: Texels, cells: SurfaceCells, part: np.ndarray) -> np.ndarray:
+    def result(self, texels: Texels, cells: SmoothingGrid, part: np.ndarray) -> np.ndarray:
         """(N, 3) the estimate with as much of the mean change as the views agree on."""
         result = np.array(texels.base_color)
         rows = np.flatnonzero(self.weight > 0.0)

@@ -19,7 +19,7 @@ from ..capture.views import View
 from ..light.cache import side_index
 from ..robust import LEAST_VIEWS
 from ..scene.camera_rays import first_hits, rays_along
-from ..scene.grouped import grouped_median, grouped_sums, numbered, pairs_of
+from ..scene.grouped import grouped_means, grouped_median, numbered, pairs_of
 from ..scene.pixels import CELL_PIXELS
 from ..scene.room import Room
 from .cells import lattice_spacing
@@ -204,16 +204,10 @@ def surface_disagreement(room: Room, pixels: ComparedPixels) -> np.ndarray:
     size = SHOWN_CELLS * CELL_PIXELS * pixels.size
     places = np.concatenate([points, corners.mean(axis=1)])
     cell = numbered([*np.floor(places / size).astype(np.int64).T])
-    of_cell = _mean_of(cell[: len(known)], doubt, int(cell.max(initial=-1)) + 1)[cell[len(known) :]]
-    own = _mean_of(triangle, doubt, count)
+    of_cell = grouped_means(doubt, cell[: len(known)], int(cell.max(initial=-1)) + 1)[cell[len(known) :]]
+    own = grouped_means(doubt, triangle, count)
     use_own = np.isnan(of_cell) | ((room.areas > size**2) & np.isfinite(own))
     return np.where(use_own, own, of_cell).astype(np.float32)
-
-
-def _mean_of(group: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
-    """(count,) mean of the values (n,) of each group, NaN without any."""
-    total, number = np.bincount(group, value, count), np.bincount(group, minlength=count)
-    return np.where(number > 0, total / np.maximum(number, 1), np.nan)
 
 
 def on_lattice(view: View, step: int) -> tuple[View, np.ndarray, np.ndarray]:
@@ -254,15 +248,15 @@ def cells_of(
     return numbered([*np.floor(points / (CELL_PIXELS * size)).astype(np.int64).T, side])
 
 
-def _means(view: np.ndarray, cell: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, ...]:
+def cell_means(view: np.ndarray, cell: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, ...]:
     """View and cell (m,) of each cell in each view, and the mean (m, 3) of its colours."""
     cell, view, pair = pairs_of(cell, view)
-    return view, cell, grouped_sums(color, pair) / np.bincount(pair)[:, None]
+    return view, cell, grouped_means(color, pair)
 
 
 def _exposures(view: np.ndarray, cell: np.ndarray, color: np.ndarray, views: int) -> np.ndarray:
     """(views, 3) logarithm of each view's exposure, by the cells (n,) that it shares with others."""
-    of, on, mean = _means(view, cell, color)
+    of, on, mean = cell_means(view, cell, color)
     count = int(cell.max(initial=-1)) + 1
     known = (np.bincount(on) >= LEAST_VIEWS)[on]
     gains = np.zeros((views, 3))
@@ -274,7 +268,7 @@ def _exposures(view: np.ndarray, cell: np.ndarray, color: np.ndarray, views: int
 
 def doubts(view: np.ndarray, cell: np.ndarray, color: np.ndarray) -> np.ndarray:
     """(n,) how much pixels disagree with other views of their cell; NaN where too few see it."""
-    _, on, mean = _means(view, cell, color)
+    _, on, mean = cell_means(view, cell, color)
     known = np.bincount(on) >= LEAST_VIEWS
     medians = grouped_median(mean, on, len(known))
     return np.where(known[cell], _doubt(color - medians[cell]), np.nan)

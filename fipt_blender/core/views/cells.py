@@ -10,6 +10,7 @@ import numpy as np
 
 from ..capture.views import View
 from ..light.cache import side_index
+from ..scene.grouped import grouped_means, summed_by_key
 from ..scene.pixels import CELL_PIXELS, PixelStore
 from ..scene.room import Room
 
@@ -38,8 +39,7 @@ class CellPixels:
     def means(self) -> tuple[np.ndarray, np.ndarray]:
         """(m,) int64 cells of the view, ascending, and (m,) float64 mean value of each."""
         cell, place = np.unique(self.cell, return_inverse=True)
-        place = place.reshape(-1)
-        return cell, np.bincount(place, self.value) / np.maximum(np.bincount(place), 1)
+        return cell, grouped_means(self.value, place)
 
     def among(self, chosen: np.ndarray) -> CellPixels:
         """The pixels marked in `chosen`, (M,) bool."""
@@ -144,16 +144,6 @@ def surface_cells(pixels: PixelStore, room: Room, part: np.ndarray, footprint: f
     spacing = float(np.median([lattice_spacing(view) for view in pixels.views]))
     size = max(CELL_PIXELS * spacing * footprint, float((high - low).max()) / MOST_CELLS)
     grid = CellGrid(part, side_index(room.normals), low, size)
-    keys = np.zeros(0, np.int64)
-    pending: list[np.ndarray] = []
-    pixel_count = pending_count = 0
-    for index in range(len(pixels.views)):
-        rows = lattice_hits(pixels, index)
-        pending.append(np.unique(grid.keys(pixels, rows)))
-        pixel_count += len(rows)
-        pending_count += len(pending[-1])
-        # Merging costs a sort of all keys, so that it waits until the pending ones are as many.
-        if pending_count > len(keys) or index == len(pixels.views) - 1:
-            keys = np.unique(np.concatenate([keys, *pending]))
-            pending, pending_count = [], 0
-    return SurfaceCells(pixels, grid, keys, pixel_count)
+    views = (grid.keys(pixels, lattice_hits(pixels, index)) for index in range(len(pixels.views)))
+    keys, count = summed_by_key((keys, np.ones(len(keys))) for keys in views)
+    return SurfaceCells(pixels, grid, keys, int(count.sum()))

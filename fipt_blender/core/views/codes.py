@@ -12,6 +12,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from ..capture.encoded import srgb_encoded
 from ..radiometry.adjustment import Samples
+from ..scene.grouped import grouped_means
 from ..scene.pixels import PixelStore, open_array
 from .cells import SurfaceCells, lattice_hits
 
@@ -78,12 +79,10 @@ def calm_samples(cells: SurfaceCells, codes: Codes) -> Samples:
         cell = np.searchsorted(cells.keys, cells.grid.keys(pixels, chosen))
         chosen, cell = chosen[cell % step == 0], cell[cell % step == 0]
         point, first, group = np.unique(cell, return_index=True, return_inverse=True)
-        group, count = group.reshape(-1), np.bincount(group.reshape(-1), minlength=len(point))
         inside = chosen - rows.start
-        means = [np.bincount(group, every[inside, channel], len(point)) / count for channel in range(3)]
-        radius = np.bincount(group, codes.radius(index)[inside], len(point)) / count
+        means = grouped_means(np.column_stack([every[inside], codes.radius(index)[inside]]), group)
         cluster = coarse.keys(pixels, chosen[first])
-        columns.append((point, cluster, np.full(len(point), place), radius, np.stack(means, axis=1)))
+        columns.append((point, cluster, np.full(len(point), place), means[:, 3], means[:, :3]))
     point, cluster, view_number, radius, means_of = (np.concatenate(c) for c in zip(*columns, strict=True))
     point, cluster = (np.unique(keys, return_inverse=True)[1].reshape(-1) for keys in (point, cluster))
     return Samples(point, cluster, view_number, radius, means_of)

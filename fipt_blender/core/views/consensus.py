@@ -19,9 +19,8 @@ from scipy import sparse
 from ..capture.views import View
 from ..run.errors import FiptError
 from ..run.settings import Settings
-from ..scene.grouped import grouped_sums, pairs_of
 from ..scene.room import Room
-from .agreement import FLOOR, cells_of, hits_of, on_lattice
+from .agreement import FLOOR, cell_means, cells_of, hits_of, on_lattice
 
 WIDTH = 96  # about, of the photographs that are compared, pixels
 LEAST_CELLS = 30  # that a pair of views must share
@@ -171,8 +170,7 @@ def pair_agreement(room: Room, small: SmallViews, places: np.ndarray | None = No
     view, hits = number[met], (triangle[met], distance[met])
     size = float(np.median(distance[met] / np.array([each.fx for each in views])[view]))
     cell = cells_of(views, room, view, direction[met], hits, size)
-    seen_cell, seen_by, pair = pairs_of(cell, view)
-    color = grouped_sums(np.concatenate(small.color)[met], pair) / np.bincount(pair)[:, None]
+    seen_by, seen_cell, color = cell_means(view, cell, np.concatenate(small.color)[met])
     place, shape = (seen_by, seen_cell), (count, int(cell.max()) + 1)
     shows = sparse.csr_matrix((np.ones(len(seen_by)), place), shape)
     shared = (shows @ shows.T).toarray()

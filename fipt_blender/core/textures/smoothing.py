@@ -19,7 +19,7 @@ _BLOCK = 1 << 20  # points at a time
 
 
 @dataclass(frozen=True)
-class SurfaceCells:
+class SmoothingGrid:
     """Nodes of a grid on the surfaces where points are.
 
     Attributes:
@@ -39,7 +39,7 @@ class SurfaceCells:
     @classmethod
     def around(
         cls, position: np.ndarray, part: np.ndarray, triangle: np.ndarray, width: float
-    ) -> SurfaceCells:
+    ) -> SmoothingGrid:
         """The grid for points.
 
         Args:
@@ -49,20 +49,19 @@ class SurfaceCells:
             width: of a cell, metres.
         """
         low = position.min(axis=0).astype(np.float64) - width
-        keys, inverse = np.zeros(0, np.int64), np.empty(len(position), np.int32)
-        own: list[np.ndarray] = []
-        for first in range(0, len(position), _BLOCK):
-            rows = slice(first, first + _BLOCK)
-            place = np.floor((position[rows] - low) / width).astype(np.int64)
-            own.append(np.unique(_key(place, part[triangle[rows]])))
-        keys = np.unique(np.concatenate(own)) if own else keys
-        for first in range(0, len(position), _BLOCK):
-            rows = slice(first, first + _BLOCK)
-            place = np.floor((position[rows] - low) / width).astype(np.int64)
-            inverse[rows] = np.searchsorted(keys, _key(place, part[triangle[rows]]))
+        blocks = [slice(first, first + _BLOCK) for first in range(0, len(position), _BLOCK)]
+
+        def keys_of(block: slice) -> np.ndarray:
+            place = np.floor((position[block] - low) / width).astype(np.int64)
+            return _key(place, part[triangle[block]])
+
+        keys = np.unique(np.concatenate([np.unique(keys_of(block)) for block in blocks]))
+        cell = np.empty(len(position), np.int32)
+        for block in blocks:
+            cell[block] = np.searchsorted(keys, keys_of(block))
         steps = (_CORNERS[:, 0] * _STRIDE + _CORNERS[:, 1]) * _STRIDE + _CORNERS[:, 2]
         node_keys, nodes = np.unique(keys[:, None] + steps, return_inverse=True)
-        return cls(width, low, inverse, nodes.reshape(len(keys), 8).astype(np.int32), len(node_keys))
+        return cls(width, low, cell, nodes.reshape(len(keys), 8).astype(np.int32), len(node_keys))
 
     def weights(self, position: np.ndarray) -> np.ndarray:
         """(n, 8) float32 trilinear weights of points at the nodes of their cells."""
@@ -81,8 +80,8 @@ class SurfaceCells:
             weight: (n,) at least 0; the means are 0 where no weight is near.
         """
         sums = np.zeros((self.count, values.shape[1] + 1))
-        for first in range(0, len(rows), _BLOCK):
-            block = slice(first, first + _BLOCK)
+        blocks = [slice(first, first + _BLOCK) for first in range(0, len(rows), _BLOCK)]
+        for block in blocks:
             nodes, share = self.nodes[self.cell[rows[block]]], self.weights(position[block])
             share = share * weight[block, None]
             for corner in range(8):
@@ -92,8 +91,7 @@ class SurfaceCells:
                 sums[:, -1] += np.bincount(nodes[:, corner], share[:, corner], self.count)
         # Sums are read, then divided: a node with little weight near it counts little.
         result = np.empty(values.shape, np.float32)
-        for first in range(0, len(rows), _BLOCK):
-            block = slice(first, first + _BLOCK)
+        for block in blocks:
             nodes, share = self.nodes[self.cell[rows[block]]], self.weights(position[block])
             read = np.zeros((len(share), sums.shape[1]))
             for corner in range(8):
