@@ -39,7 +39,8 @@ class FIPT_OT_find_missing_surfaces(SurveyJob, bpy.types.Operator):
     bl_description = (
         "Look now for what the photographs show and the scan lacks, as the estimation does, and add it to the"
         " room as objects that you may edit or delete. The estimation then adds nothing else. What was found"
-        " before is replaced; what you have added stays. Takes minutes"
+        " before is replaced; what you have added stays. Takes minutes: use Check Views first, which is quick"
+        " and tells whether the mesh fits the photographs"
     )
     bl_options = {"REGISTER", "UNDO"}
     title = "Find Missing Surfaces"

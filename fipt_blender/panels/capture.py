@@ -148,6 +148,9 @@ def _draw_additions(
     layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup
 ) -> None:
     """What was added to a scan, and the buttons that add more."""
+    if settings.unseen_share < 0.0:
+        text = "Estimate looks for missing surfaces by itself. To decide before it, start with Check Views."
+        draw_text(layout, context, iface_(text), icon="INFO")
     column = layout.column(align=True)
     column.operator("fipt.find_missing_surfaces", icon="VIEWZOOM")
     column.operator_menu_enum("fipt.add_surface", "shape", icon="ADD")

@@ -9,6 +9,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
 
 from ..blend.marks import ANIMATED, FIXTURE, MERGED, NAMED, PROBABILITY, VISIBILITY
+from .hints import ANSWER_NAMES, draw_again
 from .sidebar import Rows, Section, SubSection, draw_text
 
 CERTAIN = 0.98  # probability from which a fixture is not called in question
@@ -60,7 +61,7 @@ class FIPT_PT_lights(Section, bpy.types.Panel):
             row = layout.row(align=True)
             row.operator("fipt.switch_lights", text="All Off", icon="OUTLINER_DATA_LIGHT").on = False
             row.operator("fipt.switch_lights", text="All On", icon="LIGHT").on = True
-            _draw_light(layout, settings.active_light())
+            _draw_light(layout, context.scene, settings.active_light())
         elif context.scene.fipt.materials.object_count:
             text = "No lamps were found. The room is lit by the environment (windows) alone."
             draw_text(layout, context, text, icon="INFO")
@@ -92,7 +93,24 @@ def report_name(item: bpy.types.Object) -> str:
     return "" if name == item.name else name
 
 
-def _draw_light(layout: bpy.types.UILayout, light: bpy.types.PropertyGroup | None) -> None:
+def _draw_doubt(
+    layout: bpy.types.UILayout, hints: bpy.types.PropertyGroup, lamp: bpy.types.Object, sure: float
+) -> None:
+    """How sure it is that a fixture is a lamp, the answers, and how to use the answer."""
+    column = layout.column(align=True)
+    column.label(text=iface_("A lamp? {:.0f} % sure").format(100.0 * sure), icon="QUESTION")
+    told = {hint.emission for hint in hints.hints if hint.area and hint.name == lamp.name}
+    row = column.row(align=True)
+    for emission in ("EMITS", "NOT"):
+        button = row.operator("fipt.hint_on_lamp", text=ANSWER_NAMES[emission], depress=emission in told)
+        button.light, button.emission = lamp.name, emission
+    if told:
+        draw_again(layout, hints)
+
+
+def _draw_light(
+    layout: bpy.types.UILayout, scene: bpy.types.Scene, light: bpy.types.PropertyGroup | None
+) -> None:
     """The settings of the active light."""
     if light is None:
         return
@@ -100,7 +118,7 @@ def _draw_light(layout: bpy.types.UILayout, light: bpy.types.PropertyGroup | Non
         layout.label(text=iface_("In the report: {}").format(name), translate=False)
     sure = float(light.object.get(PROBABILITY, 1.0))
     if sure < CERTAIN:
-        layout.label(text=iface_("A lamp? {:.0f} % sure").format(100.0 * sure), icon="QUESTION")
+        _draw_doubt(layout, scene.fipt.hints, light.object, sure)
     column = layout.column(align=True)
     column.prop(light, "stops")
     if light.has_power():
