@@ -18,7 +18,7 @@ from fipt_blender.core.run.hints import light_changes, read_hints
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.panels import hints as panel
 from fipt_blender.panels.hints import hint_text
-from fipt_blender.panels.lights import FIPT_PT_lights
+from fipt_blender.panels.lights import FIPT_PT_lights, FIPT_UL_lights
 from samples.applied_rooms import make_applied_scene
 from samples.layouts import Layout, drawn_by
 from samples.operator_calls import refused
@@ -155,9 +155,17 @@ def test_only_fixtures_are_lamps_or_not(tmp_path: Path, monkeypatch) -> None:
 
 def test_the_panel_asks_of_a_doubtful_lamp_and_offers_to_use_the_answer(tmp_path: Path, monkeypatch) -> None:
     lamp = make_applied_scene(tmp_path / "run", monkeypatch).fipt.lights.lights[0].object
+    rows = bpy.context.scene.fipt.lights.lights
+
+    def icons() -> list[str]:
+        layout = Layout()
+        FIPT_UL_lights.draw_row(None, bpy.context, layout, rows[0], 0)
+        return [label["icon"] for label in layout.labels]
+
     drawn, _ = drawn_by(FIPT_PT_lights)
-    assert "fipt.hint_on_lamp" not in drawn  # it is certain
+    assert "fipt.hint_on_lamp" not in drawn and icons() == []  # it is certain
     lamp[PROBABILITY] = 0.778
+    assert icons() == ["QUESTION"]
     drawn, _ = drawn_by(FIPT_PT_lights)
     assert "A lamp? 78 % sure" in drawn and drawn.count("fipt.hint_on_lamp") == 2
     assert "fipt.reestimate" not in drawn

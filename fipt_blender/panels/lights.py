@@ -16,7 +16,7 @@ CERTAIN = 0.98  # probability from which a fixture is not called in question
 
 
 class FIPT_UL_lights(Rows, bpy.types.UIList):
-    """Fixtures and added lights: on/off, solo, whole name, color"""
+    """Fixtures and added lights: on/off, solo, whole name, whether it may be no lamp, color"""
 
     def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
         light = item.object
@@ -28,6 +28,8 @@ class FIPT_UL_lights(Rows, bpy.types.UIList):
         name = row.row(align=True)
         name.active = item.on
         name.prop(light, "name", text="", emboss=False)
+        if _probability(light) < CERTAIN:
+            row.label(text="", icon="QUESTION")
         color = halves.row(align=True)
         color.active = item.on
         color.prop(item, "color", text="")
@@ -93,12 +95,16 @@ def report_name(item: bpy.types.Object) -> str:
     return "" if name == item.name else name
 
 
-def _draw_doubt(
-    layout: bpy.types.UILayout, hints: bpy.types.PropertyGroup, lamp: bpy.types.Object, sure: float
-) -> None:
+def _probability(lamp: bpy.types.Object) -> float:
+    """That a light of the list emits, as estimated; 1 for a light that was added."""
+    return float(lamp.get(PROBABILITY, 1.0))
+
+
+def _draw_doubt(layout: bpy.types.UILayout, hints: bpy.types.PropertyGroup, lamp: bpy.types.Object) -> None:
     """How sure it is that a fixture is a lamp, the answers, and how to use the answer."""
     column = layout.column(align=True)
-    column.label(text=iface_("A lamp? {:.0f} % sure").format(100.0 * sure), icon="QUESTION")
+    text = iface_("A lamp? {:.0f} % sure").format(100.0 * _probability(lamp))
+    column.label(text=text, icon="QUESTION")
     told = {hint.emission for hint in hints.hints if hint.area and hint.name == lamp.name}
     row = column.row(align=True)
     for emission in ("EMITS", "NOT"):
@@ -116,9 +122,8 @@ def _draw_light(
         return
     if name := report_name(light.object):
         layout.label(text=iface_("In the report: {}").format(name), translate=False)
-    sure = float(light.object.get(PROBABILITY, 1.0))
-    if sure < CERTAIN:
-        _draw_doubt(layout, scene.fipt.hints, light.object, sure)
+    if _probability(light.object) < CERTAIN:
+        _draw_doubt(layout, scene.fipt.hints, light.object)
     column = layout.column(align=True)
     column.prop(light, "stops")
     if light.has_power():
