@@ -130,14 +130,14 @@ class FIPT_OT_add_surface(bpy.types.Operator):
         from ..blend.outliner import select_only
 
         scene = context.scene
-        place = None
+        place, text = None, iface_("Move and scale it until it covers the thing in the photographs")
         if self.place == "DISAGREEMENT" and scene.fipt.capture.unseen_share >= 0.0:
             place = additions.place_of_disagreement(scene)
-            if place is None:
-                self.report({"INFO"}, "The photographs show nothing else: the 3D cursor is used")
+            if place is None:  # in one report: the status bar shows the last one
+                text = iface_("The photographs show nothing else: it is at the 3D cursor") + ". " + text
         place = place or additions.place_at(scene, scene.cursor.location)
         select_only(context.view_layer, additions.draw_surface(scene, self.shape, place))
-        self.report({"INFO"}, iface_("Move and scale it until it covers the thing in the photographs"))
+        self.report({"INFO"}, text)
         return {"FINISHED"}
 
 
