@@ -23,7 +23,6 @@ UNIT = 20.0  # height of a button at scale 1
 TABS = 20.0  # width of the strip of tabs
 _DOUBLE_CLICK_SECONDS = 0.4  # Blender's own is 0.35
 _CALM_SECONDS = 0.12  # this long without a redraw, and the sidebar's animations are over
-_EDGE = 8  # pixels at the lower end of a region, where the pointer is on the edge of its area
 _GAP = 16  # pixels between groups of one property's buttons
 
 Where = tuple[str, str]  # types of an area and of its region
@@ -167,14 +166,13 @@ class Hand(Blender):
         columns = [width * 0.66, width * 0.3]
         columns += [width - unit * (0.9 + n) for n in range(4)] + [unit * (1.0 + n) for n in range(3)]
         columns += [width * 0.5, width * 0.8]
-        bottom = top + height - _EDGE
         for column in columns:
-            for y in range(top + 4, bottom, round(unit * 0.75)):  # the lowest buttons have 0.8
+            for y in range(top + 4, top + height - 4, round(unit * 0.75)):  # the lowest buttons have 0.8
                 place = (left + round(column), y)
                 self.display.move(*place, 1)
                 report = self.under(where)
                 if found := _matches(report, target, values):
-                    inner = (place[0], min(y + round(unit * 0.3), bottom))
+                    inner = (place[0], y + round(unit * 0.3))
                     self.display.move(*inner, 2)
                     if not _matches(self.under(where), target, values):
                         inner = place
