@@ -13,11 +13,14 @@ import numpy as np
 import pytest
 
 from fipt_blender.blend.hints.exchange import scene_hints, write_for_again, write_for_run
+from fipt_blender.blend.marks import PROBABILITY
 from fipt_blender.core.run.hints import light_changes, read_hints
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.panels import hints as panel
 from fipt_blender.panels.hints import hint_text
-from samples.layouts import Layout
+from fipt_blender.panels.lights import FIPT_PT_lights, FIPT_UL_lights
+from samples.applied_rooms import make_applied_scene
+from samples.layouts import Layout, drawn_by
 from samples.operator_calls import refused
 from samples.refusals import error_of
 
@@ -111,6 +114,56 @@ def test_hints_are_removed_one_by_one_or_all(settings) -> None:
     assert [hint.name for hint in settings.hints] == ["Floor", "Box"]
     assert "no hint 7. The list has 2" in refused(bpy.ops.fipt.remove_hint, index=7)
     assert bpy.ops.fipt.remove_hint(every=True) == {"FINISHED"} and not len(settings.hints)
+
+
+def test_a_hint_on_a_lamp_outlasts_the_next_results(tmp_path: Path, monkeypatch) -> None:
+    scene = make_applied_scene(tmp_path / "run", monkeypatch)
+    row, hints = scene.fipt.lights.lights[0], scene.fipt.hints.hints
+    lamp = row.object
+    triangles = [[2.5 - 1 / 6, 2 / 3, 0.0], [2.5 + 1 / 6, 1 / 3, 0.0]]
+    down = {"origin": (2.5, 0.5, 9.0), "direction": (0.0, 0.0, -1.0)}
+    assert bpy.ops.fipt.add_hint(**down) == {"FINISHED"}  # a click on it
+    assert bpy.ops.fipt.hint_on_lamp(emission="EMITS") == {"FINISHED"}
+    assert bpy.ops.fipt.hint_on_lamp(light=lamp.name, emission="NOT") == {"FINISHED"}  # instead
+    assert [(hint.object.name, hint.name, hint_text(hint)) for hint in hints] == [
+        ("panel", lamp.name, "Unknown"),
+        ("panel", lamp.name, "Does Not Emit"),
+    ]
+    assert bpy.ops.fipt.apply_results() == {"FINISHED"}
+    assert row.object and [hint.object.name for hint in hints] == ["panel", "panel"]
+    clicked, said = scene_hints(scene)
+    assert clicked.points[0] == pytest.approx((2.5, 0.5, 0.0), abs=1e-5) and said.area and said.emits is False
+    np.testing.assert_allclose(sorted(said.points), triangles, atol=1e-5)
+
+
+def test_only_fixtures_are_lamps_or_not(tmp_path: Path, monkeypatch) -> None:
+    assert not bpy.ops.fipt.hint_on_lamp.poll()
+    scene = make_applied_scene(tmp_path / "run", monkeypatch)
+    bpy.ops.fipt.add_light(location=(0, 0, 3), size=1.0, power=50.0)
+    added = scene.fipt.lights.lights[1].object
+    assert "was added, not estimated" in refused(bpy.ops.fipt.hint_on_lamp, light=added.name)
+    assert not len(scene.fipt.hints.hints)
+
+
+def test_the_panel_asks_of_a_doubtful_lamp_and_offers_to_use_the_answer(tmp_path: Path, monkeypatch) -> None:
+    lamp = make_applied_scene(tmp_path / "run", monkeypatch).fipt.lights.lights[0].object
+    rows = bpy.context.scene.fipt.lights.lights
+
+    def icons() -> list[str]:
+        layout = Layout()
+        FIPT_UL_lights.draw_row(None, bpy.context, layout, rows[0], 0)
+        return [label["icon"] for label in layout.labels]
+
+    drawn, _ = drawn_by(FIPT_PT_lights)
+    assert "fipt.hint_on_lamp" not in drawn and icons() == []  # it is certain
+    lamp[PROBABILITY] = 0.778
+    assert icons() == ["QUESTION"]
+    drawn, _ = drawn_by(FIPT_PT_lights)
+    assert "A lamp? 78 % sure" in drawn and drawn.count("fipt.hint_on_lamp") == 2
+    assert "fipt.reestimate" not in drawn
+    bpy.ops.fipt.hint_on_lamp(emission="NOT")
+    drawn, properties = drawn_by(FIPT_PT_lights)
+    assert drawn.count("fipt.hint_on_lamp") == 2 and "fipt.reestimate" in drawn and "light" in properties
 
 
 def doubts_of(run: RunFolder, *questions: str) -> None:

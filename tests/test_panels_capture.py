@@ -7,6 +7,7 @@ from __future__ import annotations
 import bpy
 import pytest
 
+from fipt_blender.blend.marks import ADDED, DRAWN
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.jobs import running
 from fipt_blender.panels import capture, parts
@@ -75,6 +76,19 @@ def test_a_room_without_mesh_is_told_as_long_as_it_has_none():
     bpy.ops.mesh.primitive_cube_add()
     assert bpy.ops.fipt.set_room() == {"FINISHED"}
     assert "no mesh" not in room_texts()
+
+
+def test_the_room_says_that_missing_surfaces_come_after_the_check_until_it_is_done():
+    bpy.context.scene.fipt.capture.views.add().name = "a"
+    bpy.ops.mesh.primitive_cube_add()
+    item = bpy.context.object
+    assert bpy.ops.fipt.set_room() == {"FINISHED"}
+    assert "start with Check Views" in room_texts()
+    item[ADDED] = DRAWN
+    assert "Check Views" not in room_texts()
+    del item[ADDED]
+    bpy.context.scene.fipt.capture.unseen_share = 0.1
+    assert "Check Views" not in room_texts() and "fipt.find_missing_surfaces" in room_texts()
 
 
 def test_few_import_settings_are_shown_at_first():

@@ -39,7 +39,8 @@ class FIPT_OT_find_missing_surfaces(SurveyJob, bpy.types.Operator):
     bl_description = (
         "Look now for what the photographs show and the scan lacks, as the estimation does, and add it to the"
         " room as objects that you may edit or delete. The estimation then adds nothing else. What was found"
-        " before is replaced; what you have added stays. Takes minutes"
+        " before is replaced; what you have added stays. Takes minutes: use Check Views first, which is quick"
+        " and tells whether the mesh fits the photographs"
     )
     bl_options = {"REGISTER", "UNDO"}
     title = "Find Missing Surfaces"
@@ -129,14 +130,14 @@ class FIPT_OT_add_surface(bpy.types.Operator):
         from ..blend.outliner import select_only
 
         scene = context.scene
-        place = None
+        place, text = None, iface_("Move and scale it until it covers the thing in the photographs")
         if self.place == "DISAGREEMENT" and scene.fipt.capture.unseen_share >= 0.0:
             place = additions.place_of_disagreement(scene)
-            if place is None:
-                self.report({"INFO"}, "The photographs show nothing else: the 3D cursor is used")
+            if place is None:  # in one report: the status bar shows the last one
+                text = iface_("The photographs show nothing else: it is at the 3D cursor") + ". " + text
         place = place or additions.place_at(scene, scene.cursor.location)
         select_only(context.view_layer, additions.draw_surface(scene, self.shape, place))
-        self.report({"INFO"}, iface_("Move and scale it until it covers the thing in the photographs"))
+        self.report({"INFO"}, text)
         return {"FINISHED"}
 
 

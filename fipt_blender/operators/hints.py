@@ -10,9 +10,12 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..api import applying, estimating
+from ..blend.marks import is_fixture
+from ..core.run.errors import FiptError
 from ..jobs import runstate
-from ..properties.hints import ANSWERS
+from ..properties.hints import ANSWERS, EMISSION
 from .job_operator import JobOperator
+from .lights import NeedsLights, find_light, light_name_property
 from .pointer import PicksAlongRay
 from .polls import all_of, has_run, in_object_mode, needs, no_job
 from .reporting import reports_errors
@@ -201,6 +204,32 @@ class FIPT_OT_answer_doubt(bpy.types.Operator):
             self.report({"ERROR"}, f"There is no question {index}. The list has {len(settings.doubts)}.")
             return {"CANCELLED"}
         answer_doubt(context.scene, index, self.answer)
+        return {"FINISHED"}
+
+
+class FIPT_OT_hint_on_lamp(NeedsLights, bpy.types.Operator):
+    bl_idname = "fipt.hint_on_lamp"
+    bl_label = "Hint on Lamp"
+    bl_description = (
+        "Say whether this is a lamp: makes a hint of it, which Estimate > Hints lists. It has an effect with"
+        " Re-estimate with Hints, or the next Estimate"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    light: light_name_property("fixture")
+    emission: bpy.props.EnumProperty(
+        name="Light", description="Whether the fixture emits light", items=EMISSION, default="EMITS"
+    )
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.hints.exchange import hint_on_lamp
+
+        lamp = find_light(context.scene, self.light)
+        if not is_fixture(lamp):
+            text = f"'{lamp.name}' is a light that was added, not estimated."
+            raise FiptError("fixture-missing", text, "Select a fixture in the list of the section Lights.")
+        hint_on_lamp(context.scene, lamp, self.emission)
         return {"FINISHED"}
 
 

@@ -148,12 +148,15 @@ def _draw_additions(
     layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup
 ) -> None:
     """What was added to a scan, and the buttons that add more."""
+    count = sum(ADDED in item for item in settings.room_objects(context.scene))
+    if settings.unseen_share < 0.0 and not count:
+        text = "Estimate looks by itself for what a scan lacks. To decide before it, start with Check Views."
+        draw_text(layout, context, iface_(text), icon="INFO")
     column = layout.column(align=True)
     column.operator("fipt.find_missing_surfaces", icon="VIEWZOOM")
     column.operator_menu_enum("fipt.add_surface", "shape", icon="ADD")
     draw_job(layout, context, "completion")
     draw_warnings(layout, context, "completion", job_warnings(context, "completion"))
-    count = sum(ADDED in item for item in settings.room_objects(context.scene))
     if count:
         row = layout.row(align=True)
         row.label(text=iface_("{} added").format(count), icon="INFO", translate=False)

@@ -15,7 +15,7 @@ from ..jobs.previews import doubt_pictures
 from ..properties.hints import ANSWERS
 from .sidebar import Rows, SubSection, draw_text
 
-_NAMES = {identifier: name for identifier, name, _ in ANSWERS}
+ANSWER_NAMES = {identifier: name for identifier, name, _ in ANSWERS}
 _CHOICES = {"METAL": ("METAL", "DIELECTRIC"), "GLOSS": ("GLOSSY", "MATT"), "LAMP": ("EMITS", "NOT")}
 
 
@@ -70,10 +70,15 @@ class FIPT_PT_estimate_hints(SubSection, bpy.types.Panel):
             hint = settings.hint()
             if hint is not None:
                 _draw_hint(column, context, hint)
-        layout.prop(settings, "light")
-        column = layout.column()
-        column.scale_y = 1.2
-        column.operator("fipt.reestimate", icon="FILE_REFRESH")
+        draw_again(layout, settings)
+
+
+def draw_again(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
+    """How to estimate again with the hints."""
+    layout.prop(settings, "light")
+    column = layout.column()
+    column.scale_y = 1.2
+    column.operator("fipt.reestimate", icon="FILE_REFRESH")
 
 
 def _draw_doubt(layout: bpy.types.UILayout, doubt: bpy.types.PropertyGroup) -> None:
@@ -87,7 +92,7 @@ def _draw_doubt(layout: bpy.types.UILayout, doubt: bpy.types.PropertyGroup) -> N
     row.operator("fipt.look_through", text="", icon="OUTLINER_OB_CAMERA").view = doubt.view
     row = box.row(align=True)
     for answer in (*_CHOICES[doubt.question], "LEAVE"):
-        row.operator("fipt.answer_doubt", text=_NAMES[answer]).answer = answer
+        row.operator("fipt.answer_doubt", text=ANSWER_NAMES[answer]).answer = answer
 
 
 def _draw_hint(layout: bpy.types.UILayout, context: bpy.types.Context, hint: bpy.types.PropertyGroup) -> None:

@@ -9,13 +9,14 @@ from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
 
 from ..blend.marks import ANIMATED, FIXTURE, MERGED, NAMED, PROBABILITY, VISIBILITY
+from .hints import ANSWER_NAMES, draw_again
 from .sidebar import Rows, Section, SubSection, draw_text
 
 CERTAIN = 0.98  # probability from which a fixture is not called in question
 
 
 class FIPT_UL_lights(Rows, bpy.types.UIList):
-    """Fixtures and added lights: on/off, solo, whole name, color"""
+    """Fixtures and added lights: on/off, solo, whole name, whether it may be no lamp, color"""
 
     def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
         light = item.object
@@ -27,6 +28,8 @@ class FIPT_UL_lights(Rows, bpy.types.UIList):
         name = row.row(align=True)
         name.active = item.on
         name.prop(light, "name", text="", emboss=False)
+        if _probability(light) < CERTAIN:
+            row.label(text="", icon="QUESTION")
         color = halves.row(align=True)
         color.active = item.on
         color.prop(item, "color", text="")
@@ -60,7 +63,7 @@ class FIPT_PT_lights(Section, bpy.types.Panel):
             row = layout.row(align=True)
             row.operator("fipt.switch_lights", text="All Off", icon="OUTLINER_DATA_LIGHT").on = False
             row.operator("fipt.switch_lights", text="All On", icon="LIGHT").on = True
-            _draw_light(layout, settings.active_light())
+            _draw_light(layout, context.scene, settings.active_light())
         elif context.scene.fipt.materials.object_count:
             text = "No lamps were found. The room is lit by the environment (windows) alone."
             draw_text(layout, context, text, icon="INFO")
@@ -92,15 +95,35 @@ def report_name(item: bpy.types.Object) -> str:
     return "" if name == item.name else name
 
 
-def _draw_light(layout: bpy.types.UILayout, light: bpy.types.PropertyGroup | None) -> None:
+def _probability(lamp: bpy.types.Object) -> float:
+    """That a light of the list emits, as estimated; 1 for a light that was added."""
+    return float(lamp.get(PROBABILITY, 1.0))
+
+
+def _draw_doubt(layout: bpy.types.UILayout, hints: bpy.types.PropertyGroup, lamp: bpy.types.Object) -> None:
+    """How sure it is that a fixture is a lamp, the answers, and how to use the answer."""
+    column = layout.column(align=True)
+    text = iface_("A lamp? {:.0f} % sure").format(100.0 * _probability(lamp))
+    column.label(text=text, icon="QUESTION")
+    told = {hint.emission for hint in hints.hints if hint.area and hint.name == lamp.name}
+    row = column.row(align=True)
+    for emission in ("EMITS", "NOT"):
+        button = row.operator("fipt.hint_on_lamp", text=ANSWER_NAMES[emission], depress=emission in told)
+        button.light, button.emission = lamp.name, emission
+    if told:
+        draw_again(layout, hints)
+
+
+def _draw_light(
+    layout: bpy.types.UILayout, scene: bpy.types.Scene, light: bpy.types.PropertyGroup | None
+) -> None:
     """The settings of the active light."""
     if light is None:
         return
     if name := report_name(light.object):
         layout.label(text=iface_("In the report: {}").format(name), translate=False)
-    sure = float(light.object.get(PROBABILITY, 1.0))
-    if sure < CERTAIN:
-        layout.label(text=iface_("A lamp? {:.0f} % sure").format(100.0 * sure), icon="QUESTION")
+    if _probability(light.object) < CERTAIN:
+        _draw_doubt(layout, scene.fipt.hints, light.object)
     column = layout.column(align=True)
     column.prop(light, "stops")
     if light.has_power():

@@ -175,7 +175,7 @@ class FIPT_EstimateSettings(bpy.types.PropertyGroup):
         default="preferences",
     )
     apply_when_finished: bpy.props.BoolProperty(
-        name="Apply When Finished",
+        name="Apply at the End",
         description="Apply the results to the room at the end of an estimation that was started in a window",
         default=True,
     )

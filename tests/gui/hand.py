@@ -138,11 +138,14 @@ class Hand(Blender):
     def extent(self, path: str, where: Where, axis: int) -> tuple[int, int]:
         """Extent of a property's buttons from the pointer along an axis; restores the pointer."""
         home = self.display.pointer
+        low, size = self.box(where)[axis], self.box(where)[2 + axis]
         ends = []
         for step in (-4, 4):
             place, last, misses = list(home), home[axis], 0
             while misses < _GAP // 4:
                 place[axis] += step
+                if not low <= place[axis] < low + size:  # Blender still names the button that was left last
+                    break
                 self.display.move(place[0], place[1], 1)
                 if self.under(where)["property"] == path:
                     last, misses = place[axis], 0

@@ -33,7 +33,7 @@ _FAST = {
     "diffuse_samples": 8,
     "specular_samples": 4,
     "light_samples": 2,
-    "training_steps": 400,
+    "training_steps": 100,
     "voxel_resolution": 48,
     "roughness_levels": 3,
 }

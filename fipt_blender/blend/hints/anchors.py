@@ -2,11 +2,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Where hints are: points on objects, which move with them, and areas of faces.
 
+A fixture is replaced by the next results: hints on it are kept on the object that it was split off.
+
 An area keeps the centers of its triangles in a custom property of the hint, in the object's space, so that it
 survives the meshes that results bring.
 """
 
 from __future__ import annotations
+
+import json
 
 import bpy
 import numpy as np
@@ -14,7 +18,7 @@ from mathutils import Vector
 
 from ...core.run.errors import FiptError
 from ...core.run.hints import MOST_POINTS
-from ..marks import AREA
+from ..marks import AREA, FIXTURE_SOURCES, is_split_off, object_id
 from ..ray_hits import hits
 from ..room.mesh_arrays import corner_vertices, transform_points, triangle_loops, vertex_positions
 
@@ -53,6 +57,14 @@ def surface_at_point(scene: bpy.types.Scene, point: Vector) -> tuple[bpy.types.O
     return best
 
 
+def kept_object(scene: bpy.types.Scene, item: bpy.types.Object) -> bpy.types.Object:
+    """The object on which a hint on another one stays when results are applied."""
+    if not is_split_off(item):
+        return item
+    sources = json.loads(item[FIXTURE_SOURCES])
+    return next((other for other in scene.objects if object_id(other) in sources), item)
+
+
 def face_set_at(item: bpy.types.Object, face: int) -> np.ndarray:
     """(P,) bool, the polygons of an object that are in the face set of one.
 
@@ -87,7 +99,7 @@ def selected_faces(item: bpy.types.Object) -> np.ndarray:
 
 
 def set_area(hint: bpy.types.PropertyGroup, item: bpy.types.Object, chosen: np.ndarray) -> None:
-    """Make a hint be about polygons of an object, (P,) bool.
+    """Make a hint be about polygons of the object that it was added on, (P,) bool.
 
     Raises:
         FiptError: ``area-large``.
@@ -98,8 +110,9 @@ def set_area(hint: bpy.types.PropertyGroup, item: bpy.types.Object, chosen: np.n
     if len(corners) > MOST_POINTS:
         text = f"The area has {len(corners)} triangles, more than {MOST_POINTS}."
         raise FiptError("area-large", text, "Choose a smaller area.")
-    centers = corners.mean(axis=1)
-    hint.object, hint.area, hint.point = item, True, centers[0]
+    to_hint = hint.object.matrix_world.inverted_safe() @ item.matrix_world
+    centers = transform_points(corners.mean(axis=1), np.array(to_hint, np.float64))
+    hint.area, hint.point = True, centers[0]
     hint[AREA] = centers.ravel().tolist()
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 from typing import Any
 
 import bpy
+import numpy as np
 from mathutils import Vector
 
 from ...core.run.documents import read_json
@@ -14,7 +15,7 @@ from ...core.run.errors import FiptError
 from ...core.run.hints import MOST_HINTS, MOST_POINTS, Hint, write_hints
 from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import DOUBTS
-from .anchors import in_scene, surface_at_point, world_points
+from .anchors import in_scene, kept_object, set_area, surface_at_point, world_points
 
 # What an answer to a question says: properties of the hint.
 GLOSSY, MATT = (0.0, 0.5), (0.5, 1.0)
@@ -137,9 +138,28 @@ def add_hint(
     scene: bpy.types.Scene, name: str, item: bpy.types.Object, point: Vector
 ) -> bpy.types.PropertyGroup:
     """A new hint, the active one, on an object at a point in the world."""
-    settings = scene.fipt.hints
+    settings, item = scene.fipt.hints, kept_object(scene, item)
     hint = settings.hints.add()
     settings.active_hint = len(settings.hints) - 1
     hint.name, hint.object = name, item
     hint.point = item.matrix_world.inverted_safe() @ point
     return hint
+
+
+def lamp_hint(scene: bpy.types.Scene, lamp: bpy.types.Object) -> bpy.types.PropertyGroup | None:
+    """The hint that `hint_on_lamp` has made of a fixture; None without one."""
+    return next((hint for hint in scene.fipt.hints.hints if hint.area and hint.name == lamp.name), None)
+
+
+def hint_on_lamp(scene: bpy.types.Scene, lamp: bpy.types.Object, emission: str) -> None:
+    """Make a hint of whether all faces of a fixture emit light, in place of an earlier one.
+
+    Args:
+        emission: an item of `properties.hints.EMISSION`.
+
+    Raises:
+        FiptError: ``area-large``.
+    """
+    hint = lamp_hint(scene, lamp) or add_hint(scene, lamp.name, lamp, lamp.matrix_world.translation)
+    set_area(hint, lamp, np.ones(len(lamp.data.polygons), bool))
+    hint.emission = emission
