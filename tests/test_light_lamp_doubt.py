@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Errors of the light of lamps that photographs hardly show, against closed forms."""
+"""Errors of the light on a scan by the doubt about where its lamps are, against closed forms."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.light.emitters import Fixture
-from fipt_blender.core.light.lamp_doubt import hardly_seen, power_errors
+from fipt_blender.core.light.lamp_doubt import DEVIATIONS, hardly_seen, light_errors, power_errors
 from fipt_blender.core.material.cell_errors import LitCells, add_light_errors
 from fipt_blender.core.material.confidence import UNIFORM_DEVIATION
 from samples.small_rooms import make_room
@@ -34,6 +34,35 @@ def fixture(quad: int, height: float) -> Fixture:
     triangles = np.array([2 * quad, 2 * quad + 1])
     shines = np.full(3, LUMINANCE)
     return Fixture(triangles, shines, np.zeros(3), AREA, np.array([0.0, 0.0, height]))
+
+
+def errors(quads: list, height: float, points: np.ndarray, doubt: float) -> np.ndarray:
+    room = make_room([FLOOR, lamp_above(height), *quads])
+    surface = points, np.repeat(UP, len(points), axis=0)
+    return light_errors(room, [fixture(1, height)], surface, doubt, 0)
+
+
+@pytest.mark.parametrize("height", [0.3, 0.6, 1.2])
+def test_the_error_is_that_of_the_inverse_square(height: float) -> None:
+    """Below a small lamp L_d is A L / (pi h^2); an error d of h changes it by 2 d / h."""
+    doubt = 0.01
+    found = errors([], height, np.zeros((1, 3)), doubt)
+    light = AREA * LUMINANCE / (np.pi * height**2)
+    assert found[0] == pytest.approx(DEVIATIONS * 2.0 * doubt / height * light, rel=0.05)
+
+
+def test_where_a_shadow_ends_light_is_least_certain() -> None:
+    """A board halfway between lamp and floor, whose edge's shadow lies below the lamp."""
+    board = [[0.0, -1, 0.5], [1.5, -1, 0.5], [1.5, 1, 0.5], [0.0, 1, 0.5]]
+    places = ([0.002, 0.0, 0.0], [-0.5, 0.0, 0.0], [0.5, 0.0, 0.0])
+    edge, lit, shadow = (errors([board], 1.0, np.array([place]), 0.01)[0] for place in places)
+    assert edge > 5.0 * lit > 0.0
+    assert shadow == 0.0
+
+
+def test_a_lamp_that_shines_away_has_no_error() -> None:
+    above = np.array([[0.3, 0.0, 2.0]])
+    assert errors([], 1.0, above, 0.01)[0] == 0.0
 
 
 def test_lamps_that_few_pixels_see_alone_are_doubted_by_the_spread_of_their_radiance() -> None:

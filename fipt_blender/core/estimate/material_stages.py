@@ -11,7 +11,7 @@ import numpy as np
 
 from ..light.emission import emission_probability
 from ..light.evidence import brighter_than_white
-from ..light.lamp_doubt import HardlySeen, hardly_seen, power_errors
+from ..light.lamp_doubt import HardlySeen, hardly_seen, light_errors, power_errors
 from ..light.lamp_outline import outlined
 from ..material.cell_errors import add_light_errors, cell_errors, draw_pixels, lit_cells
 from ..material.closed_form import (
@@ -249,12 +249,18 @@ class MaterialStages(EstimationState):
         if not self.settings.lamp_doubt:
             return errors
         doubted = hardly_seen(self.fixtures, self.pixels, len(self.room.triangles))
-        if not doubted:
+        place = self.room.place
+        if not self.fixtures or not (place or doubted):
             return errors
-        self._warn_of_lamps(doubted)
         lit = lit_cells(drawn, data, fields, self.cells)
-        of_power = power_errors(self.room, self.fixtures, doubted, (lit.points, lit.normals), seed)
-        return add_light_errors(errors, lit, of_power)
+        if doubted:
+            self._warn_of_lamps(doubted)
+            of_power = power_errors(self.room, self.fixtures, doubted, (lit.points, lit.normals), seed)
+            errors = add_light_errors(errors, lit, of_power)
+        if not place:
+            return errors
+        of_light = light_errors(self.room, self.fixtures, (lit.points, lit.normals), place, seed)
+        return add_light_errors(errors, lit, of_light)
 
     def _warn_of_lamps(self, doubted: Sequence[HardlySeen]) -> None:
         """Say which lamps photographs hardly show."""
