@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.light.emitters import Fixture
-from fipt_blender.core.light.lamp_doubt import DEVIATIONS, hardly_seen, light_errors, power_errors
+from fipt_blender.core.light.lamp_doubt import hardly_seen, light_errors, power_errors
 from fipt_blender.core.material.cell_errors import LitCells, add_light_errors
 from fipt_blender.core.material.confidence import UNIFORM_DEVIATION
 from samples.small_rooms import make_room
@@ -48,7 +48,7 @@ def test_the_error_is_that_of_the_inverse_square(height: float) -> None:
     doubt = 0.01
     found = errors([], height, np.zeros((1, 3)), doubt)
     light = AREA * LUMINANCE / (np.pi * height**2)
-    assert found[0] == pytest.approx(DEVIATIONS * 2.0 * doubt / height * light, rel=0.05)
+    assert found[0] == pytest.approx(2.0 * doubt / height * light, rel=0.05)
 
 
 def test_where_a_shadow_ends_light_is_least_certain() -> None:

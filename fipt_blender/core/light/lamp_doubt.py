@@ -21,9 +21,6 @@ from ..scene.pixels import PixelStore
 from ..scene.room import Room
 from .emitters import Fixture, pixels_on
 
-# The error is this many standard deviations: what the lamp lights beside it (its shade, the top of a table)
-# has the same error and lights the surroundings, too. Calibrated on the example room, scanned at 2 cm.
-DEVIATIONS = 3.0
 # Points on a lamp, and lamps, the brightest first.
 SAMPLES, MOST_LAMPS = 8, 6
 # Number of neighbouring points over which a variance is averaged, because there are few moves.
@@ -114,7 +111,7 @@ def light_errors(
         received = [_received(room, lamp, chosen, move, points, normals) for move in moves]
         variance += np.var(received, axis=0)
     around = cKDTree(points).query(points, min(NEIGHBOURS, len(points)))[1].reshape(len(points), -1)
-    return np.asarray(DEVIATIONS * np.sqrt(variance[around].mean(axis=1)))
+    return np.asarray(np.sqrt(variance[around].mean(axis=1)))
 
 
 def _sample(room: Room, lamp: Fixture, rng: np.random.Generator) -> np.ndarray:
