@@ -83,7 +83,7 @@ _TABLE = (
     ("presumed_lamps", "presumed lamps in stage 1", ["light/presumed"], {}, ()),
     ("denoise_specular", "denoised specular shadings", [], {}, ()),
     ("lamp_outlines", "outlines of lamps", ["light/lamp_outline"], {}, (SCAN, MASKS)),
-    ("lamp_doubt", "the place of lamps in the confidence", ["light/lamp_doubt"], {}, (SCAN,)),
+    ("lamp_doubt", "errors of the light of uncertain lamps", ["light/lamp_doubt"], {}, ()),
 )
 MECHANISMS = {
     name: Mechanism(text, tuple(modules), off or {name: False}, needs)

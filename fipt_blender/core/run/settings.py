@@ -220,7 +220,7 @@ class Settings:
         ESTIMATE,
     )
     lamp_outlines: bool = _switch("give a scan's lamps the outlines that photographs show", ESTIMATE)
-    lamp_doubt: bool = _switch("count errors of the place of a scan's lamps in the confidence", None)
+    lamp_doubt: bool = _switch("count errors of the light of uncertain lamps in the confidence", None)
     lambda_joint: float = _setting(
         1e-2,
         "joint emission: weight of its L1 norm, in units of the capture's median (the paper gives no value)",
