@@ -1,13 +1,12 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What every test starts from: LLVM found as the product finds it, fixed seeds, an empty Blender file."""
+"""What every test starts from: a device found as the product finds it, fixed seeds, an empty Blender file."""
 
 from __future__ import annotations
 
 import importlib.util
 import os
 import random
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fipt_blender.core.device.llvm import LLVM_VARIABLE, companions, find_llvm
-from fipt_blender.core.device.probe import preload
+from fipt_blender.core.device.variant import set_variant
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
@@ -26,18 +24,13 @@ def pytest_configure(config: pytest.Config) -> None:
     """Choose LLVM and Mitsuba's variant before any test module is imported, where Mitsuba is installed."""
     if importlib.util.find_spec("mitsuba") is None:  # tests/matrix.py: Blender's side alone
         return
-    try:
-        library = find_llvm(Path(sys.executable))
-    except FiptError as error:
-        raise pytest.UsageError(str(error)) from None
-    preload(companions(library))
-    os.environ[LLVM_VARIABLE] = str(library)
     # As in the engine: torch's threads must not spin while those of Dr.Jit or another process work.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    import mitsuba
-
-    # The engine's modules need a variant when they are imported, and torch must be imported after it.
-    mitsuba.set_variant("llvm_ad_rgb")
+    try:
+        # The engine's modules need a variant when they are imported, and torch must be imported after it.
+        set_variant(os.environ.get("FIPT_TEST_DEVICE", "llvm"))
+    except FiptError as error:
+        raise pytest.UsageError(str(error)) from None
 
 
 @pytest.fixture(autouse=True)

@@ -8,12 +8,14 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from fipt_blender.core.run.per_view import LocalWorkers, TwoSteps
-from fipt_blender.core.run.threads import MOST_THREADS, in_threads
+from fipt_blender.core.run.threads import MOST_THREADS, cached_property, in_threads
 
 
 @pytest.mark.parametrize("cores", [None, 1, 2, 500])
@@ -73,3 +75,24 @@ def test_the_memory_of_the_process_that_starts_the_engine_is_not_counted():
     block[::4096] = b"x" * len(block[::4096])
     result = subprocess.run([sys.executable, "-c", _CODE], capture_output=True, text=True, check=True)
     assert 0.0 < float(result.stdout) < 0.2
+
+
+def test_a_property_is_computed_once_by_all_threads_together():
+    class Thing:
+        computed = 0
+
+        @cached_property
+        def number(self) -> int:
+            self.computed += 1
+            time.sleep(0.05)  # long enough for all threads to ask
+            return 7
+
+    thing, ready = Thing(), threading.Barrier(4)
+
+    def ask(_: int) -> int:
+        ready.wait()
+        return thing.number
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(ask, range(4))) == [7] * 4
+    assert thing.computed == 1

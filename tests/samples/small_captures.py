@@ -47,7 +47,7 @@ CAMERAS = [  # from, to
 ]
 # Every stage, in a few seconds.
 QUICK = {
-    "device": "llvm", "rounds": 1, "voxel_resolution": 64, "roughness_levels": 4, "diffuse_spp": 16,
+    "device": "auto", "rounds": 1, "voxel_resolution": 64, "roughness_levels": 4, "diffuse_spp": 16,
     "specular_spp": 4, "light_spp": 16, "refine_diffuse_spp": 16, "refine_specular_spp": 4,
     "refine_light_spp": 16, "training_steps": 60, "checkpoint_steps": 25,
     "batch_size": 1024, "hash_levels": 6, "hash_log2_size": 12,

@@ -5,13 +5,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ..conventions import transform_points
 from ..run.errors import FiptError
+from ..run.threads import cached_property
 
 SAMPLES = 200_000  # points of a mesh
 NEIGHBOURS = 12  # samples and triangles' middles around a position whose triangles are looked at

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +41,7 @@ from ..run.messages import Reporter, peak_memory_gb
 from ..run.per_view import LocalWorkers, Workers
 from ..run.run_files import ScanHoles
 from ..run.shapes import Layout
+from ..run.threads import cached_property
 from ..scene.grouped import place_of
 from ..scene.labels import NO_PART, Parts, choose_parts, room_pieces
 from ..scene.pixels import LEFT_OUT, PixelStore, open_pixels

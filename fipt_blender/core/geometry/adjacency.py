@@ -7,10 +7,11 @@ triangles around each vertex.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
+
+from ..run.threads import cached_property
 
 NONE = -1  # in place of a triangle
 # Vertices closer than this share of the mesh's extent are one.

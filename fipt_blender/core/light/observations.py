@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import binary_dilation
 
 from ..run.settings import Settings
+from ..run.threads import cached_property
 from ..scene.labels import NO_PART, Parts
 from ..scene.mixed_pixels import find_donors
 from ..scene.pixels import PixelStore, open_array

@@ -145,7 +145,7 @@ class _Encode(torch.autograd.Function):
         values = mi.Float(table.detach().reshape(-1))
         columns = _features(grid.levels, grid.features, values, _points(positions), _numbers(units))
         # A transposed view: written column by column, the features of one position would be far apart.
-        return torch.stack([column.torch() for column in columns]).T
+        return torch.stack([column.torch() for column in columns]).T.to(table.device)
 
     @staticmethod
     def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None, None, None]:
@@ -160,4 +160,4 @@ class _Encode(torch.autograd.Function):
         columns = [mi.Float(column) for column in (gradient * scale).T.contiguous()]
         unit = dr.opaque(mi.Float, 1.0 / scale)
         summed = _table_gradient(grid.levels, columns, _points(positions), _numbers(units), unit)
-        return summed.torch().reshape(-1, grid.features), None, None, None
+        return summed.torch().reshape(-1, grid.features).to(gradient.device), None, None, None

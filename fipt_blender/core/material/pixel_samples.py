@@ -7,13 +7,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ..light.observations import Observations
-from ..run.threads import in_threads
+from ..run.threads import cached_property, in_threads
 
 # Pixels whose windows are averaged at a time, so that their arrays stay in the processor's cache.
 WINDOW_BLOCK = 1 << 13

@@ -4,16 +4,33 @@
 
 from __future__ import annotations
 
+import functools
 import os
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TypeVar
+from typing import Any, TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 MOST_THREADS = 8  # each has arrays of its own in memory
+
+
+class cached_property(functools.cached_property[Result]):
+    """`functools.cached_property` that is computed once, whichever threads ask for it.
+
+    Since Python 3.12 that of functools has no lock, so that threads would write one file at the same time.
+    """
+
+    def __init__(self, function: Callable[[Any], Result]) -> None:
+        super().__init__(function)
+        self._lock = threading.RLock()
+
+    def __get__(self, instance: Any, owner: type | None = None) -> Any:
+        with self._lock:
+            return super().__get__(instance, owner)
 
 
 def in_threads(

@@ -5,13 +5,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from ..geometry.adjacency import Mesh, face_vectors, make_mesh
 from ..geometry.clean import noise_level
+from ..run.threads import cached_property
 
 # Detail that is finer than an edge of a scan is lost, but smooth surfaces lie where they were measured: the
 # standard deviation of the position of surfaces and borders is at most this multiple of the noise.

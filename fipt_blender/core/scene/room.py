@@ -9,7 +9,6 @@ normals are flipped towards the viewer, so that inverted normals have no effect.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -21,6 +20,7 @@ from ..geometry.stored import stored_geometry
 from ..run.errors import FiptError
 from ..run.run_files import CLOSING, read_room_files
 from ..run.runfolder import RunFolder
+from ..run.threads import cached_property
 from .adjacency import Scan, find_scan
 
 # Distance at which rays start above a scan, in units of its noise.
