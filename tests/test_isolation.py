@@ -21,8 +21,11 @@ CORE = PACKAGE / "core"
 HEAVY = ("mitsuba", "drjit", "torch", "OpenEXR", "pycolmap", "pyoidn", "rawpy", "exifread", "lensfunpy")
 # What Blender's side may import of the engine: the standard library and numpy are enough for these.
 SHARED = (
+    "alignment.gltf_document",
+    "alignment.obj_file",
     "alignment.pairs",
-    "alignment.ply_header",
+    "alignment.ply_file",
+    "alignment.polygons",
     "alignment.sights",
     "alignment.turns",
     "capture.averaging",
