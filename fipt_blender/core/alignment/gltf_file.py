@@ -126,7 +126,9 @@ def _plain(content: dict[str, Any]) -> tuple[dict[str, Any], list[dict[str, Any]
     if len(primitives) > MOST_NODES:
         raise ValueError(f"its meshes have {len(primitives):,} pieces, which are too many")
     for user in (*nodes, *primitives, *content.get("bufferViews", [])):
-        _refuse_extensions(user.get("extensions", {}))
+        for name in user.get("extensions", ()):
+            if any(word in name for word in _UNREADABLE):
+                raise ValueError(f"it is compressed or repeats meshes by {name}, which is not read here")
     meshes: list[dict[str, Any]] = []
     accessors: list[dict[str, Any]] = []
     views: list[dict[str, Any]] = []
@@ -167,12 +169,6 @@ def _plain(content: dict[str, Any]) -> tuple[dict[str, Any], list[dict[str, Any]
         "buffers": [{"uri": str(index)} for index in used],
     }
     return document, primitives
-
-
-def _refuse_extensions(extensions: dict[str, Any]) -> None:
-    for name in extensions:
-        if any(word in name for word in _UNREADABLE):
-            raise ValueError(f"it is compressed or repeats meshes by {name}, which is not read here")
 
 
 def _accessor(

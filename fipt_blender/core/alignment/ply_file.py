@@ -11,8 +11,10 @@ from __future__ import annotations
 import re
 import struct
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +30,6 @@ _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _LISTS = ("vertex_indices", "vertex_index")
 _INDICES = {"face": _LISTS, "tristrips": _LISTS, "edge": ("vertex1", "vertex2")}
 _RESTART = -1  # between two strips of triangles
-_CHUNK = 1 << 17  # elements that are read at once
 
 
 @dataclass(frozen=True)
@@ -60,13 +61,7 @@ class Element:
 
 @dataclass(frozen=True)
 class Header:
-    """A PLY header.
-
-    Attributes:
-        order: byte order of binary data; "" for ASCII.
-        elements: in the order of the data.
-        size: bytes of the header; the data follow.
-    """
+    """A PLY header: byte order of the data ("" for ASCII), its elements in their order, and its own bytes."""
 
     order: str
     elements: list[Element]
@@ -90,8 +85,8 @@ def read_ply(path: Path) -> Polygons:
     place, line = 0, 0
     for element in header.elements:
         columns[element.name] = found = _read_element(data, place, element, header.order)
-        sizes = np.diff(found.starts, append=found.end) // 8
-        if line_words is not None and (wrong := sizes != line_words[line : line + element.count]).any():
+        words = None if line_words is None else line_words[line : line + element.count]
+        if words is not None and (wrong := found.sizes // 8 != words).any():
             raise ValueError(
                 f"the values of its element '{element.name}' {int(wrong.argmax())} are too few or many"
             )
@@ -154,119 +149,114 @@ class _Columns:
     Attributes:
         values: by property, of coordinates and indices alone; those of lists one list after the other.
         lengths: (N,) int64 of the lists, by property.
-        starts: (N,) int64 first byte of each.
+        sizes: (N,) int64 bytes of each.
         end: the byte after the last one.
     """
 
     values: dict[str, np.ndarray]
     lengths: dict[str, np.ndarray]
-    starts: np.ndarray
+    sizes: np.ndarray
     end: int
 
 
 def _read_element(data: np.ndarray, place: int, element: Element, order: str) -> _Columns:
-    """Read an element at a place in the bytes (N,) u8."""
+    """Read an element at a place in the bytes (N,) u8, ordered by the lengths of its lists."""
     least = element.count * sum(_size(entry.count_type or entry.type) for entry in element.properties)
     if least > len(data) - place:
         raise ValueError(
             f"it ends too early: {element.count:,} elements '{element.name}' need {least:,} bytes,"
             f" {max(len(data) - place, 0):,} are left"
         )
-    parts = []
-    for start in range(0, max(element.count, 1), _CHUNK):
-        some = replace(element, count=min(_CHUNK, element.count - start))
-        parts.append(_equal_records(data, place, some, order) or _walked(data, place, some, order))
-        place = parts[-1].end
+    lists = [entry.name for entry in element.properties if entry.count_type]
+    wanted = [
+        entry.name
+        for entry in element.properties
+        if element.is_index(entry) or (element.name == "vertex" and entry.name in ("x", "y", "z"))
+    ]
+    values = {name: [np.zeros(0)] for name in wanted}
+    rows = np.zeros((0, len(lists)), np.int64)
+    sizes = np.zeros(0, np.int64)
+    if element.count:
+        starts, rows, end = _places(data, place, element, order)
+        sizes = np.diff(starts, append=end)
+        keys, kind = (
+            np.unique(rows, axis=0, return_inverse=True) if lists else (rows[:1], np.zeros(len(rows)))
+        )
+        rows = keys[np.sort(kind.reshape(-1)).astype(np.int64)]
+        for number, key in enumerate(keys):
+            record = _record(element, order, key)
+            if len(keys) == 1:
+                records = np.frombuffer(data, record, element.count, place)
+            else:
+                found = starts[kind.reshape(-1) == number]
+                records = data[found[:, None] + np.arange(record.itemsize)].view(record)[:, 0]
+            for name, parts in values.items():
+                parts.append(records[name].reshape(-1))
+        place = end
     return _Columns(
-        {name: np.concatenate([part.values[name] for part in parts]) for name in parts[0].values},
-        {name: np.concatenate([part.lengths[name] for part in parts]) for name in parts[0].lengths},
-        np.concatenate([part.starts for part in parts]),
+        {name: np.concatenate(parts[1:] or parts) for name, parts in values.items()},
+        {name: rows[:, number] for number, name in enumerate(lists)},
+        sizes,
         place,
     )
 
 
-def _equal_records(data: np.ndarray, place: int, element: Element, order: str) -> _Columns | None:
-    """Elements whose lists are all as long as those of the first one; None if they differ."""
-    fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
-    size = 0
-    for number, entry in enumerate(element.properties):
-        if not entry.count_type:
-            fields.append((entry.name, order + entry.type))
-            size += _size(entry.type)
-            continue
-        if not element.count or place + size + _size(entry.count_type) > len(data):
-            return None
-        length = _length(np.frombuffer(data, order + entry.count_type, 1, place + size)[0], element)
-        size += _size(entry.count_type) + length * _size(entry.type)
-        fields.append((f"length {number}", order + entry.count_type))
-        fields.append((entry.name, order + entry.type, (length,)))
-        if place + element.count * size > len(data):
-            return None
-    records = (
-        np.frombuffer(data, np.dtype(fields), element.count, place) if element.count else np.zeros(0, fields)
-    )
-    lengths = {}
-    for number, entry in enumerate(element.properties):
-        if entry.count_type:
-            counts = lengths[entry.name] = records[f"length {number}"].astype(np.int64)
-            if (records[f"length {number}"] != counts[0]).any():
-                return None
-    values = {name: records[name].reshape(-1) for name in _wanted(element)}
-    return _Columns(values, lengths, place + size * np.arange(element.count), place + size * element.count)
-
-
-def _walked(data: np.ndarray, place: int, element: Element, order: str) -> _Columns:
-    """Elements with lists of different lengths, one by one."""
+def _places(data: np.ndarray, place: int, element: Element, order: str) -> tuple[np.ndarray, np.ndarray, int]:
+    """First bytes (N,) of elements, lengths of their lists (N, lists), and the byte after the last one."""
     plan = [
-        (entry, struct.Struct(order + np.dtype(entry.count_type).char) if entry.count_type else None)
+        (
+            struct.Struct(order + np.dtype(entry.count_type).char) if entry.count_type else None,
+            _size(entry.type),
+        )
         for entry in element.properties
     ]
-    starts: list[int] = []
-    firsts: dict[str, list[int]] = {entry.name: [] for entry in element.properties}
-    lengths: dict[str, list[int]] = {entry.name: [] for entry in element.properties if entry.count_type}
-    content = data.data
-    for _ in range(element.count):
+    lists = sum(counter is not None for counter, _ in plan)
+    content, starts, lengths = data.data, [], []
+    for number in range(element.count):
         starts.append(place)
-        for entry, counter in plan:
-            length = 1
-            if counter is not None:
-                if place + counter.size > len(content):
-                    raise ValueError(f"it ends within its elements '{element.name}'")
-                length = _length(counter.unpack_from(content, place)[0], element)
-                place += counter.size
-                lengths[entry.name].append(length)
-            firsts[entry.name].append(place)
-            place += length * _size(entry.type)
-    if place > len(data):
-        raise ValueError(f"it ends within its elements '{element.name}'")
-    values = {}
-    for name, kind in _wanted(element).items():
-        counts = np.array(lengths.get(name, [1] * element.count), np.int64)
-        within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-        items = np.repeat(np.array(firsts[name], np.int64), counts) + _size(kind) * within
-        values[name] = data[items[:, None] + np.arange(_size(kind))].view(order + kind).reshape(-1)
-    found = {name: np.array(counts, np.int64) for name, counts in lengths.items()}
-    return _Columns(values, found, np.array(starts, np.int64), place)
+        for counter, size in plan:
+            if counter is None:
+                place += size
+                continue
+            if place + counter.size > len(content):
+                raise ValueError(f"it ends within its elements '{element.name}'")
+            (length,) = counter.unpack_from(content, place)
+            if not (length >= 0 and length % 1 == 0):
+                raise ValueError(f"an element '{element.name}' has a list of {length:g} values")
+            lengths.append(int(length))
+            place += counter.size + int(length) * size
+        if place > len(content):
+            raise ValueError(f"it ends within its elements '{element.name}'")
+        if not number:  # most often, all are like the first one
+            record = _record(element, order, lengths)
+            end = starts[0] + element.count * record.itemsize
+            if end <= len(data):
+                records = np.frombuffer(data, record, element.count, starts[0])
+                if all(
+                    (records[name] == records[name][0]).all() for name in record.names or () if " " in name
+                ):
+                    return (
+                        starts[0] + record.itemsize * np.arange(element.count),
+                        np.tile(np.array(lengths, np.int64), (element.count, 1)),
+                        end,
+                    )
+    return np.array(starts), np.array(lengths, np.int64).reshape(-1, lists), place
 
 
-def _wanted(element: Element) -> dict[str, str]:
-    """Types of the properties that are coordinates or indices, by name."""
-    return {
-        entry.name: entry.type
-        for entry in element.properties
-        if element.is_index(entry) or (element.name == "vertex" and entry.name in ("x", "y", "z"))
-    }
+def _record(element: Element, order: str, lengths: Sequence[int]) -> np.dtype:
+    """The type of elements whose lists have these lengths."""
+    left = iter(lengths)
+    fields: list[Any] = []
+    for entry in element.properties:
+        if entry.count_type:
+            fields.append(("length " + entry.name, order + entry.count_type))
+        shape = (int(next(left)),) if entry.count_type else ()
+        fields.append((entry.name, order + entry.type, shape))
+    return np.dtype(fields)
 
 
 def _size(kind: str) -> int:
     return int(kind[1])
-
-
-def _length(value: float, element: Element) -> int:
-    """The length of a list."""
-    if not (value >= 0 and value % 1 == 0):
-        raise ValueError(f"an element '{element.name}' has a list of {value:g} values")
-    return int(value)
 
 
 def _whole(values: np.ndarray) -> np.ndarray:
