@@ -21,7 +21,7 @@ from fipt_blender.core.run.hints import Hint, write_hints
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.run.shapes import ROOM_ARRAYS
-from samples import capture_files, rig_writers
+from samples import capture_files, mesh_writers, rig_writers
 
 PINHOLE = Lens("PINHOLE", (9.0, 9.0, 6.0, 4.0))
 
@@ -214,7 +214,7 @@ def write_named_meshes(folder: Path) -> None:
 
 
 def write_meshes(folder: Path) -> None:
-    """A wavy surface of 242 triangles as OBJ and PLY."""
+    """A wavy surface of 242 triangles as OBJ, PLY, STL and GLB."""
     from fipt_blender.core.depth.extraction import FusedMesh
     from fipt_blender.core.depth.ply import write_ply
 
@@ -227,6 +227,11 @@ def write_meshes(folder: Path) -> None:
     lines = ["v {:.6g} {:.6g} {:.6g}".format(*vertex) for vertex in vertices]
     lines += ["f {} {} {}".format(*(triangle + 1)) for triangle in triangles]
     (folder / "mesh.obj").write_text("\n".join([*lines, ""]))
+    solid = mesh_writers.Solid(vertices.astype(np.float64), triangles.tolist())
+    mesh_writers.write_stl(folder / "mesh.stl", solid, text=False)
+    file = mesh_writers.Gltf()
+    mesh, decode = file.add_mesh(solid, mesh_writers.GltfStyle(5, position="<u2"))
+    file.write(folder / "mesh.glb", [{"mesh": mesh, "matrix": decode.T.reshape(-1).tolist()}])
 
 
 def write_points(folder: Path) -> None:

@@ -170,7 +170,7 @@ def _simplify(sample: Path, out: Path) -> None:
     from fipt_blender.core.capture.source import simplified_mesh
     from fipt_blender.core.depth.ply import write_ply
 
-    for name in ("mesh.ply", "mesh.obj"):
+    for name in ("mesh.ply", "mesh.obj", "mesh.stl", "mesh.glb"):
         found = simplified_mesh(sample / name, 100)
         if found is not None:
             write_ply(out / "small.ply", found[0])

@@ -4,8 +4,7 @@
 
 from __future__ import annotations
 
-import json
-import struct
+import tracemalloc
 from pathlib import Path
 
 import bpy
@@ -15,17 +14,10 @@ from mathutils import Euler, Matrix
 
 from fipt_blender.core.alignment.mesh_file import read_mesh
 from fipt_blender.core.run.errors import FiptError
+from samples.mesh_writers import glb
 from samples.refusals import error_of
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
-
-
-def glb(content: dict, binary: bytes) -> bytes:
-    text = json.dumps(content).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
-    chunks += struct.pack("<II", len(binary), 0x004E4942) + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
 def little(**changes) -> dict:
@@ -96,6 +88,10 @@ def test_files_of_blender(tmp_path: Path) -> None:
         {"nodes": [{"mesh": 7}]},
         {"nodes": [{"children": [0], "mesh": 0}]},
         {"nodes": [{"children": [1]}, {"children": [0]}]},
+        {"nodes": [{"mesh": 0, "children": [1, 1]}, {}]},
+        {"nodes": [{"mesh": 0, "children": [1]}, {}], "scenes": [{"nodes": [0, 1]}]},
+        {"nodes": [{"mesh": 0}] * 100_001, "scenes": [{"nodes": list(range(100_001))}]},
+        {"meshes": [{"primitives": [{"attributes": {"POSITION": 0}}] * 100_001}]},
         {"accessors": []},
         {"bufferViews": [{"buffer": 1, "byteLength": 4}] * 2},
         {"bufferViews": [{"buffer": 0, "byteLength": 4, "byteOffset": 1 << 30}] * 2},
@@ -118,7 +114,64 @@ def test_any_byte_cut_off_is_refused(tmp_path: Path) -> None:
             read_mesh(path)
 
 
-def test_compressed_files_are_named(tmp_path: Path) -> None:
-    primitive = {"attributes": {"POSITION": 0}, "extensions": {"KHR_draco_mesh_compression": {}}}
-    (tmp_path / "scan.glb").write_bytes(glb(little(meshes=[{"primitives": [primitive]}]), binary()))
-    assert "compressed" in str(error_of(read_mesh, tmp_path / "scan.glb"))
+@pytest.mark.parametrize(
+    "owner, name",
+    [
+        ("primitive", "KHR_draco_mesh_compression"),
+        ("view", "EXT_meshopt_compression"),
+        ("view", "KHR_meshopt_compression"),
+        ("node", "EXT_mesh_gpu_instancing"),
+        ("sparse", "sparse"),
+    ],
+)
+def test_what_is_not_read_is_named(tmp_path: Path, owner: str, name: str) -> None:
+    content = little()
+    extended = {
+        "primitive": content["meshes"][0]["primitives"][0],
+        "view": content["bufferViews"][0],
+        "node": content["nodes"][0],
+        "sparse": content["accessors"][0],
+    }[owner]
+    extended |= {"sparse": {"count": 1}} if owner == "sparse" else {"extensions": {name: {}}}
+    (tmp_path / "scan.glb").write_bytes(glb(content, binary()))
+    assert name in error_of(read_mesh, tmp_path / "scan.glb").text
+
+
+HOSTILE = ("accessor", "empty accessor", "unused accessor", "view", "buffers", "stride", "deep")
+
+
+def hostile(kind: str) -> dict:
+    """Little files that state, or repeat, far more than they hold."""
+    content = little()
+    if kind == "accessor":
+        content["accessors"][0]["count"] = 1 << 39
+    elif kind == "empty accessor":
+        content["accessors"][0] = {"componentType": 5126, "count": 1 << 39, "type": "VEC3"}
+    elif kind == "unused accessor":
+        content["accessors"] += [{"componentType": 5126, "count": 1 << 39, "type": "MAT4"}]
+    elif kind == "view":
+        content["bufferViews"][0]["byteLength"] = 1 << 39
+    elif kind == "buffers":
+        content["bufferViews"][0]["buffer"] = 1 << 39
+    elif kind == "stride":
+        content["bufferViews"][0]["byteStride"] = 0
+    else:
+        content["nodes"] = [{"children": [index + 1]} for index in range(1000)] + [{"mesh": 0}]
+    return content
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["accessor", "empty accessor", "unused accessor", "view", "buffers", "stride", "primitives", "deep"],
+)
+def test_hostile_files_take_no_memory(tmp_path: Path, kind: str) -> None:
+    (tmp_path / "scan.glb").write_bytes(glb(hostile(kind), binary()))
+    tracemalloc.start()
+    try:
+        read_mesh(tmp_path / "scan.glb")
+    except FiptError as error:
+        assert error.code == "mesh-unreadable"
+    finally:
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert most < 300e6

@@ -18,11 +18,25 @@ from fipt_blender.core.run.method import ROOMS
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "fipt_blender"
 CORE = PACKAGE / "core"
-HEAVY = ("mitsuba", "drjit", "torch", "OpenEXR", "pycolmap", "pyoidn", "rawpy", "exifread", "lensfunpy")
+HEAVY = (
+    "mitsuba",
+    "drjit",
+    "torch",
+    "OpenEXR",
+    "pycolmap",
+    "pyoidn",
+    "rawpy",
+    "exifread",
+    "lensfunpy",
+    "trimesh",
+)
 # What Blender's side may import of the engine: the standard library and numpy are enough for these.
 SHARED = (
+    "alignment.gltf_document",
+    "alignment.obj_file",
     "alignment.pairs",
-    "alignment.ply_header",
+    "alignment.ply_file",
+    "alignment.polygons",
     "alignment.sights",
     "alignment.turns",
     "capture.averaging",

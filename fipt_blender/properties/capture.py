@@ -163,7 +163,7 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
     align_mesh: bpy.props.BoolProperty(
         name="Align to Mesh",
         description="The mesh is from another program than the cameras. Move the cameras to it by the sparse"
-        " points of the camera solve, with any rotation and scale. The mesh must be an OBJ, PLY or GLB file",
+        " points of the camera solve, with any rotation and scale. The mesh must be OBJ, PLY, STL or glTF",
     )
     plane_room: bpy.props.BoolProperty(
         name="Room from Points",

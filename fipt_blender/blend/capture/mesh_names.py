@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import os
 import re
-import struct
 import urllib.parse
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ...core.run.documents import MOST_BYTES, parse_document
+from ...core.alignment.gltf_document import read_document
 from ...core.run.paths import is_network, is_special, leads_outside
 
 # Not anchored to the line, as searching for plain text is many times faster. Names in comments do no harm.
@@ -87,26 +86,12 @@ def _matches(path: Path, pattern: re.Pattern[bytes]) -> Iterator[str]:
 
 def _gltf_names(path: Path) -> set[str]:
     """Buffers and images of a glTF file."""
-    data = parse_document(_gltf_text(path), strict=False)
+    data, _ = read_document(path)
     names = set()
     for kind in ("buffers", "images"):
-        items: Any = data.get(kind) if isinstance(data, dict) else None
+        items: Any = data.get(kind)
         for item in items if isinstance(items, list) else ():
             name = item.get("uri") if isinstance(item, dict) else None
             if isinstance(name, str) and not name.startswith("data:"):
                 names.add(urllib.parse.unquote(name))
     return names
-
-
-def _gltf_text(path: Path) -> str:
-    """The JSON text of a .gltf or a .glb file."""
-    with open(path, "rb") as file:
-        head = file.read(20)
-        size = path.stat().st_size
-        if head[:4] == b"glTF" and len(head) == 20:
-            (size,) = struct.unpack_from("<I", head, 12)
-        else:
-            file.seek(0)
-        if size > MOST_BYTES:
-            raise ValueError("its description is too long")
-        return file.read(size).decode("utf-8")

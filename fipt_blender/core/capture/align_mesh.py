@@ -46,7 +46,7 @@ def align_rig(rig: Rig, points: np.ndarray, mesh: Path) -> Rig:
     Args:
         rig: in the coordinates of the solve.
         points: (N, 3) sparse points of the solve.
-        mesh: OBJ, PLY or GLB file.
+        mesh: OBJ, PLY, STL or glTF file.
 
     Raises:
         FiptError: ``alignment-points``, ``alignment-failed``, or one of `read_mesh` and `sample_surface`.

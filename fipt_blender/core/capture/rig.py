@@ -17,6 +17,7 @@ from xml.etree.ElementTree import ParseError
 
 import numpy as np
 
+from ..alignment.ply_file import read_header
 from ..run.documents import load_document
 from ..run.errors import FiptError
 from .images import MASK_SUFFIXES
@@ -265,17 +266,12 @@ def _meshes(folder: Path) -> list[Path]:
 
 
 def _has_faces(path: Path) -> bool:
-    """Whether a mesh file has faces by its header."""
-    return path.suffix.lower() != ".ply" or _ply_has_faces(path)
-
-
-def _ply_has_faces(path: Path) -> bool:
-    """Whether a PLY's header declares faces: COLMAP's fused.ply is only a point cloud."""
+    """Whether a mesh file has faces by its header: COLMAP's fused.ply is only a point cloud."""
+    if path.suffix.lower() != ".ply":
+        return True
     with path.open("rb") as file:
-        for line in file.read(65536).split(b"\n"):
-            words = line.split()
-            if words[:2] == [b"element", b"face"]:
-                return words[2:] != [b"0"]
-            if words[:1] == [b"end_header"]:
-                return False
-    return False
+        try:
+            elements = read_header(file.read(65536)).elements
+        except ValueError:
+            return False
+    return any(element.name in ("face", "tristrips") and element.count for element in elements)
