@@ -8,8 +8,6 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 TESTS = Path(__file__).resolve().parent
 
 
@@ -35,17 +33,32 @@ def private_names(tree: ast.Module) -> Iterator[str]:
             yield from (alias.name for alias in node.names if is_private(alias.name))
         elif isinstance(node, ast.Attribute) and is_private(node.attr):
             if not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")):
-                yield ast.unparse(node)
+                if ast.unparse(node) != "os._exit":  # Python documents it
+                    yield ast.unparse(node)
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("setattr", "getattr")):
             names = [argument.value for argument in node.args[:2] if isinstance(argument, ast.Constant)]
             yield from (name for name in names if isinstance(name, str) and is_private(name))
 
 
-@pytest.mark.parametrize("file", sorted(TESTS.rglob("*.py")), ids=lambda file: str(file.relative_to(TESTS)))
-def test_tests_stand_alone_and_use_public_names(file: Path) -> None:
-    tree = ast.parse(file.read_text(encoding="utf-8"))
-    assert not imported_test_modules(tree), "move what is shared to tests/samples"
-    assert not list(private_names(tree)), "test the public function, or make the name public"
+def asserted_times(tree: ast.Module) -> Iterator[str]:
+    """Assertions on seconds or processor time, which fail on a busy machine: count what the time is for."""
+    clocks = {"process_time", "perf_counter", "monotonic", "thread_time", "elapsed"}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assert):
+            names = {getattr(each, "attr", getattr(each, "id", "")) for each in ast.walk(node.test)}
+            if names & clocks:
+                yield ast.unparse(node.test)
+
+
+def test_tests_stand_alone_use_public_names_and_assert_no_times() -> None:
+    faults = {}
+    for file in sorted(TESTS.rglob("*.py")):
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        # Move what is shared to tests/samples; test the public function, or make the name public.
+        found = [*imported_test_modules(tree), *private_names(tree), *asserted_times(tree)]
+        if found:
+            faults[str(file.relative_to(TESTS))] = found
+    assert not faults, faults
 
 
 def test_the_check_finds_what_it_forbids() -> None:
@@ -55,6 +68,8 @@ def test_the_check_finds_what_it_forbids() -> None:
         "d._e(self._f, g.__name__)\n"
         "monkeypatch.setattr(h, '_i', 1)\n"
         "monkeypatch.setattr('fipt_blender.cli._j', 1)\n"
+        "assert time.monotonic() - k < 5.0\n"
     )
     assert imported_test_modules(tree) == {"test_a"}
     assert set(private_names(tree)) == {"_c", "d._e", "_i", "fipt_blender.cli._j"}
+    assert list(asserted_times(tree)) == ["time.monotonic() - k < 5.0"]

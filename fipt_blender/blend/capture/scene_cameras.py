@@ -215,10 +215,16 @@ def photograph_lens(
         sensor = ratio * (lens.sensor_height if lens.sensor_fit == "VERTICAL" else lens.sensor_width)
         sizes = sensor * shown / shown[shared]
         larger = max(1.0, _LEAST_SENSOR / sizes.min())
-        shift = lens.shift_x / ratio, lens.shift_y / ratio
-        fit = ("HORIZONTAL", "VERTICAL")[shared]
-        lens = conventions.BlenderCamera(lens.lens * larger, *(sizes * larger), fit, *shift)
-    values = {name: float(np.float32(value)) for name, value in asdict(lens).items() if name != "sensor_fit"}
+        lens = conventions.BlenderCamera(
+            lens.lens * larger,
+            sizes[0] * larger,
+            sizes[1] * larger,
+            ("HORIZONTAL", "VERTICAL")[shared],
+            lens.shift_x / ratio,
+            lens.shift_y / ratio,
+        )
+    values: dict[str, Any] = asdict(lens)
+    values |= {name: float(np.float32(value)) for name, value in values.items() if name != "sensor_fit"}
     aspect = shown[0] / width / (shown[1] / height)
     values |= {"pixel_aspect_x": float(max(1.0, aspect)), "pixel_aspect_y": float(max(1.0, 1.0 / aspect))}
     return replace(lens, **values)
