@@ -4,9 +4,11 @@
 
 from __future__ import annotations
 
+import atexit
 import importlib.util
 import os
 import random
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,9 +21,12 @@ from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 
+_STATUS = pytest.StashKey[int]()
+
 
 def pytest_configure(config: pytest.Config) -> None:
     """Choose LLVM and Mitsuba's variant before any test module is imported, where Mitsuba is installed."""
+    atexit.register(leave, config)  # the first one: it comes after all others
     if importlib.util.find_spec("mitsuba") is None:  # tests/matrix.py: Blender's side alone
         return
     # As in the engine: torch's threads must not spin while those of Dr.Jit or another process work.
@@ -31,6 +36,19 @@ def pytest_configure(config: pytest.Config) -> None:
         set_variant(os.environ.get("FIPT_TEST_DEVICE", "llvm"))
     except FiptError as error:
         raise pytest.UsageError(str(error)) from None
+
+
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    """Keep the status for `leave`."""
+    session.config.stash[_STATUS] = int(exitstatus)
+
+
+def leave(config: pytest.Config) -> None:
+    """End without the destructors of bpy, in which the process may hang or crash after the last test."""
+    if "bpy" in sys.modules and _STATUS in config.stash:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(config.stash[_STATUS])
 
 
 @pytest.fixture(autouse=True)

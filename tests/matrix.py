@@ -43,8 +43,6 @@ TESTS = (
 )
 # Tests that compare Cycles with the engine's BRDF.
 NEEDS_ENGINE = "test_cycles_agrees"
-# bpy may hang or crash at interpreter exit, after the last test.
-_RUN = "import os, sys, pytest; status = pytest.main(sys.argv[1:]); sys.stdout.flush(); os._exit(status)"
 
 
 def find_python(version: str, named: dict[str, str]) -> str:
@@ -103,7 +101,7 @@ def main(argv: list[str]) -> int:
         print(f"bpy {bpy}, Python {VERSIONS[bpy]}", flush=True)
         start = time.monotonic()
         options_given = ["-q", "-p", "no:cacheprovider", "-k", f"not {NEEDS_ENGINE}", *extra]
-        command = [str(interpreter), "-c", _RUN, *options_given, *files]
+        command = [str(interpreter), "-m", "pytest", *options_given, *files]
         status = subprocess.call(command, cwd=ROOT, env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"})
         print(f"bpy {bpy}: status {status}, {time.monotonic() - start:.0f} s", flush=True)
         if status:

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from fipt_blender.blend.capture.mesh_files import check_mesh_file
-from samples.child_processes import posix
+from samples.child_processes import PATIENCE_SECONDS, posix
 from samples.refusals import error_of
 
 POINTS = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)]
@@ -176,7 +176,7 @@ def test_blender_survives_damaged_meshes(tmp_path, rng):
         (tmp_path / f"{number:03d}-{name}").write_bytes(damage(GOOD[name], rng))
     command = [sys.executable, "-c", IMPORT, str(tmp_path)]
     root = Path(__file__).resolve().parent.parent
-    result = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=120)
+    result = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=PATIENCE_SECONDS)
     assert "survived\n" in result.stderr, result.stderr[-500:]
 
 

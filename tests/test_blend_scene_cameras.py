@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from pathlib import Path
@@ -11,13 +12,15 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from mathutils import Euler, Matrix
+from bpy_extras.object_utils import world_to_camera_view
+from mathutils import Euler, Matrix, Vector
 
-from fipt_blender.blend.capture import scene_cameras
-from fipt_blender.blend.capture.exporting import camera_pose
+from fipt_blender.blend.capture import cameras, scene_cameras
+from fipt_blender.blend.capture.backdrop import show_picture
+from fipt_blender.blend.capture.exporting import camera_pose, export_capture
 from fipt_blender.blend.marks import LARGE_PHOTOGRAPH, PIXEL_ASPECT, RESOLUTION
 from fipt_blender.core import conventions
-from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.runfolder import RunFolder, write_json
 from samples.camera_views import points_before, projections
 from samples.refusals import error_of
 
@@ -85,6 +88,178 @@ def test_cameras_of_the_scene_project_as_blender_does(scene, tmp_path, size, asp
     clip = np.column_stack([points, np.ones(len(points))]) @ matrix.T
     blender = (clip[:, :2] / clip[:, 3:] * [0.5, -0.5] + 0.5) * size
     assert np.abs(projections(entry, points) - blender).max() < 1e-4 and not left_out
+
+
+PHOTOGRAPHS = {"landscape": (400, 300), "portrait": (267, 400), "wide": (410, 111), "square": (150, 150)}
+FRAMES = [(1920, 1080), (1080, 1920), (64, 64), (401, 300)]
+
+
+def scene_projection(scene, item, points) -> np.ndarray:
+    """(N, 2) places of world points in the frame that Blender renders: 0 to 1 to the right and down."""
+    found = np.array([world_to_camera_view(scene, item, Vector(point)) for point in points])
+    assert (found[:, 2] > 0).all()
+    return np.column_stack([found[:, 0], 1.0 - found[:, 1]])
+
+
+def lies_in_photograph(scene, item, places, size) -> np.ndarray:
+    """(N, 2) pixels of the photograph at places of the frame, as Blender lays the image over the frame."""
+    render, background = scene.render, item.data.background_images[0]
+    across = render.resolution_x * render.pixel_aspect_x
+    down = render.resolution_y * render.pixel_aspect_y
+    aspect = size[0] * background.image.display_aspect[0] / (size[1] * background.image.display_aspect[1])
+    width, height = across, down
+    if background.frame_method != "STRETCH":
+        if (aspect > across / down) == (background.frame_method == "FIT"):
+            height = across / aspect
+        else:
+            width = down * aspect
+    shares = (places - 0.5) * [across, down] / [width, height] + 0.5
+    return shares * size
+
+
+def written(scene, run) -> dict[str, dict]:
+    """Frames that Use Scene Cameras writes, as entries of capture.json, by the camera's name."""
+    entries = {}
+    for name, frame in frames(scene_cameras.write_scene_cameras(scene, run)[0]).items():
+        lens = {"width": frame["w"], "height": frame["h"], "fx": frame["fl_x"], "fy": frame["fl_y"]}
+        pose = conventions.opengl_to_opencv_camera(np.array(frame["transform_matrix"])).tolist()
+        entry = {"name": f"train/{name}", "split": "train", "image": frame["file_path"], "parts": None}
+        entry |= {"semantics": None, "camera_to_world": pose, "cx": frame["cx"], "cy": frame["cy"], **lens}
+        entries[name] = entry
+    return entries
+
+
+def use_scene_cameras(scene, run) -> dict[str, dict]:
+    """What the operator does, with the engine's `ingest`, which keeps pinholes as they are, left out."""
+    entries = written(scene, run)
+    data = {
+        "format": "fipt-capture",
+        "version": 1,
+        "source": "transforms",
+        "mesh": None,
+        "views": list(entries.values()),
+    }
+    write_json(run.ingest_json, {**data, "world_from_source": np.eye(4).tolist()})
+    scene_cameras.adopt_cameras(run)
+    return entries
+
+
+@pytest.mark.parametrize("aspect", [(1.0, 1.0), (1.0, 1.5), (2.0, 1.0)])
+@pytest.mark.parametrize("size", FRAMES, ids=str)
+def test_a_camera_is_the_same_in_blender_and_in_the_engine(scene, tmp_path, size, aspect):
+    """Sensor fit × frame method × shape of photograph × shift × image pixels, in each shape of frame."""
+    run, random = RunFolder(tmp_path / "run"), np.random.default_rng(7)
+    render = scene.render
+    settings = (*size, *aspect)
+    names = ("resolution_x", "resolution_y", "pixel_aspect_x", "pixel_aspect_y")
+
+    def set_frame() -> None:
+        for name, value in zip(names, settings, strict=True):
+            setattr(render, name, value)
+
+    set_frame()
+    images = {}
+    for (name, pixels), shape in itertools.product(PHOTOGRAPHS.items(), [(1.0, 1.0), (1.5, 1.0)]):
+        images[name, shape] = photograph(tmp_path / f"{name}{shape[0]}.exr", *pixels)
+        images[name, shape].display_aspect = shape
+    items = []
+    for index, (fit, method, (name, shape), shifts) in enumerate(
+        itertools.product(["AUTO", "HORIZONTAL", "VERTICAL"], ["FIT", "CROP", "STRETCH"], images, [0.0, 0.2])
+    ):
+        item = bpy.data.objects.new(f"{index:03d}", bpy.data.cameras.new("own"))
+        scene.collection.objects.link(item)
+        data, background = item.data, item.data.background_images.new()
+        data.sensor_fit, data.lens = fit, random.uniform(15.0, 80.0)
+        data.sensor_width, data.sensor_height = random.uniform(2.0, 40.0, 2)
+        data.shift_x, data.shift_y = random.uniform(-shifts, shifts, 2)
+        background.image, background.frame_method = images[name, shape], method
+        item.matrix_world = Matrix.LocRotScale(
+            random.uniform(-1, 1, 3), Euler(random.uniform(-3, 3, 3)), None
+        )
+        items.append((item, PHOTOGRAPHS[name]))
+    bpy.context.view_layer.update()
+    first = written(scene, run)
+    points, before = {}, {}
+    for item, pixels in items:
+        points[item.name] = points_before(first[item.name])
+        before[item.name] = scene_projection(scene, item, points[item.name])
+        in_photograph = lies_in_photograph(scene, item, before[item.name], pixels)
+        assert np.abs(projections(first[item.name], points[item.name]) - in_photograph).max() < 0.01, (
+            item.name
+        )
+    assert use_scene_cameras(scene, run) == first
+    for item, pixels in items:
+        # The artist's render resolution shows what it showed before ...
+        after = scene_projection(scene, item, points[item.name])
+        assert np.abs(after - before[item.name]).max() < 1e-5
+        # ... and the photograph's shows what the engine sees.
+        cameras.use_view(scene, item)
+        assert (render.resolution_x, render.resolution_y) == pixels
+        blender = scene_projection(scene, item, points[item.name]) * pixels
+        assert np.abs(blender - projections(first[item.name], points[item.name])).max() < 0.01
+        set_frame()
+    assert use_scene_cameras(scene, run) == first
+    cameras.use_view(scene, items[-1][0])
+    assert use_scene_cameras(scene, run) == first
+    assert export_capture(scene, run) == len(items)
+    exported = {view["name"]: view for view in json.loads(run.capture_json.read_text())["views"]}
+    assert all(exported[entry["name"]] == entry for entry in first.values())
+
+
+def test_a_lens_that_is_changed_later_is_the_engines_too(scene, tmp_path):
+    run = RunFolder(tmp_path / "run")
+    for name in "ab":
+        own_camera(scene, tmp_path / f"{name}.exr", (40, 30)).data.background_images[0].frame_method = "FIT"
+    first = use_scene_cameras(scene, run)
+    item = scene.objects["a"]
+    item.data.lens *= 1.5
+    item.data.shift_x += 0.1
+    export_capture(scene, run)
+    views = {view["name"]: view for view in json.loads(run.capture_json.read_text())["views"]}
+    assert views["train/b"] == first["b"] and views["train/a"]["fx"] == pytest.approx(1.5 * first["a"]["fx"])
+    cameras.use_view(scene, item)
+    bpy.context.view_layer.update()
+    points = points_before(views["train/a"])
+    assert (
+        np.abs(projections(views["train/a"], points) / (40, 30) - scene_projection(scene, item, points)).max()
+        < 1e-5
+    )
+
+
+def test_another_photograph_of_another_shape_is_seen_in_the_scenes_frame(scene, tmp_path):
+    run = RunFolder(tmp_path / "run")
+    scene.render.resolution_x, scene.render.resolution_y = 160, 90
+    item = own_camera(scene, tmp_path / "a.exr", (40, 30))
+    background = item.data.background_images[0]
+    background.frame_method = "FIT"
+    bpy.context.view_layer.update()
+    first = use_scene_cameras(scene, run)["a"]
+    background.image = photograph(tmp_path / "b.exr", 30, 40)
+    second = use_scene_cameras(scene, run)["a"]
+    points = points_before(second)
+    places = scene_projection(scene, item, points)
+    assert (
+        np.abs(lies_in_photograph(scene, item, places, (30, 40)) - projections(second, points)).max() < 1e-3
+    )
+    assert second["fy"] / 40 == pytest.approx(first["fy"] / 30)
+
+
+def test_a_lens_that_cannot_be_adapted_is_refused(scene, tmp_path):
+    scene.render.resolution_x, scene.render.resolution_y = 160, 90
+    item = own_camera(scene, tmp_path / "a.exr", (40, 30))
+    item.data.keyframe_insert("lens", frame=1)
+    assert scene_cameras.describe_camera(scene, item)["w"] == 40
+    item.data.background_images[0].frame_method = "FIT"
+    refusal = error_of(scene_cameras.describe_camera, scene, item)
+    assert refusal.code == "camera-locked" and "40 x 30" in refusal.remedy
+    scene.render.resolution_x, scene.render.resolution_y = 40, 30
+    assert scene_cameras.describe_camera(scene, item)["fl_x"] == pytest.approx(40 * 50 / 36)
+
+
+def test_a_picture_over_a_view_does_not_become_its_photograph(scene, tmp_path):
+    item = own_camera(scene, tmp_path / "a.exr", (40, 30))
+    show_picture(item, photograph(tmp_path / "render.exr", 40, 30))
+    assert scene_cameras.describe_camera(scene, item)["file_path"] == str(tmp_path / "a.exr")
 
 
 def test_a_photograph_with_another_aspect_than_the_frame(scene, tmp_path):

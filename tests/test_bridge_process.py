@@ -7,16 +7,16 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
+from fipt_blender.bridge import process as engine_process
 from fipt_blender.bridge.death import explain_death
 from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import parse_message
-from samples.child_processes import is_alive, posix, wait_for
+from samples.child_processes import SLEEPER, frozen_clock, is_alive, posix, wait_for
 from samples.refusals import error_of
 
 
@@ -101,15 +101,15 @@ def test_the_childs_own_error_is_not_covered_by_another(tmp_path):
 
 
 @posix
-def test_cancel_ends_a_stubborn_child_and_its_children_within_two_seconds(tmp_path):
+def test_cancel_ends_a_stubborn_child_and_its_children_by_force(tmp_path):
     script = (
         "import json, signal, subprocess, sys, time\n"
         "signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
         "inner = 'import json, os, signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN)\\n'\n"
         'inner += \'m = {"type": "stage", "name": str(os.getpid()), "text": ""}\\n\'\n'
         "inner += 'print(json.dumps(m), flush=True)\\n'\n"
-        "grandchild = subprocess.Popen([sys.executable, '-c', inner + 'time.sleep(60)'])\n"
-        "time.sleep(60)\n"
+        "grandchild = subprocess.Popen([sys.executable, '-c', inner + 'time.sleep(3600)'])\n"
+        "time.sleep(3600)\n"
     )
     process = child(tmp_path, script)
     messages: list[dict] = []
@@ -117,11 +117,9 @@ def test_cancel_ends_a_stubborn_child_and_its_children_within_two_seconds(tmp_pa
         messages = process.poll()
     grandchild = int(messages[0]["name"])
     assert is_alive(process.pid) and is_alive(grandchild)
-    started = time.monotonic()
-    process.cancel()
-    assert time.monotonic() - started < 2.0
-    assert not is_alive(process.pid)
-    wait_for(lambda: not is_alive(grandchild))  # killed, but the system may not have got to it
+    process.cancel()  # returns long before they would end by themselves
+    # Killed, but the system may not have got to it.
+    wait_for(lambda: not is_alive(process.pid) and not is_alive(grandchild))
     assert process.cancelled and not process.running and process.poll() == [] and process.error is None
 
 
@@ -130,7 +128,7 @@ def test_an_exception_in_the_receiver_leaves_no_orphan(tmp_path):
     process = child(
         tmp_path,
         "import json, time\n"
-        'print(json.dumps({"type": "stage", "name": "a", "text": "A"}), flush=True); time.sleep(60)',
+        'print(json.dumps({"type": "stage", "name": "a", "text": "A"}), flush=True); time.sleep(3600)',
     )
 
     def stop(message):
@@ -138,14 +136,14 @@ def test_an_exception_in_the_receiver_leaves_no_orphan(tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         process.run_blocking(stop)
-    assert not is_alive(process.pid)
+    wait_for(lambda: not is_alive(process.pid))
 
 
 @posix
 def test_the_child_runs_in_a_group_of_its_own_and_nicely(tmp_path):
     expected = max(10, os.nice(0))  # a caller may be nicer still
     script = (
-        "import json, os, time\nend = time.monotonic() + 10\n"
+        "import json, os, time\nend = time.monotonic() + 300\n"
         f"while os.nice(0) < {expected} and time.monotonic() < end: time.sleep(0.01)\n"
         'data = {"group": os.getpgrp(), "nice": os.nice(0)}\n'
         'print(json.dumps({"type": "done", "files": [], "data": data}))'
@@ -184,10 +182,12 @@ def test_lines_that_are_no_message(line):
 
 
 @posix
-def test_sigterm_is_enough_for_a_child_that_listens(tmp_path):
-    process = child(tmp_path, "import time; time.sleep(60)")
-    process.cancel()
-    assert process.returncode == -signal.SIGTERM
+def test_sigterm_is_enough_for_a_child_that_listens(tmp_path, monkeypatch):
+    engine = child(tmp_path, SLEEPER)
+    monkeypatch.setattr(engine_process, "time", frozen_clock())  # it is never late, therefore not killed
+    engine.request_cancel()
+    wait_for(lambda: engine.poll() == [] and not engine.running)
+    assert engine.returncode == -signal.SIGTERM
 
 
 def test_a_second_start_on_the_same_messages_is_refused_and_harms_no_first(tmp_path):
@@ -210,7 +210,7 @@ def test_a_second_start_on_the_same_messages_is_refused_and_harms_no_first(tmp_p
 @posix
 def test_an_engine_that_was_left_keeps_its_messages(tmp_path):
     messages, log = tmp_path / "a.jsonl", tmp_path / "log.txt"
-    first = EngineProcess([sys.executable, "-c", "import time; time.sleep(60)"], log, messages=messages)
+    first = EngineProcess([sys.executable, "-c", SLEEPER], log, messages=messages)
     first.leave()
     try:
         with pytest.raises(FiptError):

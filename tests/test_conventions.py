@@ -17,6 +17,7 @@ from fipt_blender.core import conventions
 from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.capture.views import View
 from samples.camera_poses import random_rotation
+from samples.child_processes import PATIENCE_SECONDS
 
 # width, height, fx, fy, cx, cy: fx != fy, off-centre, portrait
 INTRINSICS = [
@@ -243,7 +244,7 @@ def test_cycles_sees_the_same_directions(tmp_path):
     subprocess.run(
         [sys.executable, tmp_path / "script.py", tmp_path / "table.json"],
         check=True,
-        timeout=120,
+        timeout=PATIENCE_SECONDS,
         stdout=subprocess.DEVNULL,
     )
     for index, view in enumerate(views):

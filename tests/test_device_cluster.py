@@ -11,7 +11,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NoReturn
@@ -31,6 +30,7 @@ from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.scene.pixels import Tracing
 from fipt_blender.jobs.main_job import estimate_step
+from samples.child_processes import PATIENCE_SECONDS, wait_for
 from samples.refusals import error_of
 from samples.small_captures import (
     CAMERAS,
@@ -173,7 +173,7 @@ def test_a_worker_without_the_engine_is_named_at_once(
     with subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.DEVNULL) as worker:
         try:
             with Client(empty.scheduler_address, set_as_default=False) as client:
-                client.wait_for_workers(1, timeout=60)
+                client.wait_for_workers(1, timeout=PATIENCE_SECONDS)
             caught = work_error(empty, capture, views(capture))
         finally:
             worker.terminate()
@@ -215,27 +215,27 @@ def test_an_address_where_nothing_answers(address: str, monkeypatch: pytest.Monk
     monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)
     made = []  # the __del__ of a client that never connected may block any thread forever
     monkeypatch.setattr(Client, "__init__", lambda self, *arguments, **options: made.append(arguments))
-    started = time.monotonic()
     caught = connection_error(address)
-    assert caught.code == "cluster-unreachable" and repr(address) in caught.text
-    assert time.monotonic() - started < 5.0 and not made
+    assert caught.code == "cluster-unreachable" and repr(address) in caught.text and not made
 
 
 def test_a_name_server_that_never_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked, done = [], threading.Event()
+    asked, answered, done = [], [], threading.Event()
 
     def wait(host: str, *arguments, **options) -> NoReturn:
         asked.append(host)
-        done.wait(60)
+        done.wait()
+        answered.append(host)
         raise OSError("at last")
 
     monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)
     monkeypatch.setattr(socket, "getaddrinfo", wait)
-    started = time.monotonic()
-    caught = connection_error("tcp://a.host.invalid:8786")
-    seconds = time.monotonic() - started
-    done.set()
-    assert asked == ["a.host.invalid"] and seconds < 5.0
+    try:
+        caught = connection_error("tcp://a.host.invalid:8786")
+        assert not answered  # it came back while the name server was still silent
+        wait_for(lambda: asked == ["a.host.invalid"])
+    finally:
+        done.set()
     assert caught.code == "cluster-unreachable" and "no answer within" in caught.text
 
 

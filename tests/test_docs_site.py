@@ -14,6 +14,7 @@ import bpy
 
 from fipt_blender import operators
 from fipt_blender.panels import manual
+from samples.child_processes import PATIENCE_SECONDS
 from samples.development import load_dev
 from samples.pages import Page
 
@@ -22,7 +23,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 def test_the_site_is_complete(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
-    built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_SECONDS)
     assert built.returncode == 0, built.stderr
     pages = {path.stem for path in tmp_path.glob("*.html")}
     assert {path.stem for path in (ROOT / "docs").glob("*.md")} <= pages

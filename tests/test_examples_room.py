@@ -38,7 +38,7 @@ def tiny(tmp_path_factory) -> Path:
     script = [sys.executable, str(EXAMPLES / "make_room.py"), "--out", str(folder), "--views", "2"]
     result = subprocess.run(
         [*script, "--size", f"{WIDTH}x{HEIGHT}", "--spp", "4", "--seed", "3"],
-        capture_output=True, text=True, timeout=400, env=os.environ,
+        capture_output=True, text=True, timeout=1500, env=os.environ,
     )  # fmt: skip
     assert result.returncode == 0, result.stdout + result.stderr
     return folder
@@ -124,7 +124,7 @@ def test_thin_things_are_thin_and_have_their_own_materials(tmp_path, files):
     """They follow the plain room's materials, lie within the room, and are slight beside a footprint."""
     command = [sys.executable, str(EXAMPLES / "make_room.py"), "--out", str(tmp_path)]
     command += ["--views", "1", "--seed", "3", "--thin", "--no-render"]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=400)
+    result = subprocess.run(command, capture_output=True, text=True, timeout=1500)
     assert result.returncode == 0, result.stdout + result.stderr
     plain = json.loads((SHIPPED / "materials.json").read_text())["materials"]
     table = json.loads((tmp_path / "materials.json").read_text())

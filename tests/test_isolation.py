@@ -9,6 +9,7 @@ import functools
 import graphlib
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -186,10 +187,6 @@ def module_names(folder: Path) -> list[str]:
     return [name for name in names if not name.endswith("__main__")]
 
 
-def blender_side() -> list[Path]:
-    return [file for file in sorted(PACKAGE.rglob("*.py")) if CORE not in file.parents]
-
-
 def test_the_block_blocks() -> None:
     result = import_blocked(("json",), ["json"])
     assert result.returncode != 0 and "json" in result.stderr
@@ -208,18 +205,50 @@ def test_light_modules_import_without_the_engines_packages() -> None:
     assert result.returncode == 0, result.stderr
 
 
-@pytest.mark.parametrize("file", blender_side(), ids=lambda file: str(file.relative_to(PACKAGE)))
-def test_blender_side_keeps_to_its_room(file: Path) -> None:
-    assert not imported_modules(file) & {*HEAVY, "fipt_blender"}
-    core = {target.removeprefix("core.") for target in relative_targets(file) if target.startswith("core")}
-    assert core <= set(SHARED), f"{file} imports heavy rooms of the engine: {core - set(SHARED)}"
+def forbidden(file: Path) -> set[str]:
+    """What a file imports that its side must not."""
+    top, targets = imported_modules(file), relative_targets(file)
+    if CORE in file.parents:
+        outside = {target for target in targets if not (target + ".").startswith("core.")}
+        return top & {"bpy", "bmesh", "mathutils", "fipt_blender"} | outside
+    heavy = {target for target in targets if target.startswith("core")} - {f"core.{name}" for name in SHARED}
+    return top & {*HEAVY, "fipt_blender"} | heavy
 
 
-@pytest.mark.parametrize("file", sorted(CORE.rglob("*.py")), ids=lambda file: str(file.relative_to(CORE)))
-def test_core_keeps_to_its_room(file: Path) -> None:
-    assert not imported_modules(file) & {"bpy", "bmesh", "mathutils", "fipt_blender"}
-    outside = {target for target in relative_targets(file) if not (target + ".").startswith("core.")}
-    assert not outside, f"{file} imports from outside core: {outside}"
+def from_above(file: Path) -> set[str]:
+    """The rooms above its own that a file imports from."""
+    floor = FLOORS.index(room_of(module_of(file)))
+    rooms = {room_of(target) for target in relative_targets(file) if target}
+    return {room for room in rooms if FLOORS.index(room) > floor}
+
+
+@pytest.mark.parametrize("faults_of", [forbidden, from_above])
+def test_every_file_imports_only_what_its_side_and_floor_may(faults_of: Callable[[Path], set[str]]) -> None:
+    found = {module_of(file): sorted(faults_of(file)) for file in sorted(PACKAGE.rglob("*.py"))}
+    faults = {module: names for module, names in found.items() if names}
+    assert len(found) > 100 and not faults, faults
+
+
+def test_the_checks_find_what_they_forbid(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(globals(), "PACKAGE", tmp_path)
+    monkeypatch.setitem(globals(), "CORE", tmp_path / "core")
+    for folder in ("core/scene", "core/views", "blend/room", "panels"):
+        (tmp_path / folder).mkdir(parents=True)
+
+    def written(place: str, text: str) -> Path:
+        (tmp_path / place).write_text(text)
+        return tmp_path / place
+
+    engine = written(
+        "core/scene/a.py", "def f():\n    import bpy\nfrom ...panels import b\nfrom ..views import c\n"
+    )
+    assert forbidden(engine) == {"bpy", "panels"} and from_above(engine) == {"panels", "core.views"}
+    side = written(
+        "blend/room/b.py", "import torch.nn\nfrom ...core.scene import a\nfrom ...core import conventions\n"
+    )
+    assert forbidden(side) == {"torch", "core.scene.a", "core"} and from_above(side) == set()
+    good = written("core/views/c.py", "import numpy\nfrom ..scene.a import f\n")
+    assert forbidden(good) == from_above(good) == set()
 
 
 def test_dev_py_needs_the_standard_library_only() -> None:
@@ -228,14 +257,6 @@ def test_dev_py_needs_the_standard_library_only() -> None:
         # pip of the engine's own environment, in which this module runs.
         more = {"pip"} if file.name == "mask_model.py" else set()
         assert imported_modules(file) <= set(sys.stdlib_module_names) | more, file
-
-
-@pytest.mark.parametrize("file", sorted(PACKAGE.rglob("*.py")), ids=lambda file: module_of(file))
-def test_imports_run_down(file: Path) -> None:
-    room = room_of(module_of(file))
-    others = {room_of(target) for target in relative_targets(file) if target} - {room}
-    above = {other for other in others if FLOORS.index(other) > FLOORS.index(room)}
-    assert not above, f"{module_of(file)} ({room}) imports from above: {sorted(above)}"
 
 
 def test_no_module_imports_itself_by_a_detour() -> None:

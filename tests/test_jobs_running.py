@@ -26,6 +26,7 @@ from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import job_scene, run_job, running, runstate, session
 from fipt_blender.operators.estimate import FIPT_OT_cancel
 from fipt_blender.operators.job_operator import JobOperator
+from samples.child_processes import wait_for
 from samples.refusals import error_of
 from samples.stand_in_jobs import at_work, finish, make_job, start, tick_until
 
@@ -71,15 +72,16 @@ def test_only_one_job_runs(run):
     tick_until(lambda: info.state == "cancelled")
 
 
-def test_cancel_is_quick_and_never_blocks(run):
+def test_cancel_never_blocks(run):
     info = start(make_job(run), run)
     tick_until(lambda: at_work(info))
     engine = find_engine(run)
     assert engine is not None and bpy.ops.fipt.cancel.poll()
     assert bpy.ops.fipt.cancel() == {"FINISHED"}
     assert info.state == "running" and info.stopping and not bpy.ops.fipt.cancel.poll()
-    tick_until(lambda: info.state == "cancelled", 2.0)
-    assert not info.stopping and info.error is None and find_engine(run) is None
+    tick_until(lambda: info.state == "cancelled")
+    assert not info.stopping and info.error is None
+    wait_for(lambda: find_engine(run) is None)
 
 
 def press_escape(playing: bool = False) -> tuple[set[str], list[str]]:
@@ -105,7 +107,7 @@ def test_escape_asks_before_it_ends_a_long_run(run):
     answer, asked = press_escape()
     assert answer == {"RUNNING_MODAL"} and "2 h 0 min" in asked[0] and not info.stopping
     assert bpy.ops.fipt.cancel("INVOKE_DEFAULT") == {"FINISHED"} and info.stopping  # the panel's button
-    tick_until(lambda: info.state == "cancelled", 2.0)
+    tick_until(lambda: info.state == "cancelled")
 
 
 def test_escape_that_stops_playback_ends_no_run(run, monkeypatch):
@@ -119,7 +121,7 @@ def test_escape_that_stops_playback_ends_no_run(run, monkeypatch):
     monkeypatch.setattr(session.time, "monotonic", lambda now=time.monotonic: now() + 5.0)
     assert press_escape() == ({"FINISHED"}, [])  # a run of seconds is not asked for
     monkeypatch.undo()
-    tick_until(lambda: info.state == "cancelled", 2.0)
+    tick_until(lambda: info.state == "cancelled")
 
 
 def test_a_function_gets_its_scene_whichever_is_shown(run):
@@ -189,10 +191,9 @@ def test_an_engine_job_ends_well_without_its_scene(run):
 def test_disabling_stops_the_engine_by_default(run):
     info = start(make_job(run), run)
     tick_until(lambda: at_work(info))
-    began = time.monotonic()
-    fipt_blender.unregister()
-    assert time.monotonic() - began < 2.0 and info.state == "cancelled"
-    assert running.current() is None and find_engine(run) is None
+    fipt_blender.unregister()  # the engine would never end by itself
+    assert info.state == "cancelled" and running.current() is None
+    wait_for(lambda: find_engine(run) is None)  # killed, but the system may not have got to it
     fipt_blender.register()
 
 
@@ -215,7 +216,7 @@ def test_disabling_can_leave_the_engine_and_later_attach_to_it(run, monkeypatch)
     tick_until(lambda: at_work(info))
     assert info.stage_text == "Baking"
     running.cancel()
-    tick_until(lambda: info.state == "cancelled", 2.0)
+    tick_until(lambda: info.state == "cancelled")
     assert find_engine(run) is None and not session.attach(bpy.context.scene)
 
 

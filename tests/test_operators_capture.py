@@ -341,7 +341,7 @@ def test_masks_of_a_model_are_used_by_automatic(imported, sam):
 def test_own_cameras_become_the_capture(scene, sample, tmp_path):
     collection = bpy.data.collections.new("Matchmove")
     scene.collection.children.link(collection)
-    scene.render.resolution_x, scene.render.resolution_y = 48, 32
+    scene.render.resolution_x, scene.render.resolution_y = 160, 90  # not the shape of the photographs
     for number in (0, 2, 4):
         item = bpy.data.objects.new(f"Shot.{number:03d}", bpy.data.cameras.new("Shot"))
         collection.objects.link(item)
@@ -353,6 +353,7 @@ def test_own_cameras_become_the_capture(scene, sample, tmp_path):
     scene.fipt.capture.hold_back = 0
     before = {item.name: item.matrix_basis.copy() for item in collection.objects}
     assert ops.use_scene_cameras() == {"FINISHED"}
+    imported = RunFolder(scene.fipt.run_folder).ingest_json.read_bytes()
     settings = scene.fipt.capture
     assert [view.camera for view in settings.views] == ["Shot.000", "Shot.002", "Shot.004"]
     assert "Bare" in running.last("capture").warnings[0]["text"]
@@ -362,6 +363,7 @@ def test_own_cameras_become_the_capture(scene, sample, tmp_path):
     assert scene.camera.name == "Shot.002" and scene.render.resolution_x == 48
     first = scene.fipt.run_folder
     assert ops.use_scene_cameras() == {"FINISHED"} and scene.fipt.run_folder == first
+    assert RunFolder(first).ingest_json.read_bytes() == imported
     bpy.data.images[0].filepath = str(tmp_path / "photo.jpg")
     assert "not a file on disk" in refused(ops.use_scene_cameras)
     assert len(settings.views) == 3

@@ -28,6 +28,7 @@ from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import run_job, running, runstate
 from fipt_blender.operators.estimate import smaller_preset
 from fipt_blender.properties.estimate import CHOICES
+from samples.child_processes import wait_for
 from samples.operator_calls import refused
 from samples.small_captures import PANEL, QUICK, SmallCapture, panel_capture, write_run
 from samples.small_rooms import BOX
@@ -166,12 +167,11 @@ def test_cancelled_while_baking_and_while_training(scene, run, quick):
     for stage, kept in (("shadings", 1), ("training", 5)):
         info = start(resume=kept > 1)
         tick_to_stage(run, stage)
-        began = time.monotonic()
         ops.cancel()
         assert info.state == "running" and info.stopping
         tick_to_end()
-        assert time.monotonic() - began < 2.0
-        assert info.state == "cancelled" and info.error is None and find_engine(run) is None
+        assert info.state == "cancelled" and info.error is None
+        wait_for(lambda: find_engine(run) is None)
         assert done(run) == STAGES[:kept] and ops.resume.poll()
 
 

@@ -29,6 +29,7 @@ from fipt_blender.jobs import running
 from fipt_blender.jobs.room_steps import RoomSteps
 from fipt_blender.properties.check import ERROR_SCALE
 from samples.applied_rooms import front
+from samples.child_processes import PATIENCE_SECONDS
 from samples.operator_calls import refused
 from samples.rendered_rooms import SIZE, VIEW, make_scene, photograph
 
@@ -371,7 +372,9 @@ def test_a_second_blender_carries_out_the_order(run, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"), copy=True)
     code = render_job.child_command(folder / "scene.blend", folder / "order.json")[-1]
     start = f"import bpy; bpy.ops.wm.open_mainfile(filepath={str(folder / 'scene.blend')!r})\n"
-    result = subprocess.run([sys.executable, "-c", start + code], capture_output=True, text=True, timeout=120)
+    result = subprocess.run(
+        [sys.executable, "-c", start + code], capture_output=True, text=True, timeout=PATIENCE_SECONDS
+    )
     assert result.returncode == 0, result.stderr
     messages = [message for line in result.stdout.splitlines() if (message := parse_message(line))]
     assert [messages[0]["type"], messages[-1]["type"]] == ["stage", "done"]
@@ -384,7 +387,9 @@ def test_a_second_blender_reports_errors(run):
     order = orders.make_order(bpy.context.scene, run, orders.CHECK, [VIEW], 2)
     write_json(folder / "order.json", {**vars(order), "scene": "gone"})
     code = render_job.child_command(folder / "scene.blend", folder / "order.json")[-1]
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_SECONDS
+    )
     last = json.loads(result.stdout.splitlines()[-1])
     assert result.returncode == 1 and (last["type"], last["code"]) == ("error", "scene-gone")
 

@@ -187,7 +187,8 @@ def test_exposure_is_only_changed_for_pictures_that_could_not_be_seen():
 
 def test_swatches_and_times():
     assert swatch([10.0, 10.0, 10.0]) == "#ffffff" and swatch([5.0, 0.0, 0.0]) == "#ff0000"
-    assert format_duration(59.94) == "59.9 s" and format_duration(125.0) == "2 min 5 s"
+    texts = [format_duration(seconds) for seconds in (59.94, 125.0)]
+    assert texts == ["59.9 s", "2 min 5 s"]
 
 
 SHELL = ((0.0, 0.0, 0.0), (6.0, 5.0, 3.0))

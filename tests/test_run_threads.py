@@ -16,6 +16,7 @@ import pytest
 
 from fipt_blender.core.run.per_view import LocalWorkers, TwoSteps
 from fipt_blender.core.run.threads import MOST_THREADS, cached_property, in_threads
+from samples.child_processes import PATIENCE_SECONDS
 
 
 @pytest.mark.parametrize("cores", [None, 1, 2, 500])
@@ -56,7 +57,7 @@ def test_the_second_step_of_a_view_runs_beside_the_first_of_the_next(monkeypatch
         return item
 
     def second(item: int) -> int:
-        assert item == 3 or next_began[item + 1].wait(10.0)
+        assert item == 3 or next_began[item + 1].wait(PATIENCE_SECONDS)
         return item * item
 
     class Work:

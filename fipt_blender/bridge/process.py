@@ -120,6 +120,8 @@ class Engine:
             self.poll()
             if not self._finished:
                 time.sleep(0.02)
+        if not self._finished:  # on a busy machine `poll` may not have come to it
+            self._signal(terminate=False)
         self._close()
 
     def leave(self) -> None:

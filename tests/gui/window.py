@@ -41,7 +41,7 @@ class Window(Hand):
         self.key("Return")
         wanted = type(before)(text)
         near = (lambda v: abs(v - wanted) < 1e-4) if isinstance(wanted, float) else wanted.__eq__
-        self.wait("value", path, until=near, seconds=5)
+        self.wait("value", path, until=near, seconds=60)
         self.settle()
 
     def tick(self, target: str, value: bool = True, where: Where = SIDEBAR) -> None:
@@ -49,7 +49,7 @@ class Window(Hand):
         path = self.hover(target, where)
         if self.ask("value", path) != value:
             self.press()
-        self.wait("value", path, until=value.__eq__, seconds=5)
+        self.wait("value", path, until=value.__eq__, seconds=60)
 
     def choose(self, target: str, item: str, where: Where = SIDEBAR) -> None:
         """Open a menu property and choose an item by its identifier, with the arrow keys."""
@@ -58,7 +58,7 @@ class Window(Hand):
         if self.ask("value", path) != item:
             self.press()
             self.key("Home", *["Down"] * index, "Return")
-        self.wait("value", path, until=item.__eq__, seconds=5)
+        self.wait("value", path, until=item.__eq__, seconds=60)
         self.settle()
 
     def pick(self, target: str, item: str, where: Where = SIDEBAR) -> None:

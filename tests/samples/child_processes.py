@@ -9,8 +9,13 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+
+PATIENCE_SECONDS = 300.0  # no bound on speed: after it a test counts as one that hangs
+# A program that ends only when it is told to, long after all patience.
+SLEEPER = "import time; time.sleep(3600)"
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="signals and process groups")
 
@@ -24,9 +29,15 @@ def is_alive(pid: int) -> bool:
     return not status.exists() or status.read_text().rsplit(")", 1)[1].split()[0] != "Z"
 
 
-def wait_for(true: Callable[[], object], seconds: float = 20.0) -> None:
-    """Wait until a condition holds; fail after `seconds`."""
-    end = time.monotonic() + seconds
+def frozen_clock(seconds: float = 0.0) -> SimpleNamespace:
+    """Stands for the module `time`: always so many seconds after the system's start; nobody may sleep."""
+    return SimpleNamespace(monotonic=lambda: seconds, sleep=lambda _: pytest.fail("it waits"))
+
+
+def wait_for(true: Callable[[], object], pause: float = 0.02) -> None:
+    """Wait until a condition holds, on a busy machine too; fail where it never does."""
+    end = time.monotonic() + PATIENCE_SECONDS
     while not true():
-        assert time.monotonic() < end, "the condition does not hold"
-        time.sleep(0.02)
+        if time.monotonic() > end:
+            pytest.fail(f"the condition does not hold after {PATIENCE_SECONDS:.0f} seconds")
+        time.sleep(pause)

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from pathlib import Path
 
 import bpy
@@ -16,6 +15,7 @@ from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step, StepRecord
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import running
+from samples.child_processes import wait_for
 
 ROOT = Path(fipt_blender.__file__).resolve().parent.parent
 # Works until the file "stop" appears; holds the lock as the engine does.
@@ -54,12 +54,8 @@ def start(job: Job, run: RunFolder, **more) -> running.RunningJob:
     return running.start(job, info, **more)
 
 
-def tick_until(true, seconds: float = 20.0) -> None:
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end, "it does not come"
-        running.tick()
-        time.sleep(0.01)
+def tick_until(true) -> None:
+    wait_for(lambda: true() or (running.tick(), true())[1], pause=0.01)
 
 
 def at_work(info: running.RunningJob) -> bool:

@@ -25,6 +25,7 @@ from ..outliner import CAMERAS, collection
 from .view_geometry import ViewGeometry
 
 _SIZE = 0.03  # display size of cameras, as a share of the extent of their positions
+_LENS = ("lens", "sensor_width", "sensor_height", "sensor_fit", "shift_x", "shift_y")
 
 
 def add_cameras(run: RunFolder, scene: bpy.types.Scene | None = None, photographs: bool = True) -> list[str]:
@@ -108,8 +109,7 @@ def set_camera(item: bpy.types.Object, view: dict[str, Any], local: bool = False
     )
     camera = item.data
     camera.type = "PERSP"
-    for name in ("sensor_fit", "sensor_width", "sensor_height", "lens", "shift_x", "shift_y"):
-        setattr(camera, name, getattr(parameters, name))
+    set_lens(camera, parameters)
     camera.clip_start, camera.clip_end = 0.001, 10000.0
     camera.dof.use_dof = False
     matrix = conventions.opencv_to_blender_camera(np.array(view["camera_to_world"], np.float64))
@@ -118,6 +118,12 @@ def set_camera(item: bpy.types.Object, view: dict[str, Any], local: bool = False
     else:
         item.matrix_world = Matrix(matrix.tolist())
     mark_camera(item, view, parameters)
+
+
+def set_lens(camera: bpy.types.Camera, parameters: conventions.BlenderCamera) -> None:
+    """Set lens, sensor and shift; the pixel aspect is the scene's."""
+    for name in _LENS:
+        setattr(camera, name, getattr(parameters, name))
 
 
 def mark_camera(item: bpy.types.Object, view: dict[str, Any], parameters: conventions.BlenderCamera) -> None:
@@ -169,8 +175,7 @@ def find_camera(view_name: str, scene: bpy.types.Scene) -> bpy.types.Object:
 
 def lens_of(camera: bpy.types.Camera, pixel_aspect: Sequence[float]) -> conventions.BlenderCamera:
     """A camera's lens parameters, with the pixel aspect (x, y) of what it renders."""
-    names = ("lens", "sensor_width", "sensor_height", "sensor_fit", "shift_x", "shift_y")
-    return conventions.BlenderCamera(*(getattr(camera, name) for name in names), *pixel_aspect)
+    return conventions.BlenderCamera(*(getattr(camera, name) for name in _LENS), *pixel_aspect)
 
 
 def camera_geometry(scene: bpy.types.Scene, camera: bpy.types.Object) -> ViewGeometry:

@@ -15,16 +15,18 @@ from ...core.run.errors import FiptError
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder, write_json
 from ..marks import view_cameras
+from .cameras import camera_geometry
 
 MIN_VIEWS = 2
 ID_SUFFIXES = (".exr", ".png")
 _UNEVEN = 1e-3  # tolerance for the axes of a camera: equal lengths and right angles
-# A camera that was not moved keeps its pose as read, which is more precise than Blender's single floats.
+_LENS = ("fx", "fy", "cx", "cy")
+# An unchanged camera keeps pose and lens as read, which are more precise than Blender's single floats.
 _UNMOVED = 2e-6
 
 
 def export_capture(scene: bpy.types.Scene, run: RunFolder) -> int:
-    """Write capture.json from the ticked views, with the cameras' present poses and the chosen splits.
+    """Write capture.json from the ticked views, with their cameras' present poses and lenses and the splits.
 
     Everything else stays as `ingest` read it. Views that are not ticked, or whose cameras were deleted, are
     left out. The file is written only if something changed, so that a run can resume.
@@ -81,7 +83,7 @@ def view_entries(
         ticked: leave out views that are not ticked; otherwise their split is "unused".
 
     Raises:
-        FiptError: ``alignment-uneven`` or ``parts-folder``.
+        FiptError: ``alignment-uneven``, ``camera-kind`` or ``parts-folder``.
     """
     known = {entry["name"]: entry for entry in source["views"]}
     masks, cameras = part_folder(scene), view_cameras(scene)
@@ -94,6 +96,10 @@ def view_entries(
         pose, before = camera_pose(camera), np.array(entry["camera_to_world"], np.float64)
         if np.abs(pose - before).max() > _UNMOVED * (1.0 + np.abs(before[:3, 3]).max()):
             entry["camera_to_world"] = pose.tolist()
+        lens = camera_geometry(scene, camera).lens
+        change = np.abs(np.subtract(lens, [entry[name] for name in _LENS]))
+        if change.max() > _UNMOVED * max(entry["width"], *lens):
+            entry.update(zip(_LENS, lens, strict=True))
         entry["split"] = view.split if view.enabled else "unused"
         if masks is not None:
             mask = find_mask(masks, view.name, Path(entry["image"]).stem)

@@ -7,33 +7,31 @@ They are written as transforms.json, so that the engine's `ingest` checks them l
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
 import bpy
+import numpy as np
 
 from ...core import conventions
 from ...core.run.documents import Fields, Items, read_json
 from ...core.run.errors import FiptError
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder, write_json
-from ..marks import LARGE_PHOTOGRAPH, PIXEL_ASPECT, RESOLUTION
+from ..marks import KEPT_PHOTOGRAPH, LARGE_PHOTOGRAPH, PIXEL_ASPECT, RESOLUTION
 from . import cameras
 from .exporting import camera_pose
 from .importing import fill_views
 
 SCENE_SOURCE = "scene-cameras"  # `imported_path` of such captures
-_FRAMES = Fields({"frames": Items(Fields({"name": str}))})
-
-
-@dataclass(frozen=True)
-class Frame:
-    """The image that a camera renders: size in pixels, and Blender's lens parameters."""
-
-    width: int
-    height: int
-    camera: conventions.BlenderCamera
+_LENS = Fields(
+    {field.name: str if field.name == "sensor_fit" else float for field in fields(conventions.BlenderCamera)}
+)
+_FRAMES = Fields({"frames": Items(Fields({"name": str, "camera": _LENS}))})
+_LEAST_SENSOR = 1.0  # mm; Blender takes no smaller ones
+_SAME_SHAPE = 1e-6  # relative difference of two aspects that is only rounding
 
 
 def write_scene_cameras(scene: bpy.types.Scene, run: RunFolder) -> tuple[Path, list[str]]:
@@ -48,7 +46,7 @@ def write_scene_cameras(scene: bpy.types.Scene, run: RunFolder) -> tuple[Path, l
 
     Raises:
         FiptError: ``cameras-none``, ``camera-model`` for one that is not perspective,
-            ``image-missing``, ``background-moved``, ``alignment-uneven``.
+            ``image-missing``, ``background-moved``, ``camera-locked``, ``alignment-uneven``.
     """
     items = sorted((item for item in scene.objects if item.type == "CAMERA"), key=lambda item: item.name)
     chosen = [item for item in items if photograph_of(item) is not None]
@@ -66,7 +64,7 @@ def write_scene_cameras(scene: bpy.types.Scene, run: RunFolder) -> tuple[Path, l
 
 
 def adopt_cameras(run: RunFolder) -> None:
-    """Mark the cameras of the context's scene as views, and fill the list; they don't change otherwise.
+    """Mark the cameras of the context's scene as views, with `photograph_lens`, and fill the list.
 
     Raises:
         FiptError: ``camera-missing`` where one was removed since `write_scene_cameras`.
@@ -84,9 +82,9 @@ def adopt_cameras(run: RunFolder) -> None:
             raise FiptError(
                 "camera-missing", f"The camera '{frame['name']}' was removed meanwhile.", "Import again."
             )
-        lens = [view[name] for name in ("fx", "fy", "cx", "cy")]
-        parameters = conventions.intrinsics_to_blender(view["width"], view["height"], *lens)
-        cameras.mark_camera(item, view, parameters)
+        lens = conventions.BlenderCamera(**frame["camera"])
+        cameras.set_lens(item.data, lens)
+        cameras.mark_camera(item, view, lens)
     fill_views(scene, run)
     scene.fipt.capture.imported_path = SCENE_SOURCE
 
@@ -113,12 +111,27 @@ def describe_camera(scene: bpy.types.Scene, item: bpy.types.Object) -> dict[str,
             f"The camera '{item.name}' is not a perspective camera.",
             "Set its lens type to Perspective, or remove its background image.",
         )
-    path = photograph_path(item, background.image)
-    size = item[RESOLUTION] if LARGE_PHOTOGRAPH in background.image else background.image.size
+    # While another picture lies over a view, its photograph is kept elsewhere.
+    image = item.data.get(KEPT_PHOTOGRAPH) or background.image
+    path = photograph_path(item, image)
+    size = item.get(RESOLUTION, image.size) if LARGE_PHOTOGRAPH in image else image.size
     width, height = (int(value) for value in size)
     if not width or not height:
         raise FiptError("image-unreadable", f"The photograph {path} can't be read.", "Export it again.")
-    fx, fy, cx, cy = photograph_lens(item, background, frame_of(scene, item), width, height)
+    _check_background(item, background)
+    frame = frame_of(scene, item, width, height)
+    lens = photograph_lens(*frame, background.frame_method, width, height, image.display_aspect)
+    motion = item.data.animation_data
+    is_locked = item.data.library or (motion and (motion.action or motion.drivers))
+    if is_locked and cameras.lens_of(item.data, (lens.pixel_aspect_x, lens.pixel_aspect_y)) != lens:
+        raise FiptError(
+            "camera-locked",
+            f"The photograph of the camera '{item.name}' has another shape than its frame. The lens can't be"
+            " adapted, because it is linked from another file or animated.",
+            f"Set the scene's resolution to {width} x {height}, or make the camera local without animation.",
+        )
+    # To 1e-9 pixels: the same numbers again for a camera that already has this lens.
+    fx, fy, cx, cy = (round(value, 9) for value in conventions.blender_to_intrinsics(width, height, lens))
     return {
         "name": item.name,
         "file_path": str(path),
@@ -128,6 +141,7 @@ def describe_camera(scene: bpy.types.Scene, item: bpy.types.Object) -> dict[str,
         "fl_y": fy,
         "cx": cx,
         "cy": cy,
+        "camera": asdict(lens),  # for `adopt_cameras`
         "transform_matrix": conventions.opencv_to_opengl_camera(camera_pose(item)).tolist(),
     }
 
@@ -150,32 +164,74 @@ def photograph_path(item: bpy.types.Object, image: bpy.types.Image) -> Path:
     return path
 
 
-def frame_of(scene: bpy.types.Scene, item: bpy.types.Object) -> Frame:
-    """The frame that a camera renders: its own where it is a view already, else the scene's."""
+def frame_of(
+    scene: bpy.types.Scene, item: bpy.types.Object, width: int, height: int
+) -> tuple[conventions.BlenderCamera, int, int]:
+    """Lens and size of the frame that a camera renders: its view's if that fits the photograph."""
     render = scene.render
-    if RESOLUTION in item:
-        width, height = (int(value) for value in item[RESOLUTION])
-        aspect = [float(value) for value in item[PIXEL_ASPECT]]
-    else:
-        width, height = render.resolution_x, render.resolution_y
-        aspect = [render.pixel_aspect_x, render.pixel_aspect_y]
-    return Frame(width, height, cameras.lens_of(item.data, aspect))
+    size, aspect = item.get(RESOLUTION), item.get(PIXEL_ASPECT)
+    if size is None or abs(size[0] * height - size[1] * width) >= max(width, height, *size):
+        size = (render.resolution_x, render.resolution_y)
+        aspect = (render.pixel_aspect_x, render.pixel_aspect_y)
+    return cameras.lens_of(item.data, tuple(aspect)), int(size[0]), int(size[1])
 
 
 def photograph_lens(
-    item: bpy.types.Object, background: bpy.types.CameraBackgroundImage, frame: Frame, width: int, height: int
-) -> tuple[float, float, float, float]:
-    """Intrinsics fx, fy, cx, cy in pixels of the photograph, as it lies over the camera's frame.
+    lens: conventions.BlenderCamera,
+    frame_width: int,
+    frame_height: int,
+    frame_method: str,
+    width: int,
+    height: int,
+    display_aspect: Sequence[float] = (1.0, 1.0),
+) -> conventions.BlenderCamera:
+    """The lens with which a camera at its photograph's resolution renders what the photograph shows.
+
+    In its present frame the camera shows the same as before: the focal length stays, sensor and shift become
+    relative to the side that the photograph and the frame share.
 
     Args:
-        item: the camera.
-        background: its background image, the photograph.
-        frame: the frame that the camera renders.
+        lens: the camera's lens, with the pixel aspect of its frame.
+        frame_width, frame_height: size of the frame in pixels.
+        frame_method: how the photograph lies over the frame, "FIT", "CROP" or "STRETCH".
         width, height: size of the photograph in pixels.
+        display_aspect: width and height of the photograph's pixels as Blender shows them.
 
-    Raises:
-        FiptError: ``background-moved`` where the photograph is shifted, scaled, rotated or flipped.
+    Returns:
+        Lengths in mm as Blender stores them (float32), and the pixel aspect of the photograph in the frame.
     """
+    # Sizes as displayed: neither the frame's pixels nor the photograph's need be square.
+    frame = np.array([frame_width * lens.pixel_aspect_x, frame_height * lens.pixel_aspect_y])
+    shown = np.multiply((width, height), display_aspect)
+    scales = frame / shown
+    fitted = shared = 0 if conventions.fits_width(lens.sensor_fit, *frame) else 1  # side: width or height
+    if frame_method == "STRETCH" or abs(scales[0] / scales[1] - 1.0) < _SAME_SHAPE:
+        shown = frame
+    else:
+        shared = int(np.argmin(scales) if frame_method == "FIT" else np.argmax(scales))
+        shown = shown * scales[shared]
+    if fitted != shared or conventions.fits_width(lens.sensor_fit, *shown) != (shared == 0):
+        ratio = frame[shared] / frame[fitted]
+        sensor = ratio * (lens.sensor_height if lens.sensor_fit == "VERTICAL" else lens.sensor_width)
+        sizes = sensor * shown / shown[shared]
+        larger = max(1.0, _LEAST_SENSOR / sizes.min())
+        lens = conventions.BlenderCamera(
+            lens.lens * larger,
+            sizes[0] * larger,
+            sizes[1] * larger,
+            ("HORIZONTAL", "VERTICAL")[shared],
+            lens.shift_x / ratio,
+            lens.shift_y / ratio,
+        )
+    values: dict[str, Any] = asdict(lens)
+    values |= {name: float(np.float32(value)) for name, value in values.items() if name != "sensor_fit"}
+    aspect = shown[0] / width / (shown[1] / height)
+    values |= {"pixel_aspect_x": float(max(1.0, aspect)), "pixel_aspect_y": float(max(1.0, 1.0 / aspect))}
+    return replace(lens, **values)
+
+
+def _check_background(item: bpy.types.Object, background: bpy.types.CameraBackgroundImage) -> None:
+    """Refuse a photograph that is shifted, scaled, rotated or flipped (``background-moved``)."""
     moved = max(abs(value) for value in background.offset) > 1e-6 or abs(background.scale - 1.0) > 1e-6
     if moved or background.rotation or background.use_flip_x or background.use_flip_y:
         raise FiptError(
@@ -183,16 +239,3 @@ def photograph_lens(
             f"The photograph of the camera '{item.name}' is shifted, scaled, rotated or flipped.",
             "Reset offset, scale, rotation and flip of its background image; use the camera's shift instead.",
         )
-    fx, fy, cx, cy = conventions.blender_to_intrinsics(frame.width, frame.height, frame.camera)
-    # Sizes as displayed: the pixels of a frame may be non-square, those of an image are square.
-    shown = (frame.width * frame.camera.pixel_aspect_x, frame.height * frame.camera.pixel_aspect_y)
-    scale_x, scale_y = shown[0] / width, shown[1] / height
-    if background.frame_method != "STRETCH" and abs(scale_x / scale_y - 1.0) > 2e-3:
-        scale_x = scale_y = (min if background.frame_method == "FIT" else max)(scale_x, scale_y)
-    x, y = frame.camera.pixel_aspect_x / scale_x, frame.camera.pixel_aspect_y / scale_y
-    return (
-        fx * x,
-        fy * y,
-        (cx - 0.5 * frame.width) * x + 0.5 * width,
-        (cy - 0.5 * frame.height) * y + 0.5 * height,
-    )

@@ -22,6 +22,11 @@ class ViewGeometry:
     cx: float
     cy: float
 
+    @property
+    def lens(self) -> tuple[float, float, float, float]:
+        """Intrinsics fx, fy, cx, cy in pixels."""
+        return self.fx, self.fy, self.cx, self.cy
+
     def ray(self, u: float, v: float) -> tuple[np.ndarray, np.ndarray]:
         """Origin and unit direction through the pixel position (u, v)."""
         pixel = np.array([(u - self.cx) / self.fx, (v - self.cy) / self.fy, 1.0])
