@@ -244,9 +244,3 @@ def write_points(folder: Path) -> None:
     data = json.loads(path.read_text())
     data[0]["points"] = {str(i): {"coordinates": point} for i, point in enumerate((6 * points - 3).tolist())}
     path.write_text(json.dumps(data))
-
-
-def write_depth_map(folder: Path) -> None:
-    """A depth map as dense stereo writes it."""
-    depth = np.linspace(1.0, 3.0, 48, dtype="<f4")
-    (folder / "a.geometric.bin").write_bytes(b"8&6&1&" + depth.tobytes())

@@ -187,15 +187,6 @@ def _plane_room(sample: Path, out: Path) -> None:
     write_room(out / "planes.obj", room_of_points(sample, rig))
 
 
-def _depth_map(sample: Path, out: Path) -> None:
-    from fipt_blender.core.capture.dense_stereo import read_depth_map
-
-    try:
-        read_depth_map(sample / "a.geometric.bin")
-    except ValueError as error:  # `stereo_depths` makes the error for users of it
-        raise FiptError("stereo-failed", str(error), "Check the photographs.") from None
-
-
 PROGRAMS: dict[str, Callable[[Path, list[rig_writers.Shot]], None]] = {
     "metashape": _metashape,
     "realityscan-csv": metashape_writers.write_realityscan_csv,
@@ -237,7 +228,6 @@ TARGETS = (
     Target("depth-points", _rgbd, _depth_points),
     Target("meshes", fuzz_samples.write_meshes, _simplify),
     Target("plane-room", fuzz_samples.write_points, _plane_room),
-    Target("depth-map", fuzz_samples.write_depth_map, _depth_map),
     Target("capture", fuzz_samples.write_capture, _load_capture),
     Target("run-files", fuzz_samples.write_run_files, _read_run_files),
     Target("report", fuzz_samples.write_finished_run, _report, ("fipt_blender.core.report.page",)),

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A capture as it is read, and where its mesh comes from: a file, a copy with fewer triangles,
-depth images, dense stereo, or the points of the solve."""
+depth images, or the points of the solve."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from ..run.messages import Reporter
 from ..run.runfolder import RunFolder, atomic_path
 from .align_mesh import aligned_to_mesh
 from .color_camera import with_color_camera
-from .dense_stereo import StereoFusion, stereo_possible
 from .depth_images import Fusion, checked_depths
 from .formats import read_points, read_rig
 from .options import CaptureOptions
@@ -36,21 +35,19 @@ class Source:
         mesh: the mesh file; None without one.
         simplified: the same with fewer triangles, which is used instead; None where that is not wanted.
         planes: the room of planes made from the solve's points; None where that is not wanted.
-        stereo: whether the mesh is made by dense stereo.
     """
 
     rig: Rig
     mesh: Path | None
     simplified: FusedMesh | None
     planes: PlaneRoom | None
-    stereo: bool
 
 
 def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> Source:
     """Read cameras and mesh, and warn of what the user should know of them.
 
     Raises:
-        FiptError: those of the readers, ``mesh-missing``; those of aligning, of planes and of stereo.
+        FiptError: those of the readers, ``mesh-missing``; those of aligning and of planes.
     """
     rig = read_rig(capture, options.format, options)
     mesh = _mesh(rig, options)
@@ -60,12 +57,8 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
     if options.align_mesh:
         rig = aligned_to_mesh(capture, rig, mesh)
     notes = list(rig.notes)
-    stereo = options.dense_stereo and mesh is None and not rig.depths
-    if stereo and (without := stereo_possible(rig, otherwise=options.plane_room)) is not None:
-        notes.append(without)
-        stereo = False
     planes = None
-    if options.plane_room and mesh is None and not stereo:
+    if options.plane_room and mesh is None:
         planes = room_of_points(capture, rig)
         notes.append(room_note(planes))
     simplified, budget = None, options.triangles
@@ -74,13 +67,11 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
         notes.append(fewer[1])
     for note in notes:
         reporter.warning(note.code, note.text, note.remedy)
-    return Source(rig, mesh, simplified, planes, stereo)
+    return Source(rig, mesh, simplified, planes)
 
 
-def mesh_fusion(run: RunFolder, capture: Path, source: Source, options: CaptureOptions) -> Fusion | None:
-    """What makes the mesh of depths; None where there is another one, or no depths."""
-    if source.stereo:
-        return StereoFusion(run, (), options.fusion, options.scale, capture, source.rig.views)
+def mesh_fusion(run: RunFolder, source: Source, options: CaptureOptions) -> Fusion | None:
+    """What fuses the mesh of depth images; None where there is another one, or no depths."""
     if source.mesh is None and source.planes is None and source.rig.depths:
         return Fusion(run, source.rig.depths, options.fusion, options.scale)
     return None
