@@ -19,7 +19,6 @@ from ..optics.lights import EmitterTable
 from ..run.checkpoints import HINTED_REFINEMENT, HINTED_SHADINGS
 from ..run.errors import FiptError
 from ..run.finished_views import FinishedViews
-from ..scene.disagreement import doubt_pixels
 from ..scene.fragments import SUBPIXELS
 from ..scene.grouped import numbered
 from ..scene.mixed_pixels import mark_pure
@@ -64,8 +63,6 @@ class LightStages(EstimationState):
             unmix_pixels(self.pixels, self.room, self._surface_labels(), progress, self.workers)
         else:
             keep_pure(self.pixels)
-        if self.settings.doubt_pixels:
-            doubt_pixels(self.pixels, self.room, self.parts)
         if found is None:
             return
         for index in range(len(self.views)):

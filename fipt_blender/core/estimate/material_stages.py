@@ -12,7 +12,6 @@ import numpy as np
 from ..light.emission import emission_probability
 from ..light.evidence import brighter_than_white
 from ..light.lamp_doubt import HardlySeen, hardly_seen, light_errors, power_errors
-from ..light.lamp_outline import outlined
 from ..material.cell_errors import add_light_errors, cell_errors, draw_pixels, lit_cells
 from ..material.closed_form import (
     CellEstimate,
@@ -138,11 +137,7 @@ class MaterialStages(EstimationState):
         baked = (self._emitters() if self.fixtures else self._presumed_lamps())[1]
         shadings, surfaces = self._open_shadings(), self._emitter_surfaces
         white, hdr = partial(white_rows, data), not self.photometry
-        found = emission_probability(room, pixels, shadings, white, surfaces, told, baked, hdr)
-        # Patches have the evidence of their own pixels; parts end where masks do, a pixel off.
-        if room.scan is None or self.parts.kind != "part" or not self.settings.lamp_outlines:
-            return found
-        return np.where(told == 0, outlined(room.scan, pixels, found, self.observations.footprint), found)
+        return emission_probability(room, pixels, shadings, white, surfaces, told, baked, hdr)
 
     def _closed_form_colors(self, rows: np.ndarray) -> np.ndarray:
         """(R, 3) base colour of the last closed-form estimate in the pixels `rows` (R,)."""

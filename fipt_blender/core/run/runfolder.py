@@ -194,10 +194,9 @@ class RunFolder:
                 f"this version of the add-on reads {head('run')['version']}.",
                 "Start a new run in another folder, or open this one with the version that made it.",
             )
-        from .settings import make_settings
+        from .settings import stored_settings
 
-        values = dict(data.get("settings", {}))
-        return make_settings(values.pop("preset", "medium"), values)
+        return stored_settings(data.get("settings", {}))
 
     def read_estimated(self) -> Settings:
         """The settings of the finished estimate, with the present ones of textures.

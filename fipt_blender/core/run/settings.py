@@ -24,6 +24,9 @@ REFINEMENT, TRAINING = "refinement-1", "training"
 
 Value = str | int | float | bool
 
+# Settings of earlier versions, which their runs name; what they stood for is gone.
+_REMOVED = ("doubt_pixels", "lamp_outlines")
+
 # The settings of Apply Results; no stage of an estimation reads them.
 TEXTURE_SETTINGS = ("texel_density", "texture_size", "atlas_images", "atlas_mode", "write_back", "clean_mesh")
 
@@ -83,7 +86,6 @@ class Settings:
     lost_surfaces: bool = _switch("add things that photographs show and a scan lacks, as prisms", PIXELS)
     torn_parts: bool = _switch("complete parts that a scan tore", PIXELS)
     outlines: bool = _switch("move the outlines of a scan's parts to those of the masks", PIXELS)
-    doubt_pixels: bool = _switch("give little weight to pixels whose mask and scan disagree", PIXELS)
     unmix: bool = _switch("use mixed pixels by their share of each surface's radiance", PIXELS)
     unmeshed_lamps: bool = _switch("leave out pixels of lamps that the mesh lacks", PIXELS)
     clipped_lamps: bool = _switch(
@@ -219,7 +221,6 @@ class Settings:
         " (ablation)",
         ESTIMATE,
     )
-    lamp_outlines: bool = _switch("give a scan's lamps the outlines that photographs show", ESTIMATE)
     lamp_doubt: bool = _switch("count errors of the light of uncertain lamps in the confidence", None)
     lambda_joint: float = _setting(
         1e-2,
@@ -292,6 +293,16 @@ def make_settings(preset: str = "medium", changes: Mapping[str, Value] | None = 
         )
     values: dict[str, Any] = {"preset": preset, **PRESETS[preset]}
     return Settings(**values | converted(Settings, changes or {}, _LIMITS))
+
+
+def stored_settings(values: Mapping[str, Any]) -> Settings:
+    """Settings as a run has stored them; those that versions since have removed are left out.
+
+    Raises:
+        FiptError: see `make_settings`.
+    """
+    kept = {name: value for name, value in values.items() if name not in _REMOVED}
+    return make_settings(kept.pop("preset", "medium"), kept)
 
 
 def converted(
