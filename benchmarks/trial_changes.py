@@ -89,7 +89,6 @@ MECHANISMS = {
 }
 # The paper's own steps and choices without which it has ablations (docs/method.md).
 ABLATIONS: dict[str, dict[str, Any]] = {
-    "joint-emission": {"emission": "joint"},
     "no-stage-3": {"rounds": 0},
     "no-cache": {"refine_cache": False},
     "fewer-views": {"view_share": 0.3},

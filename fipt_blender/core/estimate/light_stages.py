@@ -196,9 +196,7 @@ class LightStages(EstimationState):
         settings = self.settings
         self._input = None  # its files are written over
         table, emitting = self._emitters()
-        # Emission that was fitted jointly is read from the cache: the rims of lamps then count only once.
-        lamps = None if len(self.emission) else emitting
-        cache = self.observations.cache(without=lamps) if settings.refine_cache else None
+        cache = self.observations.cache(without=emitting) if settings.refine_cache else None
         diffuse = self.diffuse if settings.refine_cache else None
         traced = TracedLight(self.materials, diffuse, settings.cache_roughness, settings.refine_depth)
         counts = SampleCounts(

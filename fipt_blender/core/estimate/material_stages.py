@@ -18,7 +18,6 @@ from ..material.closed_form import (
     TrainingData,
     fit_cells,
     followed_by_paths,
-    triangle_emission,
     white_rows,
 )
 from ..material.hints import SurfaceHints
@@ -66,13 +65,7 @@ class MaterialStages(EstimationState):
         if name == "estimate-0":
             self._warn_of_missing_light()
         self._find_cells(self._material_units(data))
-        told = self._told_emission()
-        if self.settings.emission == "joint":
-            self.probability = (told > 0).astype(np.float32)
-            self.emission = triangle_emission(cells, data)
-            self.emission[told < 0] = 0.0
-        else:
-            self.probability = self._emission_probability(data, told)
+        self.probability = self._emission_probability(data, self._told_emission())
         if self.hints is not None:
             self._warn_of_hints(name, self.hints, self.probability > 0.5)
         self._group_fixtures()
@@ -119,8 +112,7 @@ class MaterialStages(EstimationState):
             shadings, settings = self._open_shadings(), self.settings
             given = self.observations, self._pieces, shadings, self.levels, settings
             data = training_input(*given, self.hints)
-            joint = settings.lambda_joint if settings.emission == "joint" else None
-            self._input = (data, fit_cells(data, joint))
+            self._input = (data, fit_cells(data))
         return self._input
 
     def _told_emission(self) -> np.ndarray:
@@ -199,8 +191,7 @@ class MaterialStages(EstimationState):
     def _surfaces(self) -> Surfaces:
         """What is known of the surfaces before a training."""
         _, emitting = self._emitters()
-        masked = np.zeros_like(emitting) if len(self.emission) else emitting
-        return Surfaces(self.box, self.units.triangle, masked, self.emission)
+        return Surfaces(self.box, self.units.triangle, emitting)
 
     def _new_networks(self, cells: CellEstimate) -> Networks:
         """Networks that are not trained yet, with the typical values of the units."""
@@ -208,7 +199,7 @@ class MaterialStages(EstimationState):
         hash_levels = useful_hash_levels(self.settings, self.box.extent, self.observations.footprint)
         typical = typical_values(cells.values, unit, len(self.units.single))
         self.brdf = self._new_network(hash_levels, typical)
-        return Networks(self.brdf, None if len(self.emission) else self._new_mask())
+        return Networks(self.brdf, self._new_mask())
 
     def _keep_training(self, name: str, networks: Networks, steps: int) -> Facts:
         """Keep trained networks."""

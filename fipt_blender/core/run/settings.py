@@ -25,7 +25,7 @@ REFINEMENT, TRAINING = "refinement-1", "training"
 Value = str | int | float | bool
 
 # Settings of earlier versions, which their runs name; what they stood for is gone.
-_REMOVED = ("doubt_pixels", "lamp_outlines")
+_REMOVED = ("doubt_pixels", "lamp_outlines", "emission", "lambda_joint", "joint_threshold")
 
 # The settings of Apply Results; no stage of an estimation reads them.
 TEXTURE_SETTINGS = ("texel_density", "texture_size", "atlas_images", "atlas_mode", "write_back", "clean_mesh")
@@ -215,21 +215,7 @@ class Settings:
     brdf_depth: int = _setting(2, "BRDF network: number of hidden layers", TRAINING)
     checkpoint_steps: int = _setting(500, "stage 2: steps between checkpoints of a training", None)
 
-    emission: str = _setting(
-        "mask",
-        "mask: find emitters by what reflection can't explain; joint: fit emission together with base colour"
-        " (ablation)",
-        ESTIMATE,
-    )
     lamp_doubt: bool = _switch("count errors of the light of uncertain lamps in the confidence", None)
-    lambda_joint: float = _setting(
-        1e-2,
-        "joint emission: weight of its L1 norm, in units of the capture's median (the paper gives no value)",
-        ESTIMATE,
-    )
-    joint_threshold: float = _setting(
-        0.01, "joint emission: triangles of which it is less do not emit, in the same units", ESTIMATE
-    )
     environment_width: int = _setting(256, "width of the estimated environment map in pixels", SHADINGS)
 
     texel_density: float = _setting(128.0, "texels per metre of the textures", None)
@@ -372,8 +358,8 @@ def _converted(value: Any, default: Any, limits: Mapping[str, Any]) -> Any:
 # Largest value of any setting: counts and seeds must fit into the integers of all libraries.
 _MOST = 2**31 - 1
 _ZERO = (
-    *("seed", "kept_versions", "rounds", "lambda_joint", "lambda_diffuse", "lambda_emission", "lambda_part"),
-    *("lambda_semantic", "joint_threshold", "brdf_depth"),
+    *("seed", "kept_versions", "rounds", "lambda_diffuse", "lambda_emission", "lambda_part"),
+    *("lambda_semantic", "brdf_depth"),
 )
 _LIMITS: dict[str, dict[str, Any]] = {
     **{key: {"zero": True} for key in _ZERO},
@@ -389,5 +375,4 @@ _LIMITS: dict[str, dict[str, Any]] = {
     "atlas_mode": {"choices": ("uv", "color_attribute")},
     "write_back": {"choices": ("cycles", "paper")},
     "masking": {"choices": ("schlick", "smith")},
-    "emission": {"choices": ("mask", "joint")},
 }

@@ -124,7 +124,6 @@ EMITTERS = Fields(
                     **dict.fromkeys(("base_color", "centroid", "power"), Numbers(3)),
                     "area": _NOT_NEGATIVE,
                     "probability": _NOT_NEGATIVE,
-                    "beside": bool,
                 },
             )
         ),
