@@ -35,7 +35,6 @@ TEXTS = {
     "images": "folder of the photographs, searched first",
     "clamp_negative": "treat negative radiance in photographs as zero",
     "align_mesh": "align the cameras to a mesh from another program by the solve's points",
-    "plane_room": "without a mesh: fit a room of planes to the solve's points",
     "views": "use N photographs, evenly spread (default: all)",
     "voxel": "meters, of a mesh fused from depth images (default: 0.02)",
     "close_holes": "close holes of a fused mesh up to this width in meters",
@@ -75,7 +74,6 @@ class CaptureOptions:
     images: Path | None = None
     clamp_negative: bool = False
     align_mesh: bool = False
-    plane_room: bool = False
     views: int = 0
     voxel: float = 0.02
     close_holes: float = 0.0

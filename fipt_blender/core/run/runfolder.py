@@ -47,7 +47,6 @@ class RunFolder:
         self.masks = self.root / "masks"
         self.masks_json = self.masks / "masks.json"
         self.fused_ply = self.root / "fused.ply"
-        self.planes_obj = self.root / "planes.obj"
         self.simplified_ply = self.root / "simplified.ply"
         self.fused_json = self.root / "fused.json"
         self.room_npz = made_from / "room.npz"
