@@ -11,13 +11,13 @@ import bpy
 import numpy as np
 
 from ...core import conventions
+from ...core.capture.files import IDS_FIRST, Folders
 from ...core.run.errors import FiptError
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder, write_json
 from ..marks import view_cameras
 
 MIN_VIEWS = 2
-ID_SUFFIXES = (".exr", ".png")
 _UNEVEN = 1e-3  # tolerance for the axes of a camera: equal lengths and right angles
 # A camera that was not moved keeps its pose as read, which is more precise than Blender's single floats.
 _UNMOVED = 2e-6
@@ -81,11 +81,11 @@ def view_entries(
         ticked: leave out views that are not ticked; otherwise their split is "unused".
 
     Raises:
-        FiptError: ``alignment-uneven`` or ``parts-folder``.
+        FiptError: ``alignment-uneven``, ``parts-folder`` or ``file-ambiguous``.
     """
     known = {entry["name"]: entry for entry in source["views"]}
     masks, cameras = part_folder(scene), view_cameras(scene)
-    entries = []
+    entries, folders = [], Folders()
     for view in scene.fipt.capture.views:
         camera = cameras.get(view.name)
         if camera is None or view.name not in known or (ticked and not view.enabled):
@@ -96,8 +96,11 @@ def view_entries(
             entry["camera_to_world"] = pose.tolist()
         entry["split"] = view.split if view.enabled else "unused"
         if masks is not None:
-            mask = find_mask(masks, view.name, Path(entry["image"]).stem)
-            entry["parts"] = None if mask is None else str(mask)
+            # Named after the view ("train/000") or its photograph's file.
+            names = dict.fromkeys((view.name, Path(entry["image"]).stem))
+            found = (folders.find(name, [masks], masks, IDS_FIRST) for name in names)
+            mask = next(filter(None, found), None)
+            entry["parts"] = None if mask is None else str(mask.path)
         entries.append(entry)
     if masks is not None and entries and not any(entry["parts"] for entry in entries):
         stem = Path(entries[0]["image"]).stem
@@ -126,16 +129,6 @@ def part_folder(scene: bpy.types.Scene) -> Path | None:
             "Choose the folder in the section Parts, or another source of parts.",
         )
     return folder
-
-
-def find_mask(folder: Path, view: str, stem: str) -> Path | None:
-    """The mask with the name of a view ("train/000") or of its photograph's file, EXR or PNG."""
-    for name in dict.fromkeys((view, stem, view.rpartition("/")[2])):
-        for suffix in ID_SUFFIXES:
-            path = folder / (name + suffix)
-            if path.is_file():
-                return path
-    return None
 
 
 def camera_pose(camera: bpy.types.Object) -> np.ndarray:
