@@ -197,6 +197,7 @@ def test_transforms_splits_masks_and_up_axis(tmp_path):
         data["frames"][0]["mask_path"] = "masks/0.png"
 
     edit_json(tmp_path / "transforms.json", change)
+    write_exr(tmp_path / "masks" / "0.png", np.ones((32, 48)))
     rig = read(tmp_path)
     assert [view.split for view in rig.views] == [None, "held_back", None]
     assert not rig.notes and rig.up_axis == "y"

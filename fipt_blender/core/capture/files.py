@@ -131,6 +131,22 @@ class Names:
             found.append(((_rank(own[-1], last, first), other), path))
         return found
 
+    def find(self, name: str) -> str | None:
+        """The path that ends like a name, as far as possible; None without one.
+
+        Raises:
+            FiptError: ``file-ambiguous`` where several paths fit equally.
+        """
+        parts = name_parts(name)
+        for tail in (parts[start:] for start in range(len(parts))):
+            ranked = self.ending(tail)
+            best = [path for rank, path in ranked if rank == min(ranked)[0]]
+            if len(best) > 1:
+                raise ambiguous(name, best)
+            if best:
+                return best[0]
+        return None
+
 
 def _rank(name: str, wanted: str, first: Sequence[str]) -> int:
     """How well a file's suffix fits a name: preferred, the name's own, HDR, other photographs, the rest."""
@@ -188,7 +204,7 @@ class Folders:
                 best = [item for item in best if fits(item[-1])] or best
             best = [item for item in best if item[2] == best[0][2]]
             if len(best) > 1:
-                raise _ambiguous(name, [item[-1] for item in best])
+                raise ambiguous(name, [item[-1] for item in best])
             if best:
                 return Found(best[0][-1], tail)
         return None
@@ -248,7 +264,8 @@ class Folders:
         return self._below[root]
 
 
-def _ambiguous(name: str, paths: Sequence[Path]) -> FiptError:
+def ambiguous(name: str, paths: Sequence[object]) -> FiptError:
+    """The error for a name that fits several files."""
     shown = ", ".join(map(str, paths[:5])) + (" and others" if len(paths) > 5 else "")
     return FiptError(
         "file-ambiguous",

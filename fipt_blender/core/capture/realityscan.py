@@ -122,13 +122,16 @@ def _xmp_views(folder: Path, files: list[Path], places: Places) -> tuple[list[Ri
     posed = [bool({f"{_XCR}Rotation", f"{_XCR}Position"} & found.keys()) for found in values]
     all_files = list(zip(files, values, posed, strict=True))
     off = [file for file, found, use in all_files if use and found.get(f"{_XCR}InTexturing") == "0"]
+    names = {file: file.relative_to(folder).with_suffix("").as_posix() for file in files}
     views = [
-        _xmp_view(file, file.relative_to(folder).with_suffix("").as_posix(), found, places)
+        _xmp_view(file, names[file], found, places)
         for file, found, use in all_files
         if use and file not in off
     ]
     lost = [file for file, found, use in all_files if found and not use]
     notes = cameras_off(folder, [file.name for file in off])
+    for file in (*off, *lost):
+        places.find(names[file])  # it is told of here, and not as one without a camera
     if not lost:
         return views, notes
     text = f"{len(lost)} XMP files have no pose (the first is {lost[0]}); their photographs are left out."
