@@ -97,7 +97,7 @@ def view_entries(
         entry["split"] = view.split if view.enabled else "unused"
         if masks is not None:
             # Named after the view ("train/000") or its photograph's file.
-            names = dict.fromkeys((view.name, Path(entry["image"]).stem))
+            names = dict.fromkeys((view.name, Path(entry["image"]).name))
             found = (folders.find(name, [masks], masks, IDS_FIRST) for name in names)
             mask = next(filter(None, found), None)
             entry["parts"] = None if mask is None else str(mask.path)

@@ -39,7 +39,7 @@ def read(file: Path, options: CaptureOptions) -> Rig:
     Raises:
         FiptError: ``rig-damaged``, ``image-missing`` or ``image-unreadable``.
     """
-    places = Places.around(file, options)
+    places = Places.around(file, options, folders=FOLDERS)
     names = _names(file)
     views = []
     for name, rows in zip(names, _cameras(file, len(names)), strict=False):

@@ -48,7 +48,7 @@ def read(file: Path, options: CaptureOptions) -> Rig:
     Raises:
         FiptError: ``rig-damaged`` or ``camera-model``.
     """
-    places = Places.around(file, options)
+    places = Places.around(file, options, folders=FOLDERS)
     data = read_json_rig(file, SFM_DATA)
     with WellFormed(file):
         kinds = _kinds(data["intrinsics"])

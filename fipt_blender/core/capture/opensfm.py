@@ -47,7 +47,7 @@ def read(file: Path, options: CaptureOptions) -> Rig:
         FiptError: ``rig-damaged`` or ``camera-model``.
     """
     models = read_json_rig(file, RECONSTRUCTIONS)
-    places = Places.around(file, options)
+    places = Places.around(file, options, folders=FOLDERS)
     views, notes = largest_model([_views(file, model, places) for model in models], str(file))
     return places.rig(NAME, views, "z", places.mesh(folders=(".", "odm_meshing", "undistorted")), notes)
 

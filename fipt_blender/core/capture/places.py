@@ -68,11 +68,21 @@ class Places:
 
     @classmethod
     def around(
-        cls, file: Path, options: CaptureOptions, image_folders: tuple[str, ...] = IMAGE_FOLDERS
+        cls,
+        file: Path,
+        options: CaptureOptions,
+        image_folders: tuple[str, ...] = IMAGE_FOLDERS,
+        folders: Sequence[str] = (),
     ) -> Places:
-        """The places around a camera file: its folder with all subfolders, and the one above."""
+        """The places around a camera file: its folder, the one above, and the capture's subfolders.
+
+        Args:
+            file, options, image_folders: see `Places`.
+            folders: of a capture in which its program writes the camera file.
+        """
         roots = (file.parent, file.absolute().parent.parent)
-        return cls(file, roots, options.images, image_folders, inside=file.parent)
+        inside = roots[file.absolute().parent.name in folders]
+        return cls(file, roots, options.images, image_folders, inside=inside)
 
     def find(self, name: str, size: tuple[int, int] | None = None) -> Found | None:
         """The photograph of a name or path; None without one.
@@ -145,12 +155,13 @@ class Places:
             places = self._below(self.mask_folders)
             masking = self._once(("mask", mask), lambda: self.folders.find(mask, places, first=IDS_FIRST))
             if masking is None or masking == found:
-                missing = missing or self._missing(mask)
+                missing = missing or self._missing(mask, places)
         ends = name_parts(name) if is_plain(name) else found.end if found else name_parts(name)[-1:]
-        names = tuple(dict.fromkeys((view_name(called or "/".join(ends)), view_name("/".join(ends)))))
+        own = view_name(called or "/".join(ends))
+        names = (own, "/".join(ends), *([found.path.name] if found else []))
         ids = {kind: self._once((kind, names), partial(self._ids, kind, names)) for kind in self.id_folders}
         return RigView(
-            name=names[0],
+            name=own,
             split=split,
             image=found.path if found else self.file.parent / "/".join(ends),
             width=size[0],
@@ -234,22 +245,27 @@ class Places:
                     " different names.",
                 )
 
-    def _missing(self, name: str) -> str:
+    def _missing(self, name: str, folders: Sequence[Path] = ()) -> str:
         """What was looked for in vain, and where; of the first file also similar names.
+
+        Args:
+            name: as the camera file has it.
+            folders: where it was looked for; () stands for those of photographs.
 
         Raises:
             FiptError: ``path-outside``.
         """
-        folders = dict.fromkeys([*([self.images] if self.images else []), *self._below(self.image_folders)])
+        inside = None if folders else self.inside
+        folders = folders or [*([self.images] if self.images else []), *self._below(self.image_folders)]
         last = (name_parts(name) or ("",))[-1]
         text = (
             f"{self.file} names the file {name[:200]!r}, but {stem_of(last)[:200]!r} is neither in"
             f" {', '.join(str(folder) for folder in folders if folder.is_dir())}"
-            f"{f' nor below {self.inside}' if self.inside else ''}."
+            f"{f' nor below {inside}' if inside else ''}."
         )
         if self._once(("missing",), lambda: name) == name:
             files = [path for folder in folders for path in self.folders.images(folder)]
-            files += self.folders.images(self.inside, True) if self.inside else []
+            files += self.folders.images(inside, True) if inside else []
             near = {key(path.name): str(path) for path in files}
             similar = [near[each] for each in get_close_matches(key(last), near)]
             text += f" Similar names: {', '.join(similar)}." if similar else ""
