@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 from ...core import conventions
-from ...core.capture.files import IDS_FIRST, Folders
+from ...core.capture.files import IDS_FIRST, Folders, ambiguous
 from ...core.run.errors import FiptError
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder, write_json
@@ -86,6 +86,7 @@ def view_entries(
     known = {entry["name"]: entry for entry in source["views"]}
     masks, cameras = part_folder(scene), view_cameras(scene)
     entries, folders = [], Folders()
+    taken: dict[Path, str] = {}
     for view in scene.fipt.capture.views:
         camera = cameras.get(view.name)
         if camera is None or view.name not in known or (ticked and not view.enabled):
@@ -101,6 +102,8 @@ def view_entries(
             found = (folders.find(name, [masks], masks, IDS_FIRST) for name in names)
             mask = next(filter(None, found), None)
             entry["parts"] = None if mask is None else str(mask.path)
+            if mask is not None and (other := taken.setdefault(mask.path, view.name)) != view.name:
+                raise ambiguous(mask.path.name, [other, view.name])
         entries.append(entry)
     if masks is not None and entries and not any(entry["parts"] for entry in entries):
         stem = Path(entries[0]["image"]).stem

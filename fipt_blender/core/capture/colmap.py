@@ -66,9 +66,8 @@ def read(found: Model, options: CaptureOptions) -> Rig:
         raise damaged(found.folder, error) from None
     # Photographs of a model in dense/ are those that COLMAP has undistorted there.
     roots = tuple(reversed(_roots(found.capture, found.folder)))
-    places = Places(
-        found.folder, roots, options.images, (*IMAGE_FOLDERS, "dense/images"), inside=found.capture
-    )
+    folders = (*IMAGE_FOLDERS, "dense/images")
+    places = Places(found.folder, roots, options.images, folders, inside=found.capture)
     views = tuple(
         places.view(
             name,

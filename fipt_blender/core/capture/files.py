@@ -265,11 +265,11 @@ class Folders:
 
 
 def ambiguous(name: str, paths: Sequence[object]) -> FiptError:
-    """The error for a name that fits several files."""
+    """The error for a name that fits several files or views."""
     shown = ", ".join(map(str, paths[:5])) + (" and others" if len(paths) > 5 else "")
     return FiptError(
         "file-ambiguous",
-        f"The name {name[:200]!r} fits {len(paths)} files equally well: {shown}.",
+        f"The name {name[:200]!r} fits each of these {len(paths)} equally well: {shown}.",
         "Give them different names, remove the others, or choose the folder of the photographs (Photographs"
         " in the import settings, --images).",
     )

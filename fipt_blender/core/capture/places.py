@@ -216,13 +216,14 @@ class Places:
         """
         for kind in ("image", *self.id_folders):
             self._refuse_shared(kind, [view for view in views if not view.missing])
-        used = [found.path for of, found in self._found.items() if of[0] == "image" and found]
+        used = [found.path for of, found in self._found.items() if of[0] in ("image", "mask") and found]
         suffixes, folders = {suffix_of(path.name) for path in used}, {path.parent for path in used}
         beside = [path for folder in sorted(folders) for path in self.folders.images(folder)]
         beside = [path for path in beside if suffix_of(path.name) in suffixes]
         unused = [_unused("images-unused", "image files", "camera", beside, used)]
         for kind, folder in self.id_folders.items():
-            beside = [path for root in self._below([folder]) for path in self.folders.images(root, True)]
+            roots = [root for root in self.roots if root in (self.roots[0], self.inside)]
+            beside = [path for root in roots for path in self.folders.images(root / folder, True)]
             used = [path for view in views if (path := getattr(view, kind)) is not None]
             unused.append(_unused("masks-unused", "id images", "photograph", beside, used))
         notes = (*notes, *filter(None, unused))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import ParseError
@@ -18,6 +19,7 @@ import numpy as np
 
 from ..run.documents import load_document
 from ..run.errors import FiptError
+from .files import key
 
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
 PARTS_FOLDER = "parts"
@@ -192,13 +194,12 @@ def find_mesh(folders: Sequence[Path], stems: Sequence[str]) -> Path | None:
         stems: names without suffix, the best first. Without a file of these names, the only mesh in the
             folders is taken; of several, none.
     """
-    for folder in folders:
-        for stem in stems:
-            for suffix in MESH_SUFFIXES:
-                path = folder / (stem + suffix)
-                if path.is_file() and _has_faces(path):
-                    return path
-    others = {path.resolve(): path for folder in folders for path in _meshes(folder)}
+    meshes = {folder: _meshes(folder) for folder in folders}
+    for folder, stem in product(folders, stems):
+        named = [path for path in meshes[folder] if key(path.stem) == key(stem)]
+        if named:
+            return min(named, key=lambda path: MESH_SUFFIXES.index(path.suffix.lower()))
+    others = {path.resolve(): path for paths in meshes.values() for path in paths}
     return next(iter(others.values())) if len(others) == 1 else None
 
 

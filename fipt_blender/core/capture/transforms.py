@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -121,8 +122,10 @@ def read(path: Path, options: CaptureOptions) -> Rig:
 
 def _identity(places: Places, name: str) -> Path | str:
     """What names of one photograph have in common: its file, or how they are written where it is missing."""
-    found = places.find(name)
-    return found.path if found else key("/".join(name_parts(stem_of(name))))
+    with suppress(FiptError):  # its size may tell later which one it is
+        if found := places.find(name):
+            return found.path
+    return key("/".join(name_parts(stem_of(name))))
 
 
 def frame_view(json_path: Path, frame: dict[str, Any], split: str | None, places: Places) -> RigView:
