@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import random
 import unicodedata
 from collections.abc import Callable
@@ -23,6 +24,7 @@ from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.photographs.models import WantedView, model_from_rig
 from fipt_blender.core.run.runfolder import RunFolder
 from samples import rig_writers as write
+from samples.child_processes import posix
 from samples.ingesting import run_ingest, warnings
 from samples.metashape_writers import (
     Chunk,
@@ -182,6 +184,18 @@ def test_one_file_is_never_that_of_two_cameras(tmp_path: Path, kind: str) -> Non
     assert error.code == "file-ambiguous" and "0001.jpg" in error.text
 
 
+@pytest.mark.parametrize("kind", [kind for kind in ANYWHERE if kind not in LABELS])
+@pytest.mark.parametrize("start", ["", "D:\\old\\"])
+def test_a_photograph_in_the_folder_of_other_cameras_is_not_taken(
+    tmp_path: Path, kind: str, start: str
+) -> None:
+    """The photograph of day/1 is gone; that of night/1 has no camera."""
+    names = [f"{start}day/1.jpg", f"{start}night/2.jpg"]
+    write_capture(kind, tmp_path / "in", names, ["photos/night/1.jpg", "photos/night/2.jpg"])
+    error = error_of(run_ingest, tmp_path / "in", RunFolder(tmp_path / "run"), hold_back=0)
+    assert error.code == "image-missing" and "1.jpg" in error.text
+
+
 @pytest.mark.parametrize("kind", ANYWHERE)
 def test_what_is_not_found_is_told_alike(tmp_path: Path, kind: str) -> None:
     write_capture(kind, tmp_path / "in", ["kitchen_1.jpg", "hall.jpg"], ["images/kitchen-1.jpg", "hall.jpg"])
@@ -337,9 +351,7 @@ def test_masks_of_any_style(tmp_path: Path, name: str) -> None:
     assert first.mask == mask and second.mask is None and not first.missing
 
 
-@pytest.mark.parametrize(
-    "file", ["0.png", "0.PNG", "0.EXR", "images/0.png", "Images/0.png", "0.jpg.png", "day 1/0.png"]
-)
+@pytest.mark.parametrize("file", ["0.png", "0.PNG", "0.EXR", "images/0.png", "Images/0.png", "0.jpg.png"])
 def test_id_images_are_found_like_photographs(tmp_path: Path, file: str) -> None:
     write_capture(
         "transforms", tmp_path / "in", ["images\\0.jpg", "./images/1"], ["images/0.jpg", "images/1.JPG"]
@@ -359,6 +371,17 @@ def test_id_images_of_other_formats_are_refused(tmp_path: Path, suffix: str) -> 
     Image.new("L", (480, 320)).save(tmp_path / "in" / "parts" / f"0{suffix}")
     error = error_of(run_ingest, tmp_path / "in", RunFolder(tmp_path / "run"), hold_back=0)
     assert error.code == "mask-not-ids" and f"0{suffix}" in error.text
+
+
+def test_id_images_of_other_folders_are_not_taken(tmp_path: Path) -> None:
+    files = ["train/r_0.png", "val/r_0.png", "r_1.png"]
+    write_capture("transforms", tmp_path / "in", ["./train/r_0", "./val/r_0", "./r_1"], files)
+    for name in ("train/r_0.png", "day/r_1.png", "night/r_0.png"):
+        (tmp_path / "in" / "parts" / name).parent.mkdir(parents=True)
+        (tmp_path / "in" / "parts" / name).write_bytes(b"")
+    parts = {view.name: view.parts for view in read(tmp_path / "in").views}
+    folder = tmp_path / "in" / "parts"
+    assert parts == {"train/r_0": folder / "train/r_0.png", "val/r_0": None, "r_1": folder / "day/r_1.png"}
 
 
 def test_one_id_image_is_never_that_of_two_photographs(tmp_path: Path) -> None:
@@ -458,6 +481,14 @@ def test_runs_and_loops_of_links_are_not_searched(tmp_path: Path) -> None:
     (tmp_path / "photos" / "again").symlink_to(tmp_path, target_is_directory=True)
     found = Folders().find("C:\\x\\a.jpg", [tmp_path], tmp_path)
     assert found == (tmp_path / "photos" / "day" / "a.jpg", ("a.jpg",))
+
+
+@posix
+def test_pipes_and_broken_links_are_no_files(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.jpg")
+    (tmp_path / "b.jpg").symlink_to(tmp_path / "gone.jpg")
+    folders = Folders()
+    assert folders.find("a.jpg", [tmp_path], tmp_path) is folders.find("b", [tmp_path], tmp_path) is None
 
 
 def test_no_name_leads_out_of_the_folders(tmp_path: Path) -> None:

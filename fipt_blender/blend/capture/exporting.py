@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 from ...core import conventions
-from ...core.capture.files import IDS_FIRST, Folders, ambiguous
+from ...core.capture.files import Folders, ambiguous
 from ...core.run.errors import FiptError
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder, write_json
@@ -98,12 +98,10 @@ def view_entries(
         entry["split"] = view.split if view.enabled else "unused"
         if masks is not None:
             # Named after the view ("train/000") or its photograph's file.
-            names = dict.fromkeys((view.name, Path(entry["image"]).name))
-            found = (folders.find(name, [masks], masks, IDS_FIRST) for name in names)
-            mask = next(filter(None, found), None)
-            entry["parts"] = None if mask is None else str(mask.path)
-            if mask is not None and (other := taken.setdefault(mask.path, view.name)) != view.name:
-                raise ambiguous(mask.path.name, [other, view.name])
+            mask = folders.ids(masks, [view.name, Path(entry["image"]).name])
+            entry["parts"] = None if mask is None else str(mask)
+            if mask is not None and (other := taken.setdefault(mask, view.name)) != view.name:
+                raise ambiguous(mask.name, [other, view.name])
         entries.append(entry)
     if masks is not None and entries and not any(entry["parts"] for entry in entries):
         stem = Path(entries[0]["image"]).stem

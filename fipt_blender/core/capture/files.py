@@ -13,6 +13,7 @@ import hashlib
 import os
 import unicodedata
 from collections.abc import Callable, Iterable, Sequence
+from itertools import chain
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import NamedTuple
 
@@ -164,7 +165,7 @@ class Folders:
     """Folders as they were when they were first listed."""
 
     def __init__(self) -> None:
-        self._listed: dict[Path, tuple[list[str], list[str], Names]] = {}
+        self._listed: dict[Path, tuple[dict[str, list[str]], list[str], Names]] = {}
         self._below: dict[Path, tuple[list[str], Names]] = {}
 
     def find(
@@ -209,6 +210,20 @@ class Folders:
                 return Found(best[0][-1], tail)
         return None
 
+    def ids(self, folder: Path, names: Sequence[str]) -> Path | None:
+        """The id image in a folder that has one of a view's names, or None.
+
+        Args:
+            folder: searched with its subfolders, unless the first name tells in which one it is.
+            names: the best first.
+
+        Raises:
+            FiptError: ``file-ambiguous``.
+        """
+        inside = None if "/" in names[0] else folder
+        found = (self.find(name, [folder], inside, IDS_FIRST) for name in names)
+        return next((each.path for each in found if each), None)
+
     def images(self, folder: Path, below: bool = False) -> list[Path]:
         """The image files in a folder, or also in those below it, by name."""
         names = self._walk(folder)[0] if below else self._list(folder)[1]
@@ -218,15 +233,18 @@ class Folders:
         """The files in a folder and those below it with a suffix."""
         return sorted(folder / name for name in self._walk(folder)[0] if name.lower().endswith(suffix))
 
-    def _list(self, folder: Path) -> tuple[list[str], list[str], Names]:
-        """Names of a folder's folders and files, none where it does not exist."""
+    def _list(self, folder: Path) -> tuple[dict[str, list[str]], list[str], Names]:
+        """Names of a folder's folders by key, and of its files; none where it does not exist."""
         if folder not in self._listed:
-            folders: list[str] = []
+            folders: dict[str, list[str]] = {}
             files: list[str] = []
             try:
                 with os.scandir(folder) as entries:
                     for entry in entries:
-                        (folders if entry.is_dir() else files).append(entry.name)
+                        if entry.is_dir():
+                            folders.setdefault(key(entry.name), []).append(entry.name)
+                        elif entry.is_file():  # not a pipe, whose reading may never end
+                            files.append(entry.name)
             except (FileNotFoundError, NotADirectoryError):
                 pass
             self._listed[folder] = folders, files, Names(files)
@@ -236,11 +254,8 @@ class Folders:
         """The folders at a path below a folder; several where only names of another case fit."""
         found = [folder]
         for part in parts:
-            wanted = key(part)
-            listed = [(each, self._list(each)[0]) for each in found]
-            found = [each / part for each, names in listed if part in names] or [
-                each / name for each, names in listed for name in names if key(name) == wanted
-            ]
+            named = [each / name for each in found for name in self._list(each)[0].get(key(part), ())]
+            found = [each for each in named if each.name == part] or named
         return found
 
     def _walk(self, root: Path) -> tuple[list[str], Names]:
@@ -252,7 +267,7 @@ class Folders:
                 if path and "run.json" in files:
                     continue
                 paths += [path + name for name in files]
-                for name in folders:
+                for name in sorted(chain.from_iterable(folders.values())):
                     real = os.path.realpath(folder / name)
                     if not name.startswith(".") and key(name) not in NO_PHOTOGRAPHS and real not in seen:
                         seen.add(real)

@@ -175,11 +175,8 @@ class Places:
 
     def _ids(self, kind: str, names: Sequence[str]) -> Path | None:
         """The id image with one of a view's names in the folder of its kind, or None."""
-        for folder, name in product(self._below([self.id_folders[kind]]), names):
-            found = self.folders.find(name, [folder], folder, IDS_FIRST)
-            if found is not None:
-                return found.path
-        return None
+        found = (self.folders.ids(folder, names) for folder in self._below([self.id_folders[kind]]))
+        return next(filter(None, found), None)
 
     def depth(self, folder: Path, name: str) -> Path | None:
         """The depth image of a name in a folder, or None.
@@ -188,7 +185,7 @@ class Places:
             FiptError: ``file-ambiguous``.
         """
         found = self._once(
-            ("image", folder, name), lambda: self.folders.find(name, [folder], first=DEPTHS_FIRST)
+            ("depth", folder, name), lambda: self.folders.find(name, [folder], first=DEPTHS_FIRST)
         )
         return found.path if found else None
 
@@ -214,12 +211,13 @@ class Places:
         Raises:
             FiptError: ``file-ambiguous`` where views at different places lead to one file.
         """
+        self._refuse_other_folders()
         for kind in ("image", *self.id_folders):
             self._refuse_shared(kind, [view for view in views if not view.missing])
-        used = [found.path for of, found in self._found.items() if of[0] in ("image", "mask") and found]
+        used = [found.path for of, found in self._found.items() if isinstance(found, Found)]
         suffixes, folders = {suffix_of(path.name) for path in used}, {path.parent for path in used}
         beside = [path for folder in sorted(folders) for path in self.folders.images(folder)]
-        beside = [path for path in beside if suffix_of(path.name) in suffixes]
+        beside = [path for path in beside if suffix_of(path.name) in suffixes and not self.own_paths]
         unused = [_unused("images-unused", "image files", "camera", beside, used)]
         for kind, folder in self.id_folders.items():
             roots = [root for root in self.roots if root in (self.roots[0], self.inside)]
@@ -228,6 +226,15 @@ class Places:
             unused.append(_unused("masks-unused", "id images", "photograph", beside, used))
         notes = (*notes, *filter(None, unused))
         return Rig(source, tuple(views), up_axis, mesh, notes, depths, one_camera)
+
+    def _refuse_other_folders(self) -> None:
+        """Refuse a photograph that lies in a folder of other cameras than the one that it was found for."""
+        found = {of[1]: one for of, one in self._found.items() if of[0] == "image" and one}
+        claimed = {one.path.parent for one in found.values() if len(one.end) > 1}
+        for name, one in found.items():
+            if len(one.end) == 1 < len(name_parts(name)) and one.path.parent in claimed:
+                text = f"{self.file} names the file {name[:200]!r}; the only one of this name, {one.path},"
+                raise FiptError("image-missing", f"{text} lies with others' photographs.", MISSING_REMEDY)
 
     def _refuse_shared(self, kind: str, views: Sequence[RigView]) -> None:
         """Refuse one file for several cameras: the name was not enough to tell which one it belongs to."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..capture.files import IDS_FIRST, Folders
+from ..capture.files import Folders
 from ..capture.images import read_radiance, write_ids
 from ..capture.rig import CLASS_NAMES, PARTS_FOLDER, SEMANTICS_FOLDER
 from ..run.documents import Fields, FileName, Items, read_json
@@ -50,8 +50,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     groups = [
         group
         for group in preparation.used_groups
-        if f"{group.name}.png" in written[model.kind]
-        or not present.find(group.name, [target], first=IDS_FIRST)
+        if f"{group.name}.png" in written[model.kind] or not present.ids(target, [group.name])
     ]
     names = [f"{group.name}.png" for group in groups] + ([CLASS_NAMES] if model.classes else [])
     # Before they are written, so that a step that was stopped knows them again.
