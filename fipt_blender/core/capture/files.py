@@ -120,11 +120,14 @@ class Names:
             first: suffixes that are preferred to that of the name itself.
         """
         *folders, last = parts
-        stem, wanted = stem_of(last), [key(folder) for folder in folders]
-        spelled = unicodedata.normalize("NFC", "/".join((*folders, stem)))
+        keys = key(last), key(stem_of(last))
+        paths = dict.fromkeys(path for each in keys for path in self._by_key.get(each, ()))
+        if not paths:
+            return []
+        wanted = [key(folder) for folder in folders]
+        spelled = unicodedata.normalize("NFC", stem_of("/".join(parts)))
         found = []
-        for path in {**dict.fromkeys(self._by_key.get(key(last), ())),
-                     **dict.fromkeys(self._by_key.get(key(stem), ()))}:  # fmt: skip
+        for path in paths:
             own = path.split("/")[-len(parts) :]
             if [key(folder) for folder in own[:-1]] != wanted:
                 continue
@@ -220,6 +223,8 @@ class Folders:
         Raises:
             FiptError: ``file-ambiguous``.
         """
+        if not any(self._list(folder)[:2]):
+            return None
         inside = None if "/" in names[0] else folder
         found = (self.find(name, [folder], inside, IDS_FIRST) for name in names)
         return next((each.path for each in found if each), None)
@@ -263,7 +268,12 @@ class Folders:
         if root not in self._below:
             todo, seen, paths = [(root, "")], {os.path.realpath(root)}, []
             for folder, path in todo:  # grows
-                folders, files, _ = self._list(folder)
+                try:
+                    folders, files, _ = self._list(folder)
+                except PermissionError:
+                    if path:  # a subfolder where nothing is expected
+                        continue
+                    raise
                 if path and "run.json" in files:
                     continue
                 paths += [path + name for name in files]

@@ -62,7 +62,7 @@ def read(root: Path, options: CaptureOptions) -> Rig:
     """
     places = Places(root, (root,), options.images, ("color", "."))
     frames = _frames(root, places)
-    size = depth_size(next(frame.depth for frame in frames if frame.depth is not None))
+    size = depth_size(next((frame.depth for frame in frames if frame.depth is not None), root / "depth"))
     depth_matrix, color_matrix = _intrinsics(root)
     views: list[RigView] = []
     depths: list[DepthView] = []

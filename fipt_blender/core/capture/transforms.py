@@ -107,7 +107,7 @@ def read(path: Path, options: CaptureOptions) -> Rig:
         for frame in data["frames"]:
             if frame.get("is_bad"):
                 continue
-            own = split_of.pop(_identity(places, frame["file_path"]), split)
+            own = split_of.pop(_identity(places, frame["file_path"]), split) if split_of else split
             view = frame_view(json_path, {**data, **frame}, own, places)
             if undo is not None:
                 view = replace(view, camera_to_world=transform_poses(undo, view.camera_to_world))
