@@ -275,7 +275,7 @@ def test_xmp_files_without_a_pose_are_told(tmp_path: Path) -> None:
     rig = read_rig(tmp_path, "auto", CaptureOptions())
     assert len(rig.views) == len(paths) - 1 and [note.code for note in rig.notes] == ["pose-lost"]
     paths[1].write_text("<x:xmpmeta xmlns:x='adobe:ns:meta/'/>")
-    assert not read_rig(tmp_path, "auto", CaptureOptions()).notes
+    assert [note.code for note in read_rig(tmp_path, "auto", CaptureOptions()).notes] == ["images-unused"]
 
 
 # ------------------------------------------------------------------------------------------ masks models

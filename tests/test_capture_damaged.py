@@ -18,9 +18,10 @@ import pytest
 
 from benchmarks import fuzz, fuzz_samples, fuzz_targets
 from fipt_blender.core.capture import colmap_sizes, encoded, images, ingest
+from fipt_blender.core.capture.files import view_name
 from fipt_blender.core.capture.formats import read_rig
 from fipt_blender.core.capture.options import CaptureOptions
-from fipt_blender.core.capture.rig import RigView, view_name
+from fipt_blender.core.capture.rig import RigView
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.run.runfolder import RunFolder
 from samples.refusals import error_of

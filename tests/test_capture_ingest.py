@@ -208,7 +208,7 @@ def test_names_and_splits(tmp_path, run):
     assert names == [
         ("images/000_0001", "train"),
         ("images/001_0001", "held_back"),
-        ("in/002_0001", "train"),  # a photograph has one camera
+        ("002_0001", "train"),  # a photograph has one camera
     ]
 
 

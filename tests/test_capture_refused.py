@@ -242,10 +242,10 @@ def test_paths_of_the_synthetic_layout_stay_inside(tmp_path: Path) -> None:
         data["frames"][0]["file_path"] = path
         file.write_text(json.dumps(data))
         assert error_of(read_rig, tmp_path / "capture", "auto", CaptureOptions()).code == "path-outside"
-    data["frames"][0]["file_path"] = "./Image/001_0001.exr"
+    data["frames"][0]["file_path"] = "./Image/000_0001.exr"
     file.write_text(json.dumps(data))
     rig = read_rig(tmp_path / "capture", "auto", CaptureOptions())
-    assert rig.views[0].image.resolve() == (file.parent / "Image" / "001_0001.exr").resolve()
+    assert rig.views[0].image.resolve() == (file.parent / "Image" / "000_0001.exr").resolve()
 
 
 @posix

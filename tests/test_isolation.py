@@ -41,6 +41,7 @@ SHARED = (
     "alignment.sights",
     "alignment.turns",
     "capture.averaging",
+    "capture.files",
     "capture.options",
     "capture.suffixes",
     "conventions",

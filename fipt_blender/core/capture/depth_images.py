@@ -252,19 +252,21 @@ def depth_size(path: Path) -> tuple[int, int]:
         raise _unreadable(path, error.text) from None
 
 
-def registered_depths(views: Sequence[RigView], paths: Sequence[Path], unit: float) -> tuple[DepthView, ...]:
+def registered_depths(
+    views: Sequence[RigView], paths: Sequence[Path | None], unit: float
+) -> tuple[DepthView, ...]:
     """The depth images that exist; they have the camera and field of view of a photograph, and other sizes.
 
     Args:
         views: with pinhole lenses.
-        paths: for each view.
+        paths: for each view, None where it has none.
         unit: metres per stored unit; EXR files always hold metres.
 
     Raises:
         FiptError: ``depth-unreadable``.
     """
     pairs = zip(views, paths, strict=True)
-    return tuple(_registered_depth(view, path, unit) for view, path in pairs if path.is_file())
+    return tuple(_registered_depth(view, path, unit) for view, path in pairs if path is not None)
 
 
 def _registered_depth(view: RigView, path: Path, unit: float) -> DepthView:

@@ -47,6 +47,7 @@ from .images import (
 )
 from .options import CaptureOptions, add_options, options_of
 from .photograph_poses import with_photograph_poses
+from .places import MISSING_REMEDY
 from .rig import Pinhole, RigView
 from .source import mesh_fusion, read_source, write_mesh
 
@@ -249,14 +250,10 @@ def _check_files(views: list[RigView]) -> None:
     Raises:
         FiptError: ``image-missing``, ``image-format``, ``image-size``, ``mask-size`` or ``image-unreadable``.
     """
-    files = [path for view in views for path in (view.image, view.mask) if path is not None]
-    missing = [path for path in files if not path.is_file()]
+    missing = [view.missing for view in views if view.missing]
     if missing:
-        raise FiptError(
-            "image-missing",
-            f"{len(missing)} of {len(files)} images do not exist; the first is {missing[0]}.",
-            "Restore them, or set their folder (Photographs in the import settings, --images).",
-        )
+        text = f"Files of {len(missing)} of {len(views)} photographs are missing. {missing[0]}"
+        raise FiptError("image-missing", text, MISSING_REMEDY)
     for view in views:
         if is_network(str(view.image)):
             raise FiptError(

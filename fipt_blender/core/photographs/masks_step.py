@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from ..capture.files import Folders
 from ..capture.images import read_radiance, write_ids
-from ..capture.rig import CLASS_NAMES, PARTS_FOLDER, SEMANTICS_FOLDER, find_ids
+from ..capture.rig import CLASS_NAMES, PARTS_FOLDER, SEMANTICS_FOLDER
 from ..run.documents import Fields, FileName, Items, read_json
 from ..run.messages import Reporter
 from ..run.runfolder import explained_write_errors, write_json
@@ -45,11 +46,11 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     path = Path(preparation.settings.masks).absolute()
     model = open_masks_model(path)
     target = folder.root / model.kind
-    written = _written(folder)
+    written, present = _written(folder), Folders()
     groups = [
         group
         for group in preparation.used_groups
-        if f"{group.name}.png" in written[model.kind] or find_ids(target, group.name) is None
+        if f"{group.name}.png" in written[model.kind] or not present.ids(target, [group.name])
     ]
     names = [f"{group.name}.png" for group in groups] + ([CLASS_NAMES] if model.classes else [])
     # Before they are written, so that a step that was stopped knows them again.
