@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 from contextlib import suppress
 from pathlib import Path
@@ -17,6 +18,7 @@ from fipt_blender.blend.pictures.cycles import RenderOptions
 from fipt_blender.blend.room.exporting import export_room
 from fipt_blender.blend.save import save_blend
 from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs.options import MainJobOptions
 from fipt_blender.jobs.room_steps import RoomSteps
 from samples.rendered_rooms import VIEW, make_scene, photograph
@@ -142,6 +144,23 @@ def test_other_view_layers_and_overrides_are_not_rendered(tmp_path):
     assert all(layer.use and layer.material_override == black for layer in scene.view_layers)
 
 
+def test_sets_and_depth_of_field_are_not_in_checks(tmp_path):
+    run = make_scene(tmp_path)
+    scene = bpy.context.scene
+    order = orders.make_order(scene, run, orders.CHECK, [VIEW], 4)
+    path = run.renders / "rerender" / "val_000.exr"
+    orders.carry_out(order)
+    expected = image_files.read_pixels(path)
+    backdrop = scene.background_set = bpy.data.scenes.new("Backdrop")
+    sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
+    backdrop.collection.objects.link(sun)
+    lens = scene.camera.data.dof
+    lens.use_dof, lens.focus_distance, lens.aperture_fstop = True, 0.2, 0.1
+    orders.carry_out(order)
+    np.testing.assert_array_equal(image_files.read_pixels(path), expected)
+    assert scene.background_set == backdrop and lens.use_dof
+
+
 def folder_names() -> list[str]:
     """Names with what Blender's paths, its templates, formats of numbers and shells give a meaning."""
     draw = random.Random(7)
@@ -166,6 +185,15 @@ def folder_names() -> list[str]:
     ]
     made = ["".join(draw.choices([*signs, "room", "1"], k=5)).strip("/") for _ in range(12)]
     return ["{client} room", "{blend_name}", "a}b", "shot.####", "100 %", *made]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="two slashes are a server's name there")
+@pytest.mark.parametrize("name", ["run", "a b/{run}", "x//run"])
+def test_two_slashes_are_not_the_folder_of_the_blend_file(tmp_path, name):
+    run = RunFolder(f"/{tmp_path}/{name}")
+    image_files.save_exr(run.renders / "a.exr", np.ones((2, 3, 3), np.float32))
+    assert image_files.read_pixels(run.renders / "a.exr").shape == (2, 3, 3)
+    assert (tmp_path / name / "renders" / "a.exr").exists()
 
 
 @pytest.mark.parametrize("name", folder_names())

@@ -6,8 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
-from importlib import import_module
-from importlib.util import find_spec
 
 import bpy
 import numpy as np
@@ -23,9 +21,10 @@ def colors_in_rec709(scene: bpy.types.Scene, is_usd: bool) -> Iterator[None]:
 
     Args:
         scene: the scene that is exported.
-        is_usd: whether the file is USD, in which newer versions of Blender name the working space.
+        is_usd: whether the file is USD, in which newer versions of Blender name the working space. They keep
+            that while images have unsaved changes: colours then stay in the space that is named.
     """
-    if np.array_equal(scene_matrix(), np.eye(3)) or (is_usd and _names_space() and not find_spec("pxr")):
+    if np.array_equal(scene_matrix(), np.eye(3)) or (is_usd and _names_space() and not _can_switch()):
         yield
         return
     materials = {slot.material for item in scene.objects for slot in item.material_slots}
@@ -45,7 +44,7 @@ def colors_in_rec709(scene: bpy.types.Scene, is_usd: bool) -> Iterator[None]:
                 if socket.name == "Base Color":
                     color = [min(value, 1.0) for value in color]
                 _set(stack, socket, "default_value", [*color, alpha])
-        with _declared() if is_usd and _names_space() else nullcontext():
+        with _working_in_rec709() if is_usd and _names_space() else nullcontext():
             yield
 
 
@@ -69,29 +68,21 @@ def _set(stack: ExitStack, owner: bpy.types.bpy_struct, name: str, value: float 
 
 def _names_space() -> bool:
     """Whether Blender's exporter of USD names the working space."""
-    return bpy.app.version >= (5, 1, 0)
+    return bool(getattr(getattr(bpy.data, "colorspace", None), "working_space_interop_id", ""))
+
+
+def _can_switch() -> bool:
+    """Whether the file's working space can be exchanged without touching any data."""
+    return not any(image.is_dirty for image in bpy.data.images)
 
 
 @contextmanager
-def _declared() -> Iterator[None]:
-    """Let USD files name Rec.709 as their space. Needs the module pxr, which Blender's own builds have."""
-    import_module("pxr.Usd")  # without it, Blender ends when a hook asks for the stage
-
-    class Declare(bpy.types.USDHook):
-        """Names the colour space."""
-
-        bl_idname, bl_label = "fipt_rec709", "FIPT Rec.709"
-
-        @staticmethod
-        def on_export(context: bpy.types.bpy_struct) -> bool:
-            for prim in context.get_stage().TraverseAll():
-                space = prim.GetAttribute("colorSpace:name")
-                if space:
-                    space.Set("lin_rec709_scene")
-            return True
-
-    bpy.utils.register_class(Declare)
+def _working_in_rec709() -> Iterator[None]:
+    """Let USD files name Rec.709 as the space of their colours."""
+    before = bpy.data.colorspace.working_space
+    switch = bpy.ops.wm.set_working_color_space
+    switch(working_space="Linear Rec.709", convert_colors=False)
     try:
         yield
     finally:
-        bpy.utils.unregister_class(Declare)
+        switch(working_space=before, convert_colors=False)

@@ -223,7 +223,7 @@ def _add_values(material: bpy.types.Material, frame: bpy.types.Node, values: Seq
     """Constants in place of all maps but confidence; roughness and metallic are greys, as in the images."""
     nodes = material.node_tree.nodes
     colors = {
-        "Base Color": to_scene_linear(values[:3]),
+        "Base Color": tuple(to_scene_linear(values[:3]).tolist()),
         "Roughness": (values[3],) * 3,
         "Metallic": (values[4],) * 3,
     }

@@ -31,7 +31,9 @@ def mark_part(scene: bpy.types.Scene, part: bpy.types.PropertyGroup) -> list[str
         data.description = f"Estimated from photographs: {part.name}"
         if TAG not in data.tags:
             data.tags.new(TAG)
-        _set_preview(material, ball(from_scene_linear(part.base_color), part.roughness, part.metallic))
+        _set_preview(
+            material, ball(from_scene_linear(part.base_color).tolist(), part.roughness, part.metallic)
+        )
     return [material.name for material in materials]
 
 
