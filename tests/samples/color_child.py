@@ -22,11 +22,12 @@ from mathutils import Vector
 
 import fipt_blender
 from fipt_blender.blend.capture import compare
+from fipt_blender.blend.color_spaces import to_scene_linear
 from fipt_blender.blend.export.exporting import export_room
 from fipt_blender.blend.insert.sample_objects import insert_object
 from fipt_blender.blend.lights import light_state
 from fipt_blender.blend.lights.light_drivers import keyframe
-from fipt_blender.blend.marks import COLOR, TINT, fixtures_of
+from fipt_blender.blend.marks import fixtures_of
 from fipt_blender.blend.pictures import check_pictures, orders, view_check
 from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels, set_up_scene
 from fipt_blender.blend.pictures.image_files import read_pixels, save_look
@@ -80,7 +81,10 @@ def applied(folder: Path) -> dict:
             lit = re.search(r'"emissiveFactor":(\[.*?\]).*?"emissiveStrength":([\d.]+)', text)
             seen["glb"] = [value * float(lit[2]) for value in json.loads(lit[1])]
             seen["texture"] = imported_texel(path)
-    light_state.change(scene, lamp, {TINT: 1, COLOR: CUSTOM})
+    light_state.list_lights(scene)
+    (row,) = (row for row in scene.fipt.lights.lights if row.object == lamp)
+    row.color = to_scene_linear(CUSTOM)  # as in the panel's field
+    np.testing.assert_allclose(row.color, to_scene_linear(CUSTOM), rtol=1e-3)
     seen["custom"] = spot(scene, (2.5, 0.5, 2.0), (2.5, 0.5, 0.0))
     keyframe(lamp, 1)
     bpy.context.view_layer.update()
