@@ -140,6 +140,8 @@ def test_other_view_layers_and_overrides_are_not_rendered(tmp_path):
     for layer in scene.view_layers:
         layer.use = True
         layer.material_override = black
+        for child in layer.layer_collection.children:
+            child.holdout = child.indirect_only = True
     np.testing.assert_array_equal(render(tmp_path), expected)
     assert all(layer.use and layer.material_override == black for layer in scene.view_layers)
 

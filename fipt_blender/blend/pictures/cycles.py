@@ -201,8 +201,21 @@ def _one_layer(scene: bpy.types.Scene) -> Iterator[None]:
     chosen = next((layer for layer in layers if layer.use), layers[0])
     known = {name: value for name, value in _LAYER.items() if hasattr(chosen, name)}
     others = [layer for layer in layers if layer != chosen]
-    with changed(chosen, known), unset(chosen.cycles), all_changed(others, {"use": False}):
+    drawn = {"holdout": False, "indirect_only": False}
+    with (
+        changed(chosen, known),
+        unset(chosen.cycles),
+        all_changed(others, {"use": False}),
+        all_changed(_collections(chosen.layer_collection), drawn),
+    ):
         yield
+
+
+def _collections(root: bpy.types.LayerCollection) -> Iterator[bpy.types.LayerCollection]:
+    """The collections of a view layer, without the scene's own."""
+    for child in root.children:
+        yield child
+        yield from _collections(child)
 
 
 def _render_failed(reason: str) -> FiptError:
