@@ -27,6 +27,7 @@ from ..results.materials import is_uniform
 from ..room.originals import shows_original
 from ..room.tiles import split_tiles
 from ..room.uv_layer import UV_LAYER
+from .color import colors_in_rec709
 from .lamps import GAP, add_backs, plain_lamp
 from .materials import Atlas, AtlasKey, glowing_material, has_maps, make_atlases, plain_material
 
@@ -87,7 +88,7 @@ def export_room(scene: bpy.types.Scene, path: Path) -> Exported:
         copies.add_room(room, atlases)
         copies.add_lights(path.suffix.lower() in GLTF)
         exported.objects = len(copies.scene.objects)
-        with _shown_in_window(copies.scene):
+        with _shown_in_window(copies.scene), colors_in_rec709(copies.scene, path.suffix.lower() in USD):
             _write(path)
     if path.suffix.lower() in GLTF:
         world = result_world(scene)

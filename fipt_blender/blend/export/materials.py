@@ -152,7 +152,7 @@ def plain_material(material: bpy.types.Material, atlas: Atlas | None) -> bpy.typ
 
 
 def glowing_material(name: str, radiance: tuple[float, ...], one_sided: bool) -> bpy.types.Material:
-    """A new Principled material that emits a radiance (rgb, W/(m² sr)).
+    """A new Principled material that emits a radiance (rgb, scene-linear, W/(m² sr)).
 
     Args:
         name: of the material.

@@ -37,7 +37,9 @@ class RunFolder:
     """
 
     def __init__(self, root: str | Path, results: str = RESULTS, inputs: str = "") -> None:
-        self.root = Path(root).absolute()
+        root = Path(root).absolute()
+        # To Blender, two slashes are the folder of the .blend file.
+        self.root = Path("/", *root.parts[1:]) if root.anchor == "//" else root
         self._results = results
         made_from = self.root / inputs
         self.run_json = made_from / "run.json"
