@@ -24,8 +24,9 @@ from ..run.documents import read_json
 from ..run.errors import FiptError
 from ..run.runfolder import PRODUCT_VERSION, RunFolder, write_json
 from . import checks
-from .encoded import DAMAGE, is_encoded, srgb_encoded
-from .images import read_radiance, read_size
+from .encoded import DAMAGE, srgb_encoded
+from .exr_file import read_exr_values
+from .images import is_encoded, read_radiance, read_size
 from .options import FusionOptions
 from .rig import DepthView, Pinhole, RigView
 
@@ -96,7 +97,8 @@ def _read_png(path: Path) -> np.ndarray:
 
 def _read_exr(path: Path) -> np.ndarray:
     try:
-        return np.nan_to_num(read_radiance(path)[..., 0], nan=0.0, posinf=0.0, neginf=0.0)
+        values = read_exr_values(path)
+        return np.nan_to_num(values[..., 0] if values.ndim == 3 else values, nan=0.0, posinf=0.0, neginf=0.0)
     except FiptError as error:
         raise _unreadable(path, error.text) from None
 

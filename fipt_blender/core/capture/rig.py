@@ -20,8 +20,9 @@ import numpy as np
 from ..run.documents import load_document
 from ..run.errors import FiptError
 from .images import MASK_SUFFIXES
+from .suffixes import IMAGE_SUFFIXES
 
-PHOTO_SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
+PHOTO_SUFFIXES = IMAGE_SUFFIXES
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
 PARTS_FOLDER = "parts"
 SEMANTICS_FOLDER = "semantics"
@@ -63,6 +64,7 @@ class RigView:
         camera_to_world: (4, 4) float64, OpenCV axes, source world.
         parts, semantics: id images that exist, or None.
         mask: image whose black pixels are left out, or None; it need not exist.
+        layer: of an EXR with several; see `images.read_radiance`.
     """
 
     name: str
@@ -75,6 +77,7 @@ class RigView:
     parts: Path | None = None
     semantics: Path | None = None
     mask: Path | None = None
+    layer: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,7 +52,7 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
     Raises:
         FiptError: those of the readers, ``mesh-missing``; those of aligning, of planes and of stereo.
     """
-    rig = read_rig(capture, options.format, options)
+    rig = _with_layer(read_rig(capture, options.format, options), options.layer)
     mesh = _mesh(rig, options)
     rig = replace(rig, depths=checked_depths(rig.depths))
     if rig.one_camera:
@@ -101,6 +101,17 @@ def write_mesh(run: RunFolder, source: Source, fusion: Fusion | None, fused: Fus
         write_room(run.planes_obj, source.planes)
         return run.planes_obj
     return source.mesh
+
+
+def _with_layer(rig: Rig, layer: str) -> Rig:
+    """The rig with a layer named for its photographs."""
+    if not layer:
+        return rig
+    depths = [
+        replace(depth, photograph=replace(depth.photograph, layer=layer)) if depth.photograph else depth
+        for depth in rig.depths
+    ]
+    return replace(rig, views=tuple(replace(view, layer=layer) for view in rig.views), depths=tuple(depths))
 
 
 def _mesh(rig: Rig, options: CaptureOptions) -> Path | None:
