@@ -18,7 +18,18 @@ from fipt_blender.core.run.method import ROOMS
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "fipt_blender"
 CORE = PACKAGE / "core"
-HEAVY = ("mitsuba", "drjit", "torch", "OpenEXR", "pycolmap", "pyoidn", "rawpy", "exifread", "lensfunpy")
+HEAVY = (
+    "mitsuba",
+    "drjit",
+    "torch",
+    "OpenEXR",
+    "OpenImageIO",
+    "pycolmap",
+    "pyoidn",
+    "rawpy",
+    "exifread",
+    "lensfunpy",
+)
 # What Blender's side may import of the engine: the standard library and numpy are enough for these.
 SHARED = (
     "alignment.pairs",

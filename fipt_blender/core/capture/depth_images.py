@@ -97,8 +97,7 @@ def _read_png(path: Path) -> np.ndarray:
 
 def _read_exr(path: Path) -> np.ndarray:
     try:
-        values = read_exr_values(path)
-        return np.nan_to_num(values[..., 0] if values.ndim == 3 else values, nan=0.0, posinf=0.0, neginf=0.0)
+        return np.nan_to_num(read_exr_values(path)[..., 0], nan=0.0, posinf=0.0, neginf=0.0)
     except FiptError as error:
         raise _unreadable(path, error.text) from None
 

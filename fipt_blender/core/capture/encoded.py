@@ -27,6 +27,7 @@ from ..run.shapes import MOST_SIDE
 MOST_PIXELS = 160_000_000
 # Codes from which on a channel counts as clipped: JPEG's noise blurs the end of the scale.
 CLIPPED_CODE = 250.0
+_EXIF = b"Exif\0\0"  # before EXIF itself in some containers
 # What libraries raise for damaged files.
 DAMAGE = (
     *(OSError, ValueError, TypeError, LookupError, AttributeError, AssertionError, SyntaxError, EOFError),
@@ -45,7 +46,8 @@ def exif_tags(source: Path | bytes, details: bool = False) -> dict[str, Any]:
     """
     try:
         file: BinaryIO
-        with io.BytesIO(source) if isinstance(source, bytes) else source.open("rb") as file:
+        file = source.open("rb") if isinstance(source, Path) else io.BytesIO(source.removeprefix(_EXIF))
+        with file:
             return dict(exifread.process_file(file, details=details, extract_thumbnail=False))
     except DAMAGE:
         return {}

@@ -109,7 +109,7 @@ def read_exr(path: Path, layer: str = "") -> np.ndarray:
 
 
 def read_exr_values(path: Path) -> np.ndarray:
-    """Values (height, width) or (height, width, 3) of an image that is no picture, as stored: ids, depths.
+    """Values (height, width, 1 or 3) of an image that is no picture, as stored: ids, depths.
 
     They are the file's only channel, or R, G and B, Y or R of the layer that would be its picture.
 
@@ -121,9 +121,8 @@ def read_exr_values(path: Path) -> np.ndarray:
     layer = layers[0] if len(layers) == 1 else chosen_layer(path, layers, "", others=True)
     if set("RGB") <= layer.channels.keys():
         return np.stack([_plane(file, layer, name) for name in "RGB"], axis=-1)
-    return _plane(
-        file, layer, min(layer.channels, key=lambda name: (name != "R", name != "Y", name == "A", name))
-    )
+    names = sorted(layer.channels, key=lambda name: (name != "R", name != "Y", name == "A", name))
+    return _plane(file, layer, names[0])[..., None]
 
 
 def chosen_layer(path: Path, layers: Sequence[Layer], wanted: str, others: bool = False) -> Layer:

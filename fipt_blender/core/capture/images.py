@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import OpenEXR
 import OpenImageIO as oiio
-from PIL import Image, PngImagePlugin
+from PIL import Image, PngImagePlugin, WebPImagePlugin
 
 from ..run.errors import FiptError
 from ..run.extras import optional
@@ -290,11 +290,12 @@ def _open_heif(path: Path) -> Picture:
         values = [nclx[f"{corner}_{axis}"] for corner in corners for axis in "xy"]
         colors = Colors(None, primaries.to_rec709(np.array(values)))
     kind = "uint16" if file.mode.endswith("16") else "uint8"
-    exif = (file.info.get("exif") or b"").removeprefix(b"Exif\0\0")
+    exif = file.info.get("exif") or b""
     return Picture("heif", tuple(file.size), kind, colors, lambda: np.asarray(file), exif)
 
 
 def _open_by_oiio(path: Path, kind: str) -> Picture:
+    colors = _radiance_colors(path) if kind == "hdr" else Colors()
     hints = oiio.ImageSpec()
     hints.attribute("oiio:UnassociatedAlpha", 1)  # colours are not multiplied by alpha
     file = oiio.ImageInput.open(str(path), hints)
@@ -307,15 +308,15 @@ def _open_by_oiio(path: Path, kind: str) -> Picture:
     icc = spec.getattribute("ICCProfile")
     if icc is not None:
         colors = primaries.icc_colors(bytes(icc))
-    elif kind == "hdr":
-        colors = _radiance_colors(path)
     elif kind == "png":
         with PngImagePlugin.PngImageFile(path) as image:
             colors = primaries.png_colors(image.info)
-    else:
-        colors = Colors()
-        if kind == "jpeg" and str(exif_tags(path).get("Interoperability InteroperabilityIndex")) == "R03":
-            colors = primaries.adobe_rgb()  # of cameras, which embed no profile
+    elif kind == "jpeg" and str(exif_tags(path).get("Interoperability InteroperabilityIndex")) == "R03":
+        colors = primaries.adobe_rgb()  # of cameras, which embed no profile
+    exif: Path | bytes = path
+    if kind == "webp":  # where ExifRead finds none
+        with WebPImagePlugin.WebPImageFile(path) as webp:
+            exif = webp.info.get("exif") or b""
 
     def read() -> Any:
         pixels = file.read_image(0, 0, 0, min(spec.nchannels, 3), name)
@@ -323,7 +324,7 @@ def _open_by_oiio(path: Path, kind: str) -> Picture:
             raise ValueError(file.geterror() or "it is damaged")
         return pixels
 
-    return Picture(kind, (spec.width, spec.height), name, colors, read, path)
+    return Picture(kind, (spec.width, spec.height), name, colors, read, exif)
 
 
 def _radiance_colors(path: Path) -> Colors:
@@ -335,9 +336,9 @@ def _radiance_colors(path: Path) -> Colors:
     scale, matrix = np.ones(3), None
     for line in head.split(b"\n"):
         name, _, value = line.partition(b"=")
-        if name == b"FORMAT" and b"xyze" in value:
-            matrix = primaries.to_rec709(primaries.CIE_XYZ)
-        elif name == b"PRIMARIES":
+        if name == b"FORMAT" and value.strip() != b"32-bit_rle_rgbe":
+            raise ValueError("its colors are CIE XYZ, not RGB")
+        if name == b"PRIMARIES":
             matrix = primaries.to_rec709(np.array(value.split(), np.float64))
         elif name in (b"EXPOSURE", b"COLORCORR"):
             scale = scale / np.array(value.split(), np.float64)

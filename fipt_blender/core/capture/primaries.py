@@ -95,12 +95,12 @@ def icc_colors(data: bytes) -> Colors:
         if space == "GRAY":
             return _colors([tags[b"kTRC"]] * 3, None)
         if space != "RGB" or not profile.is_matrix_shaper:
-            raise ValueError(f"its color profile ({space}) is not one of primaries; convert it to sRGB")
+            raise ValueError(f"it is of {space} by a table; convert the image to sRGB")
         srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).profile
         matrix = np.linalg.solve(_colorants(srgb), _colorants(profile))
         return _colors([tags[name] for name in (b"rTRC", b"gTRC", b"bTRC")], _unless_rec709(matrix))
-    except (OSError, LookupError, TypeError, struct.error, ImageCms.PyCMSError) as error:
-        raise ValueError(f"its color profile is damaged: {error}") from None
+    except (OSError, LookupError, TypeError, ValueError, struct.error, ImageCms.PyCMSError) as error:
+        raise ValueError(f"its color profile can't be used: {error}") from None
 
 
 def _colorants(profile: ImageCms.core.CmsProfile) -> np.ndarray:
