@@ -16,8 +16,8 @@ from typing import Any
 
 import rawpy
 
+from ..capture import encoded
 from ..capture.encoded import (
-    DAMAGE,
     check_pixels,
     exif_number,
     exif_tags,
@@ -29,6 +29,7 @@ from ..capture.suffixes import RAW_SUFFIXES
 from ..run.errors import FiptError
 from .preparation import Photograph
 
+DAMAGE = (*encoded.DAMAGE, rawpy.LibRawError)  # what the libraries raise for damaged files
 _TIMES = (
     ("EXIF DateTimeOriginal", "EXIF SubSecTimeOriginal"),
     ("EXIF DateTimeDigitized", "EXIF SubSecTimeDigitized"),
@@ -63,7 +64,7 @@ def describe(path: Path, name: str) -> Photograph:
             raise unreadable(path, "the file is empty")
         with rawpy.imread(str(path)) as raw:
             size, tags = (raw.sizes.width, raw.sizes.height), _raw_tags(raw, tags) | tags
-    except (rawpy.LibRawError, *DAMAGE) as error:
+    except DAMAGE as error:
         raise unreadable(path, error) from None
     check_pixels(path, *size)
     return _photograph(name, "raw", size, tags)

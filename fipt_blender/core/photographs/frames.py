@@ -12,10 +12,9 @@ import numpy as np
 import rawpy
 from scipy import ndimage
 
-from ..capture.encoded import DAMAGE
 from ..capture.images import read_codes, read_radiance
 from ..capture.primaries import REC709, xyz_from_rgb
-from .exif import unreadable
+from .exif import DAMAGE, unreadable
 from .preparation import Photograph, PrepareSettings
 
 BAND_ROWS = 128  # rows of a photograph at a time; bounds the memory

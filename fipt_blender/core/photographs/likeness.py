@@ -16,10 +16,10 @@ import numpy as np
 import rawpy
 from PIL import Image
 
-from ..capture.encoded import DAMAGE
 from ..capture.images import open_picture
 from ..run.errors import FiptError
 from .brackets import stops_between
+from .exif import DAMAGE
 from .frames import CLIPPED_CODE, linear_frame, load
 from .motion import LEAST_OVERLAP, grey, log_values, measure, warped
 from .preparation import Photograph
@@ -93,7 +93,7 @@ def small_picture(path: Path, photograph: Photograph) -> np.ndarray:
     Of RAW photographs, the preview that the camera has stored is enough.
 
     Raises:
-        FiptError: those of `frames.load`; and what libraries raise for damaged files (`encoded.DAMAGE`).
+        FiptError: those of `frames.load`; and what libraries raise for damaged files (`exif.DAMAGE`).
     """
     codes = _codes(path, photograph)
     if codes is not None:
