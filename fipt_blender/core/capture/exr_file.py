@@ -52,25 +52,9 @@ class Layer:
         """What its colors consist of: R, G and B, or luminance with chroma; nothing where it has none."""
         return next((names for names in ("RGB", _LUMA_CHROMA) if set(names) <= self.channels.keys()), ())
 
-    @property
-    def is_picture(self) -> bool:
-        """Whether its name is not that of normals, depths or other passes."""
-        return _OTHERS.fullmatch(self.short) is None
-
-    @property
-    def short(self) -> str:
-        """The last word of its name in small letters, without blanks, "_" and "-"."""
-        return _short(self.name)
-
-
-def _short(name: str) -> str:
-    """The last word of a layer's name, of stereo files the one before the view."""
-    words = [re.sub(r"[\s_-]", "", word).lower() for word in name.split(".")]
-    return words[-2] if len(words) > 1 and words[-1] in _VIEWS else words[-1]
-
 
 def exr_size(path: Path) -> tuple[int, int]:
-    """Width and height of the display window."""
+    """Width and height of the display window; raises as `read_exr`."""
     return _window_size(_open(path, header_only=True).parts[0].header["displayWindow"])
 
 
@@ -102,8 +86,10 @@ def read_exr(path: Path, layer: str = "") -> np.ndarray:
     if len(planes) == 1:
         return np.repeat(planes[0][..., None], 3, axis=-1)
     matrix, weights = _primaries(path, header)
-    if found.color == _LUMA_CHROMA:
-        planes = _from_luma_chroma(planes, weights)
+    if found.color == _LUMA_CHROMA:  # Y, RY = (R - Y) / Y, BY = (B - Y) / Y
+        red, blue = ((plane + np.float32(1.0)) * planes[0] for plane in planes[1:])
+        green = (planes[0] - weights[0] * red - weights[2] * blue) / weights[1]
+        planes = [red, green.astype(np.float32), blue]
     pixels = np.stack(planes, axis=-1)
     return pixels if matrix is None else pixels @ matrix.T.astype(np.float32)
 
@@ -144,11 +130,14 @@ def chosen_layer(path: Path, layers: Sequence[Layer], wanted: str, others: bool 
     if wanted:
         known = [layer for layer in layers if layer in (*colored, *grey)]
         found = [layer for layer in known if layer.name.lower() == wanted.lower()]
-        found = found or [layer for layer in known if layer.short == _short(wanted)]
+        found = found or [layer for layer in known if _last(layer.name) == _last(wanted)]
     else:
-        usable = [[item for item in kind if others or item.is_picture] for kind in (colored, grey)]
+        usable = [
+            [item for item in kind if others or not _OTHERS.fullmatch(_last(item.name))]
+            for kind in (colored, grey)
+        ]
         found = usable[0] or usable[1]
-        named = [layer for layer in found if _BEAUTY.fullmatch(layer.short)]
+        named = [layer for layer in found if _BEAUTY.fullmatch(_last(layer.name))]
         found = [layer for layer in named if not layer.name] or named or found
     if len(found) == 1:
         return found[0]
@@ -163,13 +152,19 @@ def chosen_layer(path: Path, layers: Sequence[Layer], wanted: str, others: bool 
     )
 
 
+def _last(name: str) -> str:
+    """The last word of a layer's name, of stereo files the one before the view; plain small letters."""
+    words = [re.sub(r"[\s_-]", "", word).lower() for word in name.split(".")]
+    return words[-2] if len(words) > 1 and words[-1] in _VIEWS else words[-1]
+
+
 def _layers(file: OpenEXR.File) -> list[Layer]:
     """The layers of all parts; those of several parts have the part's name first."""
     found = []
     for index in range(len(file.parts)):
         header = file.header(index)
         part = str(header.get("name") or "")
-        if len(file.parts) == 1 and not _OTHERS.fullmatch(_short(part)):
+        if len(file.parts) == 1 and not _OTHERS.fullmatch(_last(part)):
             part = ""
         by_layer: dict[str, dict[str, str]] = {}
         for channel in header["channels"]:
@@ -219,14 +214,6 @@ def _primaries(path: Path, header: dict[str, Any]) -> tuple[np.ndarray | None, n
         return None if is_rec709 else to_rec709(values), xyz_from_rgb(values)[1]
     except (TypeError, ValueError, np.linalg.LinAlgError) as error:
         raise unreadable(path, f"its chromaticities are invalid: {error}") from None
-
-
-def _from_luma_chroma(planes: list[np.ndarray], weights: np.ndarray) -> list[np.ndarray]:
-    """R, G and B of Y, RY = (R - Y) / Y and BY = (B - Y) / Y."""
-    luminance = planes[0]
-    red, blue = ((plane + np.float32(1.0)) * luminance for plane in planes[1:])
-    green = (luminance - weights[0] * red - weights[2] * blue) / weights[1]
-    return [red, green.astype(np.float32), blue]
 
 
 def _plane(file: OpenEXR.File, layer: Layer, name: str) -> np.ndarray:

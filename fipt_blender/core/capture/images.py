@@ -110,6 +110,19 @@ def open_picture(path: Path, layer: str = "") -> Picture:
     return picture
 
 
+def stored_values(path: Path, picture: Picture) -> np.ndarray:
+    """Values (height, width, channels) as stored, of which the fourth may be left out.
+
+    Raises:
+        FiptError: ``image-unreadable``.
+    """
+    try:
+        pixels = np.asarray(picture.read())
+    except DAMAGE as error:
+        raise unreadable(path, error) from None
+    return pixels[..., None] if pixels.ndim == 2 else pixels
+
+
 def read_size(path: Path) -> tuple[int, int]:
     """Width and height in pixels of an image as it is stored, from its header; raises as `open_picture`."""
     return open_picture(path).size
@@ -138,7 +151,7 @@ def read_radiance(path: Path, layer: str = "") -> np.ndarray:
         FiptError: those of `open_picture` and `read_exr`.
     """
     picture = open_picture(path, layer)
-    pixels, matrix = _pixels(path, picture)[..., :3], picture.colors.matrix
+    pixels, matrix = _colors_of(path, picture), picture.colors.matrix
     if picture.type != "float32":
         # By a table, since powers of all pixels would take seconds.
         table, curve = _curve_table(picture).astype(np.float32), picture.colors.curve
@@ -165,7 +178,7 @@ def read_codes(path: Path, as_stored: bool = False) -> tuple[np.ndarray, np.ndar
         FiptError: those of `open_picture`.
     """
     picture = open_picture(path)
-    codes = _pixels(path, picture)[..., :3]
+    codes = _colors_of(path, picture)
     if picture.colors.curve is not None and not as_stored:
         codes = _mapped(np.round(65535.0 * srgb_encoded(_curve_table(picture))).astype(np.uint16), codes)
     return codes, picture.colors.matrix
@@ -312,7 +325,8 @@ def _open_by_oiio(path: Path, kind: str) -> Picture:
         with PngImagePlugin.PngImageFile(path) as image:
             colors = primaries.png_colors(image.info)
     elif kind == "jpeg" and str(exif_tags(path).get("Interoperability InteroperabilityIndex")) == "R03":
-        colors = primaries.adobe_rgb()  # of cameras, which embed no profile
+        # Adobe RGB, for which cameras embed no profile.
+        colors = Colors(primaries.power(563.0 / 256.0), primaries.to_rec709(primaries.ADOBE_RGB))
     exif: Path | bytes = path
     if kind == "webp":  # where ExifRead finds none
         with WebPImagePlugin.WebPImageFile(path) as webp:
@@ -348,14 +362,10 @@ def _radiance_colors(path: Path) -> Colors:
     return Colors(None, None if plain else (np.eye(3) if matrix is None else matrix) * scale)
 
 
-def _pixels(path: Path, picture: Picture) -> np.ndarray:
-    """Values (height, width, 3 or more) as stored; grey ones are repeated."""
-    try:
-        pixels = np.asarray(picture.read())
-    except DAMAGE as error:
-        raise unreadable(path, error) from None
-    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
-    return np.repeat(pixels[..., :1], 3, axis=-1) if pixels.shape[-1] < 3 else pixels
+def _colors_of(path: Path, picture: Picture) -> np.ndarray:
+    """Values (height, width, 3) as stored; grey ones are repeated."""
+    pixels = stored_values(path, picture)
+    return np.repeat(pixels[..., :1], 3, axis=-1) if pixels.shape[-1] < 3 else pixels[..., :3]
 
 
 def _curve_table(picture: Picture) -> np.ndarray:
@@ -378,12 +388,11 @@ def _png_ids(path: Path) -> np.ndarray:
             if image.mode == "P":
                 return np.asarray(image).astype(np.int64)
             bits = {"1": 1, "L;2": 2, "L;4": 4}.get(str(image.tile[0].args), 8)
-            grey = image.mode in ("1", "L", "LA", "I;16", "I")
     except DAMAGE as error:
         raise unreadable(path, error) from None
     picture = open_picture(path)
-    colors = _pixels(path, picture).astype(np.int64)
-    if grey:
+    colors = stored_values(path, picture).astype(np.int64)
+    if colors.shape[-1] < 3:
         return colors[..., 0] // (255 // (2**bits - 1))  # fewer bits than 8 are scaled
     if picture.type == "uint16":
         same = (colors % 257 == 0).all(axis=-1)

@@ -62,11 +62,6 @@ def to_rec709(chromaticities: np.ndarray) -> np.ndarray | None:
     return _unless_rec709(np.linalg.solve(target, source))
 
 
-def adobe_rgb() -> Colors:
-    """Colors of photographs whose camera was set to Adobe RGB."""
-    return Colors(_power(563.0 / 256.0), to_rec709(ADOBE_RGB))
-
-
 def png_colors(info: dict[Any, Any]) -> Colors:
     """Colors by a PNG's chunks, other than an ICC profile, as Pillow names them.
 
@@ -77,7 +72,7 @@ def png_colors(info: dict[Any, Any]) -> Colors:
     matrix = None
     if "chromaticity" in info and "srgb" not in info:
         matrix = to_rec709(np.roll(info["chromaticity"], -2))  # white comes first
-    return Colors(None if abs(gamma - 0.45455) < 1e-3 or gamma <= 0.0 else _power(1.0 / gamma), matrix)
+    return Colors(None if abs(gamma - 0.45455) < 1e-3 or gamma <= 0.0 else power(1.0 / gamma), matrix)
 
 
 def icc_colors(data: bytes) -> Colors:
@@ -134,7 +129,8 @@ def _curve(tag: bytes) -> Callable[[np.ndarray], np.ndarray]:
     return lambda x: np.where(x >= d, np.maximum(a * x + b, 0.0) ** g + e, c * x + f)
 
 
-def _power(exponent: float) -> Callable[[np.ndarray], np.ndarray]:
+def power(exponent: float) -> Callable[[np.ndarray], np.ndarray]:
+    """A curve for `Colors`."""
     return lambda values: np.repeat((values**exponent)[:, None], 3, axis=1)
 
 

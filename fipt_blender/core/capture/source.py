@@ -6,6 +6,7 @@ depth images, dense stereo, or the points of the solve."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -105,13 +106,9 @@ def write_mesh(run: RunFolder, source: Source, fusion: Fusion | None, fused: Fus
 
 def _with_layer(rig: Rig, layer: str) -> Rig:
     """The rig with a layer named for its photographs."""
-    if not layer:
-        return rig
-    depths = [
-        replace(depth, photograph=replace(depth.photograph, layer=layer)) if depth.photograph else depth
-        for depth in rig.depths
-    ]
-    return replace(rig, views=tuple(replace(view, layer=layer) for view in rig.views), depths=tuple(depths))
+    named = partial(replace, layer=layer)
+    depths = (replace(depth, photograph=depth.photograph and named(depth.photograph)) for depth in rig.depths)
+    return replace(rig, views=tuple(map(named, rig.views)), depths=tuple(depths))
 
 
 def _mesh(rig: Rig, options: CaptureOptions) -> Path | None:
