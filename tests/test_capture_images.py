@@ -117,6 +117,13 @@ def test_a_pass_alone_is_no_picture_unless_it_is_asked_for(tmp_path, name, chann
         np.testing.assert_array_equal(read_radiance(path, name), stacked(planes))
 
 
+def test_an_exr_of_which_a_part_is_damaged_is_refused(tmp_path):
+    layers = {name: layer(np.random.default_rng(0), "RGB") for name in ("other", "C")}
+    path = write_exr_layers(tmp_path / "a.exr", layers, parts=True)
+    path.write_bytes(path.read_bytes()[:-30])
+    assert error_of(read_radiance, path).code == "image-unreadable"
+
+
 def test_colors_come_before_luminance_and_the_unnamed_layer_before_all(tmp_path):
     rng = np.random.default_rng(0)
     layers = {"": layer(rng, "Y"), "foo": layer(rng, "RGB")}

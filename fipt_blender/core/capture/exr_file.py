@@ -132,11 +132,10 @@ def chosen_layer(path: Path, layers: Sequence[Layer], wanted: str, others: bool 
         found = [layer for layer in known if layer.name.lower() == wanted.lower()]
         found = found or [layer for layer in known if _last(layer.name) == _last(wanted)]
     else:
-        usable = [
-            [item for item in kind if others or not _OTHERS.fullmatch(_last(item.name))]
-            for kind in (colored, grey)
+        usable = [layer for layer in layers if others or not _OTHERS.fullmatch(_last(layer.name))]
+        found = [layer for layer in colored if layer in usable] or [
+            layer for layer in grey if layer in usable
         ]
-        found = usable[0] or usable[1]
         named = [layer for layer in found if _BEAUTY.fullmatch(_last(layer.name))]
         found = [layer for layer in named if not layer.name] or named or found
     if len(found) == 1:
@@ -190,11 +189,12 @@ def _open(path: Path, header_only: bool = False) -> OpenEXR.File:
             check_pixels(path, *stored)
             if width * height > 16_000_000 and stored[0] * stored[1] < width * height / 16:
                 raise ValueError(f"{width} x {height} pixels, of which {stored[0]} x {stored[1]} are stored")
+        count = len(file.parts)
         if not header_only:
             file = OpenEXR.File(str(path), separate_channels=True)
     except (RuntimeError, ValueError, TypeError) as error:
         raise unreadable(path, error) from None
-    if not file.parts:  # OpenEXR only prints a warning where pixels are missing
+    if not count or len(file.parts) != count:  # OpenEXR only prints a warning where pixels are missing
         raise unreadable(path, "the file is truncated or damaged")
     return file
 
