@@ -187,6 +187,27 @@ def _plane_room(sample: Path, out: Path) -> None:
     write_room(out / "planes.obj", room_of_points(sample, rig))
 
 
+def _image_files(sample: Path, out: Path) -> None:
+    """All that is read of images: values, codes, ids and headers."""
+    from fipt_blender.core.capture import images
+    from fipt_blender.core.photographs.exif import describe
+
+    refused = None
+    for path in sorted(sample.iterdir()):
+        for read in (
+            images.read_ids,
+            images.read_radiance,
+            images.is_plain,
+            lambda file: describe(file, "a"),
+        ):
+            try:
+                read(path)
+            except FiptError as error:
+                refused = error if read is not images.read_ids else refused  # which refuses most of them
+    if refused is not None:
+        raise refused
+
+
 def _depth_map(sample: Path, out: Path) -> None:
     from fipt_blender.core.capture.dense_stereo import read_depth_map
 
@@ -237,6 +258,7 @@ TARGETS = (
     Target("depth-points", _rgbd, _depth_points),
     Target("meshes", fuzz_samples.write_meshes, _simplify),
     Target("plane-room", fuzz_samples.write_points, _plane_room),
+    Target("images", fuzz_samples.write_image_files, _image_files),
     Target("depth-map", fuzz_samples.write_depth_map, _depth_map),
     Target("capture", fuzz_samples.write_capture, _load_capture),
     Target("run-files", fuzz_samples.write_run_files, _read_run_files),

@@ -24,6 +24,7 @@ HEAVY = (
     "drjit",
     "torch",
     "OpenEXR",
+    "OpenImageIO",
     "pycolmap",
     "pyoidn",
     "rawpy",

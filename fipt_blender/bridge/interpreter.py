@@ -18,7 +18,8 @@ PYTHON_VARIABLE = "FIPT_ENGINE_PYTHON"
 
 _HAS_PACKAGES = """
 import importlib.util, sys
-missing = [name for name in ("mitsuba", "torch", "OpenEXR") if importlib.util.find_spec(name) is None]
+wanted = ("mitsuba", "torch", "OpenEXR", "OpenImageIO")
+missing = [name for name in wanted if importlib.util.find_spec(name) is None]
 print(sys.version.split()[0], "lacks " + ", ".join(missing) if missing else "has all")
 sys.exit(1 if missing else 0)
 """

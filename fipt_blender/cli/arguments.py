@@ -104,6 +104,8 @@ def _add_prepare(commands: _Commands) -> argparse.ArgumentParser:
     )
     add("--steps", default="", metavar="NAMES", help="only some steps, separated by commas (default: all)")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one setting of prepare.json")
+    text = "layer or part of EXR photographs that have several"
+    add("--layer", dest="set", action="append", type="layer={}".format, metavar="NAME", help=text)
     return prepare
 
 

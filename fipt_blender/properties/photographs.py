@@ -32,7 +32,7 @@ SCALES = (
     ("marker", "Printed Marker", "A printed ArUco marker that is seen in photographs"),
 )
 ENGINE_SETTINGS = (
-    *("grouping", "working_width", "response", "white_balance", "align", "vignetting"),
+    *("grouping", "working_width", "response", "layer", "white_balance", "align", "vignetting"),
     *("cameras", "scale", "scale_length", "scale_picks", "masks"),
 )
 PATH_SETTINGS = ("cameras", "masks")
@@ -89,6 +89,11 @@ class FIPT_PhotographsSettings(bpy.types.PropertyGroup):
         name="Response",
         description="Relation between light and the pixel values of JPEG, PNG and TIFF",
         items=RESPONSES,
+    )
+    layer: bpy.props.StringProperty(
+        name="Layer",
+        description="Layer or part of OpenEXR photographs that have several. If empty, the one without a"
+        " name or with one like Combined, beauty, rgba, C or image is used",
     )
     white_balance: bpy.props.EnumProperty(
         name="White Balance", description="White balance of RAW photographs", items=WHITE_BALANCES

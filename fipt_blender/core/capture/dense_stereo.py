@@ -25,8 +25,8 @@ from ..run.runfolder import PRODUCT_VERSION
 from .colmap import NAME as COLMAP
 from .colmap import find, opened
 from .depth_images import Fusion, fuse
-from .encoded import MOST_PIXELS, is_encoded, srgb_encoded
-from .images import read_radiance, write_exr
+from .encoded import MOST_PIXELS, srgb_encoded
+from .images import is_encoded, read_radiance, write_exr
 from .rig import DepthView, Note, Rig, RigView, damaged
 
 MOST_MAP_BYTES = 4 * MOST_PIXELS + 64
@@ -105,7 +105,7 @@ def stereo_depths(
     images = sorted((model.images[i] for i in model.reg_image_ids()), key=lambda image: image.name)
     for index, (image, view) in enumerate(zip(images, photographs, strict=True)):
         image.name = f"{index:06d}.png"
-        Image.fromarray(_copy(view.image)).save(folder / "images" / image.name)
+        Image.fromarray(_copy(view.image, view.layer)).save(folder / "images" / image.name)
     try:
         model.write(str(folder / "model"))
         pycolmap.undistort_images(folder / "dense", folder / "model", folder / "images")
@@ -123,9 +123,9 @@ def stereo_depths(
     return tuple(views)
 
 
-def _copy(path: Path) -> np.ndarray:
+def _copy(path: Path, layer: str) -> np.ndarray:
     """(H, W, 3) uint8 codes of a photograph."""
-    radiance = read_radiance(path)
+    radiance = read_radiance(path, layer)
     if not is_encoded(path):
         middle = float(np.median(radiance[radiance > 0.0])) if (radiance > 0.0).any() else 1.0
         # The median gets a code-linear value of 0.22.

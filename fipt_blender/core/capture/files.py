@@ -18,11 +18,11 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import NamedTuple
 
 from ..run.errors import FiptError
-from .suffixes import HEIF_SUFFIXES, LDR_FORMATS, LINEAR_SUFFIXES, SUFFIXES
+from .suffixes import HEIF_SUFFIXES, IMAGE_SUFFIXES, LINEAR_SUFFIXES, SUFFIXES
 
 # What ends a name without being a part of it: "frame.0001" has no such suffix.
-IMAGE_SUFFIXES = frozenset(
-    (*SUFFIXES, ".webp", ".jxl", ".jp2", ".avif", ".bmp", ".tga", ".gif", ".psd", ".dpx", ".ppm", ".pgm")
+NAME_SUFFIXES = frozenset(
+    (*SUFFIXES, ".jp2", ".avif", ".bmp", ".tga", ".gif", ".psd", ".dpx", ".ppm", ".pgm")
 )
 PHOTOGRAPHS_FIRST = (".exr",)  # cameras are often solved on tone-mapped copies: a.jpg may stand for a.exr
 IDS_FIRST = (".exr", ".png")
@@ -59,7 +59,7 @@ def is_plain(name: str) -> bool:
 def suffix_of(name: str) -> str:
     """An image's suffix in lower case, "" of other names."""
     suffix = os.path.splitext(name)[1].lower()
-    return suffix if suffix in IMAGE_SUFFIXES else ""
+    return suffix if suffix in NAME_SUFFIXES else ""
 
 
 def stem_of(name: str) -> str:
@@ -161,7 +161,7 @@ def _rank(name: str, wanted: str, first: Sequence[str]) -> int:
         return len(first)
     if suffix in LINEAR_SUFFIXES:
         return len(first) + 1
-    return len(first) + (2 if suffix in LDR_FORMATS and suffix not in HEIF_SUFFIXES else 3)
+    return len(first) + (2 if suffix in IMAGE_SUFFIXES and suffix not in HEIF_SUFFIXES else 3)
 
 
 class Folders:

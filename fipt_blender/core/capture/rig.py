@@ -63,6 +63,7 @@ class RigView:
         parts, semantics: id images that exist, or None.
         mask: image whose black pixels are left out, or None; it need not exist.
         missing: where a file does not exist, what was looked for; else "".
+        layer: of an EXR with several; see `images.read_radiance`.
     """
 
     name: str
@@ -76,6 +77,7 @@ class RigView:
     semantics: Path | None = None
     mask: Path | None = None
     missing: str = ""
+    layer: str = ""
 
 
 @dataclass(frozen=True, eq=False)

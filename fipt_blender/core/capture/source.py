@@ -6,6 +6,7 @@ depth images, dense stereo, or the points of the solve."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +53,7 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
     Raises:
         FiptError: those of the readers, ``mesh-missing``; those of aligning, of planes and of stereo.
     """
-    rig = read_rig(capture, options.format, options)
+    rig = _with_layer(read_rig(capture, options.format, options), options.layer)
     mesh = _mesh(rig, options)
     rig = replace(rig, depths=checked_depths(rig.depths))
     if rig.one_camera:
@@ -101,6 +102,13 @@ def write_mesh(run: RunFolder, source: Source, fusion: Fusion | None, fused: Fus
         write_room(run.planes_obj, source.planes)
         return run.planes_obj
     return source.mesh
+
+
+def _with_layer(rig: Rig, layer: str) -> Rig:
+    """The rig with a layer named for its photographs."""
+    named = partial(replace, layer=layer)
+    depths = (replace(depth, photograph=depth.photograph and named(depth.photograph)) for depth in rig.depths)
+    return replace(rig, views=tuple(map(named, rig.views)), depths=tuple(depths))
 
 
 def _mesh(rig: Rig, options: CaptureOptions) -> Path | None:

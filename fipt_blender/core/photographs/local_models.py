@@ -18,7 +18,7 @@ import torch
 
 from ..run.documents import Entries, Fields, Items, Number, read_json
 from ..run.errors import FiptError
-from .extras import optional
+from ..run.extras import optional
 
 _CONFIG = Fields(
     {"model_type": str},

@@ -33,7 +33,7 @@ class Photograph:
 
     Attributes:
         path: within the folder of the photographs, relative to it.
-        kind: ``raw`` (a sensor's values), ``ldr`` (values after a camera's response), ``linear`` (EXR, HDR).
+        kind: ``raw`` (a sensor's values), ``ldr`` (codes after a camera's response), ``linear`` (radiance).
         width, height: pixels as stored, before `orientation`.
         orientation: of EXIF, 1 to 8.
         shutter: seconds.
@@ -126,6 +126,7 @@ class PrepareSettings:
         "vignetting: auto (from lensfun's database, else from overlapping views) or none",
         choices=VIGNETTINGS,
     )
+    layer: str = _setting("", "layer or part of EXR photographs that have several")
     cameras: str = _setting("", "folder of an existing camera solve; empty to solve the cameras")
     seed: int = _setting(0, "seed of the camera solve", low=0, high=2**31 - 1)
     scale: str = _setting(

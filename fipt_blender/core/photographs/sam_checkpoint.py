@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from ..run.errors import FiptError
-from .extras import optional
+from ..run.extras import optional
 from .local_models import normalized
 from .sam_decoder import DecoderSizes, SamDecoder, fast_type
 from .tiny_vit import TinyVit, TinyVitSizes

@@ -8,7 +8,7 @@ import importlib
 import sys
 from types import ModuleType
 
-from ..run.errors import FiptError
+from .errors import FiptError
 
 # Module: (extra, pin). pyproject.toml has the same pins.
 EXTRAS = {
