@@ -135,9 +135,10 @@ def _image(environment: Environment, folder: Path) -> bpy.types.Image:
     if source is not None:
         pixels[..., :3] *= linear_values(source)[..., :3]
     name = "environment" if source is None else Path(source.name).stem
-    image = bpy.data.images.new(name, width, height, float_buffer=True)
+    # As data, since Blender 4.5 saves other new images of floats with sRGB's transfer function.
+    image = bpy.data.images.new(name, width, height, float_buffer=True, is_data=True)
     image.pixels.foreach_set(pixels.ravel())
     image.filepath_raw, image.file_format = str(folder / f"{name}.exr"), "OPEN_EXR"
     image.save()
-    image.source = "FILE"
-    return image
+    bpy.data.images.remove(image)
+    return bpy.data.images.load(str(folder / f"{name}.exr"))

@@ -162,7 +162,7 @@ def _add_surfaces(
             copies.keep(material, copies.name(source) + suffix)
     if dark:
         text = f"{', '.join(dark)}: other lights light the room in place of these lamps, which are black."
-        warnings.append(warning("export-lamps-dark", text, "Use Restore Lamp to export their own light."))
+        warnings.append(warning("export-lamps-dark", text, "Use Convert Back to export their own light."))
 
 
 def _stands_for(scene: bpy.types.Scene, item: bpy.types.Object, shown: list[bpy.types.Object]) -> bool:
