@@ -15,7 +15,7 @@ _DERIVED = {
     "original", "bindcode", "has_data", "is_dirty", "loop_triangles", "loop_triangle_polygons",
     "corner_normals",
     "vertex_normals", "polygon_normals", "depsgraph", "pixels", "active_operator", "bound_box", "statistics",
-    "is_tagged", "asset_data", "matrix_world", "internal_links", "cycles", "render_slots", "is_runtime_data",
+    "is_tagged", "asset_data", "matrix_world", "linear_colorspace_settings", "internal_links", "cycles", "render_slots", "is_runtime_data",
     "total_vert_sel", "total_edge_sel", "total_face_sel", "light_linking",
 }  # fmt: skip
 # (name of the array of an attribute's values, numbers for a value, type) by the attribute's type.
@@ -34,6 +34,8 @@ def file_state() -> dict[str, object]:
         if collection.type != "COLLECTION" or collection.identifier in ("screens", "window_managers"):
             continue
         for block in getattr(bpy.data, collection.identifier):
+            if getattr(block, "type", "") == "RENDER_RESULT":  # Blender's own, made by the first render
+                continue
             found[f"{collection.identifier}/{block.name}"] = _struct(block, 0)
     return found
 

@@ -143,7 +143,7 @@ def _add_surfaces(
         # Other programs have no tiles: a part is a material for each atlas image on which it lies.
         for index, image in enumerate(split_tiles(mesh)):
             material = mesh.materials[index] if index < len(mesh.materials) else None
-            if not has_maps(material):
+            if material is None or not has_maps(material):
                 continue
             uniform = is_uniform(material)
             key = (material, -1 if uniform else image)

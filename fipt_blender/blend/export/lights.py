@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import bpy
 import numpy as np
@@ -149,7 +149,7 @@ def turned(matrix: Matrix) -> Matrix:
     return rotation
 
 
-def area_surface(item: bpy.types.Object) -> tuple[bpy.types.Mesh, Sequence[float]]:
+def area_surface(item: bpy.types.Object) -> tuple[bpy.types.Mesh, tuple[float, ...]]:
     """A new mesh of an area light in the frame of `turned`, and the radiance (rgb) of its front."""
     inverse = turned(item.matrix_world).to_3x3().transposed()
     across, up = (inverse @ axis for axis in _axes(item))
@@ -166,7 +166,8 @@ def area_surface(item: bpy.types.Object) -> tuple[bpy.types.Mesh, Sequence[float
     mesh.from_pydata(points, [], [tuple(range(len(points)))])
     # A polygon is smaller than its ellipse; the power stays.
     area *= mesh.polygons[0].area / _outline_area(item, across, up)
-    return mesh, (np.maximum(emitted_power(item), 0.0) / max(area_light_watts(1.0, area), 1e-12)).tolist()
+    radiance = np.maximum(emitted_power(item), 0.0) / max(area_light_watts(1.0, area), 1e-12)
+    return mesh, tuple(radiance.tolist())
 
 
 def _outline_area(item: bpy.types.Object, across: Vector, up: Vector) -> float:
