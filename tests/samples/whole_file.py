@@ -15,7 +15,8 @@ _DERIVED = {
     "original", "bindcode", "has_data", "is_dirty", "loop_triangles", "loop_triangle_polygons",
     "corner_normals",
     "vertex_normals", "polygon_normals", "depsgraph", "pixels", "active_operator", "bound_box", "statistics",
-    "is_tagged", "asset_data", "matrix_world", "linear_colorspace_settings", "internal_links", "cycles", "render_slots", "is_runtime_data",
+    "is_tagged", "asset_data", "matrix_world", "linear_colorspace_settings",
+    "internal_links", "cycles", "render_slots", "is_runtime_data",
     "total_vert_sel", "total_edge_sel", "total_face_sel", "light_linking",
 }  # fmt: skip
 # (name of the array of an attribute's values, numbers for a value, type) by the attribute's type.
