@@ -15,6 +15,7 @@ import bpy
 import numpy as np
 from mathutils import Euler, Matrix
 
+from ..color_spaces import from_scene_linear
 from ..image_datablocks import linear_values
 from ..node_trees import node_tree
 
@@ -127,13 +128,14 @@ def plain_world(environment: Environment, folder: Path) -> tuple[bpy.types.World
 
 
 def _image(environment: Environment, folder: Path) -> bpy.types.Image:
-    """The radiance of an environment as a new EXR image."""
+    """The radiance of an environment as a new EXR image, which readers take for linear Rec.709."""
     source = environment.image
     width, height = (4, 2) if source is None else tuple(source.size)
     pixels = np.ones((height, width, 4), np.float32)
     pixels[..., :3] = environment.factor
     if source is not None:
         pixels[..., :3] *= linear_values(source)[..., :3]
+    pixels[..., :3] = from_scene_linear(pixels[..., :3])
     name = "environment" if source is None else Path(source.name).stem
     # As data, since Blender 4.5 saves other new images of floats with sRGB's transfer function.
     image = bpy.data.images.new(name, width, height, float_buffer=True, is_data=True)

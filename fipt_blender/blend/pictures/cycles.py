@@ -20,7 +20,7 @@ import numpy as np
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import atomic_path
 from ..changed import all_changed, changed, unset
-from ..color_spaces import linear_space, set_view_transform
+from ..color_spaces import linear_space, scene_matrix, set_view_transform
 from ..save import check_space
 from .image_files import STILL_IMAGE, read_pixels, write_image
 
@@ -171,7 +171,6 @@ def render_exr(scene: bpy.types.Scene, path: Path, options: RenderOptions) -> No
         "color_mode": "RGBA" if options.transparent else "RGB",
         "color_depth": "32",
         "exr_codec": "ZIP",
-        "color_management": "OVERRIDE",
     }
     with ExitStack() as stack, atomic_path(path) as temporary:
         stack.enter_context(changed(render, {**_RENDER, "film_transparent": options.transparent}))
@@ -181,7 +180,9 @@ def render_exr(scene: bpy.types.Scene, path: Path, options: RenderOptions) -> No
         settings = render.image_settings
         stack.enter_context(changed(settings, STILL_IMAGE))
         stack.enter_context(changed(settings, exr))
-        stack.enter_context(changed(settings.linear_colorspace_settings, {"name": linear_space()}))
+        if not np.array_equal(scene_matrix(), np.eye(3)):  # copies the scene's view into these settings
+            stack.enter_context(changed(settings, {"color_management": "OVERRIDE"}))
+            stack.enter_context(changed(settings.linear_colorspace_settings, {"name": linear_space()}))
         try:
             bpy.ops.render.render(scene=scene.name)
         except RuntimeError as error:
