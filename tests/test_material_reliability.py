@@ -4,13 +4,19 @@
 
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from fipt_blender.core.light.baking import ShadingStore
+from fipt_blender.core.light.shadings import roughness_levels
+from fipt_blender.core.material.cell_errors import DrawnPixels
+from fipt_blender.core.material.groups import Units
+from fipt_blender.core.material.part_colors import room_detail
 from fipt_blender.core.material.reliability import PlaceColors, part_detail
-from fipt_blender.core.material.seen import Box
+from fipt_blender.core.material.seen import Box, seen_cells
 
 SIDE, PIXEL = 64, 0.02  # places along a wall, and their width in metres
 BOX = Box(np.zeros(3) - 0.1, 4.0)
@@ -98,7 +104,7 @@ def correlation(values: np.ndarray, true: np.ndarray) -> float:
     return float((values * true).sum() / np.sqrt((values**2).sum() * (true**2).sum() + 1e-30))
 
 
-@pytest.mark.parametrize(("kind", "width"), itertools.product(KINDS, (1, 2, 3, 5)))
+@pytest.mark.parametrize(("kind", "width"), [*itertools.product(KINDS, (1, 2, 3, 5))])
 def test_patterns_stay_and_paint_beside_them_is_one_colour(kind: str, width: int) -> None:
     rng = np.random.default_rng([width, KINDS.index(kind)])
     cases = list(itertools.product((0.08, 0.7), (0.0, *CONTRASTS)))
@@ -120,7 +126,7 @@ def test_patterns_stay_and_paint_beside_them_is_one_colour(kind: str, width: int
             assert correlation(result, true) > 0.95 * correlation(places.color, true)
 
 
-@pytest.mark.parametrize(("views", "light"), itertools.product((4, 8, 24), (0.0, 1.0)))
+@pytest.mark.parametrize(("views", "light"), [*itertools.product((4, 8, 24), (0.0, 1.0))])
 def test_errors_of_paint_are_gone(views: int, light: float, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(f"{__name__}.VIEWS", views)
     rng = np.random.default_rng(views)
@@ -173,3 +179,53 @@ def test_what_no_two_halves_saw_has_the_median_and_other_parts_are_unchanged() -
     one = replace(places, weight=places.weight * [[1.0], [0.0]])  # nothing repeats what these views show
     values = part_detail(one, median, PIXEL, BOX).shrink(places.color, places.position, places.part, BOX)
     assert psnr(values, median[0]) > 80.0
+
+
+class PlaceByPlace:
+    """In place of the network: a base colour for each place of a wall (SIDE, SIDE, 3), rough, no metal."""
+
+    box = BOX
+
+    def __init__(self, color: np.ndarray) -> None:
+        self.color = color
+
+    def query(self, positions: np.ndarray, units: np.ndarray) -> np.ndarray:
+        column, row = (positions[:, :2] / PIXEL).astype(int).T
+        return np.column_stack([self.color[row, column], np.ones(len(row)), np.zeros(len(row))])
+
+
+@pytest.mark.parametrize("contrast", [0.0, 0.2])
+def test_the_halves_are_made_of_the_pixels_of_the_views(contrast: float) -> None:
+    """Photographs of a wall in light that differs from view to view; a part of several materials stays."""
+    rng = np.random.default_rng(7)
+    true = 0.6 * TINT * (1.0 - contrast * pattern("dots", 2, rng)[..., None])
+    row, column = (index.ravel() for index in np.mgrid[0:SIDE, 0:SIDE])
+    points = PIXEL * np.stack([column + 0.5, row + 0.5, np.zeros(len(row))], axis=1).astype(np.float32)
+    light = np.linspace(0.5, 2.0, VIEWS)[:, None, None] * np.ones((1, SIDE**2, 3))
+    noise = np.stack([FAR * smooth(rng, 15.0) + NOISE * smooth(rng, 0.0) for _ in range(VIEWS)])
+    shown = true.reshape(-1, 3) * (1.0 + noise.reshape(VIEWS, -1, 1))
+    fields, part = PlaceByPlace(shown.mean(axis=0).reshape(true.shape)), (row >= SIDE // 2).astype(int)
+    units = Units(np.arange(2, dtype=np.int32), np.array([True, False]))
+    cells = seen_cells(BOX, [(points, part)])
+    count, levels = VIEWS * SIDE**2, roughness_levels(2, 0.1, 1.0)
+    shadings = ShadingStore(
+        light.reshape(-1, 3).astype(np.float16), np.zeros((count, len(levels), 2, 3), np.float16)
+    )
+    view = np.repeat(np.arange(VIEWS), SIDE**2)
+    pixels = SimpleNamespace(own=(shown * light).reshape(-1, 3), view_of=lambda rows: view[rows])
+    seen_by = SimpleNamespace(pixels=pixels, footprint=PIXEL)
+    data = SimpleNamespace(observations=seen_by, shadings=shadings, levels=levels)
+    position, unit = np.tile(points, (VIEWS, 1)), np.tile(part, VIEWS)
+    found, place = np.unique(cells.find(BOX, position, unit), return_inverse=True)
+    drawn = DrawnPixels(np.arange(count), position, unit, found, place)
+    errors = np.full((len(cells.keys), 3), 0.022, np.float32)
+    detail = room_detail(drawn, data, units, fields, cells, errors)
+    values = detail.shrink(fields.query(points, part)[:, :3], points, part, BOX)
+    one, truth = part == 0, true.reshape(-1, 3)
+    estimate = fields.color.reshape(-1, 3)
+    np.testing.assert_allclose(values[~one], estimate[~one], atol=1e-6)
+    if contrast:
+        assert psnr(values[one], truth[one]) > psnr(estimate[one], truth[one]) - 0.1
+    else:
+        assert np.ptp(values[one], axis=0).max() == 0.0 < np.ptp(estimate[one], axis=0).min()
+        assert psnr(values[one], truth[one]) > 50.0

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 _CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-_STRIDE = 1 << 16  # more than the nodes along an axis
+_STRIDE = 1 << 15  # more than the nodes along an axis
+_PARTS = 1 << 18  # more than the parts
 _BLOCK = 1 << 20  # points at a time
 
 
@@ -52,7 +53,7 @@ class SmoothingGrid:
             part: (T,) int part of each triangle, from -1.
             triangle: (N,) int triangle of each point.
             width: of a cell, metres.
-            low: (3,) corner of the grid, at least a cell below all points; None for that of these points.
+            low: (3,) corner of the grid, below all points; None for one below these points.
         """
         if low is None:
             low = position.min(axis=0).astype(np.float64) - width
@@ -130,6 +131,5 @@ def _blocks(count: int) -> list[slice]:
 
 def _key(place: np.ndarray, part: np.ndarray) -> np.ndarray:
     """(n,) int64 key of cells (n, 3) of parts (n,)."""
-    # Parts wrap around: at worst two that touch share nodes.
-    number = (part.astype(np.int64) + 1) % (1 << 14)
+    number = (part.astype(np.int64) + 1) % _PARTS  # so that keys fit into 64 bits
     return ((number * _STRIDE + place[:, 0]) * _STRIDE + place[:, 1]) * _STRIDE + place[:, 2]
