@@ -140,10 +140,10 @@ class RoomFields:
             detail = None
             if "detail_keys" in arrays:
                 check_layouts(arrays, DETAIL_ARRAYS)
-                kept = {name: arrays[name] for name in DETAIL_ARRAYS}
-                if len(kept["detail_median"]) != len(parts["single"]):
+                median, width, keys, sums = (arrays[name] for name in DETAIL_ARRAYS)
+                if len(median) != len(parts["single"]):
                     raise ValueError("it has the detail of other parts")
-                detail = PartDetail(**{name.removeprefix("detail_"): kept[name] for name in kept})
+                detail = PartDetail(median, float(width), keys, sums)
             typical = np.zeros((len(parts["single"]) + 1, 5))
             device = torch.device(torch_device())
             network = BrdfNetwork(settings, hash_levels, typical, torch.Generator(), device)

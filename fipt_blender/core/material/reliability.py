@@ -103,7 +103,8 @@ def part_detail(places: PlaceColors, median: np.ndarray, footprint: float, box: 
     light = places.error**2 / (octaves + 1)
     area = np.bincount(part[both > 0.0], minlength=len(median)) * footprint**2
     weights = [ones, *places.weight]
-    finer, levels = [places.color, *places.halves], []
+    finer = [places.color, *places.halves]
+    levels: list[tuple[SmoothingGrid, np.ndarray]] = []
     for octave in range(octaves):
         width = FINEST * footprint * 2.0**octave
         grid = _grid(position, part, width, box)
@@ -127,8 +128,9 @@ def part_detail(places: PlaceColors, median: np.ndarray, footprint: float, box: 
     for grid, sums in reversed(others):
         read = _read(_grid(position, part, grid.width, box), position, grid.keys, sums)
         read = read[:, :4] / np.maximum(read[:, 4:], 1e-30)
-        coarser, smooth = smooth, read[:, :3] - median[part]
-        offset, reliability = offset + reliability * (smooth - coarser), read[:, 3:]
+        nearer = read[:, :3] - median[part]
+        offset = offset + reliability * (nearer - smooth)
+        smooth, reliability = nearer, read[:, 3:]
     weight = fine_sums[:, 4:]
     rest = weight * np.column_stack([reliability, offset - reliability * smooth])
     kept = np.column_stack([fine_sums[:, :4], rest, weight])
