@@ -16,6 +16,7 @@ import numpy as np
 
 from ..scene.grouped import grouped_median, grouped_sums, place_of
 from ..scene.smoothing import SmoothingGrid
+from .confidence import FLOOR
 from .seen import Box
 
 # Cells of the finest low-pass filter in widths of a pixel, as for the detail of photographs, and of the
@@ -98,8 +99,9 @@ def part_detail(places: PlaceColors, median: np.ndarray, footprint: float, box: 
     position, part = places.position, places.part
     octaves = max(int(np.log2(box.extent / (FINEST * footprint))), 1)
     rows, ones = np.arange(len(part)), np.ones(len(part))
-    # Both halves must have seen much; the power of errors is spread evenly over the octaves.
+    # Both halves must have seen much, in light that is known; errors are spread evenly over the octaves.
     both = places.weight[0] * places.weight[1] / np.maximum(places.weight.sum(axis=0), 1e-30)
+    both /= places.error**2 + FLOOR**2
     light = places.error**2 / (octaves + 1)
     area = np.bincount(part[both > 0.0], minlength=len(median)) * footprint**2
     weights = [ones, *places.weight]
