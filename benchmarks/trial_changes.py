@@ -83,6 +83,7 @@ _TABLE = (
     ("presumed_lamps", "presumed lamps in stage 1", ["light/presumed"], {}, ()),
     ("denoise_specular", "denoised specular shadings", [], {}, ()),
     ("lamp_outlines", "outlines of lamps", ["light/lamp_outline"], {}, (SCAN, MASKS)),
+    ("shrink_detail", "detail as far as it is reliable", ["material/reliability"], {}, ()),
     ("lamp_doubt", "errors of the light of uncertain lamps", ["light/lamp_doubt"], {}, ()),
 )
 MECHANISMS = {

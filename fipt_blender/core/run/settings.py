@@ -220,6 +220,7 @@ class Settings:
         ESTIMATE,
     )
     lamp_outlines: bool = _switch("give a scan's lamps the outlines that photographs show", ESTIMATE)
+    shrink_detail: bool = _switch("keep detail of a part's base color as far as it is reliable", None)
     lamp_doubt: bool = _switch("count errors of the light of uncertain lamps in the confidence", None)
     lambda_joint: float = _setting(
         1e-2,

@@ -317,6 +317,12 @@ FIELDS_ARRAYS: dict[str, Layout] = {
     "seen_part": ("i", ("C",)),
     "seen_errors": ("f", ("C", 3)),
 }
+DETAIL_ARRAYS: dict[str, Layout] = {
+    "detail_median": ("f", ("U", 3)),
+    "detail_width": ("f", ()),
+    "detail_keys": ("i", ("N",)),
+    "detail_sums": ("f", ("N", 9)),
+}
 PARTS_ARRAYS: dict[str, Layout] = {"triangle_part": ("i", ("T",)), "single": ("b", ("U",))}
 RESOLUTION_ARRAYS: dict[str, Layout] = {"density": ("f", ("T",))}
 LEFT_ALONE_ARRAYS: dict[str, Layout] = {"left_alone": ("b", ("T",))}
